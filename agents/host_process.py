@@ -52,7 +52,7 @@ def host(
         allow: other classes that the run may ask for, as modules or files.
         code_folder: of Python files that the run may ask for by file name; None: none.
         params: parameters that win over the scenario's.
-        token: proves that this host was started by the run itself, which knows it by its first vehicle.
+        token: by which a run knows a host that it has started itself.
         keys: file with the certificate of this machine.
         insecure: do without one, although the run is on another machine or of another user.
         secret: file with that of a run without certificates (`cosim.transport.local_secret`); None: this user's own.
@@ -83,16 +83,8 @@ def host(
         return Hello(host_id, PROTOCOL, vehicles, kind=kind, folder=str(Path.cwd()), params=params or {}, token=token)
 
     with may_load, threadpool_limits(1):  # as in the run: sums come out the same on any number of cores
-        login = (vehicles[0], token) if token else None
-        return serve(
-            hello,
-            Desk(AgentHost),
-            endpoint,
-            bundle=bundle,
-            login=login,
-            secret=local_secret.given(secret, insecure=insecure),
-            on_state=on_state,
-        )
+        known = local_secret.given(secret, insecure=insecure or bool(token))
+        return serve(hello, Desk(AgentHost), endpoint, bundle=bundle, secret=known, on_state=on_state)
 
 
 def _end_with_parent(pipe: io.FileIO) -> None:

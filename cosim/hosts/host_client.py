@@ -12,7 +12,7 @@ from vcmvsp.cosim.errors import FederateError, UsageError
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.server import Desk
 from vcmvsp.cosim.transport import access_control, key_names, local_secret, tls_diagnosis
-from vcmvsp.cosim.transport.zenoh_session import common_names, opened, threads
+from vcmvsp.cosim.transport.zenoh_session import UNIX, common_names, opened, threads
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
@@ -37,7 +37,6 @@ def serve(
     endpoint: str,
     *,
     bundle: "Bundle | None" = None,
-    login: tuple[str, str] | None = None,
     secret: Secret = None,
     on_state: Callable[[str], None] = lambda _: None,
 ) -> str:
@@ -48,7 +47,6 @@ def serve(
         desk: answers the questions.
         endpoint: of the hub, e.g. ``tls/192.168.1.10:7447``; it need not be there yet.
         bundle: certificate of this host; None: plain TCP.
-        login: name and password of a host that the run itself has started.
         secret: as of `dial`.
         on_state: told what is being waited for.
 
@@ -58,7 +56,7 @@ def serve(
     """
     name = key_names.OPEN if bundle is None else bundle.name
     with threads(_READS):
-        session = dial(endpoint, bundle, on_state, login, secret=secret)
+        session = dial(endpoint, bundle, on_state, secret=secret)
     with session:
         host = str(session.zid())
         questions: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()
@@ -165,7 +163,6 @@ def dial(
     endpoint: str,
     bundle: "Bundle | None",
     on_state: Callable[[str], None],
-    login: tuple[str, str] | None = None,
     *,
     secret: Secret = None,
 ) -> zenoh.Session:
@@ -175,14 +172,13 @@ def dial(
         endpoint: of the hub.
         bundle: certificate of this machine; None: plain TCP.
         on_state: told what is being waited for.
-        login: name and password of a host that the run itself has started.
         secret: of the run, where there is no certificate; None: that which this user's run has left on this machine.
     """
     connect = {"endpoints": [endpoint], "timeout_ms": 0, "retry": _RETRY}
     own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
     told = ""
     while True:
-        secure = access_control.child_security(*login) if login else dialling(endpoint, bundle, secret)
+        secure = dialling(endpoint, bundle, secret)
         try:
             if secure is not None:  # else it may be anybody who listens there
                 session = opened(own, secure, f"cannot connect to '{endpoint}'")
@@ -190,7 +186,7 @@ def dial(
         except UsageError as error:
             if "Unable to connect" not in str(error):
                 raise
-        refusal = tls_diagnosis.diagnose(endpoint, bundle)
+        refusal = None if endpoint.startswith(UNIX) else tls_diagnosis.diagnose(endpoint, bundle)
         if refusal is not None and refusal.final:
             raise UsageError(f"cannot join the run at {endpoint}: {refusal.why}")
         why = refusal.why if refusal else "" if bundle else NO_RUN
@@ -215,7 +211,7 @@ def dialling(endpoint: str, bundle: "Bundle | None", secret: Secret) -> dict[str
     password = local_secret.found(endpoint) if secret is None else secret
     if password is None:
         return None
-    return access_control.child_security(key_names.OPEN, password) if password else {}
+    return access_control.client_secret(password) if password else {}
 
 
 def _join(session: zenoh.Session, name: str, hello: protocol.Hello) -> protocol.Welcome:

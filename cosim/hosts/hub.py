@@ -4,11 +4,13 @@ import contextlib
 import functools
 import json
 import math
+import os
 import queue
 import secrets
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import zenoh
@@ -19,7 +21,7 @@ from vcmvsp.cosim.hosts import answer_checks, protocol
 from vcmvsp.cosim.hosts.host_link import QUIET, LinkCallbacks, ZenohLink
 from vcmvsp.cosim.hosts.protocol import Machine
 from vcmvsp.cosim.transport import access_control, key_names
-from vcmvsp.cosim.transport.zenoh_session import opened, threads
+from vcmvsp.cosim.transport.zenoh_session import UNIX, opened, threads
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
@@ -51,12 +53,16 @@ class Hub:
     """The kernel's end: listens, admits hosts, and gives a link to each.
 
     Args:
-        endpoint: Zenoh endpoint to listen on, e.g. ``tls/0.0.0.0:7447``; port 0 takes a free one.
+        endpoint: Zenoh endpoint to listen on, e.g. ``tls/0.0.0.0:7447``; port 0 takes a free one. None: a Unix socket without a
+            name, for child processes of this one.
         keys: the certificates of those who may come; None: anybody may.
-        children: names and passwords of those who may come, where they are this process's own; None: others may.
-        secret: of those others, where there are no certificates; None: anybody may come.
+        secret: of those who may come, where there are no certificates; None: anybody may.
         patience_s: wall-clock seconds for which hosts are to wait for a run that they are cut off from.
         cut_deadline_s: wall-clock seconds after which a host out of reach is given up.
+
+    Attributes:
+        endpoint: where hosts dial.
+        files: file descriptors that a child process has to inherit in order to dial.
 
     Raises:
         UsageError: nothing can listen there.
@@ -64,28 +70,32 @@ class Hub:
 
     def __init__(
         self,
-        endpoint: str = LOOPBACK,
+        endpoint: str | None = LOOPBACK,
         keys: "Keys | None" = None,
         *,
-        children: Mapping[str, str] | None = None,
         secret: str | None = None,
         patience_s: float = 2.0,
         cut_deadline_s: float = math.inf,
     ) -> None:
-        config = {"mode": "router", "listen": {"endpoints": [endpoint]}, **QUEUES}
-        config["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
         if keys is not None:
             zenoh.init_log_from_env_or(access_control.LOG)
         secure = access_control.LIMITS if keys is None else access_control.hub_security(keys)
-        self._strangers = children is None
-        with contextlib.ExitStack() as meanwhile:
+        self._strangers = endpoint is not None
+        with contextlib.ExitStack() as stack, contextlib.ExitStack() as meanwhile:
             meanwhile.enter_context(threads("()" if self._strangers else _READS))
-            passwords = {key_names.OPEN: secret} if secret else children
-            if passwords is not None:
+            if secret:
                 known = meanwhile.enter_context(tempfile.TemporaryFile())  # without a name: a run that is killed leaves nothing
-                secure = access_control.merge(secure, access_control.children_security(passwords, known))
-            self.session = opened(config, secure, f"cannot listen on '{endpoint}'")
-        self.endpoint = self._locator()
+                secure = access_control.merge(secure, access_control.hub_secret(secret, known))
+            folder = None if endpoint else Path(meanwhile.enter_context(tempfile.TemporaryDirectory(prefix="vcmvsp-")))
+            # By number, for a socket's path has at most 107 bytes; open until Zenoh has removed what it made there.
+            place = f"{UNIX}{_opened(stack, folder)}/hub" if folder else endpoint
+            config = {"mode": "router", "listen": {"endpoints": [place]}, **QUEUES}
+            config["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
+            self.session = opened(config, secure, f"cannot listen on '{place}'")
+            stack.callback(self.session.close)
+            self.files = [_opened(stack, folder / "hub")] if folder else []
+            self.endpoint = f"{UNIX}{self.files[0]}" if folder else self._locator()
+            self._stack = stack.pop_all()
         self._keys, self._patience_s, self._cut_deadline_s = keys, patience_s, cut_deadline_s
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
         self._missing = True  # the run has no host yet for one of its agents, or has lost one
@@ -142,7 +152,7 @@ class Hub:
 
     def close(self) -> None:
         """Leave; hosts see the hub's token go."""
-        self.session.close()  # type: ignore[no-untyped-call]
+        self._stack.close()
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         speaker = key_names.speaker(str(sample.key_expr))
@@ -197,6 +207,13 @@ class Hub:
                 if locators:
                     return locators[0]
         raise UsageError("the Zenoh session does not say where it listens")
+
+
+def _opened(stack: contextlib.ExitStack, path: Path) -> int:
+    """A file descriptor that stands for a path, whatever becomes of that."""
+    number = os.open(path, os.O_PATH)
+    stack.callback(os.close, number)
+    return number
 
 
 class Knock(NamedTuple):

@@ -150,14 +150,13 @@ class Hosts:
 
         count = min(self._agents.processes or len(specs), len(specs))
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
-        # With passwords: whoever else is on this machine can neither ask the children anything nor answer in their place.
-        passwords = {group[0].vehicle: token for token, group in groups.items()}
         patient_s, cut_s = patience_s(self._agents, specs), cut_deadline_s(self._agents)
-        hub = Hub(children=passwords, patience_s=patient_s, cut_deadline_s=cut_s)
+        # No port: whoever else is on this machine can neither hold it up, nor ask the children or answer in their place.
+        hub = Hub(None, patience_s=patient_s, cut_deadline_s=cut_s)
         self._stack.callback(hub.close)
         children: dict[str, HostProcess] = {}
         for token, group in groups.items():
-            children[token] = HostProcess(HOST_PROCESS, hub.endpoint, [spec.vehicle for spec in group], token)
+            children[token] = HostProcess(HOST_PROCESS, hub.endpoint, [spec.vehicle for spec in group], token, hub.files)
             self._stack.callback(children[token].close)
         links: dict[str, ZenohLink] = {}
         for knock in knocking(hub, self._agents.join_timeout_s, lambda: _missing(groups, links, children), self._tell):

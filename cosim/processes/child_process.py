@@ -32,15 +32,16 @@ class HostProcess:
         endpoint: where it is to dial in.
         vehicles: whose agents it hosts.
         token: a secret that it repeats in its greeting.
+        files: file descriptors that it inherits.
     """
 
-    def __init__(self, module: str, endpoint: str, vehicles: Sequence[str], token: str) -> None:
+    def __init__(self, module: str, endpoint: str, vehicles: Sequence[str], token: str, files: Sequence[int]) -> None:
         # The child looks for modules where this process does, and nowhere else: not in the current folder.
         command = [sys.executable, "-P", "-c", BOOT.format(module=module), "--connect", endpoint]
         for vehicle in vehicles:
             command += ["--vehicle", vehicle]
         # A group of its own keeps Ctrl-C away from it; what agents print must not mix with the run's own output.
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.__stderr__, process_group=0)
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.__stderr__, pass_fds=files, process_group=0)
         if self._process.stdin:
             self._process.stdin.write(f"{json.dumps(sys.path)}\n{token}\n".encode())
             self._process.stdin.flush()

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import IO, TYPE_CHECKING, Any
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.transport.key_names import ABOUT, HUB_ALIVE, JOIN, TOPICS, about_key, greet_key, join_key
+from vcmvsp.cosim.transport.key_names import ABOUT, HUB_ALIVE, JOIN, OPEN, TOPICS, about_key, greet_key, join_key
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle, Keys
@@ -76,23 +76,23 @@ def driver_security(keys: "Keys", vehicle: str) -> Config:
     return config | {"access_control": rules.config()}
 
 
-def children_security(passwords: Mapping[str, str], known: IO[bytes]) -> Config:
-    """What the configuration of a hub needs that only the run's own children may reach, though all on this machine find it.
+def hub_secret(secret: str, known: IO[bytes]) -> Config:
+    """Configuration of a hub that lets in those who have its secret, which does not pass over the link.
 
     Args:
-        passwords: of each, by its name.
-        known: a file of this process alone, until the session is open; no password passes over the link.
+        secret: of the run.
+        known: a file of this process alone, until the session is open.
     """
-    known.write("".join(f"{name}:{password}\n" for name, password in passwords.items()).encode())
+    known.write(f"{OPEN}:{secret}\n".encode())
     known.seek(0)
-    config = child_security(*next(iter(passwords.items())))
+    config = client_secret(secret)
     config["transport"]["auth"]["usrpwd"]["dictionary_file"] = f"/dev/fd/{known.fileno()}"
     return config
 
 
-def child_security(name: str, password: str) -> Config:
-    """What such a child's configuration needs."""
-    return {"transport": {"auth": {"usrpwd": {"user": name, "password": password}}}}
+def client_secret(secret: str) -> Config:
+    """Configuration of a host or an observer that has the secret of a run."""
+    return {"transport": {"auth": {"usrpwd": {"user": OPEN, "password": secret}}}}
 
 
 def machine_security(bundle: "Bundle") -> Config:

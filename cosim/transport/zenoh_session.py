@@ -16,6 +16,9 @@ import zenoh
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport import access_control
 
+UNIX = "unixsock-stream//proc/self/fd/"
+"""Before the file descriptor of a Unix socket that has no name any more, or of a folder, and its name therein."""
+
 COMMON: dict[str, Any] = {
     "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     "transport": {"shared_memory": {"enabled": False}, "link": {"tx": {"lease": access_control.LEASE_MS}}},

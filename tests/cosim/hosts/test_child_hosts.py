@@ -1,36 +1,63 @@
-"""The port at which a run awaits the hosts that it has started is on loopback, for everybody to find: only they come in."""
+"""Hosts that a run has started itself reach it by a socket without a name: nobody else on the machine finds a way in."""
 
 import contextlib
-from typing import Any
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
 
 import pytest
-import zenoh
 
-from tests.support.cosim.secure_hub import QUIET, start
+from tests.support.cosim.studies import two
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.hosts.hub import Hub
-from vcmvsp.cosim.transport import access_control
-from vcmvsp.cosim.transport.access_control import merge
+from vcmvsp.cosim.scenario import loader
 
-PASSWORDS = {"car1": "a0" * 16, "car2": "b1" * 16}
+DIALS = """
+import sys
+from vcmvsp.cosim.hosts import host_client
+with host_client.dial(sys.argv[1], None, print, secret="") as session:
+    print(host_client.hub_of(session))
+"""
+LISTENS = "0A"
 
 
-def dial(hub: Hub, login: dict[str, Any]) -> zenoh.Session:
-    own = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [hub.endpoint], "timeout_ms": 0}}
-    return start(merge(QUIET, own, login))
+def open_files() -> list[str]:
+    """What the file descriptors of this process stand for."""
+    links = []
+    for link in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            links.append(str(link.readlink()))
+    return links
 
 
-def test_whoever_has_a_password_comes_in_and_nobody_else(stack: contextlib.ExitStack) -> None:
-    hub = Hub(children=PASSWORDS)
+def listening() -> set[str]:
+    """The TCP sockets at which this process listens."""
+    lines = [line.split() for table in ("tcp", "tcp6") for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]]
+    return {f"socket:[{fields[9]}]" for fields in lines if fields[3] == LISTENS} & set(open_files())
+
+
+def test_a_run_in_processes_listens_at_no_port_and_its_socket_has_no_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    before = listening()
+    scenario, source = loader.load(two())
+    with assemble(scenario, source, runs="process"):
+        assert listening() <= before
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_a_hub_for_children_needs_no_short_path_and_gives_its_files_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stack: contextlib.ExitStack
+) -> None:
+    long = tmp_path / ("x" * 100) / ("y" * 100)  # a socket's path has at most 107 bytes
+    long.mkdir(parents=True)
+    monkeypatch.setattr(tempfile, "tempdir", str(long))
+    hub = Hub(None)
     stack.callback(hub.close)
-    assert hub.endpoint.startswith("tcp/127.0.0.1:")
-    wrong: tuple[dict[str, Any], ...] = (
-        {},
-        access_control.child_security("car1", PASSWORDS["car2"]),
-        access_control.child_security("car3", PASSWORDS["car2"]),
-        access_control.child_security("car1", ""),
-    )
-    for login in wrong:
-        with pytest.raises(zenoh.ZError, match="Unable to connect"):
-            dial(hub, login)
-    sessions = [stack.enter_context(dial(hub, access_control.child_security(*each))) for each in PASSWORDS.items()]
-    assert all([str(each) for each in session.info.routers_zid()] == [str(hub.session.zid())] for session in sessions)
+    command = [sys.executable, "-c", DIALS, hub.endpoint]
+    said = subprocess.run(command, pass_fds=hub.files, capture_output=True, text=True, check=True).stdout
+    assert said == f"{hub.session.zid()}\n"
+    hub.close()
+    assert not [link for link in open_files() if link.startswith(str(long))]

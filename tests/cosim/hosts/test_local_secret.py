@@ -14,7 +14,7 @@ from tests.support.cosim.run_processes import Stage, ended, wait_for
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.host_client import dialling
-from vcmvsp.cosim.transport import access_control, key_names, local_secret
+from vcmvsp.cosim.transport import access_control, local_secret
 from vcmvsp.cosim.transport.zenoh_session import opened
 
 SCENARIO = """
@@ -51,7 +51,7 @@ class Place(Stage):
 
     def session(self, secret: str | None) -> zenoh.Session:
         own = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [self.endpoint], "timeout_ms": 0}}
-        return opened(own, access_control.child_security(key_names.OPEN, secret) if secret else {}, "no")
+        return opened(own, access_control.client_secret(secret) if secret else {}, "no")
 
 
 @pytest.fixture

@@ -68,8 +68,8 @@ def test_the_recording_of_a_run_that_was_cut_is_the_beginning_of_the_whole_one(a
 KILLED = """
 import os, signal, sys, tempfile
 tempfile.tempdir = sys.argv[1]
-from vcmvsp.cosim.hosts import hub
-hub.opened = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+from vcmvsp.cosim.processes import child_process
+child_process.HostProcess = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 import vcmvsp
 vcmvsp.run("formation-circle", agents="process")
 """
