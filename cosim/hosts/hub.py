@@ -21,7 +21,7 @@ from vcmvsp.cosim.hosts import answer_checks, protocol
 from vcmvsp.cosim.hosts.host_link import QUIET, LinkCallbacks, ZenohLink
 from vcmvsp.cosim.hosts.protocol import Machine
 from vcmvsp.cosim.transport import access_control, key_names
-from vcmvsp.cosim.transport.zenoh_session import UNIX, opened, threads
+from vcmvsp.cosim.transport.zenoh_session import UNIX, closed, opened, threads
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
@@ -92,7 +92,7 @@ class Hub:
             config = {"mode": "router", "listen": {"endpoints": [place]}, **QUEUES}
             config["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
             self.session = opened(config, secure, f"cannot listen on '{place}'")
-            stack.callback(self.session.close)
+            stack.callback(closed, self.session)
             self.files = [_opened(stack, folder / "hub")] if folder else []
             self.endpoint = f"{UNIX}{self.files[0]}" if folder else self._locator()
             self._stack = stack.pop_all()

@@ -50,6 +50,12 @@ def opened(own: dict[str, Any], secure: dict[str, Any], failure: str) -> zenoh.S
         raise UsageError(f"{failure}: {first_line(error)}") from error
 
 
+def closed(session: zenoh.Session) -> None:
+    """Close a session; connections that never finish their handshake may hold this up for seconds, and do not make it fail."""
+    with contextlib.suppress(zenoh.ZError):
+        session.close()
+
+
 def first_line(error: Exception) -> str:
     """What Zenoh says, without where in its sources."""
     return str(error).splitlines()[0].partition(" at /")[0]

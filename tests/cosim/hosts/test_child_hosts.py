@@ -1,6 +1,7 @@
 """Hosts that a run has started itself reach it by a socket without a name: nobody else on the machine finds a way in."""
 
 import contextlib
+import socket
 import subprocess
 import sys
 import tempfile
@@ -61,3 +62,11 @@ def test_a_hub_for_children_needs_no_short_path_and_gives_its_files_back(
     assert said == f"{hub.session.zid()}\n"
     hub.close()
     assert not [link for link in open_files() if link.startswith(str(long))]
+
+
+def test_a_connection_that_does_not_finish_its_greeting_does_not_spoil_the_end(stack: contextlib.ExitStack) -> None:
+    hub = Hub()
+    host, port = hub.endpoint.removeprefix("tcp/").rsplit(":", 1)
+    for _ in range(20):
+        stack.enter_context(socket.create_connection((host, int(port)))).sendall(b"\x10")
+    hub.close()
