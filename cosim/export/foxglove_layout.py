@@ -64,8 +64,12 @@ class _Seen:
         self.vehicles = source.vehicles
         self.topics: dict[str, str] = {}
         noted: dict[str, dict[str, Any]] = {}
-        for said in source:
-            self.topics[said.topic] = said.schema
+
+        def is_wanted(topic: str, schema: str) -> bool:
+            self.topics[topic] = schema
+            return topic.endswith(("/note", "/state"))
+
+        for said in source.only(is_wanted):
             vehicle, _, what = said.topic.partition("/")
             if what == "note":
                 noted.setdefault(vehicle, {}).update(values.of(said).values)

@@ -137,7 +137,7 @@ def write_bag(source: Source, folder: Path) -> None:
     """
     values = Values()
     ways: dict[str, list[tuple[int, VehicleState]]] = {name: [] for name in source.vehicles}
-    for said in source:
+    for said in source.only(lambda topic, _: topic.endswith("/state")):
         vehicle, _, what = said.topic.partition("/")
         if what == "state" and vehicle in ways:
             ways[vehicle].append((said.time_ns, values.of(said)))

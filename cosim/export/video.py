@@ -29,6 +29,7 @@ TRAIL_NS = 20 * SECOND_NS
 LOST_NS = SECOND_NS // 2  # for so long a lost frame is shown
 MOST_LINKS = 150  # at a time; of more the newest
 NAMED = 30  # vehicles at most that have their names beside them
+SHOWN = ("radio/frame", "world/moving", "world/solids")  # topics, beside the states
 PAPER, DARK, FAINT = (245, 245, 245), (45, 45, 45), (200, 200, 200)  # blue, green, red, as OpenCV has it
 LOST = (31, 18, 193)
 PALE = 0.5  # how far the world's colours are on the way to the paper's: what moves is to stand out
@@ -97,7 +98,7 @@ class _Film:
 
     def _read(self, source: Source) -> None:
         values = Values()
-        for said in source:
+        for said in source.only(lambda topic, _: topic.endswith("/state") or topic in SHOWN):
             self._end_ns = max(self._end_ns, said.time_ns)
             vehicle, _, what = said.topic.partition("/")
             if what == "state" and vehicle in self._vehicles:

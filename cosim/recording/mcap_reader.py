@@ -6,7 +6,7 @@ import itertools
 import os
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from typing import BinaryIO, NamedTuple
 
 import pyarrow as pa
@@ -21,6 +21,8 @@ from vcmvsp.cosim.util import limits
 _RECORD = struct.Struct("<BQ")  # opcode, length of the rest
 _CHUNK = struct.Struct("<QQQI")  # first and last time; size and checksum of what is in it
 _INDEX = struct.Struct("<HI")  # channel, bytes of entries
+_MESSAGE = struct.Struct("<HIQQ")  # channel, number, time, and when it was published
+_PASSED = -1  # channel of the message in place of those that are passed over
 _ENTRY_BYTES, _LEAST_BYTES = 16, 31  # of an index, for each message; of a message
 
 
@@ -64,11 +66,20 @@ def of_topic(stream: BinaryIO, topic: str) -> Iterator[tuple[int, bytes]]:
         is_whole = stream.read() == MCAP0_MAGIC
     stream.seek(0)
     with contextlib.nullcontext() if is_whole else contextlib.suppress(ValueError):
-        yield from ((each.time_ns, each.data) for each in contents(stream, topic))
+        found = contents(stream, lambda each, _: each == topic, by_index=True)
+        yield from ((each.time_ns, each.data) for each in found if each.topic)
 
 
-def contents(stream: BinaryIO, only: str | None = None) -> Iterator[Recorded]:
-    """Each message of a file, in its order; ``only``: of this topic.
+def contents(
+    stream: BinaryIO, wanted: Callable[[str, str], bool] = lambda *_: True, *, by_index: bool = False
+) -> Iterator[Recorded]:
+    """Each message of a file, in its order.
+
+    Args:
+        stream: of the file.
+        wanted: takes topic and name of the schema: whether messages of this topic are given. In place of the others in a chunk
+            there is one behind it, without topic and content, at the time of the last of them.
+        by_index: chunks whose index names nothing that is wanted are passed over, damaged or not.
 
     Raises:
         ValueError: from here on the file is damaged, or it ends too soon; or it unpacks to too much.
@@ -76,24 +87,23 @@ def contents(stream: BinaryIO, only: str | None = None) -> Iterator[Recorded]:
     counts = indexed(stream)
     stream.seek(0)
     schemas: dict[int, str] = {}
-    topics: dict[int, tuple[str, str]] = {}
+    topics, passed = {_PASSED: ("", "")}, set[int]()
     for record in _records(stream):
         inside: Iterable[records.McapRecord] = (record,)
         if isinstance(record, records.Chunk):
             channels = _next(counts)
-            known = [topics[number][0] for number in channels if number in topics]
-            if only is not None and 0 < len(channels) == len(known) and only not in known:
+            if by_index and channels and passed.issuperset(channels):
                 continue
-            inside = _unpacked(record, sum(channels.values()))
+            inside = _unpacked(record, sum(channels.values()), passed)
         for each in inside:
             if isinstance(each, records.Message):
                 if each.channel_id not in topics:
                     raise ValueError(f"a message of channel {each.channel_id}, which there is not")
-                topic, schema = topics[each.channel_id]
-                if only in (None, topic):
-                    yield Recorded(topic, schema, each.log_time, each.data)
+                if each.channel_id not in passed:
+                    yield Recorded(*topics[each.channel_id], each.log_time, each.data)
             elif isinstance(each, records.Channel):
                 topics[each.id] = each.topic, schemas.get(each.schema_id, "")
+                (passed.discard if wanted(*topics[each.id]) else passed.add)(each.id)
             elif isinstance(each, records.Schema):
                 schemas[each.id] = each.name
 
@@ -132,8 +142,8 @@ def indexed(stream: BinaryIO) -> Iterator[dict[int, int]]:
     return iter([counts for _, counts in chunks])
 
 
-def _unpacked(chunk: records.Chunk, most: int) -> Iterator[records.McapRecord]:
-    """What is in a chunk, of which the index names so many messages; 0: there is none."""
+def _unpacked(chunk: records.Chunk, most: int, passed: Container[int]) -> Iterator[records.McapRecord]:
+    """What is in a chunk but for some channels, of which the index names so many messages; 0: there is none."""
     limits.within(chunk.uncompressed_size, limits.CHUNK_BYTES, "bytes in a chunk")
     if chunk.compression not in ("", "zstd"):
         raise ValueError(f"a chunk is packed with {chunk.compression!r}, not with zstd")
@@ -143,18 +153,34 @@ def _unpacked(chunk: records.Chunk, most: int) -> Iterator[records.McapRecord]:
             data = pa.Codec("zstd").decompress(data, chunk.uncompressed_size, asbytes=True)
         if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
             raise ValueError("a chunk has another checksum than it says")
-        raw, number = io.BytesIO(data), 0
-        found = StreamReader(raw, skip_magic=True).records
-        while raw.tell() < len(data):
-            record = next(found)
-            number += isinstance(record, records.Message)
-            if number > most > 0:
-                raise ValueError("a chunk holds more messages than its index says")
-            yield record
+        yield from _inside(data, most or len(data), passed)
     except ValueError:
         raise
     except Exception as error:  # the libraries have many
         raise ValueError(f"{type(error).__name__}: {error}") from error
+
+
+def _inside(data: bytes, most: int, passed: Container[int]) -> Iterator[records.McapRecord]:
+    """Schemas, channels and at most so many messages of a chunk; for messages the library takes ten times as long."""
+    end, number, last_ns, message = 0, 0, -1, int(Opcode.MESSAGE)
+    while end < len(data):
+        opcode, length = _RECORD.unpack_from(data, end)
+        start, end = end + _RECORD.size, end + _RECORD.size + length
+        if end > len(data):
+            raise ValueError("a chunk ends too soon")
+        if opcode == message:
+            number += 1
+            if number > most:
+                raise ValueError("a chunk holds more messages than its index says")
+            channel, sequence, time_ns, published_ns = _MESSAGE.unpack_from(data, start)
+            if channel in passed:
+                last_ns = max(last_ns, time_ns)
+            else:
+                yield records.Message(channel, time_ns, data[start + _MESSAGE.size : end], published_ns, sequence)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            yield next(StreamReader(io.BytesIO(data[start - _RECORD.size : end]), skip_magic=True).records)
+    if last_ns >= 0:
+        yield records.Message(_PASSED, last_ns, b"", last_ns, 0)
 
 
 def _records(stream: BinaryIO) -> Iterator[records.McapRecord]:

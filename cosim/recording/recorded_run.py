@@ -107,11 +107,15 @@ class Source:
 
     def __iter__(self) -> Iterator[Recorded]:
         """Every message, in order of time; of a damaged recording those before the damage."""
+        return self.only(lambda *_: True)
+
+    def only(self, wanted: Callable[[str, str], bool]) -> Iterator[Recorded]:
+        """Messages of some topics, and one without a topic behind others: see `contents`."""
         last_ns = 0
         try:
             with self._path.open("rb") as stream:
                 size = max(1, os.fstat(stream.fileno()).st_size)
-                for number, each in enumerate(contents(stream)):
+                for number, each in enumerate(contents(stream, wanted)):
                     last_ns = each.time_ns
                     if number % TOLD_EVERY == 0:
                         self.progress(stream.tell() / size)
@@ -122,6 +126,11 @@ class Source:
                 self.tell(f"{self._path} is damaged ({error}): what is exported ends at {last_ns / SECOND_NS:.3f} s")
         except OSError as error:
             raise UsageError(f"{self._path}: {error.strerror}") from error
+
+
+def is_known(schema: str) -> bool:
+    """Whether `Values` looks into messages of this schema."""
+    return schema in _READ_AS
 
 
 class Values:
@@ -161,5 +170,5 @@ def _with_nan(said: object) -> object:
 
 def _array(_: type, numbers: Sequence[float | None]) -> Array:
     """Numbers; those that JSON cannot say are null there, and NaN here."""
-    whole = all(isinstance(number, int) for number in numbers)
+    whole = {int}.issuperset(map(type, numbers))
     return np.array(numbers, np.int64 if whole else np.float64)
