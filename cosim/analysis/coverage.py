@@ -209,7 +209,7 @@ def _scenario_in(folder: Path) -> Path:
 def _places_at(folder: Path, at_s: float) -> dict[str, Vec3]:
     """Where the vehicles of a run were, at the last recorded instant up to a time."""
     try:
-        moved = motion(tables_of(folder).states)
+        moved = motion(tables_of(folder, radio=()).states)
     except (OSError, ValueError) as error:  # a damaged table
         raise UsageError(f"{folder} cannot be read: {error}") from error
     instant = int(np.searchsorted(moved.time_ns, at_s * SECOND_NS, side="right")) - 1

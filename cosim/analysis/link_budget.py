@@ -85,7 +85,8 @@ def _find(log: Log, frames: Frames, pair: Pair, which: str) -> int:
         raise UsageError(f"--frame {which}: must be a frame's number, lost or worst")
     found = np.flatnonzero(numbers == int(which))
     if not found.size:
-        others = [each for each in log.pairs() if each != pair and (log.frames(each)["frame"] == int(which)).any()]
+        whole = Log(log.folder)
+        others = [each for each in whole.pairs() if each != pair and (whole.frames(each)["frame"] == int(which)).any()]
         where = f"{others[0][0]} sent it to {', '.join(to for _, to in others)}" if others else "there is none"
         has = f"{link} has {len(frames)} frames, from {numbers.min()} to {numbers.max()}"
         raise UsageError(f"--frame {which}: is not on this link: {where}; {has}")

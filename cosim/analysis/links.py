@@ -5,18 +5,18 @@ received nor lost. Levels and ratios are those of frames that were on the air. W
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Sequence
 from fnmatch import fnmatchcase
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import messages
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.recording.run_tables import tables_of
+from vcmvsp.cosim.recording.run_tables import radio_columns
 from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import Array
@@ -33,7 +33,7 @@ Pair = tuple[str, str]
 
 
 class Log:
-    """The frames of a run, by link.
+    """The frames of a run, by link; of their columns those that are asked for.
 
     Args:
         folder: that a run has left.
@@ -47,16 +47,17 @@ class Log:
         if not folder.is_dir():
             raise UsageError(f"{folder}: is no directory of a run; for a scenario, ask for --coverage VEHICLE")
         try:
-            recording = tables_of(folder, tell)
+            self.facts, names, self._read = radio_columns(folder, tell)
         except (OSError, ValueError) as error:  # a damaged table
             raise UsageError(f"{folder} cannot be read: {error}") from error
-        missing = [name for name in (*_NAMES, *NUMBERS) if name not in recording.radio.column_names]
+        missing = [name for name in (*_NAMES, *NUMBERS) if name not in names]
         if missing:
             raise UsageError(f"{folder}: radio.parquet has no {missing[0]}: it was written by another version; run it again")
-        self.folder, self.facts = folder, recording.facts
-        self._columns, self._words = _columns(recording.radio)
-        self._columns["under_way"] = self._columns["outcome"] == self._code("outcome", UNDER_WAY)
-        self._rows = self._by_link()
+        self.folder = folder
+        self._columns: dict[str, Array] = {}  # rows link by link: those that were asked for
+        self.names: dict[str, tuple[str, ...]] = {}
+        """What the codes of a column of names mean."""
+        self._spans, self._order = self._by_link()
 
     @property
     def vehicles(self) -> tuple[str, ...]:
@@ -88,48 +89,79 @@ class Log:
 
     def frames(self, pair: Pair) -> "Frames":
         """The frames of a link, in the order in which they were sent."""
-        return Frames(self._columns, self._words, self._rows.get(pair, np.empty(0, np.int64)))
+        return Frames(self, np.arange(*self._spans.get(pair, (0, 0))))
 
-    def _by_link(self) -> dict[Pair, Array]:
-        """Rows of each link, in the order of the table."""
-        senders, receivers = self._words["sender"], self._words["receiver"]
-        link = self._columns["sender"].astype(np.int64) * max(1, len(receivers)) + self._columns["receiver"]
-        order = np.argsort(link, kind="stable")
-        found, first = np.unique(link[order], return_index=True)
-        pairs = [(senders[code // len(receivers)], receivers[code % len(receivers)]) for code in found.tolist()]
-        return dict(zip(pairs, np.split(order, first[1:]), strict=True)) if pairs else {}
+    def only(self, pairs: Sequence[Pair]) -> None:
+        """Forget all other links: their rows take up no memory any more."""
+        known = [pair for pair in dict.fromkeys(pairs) if pair in self._spans]
+        parts = [self._order[slice(*self._spans[pair])] for pair in known]
+        self._spans = _spans(known, list(map(len, parts)))
+        self._order, self._columns = np.concatenate([np.empty(0, np.int64), *parts]), {}
 
-    def _code(self, column: str, word: str) -> int:
-        words = self._words[column]
-        return words.index(word) if word in words else -1
+    def column(self, name: str) -> Array:
+        """A column, read when it is first asked for."""
+        if name not in self._columns:
+            if name == "under_way":
+                outcome, names = self.column("outcome"), self.names["outcome"]
+                self._columns[name] = outcome == (names.index(UNDER_WAY) if UNDER_WAY in names else -1)
+            else:
+                self._columns[name] = self._whole(name)[self._order]
+        return self._columns[name]
+
+    def _whole(self, name: str) -> Array:
+        """A column in the order of the table: numbers, or codes of names."""
+        try:
+            table = self._read(name)
+        except (OSError, ValueError) as error:
+            raise UsageError(f"{self.folder} cannot be read: {error}") from error
+        if name in _NAMES:
+            self.names[name], codes = names_of(table, name)
+            return codes
+        values = numbers(table, name, null=-1)
+        return np.where(nulls(table, name), np.nan, values) if name == "sinr_db" else values
+
+    def _by_link(self) -> tuple[dict[Pair, tuple[int, int]], Array]:
+        """Of each link the span of its rows, which stand in the order of the table; and all rows, link by link."""
+        link = self._whole("sender").astype(np.int64)
+        senders, receiver = self.names["sender"], self._whole("receiver")
+        receivers = self.names["receiver"]
+        link *= max(1, len(receivers))
+        link += receiver
+        is_small = link.max(initial=0) < 1 << 16  # then sorting takes time in proportion to the rows
+        order = np.argsort(link.astype(np.uint16) if is_small else link, kind="stable")
+        link = link[order]
+        first = np.flatnonzero(np.diff(link, prepend=-1))
+        pairs = [(senders[code // len(receivers)], receivers[code % len(receivers)]) for code in link[first].tolist()]
+        return _spans(pairs, np.diff(first, append=len(link)).tolist()), order
 
 
 class Frames:
     """Some rows of the log."""
 
-    def __init__(self, columns: Mapping[str, Array], words: Mapping[str, tuple[str, ...]], rows: Array) -> None:
-        self._columns, self._words, self._rows = columns, words, rows
+    def __init__(self, log: Log, rows: Array) -> None:
+        self._log, self._rows = log, rows
 
     def __len__(self) -> int:
         return len(self._rows)
 
     def __getitem__(self, name: str) -> Array:
         """A column: numbers, or codes of names; received_ns and delay_ns are -1, sinr_db is NaN, where there is none."""
-        values: Array = self._columns[name][self._rows]
+        values: Array = self._log.column(name)[self._rows]
         return values
 
     def where(self, chosen: Array) -> "Frames":
         """Those of them for which ``chosen`` (n,) is true."""
-        return Frames(self._columns, self._words, self._rows[chosen])
+        return Frames(self._log, self._rows[chosen])
 
     def words(self, name: str) -> list[str]:
         """A column of names."""
-        return [self._words[name][code] for code in self[name].tolist()]
+        codes = self[name].tolist()
+        return [self._log.names[name][code] for code in codes]
 
     def counts(self, name: str) -> dict[str, int]:
         """How often each name stands in a column, most frequent first."""
-        counts = np.bincount(self[name], minlength=len(self._words[name]))
-        return {self._words[name][code]: int(counts[code]) for code in np.argsort(-counts, kind="stable") if counts[code]}
+        counts, names = np.bincount(self[name]), self._log.names[name]
+        return {names[code]: int(counts[code]) for code in np.argsort(-counts, kind="stable") if counts[code]}
 
     @property
     def decided(self) -> "Frames":
@@ -177,14 +209,9 @@ def link_report(log: Log, pair: Pair) -> dict[str, Any]:
     }
 
 
-def _columns(radio: pa.Table) -> tuple[dict[str, Array], dict[str, tuple[str, ...]]]:
-    """Columns as arrays, of names their codes; and the names."""
-    columns = {name: numbers(radio, name, null=-1) for name in NUMBERS}
-    columns["sinr_db"] = np.where(nulls(radio, "sinr_db"), np.nan, columns["sinr_db"])
-    words = {}
-    for name in _NAMES:
-        words[name], columns[name] = names_of(radio, name)
-    return columns, words
+def _spans(pairs: Sequence[Pair], counts: Sequence[int]) -> dict[Pair, tuple[int, int]]:
+    """Where the rows of each pair begin and end, which has so many."""
+    return dict(zip(pairs, pairwise(accumulate(counts, initial=0)), strict=True))
 
 
 def _counts(pair: Pair, frames: Frames) -> dict[str, Any]:

@@ -192,6 +192,8 @@ def _explained(folder: Path, link: str | None, frame: str | None, *, trust: bool
     head = {"schema": links.SCHEMA, "scenario": log.facts.scenario, "seed": log.facts.seed}
     pairs = log.pairs(link or "*/*")
     single = link is not None and not set("*?[") & set(link)
+    if link is not None:
+        log.only(pairs)
     if frame is not None:
         from vcmvsp.cosim.analysis.link_budget import frame_report
 

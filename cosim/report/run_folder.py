@@ -29,6 +29,8 @@ FILES = {
     "about.json": "whether the run came to its end, and the machine that it ran on",
 }
 """What a run leaves, and what cannot be told without it."""
+_COUNTED = ("frame", "sender", "receiver", "sent_ns", "outcome", "rssi_dbm", "air_time_ns", "queue_ns", "access_ns")
+"""Columns of the radio's table that a report looks into."""
 _LEVELS = {number: name for name, number in LEVELS.items()}
 
 
@@ -79,8 +81,8 @@ def left_in(folder: Path) -> Left:
     recording = None
     schemas = [read(name, pq.read_schema, None) for name in ("states.parquet", "radio.parquet")]
     if None not in schemas:
-        recording = read("states.parquet", lambda path: load_tables(path.parent), None)
-    links = None if recording is None else read("radio.parquet", lambda _: _links(recording), None)
+        recording = read("states.parquet", lambda path: load_tables(path.parent, _COUNTED), None)
+    links = None if recording is None else read("radio.parquet", lambda path: _links(recording, path), None)
     return Left(
         folder,
         text,
@@ -103,8 +105,9 @@ def _json(path: Path, schema: str) -> dict[str, Any]:
     return found
 
 
-def _links(recording: Recording) -> Links:
-    if absent := [name for name in NUMBERS if name not in recording.radio.column_names]:
+def _links(recording: Recording, path: Path) -> Links:
+    columns = pq.read_schema(path).names
+    if absent := [name for name in NUMBERS if name not in columns]:
         raise ValueError(f"it has no {absent[0]}: it was written by another version")
     return links_of(recording.radio, recording.facts.vehicles)
 

@@ -105,9 +105,10 @@ def loss_table(links: Links, folder: Path) -> Sequence[Part]:
     if not links.losses:
         return [Words("Nothing was lost.")]
     log = Log(folder)
+    worst = [np.unravel_index(int(lost.argmax()), lost.shape) for lost in links.losses.values()]
+    log.only([(links.names[a], links.names[b]) for a, b in worst])
     rows: list[list[Any]] = []
-    for cause, lost in links.losses.items():
-        a, b = np.unravel_index(int(lost.argmax()), lost.shape)
+    for (cause, lost), (a, b) in zip(links.losses.items(), worst, strict=True):
         pair = links.names[a], links.names[b]
         count = int(lost.sum())
         most = f"{pair[0]} to {pair[1]}: {int(lost[a, b])}"

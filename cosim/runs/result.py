@@ -12,6 +12,7 @@ import tomli_w
 from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import UsageError, VcmvspError
+from vcmvsp.cosim.metrics import routing
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.metrics.window import Window
 from vcmvsp.cosim.recording.external_inputs import FILE
@@ -29,6 +30,10 @@ from vcmvsp.cosim.util.text import Tell
 if TYPE_CHECKING:
     import pyarrow as pa
     from matplotlib.figure import Figure
+
+
+DRAWN = ("sender", "receiver", "outcome", "sent_ns", "received_ns", *routing.COLUMNS)
+"""Columns of the radio's table that figures need."""
 
 
 class Result:
@@ -154,7 +159,7 @@ def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = F
     """
     scenario = run_dir / "scenario.toml"
     try:
-        recording = tables_of(run_dir, tell, numbers=True)
+        recording = tables_of(run_dir, tell, numbers=True, radio=DRAWN)
         window = read_toml(limits.read_text(scenario)).get("metrics", {}) if scenario.is_file() else {}
     except (OSError, ValueError) as error:  # a damaged table or scenario
         raise UsageError(f"{run_dir} cannot be read: {error}") from error

@@ -3,7 +3,7 @@
 A report is a kilobyte or two of small objects. Packed, a receiver of a frame takes some tens of bytes.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from itertools import chain
 from operator import attrgetter
 from typing import Any
@@ -27,6 +27,13 @@ BUDGET = {  # zeros where the channel has no such layer
     "wall_loss_db": np.float64,
     "shadowing_db": np.float64,
     "fading_db": np.float64,
+}
+COLUMNS = (*PER_FRAME, "sender", "receiver", *PER_ROW, "delay_ns", "outcome", "wall_materials", *BUDGET)
+_LAST_USE = {  # what is needed no more once a column is made, where that is not the column itself
+    **dict.fromkeys(("sent_ns", "sender", "received_ns"), ()),
+    "receiver": ("receiver", "sender"),
+    "delay_ns": ("sent_ns",),
+    "outcome": ("outcome", "received_ns"),
 }
 _FIELDS = (*PER_FRAME, *PER_ROW, *BUDGET, "sender", "receivers", "outcome", "wall_materials")
 _FIELDS_OF = attrgetter(*_FIELDS)
@@ -76,6 +83,9 @@ class Frames:
         self._waiting: list[FrameReport] = []
         self._held = 0  # frames and rows of those
         self._chunks: dict[str, list[Array]] = {}  # of each column
+        self._counts = np.empty(0, np.int64)  # rows of each frame, in the order of the table
+        self._order: Array | None = None  # of frames, and of their rows
+        self._rows: Array | None = None
 
     def extend(self, reports: Iterable[FrameReport]) -> None:
         """Take over frames; every frame comes once, in any order."""
@@ -85,54 +95,59 @@ class Frames:
             if self._held >= CHUNK_ROWS:
                 self._pack()
 
-    def columns(self, end_ns: int = 2**63 - 1) -> dict[str, Any]:
-        """The Arrow columns of the table, rows in the order in which frames entered the channel. Nothing is left here.
+    def columns(self, end_ns: int = 2**63 - 1, wanted: Collection[str] | None = None) -> dict[str, Any]:
+        """The Arrow columns of the table, rows in the order in which frames entered the channel.
 
         Args:
             end_ns: of the run: an arrival after it is not known, and the frame is `UNDER_WAY`.
+            wanted: those that are made, and nothing is given up for them; default: all, and nothing is left here.
         """
         self._pack()
-        counts, frame = self._taken("receivers"), self._taken("frame")
-        order: Array | None = None  # of frames, and of their rows
-        rows: Array | None = None
+        self._counts, frame = self._joined("receivers"), self._joined("frame")
+        self._order = self._rows = None
         if (frame[1:] < frame[:-1]).any():
-            order, rows = np.argsort(frame, kind="stable"), np.argsort(np.repeat(frame, counts), kind="stable")
-        counts = _in_order(counts, order)
-
-        def each(name: str) -> Array:
-            return np.repeat(_in_order(self._taken(name), order), counts)
-
-        receiver, sender = _in_order(self._taken("receiver"), rows), _in_order(self._taken("sender"), order)
-        vehicles, new = self._vehicles.in_order_of(np.concatenate([receiver, sender]))
-        found = {
-            "frame": column(np.repeat(_in_order(frame, order), counts)),
-            "sender": vehicles.column(np.repeat(new[sender], counts)),
-            "receiver": vehicles.column(new[receiver]),
-        }
-        del frame, receiver, sender
-        sent, arrival = each("sent_ns"), _in_order(self._taken("received_ns"), rows)
-        late = arrival > end_ns
-        received = np.where(late, -1, arrival)
-        found["sent_ns"] = column(sent)
-        found["received_ns"] = column(received, valid=received >= 0)
-        found["delay_ns"] = column(received - sent, valid=received >= 0)
-        del sent, received, arrival
-        for name in ("size_bytes", "air_time_ns", "queue_ns", "access_ns"):
-            found[name] = column(each(name))
-        for name, names in (("outcome", self._outcomes), ("wall_materials", self._materials)):
-            codes = _in_order(self._taken(name), rows)
-            if name == "outcome":
-                codes = np.where(late, names.codes((UNDER_WAY,)), codes)
-            renamed, new = names.in_order_of(codes)
-            found[name] = renamed.column(new[codes])
-        for name in ("distance_m", "rssi_dbm", *BUDGET):
-            values = _in_order(self._taken(name), rows)
-            found[name] = column(values, valid=_known(name, values, end_ns))
+            self._order, rows = np.argsort(frame, kind="stable"), np.repeat(frame, self._counts)
+            self._rows, self._counts = np.argsort(rows, kind="stable"), self._counts.take(self._order)
+        del frame
+        found = {}
+        for name in COLUMNS if wanted is None else wanted:
+            found[name] = self._column(name, end_ns)
+            for done in _LAST_USE.get(name, (name,)) if wanted is None else ():
+                self._chunks.pop(done, None)
+        if wanted is None:
+            self._chunks.clear()
         return found
 
-    def _taken(self, name: str) -> Array:
-        """A column, of which nothing is kept."""
-        return joined(self._chunks.pop(name, []), (0,), _dtype(name))
+    def _column(self, name: str, end_ns: int) -> "pa.Array[Any]":
+        """An Arrow column of the table."""
+        if name in PER_FRAME:
+            return column(self._of_frames(name))
+        if name in ("sender", "receiver"):
+            receiver, sender = self._of_rows("receiver"), _in_order(self._joined("sender"), self._order)
+            vehicles, new = self._vehicles.in_order_of(np.concatenate([receiver, sender]))
+            return vehicles.column(new[receiver] if name == "receiver" else np.repeat(new[sender], self._counts))
+        if name in ("received_ns", "delay_ns"):
+            arrival = self._of_rows("received_ns")
+            received = np.where(arrival > end_ns, -1, arrival)
+            return column(received - self._of_frames("sent_ns") if name == "delay_ns" else received, valid=received >= 0)
+        values = self._of_rows(name)
+        if name in ("outcome", "wall_materials"):
+            names = self._outcomes if name == "outcome" else self._materials
+            if name == "outcome":
+                values = np.where(self._of_rows("received_ns") > end_ns, names.codes((UNDER_WAY,)), values)
+            renamed, new = names.in_order_of(values)
+            return renamed.column(new[values])
+        return column(values, valid=_known(name, values, end_ns))
+
+    def _of_rows(self, name: str) -> Array:
+        return _in_order(self._joined(name), self._rows)
+
+    def _of_frames(self, name: str) -> Array:
+        """What is the same in all rows of a frame."""
+        return np.repeat(_in_order(self._joined(name), self._order), self._counts)
+
+    def _joined(self, name: str) -> Array:
+        return joined(self._chunks.get(name, []), (0,), _dtype(name))
 
     def _pack(self) -> None:
         reports, self._waiting, self._held = self._waiting, [], 0

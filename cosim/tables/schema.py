@@ -5,7 +5,7 @@
 The schema metadata of both carry who ran (`RunFacts`), so that either file can be understood alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -57,6 +57,7 @@ RADIO_SCHEMA = pa.schema(
 )
 NOT_LOST = ("received", UNDER_WAY)  # outcomes
 FACTS = b"vcmvsp.run"
+PART_ROWS = 1 << 17  # of a table that is read in parts
 _PHYSICAL = ("BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE", "BYTE_ARRAY")
 
 
@@ -107,13 +108,20 @@ def states_table(rows: Sequence[tuple[int, States]], facts: RunFacts) -> pa.Tabl
     return _table(columns, STATES_SCHEMA, facts)
 
 
-def radio_table(frames: Frames | Sequence[FrameReport], facts: RunFacts) -> pa.Table:
-    """The table of all frames at all receivers they were meant for; it takes them out of `Frames`."""
+def radio_table(frames: Frames | Sequence[FrameReport], facts: RunFacts, columns: Collection[str] | None = None) -> pa.Table:
+    """The table of all frames at all receivers they were meant for.
+
+    Args:
+        frames: what became of them.
+        facts: of their run.
+        columns: of the table, which leave `Frames` as they are; default: all, which are taken out of them.
+    """
     if not isinstance(frames, Frames):
         given, frames = frames, Frames(facts.vehicles)
         frames.extend(given)
-    columns = frames.columns(facts.end_ns)
-    return _table([columns[name] for name in RADIO_SCHEMA.names], RADIO_SCHEMA, facts)
+    found = frames.columns(facts.end_ns, columns)
+    fields = [field for field in RADIO_SCHEMA if field.name in found]
+    return _table([found[field.name] for field in fields], pa.schema(fields), facts)
 
 
 def write_table(table: pa.Table, path: Path | BinaryIO) -> None:
@@ -125,19 +133,43 @@ def write_table(table: pa.Table, path: Path | BinaryIO) -> None:
     pq.write_table(table, path, row_group_size=1 << 20, compression="zstd", **encodings)
 
 
-def read_table(path: Path) -> pa.Table:
+def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
     """Read Parquet; `pyarrow.parquet.read_table` would do, but it imports pandas wherever that is installed.
+
+    Args:
+        path: of the file.
+        columns: those that are read, if they are there; default: all.
 
     Raises:
         OSError, ValueError: it cannot be read, or is beyond `limits`.
     """
+    file, fields = _opened(path, columns)
+    with file:
+        return _as_written(file.read(None if columns is None else [field.name for field in fields]), fields, path.name)
+
+
+def parts_of_table(path: Path) -> Iterator[pa.Table]:
+    """The same table in parts that need little memory, the first one without rows; errors as of `read_table`."""
+    file, fields = _opened(path)
+    with file:
+        yield pa.schema(fields).empty_table()
+        for batch in file.iter_batches(PART_ROWS):
+            yield _as_written(pa.Table.from_batches([batch]), fields, path.name)
+
+
+def _opened(path: Path, columns: Collection[str] | None = None) -> "tuple[pq.ParquetFile, list[pa.Field[Any]]]":
+    """A file that is within limits, and the columns that are wanted, in its order."""
     with pq.ParquetFile(path) as file:
-        wanted, texts = file.schema_arrow, _checked(file.metadata, path.name)
-    with pq.ParquetFile(path, read_dictionary=texts) as file:  # a word that stands in all rows takes up the space of one
-        table = file.read()
-    for place, field in enumerate(wanted):
+        fields, texts = list(file.schema_arrow), _checked(file.metadata, path.name)
+    wanted = [field for field in fields if columns is None or field.name in columns]
+    return pq.ParquetFile(path, read_dictionary=texts), wanted  # a word that stands in all rows takes up the space of one
+
+
+def _as_written(table: pa.Table, fields: "Sequence[pa.Field[Any]]", name: str) -> pa.Table:
+    """Its columns with the types that the file says."""
+    for place, field in enumerate(fields):
         if field.type != table.schema.field(place).type:
-            limits.within(_text_bytes(table.column(place)), limits.TABLE_TEXT_BYTES, f"bytes of {field.name} in {path.name}")
+            limits.within(_text_bytes(table.column(place)), limits.TABLE_TEXT_BYTES, f"bytes of {field.name} in {name}")
             table = table.set_column(place, field, table.column(place).cast(field.type))
     return table
 
@@ -162,23 +194,24 @@ def _text_bytes(texts: "pa.ChunkedArray[Any]") -> int:
     return sum(pc.sum(pc.binary_length(each.dictionary).take(each.indices)).as_py() or 0 for each in chunks)
 
 
-def load(run_dir: str | Path) -> Recording:
+def load(run_dir: str | Path, radio: Collection[str] | None = None) -> Recording:
     """Read a run directory back: ``states.parquet``, ``radio.parquet`` and, if it is there, ``metrics.json``."""
     folder = Path(run_dir)
-    recording, metrics = load_tables(folder), folder / "metrics.json"
+    recording, metrics = load_tables(folder, radio), folder / "metrics.json"
     return replace(recording, metrics=read_json(limits.read_bytes(metrics), dict[str, Any])) if metrics.is_file() else recording
 
 
-def load_tables(folder: Path) -> Recording:
-    """Both tables of a run directory, without its numbers."""
+def load_tables(folder: Path, radio: Collection[str] | None = None) -> Recording:
+    """Both tables of a run directory, without its numbers; ``radio``: the columns of that table that are read, if not all."""
     for name in ("states.parquet", "radio.parquet"):
         if not (folder / name).is_file():
             raise UsageError(f"{folder}: no {name} here; name the directory that a run left (runs/<name>-<seed> or its --out)")
-    states, radio = (read_table(folder / name) for name in ("states.parquet", "radio.parquet"))
+    states = read_table(folder / "states.parquet")
     facts = (states.schema.metadata or {}).get(FACTS)
     if facts is None:
         raise UsageError(f"{folder / 'states.parquet'}: not written by vcmvsp (its schema metadata lacks {FACTS.decode()})")
-    return Recording(states=states, radio=radio, facts=read_json(facts, RunFacts), metrics={})
+    frames = read_table(folder / "radio.parquet", radio)
+    return Recording(states=states, radio=frames, facts=read_json(facts, RunFacts), metrics={})
 
 
 def _table(columns: list[Any], schema: pa.Schema, facts: RunFacts) -> pa.Table:

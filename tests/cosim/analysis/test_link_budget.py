@@ -166,7 +166,7 @@ def test_other_losses_in_words(log: explain.Log, outcome: str, words: str) -> No
 def test_interference_follows_from_snr_and_sinr(log: explain.Log) -> None:
     # Of two powers in dBm, the second as strong as noise: 3.0103 dB between SNR and SINR.
     frames = log.frames(("car1", "car2"))
-    log._columns["sinr_db"][frames._rows[0]] -= 10.0 * math.log10(2.0)
+    log.column("sinr_db")[frames._rows[0]] -= 10.0 * math.log10(2.0)
     report = link_budget.frame_report(log, ("car1", "car2"), str(frames["frame"][0]))
     assert report["budget"]["interference_dbm"] == pytest.approx(report["budget"]["noise_dbm"], abs=1e-9)
 
