@@ -23,9 +23,10 @@ from pyarrow import csv as arrow_csv
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.recording.foxglove.messages import PoseInFrame
 from vcmvsp.cosim.recording.mcap_reader import Recorded
-from vcmvsp.cosim.recording.recorded_run import Source, Values
-from vcmvsp.cosim.tables.schema import RunFacts, radio_table, read_table
-from vcmvsp.cosim.types import FrameReport, Imu, Incident, Odometry, RealStatus, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.recording.recorded_run import Source, Values, is_known
+from vcmvsp.cosim.tables.radio_frames import Frames
+from vcmvsp.cosim.tables.schema import PART_ROWS, RunFacts, parts_of_table, radio_table
+from vcmvsp.cosim.types import Imu, Incident, Odometry, RealStatus, VehicleState, Velocity, Waypoint
 
 AXES = "xyz"
 TURN = ("qw", "qx", "qy", "qz")  # world_from_body
@@ -42,13 +43,13 @@ COLUMNS: Mapping[type[Tabular], Sequence[str]] = {
 """The columns of each type of value; what comes by name, as notes do, has its names for columns."""
 FILES = {"state": "states", "command": "commands", "note": "notes", "estimate": "estimates", "incident": "incidents"}
 """By topic, where the name is another than the topic's."""
-RADIO = "radio"
+RADIO, FRAMES = "radio", "radio/frame"
+OPTIONS = arrow_csv.WriteOptions(quoting_style="needed")
 
 
 def write_csv(source: Source, folder: Path) -> None:
     """Write the files into ``folder``, which is there and empty."""
-    headers, count = _headers(source)
-    reports: list[FrameReport] = []
+    headers, count, until = _headers(source)
     with ExitStack() as stack:
         writers = {}
         for name, header in headers.items():
@@ -56,30 +57,28 @@ def write_csv(source: Source, folder: Path) -> None:
             writers[name] = csv.writer(stream)
             writers[name].writerow(("time_s", "vehicle", *header))
         for said, value in islice(_read(source), count):  # of a run that goes on there may be more by now
-            if isinstance(value, FrameReport):
-                reports.append(value)
-            elif (row := _row(value)) is not None:
+            if (row := _row(value)) is not None:
                 vehicle, name = _place(said.topic)
                 writers[name].writerow((said.time_ns / SECOND_NS, vehicle, *(row.get(each) for each in headers[name])))
-    _write_radio(_radio(reports, source), folder / f"{RADIO}.csv")
+    _write_radio(source, folder / f"{RADIO}.csv", *until)
 
 
 def _read(source: Source) -> Iterator[tuple[Recorded, Any]]:
-    """Messages with their values."""
+    """Messages with their values, but for those of frames."""
     values = Values()
-    for said in source:
-        yield said, values.of(said)
+    for said in source.only(lambda _, schema: is_known(schema)):
+        yield said, None if said.topic == FRAMES else values.of(said)
 
 
-def _headers(source: Source) -> tuple[dict[str, list[str]], int]:
-    """The columns of each file, those of all values that are to stand in it; and how many messages there are."""
+def _headers(source: Source) -> tuple[dict[str, list[str]], int, tuple[int, int]]:
+    """The columns of each file, those of all values that are to stand in it; how many messages, frames and ns there are."""
     found: dict[str, dict[str, None]] = {}
-    count = 0
+    count = frames = end_ns = 0
     for said, value in _read(source):
-        count += 1
+        count, frames, end_ns = count + 1, frames + (said.topic == FRAMES), max(end_ns, said.time_ns)
         if (row := _row(value)) is not None:
             found.setdefault(_place(said.topic)[1], {}).update(dict.fromkeys(row))
-    return {name: list(columns) for name, columns in found.items()}, count
+    return {name: list(columns) for name, columns in found.items()}, count, (frames, end_ns)
 
 
 def _place(topic: str) -> tuple[str, str]:
@@ -133,26 +132,40 @@ def _cells(value: Tabular) -> Sequence[object]:
             return (measured.ns / SECOND_NS, pose.position.x, pose.position.y, pose.position.z, yaw, sigma_m, sigma_rad)
 
 
-def _radio(reports: Sequence[FrameReport], source: Source) -> pa.Table:
+def _write_radio(source: Source, path: Path, count: int, end_ns: int) -> None:
     """The run's own table; of a run that was killed before it had written that, what the recording has of it."""
-    path = source.folder / f"{RADIO}.parquet"
+    own = source.folder / f"{RADIO}.parquet"
     try:
-        return read_table(path)
+        _write_parts(parts_of_table(own), path)
     except FileNotFoundError:
-        why = f"no {path.name} here"
+        _write_recorded(source, path, count, end_ns, f"no {own.name} here")
     except (OSError, ValueError):  # the run was killed while it wrote
-        why = f"{path.name} cannot be read"
+        _write_recorded(source, path, count, end_ns, f"{own.name} cannot be read")
+
+
+def _write_recorded(source: Source, path: Path, count: int, end_ns: int, why: str) -> None:
     source.tell(f"{source.folder}: {why}: {RADIO}.csv is without frames of programs, and without routes")
-    facts = RunFacts(scenario=source.scenario, seed=int(source.seed), end_ns=0, vehicles=source.vehicles)
-    return radio_table(reports, facts)
+    frames, values = Frames(source.vehicles), Values()
+    said = (each for each in source.only(lambda topic, _: topic == FRAMES) if each.topic)
+    frames.extend(map(values.of, islice(said, count)))
+    facts = RunFacts(scenario=source.scenario, seed=int(source.seed), end_ns=end_ns, vehicles=source.vehicles)
+    table = radio_table(frames, facts)
+    _write_parts((table.slice(row, PART_ROWS) for row in range(0, max(1, table.num_rows), PART_ROWS)), path)
 
 
-def _write_radio(table: pa.Table, path: Path) -> None:
-    """The table of the radio, with times in s."""
+def _write_parts(parts: Iterator[pa.Table], path: Path) -> None:
+    """Parts of the table of the radio one behind the other, with times in s."""
+    with ExitStack() as stack:
+        writer: arrow_csv.CSVWriter | None = None
+        for part in map(_for_csv, parts):
+            writer = writer or stack.enter_context(arrow_csv.CSVWriter(path, part.schema, write_options=OPTIONS))
+            writer.write_table(part)
+
+
+def _for_csv(table: pa.Table) -> pa.Table:
     names = table.column_names
     columns = [_in_seconds(table[name]) if name.endswith("_ns") else _plain(table[name]) for name in names]
-    headers = [f"{name.removesuffix('_ns')}_s" if name.endswith("_ns") else name for name in names]
-    arrow_csv.write_csv(pa.table(columns, names=headers), path, arrow_csv.WriteOptions(quoting_style="needed"))
+    return pa.table(columns, names=[f"{name.removesuffix('_ns')}_s" if name.endswith("_ns") else name for name in names])
 
 
 def _in_seconds(column: "pa.ChunkedArray[Any]") -> "pa.ChunkedArray[Any]":

@@ -25,6 +25,7 @@ from vcmvsp.cosim.plots import run_plots
 from vcmvsp.cosim.recording import recorded_run
 from vcmvsp.cosim.recording.mcap_reader import Recorded, contents, messages
 from vcmvsp.cosim.recording.recorded_run import Source, Values
+from vcmvsp.cosim.tables import schema
 from vcmvsp.cosim.tables.schema import RunFacts, load, radio_table, write_table
 from vcmvsp.cosim.types import VehicleState
 
@@ -78,6 +79,20 @@ def test_the_radio_of_a_run_with_programs_and_routes_is_its_own_table_with_all_i
     assert len({row["frame"] for row in frames}) == 2 * len(reports)
     assert {(row["origin"], float(row["origin_sent_s"])) for row in frames} == {("car-2", 1.5)}
     assert said == []
+
+
+@pytest.mark.parametrize("rows_at_once", [1, 7, 10**6])
+def test_the_radio_is_the_same_in_parts_of_any_size_and_out_of_the_recording_alone(
+    rows_at_once: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = export_runs.run_of("a crossing cart")
+    export(run, csv=tmp_path / "whole")
+    for module in (schema, csv_files):
+        monkeypatch.setattr(module, "PART_ROWS", rows_at_once)
+    export(run, csv=tmp_path / "parts")
+    export(export_runs.cut("a crossing cart", tmp_path / "cut", 1.0), csv=tmp_path / "recorded")
+    whole, parts, recorded = ((tmp_path / name / "radio.csv").read_bytes() for name in ("whole", "parts", "recorded"))
+    assert whole == parts == recorded
 
 
 def test_each_sensor_of_numbers_has_its_table_with_units(tables: Path) -> None:
