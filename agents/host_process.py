@@ -1,7 +1,6 @@
 """A process that hosts agents: started by a run (``runs = "process"``) or by hand (``vcmvsp agent``)."""
 
 import argparse
-import contextlib
 import io
 import os
 import re
@@ -64,9 +63,9 @@ def host(
     if strange := [name for name in params or {} if name in binding.parameters(AgentTable)]:
         raise UsageError(f"--set {strange[0]}: that is for the scenario to say; a host sets parameters of its agent")
     named = user_classes.classes_in([*allow, kind, params])
-    may_load = contextlib.nullcontext() if token else user_classes.only(user_classes.HostCode(named, code_folder, on_state))
+    may_load = user_classes.only(None if token else user_classes.OwnCode(named, code_folder, on_state))
     if kind is not None:  # its own fault is said here: the run goes on waiting
-        with user_classes.only(user_classes.HostCode(named, code_folder)):
+        with user_classes.only(user_classes.OwnCode(named, code_folder)):
             check_acts(registry.find("agent", kind, key="", origin=binding.Named("vcmvsp agent")), kind, "")
     bundle = None
     if keys is not None:

@@ -13,6 +13,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import messages, registry
 from vcmvsp.cosim.config.builtin_kinds import KINDS
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.config.user_classes import NO_CODE, only
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.recording.run_tables import tables_of
@@ -72,7 +73,7 @@ def site_of(parsed: Scenario, source: Source) -> Site:
 
 
 def recorded_site(folder: Path, parsed: Scenario, source: Source) -> Site:
-    """The same for the scenario of a recorded run, within what may be imported (`registry.own_code`).
+    """The same for the scenario of a recorded run, within what may be imported (`registry.may_import`).
 
     In place of the layers that may not stand those of the preset, in place of such a world what the recording draws of it.
     """
@@ -130,7 +131,7 @@ def coverage(
     if folder is None:
         site = site_of(parsed, source)
     else:
-        with registry.own_code(trust):
+        with only(None if trust else NO_CODE):
             site = recorded_site(folder, parsed, source)
     if vehicle not in site.places:
         raise UsageError(messages.unknown("vehicle", vehicle, site.places))

@@ -16,7 +16,7 @@ from vcmvsp.cosim.analysis.coverage import without_own_layers
 from vcmvsp.cosim.analysis.links import NUMBERS, Frames, Log, Pair
 from vcmvsp.cosim.assembly.radio import channel_of
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.config.user_classes import NO_CODE, only
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
@@ -44,7 +44,7 @@ def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True
     frame = frames.where(np.arange(len(frames)) == _find(log, frames, pair, which))
     row: dict[str, Any] = {name: frame[name].tolist()[0] for name in NUMBERS}
     outcome, materials = frame.words("outcome")[0], frame.words("wall_materials")[0]
-    with registry.own_code(trust):
+    with only(None if trust else NO_CODE):
         radio = _radio(log, pair) if with_scenario else None
     report = {
         "sender": pair[0],

@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 
 def world_in(folder: Path, scenario: Scenario, source: Source) -> World:
-    """The world of the run that a folder holds; what may be imported says `registry.own_code`.
+    """The world of the run that a folder holds; what may be imported says `registry.may_import`.
 
     Raises:
         ScenarioError: its kind is built in, and it cannot be built any more.

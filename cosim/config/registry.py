@@ -16,7 +16,6 @@ import platform
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -24,7 +23,7 @@ from typing import Any
 from vcmvsp.cosim.config.binding import Named, Origin
 from vcmvsp.cosim.config.builtin_kinds import KINDS, NOTHING, VERBS
 from vcmvsp.cosim.config.messages import show, unknown
-from vcmvsp.cosim.config.user_classes import HostCode, NoCode, allowed_code, is_file_kind, only
+from vcmvsp.cosim.config.user_classes import NO_CODE, allowed_code, is_file_kind
 from vcmvsp.cosim.errors import ScenarioError, place_of, words_of
 
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
@@ -61,14 +60,9 @@ def looking_in(folder: Path) -> Iterator[None]:
         _folder.reset(token)
 
 
-def own_code(trusted: bool) -> AbstractContextManager[None]:
-    """While results are read: whether classes that are not built in may be imported."""
-    return contextlib.nullcontext() if trusted else only(NoCode())
-
-
 def may_import(group: str, kind: object) -> bool:
-    """Whether `find` imports the class of a kind: that of a built-in one always, any other unless `own_code` says no."""
-    return not isinstance(allowed_code.get(), NoCode) or (isinstance(kind, str) and kind in KINDS[group])
+    """Whether `find` imports the class of a kind: that of a built-in one always, any other unless results are read."""
+    return allowed_code.get() is not NO_CODE or (isinstance(kind, str) and kind in KINDS[group])
 
 
 def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind", origin: Origin | None = None) -> Any:
@@ -82,14 +76,14 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
         origin: where the scenario came from, for messages.
 
     Raises:
-        ScenarioError: there is no such kind, what it names cannot be imported, or may not be (`own_code`).
+        ScenarioError: there is no such kind, what it names cannot be imported, or may not be (`user_classes.only`).
     """
     origin = origin or Named()
     aim = target(group, kind, key=key, origin=origin)
     where, _, name = aim.rpartition(":")
-    code = None if kind in KINDS[group] else allowed_code.get()
+    is_own = kind not in KINDS[group]
     try:
-        path = _file_of(kind, code, folder)
+        path = file_of(kind, folder) if is_own else None
     except ScenarioError as error:
         raise ScenarioError(error.problem, key=key, source=origin.of(key)) from error
     if path and not path.is_file():
@@ -101,7 +95,7 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
     except BaseException as error:  # whatever somebody's own module raises
         problem = f"'{where}' cannot be imported: {words_of(error)}{place_of(error)}"
         raise ScenarioError(problem, key=key, source=origin.of(key)) from error
-    if code:
+    if is_own and (code := allowed_code.get()):
         code.took(kind, module)
     found = getattr(module, name, None)
     if found is None:
@@ -127,9 +121,13 @@ def target(group: str, kind: str, *, key: str = "kind", origin: Origin | None = 
     return others[kind]
 
 
-def _file_of(kind: str, code: HostCode | None, folder: Path | None) -> Path | None:
-    """The Python file of a kind; None: it is no file's."""
-    if code is not None:
+def file_of(kind: str, folder: Path | None) -> Path | None:
+    """The Python file of a kind that is not built in, if that may be loaded; None: it is no file's.
+
+    Raises:
+        ScenarioError: the kind may not be loaded (`user_classes.only`).
+    """
+    if code := allowed_code.get():
         return code.file_of(kind)
     return located(kind.rpartition(":")[0], folder) if is_file_kind(kind) else None
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from vcmvsp.cosim.agent import AgentSpec
 from vcmvsp.cosim.config import registry
-from vcmvsp.cosim.config.user_classes import allowed_code, classes_in, is_file_kind
+from vcmvsp.cosim.config.user_classes import classes_in, is_file_kind
 from vcmvsp.cosim.errors import ScenarioError
 
 LIBRARIES = ("vcmvsp", "numpy")
@@ -52,9 +52,9 @@ def difference(here: Mapping[str, str], there: Mapping[str, str]) -> str:
 
 def _path(kind: str, folder: Path) -> Path | None:
     """The file of a class; that of a module is found without importing it."""
-    allowed, module = allowed_code.get(), kind.partition(":")[0]
+    module = kind.partition(":")[0]
     if is_file_kind(kind):
-        return registry.located(kind.rpartition(":")[0], folder) if allowed is None else allowed.file_of(kind)
+        return registry.file_of(kind, folder)
     if module.startswith("vcmvsp."):
         return None  # the version says it
     with contextlib.suppress(ImportError, ValueError):

@@ -39,8 +39,8 @@ def is_file_kind(kind: str) -> bool:
     return kind.rpartition(":")[0].endswith(".py")
 
 
-class HostCode:
-    """The classes that the user of a host lets runs ask for, beside those that are built in or installed under a short name.
+class OwnCode:
+    """The classes that may be loaded beside those that are built in or, but for `NO_CODE`, installed under a short name.
 
     Args:
         kinds: ``module:Class`` or ``file.py:Class``, as they stand on the host's command line.
@@ -57,6 +57,8 @@ class HostCode:
         Raises:
             ScenarioError: the user has not allowed this class.
         """
+        if self is NO_CODE:
+            raise ScenarioError(f"'{kind}' is not built in, and reading results executes nothing of theirs; --trust does")
         if ":" not in kind:
             return None
         known, own = kind in self._kinds, Path(kind.rpartition(":")[0])
@@ -77,24 +79,15 @@ class HostCode:
         self._tell(f"{kind.rpartition(':')[2]} comes from {module.__file__}")
 
 
-class NoCode(HostCode):
-    """None but the built-in ones: results are read."""
-
-    def __init__(self) -> None:
-        super().__init__((), None)
-
-    def file_of(self, kind: str) -> Path | None:
-        """Raises a `ScenarioError`, whatever the class."""
-        raise ScenarioError(f"'{kind}' is not built in, and reading results executes nothing of theirs; --trust does")
-
-
-allowed_code: contextvars.ContextVar[HostCode | None] = contextvars.ContextVar("allowed_code", default=None)
+NO_CODE = OwnCode((), None)
+"""None but the built-in classes: results are read."""
+allowed_code: contextvars.ContextVar[OwnCode | None] = contextvars.ContextVar("allowed_code", default=None)
 
 
 @contextlib.contextmanager
-def only(code: HostCode) -> Iterator[None]:
-    """While a host answers a run, or results are read: load these classes alone."""
-    token = allowed_code.set(code)
+def only(code: OwnCode | None) -> Iterator[None]:
+    """While a host answers a run, or results are read: load these classes alone; None: whatever may be loaded now."""
+    token = allowed_code.set(code or allowed_code.get())
     try:
         yield
     finally:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import tomli_w
 
 from vcmvsp.cosim.assembly import worlds
-from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.config.user_classes import NO_CODE, only
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.metrics import routing
 from vcmvsp.cosim.metrics.motion import motion
@@ -166,7 +166,7 @@ def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = F
     from vcmvsp.cosim.assembly.recorded_world import world_in
 
     world: Any = None
-    with contextlib.suppress(VcmvspError), registry.own_code(trust):  # a world that is not to be had any more is not drawn
+    with contextlib.suppress(VcmvspError), only(None if trust else NO_CODE):  # a world that is lost is not drawn
         world = world_in(run_dir, *loader.load(scenario))
     seen: Sequence[Array] = () if world is None else worlds.outlines(world)
     within = window.get("from_s", 0.0), window.get("to_s")

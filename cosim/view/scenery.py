@@ -39,7 +39,7 @@ def scenery_of(
         live: it is a run that goes on.
         may: tags of the orders that it obeys.
         keys: of the scenario, that may be changed, and their values.
-        drawn: vehicles as a recording draws them, for those whose classes may not be imported (`registry.own_code`).
+        drawn: vehicles as a recording draws them, for those whose classes may not be imported (`registry.may_import`).
 
     Raises:
         ScenarioError: the world, or the kind of a vehicle, cannot be built.

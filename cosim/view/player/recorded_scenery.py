@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.assembly import recorded_world
-from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.config.user_classes import NO_CODE, only
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import frozen
 from vcmvsp.cosim.util.documents import read_json
@@ -53,7 +53,7 @@ def stage_of(path: Path, vehicles: Sequence[str], drawing: bytes | None, *, trus
     scenario, source = scenarios.load(path)
     if tuple(each.name for each in scenario.vehicle) != tuple(vehicles):
         raise ValueError(f"{path} is of another run than the recording beside it")
-    with registry.own_code(trust):
+    with only(None if trust else NO_CODE):
         world = recorded_world.world_in(path.parent, scenario, source)
         return Stage(scenery_of(scenario, source, world=world, may=MAY, drawn=_drawn(vehicles, drawing)), world)
 
