@@ -10,6 +10,7 @@ before they take the place of those before them.
 """
 
 import contextlib
+import errno
 import fcntl
 import os
 import platform
@@ -122,7 +123,7 @@ class Store(Answers):
                     (self._folder / name).unlink(missing_ok=True)
             with replacing(self._folder / PLAN, durable=True) as path:
                 path.write_bytes(self.plan.to_toml().encode())
-            self._journal = stack.enter_context((self._folder / JOURNAL).open("ab", buffering=0))
+            self._journal = stack.enter_context(_opened(self._folder / JOURNAL, "ab"))
             self.write()
             self._stack = stack.pop_all()
         return self
@@ -205,16 +206,26 @@ def _journal(folder: Path) -> Iterator[Line]:
             yield read_json(line, Line)
 
 
+def _opened(path: Path, mode: str) -> IO[bytes]:
+    """A file that is written in place, without a buffer; what a link points to is left alone."""
+    try:
+        return open(path, mode, 0, opener=lambda name, flags: os.open(name, flags | os.O_NOFOLLOW, 0o666))
+    except OSError as error:
+        if error.errno != errno.ELOOP:
+            raise
+        raise UsageError(f"{path}: is a link, which no study writes through: remove it") from error
+
+
 @contextlib.contextmanager
 def _locked(path: Path) -> Iterator[None]:
     """Hold a folder; the system lets go of it for a process that dies."""
     while True:
-        file = path.open("a+b")
+        file = _opened(path, "a+b")
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             file.seek(0)
-            holder = file.read().decode("utf-8", "replace").strip()
+            holder = file.read(200).decode("utf-8", "replace").strip()
             file.close()
             raise UsageError(f"--out {path.parent}: another study is writing there ({holder})") from None
         if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
@@ -223,7 +234,6 @@ def _locked(path: Path) -> Iterator[None]:
     try:
         file.truncate(0)
         file.write(f"process {os.getpid()} on {platform.node()}".encode())
-        file.flush()
         yield
     finally:
         with contextlib.suppress(OSError):  # of a folder that cannot be written to any more: a lock that nobody holds is none

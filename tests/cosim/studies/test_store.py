@@ -286,6 +286,17 @@ def test_two_studies_never_share_a_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "study.lock").exists()
 
 
+@pytest.mark.parametrize("name", [stores.LOCK, stores.JOURNAL])
+def test_a_link_in_the_place_of_a_file_is_not_written_through(tmp_path: Path, name: str) -> None:
+    whole(tmp_path / "s", plan_of())
+    victim = tmp_path / "victim"
+    victim.write_bytes(b"mine")
+    (tmp_path / "s" / name).symlink_to(victim)
+    with pytest.raises(UsageError, match=f"{name}: is a link"), Store(tmp_path / "s", plan_of(), resume=True, force=False):
+        pass
+    assert victim.read_bytes() == b"mine"
+
+
 def test_what_is_written_down_is_read_back(tmp_path: Path) -> None:
     for text in ('name = "two"\n', "a = '''x'''\n", 'b = "\\\\ \\u0001"', "\n\nname = 1"):
         plan = plan_of(scenario_toml=text, set={"a.b": [1, {"c": "d"}]}, files={"f": "0"}, versions={"vcmvsp": "1"})
