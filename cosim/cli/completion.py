@@ -20,6 +20,7 @@ from typer.models import ParameterInfo
 from vcmvsp.cosim.cli.kinds import GROUPS
 from vcmvsp.cosim.cli.new import PARTS
 from vcmvsp.cosim.config import builtin_kinds, registry
+from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import read_toml
 
 VARIABLE = "_VCMVSP_COMPLETE"
@@ -178,7 +179,7 @@ def _content(ctx: typer.Context) -> dict[str, Any]:
     name = _first(ctx, "scenario") or _first(ctx, "world")
     shipped = registry.SHIPPED / f"{name}.toml"
     try:
-        return read_toml((shipped if shipped.is_file() else Path(name)).read_text("utf-8"))
+        return read_toml(limits.read_text(shipped if shipped.is_file() else Path(name), limits.TOML_BYTES))
     except (OSError, ValueError):
         return {}
 

@@ -23,6 +23,7 @@ from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import AgentsTable, Scenario
 from vcmvsp.cosim.transport import local_secret
 from vcmvsp.cosim.transport.endpoints import endpoint_rules, is_loopback
+from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.files import write_whole, writing
 from vcmvsp.cosim.util.text import Tell
 
@@ -288,4 +289,4 @@ def _bundle(keys: "Keys", host: HostTable, tell: Tell) -> str:
         tell(f"{path}: a new certificate for {', '.join(host.vehicles)}, valid until {bundle.until:%Y-%m-%d}")
     if warning := bundle.check():
         tell(warning)
-    return path.read_text()
+    return limits.read_text(path)

@@ -14,6 +14,7 @@ import msgspec
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.security import x509
 from vcmvsp.cosim.security.certificates import HUB, INDEX, ROLE, SUFFIX, VEHICLE, Bundle, Entry, Index, Keys, load, load_bundle
+from vcmvsp.cosim.util import limits
 
 CA_DAYS, HUB_DAYS, HOST_DAYS = 3650, 365, 90
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")  # 64: the longest common name (RFC 5280, ub-common-name)
@@ -150,7 +151,7 @@ def _check_free(had: Entry | None, new: Entry, force: bool) -> None:
 
 
 def _authority(folder: Path) -> x509.Signed:
-    return x509.Signed((folder / "ca.key").read_text(), (folder / "ca.pem").read_text())
+    return x509.Signed(limits.read_text(folder / "ca.key"), limits.read_text(folder / "ca.pem"))
 
 
 def _renew_hub(folder: Path, names: Iterable[str], days: int) -> None:

@@ -135,7 +135,7 @@ def load(folder: Path) -> Keys:
         raise UsageError(f"{folder}: holds no authority; make one with: vcmvsp keys init {folder}")
     try:
         index = read_json(limits.read_bytes(folder / INDEX), Index)
-        ca, hub, key = ((folder / name).read_text() for name in ("ca.pem", "hub.pem", "hub.key"))
+        ca, hub, key = (limits.read_text(folder / name) for name in ("ca.pem", "hub.pem", "hub.key"))
         x509.check_together(x509.Signed(key, hub), ca)
         _, names, since, until = x509.facts(hub)
     except (OSError, ValueError) as error:
@@ -152,7 +152,7 @@ def load_bundle(path: Path) -> Bundle:
     if path.is_dir():
         raise UsageError(f"{path}: is a folder; name the file of this machine, e.g. {path / 'car2.keys'}")
     try:
-        key, certificate, ca = x509.blocks(path.read_text())
+        key, certificate, ca = x509.blocks(limits.read_text(path))
         x509.check_together(x509.Signed(key, certificate), ca)
         name, says, since, until = x509.facts(certificate)
         role = msgspec.convert("".join(says[:1]).removeprefix(ROLE), Role)

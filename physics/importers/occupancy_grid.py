@@ -128,11 +128,13 @@ def occupied_cells(about: dict[str, Any], path: Path) -> Array:
         ScenarioError: the picture cannot be read.
     """
     try:
-        grey = read_picture(str(about["image"])).mean(axis=2)
+        picture = read_picture(str(about["image"]))
     except ValueError as error:
         raise ScenarioError(str(error), key="image", source=str(path)) from error
-    occupancy = (grey if about["negate"] else 255.0 - grey) / 255.0
-    cells: Array = occupancy > about["occupied_thresh"]
+    cells: Array = np.empty(picture.shape[:2], bool)
+    for row, found in zip(cells, picture, strict=True):  # numbers of a large picture at once would fill the memory
+        grey = found.mean(axis=1)
+        row[:] = (grey if about["negate"] else 255.0 - grey) / 255.0 > about["occupied_thresh"]
     return cells
 
 

@@ -153,12 +153,13 @@ def read_picture(path: str) -> Array:
     problem, pixels = problem_of_picture(path), None
     if not problem:
         try:
-            pixels = decoded(limits.read_bytes(Path(path), limits.FILE_BYTES), cv2.IMREAD_COLOR)
+            pixels = decoded(limits.read_bytes(Path(path), limits.FILE_BYTES), cv2.IMREAD_COLOR_RGB)
         except OSError as error:
             problem = f"{path} cannot be read: {error.strerror or error}"
     if pixels is None:
         raise ValueError(problem or f"{path} is a picture, but broken: save it again{limits.PICTURE}")
-    return np.ascontiguousarray(pixels[:, :, ::-1])
+    found: Array = pixels
+    return found
 
 
 def problem_of_picture(path: str) -> str:
