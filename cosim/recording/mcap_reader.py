@@ -121,6 +121,9 @@ def indexed(stream: BinaryIO) -> Iterator[dict[int, int]]:
         ValueError: the file unpacks to more than `limits` say; nothing has been unpacked yet.
     """
     chunks: list[tuple[int, dict[int, int]]] = []  # bytes, counts
+    stream.seek(0)
+    if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+        return iter(())  # whoever reads it says so; to look for chunks in zeros takes very long
     size, place = stream.seek(0, os.SEEK_END), len(MCAP0_MAGIC)
     while place < size and stream.seek(place) and len(head := stream.read(_RECORD.size)) == _RECORD.size:
         opcode, length = _RECORD.unpack(head)

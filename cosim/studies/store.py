@@ -201,6 +201,7 @@ def so_far(folder: Path, plan: Plan) -> pa.Table:
 def _journal(folder: Path) -> Iterator[Line]:
     """The lines that can be read."""
     text = limits.read_bytes(folder / JOURNAL, limits.CSV_BYTES) if (folder / JOURNAL).exists() else b""
+    limits.within(text.count(b"\n"), limits.MESSAGES, f"lines in {JOURNAL}")
     for line in text.split(b"\n"):
         with contextlib.suppress(ValueError):  # half a line, or what a power cut left of one: it is run again
             yield read_json(line, Line)
