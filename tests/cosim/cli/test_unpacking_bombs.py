@@ -9,9 +9,8 @@ import pytest
 import vcmvsp
 from tests.support.cosim import unpacking_bombs as bombs
 from tests.support.cosim.command_line import two_cars
-from tests.support.cosim.measured_commands import Measured, measured
+from tests.support.cosim.measured_commands import Measured, answered, measured
 
-CPU_S, MOST_BYTES = 10, 1 << 30
 READERS = ("report", "plot", "radio", "export --csv --force")
 TREE = b"[" * bombs.DEEP
 Make = Callable[[Path], object]
@@ -59,14 +58,10 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], M
         for path in folder.glob("*.parquet") if name in WITHOUT_TABLES else ():
             path.unlink()
         asked.update({(name, reader): f"{reader} {folder}" for reader in READERS})
-    return dict(zip(asked, measured(list(asked.values()), CPU_S), strict=True))
+    return dict(zip(asked, measured(list(asked.values())), strict=True))
 
 
 @pytest.mark.parametrize("reader", READERS)
 @pytest.mark.parametrize("name", IN_RESULTS)
 def test_results_are_read_or_refused_at_little_cost(name: str, reader: str, answers: dict[tuple[str, str], Measured]) -> None:
-    answer = answers[name, reader]
-    assert answer.code in (0, 2), answer
-    assert "Traceback" not in answer.err, answer.err
-    assert answer.cpu_s < CPU_S, answer
-    assert answer.bytes < MOST_BYTES, answer
+    answered(answers[name, reader])

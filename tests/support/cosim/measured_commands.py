@@ -1,7 +1,7 @@
 """Commands in processes of their own: what each answered, and what CPU time and memory it took.
 
-As a program: the most CPU time, s, then the commands, one per argument; one line of JSON for all. Each is a fork of this
-process, which has imported what they need, so that this is not done again for each.
+As a program: the commands, one per argument; one line of JSON for all. Each is a fork of this process, which has imported what
+they need, so that this is not done again for each. Of ``view`` the page is left out, which has no end.
 """
 
 import importlib
@@ -19,8 +19,10 @@ SHARED = (
     "vcmvsp.cosim.cli.app",
     *("vcmvsp.cosim.runs.api", "vcmvsp.cosim.report.run_page", "vcmvsp.cosim.plots.run_plots", "vcmvsp.cosim.plots.style"),
     *("vcmvsp.cosim.analysis.links", "vcmvsp.cosim.export.formats", "vcmvsp.cosim.studies.outputs"),
+    *("vcmvsp.cosim.cli.view", "vcmvsp.cosim.view.player.playback"),
 )
 """Modules that the readers of results import."""
+CPU_S, MOST_BYTES = 10, 1 << 30
 
 
 class Measured(NamedTuple):
@@ -32,18 +34,26 @@ class Measured(NamedTuple):
     bytes: int
 
 
-def measured(commands: Sequence[str], most_cpu_s: int) -> list[Measured]:
-    """Run each; the system ends what takes more CPU time."""
-    line = [sys.executable, "-m", "tests.support.cosim.measured_commands", str(most_cpu_s), *commands]
+def answered(answer: Measured) -> None:
+    """The command gave a result or one clear line, at little cost."""
+    assert answer.code in (0, 2), answer
+    assert "Traceback" not in answer.err, answer.err
+    assert answer.cpu_s < CPU_S, answer
+    assert answer.bytes < MOST_BYTES, answer
+
+
+def measured(commands: Sequence[str]) -> list[Measured]:
+    """Run each; the system ends what takes more than `CPU_S`."""
+    line = [sys.executable, "-m", "tests.support.cosim.measured_commands", *commands]
     done = subprocess.run(line, stdout=subprocess.PIPE, check=True, text=True)
     return [Measured(*each) for each in json.loads(done.stdout)]
 
 
-def _run(command: str, most_cpu_s: int) -> Measured:
+def _run(command: str) -> Measured:
     with tempfile.TemporaryFile() as said:
         child = os.fork()
         if child == 0:
-            resource.setrlimit(resource.RLIMIT_CPU, (most_cpu_s + 1, most_cpu_s + 1))
+            resource.setrlimit(resource.RLIMIT_CPU, (CPU_S + 1, CPU_S + 1))
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             os.dup2(said.fileno(), 2)
             sys.modules["vcmvsp.cosim.cli.app"].main(shlex.split(command))
@@ -57,4 +67,5 @@ def _run(command: str, most_cpu_s: int) -> Measured:
 if __name__ == "__main__":
     for _name in SHARED:
         importlib.import_module(_name)
-    sys.stdout.write(json.dumps([_run(each, int(sys.argv[1])) for each in sys.argv[2:]]))
+    sys.modules["vcmvsp.cosim.cli.view"]._serve = lambda player, *_, **__: player.show()  # type: ignore[attr-defined]
+    sys.stdout.write(json.dumps([_run(each) for each in sys.argv[1:]]))
