@@ -53,7 +53,7 @@ def opened(own: dict[str, Any], secure: dict[str, Any], failure: str) -> zenoh.S
 def closed(session: zenoh.Session) -> None:
     """Close a session; connections that never finish their handshake may hold this up for seconds, and do not make it fail."""
     with contextlib.suppress(zenoh.ZError):
-        session.close()
+        session.close()  # type: ignore[no-untyped-call]
 
 
 def first_line(error: Exception) -> str:
