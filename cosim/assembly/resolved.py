@@ -13,7 +13,9 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding, registry, user_classes
 from vcmvsp.cosim.config import factory as component
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import ClockTable, Scenario, VehicleTable
+from vcmvsp.cosim.util import limits
 
 
 class Resolution:
@@ -67,12 +69,20 @@ class Resolution:
         return f"{self.keep(path)}:{kind.rpartition(':')[2]}"
 
     def keep(self, path: Path) -> str:
-        """Keep a file that the scenario uses, as it is now; its name beside the resolved scenario."""
+        """Keep a file that the scenario uses, as it is now; its name beside the resolved scenario.
+
+        Raises:
+            ScenarioError: the file is too large.
+        """
         path, name, number = path.resolve(), path.name, 1
         while self._paths.setdefault(name, path) != path:  # another file of that name is kept already
             number += 1
             name = f"{path.stem}-{number}{path.suffix}"
-        self.files.setdefault(name, path.read_bytes())
+        if name not in self.files:
+            try:
+                self.files[name] = limits.read_bytes(path, limits.FILE_BYTES)
+            except ValueError as error:
+                raise ScenarioError(f"{path}: {error}") from error
         return name
 
     def scenario(self, infos: Sequence[AgentInfo], brought: Mapping[str, str], foreign: Collection[str] = ()) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Every file that a user gives is read, or refused in one line, in a few seconds and a gigabyte, however much it unpacks to."""
 
 import shutil
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -33,6 +34,27 @@ def zeros(name: str, head: str = "") -> Make:
     return make
 
 
+def both_of(one: Make, other: Make) -> Make:
+    """Two files."""
+    return lambda folder: (one(folder), other(folder))
+
+
+def world(kind: str, path: str, make: Make) -> tuple[str, Make]:
+    """A scenario whose world is read from a file."""
+    return scenario(f'[world]\nkind = "{kind}"\npath = "{path}"\n', make)
+
+
+def vehicle(make: Make) -> tuple[str, Make]:
+    """A scenario with a vehicle from a URDF file."""
+    kind = '"urdf"\nfile = "r.urdf"\nleft_wheel = "l"\nright_wheel = "r"'
+    return "check {}/s.toml", both_of(text("s.toml", two_cars().replace('"p2dx"', kind)), make)
+
+
+def stl(folder: Path) -> None:
+    """A mesh that claims two thousand million triangles and has one."""
+    (folder / "m.stl").write_bytes(bytes(80) + struct.pack("<I", 2_000_000_000) + bytes(50))
+
+
 def scenario(tail: str, make: Make, command: str = "check {}/s.toml") -> tuple[str, Make]:
     """A scenario that ends with these tables, and a file for it."""
 
@@ -57,6 +79,8 @@ def inputs(chunks: Callable[[], object]) -> tuple[str, Make]:
     return replayed(lambda folder: bombs.recording(folder / "hardware.mcap", chunks(), "car1 car2"))  # type: ignore[arg-type]
 
 
+GRID = "image: map.png\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+TRACED = '[radio]\npreset = "wifi-g-6"\ntrace = { kind = "trace", file = "t.csv" }\n'
 GIVEN: dict[str, tuple[str, Make]] = {
     "scenario long": ("check {}/s.toml", zeros("s.toml")),
     "scenario deep": ("check {}/s.toml", text("s.toml", f"a = {TREE}")),
@@ -66,6 +90,21 @@ GIVEN: dict[str, tuple[str, Make]] = {
     "keys long": ("agent --connect tcp/127.0.0.1:1 --vehicle car1 --keys {}/car1.pem", zeros("car1.pem")),
     "keys index deep": ("keys list --keys {}", text("index.json", TREE)),
     "keys index long": ("keys list --keys {}", zeros("index.json")),
+    "world file long": world("file", "w.toml", zeros("w.toml")),
+    "world file deep": world("file", "w.toml", text("w.toml", f"a = {TREE}")),
+    "map long": world("map", "map.yaml", zeros("map.yaml")),
+    "map deep": world("map", "map.yaml", text("map.yaml", f"image: {TREE}")),
+    "map picture": world("map", "map.yaml", both_of(text("map.yaml", GRID), lambda at: bombs.png(at / "map.png", side=11_000))),
+    "map picture long": world("map", "map.yaml", both_of(text("map.yaml", GRID), zeros("map.png"))),
+    "geojson long": world("geojson", "g.json", zeros("g.json")),
+    "geojson deep": world("geojson", "g.json", text("g.json", TREE)),
+    "mesh count": world("mesh", "m.stl", stl),
+    "mesh long": world("mesh", "m.stl", zeros("m.stl")),
+    "urdf deep": vehicle(text("r.urdf", "<robot name='r'>" + "<link name='a'>" * DEEP)),
+    "urdf long": vehicle(zeros("r.urdf", "<robot name='r'>")),
+    "trace long": scenario(TRACED, zeros("t.csv")),
+    "calibrate long": ("calibrate {}/l.csv", zeros("l.csv")),
+    "positions long": ("channel --preset wifi-g-6 --positions {}/p.csv --rate 1 --size 9 --duration 1", zeros("p.csv")),
     "inputs long": inputs(bombs.zeros),
     "inputs many": inputs(bombs.many),
     "inputs deep": inputs(lambda: bombs.one("car1/estimate", "vcmvsp.Pose", b"\x91" * DEEP)),
