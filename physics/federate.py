@@ -1,25 +1,25 @@
-"""The physics federate: takes commands, advances the vehicles, publishes what is true and what each vehicle may know of it.
+"""The physics federate: applies commands, advances the vehicles, and publishes their true states and their estimates.
 
-`Physics` is the same for every engine. `KinematicPhysics` moves all vehicles without bodies; `BulletPhysics` gives a body to
-those that can have one and moves the others as `KinematicPhysics` would: nothing collides with them.
+`Physics` is the same for every engine. `KinematicPhysics` moves all vehicles without bodies. `BulletPhysics` gives bodies to
+differential drives and quadrotors, and moves all other vehicles like `KinematicPhysics`: nothing collides with them.
 
-Taken at the next step, each from its own time on: ``<vehicle>/command``, ``operator/halted`` (vehicles stand still until they
-are let go, when their newest commands count again) and ``operator/moved`` (a movable stands somewhere else).
+Inputs take effect at their own times: ``<vehicle>/command``, ``operator/halted`` (vehicles stand still until they are
+released, then follow their newest commands) and ``operator/moved`` (a movable is put elsewhere).
 
-Published at every instant that somebody asked for (`RunInfo.instants`, the start and the end):
+Outputs at every requested instant (`RunInfo.instants`, the start and the end):
 
 ======================  ============  =======================================================================
-``world/states``        States        the truth, for the radio and the recording
-``<vehicle>/estimate``  VehicleState  what the vehicle takes for its own state
-``<vehicle>/odometry``  Odometry      what its wheels say, if it has any
-``world/contact``       Contact       when two bodies, or a body and a solid, touch that did not at the last instant
-``world/pushed``        Pushed        where the movables are, whenever that has changed
+``world/states``        States        true states, for the radio and the recording
+``<vehicle>/estimate``  VehicleState  the vehicle's estimate of its own state
+``<vehicle>/odometry``  Odometry      wheel odometry, for vehicles with wheels
+``world/contact``       Contact       contacts of two bodies, or of a body and a solid, since the last instant
+``world/pushed``        Pushed        poses of the movables, after every change
 ======================  ============  =======================================================================
 
-and what sensors say, at their own ticks: ``<vehicle>/fix`` of a positioning sensor, ``<vehicle>/<sensor>`` of all others.
+Sensors publish at their own ticks: ``<vehicle>/fix`` for a positioning sensor, ``<vehicle>/<sensor>`` for all others.
 
-Vehicles that something else moves (`cosim.federate.ExternalMotion`) are in all of this, but for ``estimate``, ``odometry``
-and ``fix``: these are published by whoever moves them.
+External vehicles (`cosim.federate.ExternalMotion`) are included in all of this, except ``estimate``, ``odometry`` and
+``fix``, which another federate publishes.
 """
 
 from collections.abc import Sequence
@@ -32,41 +32,48 @@ from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, ExternalMotion, Instants, Needed, RunInfo, Slot, Step
 from vcmvsp.cosim.types import Array, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
-from vcmvsp.physics.bodiless_engines import riders
-from vcmvsp.physics.dynamics.external_vehicles import Reflected, check_shown
-from vcmvsp.physics.engine.commands import Commands
+from vcmvsp.physics.dynamics.external_vehicles import ExternalVehicles, check_wheel_sensors
+from vcmvsp.physics.dynamics.kinematic_aerial import AerialEngine
+from vcmvsp.physics.dynamics.kinematic_ground import GroundEngine
+from vcmvsp.physics.engine.commands import Commands, Mover
 from vcmvsp.physics.engine.contacts import Contacts
-from vcmvsp.physics.engine.interface import Engine, Motion, gathered
-from vcmvsp.physics.initial_checks import check_instants, check_lift, check_names, check_overlaps, check_places, check_sensors
-from vcmvsp.physics.move_checks import check_free, placed
+from vcmvsp.physics.engine.interface import BodyMotion, Engine, gathered
+from vcmvsp.physics.placement_checks import (
+    check_free,
+    check_instants,
+    check_lift,
+    check_names,
+    check_overlaps,
+    check_places,
+    check_sensors,
+    placed,
+)
 from vcmvsp.physics.pose_sources import PoseSources
-from vcmvsp.physics.scene_builder import Stage
-from vcmvsp.physics.sensor_scheduler import Instruments
-from vcmvsp.physics.vehicles.models import DifferentialDrive
+from vcmvsp.physics.scene_builder import SceneBuilder
+from vcmvsp.physics.sensor_scheduler import SensorScheduler
+from vcmvsp.physics.vehicles.models import DifferentialDrive, GroundVehicle, Point
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec, flies
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
 
 PACE = Ticks.every(1 / 64)
-"""How often an engine with steps of its own moves on where the wall clock paces the run, so that instants begin in time."""
-SOON_S = 0.2  # from asking whether a place is free to putting something there, at most
+"""Steps ahead of need of an engine with steps of its own, in a run paced by the wall clock: instants then start in time."""
+SOON_S = 0.2  # longest delay between a placement check and the placement
 
 
 class Physics:
-    """What all physics federates do; a subclass says which engine moves which vehicles.
+    """Base of all physics federates; a subclass chooses the engines.
 
-    All take the same keys, so that a scenario can switch ``physics.kind`` alone; where no vehicle has a body, the last three
-    change nothing.
+    All take the same keys, so that a scenario can switch ``physics.kind`` alone. Without bodies, the last three have no effect.
 
     Args:
         world: floor, solids, and what else is in it.
-        vehicles: what moves, and where it starts.
-        rate_hz: Bullet steps a second. Every instant at which states or readings are needed must fall on one.
+        vehicles: all vehicles with their start poses.
+        rate_hz: Bullet steps a second. Every instant at which states or readings are needed must fall on a step.
         iterations: of Bullet's constraint solver in each step; fewer are quicker, and drift more.
         gravity: m/s2.
-        outside: moves the vehicles that it names; they are shown, and nothing moves them here. It comes from the program, not
-            from the scenario.
+        outside: motion of the external vehicles. It comes from the program, not from the scenario.
     """
 
     name = "physics"
@@ -91,60 +98,48 @@ class Physics:
         self._names = tuple(spec.name for spec in self.vehicles)
         self._outside = outside
         names = () if outside is None else outside.names
-        self._shown = [number for number, name in enumerate(self._names) if name in names]
-        self._moved = [number for number, name in enumerate(self._names) if name not in names]
-        self._reflected: Reflected | None = None
+        self._external = [number for number, name in enumerate(self._names) if name in names]
+        self._simulated = [number for number, name in enumerate(self._names) if name not in names]
+        self._external_vehicles: ExternalVehicles | None = None
         self._engines: list[tuple[Engine, Array]] = []
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
-        """Engines at time 0, and the numbers of the vehicles that each of them moves or shows."""
+        """Engines at time 0, each with the numbers of its vehicles."""
         raise NotImplementedError
 
     def start(self, run: RunInfo) -> int:
         """Build the engines; the first publication is at 0.
 
         Raises:
-            ScenarioError: with the key of what cannot be: names, places, sensors, instants, kinds of vehicles.
+            ScenarioError: names, places, sensors, instants or kinds of vehicles are impossible; with the key.
         """
         self._run, self._now_ns = run, 0
-        self._stage = Stage(self.world, self.vehicles, self.gravity)
-        shown = [self.vehicles[number] for number in self._shown]
-        self._reflected = Reflected(self._outside, shown) if self._outside and self._outside.names else None
-        self._sources = PoseSources(self.vehicles, self._moved, run.seed)
-        fitted = {spec.name: spec.sensors for spec in self.vehicles}
-        self._instruments = Instruments(fitted, run.seed, wanted=frozenset(run.wanted))
-        own = (*self._instruments.instants, *self._sources.instants, *([Instants(PACE)] if run.paced else []))
+        self._scenes = SceneBuilder(self.world, self.vehicles, self.gravity)
+        external = [self.vehicles[number] for number in self._external]
+        self._external_vehicles = ExternalVehicles(self._outside, external) if self._outside and external else None
+        self._sources = PoseSources(self.vehicles, self._simulated, run.seed)
+        self._sensors = SensorScheduler({spec.name: spec.sensors for spec in self.vehicles}, run.seed, wanted=run.wanted)
+        own = (*self._sensors.instants, *self._sources.instants, *([Instants(PACE)] if run.paced else []))
         self._needed, self._stops = Needed(run), Needed(msgspec.structs.replace(run, instants=(*run.instants, *own)))
         check_names(self.world, self.vehicles)
         check_places(self.world, self.vehicles)
         check_sensors(self.vehicles)
-        check_shown(shown)
+        check_wheel_sensors(external)
         self._engines = [(engine, np.array(numbers, int)) for engine, numbers in self.engines()]
-        mover = {
-            self._names[number]: (engine, row, flies(self.vehicles[number].model))
-            for engine, numbers in self._engines
-            for row, number in enumerate(numbers.tolist())
-            if number in self._moved
-        }
-        for spec in (self.vehicles[number] for number in self._moved):
-            if spec.name not in mover:
-                problem = f"{spec.name} is a {type(spec.model).__name__}, which physics cannot move: "
-                problem += "derive it from GroundVehicle, Point or Quadrotor"
-                raise ScenarioError(problem, key=f"vehicle.{spec.name}.kind")
-        self._commands = Commands(mover, self._advance)
-        self._contacts = Contacts(self._engines, len(self.vehicles), self._stage.names)
+        self._commands = Commands(self._movers(), self._advance)
+        self._contacts = Contacts(self._engines, len(self.vehicles), self._scenes.names)
         self._sources.feed(0, self._motion())
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        """Obey every command from its own time on, up to now; then publish."""
-        self._take(inbox)
-        asked, sensing = self._needed.hits(now_ns), self._instruments.due(now_ns)
-        if asked or sensing or self._sources.due(now_ns):
+        """Apply each command from its own time on, up to now; then publish."""
+        self._apply(inbox)
+        states, readings = self._needed.hits(now_ns), self._sensors.due(now_ns)
+        if states or readings or self._sources.due(now_ns):
             self._advance(now_ns)
-            return Step(self._publish(now_ns, asked=asked, sensing=sensing), self._stops.after(now_ns))
+            return Step(self._publish(now_ns, states=states, readings=readings), self._stops.after(now_ns))
         self._feed(now_ns)
-        for engine, _ in self._engines:  # what is done now need not be done when something is due
+        for engine, _ in self._engines:  # work ahead of the next publication
             if engine.stepped:
                 engine.advance(now_ns)
         return Step((), self._stops.after(now_ns))
@@ -155,11 +150,11 @@ class Physics:
             engine.close()
 
     def check_move(self, obstacle: str, position: tuple[float, float], yaw: float) -> None:
-        """Refuse to put a movable where it cannot stand; changes nothing. Before the start, vehicles are not looked at.
+        """Refuse an impossible place for a movable; changes nothing. Before the start, vehicles are ignored.
 
         Args:
-            obstacle: its name.
-            position: where, x, y m, world.
+            obstacle: name of the movable.
+            position: x, y m, world.
             yaw: rad.
 
         Raises:
@@ -169,12 +164,25 @@ class Physics:
         if self._engines:
             self._check_free(number, place, yaw, SOON_S)
 
-    def _check_free(self, number: int, place: Vec3, yaw: float, within_s: float) -> None:
-        scene = self._stage.scene(self._now_ns, self._motion(), self._movables(), ())
-        check_free(scene, self._stage.names, len(self.vehicles) + number, place, yaw, within_s)
+    def _movers(self) -> dict[str, Mover]:
+        """Engine and row of each simulated vehicle."""
+        movers: dict[str, Mover] = {}
+        for engine, numbers in self._engines:
+            for row, number in enumerate(numbers.tolist()):
+                if number in self._simulated:
+                    movers[self._names[number]] = Mover(engine, row, flies(self.vehicles[number].model))
+        for number in self._simulated:
+            name = self._names[number]
+            if name not in movers:
+                problem = f"{name} is a {type(self.vehicles[number].model).__name__}, which physics cannot move: "
+                raise ScenarioError(f"{problem}derive it from GroundVehicle, Point or Quadrotor", key=f"vehicle.{name}.kind")
+        return movers
 
-    def _take(self, inbox: Sequence[Event]) -> None:
-        """Advance to the time of each command, and of what the operator does, and obey it from there on."""
+    def _check_free(self, number: int, place: Vec3, yaw: float, within_s: float) -> None:
+        scene = self._scenes.scene(self._now_ns, self._motion(), self._movables(), ())
+        check_free(scene, self._scenes.names, len(self.vehicles) + number, place, yaw, within_s)
+
+    def _apply(self, inbox: Sequence[Event]) -> None:
         for event in inbox:
             match event.value:
                 case Velocity() | Waypoint() as command:
@@ -188,20 +196,19 @@ class Physics:
     def _put(self, obstacle: str, position: tuple[float, float], yaw: float) -> None:
         try:
             number, place = placed(self.world, obstacle, position, yaw)
-            self._check_free(number, place, yaw, 0.0)  # an engine would fling them apart
+            self._check_free(number, place, yaw, 0.0)  # an engine throws overlapping bodies apart
         except ValueError as error:
             raise FederateError(self.name, str(error)) from error
-        self._stage.put(number, place, yaw)
+        self._scenes.put(number, place, yaw)
         for engine, _ in self._engines:
             engine.put(number, place, yaw)
 
     def _advance(self, to_ns: int) -> None:
-        """Move on, and feed the estimators on the way."""
         self._feed(to_ns)
         self._move(to_ns)
 
     def _feed(self, to_ns: int) -> None:
-        """Move on to the last instant up to ``to_ns`` at which estimators are fed, and feed them at each."""
+        """Feed the estimators at each of their instants up to ``to_ns``, and advance to the last of these."""
         while (fed_ns := self._sources.next_fed_ns(self._now_ns)) is not None and fed_ns <= to_ns:
             self._move(fed_ns)
             self._sources.feed(fed_ns, self._motion())
@@ -212,70 +219,76 @@ class Physics:
             for engine, _ in self._engines:
                 engine.advance(to_ns)
 
-    def _motion(self) -> Motion:
-        """How all vehicles move now."""
+    def _motion(self) -> BodyMotion:
         return gathered([(engine.read(), rows) for engine, rows in self._engines], len(self.vehicles))
 
-    def _publish(self, now_ns: int, *, asked: bool, sensing: bool) -> list[Event]:
-        """Everything of this instant, vehicles in the scenario's order: states if ``asked`` for, readings if ``sensing``."""
-        if self._reflected:
-            self._reflected.ask(now_ns)
+    def _publish(self, now_ns: int, *, states: bool, readings: bool) -> list[Event]:
+        if self._external_vehicles:
+            self._external_vehicles.update(now_ns)
         motion = self._motion()
         events = []
-        if asked:
-            states = States(
-                names=self._names,
-                position=motion.position,
-                velocity=motion.velocity,
-                attitude=motion.attitude,
-                angular_velocity=motion.angular_velocity,
+        if states:
+            position, velocity, attitude, angular_velocity = motion[:4]
+            true_states = States(
+                names=self._names, position=position, velocity=velocity, attitude=attitude, angular_velocity=angular_velocity
             )
-            events.append(Event("world/states", now_ns, states))
+            events.append(Event("world/states", now_ns, true_states))
         events += self._sources.measure(now_ns, motion)
-        if sensing:
-            scene = self._stage.scene(now_ns, motion, self._movables(), self._contacts.now(passing=False))
-            events += self._instruments.read(scene)
-        if asked:
+        if readings:
+            scene = self._scenes.scene(now_ns, motion, self._movables(), self._contacts.now(passing=False))
+            events += self._sensors.read(scene)
+        if states:
             events += self._sources.estimates(now_ns, motion) + self._contacts.begun(now_ns)
-            events += self._pushes(now_ns) if self.world.movables else []
+            if self.world.movables and (pushed := self._scenes.pushed(self._movables())):
+                events.append(Event("world/pushed", now_ns, pushed))
         return events
 
-    def _pushes(self, now_ns: int) -> list[Event]:
-        """Where movables are, if that is not where they were told to be last."""
-        pushed = self._stage.pushed(self._movables())
-        return [] if pushed is None else [Event("world/pushed", now_ns, pushed)]
+    def _movables(self) -> BodyMotion | None:
+        """Motion of the movables; None: no engine can push them."""
+        for engine, _ in self._engines:
+            movables = engine.movables()
+            if len(movables.position):
+                return movables
+        return None
 
-    def _movables(self) -> Motion | None:
-        """How movables move now; None: nothing can push them."""
-        found = [each for engine, _ in self._engines for each in (engine.movables(),) if len(each.position)]
-        return found[0] if found else None
+    def _bodiless(self, numbers: Sequence[int]) -> list[tuple[Engine, list[int]]]:
+        """Up to two engines without bodies, on the ground and in the air, for those of the numbered vehicles that they move."""
+        engines: list[tuple[Engine, list[int]]] = []
+        ground = {n: model for n in numbers if isinstance(model := self.vehicles[n].model, GroundVehicle)}
+        if ground:
+            at = [self.vehicles[n].start for n in ground], [self.vehicles[n].heading for n in ground]
+            sensed = any(spec.sensors for spec in self.vehicles)
+            engines.append((GroundEngine([*ground.values()], *at, sensed=sensed), [*ground]))
+        air = {n: model for n in numbers if isinstance(model := self.vehicles[n].model, Point | Quadrotor)}
+        if air:
+            at = [self.vehicles[n].start for n in air], [self.vehicles[n].heading for n in air]
+            engines.append((AerialEngine([*air.values()], *at), [*air]))
+        return engines
 
 
 class KinematicPhysics(Physics):
     """Every vehicle moves without a body: exactly as commanded, or with the lags and limits of its kind."""
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
-        """One engine on the ground, one in the air, one for what is only shown."""
-        moved = riders(self.vehicles, self._moved)
-        return [*moved, (self._reflected, self._shown)] if self._reflected else moved
+        """One engine on the ground, one in the air, one for external vehicles."""
+        simulated = self._bodiless(self._simulated)
+        return [*simulated, (self._external_vehicles, self._external)] if self._external_vehicles else simulated
 
 
 class BulletPhysics(Physics):
-    """Differential drives and quadrotors are bodies in Bullet; vehicles of other kinds ride along without one."""
+    """Differential drives and quadrotors are bodies in Bullet; vehicles of other kinds move without bodies."""
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
-        """Bullet for those with a body, the others as without it."""
-        from vcmvsp.physics.dynamics.bullet.engine import (
-            BulletEngine,  # loads PyBullet: 0.4 s that a kinematic run need not wait
-        )
+        """Bullet, and the engines of vehicles without bodies."""
+        from vcmvsp.physics.dynamics.bullet.engine import BulletEngine  # loads PyBullet, 0.4 s
 
         check_instants(self._run, self.rate_hz, self._sources.instants)
-        self._instruments.check(Ticks.rate(self.rate_hz))
-        solid = DifferentialDrive | UrdfDrive | Quadrotor
-        bodies = [n for n, spec in enumerate(self.vehicles) if n in self._shown or isinstance(spec.model, solid)]
+        self._sensors.check(Ticks.rate(self.rate_hz))
+        rigid = DifferentialDrive | UrdfDrive | Quadrotor
+        bodies = [n for n, spec in enumerate(self.vehicles) if n in self._external or isinstance(spec.model, rigid)]
         specs = [self.vehicles[n] for n in bodies]
         check_overlaps(self.world, specs)
-        check_lift([self.vehicles[n] for n in bodies if n not in self._shown], self.gravity)
+        check_lift([self.vehicles[n] for n in bodies if n not in self._external], self.gravity)
         bullet = BulletEngine(
             world=self.world,
             models=[spec.model for spec in specs],
@@ -287,6 +300,6 @@ class BulletPhysics(Physics):
             iterations=self.iterations,
             gravity=self.gravity,
             accelerations=any(spec.sensors for spec in specs),
-            reflected=self._reflected,
+            external=self._external_vehicles,
         )
-        return [(bullet, bodies), *riders(self.vehicles, [n for n in range(len(self.vehicles)) if n not in bodies])]
+        return [(bullet, bodies), *self._bodiless([n for n in range(len(self.vehicles)) if n not in bodies])]

@@ -1,14 +1,14 @@
-"""What vehicles take for their own states, over a run: fixes are measured, estimators fed, and both published.
+"""Pose sources of vehicles over a run: measures fixes, feeds the estimators, and publishes both.
 
-An estimator (pose source ``fusion``) is fed with what the wheels went at 10 Hz, as often as a Pioneer tells it, and at the
-vehicle's own fixes. These instants depend on nothing but the vehicle: were it fed wherever somebody looks, a recording with
-another period would cut the motion otherwise, and so change the last digits of what its agent sees. In between, it goes on at
-the speeds that it was told last, as on a real robot.
+An estimator (pose source ``fusion``) gets the wheels' motion at 10 Hz, the rate of a Pioneer, and at the vehicle's own fixes.
+These instants depend on the vehicle alone: fed at every publication instead, the last digits of an estimate would depend on the
+recording's period. Between them it continues at the last speeds, as on a real robot.
 """
 
 import copy
 from collections.abc import Sequence
 from math import isnan
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -19,131 +19,120 @@ from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.frames import Quaternion, quaternion_from_yaw, travelled, yaw_of
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Fix, Odometry, Vec3, VehicleState
-from vcmvsp.physics.engine.interface import Motion
-from vcmvsp.physics.vehicles.specification import Fused, Fuser, VehicleSpec
+from vcmvsp.physics.engine.interface import BodyMotion
+from vcmvsp.physics.sensors.positioning import Positioning
+from vcmvsp.physics.vehicles.specification import Estimator, FusedPose, VehicleSpec
 
-_FED = Ticks.rate(10.0)
-_LEAST_SIGMA_M = 1e-3  # of a fix, for an estimator that could not divide by 0
+_FEED_TICKS = Ticks.rate(10.0)
+_LEAST_SIGMA_M = 1e-3  # of a fix, for estimators that divide by it
+
+
+class _FixSource(NamedTuple):
+    row: int
+    vehicle: str
+    sensor: Positioning
+    ticks: Ticks
+    rng: np.random.Generator
 
 
 class PoseSources:
-    """Those of the vehicles with these ``numbers``, which are their rows."""
+    """Pose sources of the vehicles with these ``numbers``, which are their rows."""
 
     def __init__(self, vehicles: Sequence[VehicleSpec], numbers: Sequence[int], seed: int) -> None:
-        specs = [(number, vehicles[number]) for number in numbers]
         self._numbers = [*numbers]
-        self._told = [(n, spec.pose_source, f"{spec.name}/estimate", f"{spec.name}/odometry") for n, spec in specs]
-        self._sensors = [
-            (
-                number,
-                spec.name,
-                spec.positioning,
-                Ticks.rate(spec.positioning.rate_hz),
-                stream(seed, f"{spec.name}/positioning"),
-            )
-            for number, spec in specs
-            if spec.positioning is not None
-        ]
-        self._fixes: dict[int, Fix] = {}
-        self._fusers = {number: _Fed(_fuser(spec)) for number, spec in specs if spec.pose_source == "fusion"}
+        self._vehicles: list[tuple[int, str, str, str]] = []  # row, pose source, keys of estimate and odometry
+        self._fix_sources: list[_FixSource] = []
+        self._fusers: dict[int, _Fuser] = {}
+        self._fixes: dict[int, Fix] = {}  # newest
+        for number in numbers:
+            spec = vehicles[number]
+            self._vehicles.append((number, spec.pose_source, f"{spec.name}/estimate", f"{spec.name}/odometry"))
+            if (sensor := spec.positioning) is not None:
+                rng = stream(seed, f"{spec.name}/positioning")
+                self._fix_sources.append(_FixSource(number, spec.name, sensor, Ticks.rate(sensor.rate_hz), rng))
+            if spec.pose_source == "fusion":
+                if spec.fusion is None:
+                    key = f"vehicle.{spec.name}.pose_source"
+                    raise ScenarioError('"fusion" needs an estimator, and the vehicle has none', key=key)
+                self._fusers[number] = _Fuser(copy.deepcopy(spec.fusion))
 
     @property
     def instants(self) -> tuple[Instants, ...]:
-        """When fixes are measured, with the keys that say so."""
-        return tuple(Instants(ticks, key=f"vehicle.{name}.positioning.rate_hz") for _, name, _, ticks, _ in self._sensors)
+        """Instants of fixes, with the keys of their rates."""
+        return tuple(Instants(each.ticks, key=f"vehicle.{each.vehicle}.positioning.rate_hz") for each in self._fix_sources)
 
     def due(self, now_ns: int) -> bool:
-        """Whether a fix is to be measured now."""
-        return any(ticks.hits(now_ns) for *_, ticks, _ in self._sensors)
+        """Whether a fix is due now."""
+        return any(each.ticks.hits(now_ns) for each in self._fix_sources)
 
     def next_fed_ns(self, now_ns: int) -> int | None:
-        """The first instant after now at which estimators are fed; None: there are none."""
-        return _FED.after(now_ns) if self._fusers else None
+        """First instant after now at which estimators are fed; None: there are none."""
+        return _FEED_TICKS.after(now_ns) if self._fusers else None
 
-    def feed(self, now_ns: int, motion: Motion) -> None:
-        """Tell all estimators how far the wheels went."""
-        for number, fed in self._fusers.items():
-            fed.odometry(now_ns, _pose(motion, number))
+    def feed(self, now_ns: int, motion: BodyMotion) -> None:
+        """Feed the wheels' motion to all estimators."""
+        for number, fuser in self._fusers.items():
+            fuser.odometry(now_ns, motion, number)
 
-    def measure(self, now_ns: int, motion: Motion) -> list[Event]:
+    def measure(self, now_ns: int, motion: BodyMotion) -> list[Event]:
         """The fixes of this instant."""
         events = []
-        for number, name, sensor, ticks, rng in self._sensors:
+        for number, name, sensor, ticks, rng in self._fix_sources:
             if ticks.hits(now_ns):
-                fix = self._fixes[number] = sensor.measure(now_ns, state_of(motion, number), rng)
+                position, velocity, attitude, spin = (tuple(each[number].tolist()) for each in motion[:4])
+                state = VehicleState(position=position, velocity=velocity, attitude=attitude, angular_velocity=spin)
+                fix = self._fixes[number] = sensor.measure(now_ns, state, rng)
                 if number in self._fusers:
-                    self._fusers[number].odometry(now_ns, _pose(motion, number))
-                    self._fusers[number].fix(fix)
+                    self._fusers[number].odometry(now_ns, motion, number)
+                    x, y, _ = fix.position
+                    self._fusers[number].estimator.fix(fix.time_ns, x, y, max(fix.sigma_m, _LEAST_SIGMA_M))
                 events.append(Event(f"{name}/fix", now_ns, fix))
         return events
 
-    def estimates(self, now_ns: int, motion: Motion) -> list[Event]:
-        """What each vehicle takes for its own state, and what its wheels say."""
-        numbers = np.concatenate((*motion[:4], motion.odometry), axis=1)
-        if len(self._told) < len(numbers):
+    def estimates(self, now_ns: int, motion: BodyMotion) -> list[Event]:
+        """Each vehicle's estimate of its own state, and its wheel odometry."""
+        numbers = np.concatenate((*motion[:4], motion.odometry), axis=1)  # (n, 18)
+        if len(self._vehicles) < len(numbers):
             numbers = numbers[self._numbers]
         events = []
-        for (number, source, estimate_key, odometry_key), row in zip(self._told, numbers.tolist(), strict=True):
+        for (number, source, estimate_key, odometry_key), row in zip(self._vehicles, numbers.tolist(), strict=True):
             px, py, pz, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz, x, y, yaw, v, w = row
             odometry = None if isnan(x) else Odometry(pose=(x, y, yaw), v=v, w=w)
-            believed = VehicleState(
+            state = VehicleState(
                 position=(px, py, pz), velocity=(vx, vy, vz), attitude=(qw, qx, qy, qz), angular_velocity=(wx, wy, wz)
             )
             if source != "truth":
-                fused = self._fusers[number].fuser.estimate(now_ns) if number in self._fusers else None
-                believed = estimate(source, believed, odometry, self._fixes.get(number), fused)
-            events.append(Event(estimate_key, now_ns, believed))
+                fused = self._fusers[number].estimator.estimate(now_ns) if number in self._fusers else None
+                state = estimate(source, state, odometry, self._fixes.get(number), fused)
+            events.append(Event(estimate_key, now_ns, state))
             if odometry is not None:
                 events.append(Event(odometry_key, now_ns, odometry))
         return events
 
 
-class _Fed:
-    """An estimator, and the odometry that it knows."""
+class _Fuser:
+    """An estimator, and the odometry that it got last."""
 
-    def __init__(self, fuser: Fuser) -> None:
-        self.fuser = fuser
+    def __init__(self, estimator: Estimator) -> None:
+        self.estimator = estimator
         self._last: tuple[int, Vec3] | None = None
 
-    def odometry(self, now_ns: int, pose: Vec3) -> None:
-        """Tell it the motion up to this pose, unless it was told already."""
-        then_ns, before = self._last or (-1, pose)
-        if now_ns > then_ns:
-            self.fuser.odometry(now_ns, *travelled(before, pose))
-            self._last = now_ns, pose
-
-    def fix(self, fix: Fix) -> None:
-        """Tell it a position."""
-        x, y, _ = fix.position
-        self.fuser.fix(fix.time_ns, x, y, max(fix.sigma_m, _LEAST_SIGMA_M))
-
-
-def _fuser(spec: VehicleSpec) -> Fuser:
-    """A fresh estimator."""
-    if spec.fusion is None:
-        key = f"vehicle.{spec.name}.pose_source"
-        raise ScenarioError('"fusion" needs an estimator, and the vehicle was given none', key=key)
-    return copy.deepcopy(spec.fusion)
-
-
-def _pose(motion: Motion, number: int) -> Vec3:
-    x, y, yaw = motion.odometry[number, :3].tolist()
-    return x, y, yaw
-
-
-def state_of(motion: Motion, row: int) -> VehicleState:
-    """The state of one vehicle."""
-    position, velocity, attitude, spin = (tuple(each[row].tolist()) for each in motion[:4])
-    return VehicleState(position=position, velocity=velocity, attitude=attitude, angular_velocity=spin)
+    def odometry(self, now_ns: int, motion: BodyMotion, row: int) -> None:
+        """Feed the motion since the last call; no effect in a second call at the same instant."""
+        x, y, yaw = motion.odometry[row, :3].tolist()
+        last_ns, last_pose = self._last or (-1, (x, y, yaw))
+        if now_ns > last_ns:
+            self.estimator.odometry(now_ns, *travelled(last_pose, (x, y, yaw)))
+            self._last = now_ns, (x, y, yaw)
 
 
 def estimate(
-    pose_source: str, truth: VehicleState, odometry: Odometry | None, fix: Fix | None, fused: Fused | None = None
+    pose_source: str, truth: VehicleState, odometry: Odometry | None, fix: Fix | None, fused: FusedPose | None = None
 ) -> VehicleState:
-    """What a vehicle takes for its own state.
+    """A vehicle's estimate of its own state.
 
-    The pose comes from its pose source; speeds come from its wheels, unless it is told the truth. Without wheels, all that is
-    not in a fix is the truth. Until the first fix, and as long as a fused pose has no heading, odometry stands in.
+    The pose comes from its pose source; speeds come from its wheels, except with the source "truth". Without wheels, the parts
+    that a fix lacks are true. Odometry replaces missing fixes, and the heading of a fused pose without one.
     """
     if pose_source == "truth" or (odometry is None and fix is None):
         return truth
@@ -161,7 +150,7 @@ def estimate(
 
 
 def _turned_to(yaw: float | None, attitude: Quaternion) -> Quaternion:
-    """The attitude, turned about the vertical so that it has this yaw, rad; None: as it is."""
+    """The attitude turned about the vertical to this yaw, rad; None: unchanged."""
     if yaw is None:
         return attitude
     c, _, _, s = quaternion_from_yaw(yaw - yaw_of(attitude))

@@ -1,14 +1,14 @@
-"""Who asks the sensors: at each instant all that are due, and what they say becomes events.
+"""Scheduler of the sensors: reads all that are due at an instant, and turns their readings into events.
 
-Light sensors are read at once. Sensors that are much work (`Sensor.on_demand`) give a `Later`, worked out when somebody first
-looks at it; such readings that are wanted for certain are worked out together, which is quicker.
+Light sensors are read at once. Sensors with expensive readings (`Sensor.on_demand`) return a `Later`, computed at its first
+use; requested readings are computed together, which is quicker.
 
-Nothing moves the draws of a sensor but itself: each has the stream ``<vehicle>/<sensor>``, its drop-outs have another, and a
-reading on demand has one of its own instant.
+Nothing else changes the draws of a sensor: each has the stream ``<vehicle>/<sensor>``, its drop-outs have another, and each
+reading on demand has a stream of its own.
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -28,50 +28,43 @@ Train = tuple[Ticks, int]  # ticks, shifted by ns
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fitted:
+class FittedSensor:
     """A sensor on a vehicle."""
 
     vehicle: str
-    name: str
+    key: str  # of its readings
     sensor: Sensor
     rng: np.random.Generator  # for readings that are not on demand
     drop_outs: np.random.Generator
     train: Train
     latency_ns: int
 
-    @property
-    def key(self) -> str:
-        """Under which its readings are published."""
-        return f"{self.vehicle}/{self.name}"
 
-
-class Instruments:
+class SensorScheduler:
     """All sensors of all vehicles.
 
     Args:
-        fitted: the sensors by their names, of each vehicle; they are copied, so that every run begins with fresh ones.
+        fitted: the sensors of each vehicle by name; they are copied, so that every run begins with fresh ones.
         seed: of the run.
-        wanted: keys ``<vehicle>/<sensor>`` of readings on demand that somebody will look at: they are worked out together.
+        wanted: keys ``<vehicle>/<sensor>`` of readings on demand that are certainly used: they are computed together.
     """
 
-    def __init__(self, fitted: Mapping[str, Mapping[str, Sensor]], seed: int, *, wanted: frozenset[str] = frozenset()) -> None:
-        self._seed, self._wanted = seed, wanted
-        self._all = [_fit(vehicle, name, sensor, seed) for vehicle, own in fitted.items() for name, sensor in own.items()]
+    def __init__(self, fitted: Mapping[str, Mapping[str, Sensor]], seed: int, *, wanted: Collection[str] = ()) -> None:
+        self._seed, self._requested = seed, frozenset(wanted)
+        self._sensors = [_fit(f"{vehicle}/{name}", each, seed) for vehicle, own in fitted.items() for name, each in own.items()]
         self._trains: dict[Train, list[int]] = {}
-        for number, each in enumerate(self._all):
+        for number, each in enumerate(self._sensors):
             self._trains.setdefault(each.train, []).append(number)
 
     def check(self, step: Ticks) -> None:
-        """Refuse sensors that would be read between two steps of physics."""
+        """Refuse sensors with readings between two steps of physics."""
         hz = float(1_000_000_000 / step.period)
-        for each in self._all:
-            key, (ticks, phase_ns) = f"vehicle.{each.vehicle}.sensors.{each.name}", each.train
+        for each in self._sensors:
+            key, (ticks, phase_ns) = f"vehicle.{each.key.replace('/', '.sensors.', 1)}", each.train
             rate_hz = each.sensor.rate_hz
             if ticks.period < step.period:
-                problem = (
-                    f"{rate_hz:g} Hz is more than the {hz:g} steps a second of physics; lower it, or raise physics.rate_hz"
-                )
-                raise ScenarioError(problem, key=f"{key}.rate_hz")
+                problem = f"{rate_hz:g} Hz is more than the {hz:g} steps a second of physics; "
+                raise ScenarioError(f"{problem}lower it, or raise physics.rate_hz", key=f"{key}.rate_hz")
             if not ticks.is_multiple_of(step):
                 problem = f"{rate_hz:g} Hz does not divide the {hz:g} steps a second of physics; "
                 raise ScenarioError(problem + f"use {_divisors(hz)}, or set physics.rate_hz", key=f"{key}.rate_hz")
@@ -81,77 +74,68 @@ class Instruments:
 
     @property
     def instants(self) -> tuple[Instants, ...]:
-        """When sensors are to be read."""
+        """Instants of readings."""
         return tuple(Instants(ticks, phase_ns) for ticks, phase_ns in self._trains)
 
     def due(self, now_ns: int) -> bool:
-        """Whether a sensor is to be read now."""
+        """Whether a reading is due now."""
         return any(ticks.hits(now_ns - phase_ns) for ticks, phase_ns in self._trains)
 
     def read(self, scene: Scene) -> list[Event]:
-        """The readings of all sensors that are due at the instant of the scene, as events at the times of their delivery."""
+        """All readings that are due at the instant of the scene, as events at the times of their delivery."""
         now_ns = scene.now_ns
         due = [number for (ticks, phase), own in self._trains.items() if ticks.hits(now_ns - phase) for number in own]
-        members = [self._all[number] for number in sorted(due)]
-        values = self._light(scene, [each for each in members if not each.sensor.on_demand])
-        arrive = [each for each in members if not _dropped(each)]
-        values |= self._later(scene, [each for each in arrive if each.sensor.on_demand])
-        return [Event(each.key, now_ns + each.latency_ns, values[each.key]) for each in arrive]
+        sensors = [self._sensors[number] for number in sorted(due)]
+        # Sensors that drop out are read, too: their errors go on.
+        readings: dict[str, Any] = {}
+        for own in _families(each for each in sensors if not each.sensor.on_demand):
+            readings |= zip([each.key for each in own], _measure(scene, own, [each.rng for each in own]), strict=True)
+        delivered = [each for each in sensors if not _drops_out(each)]
+        readings |= self._later(scene, [each for each in delivered if each.sensor.on_demand])
+        return [Event(each.key, now_ns + each.latency_ns, readings[each.key]) for each in delivered]
 
-    def _light(self, scene: Scene, members: Sequence[Fitted]) -> dict[str, Any]:
-        """Readings by key, of light sensors: also of those that drop out, whose errors go on."""
-        kinds: dict[type[Sensor], list[Fitted]] = {}
-        for each in members:
-            kinds.setdefault(family(each.sensor), []).append(each)
-        values: dict[str, Any] = {}
-        for own in kinds.values():
-            values |= zip([each.key for each in own], _measure(scene, own, [each.rng for each in own]), strict=True)
-        return values
-
-    def _later(self, scene: Scene, members: Sequence[Fitted]) -> dict[str, Any]:
-        """Readings on demand by key: each alone, the wanted ones of a class together."""
-        kinds: dict[type[Sensor], list[Fitted]] = {}
-        values: dict[str, Any] = {}
-        for each in members:
-            if each.key in self._wanted:
-                kinds.setdefault(family(each.sensor), []).append(each)
-            else:
-                values[each.key] = Later(partial(Batch(self._seed, scene, [each]).reading, 0))
-        for own in kinds.values():
-            batch = Batch(self._seed, scene, own)
-            values |= {each.key: Later(partial(batch.reading, number)) for number, each in enumerate(own)}
-        return values
+    def _later(self, scene: Scene, sensors: Sequence[FittedSensor]) -> dict[str, Later]:
+        """Readings on demand by key: each computed alone, requested ones of a class together."""
+        batches = [[each] for each in sensors if each.key not in self._requested]
+        batches += _families(each for each in sensors if each.key in self._requested)
+        readings: dict[str, Later] = {}
+        for own in batches:
+            batch = ReadingBatch(self._seed, scene, own)
+            readings |= {each.key: Later(partial(batch.reading, number)) for number, each in enumerate(own)}
+        return readings
 
 
-class Batch:
-    """Readings on demand of sensors of one class at one instant: all are worked out when the first is looked at."""
+class ReadingBatch:
+    """Readings on demand of sensors of one class at one instant, all computed at the first use of one."""
 
-    def __init__(self, seed: int, scene: Scene, members: Sequence[Fitted]) -> None:
-        self._work: tuple[int, Scene, Sequence[Fitted]] | None = (seed, scene, members)
+    def __init__(self, seed: int, scene: Scene, sensors: Sequence[FittedSensor]) -> None:
+        self._pending: tuple[int, Scene, Sequence[FittedSensor]] | None = (seed, scene, sensors)
         self._readings: list[Reading] = []
 
     def reading(self, number: int) -> Reading:
-        """That of one of its members."""
-        if self._work is not None:
-            seed, scene, members = self._work
-            rngs = [stream(seed, f"{each.key}/{scene.now_ns}") for each in members]
-            self._readings = _measure(scene, members, rngs)  # where that fails, it fails again at the next look
-            self._work = None
+        """The reading of one sensor."""
+        if self._pending is not None:
+            seed, scene, sensors = self._pending
+            rngs = [stream(seed, f"{each.key}/{scene.now_ns}") for each in sensors]
+            self._readings = _measure(scene, sensors, rngs)  # after an error, the next use fails again
+            self._pending = None
         return self._readings[number]
 
 
-def family(sensor: Sensor) -> type[Sensor]:
-    """The sensors that can be read at once: those of its class, or of the class that knows a quicker way."""
-    kind = type(sensor)
-    home = next(each for each in kind.__mro__ if "measure_all" in vars(each))
-    return kind if home is Sensor else home
+def _families(sensors: Iterable[FittedSensor]) -> list[list[FittedSensor]]:
+    """Sensors that can be read together: of one class, or of the class that defines a quicker way."""
+    families: dict[type[Sensor], list[FittedSensor]] = {}
+    for each in sensors:
+        kind = type(each.sensor)
+        home = next(base for base in kind.__mro__ if "measure_all" in vars(base))
+        families.setdefault(kind if home is Sensor else home, []).append(each)
+    return [*families.values()]
 
 
-def _fit(vehicle: str, name: str, sensor: Sensor, seed: int) -> Fitted:
-    key = f"{vehicle}/{name}"
-    return Fitted(
-        vehicle=vehicle,
-        name=name,
+def _fit(key: str, sensor: Sensor, seed: int) -> FittedSensor:
+    return FittedSensor(
+        vehicle=key.partition("/")[0],
+        key=key,
         sensor=copy.deepcopy(sensor),
         rng=stream(seed, key),
         drop_outs=stream(seed, f"{key}/drop_out"),
@@ -160,39 +144,33 @@ def _fit(vehicle: str, name: str, sensor: Sensor, seed: int) -> Fitted:
     )
 
 
-def _dropped(each: Fitted) -> bool:
+def _drops_out(each: FittedSensor) -> bool:
     return each.sensor.drop_out > 0.0 and each.drop_outs.random() < each.sensor.drop_out
 
 
-def _measure(scene: Scene, members: Sequence[Fitted], rngs: Sequence[np.random.Generator]) -> list[Reading]:
-    """Readings of sensors of one class; an error names them."""
-    sensors, kind = [each.sensor for each in members], type(members[0].sensor)
+def _measure(scene: Scene, fitted: Sequence[FittedSensor], rngs: Sequence[np.random.Generator]) -> list[Reading]:
+    """Readings of sensors of one class; errors name them."""
+    sensors, kind = [each.sensor for each in fitted], type(fitted[0].sensor)
     try:
-        row_of = _rows(scene)
-        rows = [row_of[each.vehicle] for each in members]
-        readings = kind.measure_all(sensors, scene, rows, rngs)
+        row_of = scene.cache.get("rows")
+        if row_of is None:
+            row_of = scene.cache["rows"] = {name: row for row, name in enumerate(scene.vehicles)}
+        readings = kind.measure_all(sensors, scene, [row_of[each.vehicle] for each in fitted], rngs)
     except (VcmvspError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # whatever somebody's own sensor raises
-        raise FederateError("physics", f"{_named(members)}: {words_of(error)}{place_of(error)}") from error
+    except BaseException as error:  # of a sensor of a user's own
+        raise FederateError("physics", f"{_named(fitted)}: {words_of(error)}{place_of(error)}") from error
     if wrong := [each for each in readings if not isinstance(each, Reading)]:
-        raise FederateError("physics", f"{_named(members)}: measure must return a reading, not {show(wrong[0])}")
+        raise FederateError("physics", f"{_named(fitted)}: measure must return a reading, not {show(wrong[0])}")
     return readings
 
 
-def _rows(scene: Scene) -> Mapping[str, int]:
-    """The rows of vehicles by their names."""
-    if "rows" not in scene.cache:
-        scene.cache["rows"] = {name: row for row, name in enumerate(scene.vehicles)}
-    rows: Mapping[str, int] = scene.cache["rows"]
-    return rows
-
-
-def _named(members: Sequence[Fitted]) -> str:
-    keys = ", ".join(each.key for each in members[:3]) + (", ..." if len(members) > 3 else "")
-    return f"sensor{'s' if len(members) > 1 else ''} {keys} ({type(members[0].sensor).__name__})"
+def _named(fitted: Sequence[FittedSensor]) -> str:
+    keys = ", ".join(each.key for each in fitted[:3]) + (", ..." if len(fitted) > 3 else "")
+    return f"sensor{'s' if len(fitted) > 1 else ''} {keys} ({type(fitted[0].sensor).__name__})"
 
 
 def _divisors(hz: float) -> str:
-    """Some rates that would do, for messages."""
-    return ", ".join(f"{hz / by:g}" for by in (1, 2, 3, 4, 5, 6, 8, 10, 12, 24) if float(f"{hz / by:g}") == hz / by) + " Hz"
+    """Some possible rates, for messages."""
+    rates = [f"{hz / by:g}" for by in (1, 2, 3, 4, 5, 6, 8, 10, 12, 24) if float(f"{hz / by:g}") == hz / by]
+    return ", ".join(rates) + " Hz"

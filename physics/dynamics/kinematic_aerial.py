@@ -19,7 +19,7 @@ from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.kinematic_ground import AT_ONCE_S
 from vcmvsp.physics.dynamics.rigid_body import Floats
-from vcmvsp.physics.engine.interface import Bodiless, Motion, still
+from vcmvsp.physics.engine.interface import Bodiless, BodyMotion, still
 from vcmvsp.physics.vehicles.models import Point
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
@@ -76,7 +76,7 @@ class AerialEngine(Bodiless):
         self._place += rate * span_s + rest * (self._tau * (1.0 - fading))
         self._speed = np.where(span_s > 0.0, rate + rest * fading, self._speed)
 
-    def read(self) -> Motion:
+    def read(self) -> BodyMotion:
         """The state of every vehicle: level, without wheels."""
         gain = np.where(self._tau > AT_ONCE_S, (self._rate - self._speed) / self._tau, 0.0)
         turning = np.zeros((self._place.shape[1], 3))

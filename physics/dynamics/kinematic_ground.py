@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.rigid_body import Floats
-from vcmvsp.physics.engine.interface import Bodiless, Motion, side_by_side
+from vcmvsp.physics.engine.interface import Bodiless, BodyMotion, side_by_side
 from vcmvsp.physics.vehicles.models import GroundVehicle
 
 _ARC_NS = 20_000_000  # longest arc while speeds change
 AT_ONCE_S = 1e-300  # in place of a lag of 0, which would divide 0 by 0
 
 
-class MotionEngine(Bodiless):
+class GroundEngine(Bodiless):
     """Moves n vehicles by their `Servo`. Nothing collides: there are no bodies.
 
     Args:
@@ -124,7 +124,7 @@ class MotionEngine(Bodiless):
         self._y += north if one else north.sum(axis=0)
         self._yaw = yaw if one else yaw[-1]
 
-    def read(self) -> Motion:
+    def read(self) -> BodyMotion:
         """The state of every vehicle; its wheels are never wrong."""
         yaw, (v, w), n = self._yaw, self._speed[:, 0], len(self._yaw)
         half = 0.5 * yaw
@@ -138,7 +138,7 @@ class MotionEngine(Bodiless):
         turning[:, 2] = w
         odometry = np.array((self._x, self._y, wrapped(yaw), v, w)).T
         acceleration, wheels = self._felt(v, w, cos, sin) if self._sensed else self._unsensed
-        return Motion(position, velocity, attitude, turning, acceleration, wheels, odometry)
+        return BodyMotion(position, velocity, attitude, turning, acceleration, wheels, odometry)
 
     def _felt(self, v: Floats, w: Floats, cos: Floats, sin: Floats) -> tuple[Floats, Floats]:
         """What sensors see besides: accelerations (n, 3) m/s2, world, and turns of the wheels (n, 2) rad.

@@ -6,7 +6,7 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array, Vec3
-from vcmvsp.physics.engine.interface import Motion, still
+from vcmvsp.physics.engine.interface import BodyMotion, still
 from vcmvsp.physics.world.polygons import overlap_m
 from vcmvsp.physics.world.solids import Hull, rectangle
 from vcmvsp.physics.world.world import Movable, Moving
@@ -16,13 +16,13 @@ TOUCHES_M = 1e-9  # bodies that only touch do not overlap
 _SIDES = 16  # of the polygon that stands for a circle where outlines are compared
 
 
-def start_of(movables: Sequence[Movable]) -> Motion:
+def start_of(movables: Sequence[Movable]) -> BodyMotion:
     """Movables where the world puts them, at rest."""
     places = np.array([each.pose(0.0) for each in movables], float).reshape(-1, 4)
     return still(places[:, :3], places[:, 3])
 
 
-def on_time(moving: Sequence[Moving], now_ns: int) -> Motion:
+def on_time(moving: Sequence[Moving], now_ns: int) -> BodyMotion:
     """Obstacles where their time-tables say they are, and as fast as they go on from there."""
     now_s = now_ns / SECOND_NS
     places = np.array([each.pose(now_s) for each in moving], float).reshape(-1, 4)

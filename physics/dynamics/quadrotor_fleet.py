@@ -35,7 +35,7 @@ from vcmvsp.physics.dynamics.rigid_body import (
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
 
-class Fleet:
+class QuadrotorFleet:
     """n quadrotors, a row each; they hover until they are told otherwise.
 
     The state may be read, and written in place, between steps:

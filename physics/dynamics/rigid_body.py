@@ -9,15 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vcmvsp.physics.world.scene import pairs
+
 Floats = NDArray[np.float64]
 
 _W, _X, _Y, _Z = range(4)
-
-
-def pairs(*products: tuple[int, int]) -> NDArray[np.intp]:
-    """Where products of two components of a quaternion are among all 16."""
-    return np.array([4 * a + b for a, b in products])
-
 
 # A rotation matrix, row by row, is the first of these doubled products plus or minus the second; and 1 less on its diagonal.
 _FIRST = pairs((_W, _W), (_X, _Y), (_X, _Z), (_X, _Y), (_W, _W), (_Y, _Z), (_X, _Z), (_Y, _Z), (_W, _W))

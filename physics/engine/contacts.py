@@ -1,4 +1,4 @@
-"""Who touches whom, in rows of the whole run, and which contacts are new."""
+"""Contacts of all engines, in rows of the run, and the events of new contacts."""
 
 from collections.abc import Sequence
 
@@ -11,8 +11,8 @@ class Contacts:
     """Contacts of all engines.
 
     Args:
-        engines: each with the rows (k,) that its vehicles have in the run.
-        vehicles: how many there are.
+        engines: each with the rows (k,) of its vehicles in the run.
+        vehicles: number of vehicles.
         names: of all bodies: vehicles first, then movables and moving obstacles.
     """
 
@@ -23,19 +23,23 @@ class Contacts:
         self._touching: frozenset[tuple[int, int | None]] = frozenset()
 
     def now(self, *, passing: bool) -> list[Touch]:
-        """What touches now; ``passing`` as `Engine.touching` takes it."""
-        return [
-            each._replace(row=rows[each.row], other=None if each.other is None else rows[each.other])
-            for engine, rows in self._engines
-            for each in engine.touching(passing=passing)
-        ]
+        """Present contacts; ``passing`` as in `Engine.touching`."""
+        touches = []
+        for engine, rows in self._engines:
+            for touch in engine.touching(passing=passing):
+                other = None if touch.other is None else rows[touch.other]
+                touches.append(touch._replace(row=rows[touch.row], other=other))
+        return touches
 
     def begun(self, now_ns: int) -> list[Event]:
-        """Contacts that began since this was asked for last, those among them that have ended already included."""
+        """Contacts that began since the last call, also those that have ended since."""
         if not self._engines:
             return []
         pairs = dict.fromkeys((each.row, each.other) for each in self.now(passing=True))
         begun = [pair for pair in pairs if pair not in self._touching]
         self._touching = frozenset(pairs)
-        named = [Contact(vehicle=self._names[a], other=None if b is None else self._names[b]) for a, b in begun]
-        return [Event("world/contact", now_ns, each) for each in named]
+        events = []
+        for row, other in begun:
+            contact = Contact(vehicle=self._names[row], other=None if other is None else self._names[other])
+            events.append(Event("world/contact", now_ns, contact))
+        return events

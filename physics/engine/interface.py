@@ -1,15 +1,12 @@
-"""What the physics federate asks of an engine. Bullet and plain kinematics are two; another would fit behind the same verbs.
+"""Protocol of a physics engine.
 
-Vehicles are rows, in the order in which the engine was given them; an engine takes and gives numbers and arrays of all rows,
-and no object per vehicle. It is built with what it moves: the world, the models (`physics.vehicles.models`), start positions
-and headings, and a rate of its own if it has one. A third engine (MuJoCo, say) would need
+Vehicles are rows of arrays; there is no object per vehicle. An engine is constructed with the world, the models
+(`physics.vehicles.models`), start positions and headings, and its step rate if it has one. Another engine (e.g. MuJoCo) needs
 
-* to build its bodies from the models' parameters and from ``World.mesh()``, movables and the time-tables of moving obstacles;
-* firmware and motors of ground robots: `physics.dynamics.firmware` gives the speeds to hold, and is an engine's to call once a
-step;
-* the force and torque on every quadrotor: `physics.dynamics.quadrotor_fleet.Fleet` gives them from its arrays, which the engine
-keeps up to date;
-* the same bits from the same calls: nothing may depend on the order of a set, on other engines, or on how often it is read.
+* bodies from the models' parameters, from ``World.mesh()``, movables and the time-tables of moving obstacles;
+* ground robots: one call of `physics.dynamics.firmware` a step, which returns the wheel speeds to hold;
+* quadrotors: force and torque of `physics.dynamics.quadrotor_fleet.QuadrotorFleet`, whose arrays the engine updates;
+* the same bits from the same calls, independent of the order of a set, of other engines, and of the number of reads.
 """
 
 from typing import NamedTuple, Protocol
@@ -19,24 +16,24 @@ import numpy as np
 from vcmvsp.cosim.types import Array, Vec3
 
 
-class Motion(NamedTuple):
-    """How n bodies move at one instant; arrays that nobody writes to any more."""
+class BodyMotion(NamedTuple):
+    """Motion of n bodies at one instant; the arrays never change."""
 
     position: Array  # (n, 3) m, world, of the reference points
     velocity: Array  # (n, 3) m/s, world
     attitude: Array  # (n, 4) w, x, y, z; world_from_body
     angular_velocity: Array  # (n, 3) rad/s, body
     acceleration: Array  # (n, 3) m/s2, world, mean over the engine's last step
-    wheels: Array  # (n, 2) rad, how far the left and right wheel have turned; NaN without wheels
-    odometry: Array  # (n, 5) x m, y m, yaw rad, v m/s, w rad/s, as the wheels say; NaN for what does not drive
+    wheels: Array  # (n, 2) rad, turns of the left and right wheel; NaN without wheels
+    odometry: Array  # (n, 5) x m, y m, yaw rad, v m/s, w rad/s, of the wheels; NaN without wheels
 
 
 WIDTHS = (3, 3, 4, 3, 3, 2, 5)
-"""Of the arrays of a `Motion`."""
+"""Of the arrays of a `BodyMotion`."""
 
 
 class Touch(NamedTuple):
-    """Two bodies that press against each other, or one against the world. Touching the floor does not count."""
+    """Contact of two bodies, or of a body and a solid, with a force. The floor does not count."""
 
     row: int  # a vehicle
     other: int | None  # another vehicle, of a greater row; n + k: the k-th movable, then the k-th obstacle; None: a solid
@@ -44,44 +41,41 @@ class Touch(NamedTuple):
 
     @property
     def key(self) -> tuple[int, int]:
-        """Who touches what, for sorting."""
+        """Sort key."""
         return self.row, -1 if self.other is None else self.other
 
 
 class Engine(Protocol):
-    """Moves some vehicles, and what they push about."""
+    """Moves vehicles and the movables that they push."""
 
-    stepped: bool  # it has steps of its own: moving on in many parts gives the same bits as in one
+    stepped: bool  # it has steps of its own: many short advances give the same bits as one long one
 
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
-        """Move like this from now on: m/s in the body frame on the ground, in the world frame in the air; rad/s."""
+        """Set a velocity, m/s, in the body frame on the ground and the world frame in the air, and a yaw rate, rad/s."""
 
     def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
-        """Fly to this place from now on, m, and stay there, turned to ``yaw``, rad; at most at ``speed``, m/s.
+        """Fly to a position, m, and hover there with ``yaw``, rad, at ``speed``, m/s, at most; never on the ground.
 
-        None leaves the heading as it is, and the speed to the vehicle. Vehicles on the ground are never asked.
+        ``yaw`` None: the present heading. ``speed`` None: the vehicle's greatest.
         """
 
     def advance(self, to_ns: int) -> None:
-        """Move on to ``to_ns``."""
+        """Advance to ``to_ns``."""
 
-    def read(self) -> Motion:
-        """How every vehicle moves now. Reading changes nothing."""
+    def read(self) -> BodyMotion:
+        """Motion of every vehicle. Reading changes nothing."""
 
-    def movables(self) -> Motion:
-        """How every movable of the world moves now: no rows where nothing can push them."""
+    def movables(self) -> BodyMotion:
+        """Motion of every movable; no rows if the engine cannot push them."""
 
     def put(self, number: int, place: Vec3, yaw: float) -> None:
-        """Put a movable somewhere, with its centre there, m, upright and turned by ``yaw`` rad: it is at rest from now on."""
+        """Put a movable at rest, its centre at ``place``, m, upright, turned by ``yaw`` rad."""
 
     def touching(self, *, passing: bool) -> list[Touch]:
-        """What touches now, by rows: asking changes nothing.
-
-        With ``passing`` also what has touched since that was last asked for, if an engine notices.
-        """
+        """Present contacts by rows; with ``passing`` also contacts that ended since the last call with ``passing``."""
 
     def close(self) -> None:
-        """Release everything."""
+        """Release all resources."""
 
 
 def side_by_side(*columns: Array) -> Array:
@@ -89,44 +83,49 @@ def side_by_side(*columns: Array) -> Array:
     return np.array(columns).T.copy()
 
 
-def still(position: Array, heading: Array) -> Motion:
-    """Bodies that stand: positions (n, 3) m, headings (n,) rad."""
+def without_wheels(position: Array, velocity: Array, attitude: Array, spin: Array, acceleration: Array) -> BodyMotion:
+    """Motion of bodies without wheels; arrays and units as in `BodyMotion`."""
     n = len(position)
-    attitude = np.zeros((n, 4))
+    return BodyMotion(position, velocity, attitude, spin, acceleration, np.full((n, 2), np.nan), np.full((n, 5), np.nan))
+
+
+def still(position: Array, heading: Array) -> BodyMotion:
+    """Bodies at rest: positions (n, 3) m, headings (n,) rad."""
+    attitude = np.zeros((len(position), 4))
     attitude[:, 0], attitude[:, 3] = np.cos(0.5 * heading), np.sin(0.5 * heading)
-    zero = np.zeros((n, 3))
-    return Motion(position, zero, attitude, zero, zero, np.full((n, 2), np.nan), np.full((n, 5), np.nan))
+    zero = np.zeros((len(position), 3))
+    return without_wheels(position, zero, attitude, zero, zero)
 
 
 NO_BODIES = still(np.empty((0, 3)), np.empty(0))
 
 
 class Bodiless:
-    """What engines have in common that move vehicles without bodies: nothing collides."""
+    """Base of engines without bodies: nothing collides."""
 
     stepped = False
 
-    def movables(self) -> Motion:
-        """Nothing here can push anything."""
+    def movables(self) -> BodyMotion:
+        """No movable can be pushed."""
         return NO_BODIES
 
     def put(self, number: int, place: Vec3, yaw: float) -> None:
-        """There is nothing to be put."""
+        """No effect: there are no movables."""
 
     def touching(self, *, passing: bool) -> list[Touch]:
-        """No bodies, no contacts."""
+        """No contacts."""
         return []
 
     def close(self) -> None:
         """Nothing to release."""
 
 
-def gathered(parts: "list[tuple[Motion, Array]]", count: int) -> Motion:
-    """The rows of several engines as one, read-only: each with the places (k,) that its rows have among ``count``."""
+def gathered(parts: "list[tuple[BodyMotion, Array]]", count: int) -> BodyMotion:
+    """Motion of ``count`` vehicles from several engines, each with the rows (k,) of its vehicles; read-only."""
     if len(parts) == 1 and len(parts[0][1]) == count:
-        whole = parts[0][0]  # one engine has all, in order
+        whole = parts[0][0]  # one engine has all rows, in order
     else:
-        whole = Motion(*(np.full((count, width), np.nan) for width in WIDTHS))
+        whole = BodyMotion(*(np.full((count, width), np.nan) for width in WIDTHS))
         for motion, rows in parts:
             for target, source in zip(whole, motion, strict=True):
                 target[rows] = source

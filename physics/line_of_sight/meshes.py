@@ -19,7 +19,7 @@ _ASIDE = np.array(
 )  # where a line is moved to that runs exactly through an edge: no mesh has this direction
 
 
-class Triangles:
+class MeshObstacles:
     """Meshes, closed or not.
 
     A closed mesh is a body: a line is inside from each triangle where it comes in to the one where it goes out. A mesh with an

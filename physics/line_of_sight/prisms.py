@@ -17,7 +17,7 @@ _SHORT_M = 1e-9  # what is left of a touch after rounding
 _BLOCK = 1 << 15  # lines x solids, and pairs x edges, at a time
 
 
-class Outlines:
+class PrismObstacles:
     """Upright solids by their rings, counter-clockwise, and clockwise round holes.
 
     A line is inside from each edge where it comes in to the one where it goes out, and between bottom and top. Pieces into

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.line_of_sight.meshes import Triangles
-from vcmvsp.physics.line_of_sight.prisms import Outlines
+from vcmvsp.physics.line_of_sight.meshes import MeshObstacles
+from vcmvsp.physics.line_of_sight.prisms import PrismObstacles
 from vcmvsp.physics.raycast.broad_phase import by_bearing
 from vcmvsp.physics.world.solids import AnySolid, Box, Mesh
 from vcmvsp.physics.world.world import World, made_once
@@ -29,7 +29,7 @@ class Sightline:
         materials: what each of the m solids is made of, (m,).
         thickness_m: of each, (m,), as a wall: the shortest edge of a box; the diameter of a cylinder, and the least width of a
             convex prism, or their height if that is less; of other prisms and of meshes what a long wall of that shape has
-            (see `Outlines` and `Triangles`).
+            (see `PrismObstacles` and `MeshObstacles`).
     """
 
     def __init__(self, solids: Sequence[AnySolid]) -> None:
@@ -47,8 +47,8 @@ class Sightline:
         self.thickness_m: Floats = np.zeros(len(solids))
         self.thickness_m[self._box_columns] = sizes.min(axis=1)
         others = {k: solid for k, solid in enumerate(solids) if not isinstance(solid, Box)}
-        outlines = Outlines({k: solid for k, solid in others.items() if not isinstance(solid, Mesh)})
-        triangles = Triangles({k: solid for k, solid in others.items() if isinstance(solid, Mesh)})
+        outlines = PrismObstacles({k: solid for k, solid in others.items() if not isinstance(solid, Mesh)})
+        triangles = MeshObstacles({k: solid for k, solid in others.items() if isinstance(solid, Mesh)})
         self._others = [each for each in (outlines, triangles) if len(each.columns)]
         for each in self._others:
             self.thickness_m[each.columns] = each.thickness_m

@@ -7,7 +7,7 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.raycast.broad_phase import Nearest, Reached, pairs
-from vcmvsp.physics.raycast.spatial_index import Near, Pieces
+from vcmvsp.physics.raycast.spatial_index import NearbyPieces, PieceIndex
 from vcmvsp.physics.world.shapes import Shapes
 from vcmvsp.physics.world.world import World, made_once
 
@@ -26,7 +26,7 @@ class Caster:
     """
 
     def __init__(self, shapes: Shapes, cell_m: float | None = None) -> None:
-        self.pieces = Pieces(shapes, cell_m)
+        self.pieces = PieceIndex(shapes, cell_m)
 
     def cast(self, origins: Array, directions: Array, reach_m: float = math.inf, *, floor: bool = True) -> Array:
         """How far beams get, (r,) m; inf: they meet nothing within reach.
@@ -66,7 +66,7 @@ class Caster:
         count = self.pieces.corners[prisms]
         return bool(np.logical_and.reduceat(left, np.cumsum(count) - count).any())
 
-    def _by_place(self, origins: Array, reach_m: float) -> Iterator[tuple[Array | slice, Near]]:
+    def _by_place(self, origins: Array, reach_m: float) -> Iterator[tuple[Array | slice, NearbyPieces]]:
         """Beams that begin in the same cell, and what is near it."""
         pieces = self.pieces
         if not len(origins):
@@ -82,7 +82,7 @@ class Caster:
         for number, (x, y) in enumerate(origins[first, :2].tolist()):
             yield np.nonzero(cell.ravel() == number)[0], pieces.near(x, y, reach_m)
 
-    def _among(self, near: Near, origins: Array, directions: Array, reach_m: float) -> Reached:
+    def _among(self, near: NearbyPieces, origins: Array, directions: Array, reach_m: float) -> Reached:
         pieces, nearest = self.pieces, Nearest(len(origins))
         for some, before, lengths, solid in (
             (near.prisms, 0, self._to_prisms, pieces.solid),

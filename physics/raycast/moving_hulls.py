@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.scene import Scene, rotations
+from vcmvsp.physics.world.scene import Scene, rotation_columns
 from vcmvsp.physics.world.solids import Hull
 
 _NEVER_ZERO = 1e-300  # added to what is divided by: changes nothing but a zero
@@ -37,7 +37,7 @@ def hulls_of(scene: Scene) -> Hulls:
     found: Hulls | None = scene.cache.get("raycast hulls")
     if found is None:
         sizes = _sizes_of(scene.hulls)
-        rotation = np.ascontiguousarray(np.moveaxis(rotations(scene.attitude), 0, -1))
+        rotation = rotation_columns(scene.attitude.T)
         centre = scene.position + (rotation * sizes.offset).sum(axis=1).T
         found = Hulls(centre, rotation, sizes.half, sizes.round, sizes.radius)
         scene.cache["raycast hulls"] = found

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.raycast.spatial_index import Pieces
+from vcmvsp.physics.raycast.spatial_index import PieceIndex
 
 _THIN = 1e-9  # m2: twice the area between scanner and segment; less is seen from its edge, that is not at all
-_COORDINATES = [0, 0, 1, 1, 2, 2]  # of the rows of `Pieces.edges`
+_COORDINATES = [0, 0, 1, 1, 2, 2]  # of the rows of `PieceIndex.edges`
 
 
 class Fan(NamedTuple):
@@ -54,7 +54,7 @@ class Segments(NamedTuple):
     y: Array  # (2, k) m, left
 
 
-def cut(pieces: Pieces, fan: Fan, scanners: Sequence[int]) -> Iterator[Segments]:
+def cut(pieces: PieceIndex, fan: Fan, scanners: Sequence[int]) -> Iterator[Segments]:
     """What stands still within reach of some of the scanners, cut by their planes."""
     if not scanners:
         return
@@ -76,7 +76,7 @@ def _of_each(parts: Sequence[Array], scanners: Sequence[int]) -> tuple[Array, Ar
     return np.concatenate(parts), np.repeat(scanners, [len(part) for part in parts])
 
 
-def _sides(pieces: Pieces, fan: Fan, edges: Array, scanner: Array) -> Segments:
+def _sides(pieces: PieceIndex, fan: Fan, edges: Array, scanner: Array) -> Segments:
     """Upright faces, from where the plane comes in at the bottom or top to where it goes out."""
     sides = pieces.edges.take(edges, axis=1)
     sides -= fan.of(fan.origin[_COORDINATES], scanner)
@@ -109,7 +109,7 @@ def _clipped(x: Array, y: Array, z: Array, bottom: Array, top: Array) -> tuple[A
     return x[0] + share * (x[1] - x[0]), y[0] + share * (y[1] - y[0])
 
 
-def _ends(pieces: Pieces, fan: Fan, prisms: Array, scanner: Array) -> Iterator[Segments]:
+def _ends(pieces: PieceIndex, fan: Fan, prisms: Array, scanner: Array) -> Iterator[Segments]:
     """Roofs seen from above, and undersides from below: a plane enters and leaves each across two of its edges."""
     oz = fan.of(fan.origin[2], scanner)
     top, bottom = pieces.top[prisms] - oz, pieces.bottom[prisms] - oz
@@ -130,7 +130,7 @@ def _ends(pieces: Pieces, fan: Fan, prisms: Array, scanner: Array) -> Iterator[S
     yield _clockwise(scanner[across[0::2]], *points.reshape(2, -1, 2).swapaxes(1, 2))
 
 
-def _facets(pieces: Pieces, fan: Fan, triangles: Array, scanner: Array) -> Segments:
+def _facets(pieces: PieceIndex, fan: Fan, triangles: Array, scanner: Array) -> Segments:
     """Triangles: one corner lies on one side of the plane, two on the other."""
     corners = np.moveaxis(pieces.triangles[triangles], 0, -1) - fan.of(fan.origin, scanner)  # (3 corners, xyz, k)
     side = _along(fan.of(fan.frame[2], scanner), corners)

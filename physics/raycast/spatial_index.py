@@ -12,7 +12,7 @@ _CELLS_PER_REACH = 4.0
 _KEPT = 4_000_000  # numbers of pieces in the index; then it is begun anew
 
 
-class Near(NamedTuple):
+class NearbyPieces(NamedTuple):
     """The pieces within reach of a cell."""
 
     prisms: Array  # (p,) intp, rising
@@ -20,7 +20,7 @@ class Near(NamedTuple):
     triangles: Array  # (t,) intp, rising
 
 
-class Pieces:
+class PieceIndex:
     """Upright convex prisms with their edges, and triangles.
 
     Attributes:
@@ -57,14 +57,14 @@ class Pieces:
         self.centre: Array = 0.5 * (lower + upper)
         self.radius: Array = 0.5 * np.sqrt(((upper - lower) ** 2).sum(axis=1))
         self._cell_m = cell_m
-        self._cells: dict[tuple[float, int, int], Near] = {}
+        self._cells: dict[tuple[float, int, int], NearbyPieces] = {}
         self._kept = 0
 
     def cell_m(self, reach_m: float) -> float:
         """Edge of the cells for this reach, m."""
         return self._cell_m or max(reach_m / _CELLS_PER_REACH, 1.0)
 
-    def near(self, x: float, y: float, reach_m: float) -> Near:
+    def near(self, x: float, y: float, reach_m: float) -> NearbyPieces:
         """The pieces that may be within ``reach_m``, seen from above, of the cell that (x, y) lies in."""
         cell = self.cell_m(reach_m)
         place = (reach_m, math.floor(x / cell), math.floor(y / cell)) if reach_m < math.inf else (reach_m, 0, 0)
@@ -83,7 +83,7 @@ class Pieces:
         count = self.corners[prisms]
         return np.repeat(self.first[prisms] - np.cumsum(count) + count, count) + np.arange(count.sum())
 
-    def _search(self, reach_m: float, i: int, j: int, cell: float) -> Near:
+    def _search(self, reach_m: float, i: int, j: int, cell: float) -> NearbyPieces:
         if reach_m == math.inf:
             within = np.arange(len(self.centre))
         else:
@@ -93,7 +93,7 @@ class Pieces:
             (within,) = np.nonzero((gap * gap).sum(axis=0) <= (reach_m + margin) ** 2)
         count = len(self.first)
         prisms = within[within < count]
-        return Near(prisms, self.edges_of(prisms), within[within >= count] - count)
+        return NearbyPieces(prisms, self.edges_of(prisms), within[within >= count] - count)
 
 
 def _joined(parts: list[Array], dtype: type = np.float64) -> Array:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.render.triangles import Pieces
+from vcmvsp.physics.render.triangles import ScenePieces
 from vcmvsp.physics.render.view import View
 
 _FEWEST = 48  # pieces: of fewer it is quicker to draw all
@@ -12,7 +12,7 @@ _GAP_M = 0.05  # a building so near is not asked: part of it may be cut off
 _MARGIN_M = 0.001
 
 
-def shown(pieces: Pieces, near: Array, view: View) -> Array:
+def shown(pieces: ScenePieces, near: Array, view: View) -> Array:
     """The pieces (numbers) among ``near`` that no single building hides.
 
     What a convex body hides from a point is convex, so a piece is hidden if the corners of a box around it are. Behind a
@@ -40,7 +40,7 @@ def shown(pieces: Pieces, near: Array, view: View) -> Array:
     return seen
 
 
-def _blocks(pieces: Pieces, near: Array, view: View) -> tuple[Array, Array]:
+def _blocks(pieces: ScenePieces, near: Array, view: View) -> tuple[Array, Array]:
     """The buildings that look widest, of those higher than the eye: others hide little.
 
     And how far inside of each of their four walls the eye is, (k, 4) m.

@@ -11,7 +11,7 @@ from vcmvsp.physics.raycast.moving_hulls import hulls_of
 from vcmvsp.physics.render.floor_and_sky import ground, inverse_depth, levels_of
 from vcmvsp.physics.render.large_faces import LARGE_PX, Buffers, draw_large
 from vcmvsp.physics.render.occlusion import shown
-from vcmvsp.physics.render.triangles import Pieces, Triangles, bodies, clipped, pieces_of
+from vcmvsp.physics.render.triangles import ScenePieces, Triangles, bodies, clipped, pieces_of
 from vcmvsp.physics.render.view import View
 from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.world import World, made_once
@@ -60,7 +60,7 @@ def render(
     return Picture(_unpacked(floor), None if number is None else _depth(view, triangles, number))
 
 
-def _visible(pieces: Pieces, view: View) -> Triangles:
+def _visible(pieces: ScenePieces, view: View) -> Triangles:
     """The triangles that may be in the picture and show their front."""
     near = shown(pieces, np.flatnonzero(_in_frustum(pieces.center, pieces.radius, view)), view)
     first = pieces.first[near]

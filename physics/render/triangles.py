@@ -31,7 +31,7 @@ class Triangles(NamedTuple):
         return Triangles(*(each[numbers] for each in self))
 
 
-class Pieces(NamedTuple):
+class ScenePieces(NamedTuple):
     """The triangles of a world, those of a piece behind each other."""
 
     low: Array  # (m, 3) m, of a box around each piece
@@ -57,7 +57,7 @@ def brightness(light: Light, normal: Array) -> Array:
     return shone
 
 
-def pieces_of(world: World) -> Pieces:
+def pieces_of(world: World) -> ScenePieces:
     """All that stands still in a world. What lies under the floor is left out."""
     corner, solid, piece, face = _soup(world.shapes)
     corner, source = clipped(corner, corner[:, :, 2])
@@ -73,7 +73,7 @@ def pieces_of(world: World) -> Pieces:
         low, high = np.minimum.reduceat(corner.min(axis=1), first), np.maximum.reduceat(corner.max(axis=1), first)
     radius = 0.5 * np.linalg.norm(high - low, axis=1)
     block, walls = (each[number] for each in _walls(world.shapes, int(number.max(initial=-1)) + 1))
-    return Pieces(low, high, 0.5 * (low + high), radius, block, walls, np.append(first, len(corner)), triangles)
+    return ScenePieces(low, high, 0.5 * (low + high), radius, block, walls, np.append(first, len(corner)), triangles)
 
 
 def _walls(shapes: Shapes, count: int) -> tuple[Array, Array]:

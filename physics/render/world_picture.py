@@ -11,7 +11,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render.renderer import render
 from vcmvsp.physics.render.view import View
 from vcmvsp.physics.render.world_map import draw_map, round_step, text
-from vcmvsp.physics.world.floor import Ground, Mark
+from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.solids import AnySolid, Box, Color, Mesh
 from vcmvsp.physics.world.world import Moving, World
 
@@ -104,7 +104,7 @@ def _placed(moving: Moving, time_s: float) -> AnySolid:
     return type(solid)(center=(x, y, z), radius=solid.radius, height=solid.height, material=solid.material, color=solid.color)
 
 
-def _grid(low: Array, high: Array, step: float, color: Color) -> Ground:
+def _grid(low: Array, high: Array, step: float, color: Color) -> GroundPicture:
     """A floor with lines that show how far things are, as far as it is in sight."""
     room = 2.0 * float((high - low).max())
     west, south, east, north = (
@@ -114,7 +114,7 @@ def _grid(low: Array, high: Array, step: float, color: Color) -> Ground:
     faint = (red * 9 // 10, green * 9 // 10, blue * 9 // 10)
     lines = [((x, south), (x, north)) for x in np.arange(west, east + 0.5 * step, step).tolist()]
     lines += [((west, y), (east, y)) for y in np.arange(south, north + 0.5 * step, step).tolist()]
-    return Ground(
+    return GroundPicture(
         center=(0.5 * (west + east), 0.5 * (south + north)),
         size=(east - west, north - south),
         color=color,

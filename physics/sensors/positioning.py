@@ -16,22 +16,14 @@ class Positioning:
     """Independent Gaussian errors of x, y and yaw at every fix, and rare outliers.
 
     The defaults are those of an ultra-wideband system indoors such as the one of Toh 2012: about 0.15 m.
-
-    Args:
-        rate_hz: fixes a second.
-        sigma_m: standard deviation of x and of y, m.
-        sigma_rad: standard deviation of the yaw, rad.
-        heading: whether a fix tells the yaw; that of a single tag does not.
-        outlier_probability: of a fix to be displaced (a reflection taken for the direct path).
-        outlier_m: how far an outlier is displaced, m, in a random direction.
     """
 
-    rate_hz: Rate = 10.0
-    sigma_m: NonNegative = 0.15
-    sigma_rad: NonNegative = 0.05
-    heading: bool = True
-    outlier_probability: Probability = 0.0
-    outlier_m: NonNegative = 2.0
+    rate_hz: Rate = 10.0  # fixes a second
+    sigma_m: NonNegative = 0.15  # standard deviation of x and of y, m
+    sigma_rad: NonNegative = 0.05  # standard deviation of the yaw, rad
+    heading: bool = True  # whether a fix tells the yaw; that of a single tag does not
+    outlier_probability: Probability = 0.0  # of a fix to be displaced (a reflection taken for the direct path)
+    outlier_m: NonNegative = 2.0  # how far an outlier is displaced, m, in a random direction
 
     def measure(self, now_ns: int, truth: VehicleState, rng: np.random.Generator) -> Fix:
         """One fix. It takes three normal and two uniform draws, whatever the parameters: they never move each other's."""

@@ -41,34 +41,22 @@ class RangeScanner(Sensor):
     A beam's error is Gaussian, then rounded to whole steps; some beams measure something random instead, evenly distributed up
     to ``range_max``, and some return nothing (S. Thrun, W. Burgard, D. Fox, Probabilistic robotics, 2005, 6.3: the terms p_hit,
     p_rand and p_max of the beam model).
-
-    Args:
-        beams: how many.
-        field_of_view: angle from the first beam to the last, rad; 6.2832: all the way round.
-        range_min: what is nearer is not measured, m.
-        range_max: how far it sees, m.
-        position: of the scanner, from the vehicle's reference point, m, body frame.
-        yaw: direction of the middle of the field of view (of the first beam of a full turn), rad, to the left of ahead.
-        pitch: by how much that direction looks down, rad.
-        sigma_m: standard deviation of a range, m.
-        quantum_m: ranges are whole multiples of this, m; 0: any.
-        no_return: probability of a beam to return nothing.
-        outlier_probability: probability of a beam to measure something random.
     """
 
     on_demand: ClassVar[bool] = True
 
-    beams: Beams
-    field_of_view: Opening
-    range_min: NonNegative = 0.0
-    range_max: Positive
-    position: Vec3 = (0.0, 0.0, 0.0)
+    beams: Beams  # how many
+    field_of_view: Opening  # angle from the first beam to the last, rad; 6.2832: all the way round
+    range_min: NonNegative = 0.0  # what is nearer is not measured, m
+    range_max: Positive  # how far it sees, m
+    position: Vec3 = (0.0, 0.0, 0.0)  # of the scanner, from the vehicle's reference point, m, body frame
+    # direction of the middle of the field of view (of the first beam of a full turn), rad, to the left of ahead
     yaw: float = 0.0
-    pitch: Tilt = 0.0
-    sigma_m: NonNegative = 0.0
-    quantum_m: NonNegative = 0.0
-    no_return: Probability = 0.0
-    outlier_probability: Probability = 0.0
+    pitch: Tilt = 0.0  # by how much that direction looks down, rad
+    sigma_m: NonNegative = 0.0  # standard deviation of a range, m
+    quantum_m: NonNegative = 0.0  # ranges are whole multiples of this, m; 0: any
+    no_return: Probability = 0.0  # probability of a beam to return nothing
+    outlier_probability: Probability = 0.0  # probability of a beam to measure something random
 
     def __post_init__(self) -> None:
         if self.range_min >= self.range_max:

@@ -29,20 +29,14 @@ class Sensor(ABC):
     An object belongs to one vehicle, and may keep what it needs from one reading to the next. Where that is much work
     (`on_demand`) a reading is worked out only if somebody looks at it, from the scene of its tick and from a generator that
     belongs to that tick: such a sensor must not remember anything.
-
-    Args:
-        rate_hz: readings a second.
-        phase_s: when the first one is taken, s after the start.
-        latency_s: from measuring to delivery, s.
-        drop_out: probability that a reading is not delivered.
     """
 
     on_demand: ClassVar[bool] = False
 
-    rate_hz: Rate = 10.0
-    phase_s: Seconds = 0.0
-    latency_s: Seconds = 0.0
-    drop_out: Probability = 0.0
+    rate_hz: Rate = 10.0  # readings a second
+    phase_s: Seconds = 0.0  # when the first one is taken, s after the start
+    latency_s: Seconds = 0.0  # from measuring to delivery, s
+    drop_out: Probability = 0.0  # probability that a reading is not delivered
 
     def misfit(self, model: object) -> str:
         """What keeps it from being fitted to a vehicle like this one (`physics.vehicles.models`); empty: nothing does."""

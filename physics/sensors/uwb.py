@@ -9,7 +9,7 @@ from vcmvsp.cosim.types import Array, Fix, NonNegative, Positive, Probability, V
 from vcmvsp.physics.line_of_sight.sightline import sightline_of
 from vcmvsp.physics.sensors.noise import jump
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.world.clearance import Near
+from vcmvsp.physics.world.clearance import NearestPoint
 from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.world import World
 
@@ -82,7 +82,7 @@ class Uwb(Sensor):
         return error, self.sigma_m * math.sqrt(0.5 * (x + y)), self.sigma_m * math.sqrt(z)
 
 
-def _away(place: Array, near: Near | None, bias_m: float) -> Array:
+def _away(place: Array, near: NearestPoint | None, bias_m: float) -> Array:
     """Along the line from the nearest point of a solid to the place, (3,) m."""
     if near is None or near.distance_m == 0.0:
         return np.zeros(3)

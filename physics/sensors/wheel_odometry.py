@@ -25,13 +25,10 @@ class WheelOdometry(Sensor):
     Between readings both wheels are taken to turn steadily, so the path is an arc. Slip is not seen. A wheel that is taken for
     larger than it is makes ways longer; wheels taken for unequal, or a wrong track, make it turn (J. Borenstein, L. Feng,
     Measurement and correction of systematic odometry errors in mobile robots, IEEE Trans. Robotics and Automation 12, 1996).
-
-    Args:
-        wheel_radius_m: true radius of its wheels, m; default: that of the vehicle.
-        track_m: true distance between the points where they touch the floor, m; default: that of the vehicle.
     """
 
-    wheel_radius_m: Positive | None = None
+    wheel_radius_m: Positive | None = None  # true radius of its wheels, m; default: that of the vehicle
+    # true distance between the points where they touch the floor, m; default: that of the vehicle
     track_m: Positive | None = None
     left_radius_error: Relative = 0.0  # 0.01: it takes its left wheel for 1 % larger than it is
     right_radius_error: Relative = 0.0  # the same for the right one

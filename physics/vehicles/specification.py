@@ -46,8 +46,8 @@ def body_of(model: Vehicle) -> Body:
     return Body(width_m=2.0 * aside, radius_m=round_m, flies=flies(model))
 
 
-class Fused(Protocol):
-    """A pose that was made of odometry and positions."""
+class FusedPose(Protocol):
+    """A pose estimated from odometry and positions."""
 
     @property
     def x(self) -> float:
@@ -66,17 +66,17 @@ class Fused(Protocol):
         """Whether the vehicle has moved far enough to tell it."""
 
 
-class Fuser(Protocol):
-    """Makes one pose of odometry and positions: the same on a real robot and on a simulated one."""
+class Estimator(Protocol):
+    """Estimates a pose from odometry and positions, on real and simulated robots."""
 
     def odometry(self, time_ns: int, distance_m: float, turn_rad: float) -> object:
-        """The vehicle has gone and turned so much since the last call; the first call only marks the time."""
+        """Distance and turn since the last call; the first call only sets the time."""
 
     def fix(self, time_ns: int, x: float, y: float, sigma_m: float) -> object:
-        """The vehicle was there at that time, give or take ``sigma_m``, which is positive, in x and in y."""
+        """A position at a time, m, with the standard deviation ``sigma_m`` > 0 of x and of y."""
 
-    def estimate(self, now_ns: int) -> Fused | None:
-        """The pose at a time; None while nothing is known."""
+    def estimate(self, now_ns: int) -> FusedPose | None:
+        """The pose at a time; None without data."""
 
 
 class VehicleSpec(Value, frozen=True, kw_only=True):
@@ -88,7 +88,7 @@ class VehicleSpec(Value, frozen=True, kw_only=True):
     heading: float = 0.0  # rad
     pose_source: str = "truth"  # "truth" | "odometry" | "positioning" | "fusion"
     positioning: Positioning | None = None  # the sensor, if fitted
-    fusion: Fuser | None = None  # makes one pose of odometry and fixes, if that is its source; every run has its own copy
+    fusion: Estimator | None = None  # makes one pose of odometry and fixes, if that is its source; every run has its own copy
     sensors: Mapping[str, Sensor] = {}  # others, by name
 
     def __post_init__(self) -> None:

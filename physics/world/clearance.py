@@ -13,7 +13,7 @@ _AT_ONCE = 256  # stretches that are looked at place by place in one go
 _GAPS_AT_ONCE = 1 << 20  # of boxes, which bounds the memory that they take
 
 
-class Near(NamedTuple):
+class NearestPoint(NamedTuple):
     """The point of all solids that is nearest to a place."""
 
     distance_m: float
@@ -33,7 +33,7 @@ class Clearance:
         self._groups = list(zip(groups, ends[:-1], ends[1:], strict=True))
         self._first_triangle = ends[-1]
 
-    def nearest(self, place: Array, reach_m: float) -> Near | None:
+    def nearest(self, place: Array, reach_m: float) -> NearestPoint | None:
         """The nearest point of any solid, if it is less than ``reach_m`` away; inside a solid that is the place itself."""
         at = place[:, None]
         (near,) = np.nonzero(((self._low - reach_m < at) & (at < self._high + reach_m)).all(axis=0))  # by bounding boxes
@@ -42,7 +42,7 @@ class Clearance:
         candidates = self._points(near, np.broadcast_to(place, (len(near), 3)))
         distances = np.linalg.norm(candidates - place, axis=1)
         best = int(distances.argmin())
-        return Near(float(distances[best]), candidates[best]) if distances[best] < reach_m else None
+        return NearestPoint(float(distances[best]), candidates[best]) if distances[best] < reach_m else None
 
     def least_m(self, way: Array, below_m: float = math.inf) -> float:
         """The smallest distance of any place of a way (k, 3) m to any solid, m, or ``below_m`` if none is smaller.

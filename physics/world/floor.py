@@ -18,31 +18,18 @@ _SHIFT = 6  # bits of a pixel's fraction in OpenCV's drawing functions
 
 
 class Mark(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Something painted on the floor: an outline, a line, a disc or a picture, whichever of them is given.
+    """Something painted on the floor: an outline, a line, a disc or a picture, whichever of them is given."""
 
-    Args:
-        name: for whoever looks for it.
-        color: red, green, blue, 0 to 255.
-        outline: corners of a filled polygon, x, y, m.
-        line: points of a line, x, y, m; ``width`` wide.
-        width: of the line, m; 0: one pixel.
-        center: of the disc or picture, x, y, m.
-        radius: of the disc, m.
-        picture: an image file; its upper edge is north before it is turned.
-        size: of the picture, east-west and north-south, m, before it is turned.
-        yaw_rad: the picture is turned by this.
-    """
-
-    name: str = ""
-    color: Color = (255, 255, 255)
-    outline: tuple[Point2, ...] = ()
-    line: tuple[Point2, ...] = ()
-    width: float = 0.0
-    center: Point2 = (0.0, 0.0)
-    radius: float = 0.0
-    picture: FileName = ""
-    size: tuple[Positive, Positive] = (1.0, 1.0)
-    yaw_rad: float = 0.0
+    name: str = ""  # for whoever looks for it
+    color: Color = (255, 255, 255)  # red, green, blue, 0 to 255
+    outline: tuple[Point2, ...] = ()  # corners of a filled polygon, x, y, m
+    line: tuple[Point2, ...] = ()  # points of a line, x, y, m; ``width`` wide
+    width: float = 0.0  # of the line, m; 0: one pixel
+    center: Point2 = (0.0, 0.0)  # of the disc or picture, x, y, m
+    radius: float = 0.0  # of the disc, m
+    picture: FileName = ""  # an image file; its upper edge is north before it is turned
+    size: tuple[Positive, Positive] = (1.0, 1.0)  # of the picture, east-west and north-south, m, before it is turned
+    yaw_rad: float = 0.0  # the picture is turned by this
 
     def __post_init__(self) -> None:
         given = sum(map(bool, (self.outline, self.line, self.radius, self.picture)))
@@ -57,24 +44,15 @@ class Mark(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         return rectangle(*self.center, half_length, half_width, self.yaw_rad)
 
 
-class Ground(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
-    """How the floor looks from above.
+class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
+    """How the floor looks from above."""
 
-    Args:
-        picture: an image file; its upper edge is north. Empty: the plain color.
-        center: of the picture, x, y, m.
-        size: of the picture, east-west and north-south, m.
-        color: of all that the picture does not cover.
-        resolution_m: edge of a pixel, where there is no picture file but marks.
-        marks: painted over it, one after the other, as far as the picture reaches.
-    """
-
-    picture: FileName = ""
-    center: Point2 = (0.0, 0.0)
-    size: tuple[Positive, Positive] = (1.0, 1.0)
-    color: Color = (196, 196, 188)
-    resolution_m: Positive = 0.1
-    marks: tuple[Mark, ...] = ()
+    picture: FileName = ""  # an image file; its upper edge is north. Empty: the plain color
+    center: Point2 = (0.0, 0.0)  # of the picture, x, y, m
+    size: tuple[Positive, Positive] = (1.0, 1.0)  # of the picture, east-west and north-south, m
+    color: Color = (196, 196, 188)  # of all that the picture does not cover
+    resolution_m: Positive = 0.1  # edge of a pixel, where there is no picture file but marks
+    marks: tuple[Mark, ...] = ()  # painted over it, one after the other, as far as the picture reaches
 
     def __post_init__(self) -> None:
         pixels = self.size[0] * self.size[1] / self.resolution_m**2
@@ -197,13 +175,13 @@ def _stick(pixels: Array, picture: Array, corners: Array) -> None:
     part[inside > 0] = warped[inside > 0]
 
 
-def around(marks: Sequence[Mark], color: Color) -> Ground:
+def around(marks: Sequence[Mark], color: Color) -> GroundPicture:
     """A floor of one colour just large enough for the marks."""
     points = np.concatenate([mark.points() for mark in marks])
     low, high = points.min(axis=0), points.max(axis=0)
     size, center = np.maximum(high - low, 0.1), 0.5 * (low + high)
     resolution = max(0.02, math.sqrt(float(size.prod()) / MOST_PIXELS))
-    return Ground(
+    return GroundPicture(
         center=(float(center[0]), float(center[1])),
         size=(float(size[0]), float(size[1])),
         color=color,

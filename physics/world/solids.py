@@ -55,15 +55,10 @@ class Hull(NamedTuple):
 
 
 class Solid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What all solids have.
+    """What all solids have."""
 
-    Args:
-        material: what it is made of, a name for the radio's obstruction loss.
-        color: red, green, blue, 0 to 255; default: that of its material.
-    """
-
-    material: str = "concrete"
-    color: Color | None = None
+    material: str = "concrete"  # what it is made of, a name for the radio's obstruction loss
+    color: Color | None = None  # red, green, blue, 0 to 255; default: that of its material
 
     @property
     def words(self) -> str:
@@ -76,17 +71,11 @@ class Solid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Box(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="box"):
-    """A wall, a table, a building. Where it may be a cylinder as well: ``kind = "box"``.
+    """A wall, a table, a building. Where it may be a cylinder as well: ``kind = "box"``."""
 
-    Args:
-        center: of the box, m, world; a box on the floor has its centre at half its height.
-        size: length, width and height, m, before it is turned.
-        yaw_rad: turned by this about the vertical through its centre.
-    """
-
-    center: Vec3
-    size: Vec3
-    yaw_rad: float = 0.0
+    center: Vec3  # of the box, m, world; a box on the floor has its centre at half its height
+    size: Vec3  # length, width and height, m, before it is turned
+    yaw_rad: float = 0.0  # turned by this about the vertical through its centre
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(value) for value in (*self.center, *self.size, self.yaw_rad)) or min(self.size) <= 0.0:
@@ -110,17 +99,11 @@ class Box(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_fiel
 
 
 class Cylinder(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="cylinder"):
-    """A pillar, a tree trunk, a tank. Where it may be a box as well: ``kind = "cylinder"``.
+    """A pillar, a tree trunk, a tank. Where it may be a box as well: ``kind = "cylinder"``."""
 
-    Args:
-        center: of the cylinder, m, world.
-        radius: of the cylinder, m.
-        height: of the cylinder, m.
-    """
-
-    center: Vec3
-    radius: Positive
-    height: Positive
+    center: Vec3  # of the cylinder, m, world
+    radius: Positive  # of the cylinder, m
+    height: Positive  # of the cylinder, m
 
     def __post_init__(self) -> None:
         numbers = (*self.center, self.radius, self.height)
@@ -148,19 +131,12 @@ class Cylinder(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag
 
 
 class Prism(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Any outline, raised: a building of many corners, the outer wall of a room.
+    """Any outline, raised: a building of many corners, the outer wall of a room."""
 
-    Args:
-        outline: corners, m, world, either way round, not crossing itself; it need not be convex.
-        holes: outlines within it that are left open: courtyards.
-        bottom: above the floor, m.
-        height: from bottom to top, m.
-    """
-
-    outline: tuple[Point2, ...]
-    height: Positive
-    bottom: float = 0.0
-    holes: tuple[tuple[Point2, ...], ...] = ()
+    outline: tuple[Point2, ...]  # corners, m, world, either way round, not crossing itself; it need not be convex
+    height: Positive  # from bottom to top, m
+    bottom: float = 0.0  # above the floor, m
+    holes: tuple[tuple[Point2, ...], ...] = ()  # outlines within it that are left open: courtyards
 
     def __post_init__(self) -> None:
         if problem := problem_of(self.outline, self.holes):
@@ -180,17 +156,11 @@ class Prism(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
-    """Triangles, closed or not, e.g. from a file.
+    """Triangles, closed or not, e.g. from a file."""
 
-    Args:
-        triangles: (t, 3, 3) m, world; counter-clockwise seen from outside. Finite.
-        material: as `Solid`.
-        color: as `Solid`.
-    """
-
-    triangles: Array
-    material: str = "concrete"
-    color: Color | None = None
+    triangles: Array  # (t, 3, 3) m, world; counter-clockwise seen from outside. Finite
+    material: str = "concrete"  # as `Solid`
+    color: Color | None = None  # as `Solid`
 
     def __post_init__(self) -> None:
         if self.triangles.ndim != 3 or self.triangles.shape[1:] != (3, 3):

@@ -13,30 +13,18 @@ from vcmvsp.cosim.types import FileName, Positive
 from vcmvsp.physics.world.solids import Color, Point2
 
 
-class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Something flat on the ground that is to be found: a picture or a disc, at rest or on its way.
+class GroundTarget(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Something flat on the ground that is to be found: a picture or a disc, at rest or on its way."""
 
-    Args:
-        name: for whoever looks for it; empty: target1, target2 and so on.
-        picture: an image file, made square; its upper edge is north before it is turned. Empty: a disc.
-        color: of the disc.
-        size: edge of the picture or diameter of the disc, m.
-        place: where its middle lies, x, y, m; default: somewhere on a street of a town.
-        yaw_rad: the picture is turned by this, counter-clockwise, and stays so on its way.
-        way: it moves instead: from the first of these places, x, y, m, straight to the next, and so on.
-        speed: along its way, m/s; default: it has none.
-        loop: from the last place it goes back to the first, and so on; else it stays there.
-    """
-
-    name: str = ""
-    picture: FileName = ""
-    color: Color = (224, 32, 160)
-    size: Positive = 2.0
-    place: Point2 | None = None
-    yaw_rad: float = 0.0
-    way: tuple[Point2, ...] = ()
-    speed: Positive | None = None
-    loop: bool = False
+    name: str = ""  # for whoever looks for it; empty: target1, target2 and so on
+    picture: FileName = ""  # an image file, made square; its upper edge is north before it is turned. Empty: a disc
+    color: Color = (224, 32, 160)  # of the disc
+    size: Positive = 2.0  # edge of the picture or diameter of the disc, m
+    place: Point2 | None = None  # where its middle lies, x, y, m; default: somewhere on a street of a town
+    yaw_rad: float = 0.0  # the picture is turned by this, counter-clockwise, and stays so on its way
+    way: tuple[Point2, ...] = ()  # it moves instead: from the first of these places, x, y, m, straight to the next, and so on
+    speed: Positive | None = None  # along its way, m/s; default: it has none
+    loop: bool = False  # from the last place it goes back to the first, and so on; else it stays there
 
     def __post_init__(self) -> None:
         numbers = (*(self.place or ()), self.yaw_rad, *(value for place in self.way for value in place))
@@ -52,27 +40,16 @@ class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedTarget:
-    """A target as it lies in a world.
+    """A target as it lies in a world."""
 
-    Args:
-        name: unique among the targets of the world.
-        size_m: edge of the picture, or diameter of the disc.
-        picture: an image file; empty: a disc.
-        color: of the disc.
-        yaw_rad: the picture is turned by this.
-        way: corners of its way, x, y, m; the only one of a target at rest.
-        speed: along the way, m/s.
-        loop: it goes round.
-    """
-
-    name: str
-    size_m: float
-    picture: str
-    color: Color
-    yaw_rad: float
-    way: tuple[Point2, ...]
-    speed: float = 0.0
-    loop: bool = False
+    name: str  # unique among the targets of the world
+    size_m: float  # edge of the picture, or diameter of the disc
+    picture: str  # an image file; empty: a disc
+    color: Color  # of the disc
+    yaw_rad: float  # the picture is turned by this
+    way: tuple[Point2, ...]  # corners of its way, x, y, m; the only one of a target at rest
+    speed: float = 0.0  # along the way, m/s
+    loop: bool = False  # it goes round
 
     def place(self, time_s: float) -> Point2:
         """Where its middle is then, x, y, m."""
@@ -98,12 +75,12 @@ class PlacedTarget:
         return [0.0, *accumulate(math.dist(a, b) for a, b in pairwise(self._corners))]
 
 
-def names(targets: Sequence[Target]) -> list[str]:
+def names(targets: Sequence[GroundTarget]) -> list[str]:
     """What they are called."""
     return [each.name or f"target{number}" for number, each in enumerate(targets, start=1)]
 
 
-def placed(targets: Sequence[Target]) -> tuple[PlacedTarget, ...]:
+def placed(targets: Sequence[GroundTarget]) -> tuple[PlacedTarget, ...]:
     """Targets that have a place or a way, as they lie in a world."""
     return tuple(
         PlacedTarget(

@@ -17,33 +17,26 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability, Vec3
 from vcmvsp.physics.world.clearance import Clearance
-from vcmvsp.physics.world.floor import Ground
+from vcmvsp.physics.world.floor import GroundPicture
 from vcmvsp.physics.world.overlap import Blocking, outside_m
 from vcmvsp.physics.world.shapes import Shapes, mesh_of, shapes_of
 from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder, color_of, heading_of
 from vcmvsp.physics.world.targets import PlacedTarget
 
-__all__ = ["Ground", "Light", "Movable", "Moving", "Wind", "World", "Zone", "made_once"]
+__all__ = ["GroundPicture", "Light", "Movable", "Moving", "Wind", "World", "Zone", "made_once"]
 
 T = TypeVar("T")
 
 
 class Zone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A rectangle of the floor with a friction of its own for robots: ice, mud. Where zones overlap, the last one counts.
+    """A rectangle of the floor with a friction of its own for robots: ice, mud. Where zones overlap, the last one counts."""
 
-    Args:
-        center: x, y, m.
-        size: length and width, m, before it is turned.
-        yaw_rad: turned by this.
-        friction: multiplies that of robots on it, in place of the floor's; movables and quadrotors keep to the floor's.
-        color: it is painted in, if at all.
-    """
-
-    center: tuple[float, float]
-    size: tuple[float, float]
-    yaw_rad: float = 0.0
+    center: tuple[float, float]  # x, y, m
+    size: tuple[float, float]  # length and width, m, before it is turned
+    yaw_rad: float = 0.0  # turned by this
+    # multiplies that of robots on it, in place of the floor's; movables and quadrotors keep to the floor's
     friction: NonNegative
-    color: Color | None = None
+    color: Color | None = None  # it is painted in, if at all
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (*self.center, *self.size, self.yaw_rad))) or min(self.size) <= 0.0:
@@ -51,29 +44,18 @@ class Zone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Wind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Air that moves: the same everywhere, steady or in gusts.
+    """Air that moves: the same everywhere, steady or in gusts."""
 
-    Args:
-        velocity: of the mean wind, m/s, world.
-        gust: standard deviation of what is added to each horizontal component, m/s (half of it vertically).
-        gust_time_s: correlation time of the gusts.
-    """
-
-    velocity: Vec3 = (0.0, 0.0, 0.0)
-    gust: NonNegative = 0.0
-    gust_time_s: Positive = 2.0
+    velocity: Vec3 = (0.0, 0.0, 0.0)  # of the mean wind, m/s, world
+    gust: NonNegative = 0.0  # standard deviation of what is added to each horizontal component, m/s (half of it vertically)
+    gust_time_s: Positive = 2.0  # correlation time of the gusts
 
 
 class Light(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A sun without shadows: how bright a face is depends on its direction.
+    """A sun without shadows: how bright a face is depends on its direction."""
 
-    Args:
-        direction: from the world to the sun, any length.
-        ambient: brightness of faces turned away from it; faces turned to it have 1.
-    """
-
-    direction: Vec3 = (0.3, 0.2, 1.0)
-    ambient: Probability = 0.6
+    direction: Vec3 = (0.3, 0.2, 1.0)  # from the world to the sun, any length
+    ambient: Probability = 0.6  # brightness of faces turned away from it; faces turned to it have 1
 
     def __post_init__(self) -> None:
         if not any(self.direction) or not all(map(math.isfinite, self.direction)):
@@ -81,19 +63,12 @@ class Light(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Movable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A body that can be pushed, with the shape and place of ``solid`` at the start.
+    """A body that can be pushed, with the shape and place of ``solid`` at the start."""
 
-    Args:
-        name: unique in the world.
-        solid: a `Box` or a `Cylinder`: ``{ kind = "box", center = [2, 0, 0.2], size = [0.4, 0.4, 0.4] }``.
-        mass_kg: evenly distributed.
-        friction: of its faces.
-    """
-
-    name: str
-    solid: Box | Cylinder
-    mass_kg: Positive
-    friction: NonNegative = 0.5
+    name: str  # unique in the world
+    solid: Box | Cylinder  # a `Box` or a `Cylinder`: ``{ kind = "box", center = [2, 0, 0.2], size = [0.4, 0.4, 0.4] }``
+    mass_kg: Positive  # evenly distributed
+    friction: NonNegative = 0.5  # of its faces
 
     def pose(self, time_s: float) -> tuple[float, float, float, float]:
         """Centre, x, y, z m, and yaw, rad, until something pushes it: the same at any time."""
@@ -101,21 +76,13 @@ class Movable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An obstacle that keeps to a time-table, whatever stands in its way: at ``way[i]`` at ``times_s[i]``, straight between.
+    """An obstacle that keeps to a time-table, whatever stands in its way: at ``way[i]`` at ``times_s[i]``, straight between."""
 
-    Args:
-        name: unique in the world.
-        solid: a `Box` or a `Cylinder`; where it says it is does not matter.
-        times_s: increasing.
-        way: centre of the solid, x, y, z m, and its yaw, rad, at each of the times.
-        loop: begin again after the last time; else it stays there.
-    """
-
-    name: str
-    solid: Box | Cylinder
-    times_s: tuple[float, ...]
-    way: tuple[tuple[float, float, float, float], ...]
-    loop: bool = False
+    name: str  # unique in the world
+    solid: Box | Cylinder  # a `Box` or a `Cylinder`; where it says it is does not matter
+    times_s: tuple[float, ...]  # increasing
+    way: tuple[tuple[float, float, float, float], ...]  # centre of the solid, x, y, z m, and its yaw, rad, at each of the times
+    loop: bool = False  # begin again after the last time; else it stays there
 
     def __post_init__(self) -> None:
         rising = all(a < b for a, b in zip(self.times_s, self.times_s[1:], strict=False))
@@ -161,33 +128,20 @@ class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """A flat floor at z = 0 and what is on and above it.
+    """A flat floor at z = 0 and what is on and above it."""
 
-    Args:
-        solids: what stands still.
-        movables: bodies that can be pushed.
-        moving: obstacles that keep to a time-table.
-        targets: flat things on the floor that somebody is to find.
-        floor_friction: multiplies the friction of what rolls or slides on it.
-        zones: parts of the floor with another friction.
-        ground: how the floor looks.
-        wind: see `Wind`.
-        light: see `Light`.
-        bounds: west, south, east and north end, m: vehicles start inside. None: no end.
-        name: for titles and messages.
-    """
-
-    solids: tuple[AnySolid, ...] = ()
-    movables: tuple[Movable, ...] = ()
-    moving: tuple[Moving, ...] = ()
-    targets: tuple[PlacedTarget, ...] = ()
-    floor_friction: NonNegative = 1.0
-    zones: tuple[Zone, ...] = ()
-    ground: Ground = field(default_factory=Ground)
-    wind: Wind = field(default_factory=Wind)
-    light: Light = field(default_factory=Light)
+    solids: tuple[AnySolid, ...] = ()  # what stands still
+    movables: tuple[Movable, ...] = ()  # bodies that can be pushed
+    moving: tuple[Moving, ...] = ()  # obstacles that keep to a time-table
+    targets: tuple[PlacedTarget, ...] = ()  # flat things on the floor that somebody is to find
+    floor_friction: NonNegative = 1.0  # multiplies the friction of what rolls or slides on it
+    zones: tuple[Zone, ...] = ()  # parts of the floor with another friction
+    ground: GroundPicture = field(default_factory=GroundPicture)  # how the floor looks
+    wind: Wind = field(default_factory=Wind)  # see `Wind`
+    light: Light = field(default_factory=Light)  # see `Light`
+    # west, south, east and north end, m: vehicles start inside. None: no end
     bounds: tuple[float, float, float, float] | None = None
-    name: str = "world"
+    name: str = "world"  # for titles and messages
 
     @cached_property
     def shapes(self) -> Shapes:

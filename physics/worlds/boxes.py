@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from vcmvsp.physics.world.floor import Ground
+from vcmvsp.physics.world.floor import GroundPicture
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import BARE, Bounds, Surroundings
@@ -12,7 +12,7 @@ from vcmvsp.physics.worlds.surroundings import BARE, Bounds, Surroundings
 class Empty(Surroundings):
     """A floor, and nothing on it but what is listed (kind ``empty``)."""
 
-    ground: Ground = BARE  # how the floor looks
+    ground: GroundPicture = BARE  # how the floor looks
     bounds: Bounds | None = None  # west, south, east, north end, m: vehicles start inside; None: no end
 
     def build(self) -> World:

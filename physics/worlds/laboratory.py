@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Positive
-from vcmvsp.physics.world.floor import Ground, Mark
+from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.solids import Box, Color, Point2
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Surroundings
@@ -89,11 +89,11 @@ def _upright(
     return Box(center=center, size=(length, width, top - bottom), material=material, color=color)
 
 
-def _floor(tile: float) -> Ground:
+def _floor(tile: float) -> GroundPicture:
     """Tiles, seen by their joints, from the middle of the room outwards."""
     half_length, half_width = 0.5 * LENGTH, 0.5 * WIDTH
     columns, rows = int(half_length / tile), int(half_width / tile)
     lines = [((k * tile, -half_width), (k * tile, half_width)) for k in range(-columns, columns + 1)]
     lines += [((-half_length, k * tile), (half_length, k * tile)) for k in range(-rows, rows + 1)]
     marks = tuple(Mark(line=line, width=0.01, color=(176, 174, 166)) for line in lines)
-    return Ground(size=(LENGTH, WIDTH), color=(206, 204, 196), resolution_m=0.01, marks=marks)
+    return GroundPicture(size=(LENGTH, WIDTH), color=(206, 204, 196), resolution_m=0.01, marks=marks)

@@ -10,7 +10,7 @@ import numpy as np
 
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Seed
-from vcmvsp.physics.world.floor import Ground, Mark
+from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.solids import Box, Color, Cylinder, Point2
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Surroundings, rectangle_points
@@ -76,7 +76,7 @@ def _trees(number: int, seed: int) -> Iterator[Cylinder]:
         yield Cylinder(center=(east, north, top + 0.5 * height), radius=radius, height=height, material="wood", color=color)
 
 
-def _ground() -> Ground:
+def _ground() -> GroundPicture:
     """Lawn, track, pitch, courts and paths."""
     marks = [
         _area((0.0, -110.0), (LENGTH, 6.0), _PAVED),
@@ -93,7 +93,7 @@ def _ground() -> Ground:
         ring = _stadium(_BEND + lane * _LANE)
         marks.append(Mark(line=(*ring, ring[0]), width=0.05, color=_WHITE))
     marks += _pitch()
-    return Ground(size=(LENGTH, WIDTH), color=_LAWN, resolution_m=0.1, marks=tuple(marks))
+    return GroundPicture(size=(LENGTH, WIDTH), color=_LAWN, resolution_m=0.1, marks=tuple(marks))
 
 
 def _area(center: Point2, size: Point2, color: Color) -> Mark:

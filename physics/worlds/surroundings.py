@@ -7,16 +7,16 @@ import msgspec
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import NonNegative
-from vcmvsp.physics.world.floor import Ground, Mark, around, read_picture
+from vcmvsp.physics.world.floor import GroundPicture, Mark, around, read_picture
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Point2, Prism, rectangle
-from vcmvsp.physics.world.targets import Target, names, placed
+from vcmvsp.physics.world.targets import GroundTarget, names, placed
 from vcmvsp.physics.world.world import Light, Movable, Moving, Wind, World, Zone
 
 Bounds = tuple[float, float, float, float]
 
 CALM = Wind()
 DAYLIGHT = Light()
-BARE = Ground()
+BARE = GroundPicture()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class Surroundings:
     prisms: tuple[Prism, ...] = ()  # further outlines, raised: ``[{ outline = [[0, 0], [2, 0], [0, 2]], height = 3 }]``
     movables: tuple[Movable, ...] = ()  # bodies that can be pushed
     moving: tuple[Moving, ...] = ()  # obstacles that keep to a time-table
-    targets: tuple[Target, ...] = ()  # lie on the ground and are to be found: ``[{ name = "flag", place = [3, 4] }]``
+    targets: tuple[GroundTarget, ...] = ()  # lie on the ground and are to be found: ``[{ name = "flag", place = [3, 4] }]``
     floor_friction: NonNegative = 1.0  # multiplies the friction of what rolls or slides on the floor
     zones: tuple[Zone, ...] = ()  # parts of the floor with another friction
     wind: Wind = CALM  # air that moves: ``{ velocity = [3, 0, 0], gust = 1 }``
@@ -41,7 +41,7 @@ class Surroundings:
                 if called.count(name) > 1:
                     raise ScenarioError(f"{what} are called {name!r}: give each a name of its own")
 
-    def sited(self) -> tuple[Target, ...]:
+    def sited(self) -> tuple[GroundTarget, ...]:
         """The targets, all with a place or a way.
 
         Raises:
@@ -54,7 +54,7 @@ class Surroundings:
         return self.targets
 
     def complete(
-        self, name: str, *, solids: Sequence[AnySolid] = (), ground: Ground = BARE, bounds: Bounds | None = None
+        self, name: str, *, solids: Sequence[AnySolid] = (), ground: GroundPicture = BARE, bounds: Bounds | None = None
     ) -> World:
         """The world of these solids, with all that was listed besides.
 
@@ -79,7 +79,7 @@ class Surroundings:
         )
 
 
-def _with(ground: Ground, zones: Sequence[Zone]) -> Ground:
+def _with(ground: GroundPicture, zones: Sequence[Zone]) -> GroundPicture:
     """The ground with the zones painted on it that have a colour."""
     marks = tuple(
         Mark(
@@ -96,7 +96,7 @@ def _with(ground: Ground, zones: Sequence[Zone]) -> Ground:
     return msgspec.structs.replace(ground, marks=(*ground.marks, *marks))
 
 
-def _check_pictures(ground: Ground, targets: Sequence[Target]) -> None:
+def _check_pictures(ground: GroundPicture, targets: Sequence[GroundTarget]) -> None:
     """Refuse picture files now that nobody could paint later."""
     pictures = [ground.picture, *(mark.picture for mark in ground.marks), *(target.picture for target in targets)]
     for picture in filter(None, dict.fromkeys(pictures)):

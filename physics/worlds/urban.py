@@ -11,9 +11,9 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import NonNegative, Positive, Probability, Seed
-from vcmvsp.physics.world.floor import MOST_PIXELS, Ground, Mark
+from vcmvsp.physics.world.floor import MOST_PIXELS, GroundPicture, Mark
 from vcmvsp.physics.world.solids import Box, Color, Point2
-from vcmvsp.physics.world.targets import PlacedTarget, Target, placed
+from vcmvsp.physics.world.targets import GroundTarget, PlacedTarget, placed
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Surroundings, rectangle_points
 
@@ -101,7 +101,7 @@ class Urban(Surroundings):
                     else:
                         parks.append(Mark(outline=rectangle_points(place, (self.lot, self.lot)), color=_PARK))
         half_length, half_width = 0.5 * self.size[0], 0.5 * self.size[1]
-        ground = Ground(
+        ground = GroundPicture(
             size=self.size,
             color=_ASPHALT,
             resolution_m=max(0.1, math.sqrt(self.size[0] * self.size[1] / MOST_PIXELS)),
@@ -146,17 +146,17 @@ class Urban(Surroundings):
                     line = tuple((middle, along) if axis == 0 else (along, middle) for along in ends)
                     yield Mark(line=line, width=0.2, color=_LINE)
 
-    def sited(self) -> tuple[Target, ...]:
+    def sited(self) -> tuple[GroundTarget, ...]:
         """The targets, those without a place or a way on streets, clear of each other."""
         rng = stream(self.seed or 0, "urban/targets")
-        found: list[Target] = []
+        found: list[GroundTarget] = []
         for number, target in enumerate(self.targets):
             free = target.place is None and not target.way
             place = self._free(rng, target, number, placed(found)) if free else target.place
             found.append(msgspec.structs.replace(target, place=place))
         return tuple(found)
 
-    def _free(self, rng: np.random.Generator, target: Target, number: int, taken: Sequence[PlacedTarget]) -> Point2:
+    def _free(self, rng: np.random.Generator, target: GroundTarget, number: int, taken: Sequence[PlacedTarget]) -> Point2:
         """A place on a street, all of the target on it."""
         pitch, room = self.block + self.street, 0.5 * (self.street - target.size)
         for _ in range(_TRIES if room >= 0.0 else 0):

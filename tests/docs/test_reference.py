@@ -22,9 +22,9 @@ from vcmvsp.netsim.impairments.jammer import Source
 from vcmvsp.netsim.impairments.script import Change
 from vcmvsp.netsim.propagation.walls import ITU_MATERIALS
 from vcmvsp.physics.sensors.noise import Noise
-from vcmvsp.physics.world.floor import Ground, Mark
+from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.solids import MATERIAL_COLORS, Box, Cylinder, Prism
-from vcmvsp.physics.world.targets import Target
+from vcmvsp.physics.world.targets import GroundTarget
 from vcmvsp.physics.world.world import Light, Movable, Moving, Wind, Zone
 
 FOLDER = SCENARIOS
@@ -142,7 +142,7 @@ def test_every_kind_is_documented_with_all_its_parameters(group: str, kind: str)
     ("heading", "item", "target"),
     [
         *[("`[world]`", each.__name__.lower(), each) for each in (Box, Cylinder, Prism, Movable, Moving, Zone, Wind, Light)],
-        *[("`[world]`", each.__name__.lower(), each) for each in (Ground, Mark, Target)],
+        *[("`[world]`", each.__name__.lower(), each) for each in (GroundPicture, Mark, GroundTarget)],
         (*HEADINGS["sensor"], "noise", Noise),
         ("`positioning = { ... }`", "positioning", Positioning),
         ("`radio = { ... }`", "default", Radio),

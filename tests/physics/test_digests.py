@@ -28,7 +28,7 @@ from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Point
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
-from vcmvsp.physics.world.floor import Ground, Mark
+from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World, Zone
 
@@ -64,7 +64,7 @@ def mixed_world() -> World:
             ),
         ),
         zones=(Zone(center=(2.0, 2.0), size=(2.0, 2.0), friction=0.1),),
-        ground=Ground(marks=(Mark(center=(1.0, 1.0), radius=0.5, color=(220, 30, 160)),)),
+        ground=GroundPicture(marks=(Mark(center=(1.0, 1.0), radius=0.5, color=(220, 30, 160)),)),
         wind=Wind(velocity=(1.0, -0.5, 0.0), gust=2.0, gust_time_s=0.5),
     )
 

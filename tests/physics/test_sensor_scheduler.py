@@ -13,7 +13,7 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Later, Measured, Rate, Reading
-from vcmvsp.physics.sensor_scheduler import Instruments
+from vcmvsp.physics.sensor_scheduler import SensorScheduler
 from vcmvsp.physics.sensors.altimeter import Altimeter
 from vcmvsp.physics.sensors.gps import Gps
 from vcmvsp.physics.sensors.imu import InertialUnit
@@ -56,7 +56,7 @@ def run(
     fitted: Fitted, seconds: float, *, seed: int = 1, vehicles: int = 3, wanted: frozenset[str] = frozenset()
 ) -> list[Event]:
     """All events of a run; readings on demand as they are."""
-    instruments = Instruments(fitted, seed, wanted=wanted)
+    instruments = SensorScheduler(fitted, seed, wanted=wanted)
     places, events = [(3.0 * n, 0.0, 1.0) for n in range(vehicles)], []
     for now in times(instruments, seconds):
         assert instruments.due(now)
@@ -64,7 +64,7 @@ def run(
     return events
 
 
-def times(instruments: Instruments, seconds: float) -> list[int]:
+def times(instruments: SensorScheduler, seconds: float) -> list[int]:
     """When sensors are to be read before so many seconds have gone, ns."""
     found = set()
     for ticks, offset_ns in ((each.ticks, each.offset_ns) for each in instruments.instants):
@@ -90,13 +90,13 @@ def test_each_sensor_is_read_at_its_rate_from_its_phase_on_and_delivered_late() 
 
 
 def test_without_sensors_there_is_nothing_to_do() -> None:
-    instruments = Instruments({"car0": {}}, 1)
+    instruments = SensorScheduler({"car0": {}}, 1)
     assert instruments.instants == ()
     assert not instruments.due(0)
 
 
 def test_sensors_are_due_at_their_own_instants_alone() -> None:
-    instruments = Instruments({"car0": {"a": Draw(rate_hz=10.0, phase_s=0.05), "b": Draw(rate_hz=4.0)}}, 1)
+    instruments = SensorScheduler({"car0": {"a": Draw(rate_hz=10.0, phase_s=0.05), "b": Draw(rate_hz=4.0)}}, 1)
     due = [now for now in range(-(10**8), 10**9, 25 * 10**6) if instruments.due(now)]
     assert due == times(instruments, 1.0)
 
@@ -206,13 +206,13 @@ def test_light_ones_are_read_at_once_and_together() -> None:
 )
 def test_a_rate_or_phase_between_steps_of_physics_is_refused(sensor: Sensor, key: str, words: str) -> None:
     with pytest.raises(ScenarioError, match=words) as refused:
-        Instruments({"car0": {"ok": Draw()}, "car1": {"bad": sensor}}, 1).check(Ticks.rate(120.0))
+        SensorScheduler({"car0": {"ok": Draw()}, "car1": {"bad": sensor}}, 1).check(Ticks.rate(120.0))
     assert refused.value.key == f"vehicle.car1.sensors.bad.{key}"
 
 
 def test_rates_and_phases_on_steps_of_physics_are_not_refused() -> None:
     sensors = {str(hz): Draw(rate_hz=hz, phase_s=0.025) for hz in (120.0, 60.0, 40.0, 0.5, 7.5)}
-    Instruments({"car0": sensors}, 1).check(Ticks.rate(120.0))
+    SensorScheduler({"car0": sensors}, 1).check(Ticks.rate(120.0))
 
 
 def test_a_sensor_that_fails_is_named() -> None:

@@ -1,8 +1,4 @@
-"""Bodies in Bullet. Only here is PyBullet imported; the other modules of this package take it from here.
-
-`engine` is the way in; `ground_robots` drive, `quadrotors` fly, `world_bodies` stand, can be pushed or move by a time-table.
-No motion without Bullet belongs here.
-"""
+"""Bodies in Bullet, the entry is `engine`. Only here is PyBullet imported. No motion without Bullet belongs here."""
 
 import os
 import sys
@@ -12,16 +8,16 @@ from contextlib import contextmanager
 
 @contextmanager
 def _silent_stderr() -> Iterator[None]:
-    """PyBullet's C code greets on standard error when it is imported; the file descriptor leads nowhere meanwhile."""
+    """Discard the greeting that PyBullet's C code prints to standard error during its import."""
     sys.stderr.flush()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
+    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
     try:
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(null)
 
 
 with _silent_stderr():

@@ -1,7 +1,7 @@
-"""Whether vehicles in the air are clear of everything for a while, all at once: whoever is cannot touch anything meanwhile.
+"""Clearance of vehicles in the air, all at once: a clear vehicle cannot touch anything before the next look.
 
-Solids are looked up in a map of square cells, each with the pieces that any place in it may be near to. A piece is an upright
-convex prism; triangles of meshes are taken for the boxes around them, small ones together. Distances are never overestimated.
+Solids are looked up in a map of square cells, each with the pieces near to it. A piece is an upright convex prism; boxes stand
+for triangles of meshes, one box for several small ones. Distances are never overestimated.
 """
 
 import math
@@ -22,7 +22,7 @@ class SolidsMap:
     """The pieces of solids near every place."""
 
     def __init__(self, shapes: Shapes) -> None:
-        pieces = [(corners, *z) for group in shapes.groups for corners, *z in zip(*group[:3], strict=True)]
+        pieces = [piece for group in shapes.groups for piece in zip(*group[:3], strict=True)]
         pieces += _boxes(shapes.triangles)
         self._empty = not pieces
         if self._empty:
@@ -32,7 +32,7 @@ class SolidsMap:
         self._size = max(_FINEST_M, math.sqrt(float(np.prod(high - low)) / _CELLS))
         self._origin, self._shape = low, np.ceil((high - low) / self._size).astype(int) + 1
         edges = max(len(corners) for corners, _, _ in pieces)
-        # Outward normals and offsets of all sides; what is missing is no side: -inf beyond it.
+        # Outward normals and offsets of all sides; a missing side has an infinite offset.
         self._normals, self._offsets = np.zeros((len(pieces), edges, 2)), np.full((len(pieces), edges), np.inf)
         self._bottom, self._top = (np.array([piece[k] for piece in pieces], float) for k in (1, 2))
         cells = [self._enter(number, corners) for number, (corners, _, _) in enumerate(pieces)]
@@ -43,7 +43,7 @@ class SolidsMap:
         self._first = np.cumsum(self._count) - self._count
 
     def _enter(self, number: int, corners: Array) -> Array:
-        """Note the sides of a piece; the cells that have a place within reach of it."""
+        """Store the sides of a piece; returns the cells within reach of it."""
         normals = outward(corners)
         offsets = (normals * corners).sum(axis=1)
         self._normals[number, : len(corners)], self._offsets[number, : len(corners)] = normals, offsets
@@ -84,15 +84,14 @@ def _boxes(triangles: Array) -> list[tuple[Array, float, float]]:
     lows, highs = np.full((len(cubes), 3), np.inf), np.full((len(cubes), 3), -np.inf)
     np.minimum.at(lows, of.ravel(), low[small])
     np.maximum.at(highs, of.ravel(), high[small])
-    both = np.concatenate([lows, low[~small]]) - 1e-3, np.concatenate([highs, high[~small]]) + 1e-3  # never without extent
-    return [
-        (np.array([(a, b), (d, b), (d, e), (a, e)]), c, f)
-        for (a, b, c), (d, e, f) in zip(*(each.tolist() for each in both), strict=True)
-    ]
+    lows, highs = np.concatenate([lows, low[~small]]) - 1e-3, np.concatenate([highs, high[~small]]) + 1e-3  # no flat box
+    ends = np.stack([lows, highs], axis=1)  # (boxes, 2, 3)
+    corners = np.stack([ends[:, [0, 1, 1, 0], 0], ends[:, [0, 0, 1, 1], 1]], axis=2)
+    return list(zip(corners, lows[:, 2].tolist(), highs[:, 2].tolist(), strict=True))
 
 
 def near_each_other(position: Array, velocity: Array, radius: Array, span_s: float, slack_m: float) -> Array:
-    """Whether any other of n spheres may come to touch each within ``span_s``; ``slack_m`` is for what may accelerate."""
+    """Whether another of n spheres may touch each within ``span_s``; ``slack_m`` allows for accelerations."""
     x, y, z = position.T
     square = np.square(x[:, None] - x) + np.square(y[:, None] - y) + np.square(z[:, None] - z)
     apart = radius[:, None] + radius + slack_m
@@ -108,7 +107,7 @@ def near_each_other(position: Array, velocity: Array, radius: Array, span_s: flo
 
 
 def near_others(position: Array, margin: Array, others: Array, other_margin: Array) -> Array:
-    """Whether any of m other spheres may come to touch each of n; margins are radius and way together, m."""
+    """Whether any of m other spheres may touch each of n; margins are radius plus way, m."""
     if not len(others):
         return np.zeros(len(position), bool)
     square = np.square(position[:, None] - others).sum(axis=2)

@@ -1,18 +1,40 @@
-"""A differential drive as a Bullet body, from its parameters.
+"""Bodies in Bullet from their parameters. Bullet's default damping is switched off: the parameters have no air or oil.
 
-* Wheels are spheres. They touch the floor in one point at the middle of the tread; cylinders become polyhedra in Bullet and
-  cost twice the time, and track worse. They collide with the floor only, for a sphere is wider than the wheel it stands for.
+A differential drive:
+
+* Wheels are spheres, which touch the floor in one point at the middle of the tread. Cylinders become polyhedra in Bullet, cost
+  twice the time, and track worse. Wheels collide with the floor only, because the sphere is wider than the wheel.
 * The caster is a second shape of the base, nearly without friction: no further joint.
-* Bullet's default damping of bodies and joints is switched off: there is no air or oil in the parameters.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, UPRIGHT, WHEEL, p, turned
 from vcmvsp.physics.vehicles.models import DifferentialDrive
 
 LEFT, RIGHT = 0, 1  # joints
+
+
+def hull_shape(client: int, kind: str, size: Vec3, **frame: Any) -> int:
+    """Collision shape of a box or a cylinder of a size, m."""
+    if kind == "cylinder":
+        shape: int = p.createCollisionShape(
+            p.GEOM_CYLINDER, radius=0.5 * size[0], height=size[2], physicsClientId=client, **frame
+        )
+    else:
+        half = [0.5 * side for side in size]
+        shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half, physicsClientId=client, **frame)
+    return shape
+
+
+def rigid_body(client: int, mass_kg: float, shape: int, friction: float, mask: int, **start: Any) -> int:
+    """A body of one shape in the collision group `SOLID`."""
+    body: int = p.createMultiBody(mass_kg, shape, physicsClientId=client, **start)
+    p.changeDynamics(body, -1, lateralFriction=friction, linearDamping=0.0, angularDamping=0.0, physicsClientId=client)
+    p.setCollisionFilterGroupMask(body, -1, SOLID, mask, physicsClientId=client)
+    return body
 
 
 def differential_drive(client: int, m: DifferentialDrive, position: Vec3, heading: float) -> int:
@@ -49,11 +71,9 @@ def differential_drive(client: int, m: DifferentialDrive, position: Vec3, headin
         linkJointAxis=[(0.0, 1.0, 0.0)] * 2,
         physicsClientId=client,
     )
-    # Inertia: the body as a solid box, about its middle; a wheel as a disc. Bullet takes both from the shapes otherwise.
-    box = tuple(
-        base_mass / 12.0 * (u * u + v * v)
-        for u, v in ((m.width_m, hull_height), (m.length_m, hull_height), (m.length_m, m.width_m))
-    )
+    # Inertia: the body as a solid box about its middle, a wheel as a disc. Bullet's defaults are those of the shapes.
+    sides = ((m.width_m, hull_height), (m.length_m, hull_height), (m.length_m, m.width_m))
+    box = tuple(base_mass / 12.0 * (u * u + v * v) for u, v in sides)
     across, axle = 0.25 * m.wheel_mass_kg * m.wheel_radius_m**2, 0.5 * m.wheel_mass_kg * m.wheel_radius_m**2
     for link, inertia in ((-1, box), (LEFT, (across, axle, across)), (RIGHT, (across, axle, across))):
         p.changeDynamics(body, link, localInertiaDiagonal=inertia, physicsClientId=client)
@@ -62,7 +82,7 @@ def differential_drive(client: int, m: DifferentialDrive, position: Vec3, headin
 
 
 def finish(client: int, body: int, *, wheels: Sequence[int], wheel_friction: float, friction: float) -> None:
-    """Friction of wheels and of all else; no damping; wheels meet the floor only."""
+    """Set the friction of wheels and of all other links, no damping, and the collision groups."""
     for link in range(-1, p.getNumJoints(body, client)):
         rolls = link in wheels
         p.changeDynamics(

@@ -1,8 +1,8 @@
-"""Robots that drive, in Bullet: wheels that roll and slip, motors of limited torque, encoders that count what wheels turn.
+"""Ground robots in Bullet: wheels that roll and slip, motors of limited torque, wheel encoders.
 
 The firmware moves the set points of (v, w) towards the command once a step; motors hold the wheels at the speeds of the set
-points. Wheel encoders are read 40 times a second, whoever looks on: what is published never depends on how often. At those
-ticks a robot that has come into another zone of the floor gets the friction of that zone.
+points. Wheel encoders are read 40 times a second, independent of publications. At these ticks a robot in another zone of the
+floor gets the friction of that zone.
 """
 
 import math
@@ -18,14 +18,14 @@ from vcmvsp.physics.dynamics.bullet.body_builder import LEFT, RIGHT, differentia
 from vcmvsp.physics.dynamics.bullet.world_bodies import BaseState, base_states, floor_friction, motion_of
 from vcmvsp.physics.dynamics.firmware import Firmware
 from vcmvsp.physics.dynamics.kinematic_ground import wrapped
-from vcmvsp.physics.engine.interface import Motion
+from vcmvsp.physics.engine.interface import BodyMotion
 from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World, Zone
 
 
 class _Wheels(NamedTuple):
-    """What the motors of one robot need."""
+    """Parameters of the motors of one robot."""
 
     body: int
     joints: tuple[int, int]
@@ -35,28 +35,27 @@ class _Wheels(NamedTuple):
     forces: tuple[float, float]  # N m
 
 
-_Joints = tuple[tuple[float, ...], tuple[float, ...]]  # left and right wheel: rad, rad/s, and what else Bullet says of them
+_Joints = tuple[tuple[float, ...], tuple[float, ...]]  # left and right wheel: rad, rad/s, and more
 
 
-class Robots:
-    """n driving robots in a row each."""
+class GroundRobots:
+    """n ground robots, a row each; ``starts`` are positions, m, and headings, rad."""
 
     def __init__(
         self,
         client: int,
         world: World,
         models: Sequence[DifferentialDrive | UrdfDrive],
-        positions: Sequence[Vec3],
-        headings: Sequence[float],
+        starts: Sequence[tuple[Vec3, float]],
         step_s: float,
     ) -> None:
         self._client, self._step_s = client, step_s
-        self._firmware = Firmware(models)
+        self.firmware = Firmware(models)
         self._wheels: list[_Wheels] = []
-        references: list[Vec3] = []  # from the centre of mass, which Bullet speaks of, to the reference point; body frame
-        for model, position, heading in zip(models, positions, headings, strict=True):
-            made, reference = _made(client, model, position, heading)
-            self._wheels.append(made)
+        references: list[Vec3] = []  # from the centre of mass to the reference point, body frame
+        for model, (position, heading) in zip(models, starts, strict=True):
+            wheels, reference = _build(client, model, position, heading)
+            self._wheels.append(wheels)
             references.append(reference)
         self.bodies = [each.body for each in self._wheels]
         self._references = np.array(references, float).reshape(len(models), 3)
@@ -64,89 +63,82 @@ class Robots:
         self._signs = np.array([each.signs for each in self._wheels], float).reshape(len(models), 2)
         self._radius = np.array([each.radius_m for each in self._wheels])
         self._half_track = np.array([each.half_track_m for each in self._wheels])
-        # What the encoders said last, rad, and the pose reckoned from it.
-        self._seen = [(0.0, 0.0)] * len(models)
-        self._reckoned = [(x, y, yaw) for (x, y, _), yaw in zip(positions, headings, strict=True)]
-        self._joints: list[_Joints] = []  # of the wheels since the last step, once somebody has asked
-        self._before: list[BaseState] = []  # before the step whose accelerations are wanted
+        self._encoders = [(0.0, 0.0)] * len(models)  # last readings, rad
+        self._reckoned = [(x, y, yaw) for (x, y, _), yaw in starts]  # poses at these readings
+        self._joints: list[_Joints] = []  # cache, until the next step
+        self._before: list[BaseState] = []  # states before the last step, for accelerations
         for row in range(len(models)):
             self._drive(row, 0.0, 0.0)  # motors hold the wheels from the start
         self._zones = _Zones(client, world, self._wheels) if world.zones and models else None
         if self._zones:
             self._zones.scale()
 
-    def command(self, row: int, v: float, w: float) -> None:
-        """From now on move at ``v`` m/s forward and ``w`` rad/s, as soon as the firmware's ramps allow."""
-        self._firmware.command(row, v, w)
-
     def cycle(self) -> None:
         """One cycle of the firmware, before a step."""
         self._joints = []
-        for row, v, w in self._firmware.cycle(self._step_s):
+        for row, v, w in self.firmware.cycle(self._step_s):
             self._drive(row, v, w)
 
     def _drive(self, row: int, v: float, w: float) -> None:
-        """Have the motors turn the wheels at the speeds of (v, w): ``(v -+ w track / 2) / radius``, from now on."""
-        body, joints, (left, right), radius, half_track, forces = self._wheels[row]
+        """Set the wheel speeds of the motors for (v, w): ``(v -+ w track / 2) / radius``."""
+        body, joints, (sign_left, sign_right), radius, half_track, forces = self._wheels[row]
         across = w * half_track
-        speeds = (left * (v - across) / radius, right * (v + across) / radius)
+        speeds = (sign_left * (v - across) / radius, sign_right * (v + across) / radius)
         p.setJointMotorControlArray(
             body, joints, p.VELOCITY_CONTROL, targetVelocities=speeds, forces=forces, physicsClientId=self._client
         )
 
     def encode(self) -> None:
-        """Take the encoders' readings into the odometry."""
-        now = self._turned()
-        for row, (left, right) in enumerate(now):
-            turned_to = left[0], right[0]
-            self._reckoned[row], self._seen[row] = self._reckon(row, turned_to), turned_to
+        """Read the encoders, and update the odometry."""
+        for row, (left_joint, right_joint) in enumerate(self._joint_states()):
+            angles = left_joint[0], right_joint[0]
+            self._reckoned[row], self._encoders[row] = self._reckon(row, angles), angles
         if self._zones:
             self._zones.scale()
 
-    def read(self) -> Motion:
-        """How every robot moves, and its wheels' account of it up to now; looking changes nothing."""
+    def read(self) -> BodyMotion:
+        """Motion of every robot, and its wheel odometry up to now; reading changes nothing."""
         n = len(self._wheels)
-        states = self._turned()
-        rolled = self._signs * np.array([(left[0], right[0]) for left, right in states]).reshape(n, 2)
-        turning = self._signs * np.array([(left[1], right[1]) for left, right in states]).reshape(n, 2)
-        reckoned = [self._reckon(row, (left[0], right[0])) for row, (left, right) in enumerate(states)]
+        states = self._joint_states()
+        angles = [(left_joint[0], right_joint[0]) for left_joint, right_joint in states]
+        rates = [(left_joint[1], right_joint[1]) for left_joint, right_joint in states]
+        turning = self._signs * np.array(rates).reshape(n, 2)
         odometry = np.empty((n, 5))
-        odometry[:, :3] = np.array(reckoned).reshape(n, 3)
+        odometry[:, :3] = np.array([self._reckon(row, each) for row, each in enumerate(angles)]).reshape(n, 3)
         odometry[:, 2] = wrapped(odometry[:, 2])
         odometry[:, 3] = 0.5 * self._radius * (turning[:, 1] + turning[:, 0])
         odometry[:, 4] = 0.5 * self._radius * (turning[:, 1] - turning[:, 0]) / self._half_track
-        return self._moved()._replace(wheels=rolled, odometry=odometry)
+        return self._reference_motion()._replace(wheels=self._signs * np.array(angles).reshape(n, 2), odometry=odometry)
 
-    def _turned(self) -> list[_Joints]:
-        """How far both wheels of every robot have turned, and how fast they do, as Bullet says it."""
+    def _joint_states(self) -> list[_Joints]:
+        """Angles and rates of both wheels of every robot."""
         if not self._joints:
             states, client = p.getJointStates, self._client
             self._joints = [states(each.body, each.joints, client) for each in self._wheels]
         return self._joints
 
-    def _reckon(self, row: int, now: tuple[float, float]) -> Vec3:
-        """The last pose, continued by the arc that the wheels have rolled since."""
+    def _reckon(self, row: int, angles: tuple[float, float]) -> Vec3:
+        """The pose at the last reading, continued by the arc that the wheels have rolled since."""
         _, _, (sign_left, sign_right), radius, half_track, _ = self._wheels[row]
-        (now_left, now_right), (seen_left, seen_right) = now, self._seen[row]
-        left, right = radius * sign_left * (now_left - seen_left), radius * sign_right * (now_right - seen_right)
-        return arc(self._reckoned[row], 0.5 * (left + right), 0.5 * (right - left) / half_track, 1.0)
+        last_left, last_right = self._encoders[row]
+        way_left, way_right = radius * sign_left * (angles[0] - last_left), radius * sign_right * (angles[1] - last_right)
+        return arc(self._reckoned[row], 0.5 * (way_left + way_right), 0.5 * (way_right - way_left) / half_track, 1.0)
 
-    def note(self) -> None:
-        """Have the accelerations over the step that follows ready for whoever reads; without it they are zero."""
+    def save_velocities(self) -> None:
+        """Save the states before a step, for its accelerations; without this call they are zero."""
         self._before = base_states(self._client, self.bodies)
 
-    def _moved(self) -> Motion:
-        """How the reference points move."""
+    def _reference_motion(self) -> BodyMotion:
         n, now = len(self.bodies), base_states(self._client, self.bodies)
         if not self._before:
             return motion_of(now, self._references)
-        both = motion_of([*now, *self._before], self._twice)  # at once: that is hardly more work than one
+        both = motion_of([*now, *self._before], self._twice)  # at once: little more work than one
         acceleration = (both.velocity[:n] - both.velocity[n:]) / self._step_s
-        return Motion(*(each[:n] for each in both))._replace(acceleration=acceleration)
+        return BodyMotion(*(each[:n] for each in both))._replace(acceleration=acceleration)
 
 
-def _made(client: int, model: DifferentialDrive | UrdfDrive, position: Vec3, heading: float) -> tuple[_Wheels, Vec3]:
-    """A robot in Bullet, and its reference point seen from its centre of mass."""
+def _build(client: int, model: DifferentialDrive | UrdfDrive, position: Vec3, heading: float) -> tuple[_Wheels, Vec3]:
+    """Build a robot; also returns its reference point in the frame of its centre of mass, m."""
     forces = (model.torque, model.torque)
     if isinstance(model, DifferentialDrive):
         body = differential_drive(client, model, position, heading)
@@ -171,29 +163,25 @@ def _made(client: int, model: DifferentialDrive | UrdfDrive, position: Vec3, hea
 
 
 class _Zones:
-    """Gives robots the friction of where their centre of mass is; the floor's, by which Bullet multiplies, is divided out."""
+    """Sets the friction of robots by the zone of their centre of mass, without the floor's, which Bullet multiplies in."""
 
     def __init__(self, client: int, world: World, robots: Sequence[_Wheels]) -> None:
         self._client, self._zones, self._floor = client, world.zones, floor_friction(world)
-        self._links = [
-            [(link, p.getDynamicsInfo(each.body, link, client)[1]) for link in range(-1, p.getNumJoints(each.body, client))]
-            for each in robots
-        ]
-        self._bodies = [each.body for each in robots]
-        self._present = [self._floor] * len(robots)
+        self._frictions: dict[int, list[float]] = {}  # by body: own friction of base and links
+        for body, *_ in robots:
+            links = range(-1, p.getNumJoints(body, client))
+            self._frictions[body] = [p.getDynamicsInfo(body, link, client)[1] for link in links]
+        self._present = dict.fromkeys(self._frictions, self._floor)
 
     def scale(self) -> None:
-        """Give every robot that came into another zone the friction there."""
-        for row, body in enumerate(self._bodies):
+        """Set the friction of every robot that has entered another zone."""
+        for body, frictions in self._frictions.items():
             (x, y, _), _ = p.getBasePositionAndOrientation(body, self._client)
-            friction = self._at(x, y)
-            if friction != self._present[row]:
-                self._present[row] = friction
-                for link, own in self._links[row]:
-                    p.changeDynamics(body, link, lateralFriction=own * friction / self._floor, physicsClientId=self._client)
-
-    def _at(self, x: float, y: float) -> float:
-        return next((zone.friction for zone in reversed(self._zones) if _inside(zone, x, y)), self._floor)
+            zone = next((each.friction for each in reversed(self._zones) if _inside(each, x, y)), self._floor)
+            if zone != self._present[body]:
+                self._present[body] = zone
+                for link, own in enumerate(frictions, -1):
+                    p.changeDynamics(body, link, lateralFriction=own * zone / self._floor, physicsClientId=self._client)
 
 
 def _inside(zone: Zone, x: float, y: float) -> bool:

@@ -1,34 +1,30 @@
-"""What is in a Bullet world besides vehicles: floor and solids, things that can be pushed, obstacles with a time-table."""
+"""Floor, solids, movables and moving obstacles in a Bullet world."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, WHEEL, p, turned
+from vcmvsp.physics.dynamics.bullet.body_builder import hull_shape, rigid_body
 from vcmvsp.physics.dynamics.movables import on_time
-from vcmvsp.physics.dynamics.rigid_body import into_body, pairs
-from vcmvsp.physics.engine.interface import NO_BODIES, Motion
+from vcmvsp.physics.dynamics.rigid_body import into_body
+from vcmvsp.physics.engine.interface import NO_BODIES, BodyMotion, without_wheels
+from vcmvsp.physics.world.scene import rotation_columns
 from vcmvsp.physics.world.solids import Box, Cylinder, heading_of
 from vcmvsp.physics.world.world import World
 
-HEAVY_KG = 1e6  # an obstacle with a time-table: nothing holds it up, and unlike a body without mass it wakes what it meets
+HEAVY_KG = 1e6  # of a body that follows a path: nothing stops it, and unlike a body without mass it wakes the bodies it meets
 _LEAST_FRICTION = 1e-6  # as good as none
 _FALLS_ASLEEP = 0.01  # m2/s2: a movable slower than this for 2 s is left out of the steps until something touches it
 
-_X, _Y, _Z, _W = range(4)  # Bullet's order
-_WXYZ = np.array([_W, _X, _Y, _Z])
+_WXYZ = np.array([3, 0, 1, 2])  # of a quaternion in Bullet's order
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes
 
-# Of a rotation matrix, row by row: half of each entry is the first of these products of a quaternion's components plus or minus
-# the second; on the diagonal, of 1 less the entry.
-_FIRST = pairs((_Y, _Y), (_X, _Y), (_X, _Z), (_X, _Y), (_X, _X), (_Y, _Z), (_X, _Z), (_Y, _Z), (_X, _X))
-_SECOND = pairs((_Z, _Z), (_W, _Z), (_W, _Y), (_W, _Z), (_Z, _Z), (_W, _X), (_W, _Y), (_W, _X), (_Y, _Y))
-_SIGN = np.array([1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])[:, None]
 
-
-class Things:
-    """The floor, the solids as one mesh, movables and moving obstacles.
+class WorldBodies:
+    """Floor, solids, movables and moving obstacles.
 
     All solids are one mesh: a step costs the same with one box as with hundreds.
     """
@@ -36,20 +32,21 @@ class Things:
     def __init__(self, client: int, world: World) -> None:
         self._client, self._moving = client, world.moving
         plane = p.createCollisionShape(p.GEOM_PLANE, planeNormal=(0.0, 0.0, 1.0), physicsClientId=client)
-        self.floor: int = p.createMultiBody(0.0, plane, physicsClientId=client)
-        p.changeDynamics(self.floor, -1, lateralFriction=floor_friction(world), physicsClientId=client)
-        p.setCollisionFilterGroupMask(self.floor, -1, FLOOR, SOLID | WHEEL, physicsClientId=client)
-        self.solids = self._build_solids(world) if world.solids else -1
-        self.movables = [self._build(each.solid, each.mass_kg, each.friction) for each in world.movables]
-        self._asleep()
-        self.moving = [self._build(each.solid, HEAVY_KG, 0.5) for each in world.moving]
-        for body in self.moving:  # they do not mind the floor
-            p.setCollisionFilterGroupMask(body, -1, SOLID, SOLID, physicsClientId=client)
-        solids = [*(each.solid for each in world.movables), *(each.solid for each in world.moving)]
+        floor = p.createMultiBody(0.0, plane, physicsClientId=client)
+        p.changeDynamics(floor, -1, lateralFriction=floor_friction(world), physicsClientId=client)
+        p.setCollisionFilterGroupMask(floor, -1, FLOOR, SOLID | WHEEL, physicsClientId=client)
+        if world.solids:
+            self._build_solids(world)
+        self.movables = [self._build(each.solid, each.mass_kg, each.friction, FLOOR | SOLID) for each in world.movables]
+        for body in self.movables:
+            sleep = {"activationState": p.ACTIVATION_STATE_ENABLE_SLEEPING, "sleepThreshold": _FALLS_ASLEEP}
+            p.changeDynamics(body, -1, **sleep, physicsClientId=client)
+        self.moving = [self._build(each.solid, HEAVY_KG, 0.5, SOLID) for each in world.moving]  # without contact to the floor
+        solids = [each.solid for each in world.movables] + [each.solid for each in world.moving]
         self._radii_m = np.array([0.5 * math.hypot(*solid.hull.size) for solid in solids])  # of spheres around them
         self.place(0)
 
-    def _build_solids(self, world: World) -> int:
+    def _build_solids(self, world: World) -> None:
         vertices, triangles = world.mesh()
         mesh = p.createCollisionShape(
             p.GEOM_MESH,
@@ -58,41 +55,16 @@ class Things:
             flags=p.GEOM_FORCE_CONCAVE_TRIMESH,
             physicsClientId=self._client,
         )
-        body: int = p.createMultiBody(0.0, mesh, physicsClientId=self._client)
+        body = p.createMultiBody(0.0, mesh, physicsClientId=self._client)
         p.setCollisionFilterGroupMask(body, -1, SOLID, SOLID, physicsClientId=self._client)
-        return body
 
-    def _build(self, solid: Box | Cylinder, mass_kg: float, friction: float) -> int:
-        client = self._client
-        if isinstance(solid, Cylinder):
-            shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=solid.radius, height=solid.height, physicsClientId=client)
-        else:
-            half = [0.5 * side for side in solid.size]
-            shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half, physicsClientId=client)
-        body: int = p.createMultiBody(
-            mass_kg,
-            shape,
-            basePosition=solid.center,
-            baseOrientation=turned(heading_of(solid)),
-            flags=p.URDF_ENABLE_SLEEPING,
-            physicsClientId=client,
-        )
-        p.changeDynamics(body, -1, lateralFriction=friction, linearDamping=0.0, angularDamping=0.0, physicsClientId=client)
-        p.setCollisionFilterGroupMask(body, -1, SOLID, FLOOR | SOLID, physicsClientId=client)
-        return body
-
-    def _asleep(self) -> None:
-        for body in self.movables:
-            p.changeDynamics(
-                body,
-                -1,
-                activationState=p.ACTIVATION_STATE_ENABLE_SLEEPING,
-                sleepThreshold=_FALLS_ASLEEP,
-                physicsClientId=self._client,
-            )
+    def _build(self, solid: Box | Cylinder, mass_kg: float, friction: float, mask: int) -> int:
+        shape = hull_shape(self._client, solid.hull.kind, solid.hull.size)
+        start = {"basePosition": solid.center, "baseOrientation": turned(heading_of(solid))}
+        return rigid_body(self._client, mass_kg, shape, friction, mask, flags=p.URDF_ENABLE_SLEEPING, **start)
 
     def put(self, number: int, place: Vec3, yaw: float) -> None:
-        """Put a movable somewhere, m, at rest; whatever leaned on it notices."""
+        """Put a movable at a place, m, at rest, and wake all movables: one may have leaned on it."""
         body = self.movables[number]
         p.resetBasePositionAndOrientation(body, place, turned(yaw), self._client)
         p.resetBaseVelocity(body, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), self._client)
@@ -100,24 +72,12 @@ class Things:
             p.changeDynamics(each, -1, activationState=p.ACTIVATION_STATE_WAKE_UP, physicsClientId=self._client)
 
     def place(self, now_ns: int) -> None:
-        """Put the moving obstacles where they belong, as fast as they go: what they meet is pushed."""
-        if not self.moving:
-            return
-        now = on_time(self._moving, now_ns)
-        client = self._client
-        for body, place, (w, x, y, z), speed, turning in zip(
-            self.moving,
-            now.position.tolist(),
-            now.attitude.tolist(),
-            now.velocity.tolist(),
-            now.angular_velocity.tolist(),
-            strict=True,
-        ):
-            p.resetBasePositionAndOrientation(body, place, (x, y, z, w), client)
-            p.resetBaseVelocity(body, speed, turning, client)
+        """Put the moving obstacles in place with their velocities: they push the bodies in their way."""
+        if self.moving:
+            set_poses(self._client, self.moving, on_time(self._moving, now_ns))
 
     def spheres(self, now_ns: int, span_s: float) -> tuple[Array, Array]:
-        """Places (m, 3) m of movables and moving obstacles, and how far around it each may be within ``span_s``, (m,) m."""
+        """Positions (m, 3) m, and radii of spheres around them that the bodies do not leave within ``span_s``, (m,) m."""
         if not len(self._radii_m):
             return np.empty((0, 3)), np.empty(0)
         parts = (self.read(), on_time(self._moving, now_ns))
@@ -125,52 +85,59 @@ class Things:
         ways = span_s * np.sqrt((velocity * velocity).sum(axis=1))
         return np.concatenate([each.position for each in parts]), self._radii_m + ways
 
-    def read(self) -> Motion:
-        """How the movables move."""
-        if not self.movables:
-            return NO_BODIES
-        return base_motion(self._client, self.movables)
+    def read(self) -> BodyMotion:
+        """Motion of the movables."""
+        return base_motion(self._client, self.movables) if self.movables else NO_BODIES
+
+
+def set_poses(client: int, bodies: Sequence[int], motion: BodyMotion) -> None:
+    """Put bodies in place with their velocities; angular velocities in the world frame."""
+    for body, place, (w, x, y, z), velocity, spin in zip(
+        bodies,
+        motion.position.tolist(),
+        motion.attitude.tolist(),
+        motion.velocity.tolist(),
+        motion.angular_velocity.tolist(),
+        strict=True,
+    ):
+        p.resetBasePositionAndOrientation(body, place, (x, y, z, w), client)
+        p.resetBaseVelocity(body, velocity, spin, client)
 
 
 def floor_friction(world: World) -> float:
-    """Of the floor in Bullet: never 0 where there are zones, in which that of robots is made up for it."""
+    """Friction of the floor in Bullet: never 0 with zones, in which the friction of robots makes up for it."""
     return max(world.floor_friction, _LEAST_FRICTION) if world.zones else world.floor_friction
 
 
 BaseState = tuple[Vec3, tuple[float, float, float, float], Vec3, Vec3]
-"""Of a body's centre of mass: place, m; attitude, x, y, z, w; velocity, m/s; angular velocity, rad/s; in the world's axes."""
+"""Centre of mass of a body: position, m; attitude, x, y, z, w; velocity, m/s; angular velocity, rad/s; world frame."""
 
 
 def base_states(client: int, bodies: list[int]) -> list[BaseState]:
-    """What Bullet says of bodies, as it says it."""
+    """States of bodies in Bullet's own form."""
     poses, speeds = p.getBasePositionAndOrientation, p.getBaseVelocity
     return [(*poses(body, client), *speeds(body, client)) for body in bodies]
 
 
-def base_motion(client: int, bodies: list[int]) -> Motion:
-    """How the centres of mass of bodies move."""
+def base_motion(client: int, bodies: list[int]) -> BodyMotion:
+    """Motion of the centres of mass of bodies."""
     return motion_of(base_states(client, bodies), np.zeros((len(bodies), 3)))
 
 
-def motion_of(states: list[BaseState], references: Array) -> Motion:
-    """How reference points of bodies move, each at a place (n, 3) m in the frame of the body's centre of mass."""
-    n = len(states)
-    said = np.array([(*at, *turn, *speed, *spin) for at, turn, speed, spin in states], float).reshape(n, 13).T.copy()
-    centre, turn, velocity, spin = said[:3], said[3:7], said[7:10], said[10:]  # a column each: few NumPy calls do it
-    products = (turn[:, None] * turn).reshape(16, n)
-    rotation = 2.0 * (products.take(_FIRST, axis=0) + _SIGN * products.take(_SECOND, axis=0))
-    rotation[::4] = 1.0 - rotation[::4]
-    rotation = rotation.reshape(3, 3, n)  # world_from_body
+def motion_of(states: list[BaseState], references: Array) -> BodyMotion:
+    """Motion of reference points (n, 3) m, each in the frame of its body's centre of mass."""
+    rows = [(*position, *attitude, *velocity, *spin) for position, attitude, velocity, spin in states]
+    columns = np.array(rows, float).reshape(-1, 13).T.copy()  # (13, n), for few NumPy calls
+    centre, attitude, velocity, spin = columns[:3], columns[3:7].take(_WXYZ, axis=0), columns[7:10], columns[10:]
+    rotation = rotation_columns(attitude)
     terms = rotation * references.T
     to_reference = terms[:, 0] + terms[:, 1] + terms[:, 2]  # world
     swept = spin.take(_NEXT, axis=0) * to_reference.take(_LAST, axis=0)
     swept -= spin.take(_LAST, axis=0) * to_reference.take(_NEXT, axis=0)
-    return Motion(
-        position=(centre + to_reference).T.copy(),
-        velocity=(velocity + swept).T.copy(),
-        attitude=turn.take(_WXYZ, axis=0).T.copy(),
-        angular_velocity=into_body(rotation, spin).T.copy(),
-        acceleration=np.zeros((n, 3)),
-        wheels=np.full((n, 2), np.nan),
-        odometry=np.full((n, 5), np.nan),
+    return without_wheels(
+        (centre + to_reference).T.copy(),
+        (velocity + swept).T.copy(),
+        attitude.T.copy(),
+        into_body(rotation, spin).T.copy(),
+        np.zeros((len(states), 3)),
     )

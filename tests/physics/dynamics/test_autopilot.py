@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.physics.dynamics.autopilot import Autopilot
-from vcmvsp.physics.dynamics.quadrotor_fleet import Fleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
 MODEL = Quadrotor()
@@ -23,7 +23,9 @@ def euler(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> tuple[floa
     return a * b * c + d * e * f, d * b * c - a * e * f, a * e * c + d * b * f, a * b * f - d * e * c
 
 
-def steps(fleet: Fleet, seconds: float, hz: float = 240.0, push: Any = (0.0, 0.0, 0.0), wind: Any = CALM) -> dict[str, Any]:
+def steps(
+    fleet: QuadrotorFleet, seconds: float, hz: float = 240.0, push: Any = (0.0, 0.0, 0.0), wind: Any = CALM
+) -> dict[str, Any]:
     """Fly on; time, position, velocity, rate and tilt of the first one after every step."""
     seen = []
     for step in range(round(seconds * hz)):
@@ -43,8 +45,8 @@ def steps(fleet: Fleet, seconds: float, hz: float = 240.0, push: Any = (0.0, 0.0
     }
 
 
-def hovering(model: Quadrotor = MODEL, heading: float = 0.0) -> Fleet:
-    return Fleet([model], [(0.0, 0.0, 10.0)], [heading])
+def hovering(model: Quadrotor = MODEL, heading: float = 0.0) -> QuadrotorFleet:
+    return QuadrotorFleet([model], [(0.0, 0.0, 10.0)], [heading])
 
 
 # Signs: x forward, y left, z up; nose down is a positive pitch; the left side up a positive roll.
@@ -189,7 +191,7 @@ def test_with_it_there_is_none() -> None:
 
 @pytest.mark.parametrize("gravity", [0.0, 1e-12])
 def test_without_gravity_it_is_driven_by_its_rotors_alone(gravity: float) -> None:
-    fleet = Fleet([Quadrotor()] * 3, [(0.0, 3.0 * row, 5.0) for row in range(3)], [0.0] * 3, gravity)
+    fleet = QuadrotorFleet([Quadrotor()] * 3, [(0.0, 3.0 * row, 5.0) for row in range(3)], [0.0] * 3, gravity)
     fleet.set_velocity(1, (1.0, 0.0, 1.0), 0.5)
     fleet.set_waypoint(2, (1.0, 6.0, 7.0))
     for _ in range(240):

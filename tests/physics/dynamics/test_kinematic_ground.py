@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.support.step_responses import overshoot, servo_step
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import arc, wrap
-from vcmvsp.physics.dynamics.kinematic_ground import MotionEngine
+from vcmvsp.physics.dynamics.kinematic_ground import GroundEngine
 from vcmvsp.physics.federate import KinematicPhysics
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag
 
@@ -21,12 +21,12 @@ rates = st.floats(-3.0, 3.0)
 spans = st.integers(1, 3 * SECOND_NS)
 
 
-def engine(*models: GroundVehicle, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> MotionEngine:
+def engine(*models: GroundVehicle, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> GroundEngine:
     x, y, yaw = pose
-    return MotionEngine(models, [(x, y, 0.0)] * len(models), [yaw] * len(models))
+    return GroundEngine(models, [(x, y, 0.0)] * len(models), [yaw] * len(models))
 
 
-def row(moved: MotionEngine, number: int = 0) -> tuple[float, float, float, float, float]:
+def row(moved: GroundEngine, number: int = 0) -> tuple[float, float, float, float, float]:
     """x, y, yaw, v, w."""
     x, y, yaw, v, w = moved.read().odometry[number].tolist()
     return x, y, yaw, v, w

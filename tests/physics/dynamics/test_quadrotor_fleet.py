@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.physics.dynamics.quadrotor_fleet import Fleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
 MODEL = Quadrotor()
 both_rates = pytest.mark.parametrize("hz", [120.0, 240.0])
 
 
-def fly(fleet: Fleet, seconds: float, hz: float, wind: Any = (0.0, 0.0, 0.0)) -> SimpleNamespace:
+def fly(fleet: QuadrotorFleet, seconds: float, hz: float, wind: Any = (0.0, 0.0, 0.0)) -> SimpleNamespace:
     """Everything after every step: t (steps,), the rest (steps, n) or (steps, n, 3)."""
     air = np.broadcast_to(np.asarray(wind, float), fleet.position.shape)
     seen = []
@@ -34,8 +34,8 @@ def fly(fleet: Fleet, seconds: float, hz: float, wind: Any = (0.0, 0.0, 0.0)) ->
     )
 
 
-def fleet_of(n: int, model: Quadrotor = MODEL, height: float = 10.0) -> Fleet:
-    return Fleet([model] * n, [(3.0 * row, 0.0, height) for row in range(n)], np.zeros(n))
+def fleet_of(n: int, model: Quadrotor = MODEL, height: float = 10.0) -> QuadrotorFleet:
+    return QuadrotorFleet([model] * n, [(3.0 * row, 0.0, height) for row in range(n)], np.zeros(n))
 
 
 @both_rates
@@ -175,7 +175,7 @@ def test_a_heading_that_was_held_fast_is_not_made_up_for() -> None:
 
 
 def test_the_shorter_way_round_is_turned() -> None:
-    fleet = Fleet([MODEL], [(0.0, 0.0, 5.0)], [3.0])
+    fleet = QuadrotorFleet([MODEL], [(0.0, 0.0, 5.0)], [3.0])
     fleet.set_waypoint(0, (0.0, 0.0, 5.0), yaw=-3.0)
     seen = fly(fleet, 5.0, 120.0)
     assert seen.yaw[-1, 0] - 3.0 == pytest.approx(math.tau - 6.0, abs=1e-3)
@@ -185,7 +185,7 @@ def test_the_shorter_way_round_is_turned() -> None:
 def test_it_recovers_from_any_attitude_and_comes_home(hz: float) -> None:
     rng = np.random.default_rng(5)
     n = 100
-    fleet = Fleet([MODEL] * n, np.tile((0.0, 0.0, 100.0), (n, 1)), np.zeros(n))
+    fleet = QuadrotorFleet([MODEL] * n, np.tile((0.0, 0.0, 100.0), (n, 1)), np.zeros(n))
     attitude = rng.normal(size=(n, 4))
     attitude[:3] = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.6, 0.8, 0.0)  # exactly upside down
     fleet.attitude[:] = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
@@ -243,7 +243,7 @@ def test_vehicles_of_a_fleet_do_not_know_of_each_other() -> None:
     starts, wind = np.array([(0.0, 0.0, 1.0), (9.0, 1.0, 2.0), (-4.0, 0.5, 3.0)]), np.array([(1.0, 2.0, 0.0)] * 3)
 
     def fleet(rows: list[int]) -> Any:
-        some = Fleet([kinds[row] for row in rows], starts[rows], np.array([0.3, -0.2, 1.5])[rows])
+        some = QuadrotorFleet([kinds[row] for row in rows], starts[rows], np.array([0.3, -0.2, 1.5])[rows])
         for place, row in enumerate(rows):
             if row == 1:
                 some.set_waypoint(place, (5.0, 5.0, 5.0), yaw=1.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pybullet
 import pytest
 
-from vcmvsp.physics.dynamics.quadrotor_fleet import Fleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.dynamics.rigid_body import gyration, into_body, precession, rotations
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
@@ -15,23 +15,23 @@ MODEL = Quadrotor(inertia=(0.0040, 0.0055, 0.0073))  # three different moments: 
 NOTHING = np.zeros((1, 3))
 
 
-def alone(model: Quadrotor = MODEL, **state: Any) -> Fleet:
-    fleet = Fleet([model], [(0.0, 0.0, 5.0)], [0.0])
+def alone(model: Quadrotor = MODEL, **state: Any) -> QuadrotorFleet:
+    fleet = QuadrotorFleet([model], [(0.0, 0.0, 5.0)], [0.0])
     for name, value in state.items():
         getattr(fleet, name)[0] = value
     return fleet
 
 
-def rotation(fleet: Fleet, row: int = 0) -> Any:
+def rotation(fleet: QuadrotorFleet, row: int = 0) -> Any:
     return rotations(fleet.attitude[row : row + 1].T)[:, :, 0]
 
 
-def momentum(fleet: Fleet) -> Any:
+def momentum(fleet: QuadrotorFleet) -> Any:
     """World frame."""
     return rotation(fleet) @ (np.array(MODEL.inertia) * fleet.rate[0])
 
 
-def spin_energy(fleet: Fleet) -> float:
+def spin_energy(fleet: QuadrotorFleet) -> float:
     return 0.5 * float(np.array(MODEL.inertia) @ fleet.rate[0] ** 2)
 
 
@@ -80,7 +80,7 @@ def test_it_falls_freely() -> None:
 
 
 def test_without_gravity_or_force_it_goes_straight_on() -> None:
-    fleet = Fleet([MODEL], [(0.0, 0.0, 5.0)], [0.0], gravity=1e-300)
+    fleet = QuadrotorFleet([MODEL], [(0.0, 0.0, 5.0)], [0.0], gravity=1e-300)
     fleet.velocity[0] = 1.0, 2.0, 3.0
     for _ in range(100):
         fleet.integrate(NOTHING, NOTHING, 0.01)
@@ -100,7 +100,7 @@ def tumbled(hz: int) -> tuple[float, float]:
 @pytest.mark.parametrize("hz", [60, 120, 240])
 @pytest.mark.parametrize("inertia", [(0.0040, 0.0055, 0.0073), (0.0040, 0.0040, 0.0073)], ids=["three", "two"])
 def test_with_the_torque_of_precession_tumbling_keeps_energy_and_momentum(hz: int, inertia: tuple[float, float, float]) -> None:
-    """What `Fleet.wrench` adds: energy and amount of momentum stay, and its direction within what a step turns."""
+    """What `QuadrotorFleet.wrench` adds: energy and amount of momentum stay, and its direction within what a step turns."""
     fleet, moments, dt = alone(Quadrotor(inertia=inertia), rate=(5.0, 0.3, 2.0)), np.array(inertia), 1.0 / hz
     before, energy = rotation(fleet) @ (moments * fleet.rate[0]), float(moments @ fleet.rate[0] ** 2)
     none, flexibility, gyrations = np.zeros((3, 1)), 1.0 / moments[:, None], gyration(moments[:, None])

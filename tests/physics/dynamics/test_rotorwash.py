@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vcmvsp.physics.dynamics.quadrotor_fleet import Fleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.dynamics.rotorwash import AIR_KG_M3, downwash, ground_effect
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
@@ -44,9 +44,9 @@ def test_it_dies_away_downwards_and_sideways_and_is_not_felt_above() -> None:
     assert above == 0.0
 
 
-def pair(*, upper: bool) -> Fleet:
+def pair(*, upper: bool) -> QuadrotorFleet:
     models = [Quadrotor(downwash=True), Quadrotor(downwash=True)]
-    return Fleet(models, [(0.0, 0.0, 5.0), (0.0 if upper else 9.0, 0.0, 6.0)], [0.0, 0.0])
+    return QuadrotorFleet(models, [(0.0, 0.0, 5.0), (0.0 if upper else 9.0, 0.0, 6.0)], [0.0, 0.0])
 
 
 def test_it_pushes_those_below_by_their_drag() -> None:
@@ -59,7 +59,7 @@ def test_it_pushes_those_below_by_their_drag() -> None:
 
 
 def test_only_models_that_ask_for_it_feel_the_floor() -> None:
-    fleet = Fleet([Quadrotor(ground_effect=True), Quadrotor()], [(0.0, 0.0, 0.05), (2.0, 0.0, 0.05)], [0.0, 0.0])
+    fleet = QuadrotorFleet([Quadrotor(ground_effect=True), Quadrotor()], [(0.0, 0.0, 0.05), (2.0, 0.0, 0.05)], [0.0, 0.0])
     force, _ = fleet.wrench(1e-9, np.zeros((2, 3)))
     assert force[:, 2] / WEIGHT == pytest.approx((4 / 3, 1.0), rel=0.02)
 

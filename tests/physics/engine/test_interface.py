@@ -10,8 +10,8 @@ from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Vec3, Velocity, Waypoint
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.kinematic_aerial import AerialEngine
-from vcmvsp.physics.dynamics.kinematic_ground import MotionEngine
-from vcmvsp.physics.engine.interface import Engine, Motion, Touch, gathered, still
+from vcmvsp.physics.dynamics.kinematic_ground import GroundEngine
+from vcmvsp.physics.engine.interface import BodyMotion, Engine, Touch, gathered, still
 from vcmvsp.physics.federate import Physics
 from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
@@ -36,10 +36,10 @@ class Jumper:
     def advance(self, to_ns: int) -> None:
         pass
 
-    def read(self) -> Motion:
+    def read(self) -> BodyMotion:
         return still(self.places.copy(), np.zeros(len(self.places)))
 
-    def movables(self) -> Motion:
+    def movables(self) -> BodyMotion:
         return still(np.empty((0, 3)), np.empty(0))
 
     def put(self, number: int, place: Vec3, yaw: float) -> None:
@@ -56,7 +56,7 @@ class Jumping(Physics):
     def engines(self) -> list[tuple[Engine, list[int]]]:
         self.jumper = Jumper([spec.start for spec in self.vehicles[::2]])
         rest = self.vehicles[1::2]
-        other = MotionEngine([Kinematic() for _ in rest], [spec.start for spec in rest], [0.0 for _ in rest])
+        other = GroundEngine([Kinematic() for _ in rest], [spec.start for spec in rest], [0.0 for _ in rest])
         return [(self.jumper, [0, 2]), (other, [1])]
 
 
@@ -88,7 +88,7 @@ def engines() -> list[Engine]:
         iterations=50,
         gravity=9.81,
     )
-    return [MotionEngine([P2DX()] * 2, places, [0.0, 0.0]), AerialEngine([Point()] * 2, places, [0.0, 0.0]), bullet]
+    return [GroundEngine([P2DX()] * 2, places, [0.0, 0.0]), AerialEngine([Point()] * 2, places, [0.0, 0.0]), bullet]
 
 
 @pytest.mark.parametrize("which", [0, 1, 2], ids=["ground", "air", "bullet"])
@@ -113,7 +113,7 @@ def test_reading_changes_nothing_and_what_was_read_stays(which: int) -> None:
 
 def test_wheels_turn_as_far_as_the_way_of_a_vehicle_without_a_body() -> None:
     engine, unsensed = (
-        MotionEngine([P2DX(), Kinematic()], [(0.0, 0.0, 0.0)] * 2, [0.0] * 2, sensed=each) for each in (True, False)
+        GroundEngine([P2DX(), Kinematic()], [(0.0, 0.0, 0.0)] * 2, [0.0] * 2, sensed=each) for each in (True, False)
     )
     for each in (engine, unsensed):
         each.command(0, (0.3, 0.0, 0.0), 0.5)
@@ -123,7 +123,7 @@ def test_wheels_turn_as_far_as_the_way_of_a_vehicle_without_a_body() -> None:
     assert (right - left) * 0.0825 / 0.357 == pytest.approx(2.0)
     assert np.isnan(engine.read().wheels[1]).all()
     assert engine.read().acceleration[0] == pytest.approx((-0.15 * np.sin(2.0), 0.15 * np.cos(2.0), 0.0))  # v w, to the left
-    for name in set(Motion._fields) - {"acceleration", "wheels"}:  # which only sensors look at
+    for name in set(BodyMotion._fields) - {"acceleration", "wheels"}:  # which only sensors look at
         assert getattr(engine.read(), name).tobytes() == getattr(unsensed.read(), name).tobytes()
 
 

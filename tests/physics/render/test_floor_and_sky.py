@@ -12,9 +12,9 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render.floor_and_sky import SKY
 from vcmvsp.physics.render.renderer import render
 from vcmvsp.physics.render.view import View
-from vcmvsp.physics.world.floor import Ground, Mark
+from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.solids import Box
-from vcmvsp.physics.world.targets import Target, placed
+from vcmvsp.physics.world.targets import GroundTarget, placed
 from vcmvsp.physics.world.world import World
 
 
@@ -35,7 +35,7 @@ def slopes(tmp_path_factory: pytest.TempPathFactory) -> World:
     picture = np.stack([np.full((500, 1000), 77), north / 500 * 255, east / 1000 * 255], axis=-1)
     path = tmp_path_factory.mktemp("ground") / "slopes.png"
     cv2.imwrite(str(path), np.rint(picture).astype(np.uint8))
-    return World(ground=Ground(picture=str(path), center=(20.0, -5.0), size=(100.0, 50.0), color=(1, 2, 3)))
+    return World(ground=GroundPicture(picture=str(path), center=(20.0, -5.0), size=(100.0, 50.0), color=(1, 2, 3)))
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -60,7 +60,7 @@ def test_painted_targets_are_within_half_a_pixel_of_their_projection(seed: int) 
     rng = np.random.default_rng(seed)
     place = rng.uniform(-3, 3, 2)
     mark = Mark(center=tuple(place.tolist()), radius=0.4, color=(250, 0, 0))
-    world = World(ground=Ground(size=(30.0, 30.0), resolution_m=0.02, color=(0, 0, 0), marks=(mark,)))
+    world = World(ground=GroundPicture(size=(30.0, 30.0), resolution_m=0.02, color=(0, 0, 0), marks=(mark,)))
     eye = np.array([*rng.uniform(-5, 5, 2), 20.0])
     view = View(eye, towards(eye, np.array([*rng.uniform(-3, 3, 2), 0.0]), float(rng.uniform(-3, 3))), 320, 240, 250.0)
     levels = render(world, view).pixels[:, :, 0].astype(float)
@@ -74,7 +74,7 @@ def test_painted_targets_are_within_half_a_pixel_of_their_projection(seed: int) 
 def test_what_is_finer_than_pixels_is_averaged(tmp_path: Path) -> None:
     squares = np.indices((512, 512)).sum(axis=0) % 2 * 200
     cv2.imwrite(str(tmp_path / "board.png"), squares.astype(np.uint8))
-    world = World(ground=Ground(picture=str(tmp_path / "board.png"), size=(512.0, 512.0)))
+    world = World(ground=GroundPicture(picture=str(tmp_path / "board.png"), size=(512.0, 512.0)))
     down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     levels = render(world, View(np.array([0.3, 0.1, 100.0]), down, 64, 64, 25.0)).pixels  # four metres a pixel
     assert np.abs(levels.astype(int) - 100).max() <= 1
@@ -87,7 +87,7 @@ def test_pictures_are_the_same_to_the_byte_on_any_number_of_threads(slopes: Worl
         Box(center=(*rng.uniform(0, 40, 2).tolist(), 1.0), size=(1, 2, 3), color=(int(rng.integers(256)), 0, 9))
         for _ in range(50)
     )
-    targets = placed([Target(place=(20.0, -1.0), size=9.0, color=(9, 9, 9))])
+    targets = placed([GroundTarget(place=(20.0, -1.0), size=9.0, color=(9, 9, 9))])
     world = World(ground=slopes.ground, solids=boxes, targets=targets)
     eye = np.array([20.0, -8.0, 6.0])
     view = View(eye, towards(eye, np.array([*rng.uniform(0, 40, 2), 0.0]), float(rng.uniform(-1, 1))), 640, 480, 500.0)

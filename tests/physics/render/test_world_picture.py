@@ -7,7 +7,7 @@ import pytest
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics import worlds
 from vcmvsp.physics.render.world_picture import draw_world, extent, png
-from vcmvsp.physics.world.floor import Ground
+from vcmvsp.physics.world.floor import GroundPicture
 from vcmvsp.physics.world.solids import Box, Cylinder, Mesh
 from vcmvsp.physics.world.world import Movable, Moving, World, Zone
 
@@ -76,7 +76,7 @@ def test_all_of_a_world_is_in_the_oblique_picture() -> None:
 def test_extent_is_that_of_solids_bounds_and_ground() -> None:
     triangle = Mesh(triangles=np.array([[[0.0, 0, 0], [1, 0, 0], [0, 20, 7]]]))
     world = World(
-        solids=(triangle,), bounds=(-30.0, -1.0, 2.0, 2.0), ground=Ground(size=(4.0, 8.0), center=(10.0, 0.0), marks=())
+        solids=(triangle,), bounds=(-30.0, -1.0, 2.0, 2.0), ground=GroundPicture(size=(4.0, 8.0), center=(10.0, 0.0), marks=())
     )
     low, high = extent(world)
     assert low.tolist() == [-30.0, -1.0, 0.0]

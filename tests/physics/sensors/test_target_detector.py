@@ -12,7 +12,7 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Looks
 from vcmvsp.physics.sensors.target_detector import TargetSensor
-from vcmvsp.physics.world.targets import Target
+from vcmvsp.physics.world.targets import GroundTarget
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds import Empty
 
@@ -21,7 +21,7 @@ def look(sensor: TargetSensor, world: World, *place: float, seed: int = 1, t: fl
     return sensor.measure(scene_of(place, t=t, world=world), 0, stream(seed, "sensor"))
 
 
-def world_of(*targets: Target, **keys: Any) -> World:
+def world_of(*targets: GroundTarget, **keys: Any) -> World:
     return Empty(targets=targets, **keys).build()
 
 
@@ -64,7 +64,9 @@ def test_more_cells_than_a_look_can_hold_are_refused_but_none_are_made_beyond_th
 
 
 def test_without_errors_it_says_where_the_targets_are_now() -> None:
-    world = world_of(Target(place=(3.9, -0.1)), Target(way=((0.0, 5.0), (4.0, 5.0)), speed=1.0), Target(place=(30.0, 0.0)))
+    world = world_of(
+        GroundTarget(place=(3.9, -0.1)), GroundTarget(way=((0.0, 5.0), (4.0, 5.0)), speed=1.0), GroundTarget(place=(30.0, 0.0))
+    )
     sensor = TargetSensor(p=1.0, q=0.0)
     for t, column in ((0.0, 0), (1.9, 0), (2.1, 1), (9.0, 2)):
         assert said(look(sensor, world, 1.0, 1.0, 30.0, t=t)) == {(1, -1), (column, 2)}
@@ -85,7 +87,7 @@ def counts(sensor: TargetSensor, world: World, number: int) -> tuple[Array, Arra
 
 def test_answers_are_independent_draws_with_p_and_q() -> None:
     number, p, q = 3000, 0.8, 0.15
-    own, others = counts(TargetSensor(p=p, q=q), world_of(Target(place=(1.0, 1.0))), number)
+    own, others = counts(TargetSensor(p=p, q=q), world_of(GroundTarget(place=(1.0, 1.0))), number)
     cells = len(expected_cells(0.5, 0.5, 8.0, 2.0)) - 1
     assert abs(own.mean() - p) < 4.0 * math.sqrt(p * (1 - p) / number)  # binomial, four standard deviations
     assert abs(others.mean() - q * cells) < 4.0 * math.sqrt(q * (1 - q) * cells / number)

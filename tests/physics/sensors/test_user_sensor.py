@@ -10,7 +10,7 @@ from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Measured
 from vcmvsp.cosim.util.codec import Decoder, encode
-from vcmvsp.physics.sensor_scheduler import Instruments
+from vcmvsp.physics.sensor_scheduler import SensorScheduler
 from vcmvsp.physics.sensors import sensor as module
 
 IMPORTS = """\
@@ -37,7 +37,7 @@ def altimeter(tmp_path: Path) -> Any:
 
 def test_it_is_read_as_any_other(altimeter: Any) -> None:
     built = binding.call(altimeter, {"sigma_m": 0, "rate_hz": 20, "latency_s": 0.05}, key="vehicle.car0.sensors.alt")
-    instruments = Instruments({"car0": {"alt": built}}, 1)
+    instruments = SensorScheduler({"car0": {"alt": built}}, 1)
     (event,) = instruments.read(scene_of((1.0, 2.0, 3.0)))
     assert (event.key, event.time_ns) == ("car0/alt", 50_000_000)
     assert event.value == Measured(time_ns=0, values={"height_m": 3.0})
@@ -45,7 +45,7 @@ def test_it_is_read_as_any_other(altimeter: Any) -> None:
 
 
 def test_it_errs_by_itself(altimeter: Any) -> None:
-    instruments = Instruments({"car0": {"alt": altimeter()}, "car1": {"alt": altimeter()}}, 1)
+    instruments = SensorScheduler({"car0": {"alt": altimeter()}, "car1": {"alt": altimeter()}}, 1)
     a, b = (event.value for event in instruments.read(scene_of((0.0, 0.0, 3.0), (0.0, 0.0, 3.0))))
     assert isinstance(a, Measured)
     assert isinstance(b, Measured)

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from vcmvsp.physics.dynamics.quadrotor_fleet import Fleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
 MODEL = Quadrotor()
@@ -53,11 +53,11 @@ def test_numbers_that_cannot_be_are_refused(key: str, value: float) -> None:
 
 def test_one_that_cannot_carry_itself_is_refused() -> None:
     with pytest.raises(ValueError, match=r"cannot carry 2\.5 kg"):
-        Fleet([Quadrotor(mass_kg=2.5)], [(0.0, 0.0, 1.0)], [0.0])
+        QuadrotorFleet([Quadrotor(mass_kg=2.5)], [(0.0, 0.0, 1.0)], [0.0])
 
 
 def test_there_may_be_none() -> None:
-    fleet = Fleet([], np.empty((0, 3)), [])
+    fleet = QuadrotorFleet([], np.empty((0, 3)), [])
     force, torque = fleet.wrench(0.01, np.empty((0, 3)))
     fleet.integrate(force, torque, 0.01)
     assert force.shape == torque.shape == fleet.position.shape == (0, 3)

@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.floor import Ground, Mark
+from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.polygons import area_m2, problem_of
 from vcmvsp.physics.world.solids import MATERIAL_COLORS, AnySolid, Box, Cylinder, Mesh, Prism, color_of
 from vcmvsp.physics.world.world import World
@@ -125,7 +125,7 @@ def test_a_cylinder_is_a_polygon_just_inside_the_circle(radius: float) -> None:
         (Mark, "one of"),
         (lambda: Mark(radius=1.0, outline=((0, 0), (1, 0), (0, 1))), "one of"),
         (lambda: Mark(outline=((0, 0), (1, 0))), "three points"),
-        (lambda: Ground(size=(5000.0, 5000.0), marks=(Mark(radius=1.0),)), "resolution_m = 0.1"),
+        (lambda: GroundPicture(size=(5000.0, 5000.0), marks=(Mark(radius=1.0),)), "resolution_m = 0.1"),
     ],
 )
 def test_what_cannot_be_is_refused(make: object, words: str) -> None:
@@ -145,7 +145,7 @@ def test_colours_are_checked_and_have_a_default() -> None:
 # --- ground -------------------------------------------------------------------------------------------------------------------
 
 
-def at(ground: Ground, x: float, y: float) -> list[int]:
+def at(ground: GroundPicture, x: float, y: float) -> list[int]:
     """The colour of the pixel that holds a place."""
     picture = ground.image()
     assert picture is not None
@@ -160,7 +160,9 @@ def test_marks_are_where_they_say_they_are() -> None:
     square = Mark(outline=((1, 1), (3, 1), (3, 2), (1, 2)), color=(255, 0, 0))
     disc = Mark(center=(-5.0, 5.0), radius=2.0, color=(0, 255, 0))
     line = Mark(line=((-8, -8), (8, -8)), width=0.4, color=(0, 0, 255))
-    ground = Ground(center=(1.0, -1.0), size=(20.0, 24.0), color=(9, 9, 9), resolution_m=0.05, marks=(square, disc, line))
+    ground = GroundPicture(
+        center=(1.0, -1.0), size=(20.0, 24.0), color=(9, 9, 9), resolution_m=0.05, marks=(square, disc, line)
+    )
     picture = ground.image()
     assert picture is not None
     assert picture.shape == (480, 400, 3)
@@ -181,7 +183,7 @@ def test_a_picture_lies_as_it_was_turned(tmp_path: Path, yaw: float) -> None:
     pixels[20:, :30] = (0, 0, 200)  # red, as OpenCV writes it: south-west
     cv2.imwrite(str(tmp_path / "poster.png"), pixels)
     poster = Mark(picture=str(tmp_path / "poster.png"), center=(2.0, 1.0), size=(6.0, 4.0), yaw_rad=yaw)
-    ground = Ground(size=(30.0, 30.0), color=(50, 60, 70), marks=(poster,))
+    ground = GroundPicture(size=(30.0, 30.0), color=(50, 60, 70), marks=(poster,))
     c, s = math.cos(yaw), math.sin(yaw)
     for u, v, color in (
         (1.5, 1.0, (255, 255, 255)),
@@ -196,7 +198,7 @@ def test_a_picture_lies_as_it_was_turned(tmp_path: Path, yaw: float) -> None:
 def test_a_picture_at_the_rim_is_cut_off_and_one_outside_left_out(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "white.png"), np.full((8, 8, 3), 255, np.uint8))
     marks = tuple(Mark(picture=str(tmp_path / "white.png"), center=(x, 0.0), size=(4.0, 4.0)) for x in (5.0, 50.0))
-    ground = Ground(size=(10.0, 10.0), color=(0, 0, 0), marks=marks)
+    ground = GroundPicture(size=(10.0, 10.0), color=(0, 0, 0), marks=marks)
     assert at(ground, 4.9, 0.0) == [255, 255, 255]
     picture = ground.image()
     assert picture is not None
@@ -204,18 +206,18 @@ def test_a_picture_at_the_rim_is_cut_off_and_one_outside_left_out(tmp_path: Path
 
 
 def test_a_plain_ground_has_no_picture_and_files_are_checked(tmp_path: Path) -> None:
-    assert Ground().image() is None
+    assert GroundPicture().image() is None
     with pytest.raises(ValueError, match=r"there is no picture file .*nothing\.png"):
-        Ground(picture=str(tmp_path / "nothing.png")).image()
+        GroundPicture(picture=str(tmp_path / "nothing.png")).image()
     (tmp_path / "text.png").write_text("text")
     with pytest.raises(ValueError, match=r"text\.png is no picture"):
-        Ground(picture=str(tmp_path / "text.png")).image()
+        GroundPicture(picture=str(tmp_path / "text.png")).image()
 
 
 def test_a_picture_is_painted_once_and_cannot_be_changed() -> None:
-    ground = Ground(size=(5.0, 5.0), marks=(Mark(radius=1.0),))
+    ground = GroundPicture(size=(5.0, 5.0), marks=(Mark(radius=1.0),))
     picture = ground.image()
     assert picture is not None
     assert ground.image() is picture
     assert not picture.flags.writeable
-    assert ground == Ground(size=(5.0, 5.0), marks=(Mark(radius=1.0),))
+    assert ground == GroundPicture(size=(5.0, 5.0), marks=(Mark(radius=1.0),))

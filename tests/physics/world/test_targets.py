@@ -23,7 +23,7 @@ from vcmvsp.physics.render.renderer import render
 from vcmvsp.physics.render.view import View
 from vcmvsp.physics.render.world_picture import draw_world, extent, png
 from vcmvsp.physics.world.solids import Box, Hull
-from vcmvsp.physics.world.targets import PlacedTarget, Target, placed
+from vcmvsp.physics.world.targets import GroundTarget, PlacedTarget, placed
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds import Empty, RecreationCentre, Urban
 
@@ -31,15 +31,15 @@ NORTH_UP = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])  # st
 NAMES = ("alpha", "bravo", "charlie")
 PICTURES = {name: str(SHIPPED / "targets" / f"{name}.png") for name in NAMES}
 RED = (255, 0, 0)
-DISC = Target(color=RED, place=(0.0, 0.0))
+DISC = GroundTarget(color=RED, place=(0.0, 0.0))
 
 
 def one(**keys: Any) -> PlacedTarget:
-    (target,) = placed([Target(**keys)])
+    (target,) = placed([GroundTarget(**keys)])
     return target
 
 
-def of(*targets: Target, **more: Any) -> World:
+def of(*targets: GroundTarget, **more: Any) -> World:
     return Empty(targets=targets, **more).build()
 
 
@@ -111,14 +111,14 @@ def test_a_broken_picture_is_refused_before_a_run_begins(tmp_path: Path) -> None
 
 def test_a_picture_that_is_not_finite_anywhere_is_refused() -> None:
     with pytest.raises(ValueError, match="finite"):
-        Target(place=(math.nan, 0.0))
+        GroundTarget(place=(math.nan, 0.0))
 
 
 def test_names_are_made_up_where_none_is_given_and_are_unique() -> None:
-    world = of(DISC, Target(name="flag", place=(9.0, 0.0)), Target(place=(0.0, 9.0)))
+    world = of(DISC, GroundTarget(name="flag", place=(9.0, 0.0)), GroundTarget(place=(0.0, 9.0)))
     assert [each.name for each in world.targets] == ["target1", "flag", "target3"]
     with pytest.raises(ScenarioError, match="two targets are called 'target2'"):
-        of(Target(name="target2", place=(0.0, 0.0)), DISC)
+        of(GroundTarget(name="target2", place=(0.0, 0.0)), DISC)
 
 
 def test_every_kind_of_world_has_targets_and_a_file_too(tmp_path: Path) -> None:
@@ -149,7 +149,7 @@ def seen_from(eye: Array, rotation: Array, points: Array, focal_px: float, size:
 def test_a_disc_is_where_a_pinhole_shows_it_in_any_attitude(seed: int) -> None:
     rng = np.random.default_rng(seed)
     place = rng.uniform(-20, 20, 2)
-    world = of(Target(color=RED, place=(float(place[0]), float(place[1])), size=2.0))
+    world = of(GroundTarget(color=RED, place=(float(place[0]), float(place[1])), size=2.0))
     eye = np.array([*(place + rng.uniform(-8, 8, 2)), rng.uniform(4, 20)])
     view = View(eye, towards(eye, np.array([*place, 0.0]), float(rng.uniform(-3, 3))), 320, 240, 400.0)
     pixels = render(world, view).pixels
@@ -172,7 +172,7 @@ def test_the_upper_edge_of_a_picture_is_north_before_it_is_turned(tmp_path: Path
     quarters = np.zeros((64, 64, 3), np.uint8)
     quarters[:32, 32:] = (0, 0, 255)  # red, upper right
     cv2.imwrite(str(tmp_path / "quarters.png"), quarters)
-    world = of(Target(picture=str(tmp_path / "quarters.png"), place=(5.0, 3.0), size=4.0, yaw_rad=yaw))
+    world = of(GroundTarget(picture=str(tmp_path / "quarters.png"), place=(5.0, 3.0), size=4.0, yaw_rad=yaw))
     eye = np.array([5.0, 3.0, 20.0])
     floor = np.array([World().ground.color], float)
     levels = render(world, View(eye, NORTH_UP, 201, 201, 400.0)).pixels @ np.linalg.pinv(np.vstack([[RED], floor]))
@@ -188,7 +188,7 @@ def test_the_upper_edge_of_a_picture_is_north_before_it_is_turned(tmp_path: Path
 def test_what_is_finer_than_pixels_is_averaged(tmp_path: Path) -> None:
     board = np.indices((256, 256)).sum(axis=0) % 2 * 200
     cv2.imwrite(str(tmp_path / "board.png"), board.astype(np.uint8))
-    world = of(Target(picture=str(tmp_path / "board.png"), place=(0.0, 0.0), size=4.0))
+    world = of(GroundTarget(picture=str(tmp_path / "board.png"), place=(0.0, 0.0), size=4.0))
     for height in (10.0, 23.0, 40.0):
         pixels = render(world, View(np.array([0.1, 0.2, height]), NORTH_UP, 120, 120, 400.0)).pixels.astype(int)
         half = int(2.0 * 400.0 / height) - 14  # well inside
@@ -203,7 +203,7 @@ def test_it_is_seen_where_nothing_stands_before_it_and_nowhere_else(seed: int) -
         Box(center=(*rng.uniform(-6, 6, 2).tolist(), 1.5), size=(1.5, 1.5, 3.0), yaw_rad=float(rng.uniform(0, 3)))
         for _ in range(12)
     )
-    large = Target(color=RED, place=(0.0, 0.0), size=10.0)
+    large = GroundTarget(color=RED, place=(0.0, 0.0), size=10.0)
     eye = np.array([*rng.uniform(-8, 8, 2), rng.uniform(4, 12)])
     view = View(eye, towards(eye, np.zeros(3), float(rng.uniform(-1, 1))), 320, 240, 200.0)
     bare, painted = render(Empty(boxes=boxes).build(), view, depth=True), render(of(large, boxes=boxes), view, depth=True)
@@ -228,7 +228,7 @@ def test_a_vehicle_hides_it() -> None:
 def test_from_anywhere_nothing_is_seen_of_it_in_the_sky_nor_off_its_place(seed: int) -> None:
     """Also where it is partly, or wholly, behind the camera."""
     rng = np.random.default_rng(seed)
-    world = of(Target(color=RED, place=(0.0, 0.0), size=20.0))
+    world = of(GroundTarget(color=RED, place=(0.0, 0.0), size=20.0))
     eye = np.array([*rng.uniform(-12, 12, 2), rng.uniform(0.3, 4)])
     view = View(eye, a_rotation(rng), 80, 60, 50.0)
     columns, rows = np.meshgrid(view.columns(), view.rows())
@@ -242,7 +242,7 @@ def test_from_anywhere_nothing_is_seen_of_it_in_the_sky_nor_off_its_place(seed: 
 
 
 def test_it_is_where_it_is_at_the_time_of_the_picture() -> None:
-    moving = Target(color=RED, way=((-5.0, 0.0), (5.0, 0.0)), speed=1.0)
+    moving = GroundTarget(color=RED, way=((-5.0, 0.0), (5.0, 0.0)), speed=1.0)
     world = of(moving)
     view = View(np.array([0.0, 0.0, 20.0]), NORTH_UP, 201, 101, 200.0)
     for time_s in (0.0, 2.5, 10.0):
@@ -255,7 +255,7 @@ def test_it_is_where_it_is_at_the_time_of_the_picture() -> None:
 
 
 def test_drawings_of_a_world_show_it_and_its_way() -> None:
-    world = of(Target(color=RED, way=((-30.0, 0.0), (30.0, 0.0)), speed=2.0, size=6.0))
+    world = of(GroundTarget(color=RED, way=((-30.0, 0.0), (30.0, 0.0)), speed=2.0, size=6.0))
     low, high = extent(world)
     assert low[0] <= -33.0
     assert high[0] >= 33.0
@@ -270,7 +270,7 @@ def test_drawings_of_a_world_show_it_and_its_way() -> None:
 
 @pytest.fixture(scope="module")
 def town() -> World:
-    listed = tuple(Target(name=name, picture=PICTURES[name]) for name in NAMES)
+    listed = tuple(GroundTarget(name=name, picture=PICTURES[name]) for name in NAMES)
     return Urban(size=(102.0, 102.0), height_max=20.0, targets=listed, seed=5).build()
 
 
@@ -299,6 +299,6 @@ def test_shipped_pictures_are_told_from_each_other_and_from_roofs(town: World) -
 def test_a_shipped_picture_seen_in_a_mirror_is_another(name: str) -> None:
     picture = Wanted.load(name, PICTURES[name], 2.0).picture
     detector = Detector([Wanted(name, picture, 2.0), Wanted("mirrored", np.ascontiguousarray(picture[:, ::-1]), 2.0)])
-    floor = of(Target(picture=PICTURES[name], place=(2.0, 1.0), yaw_rad=0.8))
+    floor = of(GroundTarget(picture=PICTURES[name], place=(2.0, 1.0), yaw_rad=0.8))
     pixels = render(floor, View(np.array([0.0, 0.0, 15.0]), NORTH_UP, 640, 480, 400.0)).pixels
     assert [each.target for each in detector.detect(pixels, 15.0, 400.0)] == [name]

@@ -16,7 +16,7 @@ from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.world.overlap import Blocking
 from vcmvsp.physics.world.polygons import overlap_m
 from vcmvsp.physics.world.solids import Box, Cylinder, Prism, rectangle
-from vcmvsp.physics.world.targets import Target
+from vcmvsp.physics.world.targets import GroundTarget
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World, Zone
 from vcmvsp.physics.worlds import Boxes, Corridor, Empty, Gates, GatesOffset, Laboratory, Pillar, RecreationCentre, Urban
 from vcmvsp.physics.worlds.laboratory import AISLES, PATROL
@@ -212,11 +212,13 @@ def test_heights_and_density() -> None:
 
 def test_another_seed_is_another_town_and_targets_move_no_house() -> None:
     assert Urban(seed=1).build().solids != Urban(seed=2).build().solids
-    assert Urban(targets=(Target(),)).build().solids == Urban().build().solids
+    assert Urban(targets=(GroundTarget(),)).build().solids == Urban().build().solids
 
 
 def test_targets_lie_on_streets_clear_of_each_other_and_can_be_found() -> None:
-    urban = Urban(targets=(*[Target(size=3.0)] * 20, Target(name="flag", place=(1.0, 2.0), color=(0, 0, 255))), seed=4)
+    urban = Urban(
+        targets=(*[GroundTarget(size=3.0)] * 20, GroundTarget(name="flag", place=(1.0, 2.0), color=(0, 0, 255))), seed=4
+    )
     world = urban.build()
     assert [each.name for each in world.targets] == [*(f"target{k + 1}" for k in range(20)), "flag"]
     places = [each.place(0.0) for each in world.targets]
@@ -261,7 +263,7 @@ def test_two_thousand_buildings_fit_into_a_town() -> None:
 
 def test_a_target_wider_than_the_street_is_refused() -> None:
     with pytest.raises(ScenarioError, match="no free place for number 0"):
-        Urban(targets=(Target(size=11.0),)).build()
+        Urban(targets=(GroundTarget(size=11.0),)).build()
 
 
 def test_bounds_the_wrong_way_round_are_refused() -> None:

@@ -7,7 +7,7 @@ from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.scenario import loader as scenarios
-from vcmvsp.physics.world.targets import Target
+from vcmvsp.physics.world.targets import GroundTarget
 from vcmvsp.physics.worlds import RecreationCentre, Urban
 
 
@@ -15,7 +15,7 @@ def test_a_town_without_a_seed_of_its_own_has_that_of_the_run() -> None:
     source = Source("test", Path())
     towns = {seed: worlds.build({"kind": "urban", "targets": [{}]}, source, seed=seed) for seed in (1, 2)}
     for seed, (world, resolved) in towns.items():
-        assert world == Urban(seed=seed, targets=(Target(),)).build()
+        assert world == Urban(seed=seed, targets=(GroundTarget(),)).build()
         assert "seed" not in resolved  # the resolved scenario has that of the run
         assert worlds.build({"kind": "urban", "seed": 2}, source, seed=seed)[1]["seed"] == 2
     assert towns[1][0].solids != towns[2][0].solids
@@ -34,7 +34,7 @@ def test_a_run_its_drawing_and_its_radio_are_in_the_same_town(tmp_path: Path) ->
         "world": {"kind": "urban", "targets": listed},
         "vehicle": [{"name": "uav", "kind": "point", "position": [0, 0, 40]}],
     }
-    world = Urban(seed=7, targets=tuple(Target(name=each["name"]) for each in listed)).build()
+    world = Urban(seed=7, targets=tuple(GroundTarget(name=each["name"]) for each in listed)).build()
     with assemble(*scenarios.load(scenario)) as assembled:
         assert assembled.world.solids == world.solids
         assert [each.place(0.0) for each in assembled.world.targets] == [each.place(0.0) for each in world.targets]

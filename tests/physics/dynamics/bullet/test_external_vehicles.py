@@ -13,7 +13,7 @@ from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import VehicleState, Velocity
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
-from vcmvsp.physics.dynamics.external_vehicles import Reflected
+from vcmvsp.physics.dynamics.external_vehicles import ExternalVehicles
 from vcmvsp.physics.federate import BulletPhysics
 from vcmvsp.physics.sensors.bumper import Bumper
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Lag
@@ -128,7 +128,7 @@ def test_the_body_is_where_it_is_said_to_be_before_every_step() -> None:
         position=(1.0, 2.0, 0.0), velocity=(0.4, -0.3, 0.0), attitude=quaternion_from_yaw(0.5), angular_velocity=(0.0, 0.0, 0.7)
     )
     vehicle = spec("real", 1.0, 2.0, heading=0.5)
-    reflected = Reflected(Courses(real=lambda _: state), [vehicle])
+    reflected = ExternalVehicles(Courses(real=lambda _: state), [vehicle])
     engine = BulletEngine(
         world=World(),
         models=[vehicle.model],
@@ -138,12 +138,12 @@ def test_the_body_is_where_it_is_said_to_be_before_every_step() -> None:
         rate_hz=120.0,
         iterations=50,
         gravity=9.81,
-        reflected=reflected,
+        external=reflected,
     )
-    reflected.ask(0)
+    reflected.update(0)
     for step in range(1, 61):
         engine.advance(step * SECOND_NS // 120)
-        (place, (x, y, z, w)) = p.getBasePositionAndOrientation(engine._shown.bodies[0], engine._client)  # type: ignore[union-attr]
+        (place, (x, y, z, w)) = p.getBasePositionAndOrientation(engine._external_bodies.bodies[0], engine._client)  # type: ignore[union-attr]
         expected, _ = reflected.at(step * SECOND_NS // 120)
         assert place == pytest.approx(expected.position[0], abs=1e-6)
         assert (w, x, y, z) == pytest.approx(expected.attitude[0], abs=1e-6)

@@ -14,8 +14,8 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.bullet.world_bodies import base_motion
-from vcmvsp.physics.dynamics.quadrotor_fleet import Fleet
-from vcmvsp.physics.engine.interface import Motion, Touch
+from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
+from vcmvsp.physics.engine.interface import BodyMotion, Touch
 from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.vehicles.specification import Vehicle
@@ -43,12 +43,12 @@ def steps(moved: BulletEngine, count: int) -> None:
     moved.advance((moved._step + count) * SECOND_NS // round(1.0 / moved._step_s) + 1)
 
 
-def same(a: Motion, b: Motion, rows: Sequence[int] = (0,)) -> bool:
+def same(a: BodyMotion, b: BodyMotion, rows: Sequence[int] = (0,)) -> bool:
     return all(x[list(rows)].tobytes() == y[list(rows)].tobytes() for x, y in zip(a, b, strict=True))
 
 
 def test_free_air_is_numpys_alone_to_the_last_bit() -> None:
-    moved, fleet = engine((UAV, (0.0, 0.0, 5.0))), Fleet([UAV], [(0.0, 0.0, 5.0)], [0.0], 9.81)
+    moved, fleet = engine((UAV, (0.0, 0.0, 5.0))), QuadrotorFleet([UAV], [(0.0, 0.0, 5.0)], [0.0], 9.81)
     moved.command(0, (2.0, 1.0, 0.3), 0.5)
     fleet.set_velocity(0, (2.0, 1.0, 0.3), 0.5)
     for _ in range(3 * HZ):
