@@ -116,9 +116,9 @@ class Physics:
         self._run, self._now_ns = run, 0
         self._scenes = SceneBuilder(self.world, self.vehicles, self.gravity)
         external = [self.vehicles[number] for number in self._external]
-        self._external_vehicles = ExternalVehicles(self._outside, external) if self._outside and external else None
+        self._external_vehicles = ExternalVehicles(self._outside, external) if self._outside and self._outside.names else None
         self._sources = PoseSources(self.vehicles, self._simulated, run.seed)
-        self._sensors = SensorScheduler({spec.name: spec.sensors for spec in self.vehicles}, run.seed, wanted=run.wanted)
+        self._sensors = SensorScheduler({spec.name: spec.sensors for spec in self.vehicles}, run.seed, requested=run.wanted)
         own = (*self._sensors.instants, *self._sources.instants, *([Instants(PACE)] if run.paced else []))
         self._needed, self._stops = Needed(run), Needed(msgspec.structs.replace(run, instants=(*run.instants, *own)))
         check_names(self.world, self.vehicles)
@@ -291,10 +291,7 @@ class BulletPhysics(Physics):
         check_lift([self.vehicles[n] for n in bodies if n not in self._external], self.gravity)
         bullet = BulletEngine(
             world=self.world,
-            models=[spec.model for spec in specs],
-            positions=[spec.start for spec in specs],
-            headings=[spec.heading for spec in specs],
-            names=[spec.name for spec in specs],
+            vehicles=specs,
             seed=self._run.seed,
             rate_hz=self.rate_hz,
             iterations=self.iterations,

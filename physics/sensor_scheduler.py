@@ -46,11 +46,11 @@ class SensorScheduler:
     Args:
         fitted: the sensors of each vehicle by name; they are copied, so that every run begins with fresh ones.
         seed: of the run.
-        wanted: keys ``<vehicle>/<sensor>`` of readings on demand that are certainly used: they are computed together.
+        requested: keys ``<vehicle>/<sensor>`` of readings on demand that are certainly used: they are computed together.
     """
 
-    def __init__(self, fitted: Mapping[str, Mapping[str, Sensor]], seed: int, *, wanted: Collection[str] = ()) -> None:
-        self._seed, self._requested = seed, frozenset(wanted)
+    def __init__(self, fitted: Mapping[str, Mapping[str, Sensor]], seed: int, *, requested: Collection[str] = ()) -> None:
+        self._seed, self._requested = seed, frozenset(requested)
         self._sensors = [_fit(f"{vehicle}/{name}", each, seed) for vehicle, own in fitted.items() for name, each in own.items()]
         self._trains: dict[Train, list[int]] = {}
         for number, each in enumerate(self._sensors):
@@ -96,8 +96,8 @@ class SensorScheduler:
 
     def _later(self, scene: Scene, sensors: Sequence[FittedSensor]) -> dict[str, Later]:
         """Readings on demand by key: each computed alone, requested ones of a class together."""
-        batches = [[each] for each in sensors if each.key not in self._requested]
-        batches += _families(each for each in sensors if each.key in self._requested)
+        together = _families(each for each in sensors if each.key in self._requested)
+        batches = [*together, *([each] for each in sensors if each.key not in self._requested)]
         readings: dict[str, Later] = {}
         for own in batches:
             batch = ReadingBatch(self._seed, scene, own)

@@ -1,24 +1,23 @@
-"""The autopilots of n quadrotors at once: from commands to rotor speeds.
+"""Autopilots of n quadrotors at once: from commands to rotor speeds.
 
 A cascade, from the outside inwards:
 
-1. Way-point (60 Hz): a velocity straight towards it, from which braking stops there: proportional to the distance d close to
-   it, sqrt(2 a (d - d0)) further away, with d0 such that the two have the same slope where they meet.
-2. Velocity (60 Hz): a PI law demands an acceleration, which the limits of thrust and then of tilt cut. The integral counts
-   what is missed of the answer that the proportional law alone would give, so that steps do not overshoot; it stands still
-   while tilt is at its limit (conditional integration: Astrom and Hagglund, "PID Controllers", 3.5) and has limits of its
-   own. With gravity added, the direction of the acceleration is the thrust axis wanted, its vertical part the lift.
-3. Attitude (every step): a rate about the axis of the shortest rotation that takes the thrust axis to the one wanted,
-   2 k sin(a/2) for its angle a: the law of Brescianini, Hehn and D'Andrea, "Nonlinear quadrocopter attitude control" (ETH
-   Zurich 2013). It is strongest upside down, where the usual error vee(Rd' R - R' Rd)/2 = sin a vanishes. Heading has a
-   weaker loop of its own, since tilt matters more (Brescianini and D'Andrea, "Tilt-prioritized quadrocopter attitude
-   control", 2020).
-4. Rates (every step): torque = J k (wanted - rate) + rate x J rate.
+1. Way-point (60 Hz): a velocity straight towards the way-point, from which braking stops there: proportional to the distance d
+   close to it, sqrt(2 a (d - d0)) further away, with d0 such that both have the same slope where they meet.
+2. Velocity (60 Hz): a PI law demands an acceleration, which the limits of thrust and then of tilt cut. The integral takes the
+   error against the answer of the proportional law alone, so that steps do not overshoot; it stands still while tilt is at its
+   limit (conditional integration: Astrom and Hagglund, "PID Controllers", 3.5) and has limits of its own. With gravity added,
+   the direction of the acceleration is the desired thrust axis, its vertical part the lift.
+3. Attitude (every step): a rate about the axis of the shortest rotation from the thrust axis to the desired one, 2 k sin(a/2)
+   for its angle a: the law of Brescianini, Hehn and D'Andrea, "Nonlinear quadrocopter attitude control" (ETH Zurich 2013). It
+   is strongest upside down, where the usual error vee(Rd' R - R' Rd)/2 = sin a vanishes. Heading has a weaker loop of its own,
+   since tilt matters more (Brescianini and D'Andrea, "Tilt-prioritized quadrocopter attitude control", 2020).
+4. Rates (every step): torque = J k (desired - rate) + rate x J rate.
 5. Mixer (every step): the thrust of each rotor. Forward takes more behind, left more on the right (Toh 2012, 2.5.4 has both
-   the other way round). Where rotors cannot give it all, roll and pitch get their share first, then lift, then yaw;
-   but a tenth is kept for yaw, since nobody can turn upright while spinning like a top.
+   the other way round). Under saturation, roll and pitch get their share first, then lift, then yaw; a tenth is reserved for
+   yaw, since a spinning quadrotor cannot turn upright.
 
-Arrays have a column for each vehicle: (3, n). They are small: the number of NumPy calls is what this costs.
+Arrays have a column for each vehicle, (3, n); small arrays: the number of NumPy calls is the cost.
 """
 
 import math
@@ -33,22 +32,22 @@ from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 LOOP_HZ = 60.0  # of way-points and velocities; slower where steps are longer
 
 _EARLY_S = 1e-9  # of rounding, where steps add up to a period
-_LEAST_GRAVITY = 1e-9  # m/s2, that it reckons with where there is none: somewhere must be up
-_LEAST_LIFT = 0.2  # of the weight, however fast it is to go down
-_LEAST_TRIM, _MOST_TRIM = -0.3, 0.6  # of gravity: the vertical part of the integral, which may not hold it on the ground
-_LEASH_RAD = 0.5  # how far the heading wanted may be ahead of the heading
-_KEPT = 0.1  # of what a rotor can: there is always that much for yaw
-_UPRIGHT = 0.5  # cosine of the tilt beyond which lift is given up for turning upright
+_LEAST_GRAVITY = 1e-9  # m/s2, assumed without gravity: the direction up must exist
+_LEAST_LIFT = 0.2  # of the weight, at any rate of descent
+_LEAST_TRIM, _MOST_TRIM = -0.3, 0.6  # of gravity: limits of the integral's vertical part, which must not prevent a take-off
+_LEASH_RAD = 0.5  # greatest lead of the desired heading over the heading
+_YAW_RESERVE = 0.1  # of the greatest thrust of a rotor
+_UPRIGHT = 0.5  # cosine of the tilt from which turning upright has priority over lift
 _OVERHEAD = 1e-4  # 1 + the cosine at which it counts as upside down
 _TINY = 1e-12
 
-# What front, left, back and right have to do with yaw, and with the pairs right to left and front to back.
+# Signs of front, left, back and right for yaw, and for the pairs right to left and front to back.
 _YAW_SIGN = np.array([-1.0, 1.0, -1.0, 1.0])[:, None]
 _PAIR, _PAIR_SIGN = np.array([1, 0, 1, 0]), np.array([-1.0, 1.0, 1.0, -1.0])[:, None]
 
 
 class Autopilot:
-    """Holds the commands of n quadrotors, and works out how fast their rotors should turn."""
+    """Holds the commands of n quadrotors, and computes their rotor speeds."""
 
     def __init__(self, models: Sequence[Quadrotor], headings: Any, gravity: float) -> None:
         n = len(models)
@@ -78,23 +77,23 @@ class Autopilot:
         yaw_arm = column(models, "torque_factor") / factor
         self._rotor_share = np.array([0.5 / arm, 0.5 / arm, 0.25 / yaw_arm])  # 1/m
         self._per_newton = 1.0 / factor
-        self._kept = _KEPT * self._most
-        self._most_pair = 0.5 * self._most - self._kept
+        self._yaw_reserve = _YAW_RESERVE * self._most
+        self._most_pair = 0.5 * self._most - self._yaw_reserve
 
         self._velocity, self._place = np.zeros((3, n)), np.zeros((3, n))
         self._speed = self._max_speed.copy()
         self._to_place, self._any_place = np.zeros(n, bool), False
-        self._yaw_rate, self._yaw = np.zeros(n), np.array(headings, float).reshape(n)  # rad/s; the one to end at, rad
-        self._heading = self._yaw.copy()  # rad, the one wanted now
+        self._yaw_rate, self._yaw = np.zeros(n), np.array(headings, float).reshape(n)  # rad/s; rad, at the way-point
+        self._heading = self._yaw.copy()  # rad, desired now
         self._trim, self._reference = np.zeros((3, n)), np.zeros((3, n))  # m/s2, the integral; m/s, see _expected
-        self._elapsed_s = 1.0 / LOOP_HZ  # since the outer loops ran: they are due at once
-        # What the outer loops hand to the inner ones.
+        self._elapsed_s = 1.0 / LOOP_HZ  # since the last run of the outer loops: they are due at once
+        # Outputs of the outer loops for the inner ones.
         self._axis, self._lift = np.zeros((3, n)), self._mass * gravity
         self._axis[2] = 1.0
         self._turn, self._cos, self._sin = np.zeros(n), np.cos(self._heading), np.sin(self._heading)
 
     def set_velocity(self, row: int, linear: Sequence[float], yaw_rate: float) -> None:
-        """From now on move at ``linear`` m/s, world, and turn at ``yaw_rate`` rad/s; both cut to what the vehicle allows."""
+        """Set a velocity, m/s, world, and a yaw rate, rad/s, both within the vehicle's limits."""
         x, y, z = linear
         most, climb, turn = self._limits[row]
         scale = min(1.0, most / max(math.hypot(x, y), _TINY))
@@ -105,14 +104,14 @@ class Autopilot:
             self._any_place = bool(self._to_place.any())
 
     def set_waypoint(self, row: int, position: Sequence[float], yaw: float | None, speed: float | None) -> None:
-        """From now on go to ``position`` m and stay, facing ``yaw`` rad (None: as now), at most as fast as ``speed`` m/s."""
+        """Set a way-point, m, with ``yaw``, rad (None: the present one), and ``speed``, m/s, at most (None: the vehicle's)."""
         self._place[:, row] = position
         self._yaw[row] = self._heading[row] if yaw is None else yaw
         self._speed[row] = self._max_speed[row] if speed is None else min(speed, self._max_speed[row])
         self._to_place[row] = self._any_place = True
 
     def rotor_speeds(self, dt: float, position: Floats, velocity: Floats, rotation: Floats, rate: Floats) -> Floats:
-        """What the rotors should turn at for the next ``dt`` s, (4, n) rad/s: front, left, back, right.
+        """Rotor speeds for the next ``dt`` s, (4, n) rad/s: front, left, back, right.
 
         Position and velocity (3, n), world; rotation (3, 3, n), world_from_body; rate (3, n) rad/s, body.
         """
@@ -123,7 +122,7 @@ class Autopilot:
         return self._steer(rotation, rate)
 
     def _guide(self, position: Floats, velocity: Floats, rotation: Floats, elapsed_s: float) -> None:
-        """The loops of way-points and velocities."""
+        """Loops of way-points and velocities."""
         want = self._velocity
         if self._any_place:
             want = np.where(self._to_place, self._approach(position), want)
@@ -141,18 +140,17 @@ class Autopilot:
         self._trim += elapsed_s * self._integral * missed
         np.minimum(np.maximum(self._trim, self._least_trim), self._most_trim, out=self._trim)
         opposite = (axis * rotation[:, 2]).sum(axis=0) < _OVERHEAD - 1.0
-        if opposite.any():  # no rotation is the shortest: take one of them
+        if opposite.any():  # no rotation is the shortest: choose one
             axis += 0.1 * opposite * rotation[:, 0]
         self._face(np.arctan2(rotation[1, 0], rotation[0, 0]), elapsed_s)
 
     def _expected(self, want: Floats, elapsed_s: float) -> Floats:
-        """The velocities that the proportional law would give by now, were there nothing to make up for."""
+        """Velocities after the answer of the proportional law alone."""
         change = self._velocity_gain * (want - self._reference)
         self._reference += change * (elapsed_s * self._sideways / np.maximum(length(change), self._sideways))
         return self._reference
 
     def _approach(self, position: Floats) -> Floats:
-        """Velocities towards the way-points."""
         way = self._place - position
         distance = length(way)
         # Both laws have the same value and slope at the knee, and this is the lower one everywhere else.
@@ -164,7 +162,7 @@ class Autopilot:
         return velocities
 
     def _face(self, yaw: Floats, elapsed_s: float) -> None:
-        """Turn the heading wanted: at the rate commanded, or towards that of the way-point."""
+        """Turn the desired heading: at the commanded rate, or towards that of the way-point."""
         turn = self._turn + elapsed_s * self._yaw_gain * (self._yaw_rate - self._turn)
         if self._any_place:
             rest = self._yaw_gain * wrapped(self._yaw - self._heading)
@@ -176,7 +174,7 @@ class Autopilot:
         self._cos, self._sin = np.cos(self._heading), np.sin(self._heading)
 
     def _steer(self, rotation: Floats, rate: Floats) -> Floats:
-        """The loops of attitude and rates, and the mixer."""
+        """Loops of attitude and rates, and the mixer."""
         axis = into_body(rotation, self._axis)
         stiff = self._attitude_gain * np.sqrt(2.0 / np.maximum(axis[2] + 1.0, _OVERHEAD))
         upright = rotation[2, 2]
@@ -195,7 +193,7 @@ class Autopilot:
         reach = np.maximum(size[0], size[1])
         pair *= self._most_pair / np.maximum(reach, self._most_pair)
         reach = np.minimum(reach, self._most_pair)
-        least = reach + np.minimum(size[2], self._kept)
+        least = reach + np.minimum(size[2], self._yaw_reserve)
         base = np.minimum(np.maximum(0.25 * thrust, least), self._most - least)
         room = np.minimum(base, self._most - base) - reach
         yaw = np.minimum(np.maximum(share[2], -room), room)
@@ -205,12 +203,12 @@ class Autopilot:
 
 
 def wrapped(angle: Floats) -> Floats:
-    """The same angles in [-pi, pi]."""
+    """Angles in [-pi, pi]."""
     return angle - math.tau * np.rint(angle / math.tau)
 
 
 def length(vector: Floats) -> Floats:
-    """Of vectors, (n,)."""
+    """Lengths of vectors, (n,)."""
     squares = vector * vector
     lengths: Floats = np.sqrt(squares.sum(axis=0))
     return lengths

@@ -1,4 +1,4 @@
-"""External vehicles: rows of an engine whose motion comes from outside (`cosim.federate.ExternalMotion`).
+"""External vehicles: rows of an engine with motion from outside (`cosim.federate.ExternalMotion`).
 
 Their states are requested once at every instant of a publication. In between they move on straight at their last velocities and
 turn about the vertical; nothing in the simulation changes that.

@@ -1,12 +1,12 @@
-"""Vehicles in the air without a body, all at once: places and headings in closed form, exact after an interval of any length.
+"""Vehicles in the air without bodies, all at once, in closed form: exact after an interval of any length.
 
 In each of x, y, z and yaw a vehicle follows an ideal point q with a lag of time constant T: ``dv/dt = (dq/dt - v) / T``. The
-point moves at a constant rate u, for a commanded velocity for ever, for a way-point until it is there. While u is constant,
+point moves at a constant rate u: without end for a velocity command, up to the way-point for a way-point. While u is constant,
 
     v(t) = u + (v(0) - u) exp(-t/T)        p(t) = p(0) + u t + (v(0) - u) T (1 - exp(-t/T))
 
-From the lag, p + T v - q never changes: if q starts from ``p + T v``, where the vehicle would come to rest by itself, and stops
-at the way-point, then so does the vehicle.
+The lag keeps p + T v - q constant: if q starts from ``p + T v``, where the vehicle comes to rest by itself, and stops at the
+way-point, then the vehicle stops there, too.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ _YAW = 3
 
 
 class AerialEngine(Bodiless):
-    """Moves n vehicles in the air. Nothing collides: there are no bodies. Quadrotors move as a `Point` without lag."""
+    """Moves n vehicles in the air without bodies. Quadrotors move as a `Point` without lag."""
 
     def __init__(self, models: Sequence[Point | Quadrotor], positions: Sequence[Vec3], headings: Sequence[float]) -> None:
         n = len(models)
@@ -40,14 +40,14 @@ class AerialEngine(Bodiless):
         self._now_ns = 0
 
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
-        """From now on move at ``linear`` m/s, world, and turn at ``yaw_rate`` rad/s."""
+        """Set a velocity, m/s, world, and a yaw rate, rad/s."""
         (x, y, z), (most, climb, turn) = linear, self._most[row]
         share = min(1.0, most / level) if (level := float(np.hypot(x, y))) > 0.0 else 1.0
         self._rate[:, row] = x * share, y * share, max(-climb, min(z, climb)), max(-turn, min(yaw_rate, turn))
         self._left_s[:, row] = inf
 
     def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
-        """From now on fly straight to ``position``, m, and turn to ``yaw``, rad, the shorter way; then stay."""
+        """Fly straight to a position, m, turn to ``yaw``, rad, the shorter way, and stay there."""
         most, climb, turn = self._most[row]
         rest = self._place[:, row] + self._tau[row] * self._speed[:, row]
         way = np.array(position) - rest[:3]
@@ -59,7 +59,7 @@ class AerialEngine(Bodiless):
         self._left_s[:, row] = needed
 
     def advance(self, to_ns: int) -> None:
-        """Move on to ``to_ns``."""
+        """Advance to ``to_ns``."""
         span_s = (to_ns - self._now_ns) / SECOND_NS
         if span_s <= 0.0:
             return
@@ -77,7 +77,7 @@ class AerialEngine(Bodiless):
         self._speed = np.where(span_s > 0.0, rate + rest * fading, self._speed)
 
     def read(self) -> BodyMotion:
-        """The state of every vehicle: level, without wheels."""
+        """Motion of every vehicle: level, without wheels."""
         gain = np.where(self._tau > AT_ONCE_S, (self._rate - self._speed) / self._tau, 0.0)
         turning = np.zeros((self._place.shape[1], 3))
         turning[:, 2] = self._speed[_YAW]

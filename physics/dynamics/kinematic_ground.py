@@ -1,4 +1,4 @@
-"""Ground vehicles without a body: speeds that follow the command, poses from the speeds; all vehicles at once.
+"""Ground vehicles without bodies, all at once: speeds that follow the command, poses from the speeds.
 
 Each speed s (v or w) obeys ``ds/dt = clip((c - s) / tau, -fall, rise)`` with c the command, clipped to the greatest speed.
 Between commands this has a closed form. Let e = |c - s| at the start, a the limit of that direction and knee = min(e, a tau):
@@ -6,9 +6,8 @@ s first runs along a ramp for ``t1 = (e - knee) / a``, then decays, so that afte
 
     |c - s| = max(e - knee - a t, 0) + knee exp(-max(t - t1, 0) / tau)
 
-Speeds, and their integrals (the way driven and the angle turned), are therefore exact after an interval of any length. The
-pose is a chain of circular arcs (`cosim.frames.arc`) of at most 20 ms: exact while speeds are constant, of second order
-while they change.
+Speeds and their integrals, distance and turn, are therefore exact after an interval of any length. The pose is a chain of
+circular arcs (`cosim.frames.arc`) of at most 20 ms: exact at constant speeds, of second order while they change.
 """
 
 from collections.abc import Sequence
@@ -28,13 +27,13 @@ AT_ONCE_S = 1e-300  # in place of a lag of 0, which would divide 0 by 0
 
 
 class GroundEngine(Bodiless):
-    """Moves n vehicles by their `Servo`. Nothing collides: there are no bodies.
+    """Moves n ground vehicles without bodies, by their `Servo`.
 
     Args:
         models: of the vehicles.
-        positions: where they start, m, world.
-        headings: and how they are turned, rad.
-        sensed: whether there are sensors, which see accelerations and wheels; else these stay 0.
+        positions: at the start, m, world.
+        headings: at the start, rad.
+        sensed: whether sensors need accelerations and wheels; else these are 0.
     """
 
     def __init__(
@@ -55,7 +54,7 @@ class GroundEngine(Bodiless):
         self._greatest: list[tuple[float, float]] = [*zip(max_speed.tolist(), max_yaw_rate.tolist(), strict=True)]
         self._speed, self._command = np.zeros((2, 1, n)), np.zeros((2, 1, n))
         self._command_v, self._command_w = self._command[:, 0]  # views of it
-        self._unsensed = np.zeros((n, 3)), np.zeros((n, 2))  # accelerations and wheels that nobody sees
+        self._unsensed = np.zeros((n, 3)), np.zeros((n, 2))  # accelerations and wheels without sensors
         self._ideal = bool((self._tau == AT_ONCE_S).all() and np.isinf([self._rise, self._fall]).all())
         at = np.array(positions, float).reshape(n, 3)
         # From 0.0 on, never -0.0: then sums of one arc and of many have the same bits.
@@ -67,17 +66,17 @@ class GroundEngine(Bodiless):
         self._now_ns = 0
 
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
-        """From now on move at ``linear[0]`` m/s forward and ``yaw_rate`` rad/s."""
+        """Set the forward speed ``linear[0]``, m/s, and a yaw rate, rad/s."""
         v, (max_v, max_w) = linear[0], self._greatest[row]
         self._command_v[row] = v if -max_v < v < max_v else max(-max_v, min(v, max_v))
         self._command_w[row] = yaw_rate if -max_w < yaw_rate < max_w else max(-max_w, min(yaw_rate, max_w))
 
     def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
-        """Nothing here flies."""
+        """Ground vehicles do not fly."""
         raise NotImplementedError
 
     def advance(self, to_ns: int) -> None:
-        """Move on to ``to_ns``."""
+        """Advance to ``to_ns``."""
         span_ns = to_ns - self._now_ns
         if span_ns <= 0:
             return
@@ -93,7 +92,7 @@ class GroundEngine(Bodiless):
             self._follow(ways) if arcs > 1 else self._follow(ways[:, 0])
 
     def _drive(self, t: NDArray[Any]) -> Floats:
-        """Drive to the last of the times t (arcs, 1), s from now; the ways (2, arcs, n) driven by each, m and rad."""
+        """Drive up to the last of the times t (arcs, 1), s from now; returns distances and turns (2, arcs, n), m and rad."""
         error = self._command - self._speed
         limit = np.where(error > 0.0, self._rise, self._fall)
         size = np.abs(error)
@@ -103,14 +102,14 @@ class GroundEngine(Bodiless):
         ramp_left = np.maximum(ramp - limit * t, 0.0)
         decay = np.exp((on_ramp - t) / self._tau)
         missed = 0.5 * on_ramp * (ramp + ramp_left) + knee * (on_ramp + self._tau * (1.0 - decay))
-        left = ramp_left[:, -1:] + knee * decay[:, -1:]
+        rest = ramp_left[:, -1:] + knee * decay[:, -1:]
         sign = np.sign(error)
         ways: Floats = self._command * t - sign * missed
-        self._speed = self._command - sign * left
+        self._speed = self._command - sign * rest
         return ways
 
     def _follow(self, ways: Floats) -> None:
-        """Append arcs to every pose: ways (2, arcs, n), or (2, n) of one each, m and rad."""
+        """Append arcs to every pose: distances and turns (2, arcs, n), or (2, n) for one arc, m and rad."""
         way, turn = ways
         one = ways.ndim == 2  # most often: sums cost more than they add up
         if self._sensed:
@@ -125,7 +124,7 @@ class GroundEngine(Bodiless):
         self._yaw = yaw if one else yaw[-1]
 
     def read(self) -> BodyMotion:
-        """The state of every vehicle; its wheels are never wrong."""
+        """Motion of every vehicle, with exact wheel odometry."""
         yaw, (v, w), n = self._yaw, self._speed[:, 0], len(self._yaw)
         half = 0.5 * yaw
         half_cos, half_sin = np.cos(half), np.sin(half)
@@ -141,7 +140,7 @@ class GroundEngine(Bodiless):
         return BodyMotion(position, velocity, attitude, turning, acceleration, wheels, odometry)
 
     def _felt(self, v: Floats, w: Floats, cos: Floats, sin: Floats) -> tuple[Floats, Floats]:
-        """What sensors see besides: accelerations (n, 3) m/s2, world, and turns of the wheels (n, 2) rad.
+        """Accelerations (n, 3) m/s2, world, and turns of the wheels (n, 2) rad, for sensors.
 
         From speeds v m/s and w rad/s, and cosine and sine of the heading, all (n,).
         """
@@ -152,14 +151,14 @@ class GroundEngine(Bodiless):
         return acceleration, wheels
 
     def _gain(self) -> Floats:
-        """What the forward speed grows by at this moment, m/s2; 0 where it jumps, with neither lag nor limit."""
+        """Forward acceleration, m/s2; 0 at a jump, with neither lag nor limit."""
         (tau,), (rise,), (fall,) = self._tau[0], self._rise[0], self._fall[0]
-        wanted = (self._command[0, 0] - self._speed[0, 0]) / tau
-        jumps = (tau == AT_ONCE_S) & np.isinf(np.where(wanted > 0.0, rise, fall))
-        return np.where(jumps, 0.0, np.clip(wanted, -fall, rise))
+        gain = (self._command[0, 0] - self._speed[0, 0]) / tau
+        jumps = (tau == AT_ONCE_S) & np.isinf(np.where(gain > 0.0, rise, fall))
+        return np.where(jumps, 0.0, np.clip(gain, -fall, rise))
 
 
 def wrapped(angle: Floats) -> Floats:
-    """The same angles in [-pi, pi), as `cosim.frames.wrap`."""
+    """Angles in [-pi, pi), as `cosim.frames.wrap`."""
     turned: Floats = (angle + np.pi) % (2.0 * np.pi) % (2.0 * np.pi)  # of a tiny negative angle the first is 2 pi, rounded
     return turned - np.pi

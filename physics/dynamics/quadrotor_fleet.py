@@ -1,8 +1,8 @@
-"""A fleet of quadrotors in flight: autopilots, rotors, air and rigid bodies, all of them at once.
+"""A fleet of quadrotors in flight: autopilots, rotors, air and rigid bodies, all at once.
 
-A step is `Fleet.wrench`, what acts on the bodies, and then `Fleet.integrate` for those in free air; those that may touch
-something are left to an engine that knows contacts, which writes what became of them into the fleet's arrays. `integrate` is
-the semi-implicit Euler method by which Bullet moves a free body, so a vehicle may change over at any step:
+A step is `QuadrotorFleet.wrench`, then `QuadrotorFleet.integrate` for vehicles in free air; for vehicles in contact an engine
+writes their states into the fleet's arrays. `integrate` is the semi-implicit Euler method of Bullet for a free body, so a
+vehicle may change over at any step:
 
     rate += dt J^-1 (torque - rate x J rate)      velocity += dt (force / m + g)      position += dt velocity
     attitude = attitude exp(dt rate / 2)
@@ -10,8 +10,8 @@ the semi-implicit Euler method by which Bullet moves a free body, so a vehicle m
 (All in the body's frame, where the new rate is the same before and after the rotation about it. Bullet also cuts rates to
 100 rad/s and turns to 45 degrees a step, which quadrotors do not reach.)
 
-Rotors: speeds follow the autopilot with a first-order lag; thrust and drag torque grow with their squares. Air: a force of
-``drag`` times the velocity against the air, along each axis of the body. Gyroscopic torques of the rotors are left out.
+Rotor speeds follow the autopilot with a first-order lag; thrust and drag torque grow with their squares. The air adds a force
+of ``drag`` times the airspeed along each axis of the body. Gyroscopic torques of the rotors are left out.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
 
 class QuadrotorFleet:
-    """n quadrotors, a row each; they hover until they are told otherwise.
+    """n quadrotors, a row each; without commands they hover.
 
     The state may be read, and written in place, between steps:
 
@@ -63,9 +63,9 @@ class QuadrotorFleet:
         self._thrust_factor, self._lag_s = column(models, "thrust_factor"), column(models, "motor_lag_s")
         self._arm, self._yaw_arm = column(models, "arm_m"), column(models, "torque_factor") / self._thrust_factor
         self._resistance = -columns([model.drag for model in models], 3)
-        self._follow, self._step_s = np.zeros(n), 0.0  # what the rotors make up for of their lag in a step
+        self._follow, self._step_s = np.zeros(n), 0.0  # share of the rotors' lag that a step makes up for
         self._wash = rotorwash.of(models)
-        self._rotation: Floats | None = None  # that of this step, where it is known already
+        self._rotation: Floats | None = None  # of this step, after `wrench`
 
         # A column for each vehicle, so that NumPy works on rows that lie together.
         self._state = np.zeros((13, n))
@@ -78,21 +78,15 @@ class QuadrotorFleet:
         self.rate, self.rotor = self._rate.T, self._rotor.T
 
     def set_velocity(self, row: int, linear: Sequence[float], yaw_rate: float) -> None:
-        """From now on move at ``linear`` m/s, world, and turn at ``yaw_rate`` rad/s; both cut to what the vehicle allows."""
+        """See `Autopilot.set_velocity`."""
         self._pilot.set_velocity(row, linear, yaw_rate)
 
     def set_waypoint(self, row: int, position: Sequence[float], yaw: float | None = None, speed: float | None = None) -> None:
-        """From now on go to ``position`` m and stay, facing ``yaw`` rad (None: as now), at most as fast as ``speed`` m/s."""
+        """See `Autopilot.set_waypoint`."""
         self._pilot.set_waypoint(row, position, yaw, speed)
 
     def wrench(self, dt: float, wind: Any) -> tuple[Floats, Floats]:
-        """Let autopilots and rotors of all vehicles run on by ``dt`` s; what acts on the bodies meanwhile.
-
-        To be called once in every step of physics, for all vehicles.
-
-        Args:
-            dt: s.
-            wind: (n, 3) m/s, world.
+        """Advance autopilots and rotors of all vehicles by ``dt`` s, once a step; wind (n, 3) m/s, world.
 
         Returns:
             Force on the centre of mass (n, 3) N without gravity, and torque (n, 3) N m, both in the world frame.
@@ -101,8 +95,8 @@ class QuadrotorFleet:
         rotor = self._rotor
         if dt != self._step_s:
             self._follow, self._step_s = -np.expm1(-dt / self._lag_s), dt
-        wanted = self._pilot.rotor_speeds(dt, self._position, self._velocity, rotation, self._rate)
-        rotor += self._follow * (wanted - rotor)
+        desired = self._pilot.rotor_speeds(dt, self._position, self._velocity, rotation, self._rate)
+        rotor += self._follow * (desired - rotor)
         thrust = self._thrust_factor * rotor * rotor
         air = self._velocity - wind.T
         if self._wash is not None:
@@ -120,9 +114,9 @@ class QuadrotorFleet:
         return world[:, 0].T, world[:, 1].T
 
     def integrate(self, force: Any, torque: Any, dt: float) -> None:
-        """Move all on as free bodies by ``dt`` s under gravity and what acts on them.
+        """Move all as free bodies by ``dt`` s under gravity, a force and a torque.
 
-        After `wrench` in the same step, attitudes must still be the same as then.
+        After `wrench` in the same step, attitudes must not have changed.
 
         Args:
             force: (n, 3) N, world, on the centre of mass; without gravity.

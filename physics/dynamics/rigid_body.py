@@ -1,4 +1,4 @@
-"""Rotations and free rigid bodies, n at once: a column each, so that few NumPy calls do it.
+"""Rotations and free rigid bodies, a column each, for few NumPy calls.
 
 Quaternions (4, n) are w, x, y, z; world_from_body.
 """
@@ -70,7 +70,7 @@ def turned(attitude: Floats, rate: Floats, dt: float) -> Floats:
 
 
 def gyration(inertia: Floats) -> Floats:
-    """What `coupled` is to be multiplied by, for principal moments of inertia (3, n) kg m2, to give rate x J rate."""
+    """Factors of `coupled` that give rate x J rate, for principal moments of inertia (3, n) kg m2."""
     x, y, z = inertia
     return np.array([z - y, x - z, y - x])
 
@@ -81,15 +81,15 @@ def coupled(rate: Floats) -> Floats:
 
 
 def precession(rate: Floats, torque: Floats, flexibility: Floats, gyrations: Floats, dt: float) -> Floats:
-    """Torques (3, n) N m, body, that make of Bullet's step an implicit midpoint step; 0 for bodies that hardly tumble.
+    """Torques (3, n) N m, body, that turn Bullet's step into an implicit midpoint step; 0 for bodies that hardly tumble.
 
     Bullet takes ``rate x J rate`` at the beginning of a step, which adds energy and angular momentum to a body that spins about
-    more than one axis. Taken in the middle, both are kept: the midpoint rule conserves what is quadratic (E. Hairer, C. Lubich,
-    G. Wanner, Geometric numerical integration, 2006, IV.2.1).
+    more than one axis. The midpoint rule conserves both, as it does all quadratic invariants (E. Hairer, C. Lubich, G. Wanner,
+    Geometric numerical integration, 2006, IV.2.1).
 
     Args:
         rate: (3, n) rad/s, body.
-        torque: (3, n) N m, body, what else acts.
+        torque: (3, n) N m, body, of all other causes.
         flexibility: (3, n), one over the principal moments of inertia.
         gyrations: (3, n) kg m2, see `gyration`.
         dt: s.
@@ -105,10 +105,10 @@ def precession(rate: Floats, torque: Floats, flexibility: Floats, gyrations: Flo
 
 
 def column(models: Sequence[object], name: str) -> Floats:
-    """An attribute of all of them, (n,)."""
+    """An attribute of all models, (n,)."""
     return np.array([getattr(model, name) for model in models], float)
 
 
 def columns(rows: Any, size: int) -> Floats:
-    """A (size, n) array of its own from (n, size) numbers, n of which may be 0."""
+    """A (size, n) copy of (n, size) numbers; n may be 0."""
     return np.array(rows, float).reshape(-1, size).T.copy()

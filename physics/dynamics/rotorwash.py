@@ -1,14 +1,14 @@
-"""What rotors do to the air around them, for models that ask for it: more lift above the floor, wind below.
+"""Effects of rotors on the air, for models that ask for them: more lift above the floor, wind below.
 
 Ground effect: the air under a rotor of radius R at height z cannot flow off freely, which gives it 1 / (1 - (R / 4z)^2) times
 the thrust (Cheeseman and Bennett, "The effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021, 1955);
-below z = R/2 the factor stays what it is there. The floor counts (z = 0), roofs and tables do not.
+below z = R/2 the factor is constant. Only the floor counts (z = 0), not roofs and tables.
 
 Downwash: rotors that carry T on a disc area A move the air through them at v = sqrt(T / 2 rho A), and behind them at 2 v
 through a jet of half the area (momentum theory; Leishman, "Principles of Helicopter Aerodynamics", 2.2). Further down it is a
 turbulent round jet: at the distance x, with the diameter d, its middle moves at 2 v min(1, 6 d / x), and sideways that falls
 off like a Gauss curve which is half as high at max(d / 2, 0.094 x) (Pope, "Turbulent Flows", 5.1). Jets point straight down
-and add up. A vehicle feels them as wind, by its drag.
+and add up. They act on a vehicle as wind, by its drag.
 """
 
 import math
@@ -27,14 +27,14 @@ _NEAREST = 0.5  # rotor radii
 
 
 def ground_effect(height: Floats, rotor_radius: Floats) -> Floats:
-    """What thrust is multiplied by at these heights above the floor, m."""
+    """Factors of the thrust at these heights above the floor, m."""
     quarter = 0.25 * rotor_radius / np.maximum(height, _NEAREST * rotor_radius)
     factors: Floats = 1.0 / (1.0 - quarter * quarter)
     return factors
 
 
 def downwash(position: Floats, thrust: Floats, rotor_radius: Floats) -> Floats:
-    """How fast the air moves down, (n,) m/s, at each of n vehicles because of the others.
+    """Downward airspeed, (n,) m/s, at each of n vehicles from the rotors of the others.
 
     Args:
         position: (3, n) m.
@@ -54,7 +54,7 @@ def downwash(position: Floats, thrust: Floats, rotor_radius: Floats) -> Floats:
 
 
 class Rotorwash:
-    """Ground effect and downwash of those in a fleet whose models have them."""
+    """Ground effect and downwash of the vehicles with these models."""
 
     def __init__(self, models: Sequence[Quadrotor]) -> None:
         self._radius = column(models, "rotor_radius_m")
@@ -70,5 +70,7 @@ class Rotorwash:
 
 
 def of(models: Sequence[Quadrotor]) -> Rotorwash | None:
-    """Of a fleet; None where no model asks for any of it."""
-    return Rotorwash(models) if any(model.ground_effect or model.downwash for model in models) else None
+    """Rotorwash of a fleet; None if no model asks for it."""
+    if any(model.ground_effect or model.downwash for model in models):
+        return Rotorwash(models)
+    return None

@@ -26,10 +26,10 @@ _BLOCK = 256  # values drawn at once, of which a run uses the same whatever this
 
 
 class Gusts:
-    """The wind at n vehicles from time 0 on, each with gusts that depend on nothing but the seed and its name.
+    """Wind at n vehicles from time 0 on, each with gusts that depend on nothing but the seed and its name.
 
     Args:
-        wind: mean, and how gusty.
+        wind: mean wind, and spread of the gusts.
         names: of the vehicles, a row each.
         seed: of the run.
     """
@@ -48,7 +48,7 @@ class Gusts:
         self._now = self._mean if self._steady else frozen(self._mean + self._gust)
 
     def advance(self, to_ns: int) -> NDArray[np.float64]:
-        """The wind (n, 3) m/s, world, read-only, at this time, which is never before that of the call before."""
+        """Wind (n, 3) m/s, world, read-only, at a time not before that of the last call."""
         tick = ((to_ns + 1) * GUST_HZ - 1) // SECOND_NS  # times of ticks are whole ns too, rounded down
         if self._steady or tick <= self._tick:
             return self._now

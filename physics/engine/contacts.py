@@ -32,7 +32,7 @@ class Contacts:
         return touches
 
     def begun(self, now_ns: int) -> list[Event]:
-        """Contacts that began since the last call, also those that have ended since."""
+        """Contacts that began since the last call, also short ones that have ended."""
         if not self._engines:
             return []
         pairs = dict.fromkeys((each.row, each.other) for each in self.now(passing=True))

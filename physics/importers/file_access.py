@@ -1,4 +1,4 @@
-"""What all readers of files share: files that are not there, libraries that are not installed."""
+"""File access of the readers: missing files, libraries that are not installed."""
 
 import importlib
 from pathlib import Path
@@ -9,7 +9,7 @@ from vcmvsp.cosim.util import limits
 
 
 def require_file(path: str) -> None:
-    """Refuse, at the key ``path``, a file that is not there."""
+    """Refuse a missing file, at the key ``path``."""
     if not Path(path).is_file():
         raise ScenarioError(f"there is no file {path}", key="path")
 
@@ -27,12 +27,12 @@ def text_of(path: Path) -> str:
 
 
 def library(name: str, path: str, install: str) -> Any:
-    """A module of a library that need not be installed, for the sake of a file.
+    """Import an optional library that a file needs.
 
     Args:
         name: of the module.
         path: of the file, for the message.
-        install: the arguments of ``pip install``.
+        install: arguments of ``pip install``.
 
     Raises:
         ScenarioError: it is not installed.

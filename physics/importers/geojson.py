@@ -1,4 +1,4 @@
-"""Buildings from GeoJSON: footprints with heights, as OpenStreetMap, city registers and GIS programs export them."""
+"""Buildings from GeoJSON: footprints with heights, from OpenStreetMap, city registers and GIS programs."""
 
 import math
 import re
@@ -19,17 +19,17 @@ from vcmvsp.physics.world.solids import Color, Point2, Prism
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Surroundings
 
-STOREY_M = 3.0  # of a building whose levels alone are known
+STOREY_M = 3.0  # of a building with levels and no height
 
 _AXIS_M, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563  # WGS 84 (NIMA TR8350.2, 2000)
 
 
 @dataclass(frozen=True, kw_only=True)
 class GeoJson(Surroundings):
-    """Buildings from a GeoJSON file (kind ``geojson``): polygons, also with courtyards; points and lines are passed over.
+    """Buildings from a GeoJSON file (kind ``geojson``): polygons, also with courtyards; points and lines are ignored.
 
-    The property ``height`` says how high each is (m), else ``building:levels`` times 3 m, else ``default_height``; it begins
-    at its ``min_height``. Longitudes and latitudes become metres east and north of the origin.
+    The property ``height`` gives the height (m), else ``building:levels`` times 3 m, else ``default_height``; the building
+    begins at its ``min_height``. Longitudes and latitudes become metres east and north of the origin.
     """
 
     path: FileName  # of the file
@@ -60,10 +60,10 @@ class GeoJson(Surroundings):
             content = read_json(text_of(path))
         except ValueError as error:
             raise ScenarioError(f"is not JSON: {error}", source=str(path)) from error
-        found = list(_footprints(content, path))
-        if not found:
+        footprints = list(_footprints(content, path))
+        if not footprints:
             raise ScenarioError("holds no Polygon and no MultiPolygon: export buildings as areas", source=str(path))
-        places = np.concatenate([ring for _, _, rings in found for ring in rings])
+        places = np.concatenate([ring for _, _, rings in footprints for ring in rings])
         if not self.metric and (np.abs(places) > (180.0, 90.0)).any():
             problem = "has coordinates beyond 180 and 90 degrees: if they are metres, say metric = true"
             raise ScenarioError(problem, source=str(path))
@@ -71,8 +71,8 @@ class GeoJson(Surroundings):
         origin = (float(middle[0]), float(middle[1])) if self.origin is None else self.origin
         scale = np.ones(2) if self.metric else metres_per_degree(origin[1])
         solids = []
-        for words, properties, rings in found:
-            outline, *holes = (tuple((x, y) for x, y in ((ring - origin) * scale).tolist()) for ring in rings)
+        for words, properties, rings in footprints:
+            outline, *holes = (tuple(map(tuple, ((ring - origin) * scale).tolist())) for ring in rings)
             if problem := problem_of(outline, holes):
                 if self.skip_invalid:
                     continue
@@ -93,7 +93,7 @@ class GeoJson(Surroundings):
         return self.complete(path.stem, solids=solids)
 
     def _extent(self, properties: Mapping[str, Any], words: str, path: Path) -> tuple[NonNegative, float]:
-        """Where a building begins and ends, m."""
+        """Bottom and top of a building, m."""
         top, levels = metres(properties.get("height")), metres(properties.get("building:levels"))
         if top is None:
             top = self.default_height if levels is None or levels <= 0.0 else STOREY_M * levels
@@ -105,7 +105,7 @@ class GeoJson(Surroundings):
 
 
 def metres(value: Any) -> float | None:
-    """A property as a length: a number, or words such as "12.5", "12 m"; None: it says none."""
+    """A property as a length: a number, or text such as "12.5", "12 m"; None: it is none."""
     if isinstance(value, str):
         match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*(?:m|metres?|meters?)?\s*", value)
         value = float(match[1]) if match else None
@@ -128,7 +128,7 @@ def metres_per_degree(latitude: float) -> Array:
 
 
 def _footprints(content: Any, path: Path) -> Iterator[tuple[str, Mapping[str, Any], list[Array]]]:
-    """Each polygon: words for messages, its properties, and its rings (k, 2), outline first, without the closing point."""
+    """Each polygon: name for messages, properties, and rings (k, 2), outline first, without the closing point."""
     features: Any = content["features"] if isinstance(content, dict) and "features" in content else [content]
     if not isinstance(features, list) or not all(isinstance(each, dict) for each in features):
         raise ScenarioError("is not GeoJSON: it needs a FeatureCollection, a Feature or a geometry", source=str(path))
@@ -145,7 +145,7 @@ def _footprints(content: Any, path: Path) -> Iterator[tuple[str, Mapping[str, An
             polygons: Any = [coordinates] if geometry["type"] == "Polygon" else coordinates
             try:
                 for polygon in polygons:
-                    if polygon != []:  # a place that nobody has drawn (RFC 7946, 3.1)
+                    if polygon != []:  # without coordinates (RFC 7946, 3.1)
                         yield words, properties, [_ring(ring) for ring in polygon]
             except (TypeError, ValueError, IndexError, OverflowError) as error:
                 problem = f"its coordinates are no rings of [x, y]: {error}"
@@ -155,7 +155,7 @@ def _footprints(content: Any, path: Path) -> Iterator[tuple[str, Mapping[str, An
 
 
 def _ring(coordinates: Any) -> Array:
-    """A ring without what says nothing: heights, repeated points, the closing one; at least one point of it."""
+    """A ring without heights, repeated points and the closing point; it has at least one point."""
     points = np.array([(float(x), float(y)) for x, y, *_ in coordinates])
     if not len(points) or not np.isfinite(points).all():
         raise ValueError("a ring is empty or not finite")

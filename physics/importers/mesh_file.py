@@ -42,10 +42,10 @@ class MeshFile(Surroundings):
         return self.complete(Path(self.path).stem, solids=[mesh])
 
     def mesh(self) -> Mesh:
-        """The mesh, where it stands in the world.
+        """The mesh in the world.
 
         Raises:
-            ScenarioError: with the file, and what is wrong with it.
+            ScenarioError: with the file, and the problem.
         """
         trimesh = library("trimesh", self.path, "trimesh")
         try:

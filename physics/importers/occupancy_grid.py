@@ -28,7 +28,7 @@ class Map(Surroundings):
     """Walls from an occupancy grid of ROS (kind ``map``): its ``map.yaml`` names the picture, PGM or PNG.
 
     A cell is a wall if its occupancy, ``(255 - v) / 255`` of the grey value v or, with ``negate``, ``v / 255``, exceeds
-    ``occupied_thresh`` (http://wiki.ros.org/map_server). Walls are put together from few boxes, each an obstacle to the radio.
+    ``occupied_thresh`` (http://wiki.ros.org/map_server). Walls become few boxes, each an obstacle to the radio.
     """
 
     path: FileName  # of the YAML file
@@ -112,7 +112,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 
 
 def _check_yaml(text: str, yaml: Any) -> None:
-    """Refuse, by a `ValueError`, what takes the parser very long, and aliases, a few of which may stand for gigabytes."""
+    """Refuse, by a `ValueError`, YAML that is slow to parse, and aliases, which may stand for gigabytes."""
     limits.within(len(text), limits.YAML_BYTES, "characters of YAML")
     depth = 0
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
@@ -139,7 +139,7 @@ def occupied_cells(about: dict[str, Any], path: Path) -> Array:
 
 
 def blocks_of(cells: Array) -> list[Block]:
-    """Few rectangles that hold each true cell once and no other: runs of a row, or of a column, while they stay the same."""
+    """Few rectangles that hold each true cell once and no other: equal runs of consecutive rows, or of columns."""
     by_rows = list(_runs(cells))
     by_columns = list(_runs(cells.T))
     if len(by_rows) <= len(by_columns):

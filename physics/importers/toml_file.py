@@ -1,4 +1,4 @@
-"""A world in a TOML file of its own, with the keys that a scenario's ``[world]`` has."""
+"""A world in a TOML file of its own, with the keys of a scenario's ``[world]``."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,9 +18,9 @@ from vcmvsp.physics.worlds.boxes import Empty
 
 @dataclass(frozen=True, kw_only=True)
 class File:
-    """A world from a TOML file (kind ``file``): ``[[boxes]]``, ``[[cylinders]]``, ``[ground]`` ... as kind ``boxes`` has them.
+    """A world from a TOML file (kind ``file``): ``[[boxes]]``, ``[[cylinders]]``, ``[ground]`` ... as in kind ``boxes``.
 
-    Pictures are looked for beside the file.
+    Pictures are found beside the file.
     """
 
     path: FileName  # of the TOML file
@@ -34,11 +34,12 @@ class File:
     def files(self) -> tuple[Path, ...]:
         """The pictures that it names."""
         listed, _ = self._read()
-        pictures = [listed.ground.picture, *(mark.picture for mark in listed.ground.marks)]
-        return tuple(Path(each) for each in (*pictures, *(target.picture for target in listed.targets)) if each)
+        pictures = [listed.ground.picture, *[mark.picture for mark in listed.ground.marks]]
+        pictures += [target.picture for target in listed.targets]
+        return tuple(Path(each) for each in pictures if each)
 
     def _read(self) -> tuple[Empty, Source]:
-        """What stands in the file, and where."""
+        """Content of the file, and its source."""
         path = Path(self.path)
         text = text_of(path)
         try:
@@ -61,12 +62,12 @@ class File:
         except ScenarioError as error:
             raise ScenarioError(error.problem, key=error.key, source=source.of(error.key)) from error
         instead: dict[str, Any] = {"floor_friction": self.floor_friction, "wind": self.wind, "light": self.light}
-        given = {key: value for key, value in instead.items() if value is not None}
-        return replace(world, name=Path(self.path).stem, **given)
+        overrides = {key: value for key, value in instead.items() if value is not None}
+        return replace(world, name=Path(self.path).stem, **overrides)
 
 
 def beside(folder: Path, listed: Empty) -> Empty:
-    """The world with its pictures looked for in a folder."""
+    """The world with its pictures found in a folder."""
 
     def found(name: str) -> str:
         """Where a picture is; a run keeps it under its last name, beside the file."""

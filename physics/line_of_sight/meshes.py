@@ -1,4 +1,4 @@
-"""How far straight lines run inside meshes, by the triangles that they cross."""
+"""Lengths of straight lines inside meshes, from the triangles that they cross."""
 
 from collections.abc import Mapping
 
@@ -22,13 +22,13 @@ _ASIDE = np.array(
 class MeshObstacles:
     """Meshes, closed or not.
 
-    A closed mesh is a body: a line is inside from each triangle where it comes in to the one where it goes out. A mesh with an
-    open edge has no inside: each of its triangles is a sheet of 1 cm to a line that crosses it. A line that runs within a
-    face may count as inside or not, the same from both ends.
+    A closed mesh is a body: a line is inside from each triangle where it enters to the one where it leaves. A mesh with an open
+    edge has no inside: each of its triangles is a sheet of 1 cm. A line within a face may count as inside or not, the same from
+    both ends.
 
     Attributes:
-        columns: which of the world's solids they are, (c,).
-        thickness_m: (c,): twice the volume per surface, as a long wall has it, however it bends; that of a sheet for open ones.
+        columns: numbers of the meshes among the world's solids, (c,).
+        thickness_m: (c,): twice the volume per surface, as for a long wall; for open meshes that of a sheet.
     """
 
     def __init__(self, meshes: Mapping[int, Mesh]) -> None:
@@ -48,8 +48,8 @@ class MeshObstacles:
     def inside(self, tx: Floats, rx: Floats) -> Floats:
         """Lengths inside each mesh, (n, c) m, of the lines from ``tx`` (3,) to each of ``rx`` (n, 3).
 
-        A line through a corner may, by rounding, pass on one side of each edge there and slip through. It then comes into a
-        body more or less often than it goes out, and is moved aside by a tenth of a micrometre.
+        A line through a corner may, by rounding, miss all triangles there. It then enters a body more or less often than it
+        leaves, and is computed again a tenth of a micrometre aside.
         """
         result, uneven = self._inside(tx, rx)
         if len(uneven):
@@ -57,15 +57,15 @@ class MeshObstacles:
         return result
 
     def _inside(self, tx: Floats, rx: Floats) -> tuple[Floats, Array]:
-        """These lengths, and the lines that come into a closed mesh another number of times than they go out."""
+        """These lengths, and the lines with unequal numbers of entries and exits of closed meshes."""
         result, balance = np.zeros((2, len(rx), len(self.columns)))
         rows = max(1, _BLOCK // max(1, len(self._of)))
         for first in range(0, len(rx), rows):
             run = rx[first : first + rows] - tx
             length = np.sqrt((run * run).sum(axis=1))
             line, triangle = self._near(tx, run)
-            kept, place, sign = self._crossed(0.5 * (tx + rx[first + line]), run[line], self._corners[triangle])
-            line, of = line[kept], self._of[triangle[kept]]
+            crossed, place, sign = self._crossed(0.5 * (tx + rx[first + line]), run[line], self._corners[triangle])
+            line, of = line[crossed], self._of[triangle[crossed]]
             within = np.abs(place) <= 0.5
             share = np.where(self._closed[of], sign * np.clip(place, -0.5, 0.5) * length[line], np.where(within, SHEET_M, 0.0))
             np.add.at(result, (first + line, of), share)
@@ -74,7 +74,7 @@ class MeshObstacles:
         return result, np.flatnonzero(balance.any(axis=1))
 
     def _near(self, tx: Floats, run: Floats) -> tuple[Array, Array]:
-        """Pairs of endless lines and triangles no further from each other than the triangle reaches."""
+        """Pairs of endless lines and triangles within the triangle's radius."""
         to = self._middle - tx
         along = run @ to.T
         run2 = (run * run).sum(axis=1)[:, None]
@@ -85,12 +85,11 @@ class MeshObstacles:
 
     @staticmethod
     def _crossed(middle: Floats, run: Floats, corners: Floats) -> tuple[Array, Floats, Floats]:
-        """Which triangles their lines cross, where (share of the line from its middle), and whether out (1) or in (-1).
+        """Triangles that their lines cross, the places (share of the line from its middle), and exits (1) or entries (-1).
 
-        On which side of an edge a line passes is the sign of a volume (R. J. Segura, F. R. Feito, Algorithms to test
-        ray-triangle intersection, WSCG 2001), the same to the last bit, but for the sign, in both triangles that share the
-        edge: no line slips through between them. A line exactly through an edge is moved aside by an infinitesimal step, the
-        same for all.
+        The side on which a line passes an edge is the sign of a volume (R. J. Segura, F. R. Feito, Algorithms to test ray-
+        triangle intersection, WSCG 2001), the same to the last bit, but for the sign, in both triangles of the edge: no line
+        slips through between them. A line exactly through an edge is moved aside by an infinitesimal step, the same for all.
         """
         a, b, c = (corners[:, k] - middle for k in range(3))
 
@@ -112,13 +111,13 @@ class MeshObstacles:
         signs += decided(ca, corners[:, 2], corners[:, 0])
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         slope = (normal * run).sum(axis=1)
-        kept = np.flatnonzero((np.abs(signs) == 3.0) & (slope != 0.0))
-        place = (normal * a).sum(axis=1)[kept] / slope[kept]
-        return kept, place, np.sign(slope[kept])
+        crossed = np.flatnonzero((np.abs(signs) == 3.0) & (slope != 0.0))
+        place = (normal * a).sum(axis=1)[crossed] / slope[crossed]
+        return crossed, place, np.sign(slope[crossed])
 
 
 def is_closed(triangles: Array) -> bool:
-    """Whether each edge is run as often one way as the other: the triangles are the whole surface of a body."""
+    """Whether each edge is run equally often both ways: the triangles are the whole surface of a body."""
     _, number = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     corner = number.reshape(-1, 3)
     edges = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]]])
@@ -131,7 +130,7 @@ def is_closed(triangles: Array) -> bool:
 def slab_m(triangles: Array) -> float:
     """Twice the volume of a closed mesh per surface, m: the thickness of a plate much longer and wider than thick.
 
-    (The mean length of all chords is twice that, 4 V / S; but walls are counted as if crossed straight.)
+    (The mean length of all chords is twice that, 4 V / S; but walls count as crossed straight.)
     """
     a, b, c = (triangles[:, k] - triangles[0, 0] for k in range(3))
     cross = np.cross(b - a, c - a)

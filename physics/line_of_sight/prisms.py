@@ -1,4 +1,4 @@
-"""How far straight lines run inside upright solids of any outline: cylinders, prisms with courtyards."""
+"""Lengths of straight lines inside upright solids of any outline: cylinders, prisms with courtyards."""
 
 from collections.abc import Mapping, Sequence
 
@@ -20,18 +20,19 @@ _BLOCK = 1 << 15  # lines x solids, and pairs x edges, at a time
 class PrismObstacles:
     """Upright solids by their rings, counter-clockwise, and clockwise round holes.
 
-    A line is inside from each edge where it comes in to the one where it goes out, and between bottom and top. Pieces into
-    which a prism could be cut do not come into it: a line along a cut would be inside of both, or of none.
+    A line is inside from each edge where it enters to the one where it leaves, and between bottom and top. Prisms are not cut
+    into convex pieces: a line along a cut is inside both, or none.
 
     Attributes:
-        columns: which of the world's solids they are, (c,).
-        thickness_m: (c,). Of a convex outline its least width, which is a cylinder's diameter; of another twice its area per
-            length of all rings, as a long wall has it, however it bends; at most the height.
+        columns: numbers of the solids among the world's, (c,).
+        thickness_m: (c,). Of a convex outline its least width, e.g. a cylinder's diameter; of another twice its area per length
+            of all rings, as for a long wall; at most the height.
     """
 
     def __init__(self, solids: Mapping[int, Solid]) -> None:
         self.columns = np.array(list(solids), np.int64)
-        pieces = [(column, *piece) for column, solid in enumerate(solids.values()) for piece in _pieces(solid)]
+        parts = [_pieces(solid) for solid in solids.values()]
+        pieces = [(column, *piece) for column, own in enumerate(parts) for piece in own]
         self._column = np.array([column for column, *_ in pieces], np.int64)
         self.thickness_m: Floats = np.full(len(solids), np.inf)
         for column, rings, bottom, top in pieces:
@@ -54,7 +55,7 @@ class PrismObstacles:
         for first in range(0, len(rx), rows):
             middle, run = 0.5 * (tx + rx[first : first + rows]), rx[first : first + rows] - tx
             back = (run[:, 0] < 0.0) | ((run[:, 0] == 0.0) & (run[:, 1] < 0.0))
-            run = np.where(back[:, None], -run, run)  # the same line, whoever sends: corners count alike
+            run = np.where(back[:, None], -run, run)  # one direction for both ways: corners count alike
             run[np.abs(run) < _SKIN_M**4] = 0.0
             run[(run[:, :2] * run[:, :2]).sum(axis=1) < _SKIN_M**2, :2] = 0.0  # upright: nothing to divide by
             line, piece = self._near(middle, run)
@@ -68,7 +69,7 @@ class PrismObstacles:
         return result
 
     def _near(self, middle: Floats, run: Floats) -> tuple[Array, Array]:
-        """Pairs of lines and pieces whose boxes a line meets, and whose heights."""
+        """Pairs of lines and pieces with a common part of bounding box and heights."""
         low, high = np.full((len(run), len(self._column)), -0.5), np.full((len(run), len(self._column)), 0.5)
         floor, ceiling = 0.5 * (self._top + self._bottom), 0.5 * (self._top - self._bottom)
         slabs = (*zip(self._middle.T, self._half.T, strict=True), (floor, ceiling))
@@ -81,11 +82,11 @@ class PrismObstacles:
         return line, piece
 
     def _shares(self, middle: Floats, run: Floats, of: Array) -> Floats:
-        """What share of each line is inside the piece beside it, (p,): each pair for itself.
+        """Share of each line inside the piece of its pair, (p,).
 
-        Edges that the line crosses, wherever it does, count from the middle of the line: plus where it goes out, minus where it
-        comes in, each held between where the line is at the bottom and at the top. A line that runs exactly through a corner
-        is taken to pass it on the left: it crosses one edge there, or two, or none, as one beside it would.
+        Crossed edges count from the middle of the line: plus at exits, minus at entries, each clipped to the line's part
+        between bottom and top. A line exactly through a corner counts as passing it on the left: it crosses one edge there, or
+        two, or none, like a line beside it.
         """
         count = self._count[of]
         pair = np.repeat(np.arange(len(of)), count)
@@ -110,7 +111,7 @@ class PrismObstacles:
         return share
 
     def _between(self, z: Floats, rise: Floats, of: Array) -> tuple[Floats, Floats]:
-        """From where to where, in shares of the line from its middle, it is between bottom and top."""
+        """Limits of the line's part between bottom and top, in shares of the line from its middle."""
         per_metre = 1.0 / (rise + _NEVER_ZERO)
         centre, reach = (0.5 * (self._top + self._bottom)[of] - z) * per_metre, 0.5 * (self._top - self._bottom)[of]
         low, high = np.maximum(centre - reach * np.abs(per_metre), -0.5), np.minimum(centre + reach * np.abs(per_metre), 0.5)
@@ -127,7 +128,7 @@ class PrismObstacles:
 
 
 def _pieces(solid: Solid) -> list[tuple[list[Array], float, float]]:
-    """Rings, bottom and top of what a solid consists of: a prism is one whole."""
+    """Rings, bottom and top of the parts of a solid; a prism is one part."""
     if isinstance(solid, Prism):
         rings = [np.array(ring, float) for ring in (solid.outline, *solid.holes)]
         turned = [ring if (area_m2(ring) > 0.0) == (k == 0) else ring[::-1] for k, ring in enumerate(rings)]
@@ -143,7 +144,7 @@ def _thickness(rings: Sequence[Array]) -> float:
 
 
 def _shrunk(ring: Array) -> Array:
-    """A ring with its edges moved inwards by the skin; at sharp corners by no more than ten skins."""
+    """A ring with its edges moved inwards by the skin; at sharp corners by at most ten skins."""
     inwards = -outward(ring)
     before = np.roll(inwards, 1, axis=0)
     total = before + inwards

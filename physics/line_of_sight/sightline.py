@@ -1,4 +1,4 @@
-"""Which solids lie between two points: what the radio asks about walls."""
+"""Solids between two points: obstacles of the radio."""
 
 from collections.abc import Iterator, Sequence
 
@@ -26,10 +26,10 @@ class Sightline:
     """The solids of a world as obstacles of straight lines.
 
     Attributes:
-        materials: what each of the m solids is made of, (m,).
-        thickness_m: of each, (m,), as a wall: the shortest edge of a box; the diameter of a cylinder, and the least width of a
-            convex prism, or their height if that is less; of other prisms and of meshes what a long wall of that shape has
-            (see `PrismObstacles` and `MeshObstacles`).
+        materials: of each of the m solids, (m,).
+        thickness_m: of each as a wall, (m,): the shortest edge of a box; the diameter of a cylinder, and the least width of a
+            convex prism, or their height if that is less; of other prisms and meshes that of a long wall of that shape (see
+            `PrismObstacles` and `MeshObstacles`).
     """
 
     def __init__(self, solids: Sequence[AnySolid]) -> None:
@@ -54,14 +54,14 @@ class Sightline:
             self.thickness_m[each.columns] = each.thickness_m
 
     def crossings(self, tx: Floats, rx: Floats) -> tuple[Bools, Floats]:
-        """Which solids the straight lines from one point to others pass through, and how far.
+        """Solids that the straight lines from one point to others pass through, with lengths.
 
         Args:
             tx: (3,) m, world.
             rx: (n, 3) m, world.
 
         Returns:
-            Whether each line passes through each solid, (n, m), and the length inside it, (n, m) m. To touch is not to pass.
+            Whether each line passes through each solid, (n, m), and the length inside it, (n, m) m. Touching is not passing.
         """
         inside = np.zeros((len(rx), len(self.materials)))
         middle, run = 0.5 * (tx + rx), rx - tx
@@ -78,18 +78,18 @@ class Sightline:
         return inside > 0.0, inside
 
     def _near(self, tx: Floats, rx: Floats, run: Floats) -> Iterator[tuple[Array, Array]]:
-        """Pairs (line, box) that may meet, some at a time; no other line meets a box."""
+        """Candidate pairs (line, box), in portions; no other line meets a box."""
         aside = self._centre[:, :2] - tx[:2]
         away = np.hypot(aside[:, 0], aside[:, 1]) - self._around
         reach = np.hypot(run[:, 0], run[:, 1])
         low, high = np.minimum(tx[2], rx[:, 2]), np.maximum(tx[2], rx[:, 2])
         for line, box in by_bearing(tx, run, self._centre, self._around):
-            kept = (away[box] <= reach[line]) & (low[line] <= self._top[box]) & (self._bottom[box] <= high[line])
-            yield line[kept], box[kept]
+            near = (away[box] <= reach[line]) & (low[line] <= self._top[box]) & (self._bottom[box] <= high[line])
+            yield line[near], box[near]
 
 
 def sightline_of(world: World) -> Sightline:
-    """The sightline of a world, which is made once and kept with it."""
+    """The sightline of a world, made once."""
     return made_once(world, _sightline)
 
 
@@ -98,11 +98,10 @@ def _sightline(world: World) -> Sightline:
 
 
 def _shares(lines: Floats, boxes: Floats) -> Floats:
-    """What share of lines is inside of boxes; the first axes are columns of both, the others fit together.
+    """Share of lines inside boxes; the first axes are columns of both, the others broadcast.
 
-    The slab method (T. L. Kay, J. T. Kajiya, Ray tracing complex scenes, SIGGRAPH 1986): a box is what lies between all
-    three pairs of parallel planes; a line is inside from the last plane that it enters by to the first that it leaves by.
-    Counted from the middle of the line, so that rounding makes no difference between there and back.
+    The slab method (T. L. Kay, J. T. Kajiya, Ray tracing complex scenes, SIGGRAPH 1986): a line is inside a box from the last
+    plane that it enters by to the first that it leaves by. Counted from the middle of the line: there and back are equal.
     """
     x, y, z, dx, dy, dz = lines
     cos, sin, ahead, left, up, half_length, half_width, half_height = boxes

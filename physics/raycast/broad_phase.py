@@ -1,4 +1,4 @@
-"""Which beams may meet which pieces: quick tests that let through a little too much; and what is left of all that they meet."""
+"""Candidate pairs of beams and pieces, by conservative tests, and the nearest hit of each beam."""
 
 import math
 from collections.abc import Iterator
@@ -13,29 +13,29 @@ _LAST = np.iinfo(np.int64).max
 
 
 class Reached(NamedTuple):
-    """What each beam met first."""
+    """First hit of each beam."""
 
     distance: Array  # (r,) m; inf: nothing
     which: Array  # (r,) int64, the number of the thing; -1: nothing
 
 
 class Nearest:
-    """Keeps the nearest of what beams meet; of two at the same distance the one with the smaller number."""
+    """The nearest hit of each beam; at equal distances the one with the smaller number."""
 
     def __init__(self, beams: int) -> None:
         self._distance, self._which = np.full(beams, np.inf), np.full(beams, _LAST)
 
     def meet(self, beam: Array, distance: Array, which: Array) -> None:
-        """Some beams (q,) meet things of these numbers (q,) at these distances (q,); inf: they do not."""
-        found = np.full(len(self._distance), np.inf)
-        np.minimum.at(found, beam, distance)
-        nearer = found < self._distance
-        self._distance[nearer], self._which[nearer] = found[nearer], _LAST
+        """Add hits: beams (q,), distances (q,) m, inf: none, and numbers of the things hit (q,)."""
+        nearest = np.full(len(self._distance), np.inf)
+        np.minimum.at(nearest, beam, distance)
+        nearer = nearest < self._distance
+        self._distance[nearer], self._which[nearer] = nearest[nearer], _LAST
         (won,) = (np.isfinite(distance) & (distance == self._distance[beam])).nonzero()
         np.minimum.at(self._which, beam[won], which[won])
 
     def within(self, reach_m: float) -> Reached:
-        """All that was met within reach."""
+        """All hits within reach."""
         met = np.isfinite(self._distance) & (self._distance <= reach_m)
         return Reached(np.where(met, self._distance, np.inf), np.where(met, self._which, -1))
 
@@ -43,12 +43,12 @@ class Nearest:
 def pairs(
     origins: Array, directions: Array, reach_m: float, centre: Array, radius: Array, around: Array
 ) -> Iterator[tuple[Array, Array]]:
-    """Pairs (beam, piece) that may meet, some at a time; no other beam meets a piece.
+    """Candidate pairs (beam, piece), in portions; no other beam hits a piece.
 
     Args:
         origins: (r, 3) m.
         directions: (r, 3), unit vectors.
-        reach_m: no further than this.
+        reach_m: of the beams.
         centre: (m, 3) m, of spheres around the pieces.
         radius: (m,) m, of these spheres.
         around: (m,) m, of circles around the pieces seen from above.
@@ -64,7 +64,7 @@ def pairs(
 
 
 def touching_spheres(origins: Array, directions: Array, reach_m: float, centre: Array, radius: Array) -> tuple[Array, Array]:
-    """Pairs (beam, sphere) that meet: all with all."""
+    """Pairs (beam, sphere) that meet, of all beams and spheres."""
     base = origins[:1]
     start, middle = origins - base, centre - base
     along = directions @ middle.T - (start * directions).sum(axis=1)[:, None]
@@ -76,7 +76,7 @@ def touching_spheres(origins: Array, directions: Array, reach_m: float, centre: 
 
 
 def by_bearing(origin: Array, directions: Array, centre: Array, around: Array) -> Iterator[tuple[Array, Array]]:
-    """Pairs of beams from one place and pieces: those between the bearings of a circle's two sides, however far away it is.
+    """Pairs of beams from one place and circles, by bearing alone, at any distance.
 
     Args:
         origin: (3,) m.

@@ -1,4 +1,4 @@
-"""How far a beam gets: straight lines against everything that stands still in a world."""
+"""Ray casting among the solids of a world."""
 
 import math
 from collections.abc import Iterator
@@ -18,34 +18,34 @@ _FEW = 16  # beams in a cell: with fewer, all beams are tested with all pieces
 class Caster:
     """Casts beams among the solids of a world.
 
-    A solid is seen by beams from outside; a beam that begins inside a prism gets 0 m far. Triangles are seen from both sides.
+    Beams hit a prism from outside; a beam that begins inside a prism has a length of 0 m. Triangles have two sides.
 
     Args:
         shapes: the solids in pieces.
-        cell_m: of the index that finds what is within reach; it changes no answer.
+        cell_m: of the index of pieces; no effect on results.
     """
 
     def __init__(self, shapes: Shapes, cell_m: float | None = None) -> None:
         self.pieces = PieceIndex(shapes, cell_m)
 
     def cast(self, origins: Array, directions: Array, reach_m: float = math.inf, *, floor: bool = True) -> Array:
-        """How far beams get, (r,) m; inf: they meet nothing within reach.
+        """Lengths of beams, (r,) m; inf: no hit within reach.
 
         Args:
             origins: (r, 3) m, world.
             directions: (r, 3), unit vectors.
-            reach_m: no further than this.
-            floor: beams that come down to z = 0 end there.
+            reach_m: of the beams.
+            floor: whether beams end at z = 0 from above.
         """
         return self.meet(origins, directions, reach_m, floor=floor).distance
 
     def meet(self, origins: Array, directions: Array, reach_m: float = math.inf, *, floor: bool = True) -> Reached:
-        """How far beams get, and the number of the solid that each meets: -1 is nothing, `FLOOR` is the floor."""
+        """Lengths of beams, and the number of the solid that each hits: -1 for none, `FLOOR` for the floor."""
         origins, directions = np.broadcast_arrays(np.asarray(origins, float), np.asarray(directions, float))
         distance, which = np.full(len(origins), np.inf), np.full(len(origins), -1)
         for rows, near in self._by_place(origins, reach_m):
-            found = self._among(near, origins[rows], directions[rows], reach_m)
-            distance[rows], which[rows] = found
+            hits = self._among(near, origins[rows], directions[rows], reach_m)
+            distance[rows], which[rows] = hits
         if floor:
             down = _to_floor(origins, directions)
             lower = (down < distance) & (down <= reach_m)
@@ -67,7 +67,7 @@ class Caster:
         return bool(np.logical_and.reduceat(left, np.cumsum(count) - count).any())
 
     def _by_place(self, origins: Array, reach_m: float) -> Iterator[tuple[Array | slice, NearbyPieces]]:
-        """Beams that begin in the same cell, and what is near it."""
+        """Beams with origins in the same cell, and the pieces near it."""
         pieces = self.pieces
         if not len(origins):
             return
@@ -96,10 +96,10 @@ class Caster:
         return nearest.within(reach_m)
 
     def _to_prisms(self, prism: Array, origins: Array, directions: Array) -> Array:
-        """How far each of q beams gets to its prism, m; inf: it passes.
+        """Lengths of q beams up to one prism each, m; inf: no hit.
 
-        A convex body is what lies behind all of its planes: a line is inside from the last plane that it enters by to the first
-        that it leaves by (M. Cyrus, J. Beck, Generalized two- and three-dimensional clipping, 1978).
+        A line is inside a convex body from the last plane that it enters by to the first that it leaves by (M. Cyrus, J. Beck,
+        Generalized two- and three-dimensional clipping, 1978).
         """
         distance = np.full(len(prism), np.inf)
         corners = self.pieces.corners[prism]
@@ -120,7 +120,7 @@ class Caster:
         return distance
 
     def _to_triangles(self, triangle: Array, origins: Array, directions: Array) -> Array:
-        """How far each of q beams gets to its triangle, m; inf: it passes.
+        """Lengths of q beams up to one triangle each, m; inf: no hit.
 
         T. Moeller, B. Trumbore, Fast, minimum storage ray/triangle intersection, 1997.
         """
@@ -137,7 +137,7 @@ class Caster:
 
 
 def caster_of(world: World) -> Caster:
-    """The caster of a world, which is made once and kept with it."""
+    """The caster of a world, made once."""
     return made_once(world, _caster)
 
 

@@ -1,4 +1,4 @@
-"""Beams against what moves: the hulls of vehicles and of other bodies, boxes and cylinders in any attitude."""
+"""Beams against the hulls of vehicles and other bodies: boxes and cylinders in any attitude."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ _NEVER_ZERO = 1e-300  # added to what is divided by: changes nothing but a zero
 
 
 class Hulls(NamedTuple):
-    """The hulls of all bodies of a scene, where they are."""
+    """Hulls of all bodies of a scene, in the world."""
 
     centre: Array  # (b, 3) m, world
     rotation: Array  # (3, 3, b), world_from_body
@@ -33,15 +33,15 @@ _last: list[_Sizes] = []  # of the scene before: the bodies of a run stay the sa
 
 
 def hulls_of(scene: Scene) -> Hulls:
-    """The hulls of a scene; worked out once for all that look at it."""
-    found: Hulls | None = scene.cache.get("raycast hulls")
-    if found is None:
+    """The hulls of a scene, computed once."""
+    cached: Hulls | None = scene.cache.get("raycast hulls")
+    if cached is None:
         sizes = _sizes_of(scene.hulls)
         rotation = rotation_columns(scene.attitude.T)
         centre = scene.position + (rotation * sizes.offset).sum(axis=1).T
-        found = Hulls(centre, rotation, sizes.half, sizes.round, sizes.radius)
-        scene.cache["raycast hulls"] = found
-    return found
+        cached = Hulls(centre, rotation, sizes.half, sizes.round, sizes.radius)
+        scene.cache["raycast hulls"] = cached
+    return cached
 
 
 def _sizes_of(hulls: tuple[Hull, ...]) -> _Sizes:
@@ -55,13 +55,13 @@ def _sizes_of(hulls: tuple[Hull, ...]) -> _Sizes:
 
 
 def in_frames(hulls: Hulls, body: Array, vectors: Array) -> tuple[Array, ...]:
-    """World vectors (3, v, q), v of them for each of q bodies, in the frames of these bodies: v arrays of (3, q)."""
+    """World vectors (3, v, q), v for each of q bodies, in the frames of these bodies: v arrays of (3, q)."""
     turned = (hulls.rotation[:, :, None, body] * vectors[:, None]).sum(axis=0)
     return tuple(turned[:, k] for k in range(vectors.shape[1]))
 
 
 def meet(hulls: Hulls, body: Array, start: Array, toward: Array) -> Array:
-    """How far each of q beams gets to its body, m; 0: it begins inside; inf: it passes.
+    """Lengths of q beams up to one body each, m; 0: from inside; inf: no hit.
 
     Args:
         hulls: the bodies.
@@ -82,7 +82,7 @@ def meet(hulls: Hulls, body: Array, start: Array, toward: Array) -> Array:
 
 
 def _barrel(start: Array, toward: Array, radius: Array) -> tuple[Array, Array]:
-    """Where lines enter and leave endless cylinders around z, (q,) each; they that pass leave before they enter."""
+    """Entry and exit (q,) of lines in endless cylinders around z; without a hit, the exit is before the entry."""
     (x, y, _), (dx, dy, _) = start, toward
     square, cross = dx * dx + dy * dy + _NEVER_ZERO, x * dy - y * dx
     beside = (square == _NEVER_ZERO) & (x * x + y * y > radius * radius)  # along the axis

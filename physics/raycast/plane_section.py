@@ -1,7 +1,6 @@
-"""The planes of range scanners cut the world: what is left of prisms and triangles are line segments.
+"""Sections of the world by the planes of range scanners: line segments from prisms and triangles.
 
-A level scanner is hardly a case of its own: its plane cuts everything at one height, so that it sees whole sides, and neither
-roofs nor undersides.
+The plane of a level scanner cuts everything at one height: whole sides, and neither roofs nor undersides.
 """
 
 import math
@@ -13,7 +12,7 @@ import numpy as np
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.raycast.spatial_index import PieceIndex
 
-_THIN = 1e-9  # m2: twice the area between scanner and segment; less is seen from its edge, that is not at all
+_THIN = 1e-9  # m2: twice the area between scanner and segment; less is facing from its edge, that is not at all
 _COORDINATES = [0, 0, 1, 1, 2, 2]  # of the rows of `PieceIndex.edges`
 
 
@@ -32,22 +31,22 @@ class Fan(NamedTuple):
 
     @property
     def single(self) -> bool:
-        """Whether there is one scanner: then its parameters serve all as they are."""
+        """Whether there is one scanner, with parameters that need no repetition."""
         return len(self.reach) == 1
 
     def of(self, values: Array, scanner: Array) -> Array:
-        """A parameter of each scanner, (..., s), for things that each belong to one of them."""
+        """A parameter of each scanner, (..., s), repeated for things of these scanners."""
         return values if len(self.reach) == 1 else values.take(scanner, axis=-1)
 
 
 def spread_of(first: float, step: float, beams: int) -> tuple[float, float, float, float]:
-    """One scanner's column of `Fan.spread`, without the last row. The beams make no more than a full turn, and step > 0."""
+    """One scanner's column of `Fan.spread`, without the last row. The beams make at most a full turn, and step > 0."""
     last = beams - 1.0
     return math.tau / step, first / step + 0.5 * last, last, 1.0 / step
 
 
 class Segments(NamedTuple):
-    """Line segments in the planes of scanners, clockwise as the scanner sees them, and none from its edge."""
+    """Line segments in the planes of scanners, clockwise as facing by the scanner, none from its edge."""
 
     scanner: Array  # (k,)
     x: Array  # (2, k) m, ahead: of both ends
@@ -55,7 +54,7 @@ class Segments(NamedTuple):
 
 
 def cut(pieces: PieceIndex, fan: Fan, scanners: Sequence[int]) -> Iterator[Segments]:
-    """What stands still within reach of some of the scanners, cut by their planes."""
+    """Sections of the solids within reach by the planes of some scanners."""
     if not scanners:
         return
     (xs, ys, _), reach = fan.origin.tolist(), fan.reach.tolist()
@@ -70,21 +69,21 @@ def cut(pieces: PieceIndex, fan: Fan, scanners: Sequence[int]) -> Iterator[Segme
 
 
 def _of_each(parts: Sequence[Array], scanners: Sequence[int]) -> tuple[Array, Array]:
-    """What is near each of some scanners in one array, and for which it is there."""
+    """Pieces near each of some scanners in one array, and their scanners."""
     if len(parts) == 1:
         return parts[0], np.full(len(parts[0]), scanners[0])
     return np.concatenate(parts), np.repeat(scanners, [len(part) for part in parts])
 
 
 def _sides(pieces: PieceIndex, fan: Fan, edges: Array, scanner: Array) -> Segments:
-    """Upright faces, from where the plane comes in at the bottom or top to where it goes out."""
+    """Upright faces, between the plane's entry and exit at the bottom and top."""
     sides = pieces.edges.take(edges, axis=1)
     sides -= fan.of(fan.origin[_COORDINATES], scanner)
     x, y, (bottom, top) = sides[:2], sides[2:4], sides[4:]
-    seen = x[0] * y[1] - x[1] * y[0] < -_THIN
+    facing = x[0] * y[1] - x[1] * y[0] < -_THIN
     if fan.level:
-        seen &= (bottom <= 0.0) & (top >= 0.0)
-    (some,) = seen.nonzero()
+        facing &= (bottom <= 0.0) & (top >= 0.0)
+    (some,) = facing.nonzero()
     scanner, (x, y, (bottom, top)) = scanner[some], sides.take(some, axis=1).reshape(3, 2, -1)
     x, y = _in_plane(fan, scanner, x, y)
     clipped = False
@@ -102,7 +101,7 @@ def _sides(pieces: PieceIndex, fan: Fan, edges: Array, scanner: Array) -> Segmen
 
 
 def _clipped(x: Array, y: Array, z: Array, bottom: Array, top: Array) -> tuple[Array, Array]:
-    """The parts of segments, (2, k) each, between two heights, (k,) each, that they are not wholly between."""
+    """Parts of segments, (2, k) each, between two heights, (k,) each."""
     rise = z[1] - z[0]
     one, two = (bottom - z[0]) / rise, (top - z[0]) / rise
     share = np.array([np.maximum(np.minimum(one, two), 0.0), np.minimum(np.maximum(one, two), 1.0)])
@@ -110,7 +109,7 @@ def _clipped(x: Array, y: Array, z: Array, bottom: Array, top: Array) -> tuple[A
 
 
 def _ends(pieces: PieceIndex, fan: Fan, prisms: Array, scanner: Array) -> Iterator[Segments]:
-    """Roofs seen from above, and undersides from below: a plane enters and leaves each across two of its edges."""
+    """Roofs from above, and undersides from below: a plane crosses two edges of each."""
     oz = fan.of(fan.origin[2], scanner)
     top, bottom = pieces.top[prisms] - oz, pieces.bottom[prisms] - oz
     gap = np.maximum(-top, bottom)
@@ -131,7 +130,7 @@ def _ends(pieces: PieceIndex, fan: Fan, prisms: Array, scanner: Array) -> Iterat
 
 
 def _facets(pieces: PieceIndex, fan: Fan, triangles: Array, scanner: Array) -> Segments:
-    """Triangles: one corner lies on one side of the plane, two on the other."""
+    """Triangles with one corner on one side of the plane and two on the other."""
     corners = np.moveaxis(pieces.triangles[triangles], 0, -1) - fan.of(fan.origin, scanner)  # (3 corners, xyz, k)
     side = _along(fan.of(fan.frame[2], scanner), corners)
     over = side >= 0.0
@@ -148,14 +147,14 @@ def _facets(pieces: PieceIndex, fan: Fan, triangles: Array, scanner: Array) -> S
 
 
 def _in_plane(fan: Fan, scanner: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Coordinates ahead and left of the scanner of the points of its plane that are above or below (x, y) from it, world."""
+    """Coordinates ahead and left of the scanner, in its plane, of points above or below (x, y) from it, world."""
     (ax, ay, _), (bx, by, _) = fan.frame[:2]
     a, b, c, d = fan.of(np.array([by, bx, ax, ay]) / fan.frame[2, 2], scanner)
     return x * a - y * b, y * c - x * d
 
 
 def _height(fan: Fan, scanner: Array, x: Array, y: Array) -> Array:
-    """How high above the scanner points of its plane are, m."""
+    """Heights of points of the plane above the scanner, m."""
     ahead, left = fan.of(fan.frame[:2, 2], scanner)
     height: Array = ahead * x + left * y
     return height
@@ -168,7 +167,7 @@ def _along(axis: Array, points: Array) -> Array:
 
 
 def _clockwise(scanner: Array, x: Array, y: Array) -> Segments:
-    """Segments with any order of their ends, in the right one, and without those seen from their edge."""
+    """Segments with ends in the right order, without segments facing from their edge."""
     area = x[0] * y[1] - x[1] * y[0]
     swap = area > 0.0
     (some,) = (np.abs(area) > _THIN).nonzero()

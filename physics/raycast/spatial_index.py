@@ -1,4 +1,4 @@
-"""The pieces of a world as flat tables, and which of them are within reach of a place: what beams are tested against."""
+"""Spatial index of the pieces of a world, as flat tables, for beams."""
 
 import math
 from typing import NamedTuple
@@ -9,11 +9,11 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.world.shapes import Shapes
 
 _CELLS_PER_REACH = 4.0
-_KEPT = 4_000_000  # numbers of pieces in the index; then it is begun anew
+_MOST = 4_000_000  # numbers of pieces in the index; then it is begun anew
 
 
 class NearbyPieces(NamedTuple):
-    """The pieces within reach of a cell."""
+    """Pieces within reach of a cell."""
 
     prisms: Array  # (p,) intp, rising
     edges: Array  # (e,) intp: all edges of these prisms, in order
@@ -26,8 +26,8 @@ class PieceIndex:
     Attributes:
         edges: (6, e) m: x where an edge begins and ends (counter-clockwise), y where it does, bottom and top of its prism.
         first: (p,) number of each prism's first edge; the others follow.
-        corners: (p,) how many edges each has.
-        solid: (p,) which solid of the world each belongs to.
+        corners: (p,) number of edges of each prism.
+        solid: (p,) solid of each prism.
         bottom, top: (p,) m.
         triangles: (t, 3, 3) m.
         triangle_solid: (t,).
@@ -37,7 +37,7 @@ class PieceIndex:
 
     Args:
         shapes: the world's.
-        cell_m: size of the cells of the index; None: a quarter of the reach that is asked for. It changes no answer.
+        cell_m: size of the cells; None: a quarter of the reach. No effect on results.
     """
 
     def __init__(self, shapes: Shapes, cell_m: float | None = None) -> None:
@@ -58,28 +58,28 @@ class PieceIndex:
         self.radius: Array = 0.5 * np.sqrt(((upper - lower) ** 2).sum(axis=1))
         self._cell_m = cell_m
         self._cells: dict[tuple[float, int, int], NearbyPieces] = {}
-        self._kept = 0
+        self._size = 0
 
     def cell_m(self, reach_m: float) -> float:
         """Edge of the cells for this reach, m."""
         return self._cell_m or max(reach_m / _CELLS_PER_REACH, 1.0)
 
     def near(self, x: float, y: float, reach_m: float) -> NearbyPieces:
-        """The pieces that may be within ``reach_m``, seen from above, of the cell that (x, y) lies in."""
+        """Pieces within ``reach_m``, seen from above, of the cell around (x, y)."""
         cell = self.cell_m(reach_m)
         place = (reach_m, math.floor(x / cell), math.floor(y / cell)) if reach_m < math.inf else (reach_m, 0, 0)
-        found = self._cells.get(place)
-        if found is None:
-            found = self._search(*place, cell)
-            if self._kept > _KEPT:
+        pieces = self._cells.get(place)
+        if pieces is None:
+            pieces = self._search(*place, cell)
+            if self._size > _MOST:
                 self._cells.clear()
-                self._kept = 0
-            self._kept += 1 + sum(map(len, found))
-            self._cells[place] = found
-        return found
+                self._size = 0
+            self._size += 1 + sum(map(len, pieces))
+            self._cells[place] = pieces
+        return pieces
 
     def edges_of(self, prisms: Array) -> Array:
-        """The numbers of all edges of some prisms, in order."""
+        """Numbers of all edges of some prisms, in order."""
         count = self.corners[prisms]
         return np.repeat(self.first[prisms] - np.cumsum(count) + count, count) + np.arange(count.sum())
 

@@ -1,10 +1,9 @@
-"""All beams of range scanners at once, many scanners in one go.
+"""All beams of many range scanners at once.
 
-The beams of a scanner lie in a plane. Cut by it (`raycast_cut`), the world becomes line segments in two dimensions. In polar
-coordinates (r, a) of the scanner, a segment on the line ``u x + v y = 1`` is ``1/r = u cos a + v sin a`` for the beams between
-its ends, and the largest ``1/r`` of each beam is what it measures: two products and a sum for each beam of each segment that
-faces the scanner, and nothing for all others. Hulls of bodies are met beam by beam, but only by beams towards a sphere around
-them.
+The beams of a scanner lie in a plane, which cuts the world into line segments (`plane_section`). In polar coordinates (r, a) of
+the scanner, a segment on the line ``u x + v y = 1`` is ``1/r = u cos a + v sin a`` for the beams between its ends, and the
+largest ``1/r`` of each beam is its measurement: two products and a sum for each beam of each segment that faces the scanner.
+Hulls of bodies are tested with single beams, but only beams towards a sphere around them.
 """
 
 import math
@@ -21,9 +20,9 @@ _SEAM = 1e-9  # beams: segments reach this far beyond their ends, so that nothin
 
 
 def sweep(caster: Caster, fan: Fan, hulls: Hulls | None = None) -> list[Array]:
-    """What range scanners measure without any error, an array (beams,) for each, m; inf: nothing within reach.
+    """Ranges without errors, an array (beams,) for each scanner, m; inf: nothing within reach.
 
-    Beams that come down to the floor end there. A scanner inside a prism measures 0 with all beams.
+    Beams end at the floor. A scanner inside a prism measures 0 with all beams.
     """
     inverse = _floor(fan)  # 1/m, of all beams
     upright = np.abs(fan.frame[2, 2]).tolist()
@@ -37,15 +36,15 @@ def sweep(caster: Caster, fan: Fan, hulls: Hulls | None = None) -> list[Array]:
     if hulls is not None and len(hulls.centre):
         _bodies(hulls, fan, distance)
     distance[distance > (fan.reach if fan.single else np.repeat(fan.reach, fan.beams))] = np.inf
-    found = [distance] if fan.single else np.split(distance, np.cumsum(fan.beams)[:-1])
-    for each, point in zip(found, fan.origin.T.tolist(), strict=True):
+    ranges = [distance] if fan.single else np.split(distance, np.cumsum(fan.beams)[:-1])
+    for each, point in zip(ranges, fan.origin.T.tolist(), strict=True):
         if caster.inside(point):
             each[:] = 0.0
-    return found
+    return ranges
 
 
 def _floor(fan: Fan) -> Array:
-    """1 / distance to the floor of all beams, 1/m; 0: they do not come down to it."""
+    """1 / distance to the floor of all beams, 1/m; 0: no hit."""
     if fan.level:
         return np.zeros(len(fan.cos))
     height = fan.origin[2]
@@ -56,7 +55,7 @@ def _floor(fan: Fan) -> Array:
 
 
 def _draw(fan: Fan, segments: Segments, inverse: Array) -> None:
-    """Segments into 1 / distance of all beams."""
+    """Add segments to 1 / distance of all beams."""
     scanner, x, y = segments
     angle = np.arctan2(y, x)
     width = angle[0] - angle[1]
@@ -68,7 +67,7 @@ def _draw(fan: Fan, segments: Segments, inverse: Array) -> None:
 
 
 def _between(fan: Fan, scanner: Array, low: Array, width: Array) -> tuple[Array, Array]:
-    """The beams within angles from ``low`` to ``low + width``, rad, (k,) each: pairs (which of the k, beam among all)."""
+    """Beams within angles from ``low`` to ``low + width``, rad, (k,) each: pairs (which of the k, beam among all)."""
     turn, middle, last, per_rad, start = fan.of(fan.spread, scanner)
     begin = low * per_rad - middle  # from here on in beams
     begin += 0.5 * last - turn * np.rint(begin / turn)
@@ -89,7 +88,7 @@ def _between(fan: Fan, scanner: Array, low: Array, width: Array) -> tuple[Array,
 
 
 def _cast(caster: Caster, fan: Fan, each: int, distance: Array) -> None:
-    """One scanner's beams among what stands still, one by one."""
+    """Cast the beams of one scanner one by one among the solids."""
     before = int(fan.beams[:each].sum())
     beams = slice(before, before + fan.beams[each])
     toward = np.outer(fan.cos[beams], fan.frame[0, :, each]) + np.outer(fan.sin[beams], fan.frame[1, :, each])
@@ -99,7 +98,7 @@ def _cast(caster: Caster, fan: Fan, each: int, distance: Array) -> None:
 
 
 def _bodies(hulls: Hulls, fan: Fan, distance: Array) -> None:
-    """Hulls into the distances of all beams."""
+    """Add hulls to the distances of all beams."""
     offset = hulls.centre.T[:, None] - fan.origin[:, :, None]  # (3, scanners, bodies)
     near = (offset * offset).sum(axis=0) <= (fan.reach[:, None] + hulls.radius) ** 2
     near[np.arange(len(near)), fan.own] = False

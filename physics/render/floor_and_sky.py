@@ -1,4 +1,4 @@
-"""The floor and the sky as a camera sees them."""
+"""Floor and sky in a camera's picture."""
 
 import math
 from typing import NamedTuple
@@ -26,7 +26,7 @@ class Level(NamedTuple):
 
 
 def levels_of(world: World) -> list[Level]:
-    """The ground picture, and smaller ones of it, each half as large; empty: there is none."""
+    """The ground picture, and smaller copies, each half as large; empty: there is none."""
     picture = world.ground.image()
     if picture is None:
         return []
@@ -72,7 +72,7 @@ def inverse_depth(view: View) -> Array:
 def ground(world: World, levels: list[Level], view: View, time_s: float) -> Array:
     """Floor and sky, (height, width) int32: red in the lowest eight bits, then green and blue.
 
-    The floor has its own colours, as painted, and so have the targets on it, which are where they are then: it is not lit.
+    Floor and targets, at their places at that time, have their own colours, without light.
     """
     plain, sky = (np.int32(packed(np.array(color))) for color in (world.ground.color, SKY))
     right, down, ahead = view.rotation[2]
@@ -96,7 +96,7 @@ def ground(world: World, levels: list[Level], view: View, time_s: float) -> Arra
 
 
 def _warped(world: World, levels: list[Level], view: View, nearest: float) -> Array:
-    """The ground picture through the camera, and around it the plain colour; ``nearest``: the largest inverse depth."""
+    """The ground picture in the camera, in the plain colour; ``nearest``: the largest inverse depth."""
     finest = levels[0].metre_px / (view.focal_px * nearest)  # pixels of the picture that a pixel of the camera covers
     level = levels[min(len(levels) - 1, max(0, math.floor(math.log2(finest))))]
     picture = cv2.warpPerspective(

@@ -1,4 +1,4 @@
-"""Large faces, row by row: for them whole rows of NumPy are quicker than triangles pixel by pixel."""
+"""Large faces, drawn row by row with NumPy: quicker than triangles pixel by pixel."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ LARGE_PX = 6000  # a triangle in a rectangle of so many pixels is drawn here: ab
 
 
 class Buffers(NamedTuple):
-    """The picture while it grows, (height, width) each."""
+    """Buffers of a picture, (height, width) each."""
 
     color: Array  # int32, see `packed`
     number: Array | None  # int32: one plus the number of the triangle; 0: floor or sky
@@ -23,14 +23,14 @@ class Buffers(NamedTuple):
 
 
 def draw_large(buffers: Buffers, corner: Array, triangles: Triangles, source: Array, view: View) -> Array:
-    """Draw the faces that have a large triangle, and tell which triangles are left, (n,) int.
+    """Draw all faces with a large triangle; returns the other triangles, (n,) int.
 
     Args:
-        buffers: drawn into.
+        buffers: changed.
         corner: triangles in the camera's frame, (t, 3, 3) m, all in front of it.
-        triangles: what they are parts of.
-        source: which of these each is a part of, (t,).
-        view: where from.
+        triangles: before clipping.
+        source: number of each in ``triangles``, (t,).
+        view: of the camera.
     """
     height, width = buffers.depth.shape
     scale = view.focal_px / corner[:, :, 2]
@@ -50,14 +50,14 @@ def draw_large(buffers: Buffers, corner: Array, triangles: Triangles, source: Ar
 
 
 def _length(ends: Array, edge: int) -> Array:
-    """How much of a picture's edge the corners of each triangle span, (t,) px."""
+    """Extent of the corners of each triangle along a picture's edge, (t,) px."""
     a, b, c = np.clip(ends, 0.0, edge).T
     length: Array = np.maximum(np.maximum(a, b), c) - np.minimum(np.minimum(a, b), c)
     return length
 
 
 def _ends(u: Array, v: Array, first: Array, width: int, height: int) -> tuple[Array, Array]:
-    """Columns with their middle in a face begin at the first and end before the second, row by row, (f, height) int16."""
+    """First columns with their middle in a face, and the columns behind the last, row by row, (f, height) int16."""
     middle = np.arange(height) + 0.5
     u0, v0, u1, v1 = (each[:, :, None] for each in (u, v, np.roll(u, -1, axis=1), np.roll(v, -1, axis=1)))
     crossing = (v0 <= middle) != (v1 <= middle)
@@ -70,7 +70,7 @@ def _ends(u: Array, v: Array, first: Array, width: int, height: int) -> tuple[Ar
 
 
 def _planes(buffers: Buffers, plane: Array, view: View) -> tuple[Array, Array]:
-    """The value of the depth buffer for each face: what each row, (f, height), and each column, (f, width), adds to it."""
+    """Depth buffer of each face as a sum of a value for each row, (f, height), and for each column, (f, width)."""
     normal, (near, far) = plane[:, :3], buffers[3:]
     inverse = (normal @ view.rotation) / (plane[:, 3] - normal @ view.eye)[:, None]  # of a ray's right, down, ahead: 1/m
     inverse *= -far * near / (far - near)
@@ -80,7 +80,7 @@ def _planes(buffers: Buffers, plane: Array, view: View) -> tuple[Array, Array]:
 
 
 def _fill(buffers: Buffers, left: Array, right: Array, planes: tuple[Array, Array], color: Array, number: Array) -> None:
-    """Draw one face after the other where it is nearer than what is there."""
+    """Draw one face after the other in front of the present content."""
     every = np.arange(buffers.depth.shape[1], dtype=np.int16)
     for i, value in enumerate(color.astype(np.int32)):
         rows = np.flatnonzero(left[i] < right[i])
@@ -91,10 +91,10 @@ def _fill(buffers: Buffers, left: Array, right: Array, planes: tuple[Array, Arra
         west, east = int(begin.min()), int(end.max())
         part, columns = np.s_[top:bottom, west:east], every[west:east]
         depth = planes[0][i, top:bottom, None] + planes[1][i, west:east]
-        shown = depth < buffers.depth[part]
-        shown &= columns >= begin
-        shown &= columns < end
-        mask = shown.view(np.uint8)
+        nearer = depth < buffers.depth[part]
+        nearer &= columns >= begin
+        nearer &= columns < end
+        mask = nearer.view(np.uint8)
         cv2.copyTo(depth, mask, buffers.depth[part])
         cv2.copyTo(np.full(depth.shape, value), mask, buffers.color[part])
         if buffers.number is not None:

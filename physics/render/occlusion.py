@@ -1,4 +1,4 @@
-"""Pieces that a picture can do without: those that stand wholly behind one of the buildings in front."""
+"""Occlusion culling: omits pieces that one building hides completely."""
 
 import numpy as np
 
@@ -7,17 +7,17 @@ from vcmvsp.physics.render.triangles import ScenePieces
 from vcmvsp.physics.render.view import View
 
 _FEWEST = 48  # pieces: of fewer it is quicker to draw all
-_BLOCKS = 8  # buildings that are asked whether they hide others
-_GAP_M = 0.05  # a building so near is not asked: part of it may be cut off
+_BLOCKS = 8  # buildings tested as occluders
+_GAP_M = 0.05  # a nearer building is no occluder: part of it may be clipped
 _MARGIN_M = 0.001
 
 
 def shown(pieces: ScenePieces, near: Array, view: View) -> Array:
     """The pieces (numbers) among ``near`` that no single building hides.
 
-    What a convex body hides from a point is convex, so a piece is hidden if the corners of a box around it are. Behind a
-    building that stands on the floor the lower corners are hidden where the upper ones are, as the eye is above the floor. A
-    corner is hidden if the line to it from the eye passes through the building: between two places, below the roof at one.
+    The shadow of a convex body is convex, so a piece is hidden if the corners of its bounding box are. Behind a building on the
+    floor the lower corners are hidden where the upper ones are, as the eye is above the floor. A corner is hidden if its line
+    to the eye passes through the building: between two places, below the roof at one.
     """
     if len(near) < _FEWEST:
         return near
@@ -36,14 +36,14 @@ def shown(pieces: ScenePieces, near: Array, view: View) -> Array:
     lowest = eye[2] + np.minimum(enter * rise, leave * rise)
     through = (leave > enter + 1e-6) & (lowest < pieces.high[number, 2][:, None] - _MARGIN_M)
     hidden = through.reshape(len(number), 4, len(near)).all(axis=1).any(axis=0)
-    seen: Array = near[~hidden]
-    return seen
+    visible: Array = near[~hidden]
+    return visible
 
 
 def _blocks(pieces: ScenePieces, near: Array, view: View) -> tuple[Array, Array]:
-    """The buildings that look widest, of those higher than the eye: others hide little.
+    """The widest buildings in the picture among those higher than the eye.
 
-    And how far inside of each of their four walls the eye is, (k, 4) m.
+    Also returns how far inside each of their four walls the eye is, (k, 4) m.
     """
     blocks = near[pieces.block[near] & (pieces.high[near, 2] > view.eye[2])]
     away = pieces.center[blocks, :2] - view.eye[:2]

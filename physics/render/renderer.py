@@ -1,4 +1,4 @@
-"""Pictures of a world: floor and sky, then triangles of solids and bodies with a depth buffer, each pixel at its middle."""
+"""Pictures of a world: floor and sky, then triangles of solids and bodies with a depth buffer, sampled at pixel middles."""
 
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ _GUARD = 16.0  # triangles are cut off where they reach so many half pictures be
 
 
 class Picture(NamedTuple):
-    """What a camera sees."""
+    """A camera's picture."""
 
     pixels: Array  # (height, width, 3) uint8, red, green, blue
     depth_m: Array | None  # (height, width) float32, along the optical axis; inf: nothing, or out of reach
@@ -31,15 +31,15 @@ class Picture(NamedTuple):
 def render(
     world: World, view: View, *, scene: Scene | None = None, without: int = -1, depth: bool = False, time_s: float = 0.0
 ) -> Picture:
-    """A picture of a world and of the bodies in it.
+    """Render a world and the bodies in it.
 
     Args:
-        world: what stands still.
-        view: where from.
-        scene: what moves; None: nothing.
-        without: row of the body that is left out, the camera's own; -1: none.
-        depth: whether the depth is wanted too.
-        time_s: where there is no scene: targets are where they are then.
+        world: all that stands still.
+        view: of the camera.
+        scene: all that moves; None: nothing.
+        without: row of the camera's own body, which is omitted; -1: none.
+        depth: whether to compute the depth.
+        time_s: time of the targets' places without a scene.
     """
     time_s = time_s if scene is None else scene.now_ns / SECOND_NS
     floor = ground(world, made_once(world, levels_of), view, time_s)
@@ -54,14 +54,14 @@ def render(
         nearest = 0.999 * float(corner[:, :, 2].min())
         buffers = Buffers(floor, number, np.ones(floor.shape, np.float32), nearest, max(view.reach_m, 2.0 * nearest))
         if floor.size > 8 * LARGE_PX:
-            left = draw_large(buffers, corner, triangles, source, view)
-            corner, source = corner[left], source[left]
+            small = draw_large(buffers, corner, triangles, source, view)
+            corner, source = corner[small], source[small]
         floor, number = _draw(buffers, corner, triangles.color[source], source, view)
     return Picture(_unpacked(floor), None if number is None else _depth(view, triangles, number))
 
 
 def _visible(pieces: ScenePieces, view: View) -> Triangles:
-    """The triangles that may be in the picture and show their front."""
+    """Triangles that may be in the picture and show their front."""
     near = shown(pieces, np.flatnonzero(_in_frustum(pieces.center, pieces.radius, view)), view)
     first = pieces.first[near]
     count = pieces.first[near + 1] - first
@@ -71,16 +71,16 @@ def _visible(pieces: ScenePieces, view: View) -> Triangles:
 
 
 def _bodies_near(scene: Scene, without: int, view: View) -> Array:
-    """Rows of the bodies that may be in the picture."""
+    """Rows of bodies that may be in the picture."""
     hulls = hulls_of(scene)
-    seen = _in_frustum(hulls.centre, hulls.radius, view)
+    visible = _in_frustum(hulls.centre, hulls.radius, view)
     if without >= 0:
-        seen[without] = False
-    return np.flatnonzero(seen)
+        visible[without] = False
+    return np.flatnonzero(visible)
 
 
 def _in_frustum(center: Array, radius: Array, view: View) -> Array:
-    """Which spheres may be in the picture, (m,) bool."""
+    """Spheres that may be in the picture, (m,) bool."""
     f, half_width, half_height = view.focal_px, 0.5 * view.width, 0.5 * view.height
     side, upper = np.hypot(f, half_width), np.hypot(f, half_height)
     inward = np.array(
@@ -101,15 +101,15 @@ def _in_frustum(center: Array, radius: Array, view: View) -> Array:
 
 
 def _facing(plane: Array, view: View) -> Array:
-    """Which of these planes show their front, numbers."""
+    """Numbers of planes that show their front."""
     return np.flatnonzero(plane[:, :3] @ view.eye > plane[:, 3])
 
 
 def _in_picture(corner: Array, view: View) -> tuple[Array, Array]:
-    """Triangles in the camera's frame that may be in the picture, cut off where they are behind it or far beside it.
+    """Triangles in the camera's frame that may be in the picture, clipped behind it and far beside it.
 
     Returns:
-        Triangles, (u, 3, 3) m, and of which triangle each is a part, (u,).
+        Triangles, (u, 3, 3) m, and the number of the original of each, (u,).
     """
     x, y, z = np.moveaxis(corner, 2, 0)
     right, lower = z * (0.5 * view.width / view.focal_px), z * (0.5 * view.height / view.focal_px)
@@ -124,8 +124,8 @@ def _in_picture(corner: Array, view: View) -> tuple[Array, Array]:
     for inward in ((0, 0, 1), (1, 0, wide), (-1, 0, wide), (0, 1, high), (0, -1, high)):
         distance = parts @ inward - (NEAREST_M if inward == (0, 0, 1) else 0.0)
         if (distance <= 0.0).any():
-            parts, kept = clipped(parts, distance)
-            source = source[kept]
+            parts, inside = clipped(parts, distance)
+            source = source[inside]
     return np.concatenate([corner[whole], parts]), np.concatenate([whole, source])
 
 
@@ -142,7 +142,7 @@ def _any(of_corners: Array) -> Array:
 
 
 def _draw(buffers: Buffers, corner: Array, color: Array, source: Array, view: View) -> tuple[Array, Array | None]:
-    """Triangles one by one: the colours and numbers that come of it."""
+    """Draw triangles pixel by pixel; returns colours and numbers."""
     if not len(corner):
         return buffers.color, buffers.number
     values = np.zeros((len(corner), 3, 3), np.float32)  # the three channels of each corner; that of the first corner counts
@@ -156,7 +156,7 @@ def _draw(buffers: Buffers, corner: Array, color: Array, source: Array, view: Vi
 
 
 def _rasterize(buffers: Buffers, canvas: Array, corner: Array, values: Array, view: View) -> None:
-    """OpenCV's own renderer, which looks at the middles of pixels too."""
+    """OpenCV's own renderer, which samples pixel middles, too."""
     cv2.triangleRasterize(
         (corner * (1.0, -1.0, -1.0)).astype(np.float32).reshape(1, -1, 3),  # as OpenGL has it: y up, looking along -z
         np.arange(3 * len(corner), dtype=np.int32).reshape(1, -1, 3),

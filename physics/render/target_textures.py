@@ -1,4 +1,4 @@
-"""Targets on the floor as a camera sees them, or a map shows them: each with the pixels of its own picture."""
+"""Targets on the floor in pictures of cameras and on maps."""
 
 import math
 from typing import NamedTuple
@@ -10,6 +10,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render.triangles import clipped
 from vcmvsp.physics.render.view import View
 from vcmvsp.physics.world.floor import read_picture
+from vcmvsp.physics.world.solids import rectangle
 from vcmvsp.physics.world.targets import PlacedTarget
 from vcmvsp.physics.world.world import World
 
@@ -18,21 +19,21 @@ _DISC_PX = 128
 
 
 class Texture(NamedTuple):
-    """How a target looks: red, green, blue, each times the opacity, and that, (n, n, 4) uint8; then each half as large."""
+    """Look of a target: red, green, blue, each times the opacity, and that, (n, n, 4) uint8; then each half as large."""
 
     levels: list[Array]
 
 
 def textures_of(world: World) -> list[Texture]:
-    """Of each target of a world."""
-    known: dict[object, Texture] = {}
-    found = []
+    """Textures of the targets of a world."""
+    by_look: dict[object, Texture] = {}
+    textures = []
     for target in world.targets:
         look = target.picture or target.color
-        if look not in known:
-            known[look] = _texture(target)
-        found.append(known[look])
-    return found
+        if look not in by_look:
+            by_look[look] = _texture(target)
+        textures.append(by_look[look])
+    return textures
 
 
 def _texture(target: PlacedTarget) -> Texture:
@@ -51,7 +52,7 @@ def _texture(target: PlacedTarget) -> Texture:
 
 
 def lay_seen(picture: Array, world: World, textures: list[Texture], view: View, time_s: float) -> None:
-    """Lay the targets into the floor of a picture, (h, w, 4) uint8, before the sky comes over it."""
+    """Lay the targets into the floor of a picture, (h, w, 4) uint8, before the sky is drawn."""
     corners = np.array([corners_of(target, time_s) for target in world.targets])
     places = np.concatenate([corners, np.zeros((len(corners), 4, 1))], axis=2) - view.eye
     places = places @ view.rotation
@@ -67,10 +68,9 @@ def lay_seen(picture: Array, world: World, textures: list[Texture], view: View, 
 
 
 def corners_of(target: PlacedTarget, time_s: float) -> Array:
-    """Of a target's picture, (4, 2) m: its upper right, then counter-clockwise."""
-    (x, y), yaw, half = target.place(time_s), target.yaw(time_s), 0.5 * target.size_m
-    c, s = half * math.cos(yaw), half * math.sin(yaw)
-    return np.array([(x + c - s, y + s + c), (x - c - s, y - s + c), (x - c + s, y - s - c), (x + c + s, y + s - c)])
+    """Corners of a target's picture, (4, 2) m: its upper right, then counter-clockwise."""
+    half = 0.5 * target.size_m
+    return rectangle(*target.place(time_s), half, half, target.yaw_rad)
 
 
 def lay(picture: Array, texture: Texture, corners: Array, pixels: Array, floor_from_pixel: Array) -> None:
@@ -78,9 +78,9 @@ def lay(picture: Array, texture: Texture, corners: Array, pixels: Array, floor_f
 
     Args:
         picture: changed.
-        texture: how the target looks.
-        corners: of it on the floor, (4, 2) m: its upper right, then counter-clockwise.
-        pixels: corners of the part of it that is in sight, (k, 2) column and row.
+        texture: of the target.
+        corners: of the target on the floor, (4, 2) m: its upper right, then counter-clockwise.
+        pixels: corners of its visible part, (k, 2) column and row.
         floor_from_pixel: (3, 3), see `View`.
     """
     low, high = pixels.min(axis=0), pixels.max(axis=0)

@@ -1,4 +1,4 @@
-"""What a camera can see of solids and bodies: triangles with their planes and colours, in pieces that are looked up quickly."""
+"""Triangles of solids and bodies with their planes and colours, in pieces for quick culling."""
 
 import math
 from functools import cache
@@ -10,7 +10,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.raycast.moving_hulls import hulls_of
 from vcmvsp.physics.world.polygons import outward
 from vcmvsp.physics.world.scene import Scene
-from vcmvsp.physics.world.shapes import Shapes
+from vcmvsp.physics.world.shapes import Shapes, prism_triangles
 from vcmvsp.physics.world.solids import color_of
 from vcmvsp.physics.world.world import Light, World
 
@@ -32,7 +32,7 @@ class Triangles(NamedTuple):
 
 
 class ScenePieces(NamedTuple):
-    """The triangles of a world, those of a piece behind each other."""
+    """The triangles of a world, ordered by piece."""
 
     low: Array  # (m, 3) m, of a box around each piece
     high: Array  # (m, 3) m
@@ -45,20 +45,20 @@ class ScenePieces(NamedTuple):
 
 
 def packed(levels: Array) -> Array:
-    """Red, green and blue, (..., 3), 0 to 255, as one number that a float32 can hold: red in the lowest eight bits."""
+    """Red, green and blue, (..., 3), 0 to 255, as one number that fits a float32: red in the lowest eight bits."""
     whole = np.rint(levels).astype(np.int64) @ np.array([1, 1 << 8, 1 << 16])
     return np.asarray(whole, np.float32)
 
 
 def brightness(light: Light, normal: Array) -> Array:
-    """Of faces with these unit normals, (..., 3): Lambert's law, and never less than the ambient light."""
+    """Brightness of faces with these unit normals, (..., 3): Lambert's law, at least the ambient light."""
     direction = np.array(light.direction) / np.linalg.norm(light.direction)
     shone: Array = light.ambient + (1.0 - light.ambient) * np.maximum(normal @ direction, 0.0)
     return shone
 
 
 def pieces_of(world: World) -> ScenePieces:
-    """All that stands still in a world. What lies under the floor is left out."""
+    """All solids of a world above the floor."""
     corner, solid, piece, face = _soup(world.shapes)
     corner, source = clipped(corner, corner[:, :, 2])
     plane, usable = planes(corner)
@@ -77,7 +77,7 @@ def pieces_of(world: World) -> ScenePieces:
 
 
 def _walls(shapes: Shapes, count: int) -> tuple[Array, Array]:
-    """For so many pieces: which are prisms with four walls that stand on the floor, and these walls."""
+    """For each of ``count`` pieces: whether it is a prism with four walls on the floor, and these walls."""
     block, walls, first = np.zeros(count, bool), np.zeros((count, 4, 3)), 0
     for group in shapes.groups:
         m, k, _ = group.corners.shape
@@ -91,15 +91,13 @@ def _walls(shapes: Shapes, count: int) -> tuple[Array, Array]:
 
 
 def _soup(shapes: Shapes) -> tuple[Array, Array, Array, Array]:
-    """All triangles, (t, 3, 3) m; the solid, the piece and the face that each belongs to, (t,)."""
+    """All triangles, (t, 3, 3) m; solid, piece and face of each, (t,)."""
     parts, pieces, faces = [], 0, 0
     for group in shapes.groups:
         m, k, _ = group.corners.shape
-        low, high = (np.broadcast_to(z[:, None, None], (m, k, 1)) for z in (group.bottom, group.top))
-        points = np.concatenate([np.concatenate([group.corners, z], axis=2) for z in (low, high)], axis=1)
-        numbers, face = _prism(k)
+        numbers, face = prism_triangles(k)
         number = np.repeat(np.arange(m), len(numbers))
-        corner = points[:, numbers].reshape(-1, 3, 3)
+        corner = group.points()[:, numbers].reshape(-1, 3, 3)
         parts.append((corner, group.solid[number], pieces + number, faces + number * (k + 2) + np.tile(face, m)))
         pieces, faces = pieces + m, faces + m * (k + 2)
     for corner in (shapes.triangles, shapes.triangles[:, ::-1]):  # a mesh need not be closed: it is seen from both sides
@@ -110,23 +108,8 @@ def _soup(shapes: Shapes) -> tuple[Array, Array, Array, Array]:
     return corner, solid, piece, face
 
 
-@cache
-def _prism(k: int) -> tuple[Array, Array]:
-    """Triangles of a prism whose k lower corners come before its k upper ones, (4 k - 4, 3), and the face of each."""
-    i, fan = np.arange(k), np.arange(1, k - 1)
-    j = (i + 1) % k
-    numbers = [
-        (i, j, k + j),
-        (i, k + j, k + i),
-        (np.full(k - 2, k), k + fan, k + fan + 1),
-        (np.zeros(k - 2, int), fan + 1, fan),
-    ]
-    face = np.concatenate([i, i, np.full(k - 2, k), np.full(k - 2, k + 1)])
-    return np.concatenate([np.column_stack(each) for each in numbers]), face
-
-
 def planes(corner: Array) -> tuple[Array, Array]:
-    """The planes of triangles, (t, 4), and which of them have an area."""
+    """The planes of triangles, (t, 4), and which triangles have an area."""
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     size = np.sqrt((normal * normal).sum(axis=1))
     normal /= np.where(size > 0.0, size, 1.0)[:, None]
@@ -134,7 +117,7 @@ def planes(corner: Array) -> tuple[Array, Array]:
 
 
 def clipped(corner: Array, distance: Array) -> tuple[Array, Array]:
-    """The parts of triangles on the positive side of a plane, (u, 3, 3), and of which triangle each is a part, (u,).
+    """Parts of triangles on the positive side of a plane, (u, 3, 3), and the number of the original of each, (u,).
 
     Args:
         corner: (t, 3, 3).
@@ -166,13 +149,13 @@ def _unit(kind: str) -> tuple[Array, Array, Array]:
     if kind == "box":
         around = np.array([(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)])
     points = np.column_stack([np.tile(around, (2, 1)), np.repeat([-0.5, 0.5], len(around))])
-    numbers, face = _prism(len(around))
+    numbers, face = prism_triangles(len(around))
     corner = points[numbers]
     return corner, planes(corner)[0][:, :3], face
 
 
 def bodies(scene: Scene, rows: Array) -> Triangles:
-    """The hulls of bodies, where they are; what dips into the floor is cut off. Their faces have numbers below zero."""
+    """Hulls of bodies in the world, clipped at the floor. Their faces have numbers below zero."""
     hulls = hulls_of(scene)
     kinds = (("box", rows[~hulls.round[rows]]), ("cylinder", rows[hulls.round[rows]]))
     parts = [_bodies(scene, some, kind) for kind, some in kinds if len(some)]

@@ -1,4 +1,4 @@
-"""Where a picture is taken from, and what its pixels have to do with places on the floor."""
+"""View of a camera, and the mapping from its pixels to the floor."""
 
 from typing import NamedTuple
 
@@ -8,9 +8,9 @@ from vcmvsp.cosim.types import Array
 
 
 class View(NamedTuple):
-    """Where a picture is taken from, and how: a pinhole, its principal point in the middle of the picture.
+    """View of a pinhole camera with its principal point in the middle of the picture.
 
-    A pixel covers what is seen through its middle: column c and row r look along
+    A pixel samples its middle: column c and row r look along
     ``((c + 0.5 - width / 2) / focal_px, (r + 0.5 - height / 2) / focal_px, 1)`` in the camera's frame.
     """
 
@@ -32,7 +32,7 @@ class View(NamedTuple):
         return slopes
 
     def floor_from_pixel(self) -> Array:
-        """Where rays meet the floor, (3, 3): homogeneous x, y of homogeneous columns, rows; above the horizon it is behind."""
+        """Homography (3, 3) from columns and rows to x, y on the floor; behind the camera above the horizon."""
         (x, y, z), rotation = self.eye, self.rotation
         meets = np.stack([x * rotation[2] - z * rotation[0], y * rotation[2] - z * rotation[1], rotation[2]])
         focal, center = self.focal_px, 0.5 / self.focal_px

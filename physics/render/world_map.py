@@ -1,4 +1,4 @@
-"""A map of a world: what it looks like from above, in metres."""
+"""Map of a world from above, in metres."""
 
 import math
 from typing import NamedTuple
@@ -8,7 +8,7 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render.target_textures import corners_of, lay, textures_of
-from vcmvsp.physics.world.solids import Mesh, color_of
+from vcmvsp.physics.world.solids import Mesh, color_of, rectangle
 from vcmvsp.physics.world.world import World, made_once
 
 _PAPER, _INK, _FAINT, _WAY = (255, 255, 255), (40, 40, 40), (120, 120, 120), (30, 90, 200)
@@ -28,7 +28,7 @@ class _Sheet(NamedTuple):
     height: int
 
     def pixel(self, points: Array) -> Array:
-        """Places (k, 2) m as OpenCV draws them: the middle of the first pixel is 0, in 16ths of a pixel."""
+        """Places (k, 2) m in OpenCV's fixed-point form: the middle of the first pixel is 0, in 16ths of a pixel."""
         column = _LEFT + (points[:, 0] - self.west) * self.scale - 0.5
         row = _TOP + (self.north - points[:, 1]) * self.scale - 0.5
         fixed: Array = np.rint(np.column_stack([column, row]) * (1 << _BITS)).astype(np.int32)
@@ -36,7 +36,7 @@ class _Sheet(NamedTuple):
 
 
 def draw_map(world: World, low: Array, high: Array, width: int, height: int, time_s: float = 0.0) -> Array:
-    """The world between ``low`` and ``high``, m, on a sheet of so many pixels, at some time."""
+    """Map of the world between ``low`` and ``high``, m, on a sheet of a size in pixels, at a time."""
     sheet = _sheet(low, high, width, height)
     _floor(sheet, world)
     _targets(sheet, world, time_s)
@@ -57,7 +57,7 @@ def draw_map(world: World, low: Array, high: Array, width: int, height: int, tim
 
 
 def _sheet(low: Array, high: Array, width: int, height: int) -> _Sheet:
-    """An empty sheet, on which everything has some room around it."""
+    """An empty sheet, with a margin."""
     room_x, room_y = width - _LEFT - _RIGHT, height - _TOP - _BOTTOM
     size = np.maximum((high - low)[:2], 0.1)
     scale = 0.96 * min(room_x / size[0], room_y / size[1])
@@ -67,7 +67,7 @@ def _sheet(low: Array, high: Array, width: int, height: int) -> _Sheet:
 
 
 def _floor(sheet: _Sheet, world: World) -> None:
-    """The ground picture where there is one, else its colour."""
+    """The ground picture, or the floor's colour."""
     part = sheet.picture[_TOP : _TOP + sheet.height, _LEFT : _LEFT + sheet.width]
     part[:] = world.ground.color
     picture = world.ground.image()
@@ -82,14 +82,12 @@ def _floor(sheet: _Sheet, world: World) -> None:
         turn = np.array([[right, 0.0, left + 0.5 * right - 0.5], [0.0, up, top + 0.5 * up - 0.5]])
         cv2.warpAffine(picture, turn, (sheet.width, sheet.height), dst=part, borderMode=cv2.BORDER_TRANSPARENT)
     for zone in world.zones:
-        c, s = math.cos(zone.yaw_rad), math.sin(zone.yaw_rad)
-        half = 0.5 * np.array(zone.size) * [(1, 1), (-1, 1), (-1, -1), (1, -1)]
-        corners = half @ np.array([[c, s], [-s, c]]) + zone.center
+        corners = rectangle(*zone.center, 0.5 * zone.size[0], 0.5 * zone.size[1], zone.yaw_rad)
         cv2.polylines(sheet.picture, [sheet.pixel(corners)], True, zone.color or _FAINT, 2, cv2.LINE_AA, _BITS)
 
 
 def _targets(sheet: _Sheet, world: World, time_s: float) -> None:
-    """As they are, with a ring around them: most are small."""
+    """Targets at their size, each with a ring: most are small."""
     floor_from_pixel = np.linalg.inv(
         np.array(
             [
@@ -107,14 +105,14 @@ def _targets(sheet: _Sheet, world: World, time_s: float) -> None:
 
 
 def _solids(sheet: _Sheet, world: World) -> None:
-    """Seen from above: the lowest first."""
-    found = []
+    """Solids from above, the lowest first."""
+    faces = []
     for solid in world.solids:
         color = color_of(solid)
         if isinstance(solid, Mesh):
-            found += [(float(each[:, 2].max()), each[:, :2], color, False) for each in solid.triangles]
-        found += [(piece.top, piece.corners, color, True) for piece in solid.uprights()]
-    for _, corners, color, edged in sorted(found, key=lambda each: each[0]):
+            faces += [(float(each[:, 2].max()), each[:, :2], color, False) for each in solid.triangles]
+        faces += [(piece.top, piece.corners, color, True) for piece in solid.uprights()]
+    for _, corners, color, edged in sorted(faces, key=lambda each: each[0]):
         points = sheet.pixel(corners)
         cv2.fillPoly(sheet.picture, [points], color, cv2.LINE_AA, _BITS)
         if edged:
@@ -128,7 +126,7 @@ def _name(sheet: _Sheet, name: str, place: Array) -> None:
 
 
 def _frame(sheet: _Sheet, name: str) -> None:
-    """Edge, axes with their numbers, a scale bar and the name."""
+    """Edge, axes with numbers, scale bar and name."""
     picture, (left, top) = sheet.picture, (_LEFT, _TOP)
     right, bottom = left + sheet.width, top + sheet.height
     picture[:top], picture[bottom:], picture[:, :left], picture[:, right:] = 4 * (_PAPER,)
@@ -161,7 +159,7 @@ def round_step(metres: float) -> float:
 
 
 def text(picture: Array, words: str, column: int, row: int, size: float, *, middle: bool = False, end: bool = False) -> None:
-    """Write into a picture: dark with a light edge, to be read on anything."""
+    """Write into a picture: dark with a light edge, for any background."""
     (width, _), _ = cv2.getTextSize(words, _FONT, size, 1)
     column -= width // 2 if middle else width if end else 0
     for right, down in ((-1, 0), (1, 0), (0, -1), (0, 1)):

@@ -1,4 +1,4 @@
-"""Pictures of a world for people: a map of it, and how it looks from high up."""
+"""Drawings of a world for people: a map and an oblique view."""
 
 import dataclasses
 import math
@@ -16,7 +16,7 @@ from vcmvsp.physics.world.solids import AnySolid, Box, Color, Mesh
 from vcmvsp.physics.world.world import Moving, World
 
 _FOV = 0.7  # rad
-_FROM = (0.5, -0.87)  # where the viewer stands, seen from the world: south-east, as sides to the east and south differ in light
+_FROM = (0.5, -0.87)  # direction of the viewer: south-east, as sides to the east and south differ in brightness
 _ELEVATION = 0.72  # rad
 _AROUND_M = 3.0  # so much around the origin is drawn where a world has neither bounds nor a ground picture
 _FINER = 2  # a picture is taken so many times larger and then averaged: smooth edges
@@ -30,13 +30,13 @@ class Drawing(NamedTuple):
 
 
 def draw_world(world: World, *, width: int = 1200, height: int = 800, time_s: float = 0.0) -> Drawing:
-    """Draw a world and the bodies that belong to it.
+    """Draw a world and its bodies.
 
     Args:
-        world: what is drawn.
+        world: the world.
         width: of each picture, px.
         height: px.
-        time_s: obstacles that keep to a time-table, and targets that move, are where they are then.
+        time_s: time of moving obstacles and targets.
     """
     solids = (*world.solids, *(each.solid for each in world.movables), *(_placed(each, time_s) for each in world.moving))
     filled = dataclasses.replace(world, solids=solids)
@@ -65,7 +65,7 @@ def png(picture: Array) -> bytes:
 
 
 def extent(world: World) -> tuple[Array, Array]:
-    """The lowest and highest x, y, z, m, of what is worth drawing."""
+    """Lowest and highest x, y, z, m, of the parts to draw."""
     corners = [each for solid in world.solids for each in _outer(solid)]
     corners += [each for moving in world.moving for time_s in moving.times_s for each in _outer(_placed(moving, time_s))]
     for target in world.targets:
@@ -94,7 +94,7 @@ def _outer(solid: AnySolid) -> list[Array]:
 
 
 def _placed(moving: Moving, time_s: float) -> AnySolid:
-    """An obstacle with a time-table where it is at some time."""
+    """A moving obstacle at a time, as a solid."""
     x, y, z, yaw = moving.pose(time_s)
     if isinstance(moving.solid, Box):
         return Box(
@@ -105,7 +105,7 @@ def _placed(moving: Moving, time_s: float) -> AnySolid:
 
 
 def _grid(low: Array, high: Array, step: float, color: Color) -> GroundPicture:
-    """A floor with lines that show how far things are, as far as it is in sight."""
+    """A floor with grid lines as a scale, as far as the view reaches."""
     room = 2.0 * float((high - low).max())
     west, south, east, north = (
         step * round(edge / step) for edge in (low[0] - room, low[1] - room, high[0] + room, high[1] + room)
@@ -124,7 +124,7 @@ def _grid(low: Array, high: Array, step: float, color: Color) -> GroundPicture:
 
 
 def _oblique(world: World, low: Array, high: Array, width: int, height: int, time_s: float) -> Array:
-    """The world from high up, just as near as shows all of it."""
+    """The world from high up, from the smallest distance that shows all of it."""
     back = np.array([*_FROM, math.hypot(*_FROM) * math.tan(_ELEVATION)])
     back /= np.linalg.norm(back)
     right = np.cross(-back, [0.0, 0.0, 1.0])
@@ -133,11 +133,11 @@ def _oblique(world: World, low: Array, high: Array, width: int, height: int, tim
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     slopes = np.array([1.0, height / width]) * (0.94 * math.tan(0.5 * _FOV))  # of rays to the picture's edges
     aim, distance = 0.5 * (low + high), 0.0
-    for _ in range(4):  # near enough that all corners are inside; then to the middle of what is seen
+    for _ in range(4):  # near enough that all corners are inside; then to the middle of what is projected
         places = (corners - aim) @ rotation
         distance = float(((np.abs(places[:, :2]) / slopes).max(axis=1) - places[:, 2]).max())
-        seen = places[:, :2] / (places[:, 2:] + distance)
-        aim = aim + distance * rotation[:, :2] @ (0.5 * (seen.min(axis=0) + seen.max(axis=0)))
+        projected = places[:, :2] / (places[:, 2:] + distance)
+        aim = aim + distance * rotation[:, :2] @ (0.5 * (projected.min(axis=0) + projected.max(axis=0)))
     places = (corners - aim) @ rotation
     distance = float(((np.abs(places[:, :2]) / slopes).max(axis=1) - places[:, 2]).max())
     view = View(

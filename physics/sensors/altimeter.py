@@ -14,7 +14,7 @@ _BAROMETER = Noise(sigma=0.1, drift_sd=0.5, drift_time_s=600.0)  # assumed
 
 @dataclass(kw_only=True)
 class Altimeter(Sensor):
-    """``height_m`` of the vehicle's reference point, as a barometer tells it: weather makes it drift."""
+    """``height_m`` of the vehicle's reference point, of a barometer: it drifts with the weather."""
 
     rate_hz: Rate = 20.0  # readings a second
     noise: Noise = _BAROMETER  # of the height, m

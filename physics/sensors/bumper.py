@@ -1,4 +1,4 @@
-"""Bumper: which sides of the hull touch something."""
+"""Bumper: contacts of the sides of the hull."""
 
 import math
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Bumper(Sensor):
     segments: Annotated[int, msgspec.Meta(ge=1, le=360)] = 4  # how many
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Measured:
-        """Which segments touch something now. No draws."""
+        """Segments with a contact now. No draws."""
         n = self.segments
         names = ["front", "left", "back", "right"] if n == 4 else [f"s{number}" for number in range(n)]
         values = dict.fromkeys(names, 0.0)
@@ -36,7 +36,7 @@ class Bumper(Sensor):
         return Measured(time_ns=scene.now_ns, values=values)
 
     def _bearing(self, scene: Scene, row: int, place: Vec3) -> float:
-        """Of a place, from the middle of the hull and in proportion to it, rad counter-clockwise from ahead."""
+        """Bearing of a place from the middle of the hull, stretched to a square, rad counter-clockwise from ahead."""
         hull = scene.hulls[row]
         x, y, _ = ((np.array(place) - scene.position[row]) @ scene.rotation(row) - hull.offset).tolist()
         return math.atan2(y / hull.size[1], x / hull.size[0])

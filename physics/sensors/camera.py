@@ -1,4 +1,4 @@
-"""Cameras: pictures of the world and of the other bodies in it, as a pinhole without distortion takes them."""
+"""Cameras: pictures of the world and the bodies in it, of a pinhole without distortion."""
 
 import math
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ _BODY_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0
 class Camera(Sensor):
     """Looks ahead and upright, unless it is turned; gives an `Image` (kind ``camera``).
 
-    The picture is that of the middles of its pixels: there is neither blur nor distortion, and light casts no shadow.
+    The picture is sampled at the middles of its pixels, without blur, distortion and shadows.
     """
 
     on_demand: ClassVar[bool] = True
@@ -66,7 +66,7 @@ class Camera(Sensor):
         return turned
 
     def view(self, scene: Scene, row: int) -> View:
-        """Where it is and how it looks."""
+        """Its view from a vehicle."""
         eye = scene.point(row, self.mount).copy()
         eye[2] = max(eye[2], LOWEST_M)
         turned = scene.rotation(row) @ self.body_from_camera
@@ -80,10 +80,10 @@ class Camera(Sensor):
             added = rng.standard_normal(pixels.shape, np.float32) * np.float32(self.noise)
             pixels = np.rint(np.clip(pixels + added, 0.0, 255.0)).astype(np.uint8)
         return Image(
-            pixels=_kept(pixels),
+            pixels=_read_only(pixels),
             time_ns=scene.now_ns,
             focal_px=self.focal_px,
-            depth_m=None if picture.depth_m is None else _kept(picture.depth_m),
+            depth_m=None if picture.depth_m is None else _read_only(picture.depth_m),
         )
 
 
@@ -95,7 +95,7 @@ class NadirCamera(Camera):
     pitch: float = 0.5 * math.pi  # straight down
 
 
-def _kept(array: Array) -> Array:
-    """The same array, which nobody has a hold of yet, read-only."""
+def _read_only(array: Array) -> Array:
+    """A read-only view of an array without other references."""
     array.flags.writeable = False
     return frozen(array)

@@ -1,4 +1,4 @@
-"""Satellite positioning outdoors: an error that wanders slowly, white noise upon it, and answers that come late."""
+"""Satellite positioning outdoors: a slowly wandering error, white noise, and latency."""
 
 import math
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ class Gps(Sensor):
     Each coordinate errs by a Gauss-Markov process (satellite geometry, ionosphere, slow multipath) and by white noise (see
     `physics.sensors.noise`). The defaults are those of a low-cost receiver without correction: 2.5 m within which half of the
     fixes lie (u-blox NEO-M8 data sheet) is 2.1 m in each horizontal coordinate, nearly all of it slow; heights err about 1.5
-    times as much. A fix tells the standard deviation of both errors together.
+    times as much. A fix contains the standard deviation of both errors together.
     """
 
     rate_hz: Rate = 5.0  # readings a second; receivers give 1 to 10
@@ -38,7 +38,7 @@ class Gps(Sensor):
         self._errors = Errors([flat, flat, up])
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Fix:
-        """Where the antenna seems to be."""
+        """Measured position of the antenna."""
         x, y, z = self._errors.read(scene.point(row, self.mount), scene.now_ns, rng).tolist()
         dx, dy = jump(self.outlier_probability, self.outlier_m, rng)
         return Fix(

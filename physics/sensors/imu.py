@@ -20,11 +20,11 @@ class InertialUnit(Sensor):
     """Three accelerometers and three gyroscopes along the body axes, at the vehicle's reference point.
 
     Specific force is acceleration less that of gravity: (0, 0, 9.81) m/s2 for a vehicle that stands level, 0 in free fall. The
-    acceleration is the mean over the last step of physics, as an accelerometer's filter would give.
+    acceleration is the mean over the last step of physics, as after an accelerometer's filter.
 
-    A noise density of N gives readings of a standard deviation of ``N sqrt(rate_hz)``: what is integrated from them then walks
-    away by ``N sqrt(t)``, whatever the rate (IEEE Std 952-1997, angle random walk). Defaults: densities, limits and steps of
-    the MPU-6000 data sheet at 8 g and 1000 deg/s; biases assumed, as they remain after a calibration at rest.
+    A noise density of N gives readings of a standard deviation of ``N sqrt(rate_hz)``: their integral then walks away by
+    ``N sqrt(t)``, at any rate (IEEE Std 952-1997, angle random walk). Defaults: densities, limits and steps of the MPU-6000
+    data sheet at 8 g and 1000 deg/s; biases assumed, as after a calibration at rest.
     """
 
     rate_hz: Rate = 60.0  # readings a second
@@ -45,7 +45,7 @@ class InertialUnit(Sensor):
         self._limits = np.repeat([self.accelerometer_limit, self.gyroscope_limit], 3)
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Imu:
-        """What the six of them say."""
+        """Readings of all six."""
         x, y, z = scene.acceleration[row].tolist()
         force = (x, y, z + scene.gravity) @ scene.rotation(row)
         read = self._errors.read(np.concatenate([force, scene.angular_velocity[row]]), scene.now_ns, rng)

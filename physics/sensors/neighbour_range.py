@@ -31,14 +31,14 @@ class NeighbourRange(Sensor):
         self._next = _AHEAD
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Measured:
-        """The ranges. Each pair of vehicles has draws of its own: a further vehicle moves none of them."""
+        """The ranges. Each pair of vehicles has its own draws: another vehicle changes none of them."""
         count = len(scene.vehicles)
         noise = self._noise(scene.vehicles, rng)
         run = scene.position[:count] - scene.position[row]
         distances = np.sqrt((run * run).sum(axis=1))
-        seen = distances <= self.reach_m
-        seen[row] = False
-        (rows,) = np.nonzero(seen)
+        within = distances <= self.reach_m
+        within[row] = False
+        (rows,) = np.nonzero(within)
         if self.line_of_sight and rows.size:
             passes, _ = sightline_of(scene.world).crossings(scene.position[row], scene.position[rows])
             rows = rows[~passes.any(axis=1)]

@@ -1,4 +1,4 @@
-"""Errors of readings: offset, drift, white noise, outliers, quantisation, as one table for all sensors.
+"""Errors of readings: offset, drift, white noise, outliers, quantisation, one table for all sensors.
 
 A reading is ``quantised(truth + bias + walk + drift + white + outlier)``. The drift is a first-order Gauss-Markov process: its
 autocorrelation is ``drift_sd^2 exp(-|t| / drift_time_s)``, and between readings dt apart it follows exactly
@@ -16,7 +16,7 @@ from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability
 
 
 class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a reading errs, in the unit of what is read. A table that is given stands for all of it: what it leaves out is 0."""
+    """Errors of a reading, in its unit. A table replaces all of the default: omitted keys are 0."""
 
     bias: float = 0.0  # the same in every reading
     bias_sd: NonNegative = 0.0  # standard deviation of a further bias, drawn once a run: from turn-on to turn-on
@@ -30,10 +30,10 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Errors:
-    """The errors of several channels that are read together, independent of each other.
+    """Errors of several channels of one sensor, independent of each other.
 
-    All parameters are multiplied into draws whose number is always the same, so that none of them moves the others' draws: two
-    normal ones for each channel at the first reading, three normal and two uniform ones at every reading.
+    All parameters are factors of draws in a constant number, so that none of them changes the others' draws: two normal ones
+    for each channel at the first reading, three normal and two uniform ones at every reading.
     """
 
     def __init__(self, channels: Sequence[Noise]) -> None:
@@ -50,7 +50,7 @@ class Errors:
         self._decay = self._kick = np.zeros(len(channels))
 
     def read(self, truth: Array, now_ns: int, rng: np.random.Generator) -> Array:
-        """What is read of the truth, (channels,); readings are asked for in the order of time."""
+        """Readings of true values (channels,), at a time not before that of the last call."""
         if self._last_ns is None:
             once = rng.standard_normal((2, len(self._bias)))
             self._bias = self._bias + self._bias_sd * once[0]
@@ -74,7 +74,7 @@ class Errors:
 
 
 def jump(probability: float, far_m: float, rng: np.random.Generator) -> tuple[float, float]:
-    """How far a fix is displaced, x and y m: now and then ``far_m`` in a random direction. Always two uniform draws."""
+    """Displacement of an outlier, x and y m: sometimes ``far_m`` in a random direction. Always two uniform draws."""
     chance, direction = rng.random(2).tolist()
     if chance >= probability:
         return 0.0, 0.0

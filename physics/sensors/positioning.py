@@ -26,7 +26,7 @@ class Positioning:
     outlier_m: NonNegative = 2.0  # how far an outlier is displaced, m, in a random direction
 
     def measure(self, now_ns: int, truth: VehicleState, rng: np.random.Generator) -> Fix:
-        """One fix. It takes three normal and two uniform draws, whatever the parameters: they never move each other's."""
+        """One fix. It takes three normal and two uniform draws for any parameters."""
         dx, dy, turn = rng.standard_normal(3).tolist()
         far_x, far_y = jump(self.outlier_probability, self.outlier_m, rng)
         x, y, z = truth.position
@@ -58,7 +58,7 @@ class PositioningSensor(Sensor):
         )
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Fix:
-        """Same fixes from the same draws as a `Positioning`."""
+        """The fix of a `Positioning`, from equal draws."""
         x, y, z = scene.position[row].tolist()
         w, i, j, k = scene.attitude[row].tolist()
         return self._system.measure(scene.now_ns, VehicleState(position=(x, y, z), attitude=(w, i, j, k)), rng)

@@ -27,16 +27,15 @@ _AT_ONCE = 16384  # beams: more in one call save no more time
 
 @dataclass(kw_only=True)
 class RangeScanner(Sensor):
-    """Measures the distance to what stands in the way of each beam: solids, the floor, other vehicles and bodies.
+    """Measures the length of beams up to solids, the floor, other vehicles and bodies.
 
     The beams lie in a plane through the scanner, which tilts with the vehicle. They are spread evenly from the right to the
-    left end of the field of view, both included; in a full turn they begin ahead and go round counter-clockwise. What a beam
-    meets does not depend on the surface, and all beams of a scan are measured at one instant.
+    left end of the field of view, both included; in a full turn they begin ahead and go round counter-clockwise. The surface
+    has no effect, and all beams of a scan are measured at one instant.
 
     Ranges follow the convention of ROS (REP 117, Informational distance measurements): inf is no return within ``range_max``,
-    and -inf is one that is nearer than ``range_min``. So both ``range_min <= r <= range_max`` finds the valid ones, and
-    ``r < d`` finds all beams with something nearer than d. There is never a NaN. Inside a solid or another body all beams
-    measure 0.
+    and -inf a return nearer than ``range_min``. So both ``range_min <= r <= range_max`` finds the valid ones, and ``r < d``
+    finds all beams with something nearer than d. There is never a NaN. Inside a solid or another body all beams measure 0.
 
     A beam's error is Gaussian, then rounded to whole steps; some beams measure something random instead, evenly distributed up
     to ``range_max``, and some return nothing (S. Thrun, W. Burgard, D. Fox, Probabilistic robotics, 2005, 6.3: the terms p_hit,
@@ -100,7 +99,7 @@ class RangeScanner(Sensor):
     def measure_all(
         cls, sensors: Sequence[Self], scene: Scene, rows: Sequence[int], rngs: Sequence[np.random.Generator]
     ) -> list[Reading]:
-        """The same scans as one by one, to the last bit, in less time."""
+        """Equal scans to the last bit in less time."""
         ranges = true_ranges(sensors, scene, rows)
         return [sensor.scan(each, scene.now_ns, rng) for sensor, each, rng in zip(sensors, ranges, rngs, strict=True)]
 
@@ -115,7 +114,7 @@ class RangeScanner(Sensor):
         )
 
     def _noisy(self, ranges: Array, rng: np.random.Generator) -> Array:
-        """Ranges with errors. Uniform draws come first, one for each beam: no parameter moves what another one draws."""
+        """Ranges with errors. Uniform draws come first, one for each beam: no parameter changes another's draws."""
         draws = rng.random(len(ranges)) if self.sigma_m or self.no_return or self.outlier_probability else None
         if self.sigma_m:
             ranges = np.maximum(ranges + self.sigma_m * rng.standard_normal(len(ranges)), 0.0)
@@ -157,21 +156,21 @@ class Ring(RangeScanner):
 
 
 def true_ranges(sensors: Sequence[RangeScanner], scene: Scene, rows: Sequence[int]) -> list[Array]:
-    """The distances that scanners on some vehicles would measure without errors, m; inf: nothing within their reach."""
+    """Ranges of scanners on some vehicles without errors, m; inf: nothing within reach."""
     caster, hulls = caster_of(scene.world), hulls_of(scene)
-    found, first = [], 0
+    ranges, first = [], 0
     while first < len(sensors):
         last, beams = first + 1, sensors[first].beams
         while last < len(sensors) and beams + sensors[last].beams <= _AT_ONCE:
             beams += sensors[last].beams
             last += 1
-        found += sweep(caster, fan_of(sensors[first:last], scene, rows[first:last]), hulls)
+        ranges += sweep(caster, fan_of(sensors[first:last], scene, rows[first:last]), hulls)
         first = last
-    return found
+    return ranges
 
 
 def fan_of(sensors: Sequence[RangeScanner], scene: Scene, rows: Sequence[int]) -> Fan:
-    """All beams of some scanners where their vehicles are."""
+    """All beams of some scanners on their vehicles."""
     own = np.array(rows)
     if len(sensors) == 1:
         mounts, (cos, sin), numbers = sensors[0].mount[:, :, None], sensors[0].circle, sensors[0].numbers

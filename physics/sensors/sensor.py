@@ -1,4 +1,6 @@
-"""Sensors: truth, timing, noise. What a sensor of one's own has to be.
+"""Base of all sensors: timing and readings.
+
+An own sensor:
 
 ::
 
@@ -24,11 +26,10 @@ from vcmvsp.physics.world.scene import Scene
 
 @dataclass(kw_only=True)
 class Sensor(ABC):
-    """One sensor of one vehicle: at its ticks it is asked for a reading, which is delivered ``latency_s`` later.
+    """One sensor of one vehicle: measures at its ticks, and delivers ``latency_s`` later.
 
-    An object belongs to one vehicle, and may keep what it needs from one reading to the next. Where that is much work
-    (`on_demand`) a reading is worked out only if somebody looks at it, from the scene of its tick and from a generator that
-    belongs to that tick: such a sensor must not remember anything.
+    An object belongs to one vehicle, and may keep state between readings. With `on_demand`, a reading is computed only at its
+    first use, from the scene of its tick and a generator for that tick: such a sensor must not keep state.
     """
 
     on_demand: ClassVar[bool] = False
@@ -39,7 +40,7 @@ class Sensor(ABC):
     drop_out: Probability = 0.0  # probability that a reading is not delivered
 
     def misfit(self, model: object) -> str:
-        """What keeps it from being fitted to a vehicle like this one (`physics.vehicles.models`); empty: nothing does."""
+        """Reason why a model (`physics.vehicles.models`) cannot carry it; empty: it can."""
         return ""
 
     @abstractmethod
@@ -50,5 +51,5 @@ class Sensor(ABC):
     def measure_all(
         cls, sensors: Sequence[Self], scene: Scene, rows: Sequence[int], rngs: Sequence[np.random.Generator]
     ) -> list[Reading]:
-        """The readings of several sensors of this class at once; a class may have a quicker way than one by one."""
+        """Readings of several sensors of this class at once; a class may override it with a quicker way."""
         return [sensor.measure(scene, row, rng) for sensor, row, rng in zip(sensors, rows, rngs, strict=True)]

@@ -1,4 +1,4 @@
-"""A simulated detector of targets, for studies of searches in which no picture needs to be taken."""
+"""A simulated detector of targets, for studies of searches without pictures."""
 
 import math
 from dataclasses import dataclass
@@ -16,21 +16,21 @@ MOST_ACROSS = 2_000  # cells of one look: it takes half a second
 
 @dataclass(kw_only=True)
 class TargetSensor(Sensor):
-    """Says of every cell of the ground around the vehicle whether a target is in it, and errs now and then.
+    """Reports for every ground cell around the vehicle whether a target is in it, with errors.
 
-    The cells are squares, of which one has a corner in the world's origin; those within reach are looked at, within the bounds
-    of the world where it has any. Answers are independent of each other: Bernoulli draws with p in a cell in which the middle
-    of a target of the world lies now, with q in any other. Nothing hides a target, however high the vehicle is.
+    The cells are squares, one with a corner in the world's origin; cells within reach and within the bounds of the world are
+    reported. Reports are independent Bernoulli draws with p in a cell with the middle of a target, with q in any other. Nothing
+    hides a target, at any height of the vehicle.
     """
 
-    rate_hz: Rate = 1.0  # looks a second
-    reach_m: Positive = 8.0  # cells whose middle is not further away than this, horizontally, are looked at
+    rate_hz: Rate = 1.0  # reports a second
+    reach_m: Positive = 8.0  # greatest horizontal distance to the middle of a reported cell, m
     cell_m: Positive = 2.0  # edge of a cell, m
-    p: Probability = 0.9  # that it says target of a cell with one
-    q: Probability = 0.1  # that it says target of a cell without
+    p: Probability = 0.9  # of a detection in a cell with a target
+    q: Probability = 0.1  # of a detection in a cell without one
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Looks:
-        """What it says of the cells, from south to north, in a row from west to east."""
+        """Reports of the cells, from south to north, in a row from west to east."""
         cells = self._cells(scene.world, *scene.position[row, :2].tolist())
         chance = np.full(len(cells), self.q)
         for target in scene.world.targets:
@@ -40,7 +40,7 @@ class TargetSensor(Sensor):
         return Looks(time_ns=scene.now_ns, cell_m=self.cell_m, cells=frozen(cells, np.int32), hits=frozen(hits))
 
     def _cells(self, world: World, x: float, y: float) -> Array:
-        """Those within reach, (n, 2): column and row."""
+        """Cells within reach, (n, 2): column and row."""
         west, south, east, north = world.bounds or (-math.inf, -math.inf, math.inf, math.inf)
         column, row = self._between(x, west, east), self._between(y, south, north)
         across, up = (column + 0.5) * self.cell_m, (row[:, None] + 0.5) * self.cell_m
@@ -50,7 +50,7 @@ class TargetSensor(Sensor):
         return np.column_stack([column[columns], row[rows]])
 
     def _between(self, at: float, low: float, high: float) -> Array:
-        """Columns, or rows, that reach from here, within the bounds of the world."""
+        """Columns, or rows, within reach and bounds."""
         first, last = np.floor(np.array([max(at - self.reach_m, low), min(at + self.reach_m, high)]) / self.cell_m)
         if last - first > MOST_ACROSS:
             problem = f"{last - first:.3g} cells of {self.cell_m:g} m across are more than {MOST_ACROSS}: make them larger"

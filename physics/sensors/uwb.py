@@ -1,4 +1,4 @@
-"""Ultra-wideband positioning: a tag without heading, pushed away from walls that it comes near to."""
+"""Ultra-wideband positioning: a tag without heading, with biases near walls."""
 
 import math
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class Uwb(Sensor):
         self._places = places
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Fix:
-        """Where the tag seems to be. The number of draws depends on that of the anchors alone."""
+        """Measured position of the tag. The number of draws depends on the number of anchors alone."""
         draws = rng.standard_normal(3 + len(self._places))
         dx, dy = jump(self.outlier_probability, self.outlier_m, rng)
         place = scene.point(row, self.mount)
@@ -83,7 +83,7 @@ class Uwb(Sensor):
 
 
 def _away(place: Array, near: NearestPoint | None, bias_m: float) -> Array:
-    """Along the line from the nearest point of a solid to the place, (3,) m."""
+    """Bias away from the nearest point of a solid, (3,) m."""
     if near is None or near.distance_m == 0.0:
         return np.zeros(3)
     away: Array = (place - near.point) * (bias_m / near.distance_m)

@@ -1,4 +1,4 @@
-"""Wheel odometry: the pose as it follows from how far the wheels have turned."""
+"""Wheel odometry: the pose from the turns of the wheels."""
 
 import math
 from dataclasses import dataclass
@@ -22,35 +22,35 @@ _NO_WHEELS = "has no two driven wheels (wheel_radius_m, track_m) whose turns cou
 class WheelOdometry(Sensor):
     """Pose and speeds of a differential drive by its encoders; it begins with the true pose at its first reading.
 
-    Between readings both wheels are taken to turn steadily, so the path is an arc. Slip is not seen. A wheel that is taken for
-    larger than it is makes ways longer; wheels taken for unequal, or a wrong track, make it turn (J. Borenstein, L. Feng,
+    Between readings both wheels turn steadily in the model, so the path is an arc. Slip is not measured. Too large a wheel
+    radius in the model makes distances longer; unequal radii, or a wrong track, make it turn (J. Borenstein, L. Feng,
     Measurement and correction of systematic odometry errors in mobile robots, IEEE Trans. Robotics and Automation 12, 1996).
     """
 
     wheel_radius_m: Positive | None = None  # true radius of its wheels, m; default: that of the vehicle
     # true distance between the points where they touch the floor, m; default: that of the vehicle
     track_m: Positive | None = None
-    left_radius_error: Relative = 0.0  # 0.01: it takes its left wheel for 1 % larger than it is
-    right_radius_error: Relative = 0.0  # the same for the right one
-    track_error: Relative = 0.0  # 0.01: it takes its track for 1 % wider than it is
-    ticks_per_turn: Count = 0  # of the encoder, at the wheel; 0: it tells the angle exactly
+    left_radius_error: Relative = 0.0  # relative error of the left radius in its model; 0.01: 1 % too large
+    right_radius_error: Relative = 0.0  # relative error of the right radius
+    track_error: Relative = 0.0  # relative error of the track; 0.01: 1 % too wide
+    ticks_per_turn: Count = 0  # of the encoder, at the wheel; 0: exact angles
     # standard deviation of each wheel's way after 1 m, m, growing as the root of the way (K. S. Chong, L. Kleeman, Accurate
     # odometry and error modelling for a mobile robot, 1997)
     walk_m: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         self._pose = (0.0, 0.0, 0.0)
-        self._last: tuple[int, float, float] | None = None  # ns; what the encoders said, rad
+        self._last: tuple[int, float, float] | None = None  # ns; encoder readings, rad
 
     def misfit(self, model: object) -> str:
-        """It needs wheels."""
+        """Without wheels."""
         return "" if hasattr(model, "wheel_radius_m") and hasattr(model, "track_m") else _NO_WHEELS
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Odometry:
         """The pose, and mean speeds since the last reading. Two normal draws.
 
         Raises:
-            ScenarioError: the vehicle has no wheels whose turns could be counted.
+            ScenarioError: the vehicle has no wheels.
         """
         if self.wheel_radius_m is None or self.track_m is None or math.isnan(scene.wheels[row, 0]):
             name = scene.vehicles[row]
@@ -72,7 +72,7 @@ class WheelOdometry(Sensor):
         return Odometry(pose=self._pose, v=v, w=w)
 
     def _counted(self, angle: float) -> float:
-        """What an encoder says of a wheel's angle, rad."""
+        """Angle of a wheel as counted by its encoder, rad."""
         per_turn = self.ticks_per_turn
         return math.floor(angle / math.tau * per_turn) * math.tau / per_turn if per_turn else angle
 

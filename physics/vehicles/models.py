@@ -20,7 +20,7 @@ from vcmvsp.physics.world.solids import Hull
 
 
 class Servo(NamedTuple):
-    """How speeds follow a command without a body: a first-order lag within limits (see `physics.dynamics.kinematic_ground`)."""
+    """Speeds without a body: first-order lags behind the command, within limits (`physics.dynamics.kinematic_ground`)."""
 
     tau_v_s: float = 0.0  # 0: the speed is the commanded one at once
     tau_w_s: float = 0.0
@@ -33,14 +33,14 @@ class Servo(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class GroundVehicle:
-    """What all ground vehicles have."""
+    """Base of all ground vehicles."""
 
     radius_m: Positive = 0.25  # of the circle that it is drawn with
     height_m: Positive = 0.22  # from its lowest to its highest point
 
     @property
     def servo(self) -> Servo:
-        """How it moves as a point: exactly as commanded, unless a kind says otherwise."""
+        """Motion as a point: exactly as commanded, unless a kind overrides it."""
         return Servo()
 
     @property
@@ -56,7 +56,7 @@ class Kinematic(GroundVehicle):
 
 @dataclass(frozen=True, kw_only=True)
 class Lag(GroundVehicle):
-    """A unicycle whose speeds follow the command with first-order lags, s."""
+    """A unicycle with first-order lags of its speeds behind the command, s."""
 
     tau_v_s: NonNegative = 0.5  # lag of the forward speed
     tau_w_s: NonNegative = 0.3  # lag of the yaw rate
@@ -71,7 +71,7 @@ class Lag(GroundVehicle):
 class Inertial(Lag):
     """`Lag` with the limits of a small robot: those of an AmigoBot in MobileSim (0.75 m/s, 0.3 and 0.75 m/s2).
 
-    ``accel`` limits a growing and ``decel`` a falling forward speed; these vehicles are not meant to reverse.
+    ``accel`` limits a growing and ``decel`` a falling forward speed; these vehicles are not for driving backwards.
     """
 
     accel: Positive = 0.3  # m/s2, of a growing forward speed
@@ -184,7 +184,7 @@ class Point:
     """A vehicle in the air without a body: its velocity follows the command with a first-order lag, within its greatest speeds.
 
     It always stays level. On its way to a way-point it follows, with the same lag, a point that moves on a straight line at
-    constant speed; so it slows down at the end only as far as the lag makes it.
+    constant speed; near the way-point only the lag slows it down.
     """
 
     radius_m: Positive = 0.25  # of the cylinder that it is drawn with

@@ -18,7 +18,7 @@ from vcmvsp.physics.world.solids import Hull
 
 @dataclass(frozen=True, kw_only=True)
 class Quadrotor:
-    """A quadrotor of the 330 class (GAUI 330X, F330), which obeys velocities with a yaw rate, and way-points."""
+    """A quadrotor of the 330 class (GAUI 330X, F330), which takes velocities with a yaw rate, and way-points."""
 
     radius_m: Positive = 0.267  # of the cylinder around it: 0.165 m arm and half a propeller of 0.2032 m
     height_m: Positive = 0.08  # of that cylinder, which the centre of mass is in the middle of
@@ -61,11 +61,11 @@ class Quadrotor:
 
     @property
     def max_rotor_thrust(self) -> float:
-        """N, of one rotor."""
+        """Greatest thrust of one rotor, N."""
         return self.thrust_factor * self.max_rotor_speed**2
 
     def check_lift(self, gravity: float) -> None:
-        """Refuse one that cannot hover within its own limits."""
+        """Refuse a quadrotor that cannot hover within its own limits."""
         lift, weight = 4.0 * self.max_thrust * self.max_rotor_thrust, self.mass_kg * gravity / math.cos(self.max_tilt_rad)
         if lift <= weight:
             raise ValueError(

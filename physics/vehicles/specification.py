@@ -17,11 +17,11 @@ POSE_SOURCES = ("truth", "odometry", "positioning", "fusion")
 
 
 class Vehicle(Protocol):
-    """What every vehicle has, whatever it is."""
+    """Properties of every vehicle."""
 
     @property
     def radius_m(self) -> float:
-        """Of the circle that it is drawn with."""
+        """Of the circle that stands for it in drawings, m."""
 
     @property
     def height_m(self) -> float:
@@ -29,20 +29,20 @@ class Vehicle(Protocol):
 
     @property
     def hull(self) -> Hull:
-        """Its outer shape, as others see and touch it."""
+        """Its outer shape, for sensors and contacts of other vehicles."""
 
 
 def flies(model: Vehicle | type[Vehicle]) -> bool:
-    """Whether it, or all of a class, takes commands of vehicles in the air."""
+    """Whether a model, or all of a class, takes commands of vehicles in the air."""
     return issubclass(model if isinstance(model, type) else type(model), Point | Quadrotor)
 
 
 def body_of(model: Vehicle) -> Body:
-    """How much room a vehicle takes, for its agent."""
-    (length, width, _), (ahead, left, _), kind = model.hull[:3]
-    aside, round_m = 0.5 * width + abs(left), 0.5 * length + math.hypot(ahead, left)
+    """Room of a vehicle, for its agent."""
+    (length, width, _), (dx, dy, _), kind = model.hull[:3]
+    aside, round_m = 0.5 * width + abs(dy), 0.5 * length + math.hypot(dx, dy)
     if kind != "cylinder":
-        round_m = math.hypot(0.5 * length + abs(ahead), aside)
+        round_m = math.hypot(0.5 * length + abs(dx), aside)
     return Body(width_m=2.0 * aside, radius_m=round_m, flies=flies(model))
 
 
@@ -63,7 +63,7 @@ class FusedPose(Protocol):
 
     @property
     def heading_known(self) -> bool:
-        """Whether the vehicle has moved far enough to tell it."""
+        """Whether the vehicle has moved far enough to determine its heading."""
 
 
 class Estimator(Protocol):
@@ -80,7 +80,7 @@ class Estimator(Protocol):
 
 
 class VehicleSpec(Value, frozen=True, kw_only=True):
-    """One vehicle of a run: what it is, where it starts, what it carries, and what it takes for its own pose."""
+    """One vehicle of a run: model, start, sensors and pose source."""
 
     name: str
     model: Vehicle
@@ -88,7 +88,7 @@ class VehicleSpec(Value, frozen=True, kw_only=True):
     heading: float = 0.0  # rad
     pose_source: str = "truth"  # "truth" | "odometry" | "positioning" | "fusion"
     positioning: Positioning | None = None  # the sensor, if fitted
-    fusion: Estimator | None = None  # makes one pose of odometry and fixes, if that is its source; every run has its own copy
+    fusion: Estimator | None = None  # for the pose source "fusion"; every run has its own copy
     sensors: Mapping[str, Sensor] = {}  # others, by name
 
     def __post_init__(self) -> None:
@@ -104,8 +104,10 @@ class VehicleSpec(Value, frozen=True, kw_only=True):
 
     @property
     def start(self) -> Vec3:
-        """Where it really starts: on the ground, z = 0; in the air, not lower than its hull lets it stand on the floor."""
+        """Real start, m: on the ground at z = 0; in the air, not lower than standing on the floor."""
         x, y, z = self.position
         hull = self.model.hull
         lowest = 0.5 * hull.size[2] - hull.offset[2]
-        return (x, y, max(z, lowest) if z >= 0.0 else z) if flies(self.model) else (x, y, 0.0)
+        if not flies(self.model):
+            return x, y, 0.0
+        return x, y, max(z, lowest) if z >= 0.0 else z

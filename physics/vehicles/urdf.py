@@ -1,8 +1,8 @@
-"""Vehicles of a user's own, from a URDF file and a few parameters.
+"""Vehicles from a user's URDF file and a few parameters.
 
-The file gives links, masses, inertia, shapes and joints; what it cannot say (firmware limits, motor torque, rotors) are
-parameters with plausible defaults. What Bullet would silently replace or leave out is refused here, by name: a link without
-mass or inertia, a joint that is not there, a root link whose inertia is turned.
+The file gives links, masses, inertia, shapes and joints; firmware limits, motor torque and rotors are parameters with plausible
+defaults. Input that Bullet silently replaces or ignores is refused by name: a link without mass or inertia, a missing joint, a
+root link with a turned inertia.
 """
 
 import math
@@ -26,7 +26,7 @@ _OFF_DIAGONAL = ("ixy", "ixz", "iyz")
 
 
 class _Plan(NamedTuple):
-    """What a URDF file says of a differential drive; places in the frame of the root link, m."""
+    """Wheels of a differential drive in a URDF file; places in the frame of the root link, m."""
 
     path: Path
     axle: Vec3  # middle of the wheel axle, projected onto the floor
@@ -55,19 +55,17 @@ class UrdfDrive(GroundVehicle):
     yaw_accel: Positive = 2.0  # rad/s2, both ways
 
     def __post_init__(self) -> None:
-        _ = self.plan  # whatever is wrong with the file is said at once
+        _ = self.plan  # errors of the file are raised at once
 
     @cached_property
     def plan(self) -> _Plan:
-        """What the file says of the wheels.
+        """Wheels in the file.
 
         Raises:
             ScenarioError: with the key of the parameter that does not fit the file.
         """
         tree = _Tree(self.file)
-        left, right = (
-            tree.wheel(name, key) for name, key in ((self.left_wheel, "left_wheel"), (self.right_wheel, "right_wheel"))
-        )
+        left, right = tree.wheel(self.left_wheel, "left_wheel"), tree.wheel(self.right_wheel, "right_wheel")
         if not math.isclose(left.radius_m, right.radius_m, rel_tol=1e-6):
             problem = f"both wheels must have the same radius, not {left.radius_m:g} m and {right.radius_m:g} m"
             raise ScenarioError(problem, key="right_wheel")
@@ -79,20 +77,20 @@ class UrdfDrive(GroundVehicle):
 
     @property
     def wheel_radius_m(self) -> float:
-        """That of the left wheel."""
+        """Radius of both wheels, m."""
         return self.plan.wheel_radius_m
 
     @property
     def track_m(self) -> float:
-        """Between the wheels' middles."""
+        """Distance between the wheels' middles, m."""
         return self.plan.track_m
 
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfQuadrotor(Quadrotor):
-    """A quadrotor with the mass and the inertia of a URDF file, where joints are taken for fixed; the rest are parameters.
+    """A quadrotor with the mass and inertia of a URDF file, in which all joints count as fixed; the rest are parameters.
 
-    ``mass_kg`` and ``inertia`` need not be given: the file says them. The hull is a cylinder all the same.
+    ``mass_kg`` and ``inertia`` come from the file. The hull is a cylinder all the same.
     """
 
     file: FileName  # of the URDF, in a scenario relative to its folder
@@ -126,20 +124,15 @@ class _Tree:
         self._joints = {joint.get("name", ""): joint for joint in root.iterfind("joint")}
         if root.tag != "robot" or not self._links:
             raise ScenarioError(f"{self.path} is no URDF: it has no <robot> with links", key="file")
-        self._check_meshes(root)
+        for mesh in root.iter("mesh"):
+            name = mesh.get("filename", "")
+            if "://" not in name and not (self.path.parent / name).is_file():  # the engine finds package://
+                problem = f"{self.path.name} names the mesh {name!r}, and there is no such file beside it"
+                raise ScenarioError(problem, key="file")
         try:
             self._check()
         except ValueError as error:
             raise ScenarioError(f"{self.path}: a number cannot be read: {error}", key="file") from error
-
-    def _check_meshes(self, root: ET.Element) -> None:
-        """Refuse meshes that are no files; those of a ``package://`` are the engine's to find."""
-        for mesh in root.iter("mesh"):
-            name = mesh.get("filename", "")
-            if "://" not in name and not (self.path.parent / name).is_file():
-                raise ScenarioError(
-                    f"{self.path.name} names the mesh {name!r}, and there is no such file beside it", key="file"
-                )
 
     def _check(self) -> None:
         for name, link in self._links.items():
@@ -162,7 +155,7 @@ class _Tree:
             raise ScenarioError(problem, key="file")
 
     def _check_tree(self) -> str:
-        """Its root."""
+        """Check the tree of links; returns the root."""
         children = [_name(joint, "child") for joint in self._joints.values()]
         roots = [name for name in self._links if name not in children]
         strays = [each for joint in self._joints.values() for each in (_name(joint, "child"), _name(joint, "parent"))]
@@ -173,10 +166,10 @@ class _Tree:
         (root,) = roots
         if twice := [name for name in children if children.count(name) > 1]:
             raise ScenarioError(f"the link {twice[0]!r} of {self.path.name} is the child of two joints", key="file")
-        held = {root}
+        reached = {root}
         for _ in self._links:
-            held |= {_name(joint, "child") for joint in self._joints.values() if _name(joint, "parent") in held}
-        if loose := [name for name in self._links if name not in held]:
+            reached |= {_name(joint, "child") for joint in self._joints.values() if _name(joint, "parent") in reached}
+        if loose := [name for name in self._links if name not in reached]:
             problem = f"joints of {self.path.name} run in a circle: {loose[0]!r} does not hang from {root!r}"
             raise ScenarioError(problem, key="file")
         for joint in self._joints.values():
@@ -188,9 +181,9 @@ class _Tree:
         """Mass, kg, and inertia (3, 3), kg m2, of one link in its own inertial frame."""
         inertial = link.find("inertial")
         mass = float(_attributes(inertial, "mass").get("value", "nan"))
-        told = {name: float(value) for name, value in _attributes(inertial, "inertia").items()}
-        xx, yy, zz = (told.get(each, float("nan")) for each in ("ixx", "iyy", "izz"))
-        xy, xz, yz = (told.get(each, 0.0) for each in _OFF_DIAGONAL)
+        entries = {name: float(value) for name, value in _attributes(inertial, "inertia").items()}
+        xx, yy, zz = (entries.get(each, math.nan) for each in ("ixx", "iyy", "izz"))
+        xy, xz, yz = (entries.get(each, 0.0) for each in _OFF_DIAGONAL)
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if not np.isfinite(inertia).all():
             raise ScenarioError(f"the inertia of the link {link.get('name')!r} needs finite ixx, iyy and izz", key="file")
@@ -205,7 +198,6 @@ class _Tree:
         return frame
 
     def wheel(self, name: str, key: str) -> _Wheel:
-        """The wheel on the joint of this name."""
         joint = self._joints.get(name)
         if joint is None:
             there = ", ".join(self._joints) or "none"
@@ -230,13 +222,13 @@ class _Tree:
         raise ScenarioError(f"the link {link!r} of {self.path.name} needs a sphere or cylinder to roll on", key=key)
 
     def _radius(self, geometry: ET.Element, what: str, key: str) -> float:
-        told = geometry.get("radius", "")
+        text = geometry.get("radius", "")
         try:
-            radius_m = float(told)
+            radius_m = float(text)
         except ValueError:
             radius_m = math.nan
         if not 0.0 < radius_m < math.inf:
-            raise ScenarioError(f"{what} of {self.path.name} needs a positive radius, not {told!r}", key=key)
+            raise ScenarioError(f"{what} of {self.path.name} needs a positive radius, not {text!r}", key=key)
         return radius_m
 
     def whole(self) -> tuple[float, tuple[float, float, float]]:
@@ -257,8 +249,9 @@ class _Tree:
 
 
 def _attributes(element: ET.Element | None, child: str) -> Mapping[str, str]:
-    found = None if element is None else element.find(child)
-    return {} if found is None else found.attrib
+    if element is None or (tag := element.find(child)) is None:
+        return {}
+    return tag.attrib
 
 
 def _name(joint: ET.Element, end: str) -> str:
@@ -278,8 +271,8 @@ def _axis(joint: ET.Element) -> Array:
 
 def _origin(element: ET.Element | None) -> Array:
     """The transform of an ``<origin xyz rpy>``, (4, 4)."""
-    told = _attributes(element, "origin")
-    roll, pitch, yaw = _numbers(told.get("rpy", "0 0 0"))
+    origin = _attributes(element, "origin")
+    roll, pitch, yaw = _numbers(origin.get("rpy", "0 0 0"))
     (cr, sr), (cp, sp), (cy, sy) = ((float(np.cos(a)), float(np.sin(a))) for a in (roll, pitch, yaw))
     transform = np.eye(4)
     transform[:3, :3] = [
@@ -287,5 +280,5 @@ def _origin(element: ET.Element | None) -> Array:
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
         [-sp, cp * sr, cp * cr],
     ]
-    transform[:3, 3] = _numbers(told.get("xyz", "0 0 0"))
+    transform[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
     return transform

@@ -1,4 +1,4 @@
-"""Distance to the nearest solid: from one place, and from all places of a vehicle's way."""
+"""Distance to the nearest solid: from one place, and from all places of a vehicle's path."""
 
 import math
 from typing import NamedTuple
@@ -14,14 +14,14 @@ _GAPS_AT_ONCE = 1 << 20  # of boxes, which bounds the memory that they take
 
 
 class NearestPoint(NamedTuple):
-    """The point of all solids that is nearest to a place."""
+    """The nearest point of all solids."""
 
     distance_m: float
     point: Array  # (3,) m, world
 
 
 class Clearance:
-    """Distances to solids, without the floor. A mesh has no inside, and is 0 away only on its faces."""
+    """Distances to solids, without the floor. A mesh has no inside: its distance is 0 only on its faces."""
 
     def __init__(self, solids: Shapes) -> None:
         groups, self._triangles = solids.groups, solids.triangles
@@ -34,7 +34,7 @@ class Clearance:
         self._first_triangle = ends[-1]
 
     def nearest(self, place: Array, reach_m: float) -> NearestPoint | None:
-        """The nearest point of any solid, if it is less than ``reach_m`` away; inside a solid that is the place itself."""
+        """The nearest point of any solid closer than ``reach_m``; inside a solid the place itself."""
         at = place[:, None]
         (near,) = np.nonzero(((self._low - reach_m < at) & (at < self._high + reach_m)).all(axis=0))  # by bounding boxes
         if not near.size:
@@ -45,9 +45,9 @@ class Clearance:
         return NearestPoint(float(distances[best]), candidates[best]) if distances[best] < reach_m else None
 
     def least_m(self, way: Array, below_m: float = math.inf) -> float:
-        """The smallest distance of any place of a way (k, 3) m to any solid, m, or ``below_m`` if none is smaller.
+        """Smallest distance of a path (k, 3) m to any solid, m, or ``below_m`` if none is smaller.
 
-        Boxes around the way, around stretches of it, and around the solids leave few places to be measured, nearest first.
+        Bounding boxes of the path, of its stretches and of the solids leave few places to measure, nearest first.
         """
         if not len(way) or not self._low.shape[1]:
             return below_m
@@ -62,7 +62,7 @@ class Clearance:
         return below_m
 
     def _along(self, stretches: Array, pieces: Array, below_m: float) -> float:
-        """The same of stretches (b, k, 3) m of a way and some of the pieces."""
+        """`least_m` of stretches (b, k, 3) m and some pieces."""
         low, high = stretches.min(axis=1)[:, :, None], stretches.max(axis=1)[:, :, None]
         gaps = _gaps(low, high, self._low[:, pieces], self._high[:, pieces])
         below_m = self._measured(pieces[gaps.argmin(axis=1)], stretches[:, 0], below_m)  # nearly all others drop out
@@ -79,12 +79,12 @@ class Clearance:
         return below_m
 
     def _measured(self, pieces: Array, places: Array, below_m: float) -> float:
-        """The smallest distance of a piece to the place (3,) m beside it, or ``below_m``."""
+        """Smallest distance of pairs of a piece and a place (3,) m, or ``below_m``."""
         distances = np.linalg.norm(self._points(pieces, places) - places, axis=1)
         return min(below_m, float(distances.min(initial=math.inf)))
 
     def _points(self, pieces: Array, places: Array) -> Array:
-        """Of each of q pieces the point that is nearest to the place (q, 3) m beside it, (q, 3) m."""
+        """Nearest points (q, 3) m of q pieces to one place each, (q, 3) m."""
         points = np.empty((len(pieces), 3))
         for group, first, end in self._groups:
             own = (pieces >= first) & (pieces < end)
@@ -97,7 +97,7 @@ class Clearance:
 
 
 def _gaps(low: Array, high: Array, other_low: Array, other_high: Array) -> Array:
-    """Squared distances (..., p) m2 of boxes, whose corners broadcast to (..., 3, p) m."""
+    """Squared distances (..., p) m2 of boxes; corners broadcast to (..., 3, p) m."""
     total: Array = np.zeros(())
     for axis in range(3):
         gap = np.maximum(other_low[..., axis, :] - high[..., axis, :], low[..., axis, :] - other_high[..., axis, :])
@@ -107,7 +107,7 @@ def _gaps(low: Array, high: Array, other_low: Array, other_high: Array) -> Array
 
 
 def _of_prisms(group: Group, numbers: Array, places: Array) -> Array:
-    """The nearest point of each of these upright convex prisms to the place (q, 3) m beside it, (q, 3) m."""
+    """Nearest points (q, 3) m of upright convex prisms to one place each, (q, 3) m."""
     corners, flat = group.corners[numbers], places[:, :2]
     edges = np.roll(corners, -1, axis=1) - corners
     to = flat[:, None] - corners
@@ -120,7 +120,7 @@ def _of_prisms(group: Group, numbers: Array, places: Array) -> Array:
 
 
 def _of_triangles(triangles: Array, places: Array) -> Array:
-    """The nearest point of each triangle to the place beside it, (t, 3) m: the foot of the perpendicular, or one on an edge."""
+    """Nearest points (t, 3) m of triangles to one place each: the foot of the perpendicular, or a point on an edge."""
     edges = np.roll(triangles, -1, axis=1) - triangles
     normals = np.cross(edges[:, 0], edges[:, 1])
     square = (normals * normals).sum(axis=1)

@@ -1,4 +1,4 @@
-"""The floor seen from above: a colour, a picture file, and what is painted on it: lawns, lanes."""
+"""Appearance of the floor: a colour, a picture file, and marks painted on it: lawns, lanes."""
 
 import math
 from collections.abc import Sequence
@@ -18,9 +18,9 @@ _SHIFT = 6  # bits of a pixel's fraction in OpenCV's drawing functions
 
 
 class Mark(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Something painted on the floor: an outline, a line, a disc or a picture, whichever of them is given."""
+    """A mark on the floor: exactly one of an outline, a line, a disc or a picture."""
 
-    name: str = ""  # for whoever looks for it
+    name: str = ""  # its label
     color: Color = (255, 255, 255)  # red, green, blue, 0 to 255
     outline: tuple[Point2, ...] = ()  # corners of a filled polygon, x, y, m
     line: tuple[Point2, ...] = ()  # points of a line, x, y, m; ``width`` wide
@@ -32,12 +32,12 @@ class Mark(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     yaw_rad: float = 0.0  # the picture is turned by this
 
     def __post_init__(self) -> None:
-        given = sum(map(bool, (self.outline, self.line, self.radius, self.picture)))
-        if given != 1 or self.radius < 0.0 or self.width < 0.0 or len(self.outline) in (1, 2) or len(self.line) == 1:
+        count = sum(map(bool, (self.outline, self.line, self.radius, self.picture)))
+        if count != 1 or self.radius < 0.0 or self.width < 0.0 or len(self.outline) in (1, 2) or len(self.line) == 1:
             raise ValueError("a mark needs one of: outline (three points or more), line (two or more), radius (> 0), picture")
 
     def points(self) -> Array:
-        """Corners around all of it, (k, 2) m; of a picture counter-clockwise from its upper right."""
+        """Corners of its outline, (k, 2) m; of a picture counter-clockwise from its upper right."""
         if self.outline or self.line:
             return np.array(self.outline or self.line, float)
         half_length, half_width = (self.radius, self.radius) if self.radius else (0.5 * self.size[0], 0.5 * self.size[1])
@@ -45,7 +45,7 @@ class Mark(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
-    """How the floor looks from above."""
+    """Appearance of the floor from above."""
 
     picture: FileName = ""  # an image file; its upper edge is north. Empty: the plain color
     center: Point2 = (0.0, 0.0)  # of the picture, x, y, m
@@ -64,13 +64,13 @@ class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     @property
     def plain(self) -> bool:
-        """Whether there is no picture, only the one colour."""
+        """Whether the floor has one colour and no picture."""
         return not (self.picture or self.marks)
 
     def image(self) -> Array | None:
-        """The picture, (h, w, 3) uint8 red, green, blue, read-only; row 0 is the north edge. None: the plain colour.
+        """The picture, (h, w, 3) uint8 red, green, blue, read-only; row 0 is the north edge. None: one colour.
 
-        Painted when it is first asked for, and kept.
+        Painted at the first call.
 
         Raises:
             ValueError: a file is no picture.
@@ -113,7 +113,7 @@ class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             _stick(pixels, read_picture(mark.picture), self._pixel(mark.points(), pixels.shape))
 
     def _pixel(self, points: Array, shape: tuple[int, ...]) -> Array:
-        """Where places (k, 2) m are in the picture: column and row, (k, 2); whole numbers are middles of pixels."""
+        """Columns and rows (k, 2) of places (k, 2) m; whole numbers are middles of pixels."""
         (x, y), (length, width) = self.center, self.size
         right, down = points[:, 0] - (x - 0.5 * length), (y + 0.5 * width) - points[:, 1]
         pixel: Array = np.column_stack([right * shape[1] / length - 0.5, down * shape[0] / width - 0.5])
@@ -121,7 +121,7 @@ class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def read_picture(path: str) -> Array:
-    """A picture file, (h, w, 3) uint8 red, green, blue.
+    """Read a picture file, (h, w, 3) uint8 red, green, blue.
 
     Raises:
         ValueError: there is no such file, or no picture in it.
@@ -141,7 +141,7 @@ def read_picture(path: str) -> Array:
 
 
 def problem_of_picture(path: str) -> str:
-    """What keeps a file from being read as a picture, as far as its first bytes tell; empty: nothing does."""
+    """Reason why a file is no readable picture, by its first bytes; empty: none."""
     import cv2
 
     if not Path(path).is_file():
@@ -152,7 +152,7 @@ def problem_of_picture(path: str) -> str:
 
 
 def _stick(pixels: Array, picture: Array, corners: Array) -> None:
-    """Lay a picture over others: its corners, upper right first and counter-clockwise, at these columns and rows."""
+    """Lay a picture over another; columns and rows of its corners, upper right first and counter-clockwise."""
     import cv2
 
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0)

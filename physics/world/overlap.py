@@ -1,8 +1,8 @@
-"""Which solid a body would be inside of, and how deep: separating axes between upright prisms, and prisms and triangles.
+"""Overlap of a body with solids, and its depth: separating axes of upright prisms, and of prisms and triangles.
 
-Two convex bodies share volume unless some direction separates their shadows; it is enough to look along the normals of their
-faces and across pairs of their edges (S. Gottschalk, M. Lin, D. Manocha, OBBTree, SIGGRAPH 1996). The smallest overlap of the
-shadows is how far one must be moved to be free.
+Two convex bodies share volume unless some direction separates their shadows; the normals of their faces and the cross products
+of their edges are enough (S. Gottschalk, M. Lin, D. Manocha, OBBTree, SIGGRAPH 1996). The smallest overlap of the shadows is
+the shortest way out.
 """
 
 import numpy as np
@@ -11,11 +11,11 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.world.polygons import overlap_m
 from vcmvsp.physics.world.shapes import Shapes
 
-_SKIN = 1e-9  # m: who touches is not inside
+_SKIN = 1e-9  # m: touching is not overlapping
 
 
 class Blocking:
-    """The pieces of a world, to be asked about bodies."""
+    """Finds the solid that a body overlaps most."""
 
     def __init__(self, shapes: Shapes) -> None:
         self._shapes = shapes
@@ -23,23 +23,23 @@ class Blocking:
         self._low, self._high = shapes.triangles.min(axis=1), shapes.triangles.max(axis=1)
 
     def deepest(self, corners: Array, bottom: float, top: float) -> tuple[int, float] | None:
-        """The number of the solid that an upright convex prism reaches into most, and how far, m; None: it is free.
+        """The solid that an upright convex prism reaches into most, and the depth, m; None: the prism is free.
 
-        Of meshes, which may have any shape, how far is about what it takes: each triangle is minded by itself, and who is
-        inside of a closed one has the way out of the box around it.
+        For meshes the depth is approximate: each triangle counts alone; inside a closed mesh it is the way out of its bounding
+        box.
         """
-        found = [*self._in_pieces(corners, bottom, top), *self._in_meshes(corners, bottom, top)]
-        depth, solid = max(found, key=lambda each: (each[0], -each[1]), default=(0.0, 0))
+        overlaps = [*self._in_pieces(corners, bottom, top), *self._in_meshes(corners, bottom, top)]
+        depth, solid = max(overlaps, key=lambda each: (each[0], -each[1]), default=(0.0, 0))
         return (solid, depth) if depth > _SKIN else None
 
     def _in_pieces(self, corners: Array, bottom: float, top: float) -> list[tuple[float, int]]:
-        low, high, found = corners.min(axis=0), corners.max(axis=0), []
+        low, high, overlaps = corners.min(axis=0), corners.max(axis=0), []
         for group, (lows, highs) in zip(self._shapes.groups, self._boxes, strict=True):
             near = (lows < high).all(axis=1) & (highs > low).all(axis=1) & (group.bottom < top) & (group.top > bottom)
             for k in np.flatnonzero(near).tolist():
                 vertical = min(top - group.bottom[k], group.top[k] - bottom)
-                found.append((min(float(vertical), overlap_m(corners, group.corners[k])), int(group.solid[k])))
-        return found
+                overlaps.append((min(float(vertical), overlap_m(corners, group.corners[k])), int(group.solid[k])))
+        return overlaps
 
     def _in_meshes(self, corners: Array, bottom: float, top: float) -> list[tuple[float, int]]:
         triangles, of = self._shapes.triangles, self._shapes.triangle_solid
@@ -48,18 +48,18 @@ class Blocking:
         low, high = np.append(corners.min(axis=0), bottom), np.append(corners.max(axis=0), top)
         near = (self._low < high).all(axis=1) & (self._high > low).all(axis=1)
         depths = _triangle_depths(corners, bottom, top, triangles[near])
-        found = list(zip(depths.tolist(), of[near].tolist(), strict=True))
+        overlaps = list(zip(depths.tolist(), of[near].tolist(), strict=True))
         centre = np.append(corners.mean(axis=0), 0.5 * (bottom + top))
         for solid in np.unique(of).tolist():
             mine = of == solid
             if _encloses(triangles[mine], centre):  # nothing is near that a body inside would touch
                 out = np.minimum(high - self._low[mine].min(axis=0), self._high[mine].max(axis=0) - low)
-                found.append((float(out.min()), solid))
-        return found
+                overlaps.append((float(out.min()), solid))
+        return overlaps
 
 
 def _triangle_depths(corners: Array, bottom: float, top: float, triangles: Array) -> Array:
-    """How far each triangle, (t, 3, 3) m, reaches into an upright convex prism, (t,) m; 0 or less: not at all."""
+    """Depths (t,) m of triangles (t, 3, 3) m in an upright convex prism; 0 or less: outside."""
     count = len(triangles)
     k = len(corners)
     prism = np.concatenate([np.column_stack([corners, np.full(k, z)]) for z in (bottom, top)])
@@ -80,7 +80,7 @@ def _triangle_depths(corners: Array, bottom: float, top: float, triangles: Array
 
 
 def _encloses(triangles: Array, point: Array) -> bool:
-    """Whether a closed mesh holds a point: seen upwards and downwards, faces are left once more often than entered."""
+    """Whether a closed mesh holds a point: upwards and downwards, rays leave it once more often than they enter."""
     a, b, c = (triangles[:, i, :2] - point[:2] for i in range(3))
 
     def twice(p: Array, q: Array) -> Array:
@@ -94,9 +94,3 @@ def _encloses(triangles: Array, point: Array) -> bool:
     heights = (weights * triangles[over, :, 2]).sum(axis=1)
     sign, above = np.sign(total), heights > point[2]
     return bool(sign[above].sum() > 0.0 and sign[~above].sum() < 0.0)
-
-
-def outside_m(bounds: tuple[float, float, float, float], x: float, y: float) -> float:
-    """How far a place lies beyond west, south, east and north end, m; 0: inside."""
-    west, south, east, north = bounds
-    return float(np.hypot(max(west - x, 0.0, x - east), max(south - y, 0.0, y - north)))

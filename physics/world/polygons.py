@@ -1,4 +1,4 @@
-"""Polygons in the plane, with holes: whether outlines are one, their convex parts, how deep two overlap."""
+"""Polygons in the plane, with holes: validity of outlines, convex parts, depth of overlaps."""
 
 import math
 from collections.abc import Sequence
@@ -13,14 +13,14 @@ _ROUNDING = 4e-16  # of a turn, against its two products (J. R. Shewchuk, Adapti
 
 
 def outward(corners: Array) -> Array:
-    """Unit normals of the edges of polygons, (..., k, 2), to the outside of those that run counter-clockwise."""
+    """Outward unit normals (..., k, 2) of the edges of counter-clockwise polygons."""
     along = np.roll(corners, -1, axis=-2) - corners
     normals: Array = np.stack([along[..., 1], -along[..., 0]], axis=-1) / np.hypot(along[..., :1], along[..., 1:])
     return normals
 
 
 def overlap_m(a: Array, b: Array) -> float:
-    """How far one of two convex polygons, (k, 2) and (j, 2) m, must be moved so that they share no area; 0: they share none.
+    """Shortest way out of each other, m, of two convex polygons, (k, 2) and (j, 2) m; 0: they share no area.
 
     The smallest overlap of their shadows over all directions across their edges (separating axis theorem).
     """
@@ -40,16 +40,16 @@ def area_m2(outline: Array) -> float:
 
 
 def width_m(outline: Array) -> float:
-    """The least width of a convex polygon, (k, 2) m: the narrowest gap that it fits through.
+    """Least width of a convex polygon, (k, 2) m.
 
-    One of its edges lies along the gap (M. E. Houle, G. T. Toussaint, Computing the width of a set, 1988).
+    One of its edges lies along the narrowest gap (M. E. Houle, G. T. Toussaint, Computing the width of a set, 1988).
     """
     shadows: Array = outline @ outward(outline).T
     return float((shadows.max(axis=0) - shadows.min(axis=0)).min())
 
 
 def problem_of(outline: Sequence[Point], holes: Sequence[Sequence[Point]] = ()) -> str:
-    """What keeps an outline, and those of holes in it, from being a polygon; empty: nothing does."""
+    """Reason why an outline with holes is no polygon; empty: it is one."""
     for ring in (outline, *holes):
         if len(ring) < 3:
             return f"needs at least three corners, not {len(ring)}"
@@ -70,7 +70,7 @@ def problem_of(outline: Sequence[Point], holes: Sequence[Sequence[Point]] = ()) 
 
 
 class _Edges:
-    """The edges of several rings; those of the first one come first."""
+    """The edges of several rings, the outline's first."""
 
     def __init__(self, rings: Sequence[Sequence[Point]]) -> None:
         points = [np.array(ring, float) for ring in rings]
@@ -81,7 +81,7 @@ class _Edges:
 
     @property
     def crossing(self) -> tuple[str, str] | None:
-        """The first two edges that share a point though they are no neighbours; edge i runs from corner i to the next one."""
+        """The first two edges that share a point without being neighbours; edge i begins at corner i."""
         low, high = np.minimum(self.start, self.end), np.maximum(self.start, self.end)
         near = ((low[:, None] <= high) & (low <= high[:, None])).all(axis=2)  # boxes around edges meet
         i, j = np.nonzero(np.triu(near, 1))
@@ -89,22 +89,22 @@ class _Edges:
         apart = (self._number[j] - self._number[i]) % length
         neighbours = (self._ring[i] == self._ring[j]) & ((apart == 1) | (apart == length - 1))
         i, j = i[~neighbours], j[~neighbours]
-        found = np.flatnonzero(_meet(self.start[i], self.end[i], self.start[j], self.end[j]))
-        return (self._name(int(i[found[0]])), self._name(int(j[found[0]]))) if len(found) else None
+        meeting = np.flatnonzero(_meet(self.start[i], self.end[i], self.start[j], self.end[j]))
+        return (self._name(int(i[meeting[0]])), self._name(int(j[meeting[0]]))) if len(meeting) else None
 
     def _name(self, edge: int) -> str:
         of = f" of hole {self._ring[edge] - 1}" if self._ring[edge] else ""
         return f"edge {self._number[edge]}{of}"
 
     def inside(self, point: Array, without: int) -> bool:
-        """Whether an odd number of edges, those of one ring left out, lies east of a point."""
+        """Whether an odd number of edges, without one ring, lies east of a point."""
         a, b = self.start[self._ring != without] - point, self.end[self._ring != without] - point
         above = (a[:, 1] > 0.0) != (b[:, 1] > 0.0)
         a, b = a[above], b[above]
         return bool((a[:, 0] - a[:, 1] * (b[:, 0] - a[:, 0]) / (b[:, 1] - a[:, 1]) > 0.0).sum() % 2)
 
     def clear(self, p: Point, q: Point) -> bool:
-        """Whether the way between two corners meets no edge but at its ends."""
+        """Whether the line between two corners meets edges only at its ends."""
         a, b = np.array(p), np.array(q)
         ends = [(each == corner).all(axis=1) for each in (self.start, self.end) for corner in (a, b)]
         others = ~np.logical_or.reduce(ends)
@@ -113,12 +113,12 @@ class _Edges:
         return not met.any() and not any(_lies_between(p, q, (x, y)) for x, y in self.start.tolist())
 
     def add(self, p: Point, q: Point) -> None:
-        """One more edge, which `clear` minds."""
+        """Add an edge for `clear`."""
         self.start, self.end = np.concatenate([self.start, [p]]), np.concatenate([self.end, [q]])
 
 
 def _meet(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Which of the closed segments ab and cd, (n, 2) each, share a point; the boxes around them are known to, or they may."""
+    """Which of the closed segments ab and cd, (n, 2) each, share a point."""
 
     def side(a: Array, b: Array, c: Array) -> Array:
         """On which side of a line through a and b each c lies: 1 left, -1 right, 0 on it."""
@@ -132,17 +132,17 @@ def _meet(a: Array, b: Array, c: Array, d: Array) -> Array:
 
 
 def _lies_between(p: Point, q: Point, r: Point) -> bool:
-    """Whether a corner lies on the way between two others."""
+    """Whether a corner lies on the line between two others."""
     if r in (p, q) or _turn(p, q, r) != 0.0:
         return False
     return 0.0 < (r[0] - p[0]) * (q[0] - p[0]) + (r[1] - p[1]) * (q[1] - p[1]) < (q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2
 
 
 def convex_parts(outline: Sequence[Point], holes: Sequence[Sequence[Point]] = ()) -> list[Array]:
-    """Convex polygons, (k, 2) m counter-clockwise, that fill a polygon and do not overlap.
+    """Convex polygons, (k, 2) m counter-clockwise, that fill a polygon without overlap.
 
-    Holes are joined to the outline by bridges; ears are cut off (G. H. Meisters, Polygons have ears, 1975); and what is left is
-    put together again along edges where it stays convex (S. Hertel, K. Mehlhorn, Fast triangulation of simple polygons, 1983).
+    Holes are joined to the outline by bridges; ears are cut off (G. H. Meisters, Polygons have ears, 1975); parts are merged
+    where they stay convex (S. Hertel, K. Mehlhorn, Fast triangulation of simple polygons, 1983).
     """
     ring = _turned(outline, counter_clockwise=True)
     turns = _turns(ring)
@@ -167,12 +167,12 @@ def convex_parts(outline: Sequence[Point], holes: Sequence[Sequence[Point]] = ()
 
 
 def is_convex(outline: Sequence[Point]) -> bool:
-    """Whether a polygon that does not cross itself, either way round, is convex; corners in a line may be."""
+    """Whether a polygon without crossings, either way round, is convex; corners in a line are allowed."""
     return min(_turns(_turned(outline, counter_clockwise=True))) >= 0.0
 
 
 def _turns(ring: Sequence[Point]) -> list[float]:
-    """Of each corner, between the edges beside it: positive to the left."""
+    """Turn at each corner: positive to the left."""
     return [_turn(ring[k - 1], ring[k], ring[(k + 1) % len(ring)]) for k in range(len(ring))]
 
 
@@ -182,16 +182,15 @@ def _turned(ring: Sequence[Point], *, counter_clockwise: bool) -> list[Point]:
 
 
 def _bridged(ring: list[Point], holes: list[list[Point]]) -> list[Point]:
-    """One ring that goes along the outline and, over bridges there and back, round all holes."""
-    edges, left = _Edges([ring, *holes]), list(holes)
-    while left:
-        ways = [
-            (math.dist(p, q), i, k, m) for i, p in enumerate(ring) for k, hole in enumerate(left) for m, q in enumerate(hole)
-        ]
+    """One ring along the outline and, over bridges there and back, round all holes."""
+    edges, rest = _Edges([ring, *holes]), list(holes)
+    while rest:
+        places = [(k, m, q) for k, hole in enumerate(rest) for m, q in enumerate(hole)]
+        ways = [(math.dist(p, q), i, k, m) for i, p in enumerate(ring) for k, m, q in places]
         for _, i, k, m in sorted(ways):
-            p, q = ring[i], left[k][m]
+            p, q = ring[i], rest[k][m]
             if _opens(ring[i - 1], p, ring[(i + 1) % len(ring)], q) and edges.clear(p, q):
-                hole = left.pop(k)
+                hole = rest.pop(k)
                 ring = [*ring[: i + 1], *hole[m:], *hole[: m + 1], *ring[i:]]
                 edges.add(p, q)
                 break
@@ -201,13 +200,13 @@ def _bridged(ring: list[Point], holes: list[list[Point]]) -> list[Point]:
 
 
 def _opens(before: Point, corner: Point, after: Point, to: Point) -> bool:
-    """Whether the way from a corner to another place begins inside: a ring may come by the same corner several times."""
-    left = _turn(before, corner, to) > 0.0, _turn(corner, after, to) > 0.0
-    return all(left) if _turn(before, corner, after) > 0.0 else any(left)
+    """Whether the line from a corner to another place begins inside: a ring may pass the same corner several times."""
+    sides = _turn(before, corner, to) > 0.0, _turn(corner, after, to) > 0.0
+    return all(sides) if _turn(before, corner, after) > 0.0 else any(sides)
 
 
 def _turn(p: Point, q: Point, r: Point) -> float:
-    """Twice the area of a triangle: positive if it runs counter-clockwise; of the right sign whatever the rounding."""
+    """Twice the area of a triangle: positive if it runs counter-clockwise; exact sign."""
     one, other = (p[0] - r[0]) * (q[1] - r[1]), (p[1] - r[1]) * (q[0] - r[0])
     turn = one - other
     if abs(turn) > _ROUNDING * (abs(one) + abs(other)):
@@ -218,28 +217,28 @@ def _turn(p: Point, q: Point, r: Point) -> float:
 
 
 def _triangles(corners: Sequence[Point], ring: Sequence[int]) -> list[list[int]]:
-    """Triangles, as numbers of corners, that fill a ring of them."""
-    left, triangles = list(ring), []
-    while len(left) > 3:
-        for k in range(len(left)):
-            a, b, c = left[k - 1], left[k], left[(k + 1) % len(left)]
+    """Triangles, as numbers of corners, that fill a ring."""
+    rest, triangles = list(ring), []
+    while len(rest) > 3:
+        for k in range(len(rest)):
+            a, b, c = rest[k - 1], rest[k], rest[(k + 1) % len(rest)]
             turn = _turn(corners[a], corners[b], corners[c])
-            if turn < 0.0 or (turn > 0.0 and _any_inside(corners, (a, b, c), left)):
+            if turn < 0.0 or (turn > 0.0 and _any_inside(corners, (a, b, c), rest)):
                 continue
             if turn > 0.0:
                 triangles.append([a, b, c])
-            del left[k]  # three corners in a line: the middle one goes
+            del rest[k]  # also the middle one of three corners in a line
             break
         else:
             raise ValueError("an outline crosses itself")
-    return [*triangles, left] if _turn(*(corners[k] for k in left)) > 0.0 else triangles
+    return [*triangles, rest] if _turn(*(corners[k] for k in rest)) > 0.0 else triangles
 
 
-def _any_inside(corners: Sequence[Point], triangle: tuple[int, int, int], left: Sequence[int]) -> bool:
-    """Whether a corner that is left lies in the triangle or on its edge."""
+def _any_inside(corners: Sequence[Point], triangle: tuple[int, int, int], ring: Sequence[int]) -> bool:
+    """Whether a corner of the ring lies in the triangle or on its edge."""
     a, b, c = (corners[k] for k in triangle)
     (low_x, _, high_x), (low_y, _, high_y) = (sorted(axis) for axis in zip(a, b, c, strict=True))
-    for k in left:
+    for k in ring:
         x, y = p = corners[k]
         near = low_x <= x <= high_x and low_y <= y <= high_y and k not in triangle
         if near and _turn(a, b, p) >= 0.0 and _turn(b, c, p) >= 0.0 and _turn(c, a, p) >= 0.0:
@@ -248,7 +247,7 @@ def _any_inside(corners: Sequence[Point], triangle: tuple[int, int, int], left: 
 
 
 def _together(corners: Sequence[Point], one: list[int], other: list[int]) -> list[int] | None:
-    """Two polygons that share an edge as one, if that is convex."""
+    """The union of two polygons with a common edge, if it is convex."""
     for i, a in enumerate(one):
         b = one[(i + 1) % len(one)]
         if a in other and b in other and other[(other.index(b) + 1) % len(other)] == a:

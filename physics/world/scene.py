@@ -1,4 +1,4 @@
-"""What is true at one instant: what sensors measure."""
+"""True state of the world at one instant: the input of sensors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,9 +15,9 @@ from vcmvsp.physics.world.world import World
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """All vehicles and everything else that moves, at one instant. Rows: the n vehicles first, then the other bodies.
+    """All vehicles and other moving bodies at one instant. Rows: the n vehicles first, then the other bodies.
 
-    Arrays are read-only and never change: a scene may be kept and looked at later.
+    Arrays are read-only and never change: a scene may be used later.
     """
 
     now_ns: int  # the instant
@@ -36,12 +36,12 @@ class Scene:
     cache: dict[str, Any] = field(default_factory=dict)  # what sensors of one kind share at this instant; filled by them
 
     def rotation(self, row: int) -> Array:
-        """world_from_body of a body, (3, 3); those of all are worked out together, when the first is asked for."""
+        """world_from_body of a body, (3, 3)."""
         matrix: Array = self._rotations[row]
         return matrix
 
     def point(self, row: int, mount: Vec3) -> Array:
-        """Where a point of a body is, (3,) m, world; ``mount`` in the body frame, from its reference point."""
+        """Position of a point of a body, (3,) m, world; ``mount`` in the body frame, from its reference point."""
         place: Array = self.position[row]
         return place + self.rotation(row) @ np.array(mount) if any(mount) else place
 

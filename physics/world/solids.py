@@ -1,7 +1,7 @@
-"""Solids that stand still: boxes, cylinders, prisms, meshes; and the convex pieces that everything else is made to understand.
+"""Solids: boxes, cylinders, prisms, meshes.
 
-Whoever looks at a world (collisions, range scanners, cameras, the radio, pictures) looks at the same pieces: convex prisms with
-a vertical axis (`Upright`), and the triangles of meshes. A cylinder is a regular polygon to all of them alike.
+Collisions, range scanners, cameras, the radio and pictures all use the same pieces: convex prisms with a vertical axis
+(`Upright`), and the triangles of meshes. A cylinder is a regular polygon for all of them.
 """
 
 import math
@@ -46,7 +46,7 @@ class Upright(NamedTuple):
 
 
 class Hull(NamedTuple):
-    """The outer shape of a body: a box or a cylinder around the body's z axis, as scanners and cameras see it."""
+    """Outer shape of a body: a box or a cylinder around the body's z axis."""
 
     size: Vec3  # length (x), width (y), height (z), m; a cylinder has its diameter twice
     offset: Vec3 = (0.0, 0.0, 0.0)  # its centre from the body's reference point, m, body frame
@@ -55,18 +55,18 @@ class Hull(NamedTuple):
 
 
 class Solid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What all solids have."""
+    """Base of all solids."""
 
     material: str = "concrete"  # what it is made of, a name for the radio's obstruction loss
     color: Color | None = None  # red, green, blue, 0 to 255; default: that of its material
 
     @property
     def words(self) -> str:
-        """What it is and where, for messages."""
+        """Its kind and place, for messages."""
         raise NotImplementedError
 
     def uprights(self) -> Sequence[Upright]:
-        """Convex prisms that fill it and do not overlap."""
+        """Convex prisms that fill it without overlap."""
         raise NotImplementedError
 
 
@@ -83,7 +83,7 @@ class Box(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_fiel
 
     @property
     def words(self) -> str:
-        """What it is and where, for messages."""
+        """Its kind and place, for messages."""
         return f"the box at {self.center}, size {self.size}"
 
     @property
@@ -113,7 +113,7 @@ class Cylinder(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag
 
     @property
     def words(self) -> str:
-        """What it is and where, for messages."""
+        """Its kind and place, for messages."""
         return f"the cylinder at {self.center}, radius {self.radius:g}, height {self.height:g}"
 
     @property
@@ -146,7 +146,7 @@ class Prism(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     @property
     def words(self) -> str:
-        """What it is and where, for messages."""
+        """Its kind and place, for messages."""
         return f"the prism of {len(self.outline)} corners, the first at {self.outline[0]}"
 
     def uprights(self) -> list[Upright]:
@@ -171,11 +171,11 @@ class Mesh:
 
     @property
     def words(self) -> str:
-        """What it is, for messages."""
+        """Its kind and size, for messages."""
         return f"the mesh of {len(self.triangles)} triangles"
 
     def uprights(self) -> Sequence[Upright]:
-        """None: it is seen by its triangles."""
+        """No prisms: a mesh has triangles."""
         return ()
 
 
@@ -183,17 +183,17 @@ AnySolid = Solid | Mesh
 
 
 def color_of(solid: AnySolid) -> Color:
-    """Its own colour, or that of its material."""
+    """The solid's own colour, or that of its material."""
     return solid.color or MATERIAL_COLORS.get(solid.material, _PLAIN)
 
 
 def heading_of(solid: Box | Cylinder) -> float:
-    """How far a solid is turned, rad."""
+    """Yaw of a solid, rad."""
     return solid.yaw_rad if isinstance(solid, Box) else 0.0
 
 
 def rectangle(x: float, y: float, half_length: float, half_width: float, yaw: float) -> Array:
-    """The corners of a rectangle around (x, y), (4, 2) m, counter-clockwise; its length lies along ``yaw``, rad."""
+    """Corners of a rectangle around (x, y), (4, 2) m, counter-clockwise from the upper right; length along ``yaw``, rad."""
     c, s = math.cos(yaw), math.sin(yaw)
     a, b = half_length, half_width
     return np.array([(x + c * u - s * v, y + s * u + c * v) for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))])

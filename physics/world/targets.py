@@ -1,4 +1,4 @@
-"""Targets: flat things on the ground that somebody is to find; some of them move."""
+"""Targets of searches: flat pictures or discs on the ground; some of them move."""
 
 import math
 from collections.abc import Sequence
@@ -14,9 +14,9 @@ from vcmvsp.physics.world.solids import Color, Point2
 
 
 class GroundTarget(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Something flat on the ground that is to be found: a picture or a disc, at rest or on its way."""
+    """A target of a search, flat on the ground: a picture or a disc, at rest or moving."""
 
-    name: str = ""  # for whoever looks for it; empty: target1, target2 and so on
+    name: str = ""  # its label; empty: target1, target2 and so on
     picture: FileName = ""  # an image file, made square; its upper edge is north before it is turned. Empty: a disc
     color: Color = (224, 32, 160)  # of the disc
     size: Positive = 2.0  # edge of the picture or diameter of the disc, m
@@ -40,7 +40,7 @@ class GroundTarget(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedTarget:
-    """A target as it lies in a world."""
+    """A target in a world."""
 
     name: str  # unique among the targets of the world
     size_m: float  # edge of the picture, or diameter of the disc
@@ -52,7 +52,7 @@ class PlacedTarget:
     loop: bool = False  # it goes round
 
     def place(self, time_s: float) -> Point2:
-        """Where its middle is then, x, y, m."""
+        """Its middle at a time, x, y, m."""
         if len(self.way) == 1:
             return self.way[0]
         corners, run = self._corners, self.speed * max(time_s, 0.0)
@@ -62,7 +62,7 @@ class PlacedTarget:
         return x, y
 
     def yaw(self, time_s: float) -> float:
-        """By how much it is turned then, rad."""
+        """Its yaw at a time, rad."""
         return self.yaw_rad
 
     @cached_property
@@ -71,27 +71,30 @@ class PlacedTarget:
 
     @cached_property
     def _runs(self) -> list[float]:
-        """How far each corner is along the way, m."""
+        """Distance of each corner along the way, m."""
         return [0.0, *accumulate(math.dist(a, b) for a, b in pairwise(self._corners))]
 
 
 def names(targets: Sequence[GroundTarget]) -> list[str]:
-    """What they are called."""
+    """Names of targets."""
     return [each.name or f"target{number}" for number, each in enumerate(targets, start=1)]
 
 
 def placed(targets: Sequence[GroundTarget]) -> tuple[PlacedTarget, ...]:
-    """Targets that have a place or a way, as they lie in a world."""
-    return tuple(
-        PlacedTarget(
-            name=name,
-            size_m=each.size,
-            picture=each.picture,
-            color=each.color,
-            yaw_rad=each.yaw_rad,
-            way=each.way if each.place is None else (each.place,),
-            speed=each.speed or 0.0,
-            loop=each.loop,
+    """Targets with a place or a way, as they lie in a world."""
+    in_world = []
+    for name, each in zip(names(targets), targets, strict=True):
+        way = each.way if each.place is None else (each.place,)
+        in_world.append(
+            PlacedTarget(
+                name=name,
+                size_m=each.size,
+                picture=each.picture,
+                color=each.color,
+                yaw_rad=each.yaw_rad,
+                way=way,
+                speed=each.speed or 0.0,
+                loop=each.loop,
+            )
         )
-        for name, each in zip(names(targets), targets, strict=True)
-    )
+    return tuple(in_world)

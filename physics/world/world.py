@@ -1,7 +1,7 @@
-"""What surrounds the vehicles: a flat floor, solids on it, things that move, wind and light.
+"""World of the vehicles: a flat floor, solids on it, moving bodies, wind and light.
 
-One description serves all: Bullet collides with its triangles (`World.mesh`), scanners, cameras and the radio look at its
-pieces (`World.shapes`).
+One description serves all: Bullet collides with its triangles (`World.mesh`); scanners, cameras and the radio use its pieces
+(`World.shapes`).
 """
 
 import math
@@ -18,8 +18,8 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability, Vec3
 from vcmvsp.physics.world.clearance import Clearance
 from vcmvsp.physics.world.floor import GroundPicture
-from vcmvsp.physics.world.overlap import Blocking, outside_m
-from vcmvsp.physics.world.shapes import Shapes, mesh_of, shapes_of
+from vcmvsp.physics.world.overlap import Blocking
+from vcmvsp.physics.world.shapes import Shapes, shapes_of
 from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder, color_of, heading_of
 from vcmvsp.physics.world.targets import PlacedTarget
 
@@ -71,12 +71,12 @@ class Movable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     friction: NonNegative = 0.5  # of its faces
 
     def pose(self, time_s: float) -> tuple[float, float, float, float]:
-        """Centre, x, y, z m, and yaw, rad, until something pushes it: the same at any time."""
+        """Centre, x, y, z m, and yaw, rad, at the start, at any time."""
         return (*self.solid.center, heading_of(self.solid))
 
 
 class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An obstacle that keeps to a time-table, whatever stands in its way: at ``way[i]`` at ``times_s[i]``, straight between."""
+    """An obstacle that follows a time-table regardless of other bodies: at ``way[i]`` at ``times_s[i]``, straight between."""
 
     name: str  # unique in the world
     solid: Box | Cylinder  # a `Box` or a `Cylinder`; where it says it is does not matter
@@ -91,14 +91,14 @@ class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"the moving obstacle {self.name!r} needs as many finite places in way as increasing times_s")
 
     def pose(self, time_s: float) -> tuple[float, float, float, float]:
-        """Where its centre is, x, y, z m, and its yaw, rad."""
+        """Centre, x, y, z m, and yaw, rad, at a time."""
         time_s = self._in_table(time_s)
         columns = zip(*self.way, strict=True)
         x, y, z, yaw = (float(np.interp(time_s, self.times_s, column)) for column in columns)
         return x, y, z, yaw
 
     def rates(self, time_s: float) -> tuple[float, float, float, float]:
-        """How fast its centre goes on from there, m/s, and it turns, rad/s; jumping back to the first place does not count."""
+        """Velocity of the centre, m/s, and yaw rate, rad/s; without the jump back to the first place."""
         time_s = self._in_table(time_s)
         k = bisect_right(self.times_s, time_s)
         if k in (0, len(self.times_s)):
@@ -108,7 +108,7 @@ class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return x, y, z, yaw
 
     def distances_m(self, time_ns: Array, position: Array) -> Array:
-        """Distances (m, n) m of places (3, m, n) m, world, to where it is at the m instants."""
+        """Distances (m, n) m from places (3, m, n) m, world, at the m instants."""
         x, y, z, yaw = np.array([self.pose(now_ns / SECOND_NS) for now_ns in time_ns.tolist()]).reshape(-1, 4).T[:, :, None]
         dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
         if isinstance(self.solid, Cylinder):
@@ -121,14 +121,14 @@ class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return distances
 
     def _in_table(self, time_s: float) -> float:
-        """The time of the table that stands for a time of the run."""
+        """The time of the table for a time of the run."""
         first, last = self.times_s[0], self.times_s[-1]
         return first + (time_s - first) % (last - first) if self.loop and last > first else time_s
 
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """A flat floor at z = 0 and what is on and above it."""
+    """A flat floor at z = 0 with everything on and above it."""
 
     solids: tuple[AnySolid, ...] = ()  # what stands still
     movables: tuple[Movable, ...] = ()  # bodies that can be pushed
@@ -145,15 +145,15 @@ class World:
 
     @cached_property
     def shapes(self) -> Shapes:
-        """Its solids in pieces, for whoever looks at all of them at once."""
+        """Its solids in pieces."""
         return shapes_of(self.solids)
 
     def mesh(self) -> tuple[Array, Array]:
         """All solids as one mesh: vertices (v, 3) m, and triangles (t, 3) int, counter-clockwise seen from outside."""
-        return mesh_of(self.shapes)
+        return self.shapes.mesh()
 
     def mesh_colors(self) -> Array:
-        """Red, green and blue of the triangles of `mesh`, in their order: (t, 3) uint8, without light."""
+        """Red, green and blue of the triangles of `mesh`, (t, 3) uint8, without light."""
         prisms = [np.repeat(group.solid, 4 * group.corners.shape[1] - 4) for group in self.shapes.groups]  # sides, top, bottom
         solid = np.concatenate([*prisms, self.shapes.triangle_solid])
         colors: Array = np.array([color_of(each) for each in self.solids], np.uint8).reshape(-1, 3)[solid]
@@ -165,11 +165,11 @@ class World:
         return Clearance(self.shapes)
 
     def least_clearance_m(self, time_ns: Array, position: Array) -> float | None:
-        """Smallest distance of vehicles to solids and moving obstacles, m; the floor and movables do not count.
+        """Smallest distance of vehicles to solids and moving obstacles, m, without floor and movables.
 
         Args:
             time_ns: (m,) instants.
-            position: (3, m, n) m, world, of n vehicles; NaN where there was none.
+            position: (3, m, n) m, world, of n vehicles; NaN while a vehicle is absent.
 
         Returns:
             None: the world has no obstacle, or there was no vehicle.
@@ -182,30 +182,33 @@ class World:
         return least if least < math.inf else None
 
     def outside(self, x: float, y: float) -> float:
-        """How far a place lies beyond the bounds, m; 0: inside, or there are none."""
-        return 0.0 if self.bounds is None else outside_m(self.bounds, x, y)
+        """Distance of a place beyond the bounds, m; 0: inside, or without bounds."""
+        if self.bounds is None:
+            return 0.0
+        west, south, east, north = self.bounds
+        return float(np.hypot(max(west - x, 0.0, x - east), max(south - y, 0.0, y - north)))
 
     def blocking(self, corners: Array, bottom: float, top: float) -> tuple[AnySolid, float] | None:
-        """What a body would be inside of: the solid that it reaches into most, and how far it must be moved to be free, m.
+        """The solid that a body overlaps most, and the way out of it, m; None: no overlap.
 
         Args:
             corners: convex outline of the body from above, (k, 2) m, counter-clockwise.
             bottom: m.
             top: m.
         """
-        found = self._blocking.deepest(corners, bottom, top)
-        return None if found is None else (self.solids[found[0]], found[1])
+        deepest = made_once(self, _blocking).deepest(corners, bottom, top)
+        return None if deepest is None else (self.solids[deepest[0]], deepest[1])
 
-    @cached_property
-    def _blocking(self) -> Blocking:
-        return Blocking(self.shapes)
+
+def _blocking(world: World) -> Blocking:
+    return Blocking(world.shapes)
 
 
 def made_once(world: World, make: Callable[[World], T]) -> T:
-    """What ``make`` makes of a world, kept as long as the world is: worlds never change."""
-    kept: dict[str, Any] = vars(world)  # where a cached property keeps its value
+    """The result of ``make(world)``, computed once for each world: worlds never change."""
+    cache: dict[str, Any] = vars(world)  # as a cached property does
     name = f"_{make.__module__}.{make.__qualname__}"
-    if name not in kept:
-        kept[name] = make(world)
-    made: T = kept[name]
-    return made
+    if name not in cache:
+        cache[name] = make(world)
+    result: T = cache[name]
+    return result

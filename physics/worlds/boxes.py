@@ -1,4 +1,4 @@
-"""Worlds that hold what the scenario lists, and nothing else."""
+"""Worlds of the solids in the scenario."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,7 @@ from vcmvsp.physics.worlds.surroundings import BARE, Bounds, Surroundings
 
 @dataclass(frozen=True, kw_only=True)
 class Empty(Surroundings):
-    """A floor, and nothing on it but what is listed (kind ``empty``)."""
+    """A floor with the listed surroundings only (kind ``empty``)."""
 
     ground: GroundPicture = BARE  # how the floor looks
     bounds: Bounds | None = None  # west, south, east, north end, m: vehicles start inside; None: no end
@@ -24,7 +24,7 @@ class Empty(Surroundings):
 class Boxes(Empty):
     """Boxes as the scenario lists them (kind ``boxes``): ``boxes = [{ center = [2, 0, 0.5], size = [0.2, 4, 1] }]``."""
 
-    boxes: tuple[Box, ...] = field()  # without a default: whoever asks for boxes lists them
+    boxes: tuple[Box, ...] = field()  # required here
 
     def build(self) -> World:
         """The world itself."""

@@ -60,24 +60,19 @@ class Corridor(Surroundings):
             walls.append(np.array([end - across, end - across + along, end + across + along, end + across]))
         if any(overlap_m(a, b) > 1e-9 for a, b in combinations(walls, 2)):
             raise ScenarioError("the corridor would run into itself: make length longer, or bends smaller", key="bends")
-        solids = [
-            Prism(outline=tuple((x, y) for x, y in wall.tolist()), height=self.height, material=self.material) for wall in walls
-        ]
+        solids = []
+        for wall in walls:
+            outline = tuple((x, y) for x, y in wall.tolist())
+            solids.append(Prism(outline=outline, height=self.height, material=self.material))
         return self.complete("corridor", solids=solids)
 
     def _wall(self, right: float, left: float) -> list[Array]:
-        """What lies between two lines along the middle, so far to the left of it, m: a quadrangle for each part."""
-        return [
-            np.array([a, b, c, d])
-            for (a, b), (d, c) in zip(
-                zip(self._along(right), self._along(right)[1:], strict=False),
-                zip(self._along(left), self._along(left)[1:], strict=False),
-                strict=True,
-            )
-        ]
+        """Quadrangles, one for each part, between two lines at these distances to the left of the middle line, m."""
+        a, d = self._along(right), self._along(left)
+        return [*np.stack([a[:-1], a[1:], d[1:], d[:-1]], axis=1)]
 
     def _along(self, left: float) -> Array:
-        """A line so far to the left of the middle line, m, mitred at the bends."""
+        """A line at a distance to the left of the middle line, m, mitred at the bends."""
         headings = np.concatenate([[0.0], np.cumsum(self.bends)])
         before, after = np.append(headings, headings[-1]), np.concatenate([headings[:1], headings])
         half = 0.5 * (after - before)  # at each corner, what is still to turn from the one to the other

@@ -39,7 +39,7 @@ class Gates(Surroundings):
 
     def middles(self) -> tuple[float, ...]:
         """Of the gaps, y m."""
-        return self.offsets or tuple(self.offset * (1.0 if gate % 2 == 0 else -1.0) for gate in range(self.number))
+        return self.offsets or tuple(self.offset * (-1.0) ** gate for gate in range(self.number))
 
     def build(self) -> World:
         """The world itself."""

@@ -90,7 +90,7 @@ def _upright(
 
 
 def _floor(tile: float) -> GroundPicture:
-    """Tiles, seen by their joints, from the middle of the room outwards."""
+    """Tiles, drawn by their joints, from the middle of the room outwards."""
     half_length, half_width = 0.5 * LENGTH, 0.5 * WIDTH
     columns, rows = int(half_length / tile), int(half_width / tile)
     lines = [((k * tile, -half_width), (k * tile, half_width)) for k in range(-columns, columns + 1)]

@@ -1,4 +1,4 @@
-"""What every kind of world takes besides its own parameters: further solids, what moves, targets, floor, wind, light."""
+"""Common parameters of all kinds of worlds: further solids, moving bodies, targets, floor, wind, light."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class Surroundings:
     light: Light = DAYLIGHT  # where the sun is: ``{ direction = [0.3, 0.2, 1], ambient = 0.6 }``
 
     def __post_init__(self) -> None:
-        bodies = [*(each.name for each in self.movables), *(each.name for each in self.moving)]
+        bodies = [each.name for each in self.movables] + [each.name for each in self.moving]
         for what, called in (("two of movables and moving", bodies), ("two targets", names(self.targets))):
             for name in called:
                 if called.count(name) > 1:
@@ -45,7 +45,7 @@ class Surroundings:
         """The targets, all with a place or a way.
 
         Raises:
-            ScenarioError: one has neither.
+            ScenarioError: a target has neither.
         """
         for number, target in enumerate(self.targets):
             if target.place is None and not target.way:
@@ -56,7 +56,7 @@ class Surroundings:
     def complete(
         self, name: str, *, solids: Sequence[AnySolid] = (), ground: GroundPicture = BARE, bounds: Bounds | None = None
     ) -> World:
-        """The world of these solids, with all that was listed besides.
+        """The world of these solids, with all listed surroundings.
 
         Raises:
             ScenarioError: the bounds are the wrong way round, a picture cannot be read, or a target has no place.
@@ -80,15 +80,9 @@ class Surroundings:
 
 
 def _with(ground: GroundPicture, zones: Sequence[Zone]) -> GroundPicture:
-    """The ground with the zones painted on it that have a colour."""
-    marks = tuple(
-        Mark(
-            outline=rectangle_points(zone.center, zone.size, zone.yaw_rad),
-            color=zone.color,
-        )
-        for zone in zones
-        if zone.color is not None
-    )
+    """The ground with the coloured zones painted on it."""
+    colored = [(zone, zone.color) for zone in zones if zone.color is not None]
+    marks = [Mark(outline=rectangle_points(zone.center, zone.size, zone.yaw_rad), color=color) for zone, color in colored]
     if not marks:
         return ground
     if ground.plain:
@@ -97,8 +91,9 @@ def _with(ground: GroundPicture, zones: Sequence[Zone]) -> GroundPicture:
 
 
 def _check_pictures(ground: GroundPicture, targets: Sequence[GroundTarget]) -> None:
-    """Refuse picture files now that nobody could paint later."""
-    pictures = [ground.picture, *(mark.picture for mark in ground.marks), *(target.picture for target in targets)]
+    """Refuse unreadable picture files before the start."""
+    marked, painted = [each.picture for each in targets], [each.picture for each in ground.marks]
+    pictures = [ground.picture, *painted, *marked]
     for picture in filter(None, dict.fromkeys(pictures)):
         try:
             read_picture(picture)
@@ -107,6 +102,6 @@ def _check_pictures(ground: GroundPicture, targets: Sequence[GroundTarget]) -> N
 
 
 def rectangle_points(center: Point2, size: Point2, yaw_rad: float = 0.0) -> tuple[Point2, ...]:
-    """The corners of a rectangle, m, as marks and prisms take them."""
+    """Corners of a rectangle, m, for marks and prisms."""
     corners = rectangle(*center, 0.5 * size[0], 0.5 * size[1], yaw_rad).tolist()
     return tuple((x, y) for x, y in corners)

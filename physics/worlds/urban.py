@@ -1,4 +1,4 @@
-"""A town made up at random: blocks between streets, buildings with coloured roofs, targets in the streets."""
+"""A random town: blocks between streets, buildings with coloured roofs, targets in the streets."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -81,7 +81,7 @@ class Urban(Surroundings):
         return (self.block - (self.lots - 1) * self.gap) / self.lots
 
     def middles(self, axis: int) -> list[float]:
-        """Where the middles of the blocks are, east-west (0) or north-south (1), m."""
+        """Middles of the blocks, east-west (0) or north-south (1), m."""
         pitch = self.block + self.street
         number = math.floor((self.size[axis] - self.street) / pitch + 1e-9)
         return [pitch * (k - 0.5 * (number - 1)) for k in range(number)]
@@ -116,7 +116,7 @@ class Urban(Surroundings):
         return ((x + u, y + v) for u in places for v in places)
 
     def _building(self, place: Point2, draws: list[float]) -> Iterator[Box]:
-        """One or two storeys of walls, and a roof: boxes one on the other."""
+        """One or two storeys of walls, and a roof: boxes on each other."""
         long, wide, right, up, tall, look, step = draws
         size = (self.lot * (0.7 + 0.3 * long), self.lot * (0.7 + 0.3 * wide))
         center = (place[0] + (right - 0.5) * (self.lot - size[0]), place[1] + (up - 0.5) * (self.lot - size[1]))
@@ -147,17 +147,17 @@ class Urban(Surroundings):
                     yield Mark(line=line, width=0.2, color=_LINE)
 
     def sited(self) -> tuple[GroundTarget, ...]:
-        """The targets, those without a place or a way on streets, clear of each other."""
+        """The targets; those without a place or a way lie on streets, clear of each other."""
         rng = stream(self.seed or 0, "urban/targets")
-        found: list[GroundTarget] = []
+        targets: list[GroundTarget] = []
         for number, target in enumerate(self.targets):
             free = target.place is None and not target.way
-            place = self._free(rng, target, number, placed(found)) if free else target.place
-            found.append(msgspec.structs.replace(target, place=place))
-        return tuple(found)
+            place = self._free(rng, target, number, placed(targets)) if free else target.place
+            targets.append(msgspec.structs.replace(target, place=place))
+        return tuple(targets)
 
-    def _free(self, rng: np.random.Generator, target: GroundTarget, number: int, taken: Sequence[PlacedTarget]) -> Point2:
-        """A place on a street, all of the target on it."""
+    def _free(self, rng: np.random.Generator, target: GroundTarget, number: int, others: Sequence[PlacedTarget]) -> Point2:
+        """A place on a street with room for all of the target."""
         pitch, room = self.block + self.street, 0.5 * (self.street - target.size)
         for _ in range(_TRIES if room >= 0.0 else 0):
             axis = int(rng.integers(2))
@@ -166,7 +166,7 @@ class Urban(Surroundings):
             end = 0.5 * (self.size[1 - axis] - target.size)
             along = float(rng.uniform(-end, end))
             place = (across, along) if axis == 0 else (along, across)
-            if all(math.dist(place, other.place(0.0)) > 0.75 * (target.size + other.size_m) for other in taken):
+            if all(math.dist(place, other.place(0.0)) > 0.75 * (target.size + other.size_m) for other in others):
                 return place
         problem = (
             f"there is no free place for number {number} on streets {self.street:g} m wide: give it a place, or make it smaller"

@@ -53,10 +53,10 @@ def _no_batches() -> None:
 
 
 def run(
-    fitted: Fitted, seconds: float, *, seed: int = 1, vehicles: int = 3, wanted: frozenset[str] = frozenset()
+    fitted: Fitted, seconds: float, *, seed: int = 1, vehicles: int = 3, requested: frozenset[str] = frozenset()
 ) -> list[Event]:
     """All events of a run; readings on demand as they are."""
-    instruments = SensorScheduler(fitted, seed, wanted=wanted)
+    instruments = SensorScheduler(fitted, seed, requested=requested)
     places, events = [(3.0 * n, 0.0, 1.0) for n in range(vehicles)], []
     for now in times(instruments, seconds):
         assert instruments.due(now)
@@ -134,7 +134,7 @@ def test_nothing_but_the_sensor_itself_moves_its_draws() -> None:
         "car0": {**sensors, "draw": Draw(rate_hz=50.0)},
         "car2": {"d": Draw()},
     }
-    together = run(others, 1.0, vehicles=5, wanted=frozenset({"car0/h", "car1/h"}))
+    together = run(others, 1.0, vehicles=5, requested=frozenset({"car0/h", "car1/h"}))
     for name, readings in alone.items():
         assert said(together, f"car0/{name}") == readings
     draws = [reading.values["draw"] for reading in alone["h"]]
@@ -168,12 +168,12 @@ def test_on_demand_only_what_is_looked_at_is_worked_out() -> None:
     assert first[0] is first[2]
 
 
-def test_wanted_ones_are_worked_out_together_with_the_same_answers() -> None:
+def test_requested_ones_are_worked_out_together_with_the_same_answers() -> None:
     fitted = {f"car{n}": {"h": Heavy(), "g": Heavy(rate_hz=5.0)} for n in range(3)}
     each = [looked(event) for event in run(fitted, 1.0)]
     assert set(Heavy.batches) == {1}
     Heavy.batches.clear()
-    some = run(fitted, 1.0, wanted=frozenset({"car0/h", "car2/h", "car2/g"}))
+    some = run(fitted, 1.0, requested=frozenset({"car0/h", "car2/h", "car2/g"}))
     looked(some[0])  # car0/h at 0
     assert Heavy.batches == [3]
     backwards = [looked(event) for event in reversed(some)]

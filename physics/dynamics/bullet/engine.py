@@ -18,7 +18,7 @@ from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.engine.interface import BodyMotion, Touch, gathered
 from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
-from vcmvsp.physics.vehicles.specification import Vehicle
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
 
@@ -30,10 +30,7 @@ class BulletEngine:
 
     Args:
         world: floor, solids, and what else is in it.
-        models: of the vehicles.
-        positions: of the reference points at the start, m, without overlap.
-        headings: rad.
-        names: of the vehicles: each has its own gusts.
+        vehicles: without overlap at the start; each name has its own gusts.
         seed: of the gusts.
         rate_hz: Bullet steps a second; ``advance`` goes to the nearest step.
         iterations: of the constraint solver in each step.
@@ -48,10 +45,7 @@ class BulletEngine:
         self,
         *,
         world: World,
-        models: Sequence[Vehicle],
-        positions: Sequence[Vec3],
-        headings: Sequence[float],
-        names: Sequence[str] | None = None,
+        vehicles: Sequence[VehicleSpec],
         seed: int = 0,
         rate_hz: float,
         iterations: int,
@@ -61,12 +55,18 @@ class BulletEngine:
     ) -> None:
         self._ticks, self._step, self._step_s = Ticks.rate(rate_hz), 0, 1.0 / rate_hz
         self._encoder_steps = max(1, round(rate_hz / _ENCODER_HZ))
-        self._count, self._accelerations, self._external = len(models), accelerations, external
-        names = names or [str(row) for row in range(len(models))]
-        self._external_rows = [names.index(each) for each in external.names] if external else []
-        simulated = {row: model for row, model in enumerate(models) if row not in self._external_rows}
-        drives = {row: model for row, model in simulated.items() if isinstance(model, DifferentialDrive | UrdfDrive)}
-        quadrotors = {row: model for row, model in simulated.items() if isinstance(model, Quadrotor)}
+        self._count, self._accelerations, self._external = len(vehicles), accelerations, external
+        external_names = external.names if external else ()
+        drives: dict[int, DifferentialDrive | UrdfDrive] = {}
+        quadrotors: dict[int, Quadrotor] = {}
+        self._external_rows: list[int] = []
+        for row, spec in enumerate(vehicles):
+            if spec.name in external_names:
+                self._external_rows.append(row)
+            elif isinstance(spec.model, DifferentialDrive | UrdfDrive):
+                drives[row] = spec.model
+            elif isinstance(spec.model, Quadrotor):
+                quadrotors[row] = spec.model
         self._ground_rows, self._air_rows = list(drives), list(quadrotors)
         self._robot_of = {row: k for k, row in enumerate(self._ground_rows)}
         self._flyer_of = {row: k for k, row in enumerate(self._air_rows)}
@@ -82,21 +82,18 @@ class BulletEngine:
         p.setGravity(0.0, 0.0, -gravity, physicsClientId=self._client)
         try:
             self._things = WorldBodies(self._client, world)
-            starts = [(positions[row], headings[row]) for row in self._ground_rows]
+            starts = [(vehicles[row].start, vehicles[row].heading) for row in self._ground_rows]
             self._robots = GroundRobots(self._client, world, [*drives.values()], starts, self._step_s)
+            starts = [(vehicles[row].start, vehicles[row].heading) for row in self._air_rows]
+            gusts = Gusts(world.wind, [vehicles[row].name for row in self._air_rows], seed)
+            options = {"gravity": gravity, "step_s": self._step_s}
             self._flyers = BulletQuadrotors(
-                self._client,
-                [*quadrotors.values()],
-                [(positions[row], headings[row]) for row in self._air_rows],
-                gravity=gravity,
-                step_s=self._step_s,
-                gusts=Gusts(world.wind, [names[row] for row in self._air_rows], seed),
-                shapes=world.shapes,
+                self._client, [*quadrotors.values()], starts, gusts=gusts, shapes=world.shapes, **options
             )
             self._external_bodies: ExternalBodies | None = None
             if external:
-                hulls = [models[row].hull for row in self._external_rows]
-                self._external_bodies = ExternalBodies(self._client, external, hulls, gravity=gravity, step_s=self._step_s)
+                hulls = [vehicles[row].model.hull for row in self._external_rows]
+                self._external_bodies = ExternalBodies(self._client, external, hulls, **options)
         except BaseException:
             self.close()
             raise

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.bullet_engines import engine
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Vec3, Velocity, Waypoint
-from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.kinematic_aerial import AerialEngine
 from vcmvsp.physics.dynamics.kinematic_ground import GroundEngine
 from vcmvsp.physics.engine.interface import BodyMotion, Engine, Touch, gathered, still
@@ -79,15 +79,7 @@ def test_an_engine_of_ones_own_fits_and_shares_a_run_with_another() -> None:
 
 def engines() -> list[Engine]:
     places = [(0.0, 0.0, 1.0), (3.0, 0.0, 1.0)]
-    bullet = BulletEngine(
-        world=World(),
-        models=[P2DX(), Quadrotor()],
-        positions=[(0.0, 0.0, 0.0), (3.0, 0.0, 1.0)],
-        headings=[0.0, 0.0],
-        rate_hz=120.0,
-        iterations=50,
-        gravity=9.81,
-    )
+    bullet = engine((P2DX(), places[0]), (Quadrotor(), places[1]))
     return [GroundEngine([P2DX()] * 2, places, [0.0, 0.0]), AerialEngine([Point()] * 2, places, [0.0, 0.0]), bullet]
 
 

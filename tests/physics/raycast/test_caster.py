@@ -155,10 +155,8 @@ def test_beams_from_one_place_are_as_beams_from_many() -> None:
 
 
 def each_alone(shapes: Shapes, origins: Floats, directions: Floats) -> Floats:
-    """All faces of prisms as triangles (`mesh_of` makes them), each with all beams: solved as three linear equations."""
-    from vcmvsp.physics.world.shapes import mesh_of
-
-    vertices, triangles = mesh_of(shapes)
+    """All faces of prisms as triangles, each with all beams: solved as three linear equations."""
+    vertices, triangles = shapes.mesh()
     best = np.full(len(origins), INF)
     for a, b, c in vertices[triangles]:
         system = np.stack(

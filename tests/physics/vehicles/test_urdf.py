@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.bullet_engines import engine
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.physics.dynamics.bullet import p
-from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics
-from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.vehicles.urdf import UrdfDrive, UrdfQuadrotor
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
@@ -74,10 +74,7 @@ def cart(tmp_path: Path) -> UrdfDrive:
     return binding.call(UrdfDrive, keys)
 
 
-def engine(model: Vehicle, x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> BulletEngine:
-    return BulletEngine(
-        world=World(), models=[model], positions=[(x, y, 0.0)], headings=[heading], rate_hz=120.0, iterations=50, gravity=9.81
-    )
+ORIGIN = (0.0, 0.0, 0.0)
 
 
 def test_the_example_is_short() -> None:
@@ -92,7 +89,7 @@ def test_the_file_says_where_the_wheels_are(cart: UrdfDrive) -> None:
 
 
 def test_it_stands_where_it_was_put_with_the_inertia_of_the_file(cart: UrdfDrive) -> None:
-    moved = engine(cart, 1.0, 2.0, 0.7)
+    moved = engine((cart, (1.0, 2.0, 0.0)), headings=[0.7])
     assert moved.read().position[0] == pytest.approx((1.0, 2.0, 0.0), abs=1e-9)
     assert moved.read().attitude[0] == pytest.approx((math.cos(0.35), 0.0, 0.0, math.sin(0.35)))
     body = moved._robots.bodies[0]
@@ -108,7 +105,7 @@ def test_it_stands_where_it_was_put_with_the_inertia_of_the_file(cart: UrdfDrive
 
 
 def test_it_drives_as_commanded(cart: UrdfDrive) -> None:
-    moved = engine(cart)
+    moved = engine((cart, ORIGIN))
     moved.command(0, (0.5, 0.0, 0.0), 0.4)
     moved.advance(4 * SECOND_NS)
     steady = moved.read()
@@ -122,7 +119,7 @@ def test_it_drives_as_commanded(cart: UrdfDrive) -> None:
 
 
 def test_firmware_limits_are_kept(cart: UrdfDrive) -> None:
-    moved = engine(cart)
+    moved = engine((cart, ORIGIN))
     moved.command(0, (9.0, 0.0, 0.0), 0.0)
     moved.advance(SECOND_NS)
     assert moved.read().velocity[0, 0] == pytest.approx(0.8, rel=0.05)  # accel
@@ -150,7 +147,7 @@ def test_a_quadrotor_takes_mass_and_inertia_of_all_its_links(tmp_path: Path) -> 
     assert model.mass_kg == pytest.approx(0.8)
     # Two of 0.2 kg at (+-0.2, 0): front by its joint, back by its inertial origin, turned by a right angle.
     assert model.inertia == pytest.approx((1.2e-3, 1.2e-3 + 0.016, 2.2e-3 + 0.016))
-    moved = engine(model)
+    moved = engine((model, ORIGIN))
     assert isinstance(moved.read().position, np.ndarray)
     moved.close()
 
@@ -201,7 +198,7 @@ def test_a_wheel_may_be_revolute_but_for_its_limits(limits: str, tmp_path: Path)
             UrdfDrive(**keys)
         assert raised.value.key == "left_wheel"
         return
-    moved = engine(UrdfDrive(**keys))
+    moved = engine((UrdfDrive(**keys), ORIGIN))
     moved.command(0, (0.5, 0.0, 0.0), 0.0)
     moved.advance(6 * SECOND_NS)
     assert moved.read().wheels[0] == pytest.approx(2.75 / 0.1, rel=0.02)  # on and on
@@ -215,15 +212,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 
 def test_contacts_of_any_of_its_links_but_wheels_with_the_floor_are_named(cart: UrdfDrive) -> None:
-    moved = BulletEngine(
-        world=World(solids=(Box(center=(1.0, 0.0, 0.5), size=(0.2, 2.0, 1.0)),)),
-        models=[cart],
-        positions=[(0.0, 0.0, 0.0)],
-        headings=[0.0],
-        rate_hz=120.0,
-        iterations=50,
-        gravity=9.81,
-    )
+    moved = engine((cart, ORIGIN), world=World(solids=(Box(center=(1.0, 0.0, 0.5), size=(0.2, 2.0, 1.0)),)))
     moved.advance(SECOND_NS)
     assert moved.touching(passing=True) == []
     moved.command(0, (0.4, 0.0, 0.0), 0.0)

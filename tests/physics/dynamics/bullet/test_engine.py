@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.bullet_engines import engine
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.types import Contact
 from vcmvsp.physics.dynamics.bullet import p
-from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.federate import BulletPhysics
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, DifferentialDrive
 from vcmvsp.physics.vehicles.specification import VehicleSpec
@@ -156,21 +156,9 @@ def test_wheels_and_boxes_do_not_widen_a_robot(drive: Drive) -> None:
     assert moved.position[-1, 0] > 3.0
 
 
-def engine(*robots: tuple[DifferentialDrive, tuple[float, float, float]], world: World | None = None) -> BulletEngine:
-    return BulletEngine(
-        world=world or World(),
-        models=[model for model, _ in robots],
-        positions=[(x, y, 0.0) for _, (x, y, _) in robots],
-        headings=[yaw for _, (_, _, yaw) in robots],
-        rate_hz=120.0,
-        iterations=50,
-        gravity=9.81,
-    )
-
-
 @ROBOTS
 def test_mass_and_centre_are_those_of_the_parameters(robot: DifferentialDrive) -> None:
-    moved = engine((robot, (1.0, 2.0, 0.7)))
+    moved = engine((robot, (1.0, 2.0, 0.0)), headings=[0.7])
     body, client = moved._robots.bodies[0], moved._client
     masses = [p.getDynamicsInfo(body, link, physicsClientId=client)[0] for link in (-1, 0, 1)]
     assert sum(masses) == pytest.approx(robot.mass_kg)
@@ -202,37 +190,6 @@ def test_the_reference_points_velocity_is_the_derivative_of_its_position(robot: 
     assert by_difference == pytest.approx(0.5 * (after.velocity + before.velocity), abs=2e-3)
     assert after.angular_velocity[0] == pytest.approx((0.0, 0.0, 1.5), abs=0.01)
     moved.close()
-
-
-def scene() -> BulletEngine:
-    robots = [(P2DX() if k % 2 else AmigoBot(), (0.8 * (k % 4), 0.8 * (k // 4), 0.3 * k)) for k in range(8)]
-    return engine(*robots, world=World(solids=(Box(center=(4.5, 1.0, 0.5), size=(0.2, 6.0, 1.0)),)))
-
-
-def course(moved: BulletEngine, tick: int) -> None:
-    for vehicle in range(8):
-        moved.command(vehicle, (0.4, 0.0, 0.0), 0.6 * math.sin(0.1 * tick + vehicle))
-    moved.advance((tick + 1) * SECOND_NS // 10)
-
-
-def test_the_same_run_gives_the_same_bits_also_interleaved_with_another() -> None:
-    alone = scene()
-    for tick in range(80):
-        course(alone, tick)
-    expected, touched = alone.read(), alone.touching(passing=True)
-    alone.close()
-    a, b = scene(), scene()
-    for tick in range(80):
-        course(a, tick)
-        if tick >= 7:
-            course(b, tick - 7)
-    for tick in range(73, 80):
-        course(b, tick)
-    for moved in (a, b):
-        assert [array.tobytes() for array in moved.read()] == [array.tobytes() for array in expected]
-    assert a.touching(passing=True) == touched
-    a.close()
-    b.close()
 
 
 def test_closing_twice_is_harmless_and_gives_the_client_back() -> None:

@@ -129,17 +129,7 @@ def test_the_body_is_where_it_is_said_to_be_before_every_step() -> None:
     )
     vehicle = spec("real", 1.0, 2.0, heading=0.5)
     reflected = ExternalVehicles(Courses(real=lambda _: state), [vehicle])
-    engine = BulletEngine(
-        world=World(),
-        models=[vehicle.model],
-        positions=[vehicle.start],
-        headings=[0.5],
-        names=["real"],
-        rate_hz=120.0,
-        iterations=50,
-        gravity=9.81,
-        external=reflected,
-    )
+    engine = BulletEngine(world=World(), vehicles=[vehicle], rate_hz=120.0, iterations=50, gravity=9.81, external=reflected)
     reflected.update(0)
     for step in range(1, 61):
         engine.advance(step * SECOND_NS // 120)

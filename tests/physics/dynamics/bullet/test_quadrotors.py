@@ -1,24 +1,19 @@
 """Quadrotors in a Bullet world: alone in the air, they fly as NumPy flies them; near things, bodies land, bounce and push."""
 
-import hashlib
 import math
-import subprocess
-import sys
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tests.support.physics.bullet_engines import engine
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.bullet.world_bodies import base_motion
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.engine.interface import BodyMotion, Touch
 from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
-from vcmvsp.physics.vehicles.specification import Vehicle
 from vcmvsp.physics.world.solids import Box, Cylinder, Prism
 from vcmvsp.physics.world.world import Movable, Moving, World
 
@@ -27,24 +22,13 @@ WALL = World(solids=(Box(center=(9.0, 9.0, 0.5), size=(0.2, 0.2, 1.0)), Box(cent
 HZ = 120
 
 
-def engine(*vehicles: tuple[Vehicle, Vec3], world: World | None = None, hz: float = HZ) -> BulletEngine:
-    return BulletEngine(
-        world=world or World(),
-        models=[model for model, _ in vehicles],
-        positions=[position for _, position in vehicles],
-        headings=[0.0] * len(vehicles),
-        rate_hz=hz,
-        iterations=50,
-        gravity=9.81,
-    )
-
-
 def steps(moved: BulletEngine, count: int) -> None:
     moved.advance((moved._step + count) * SECOND_NS // round(1.0 / moved._step_s) + 1)
 
 
-def same(a: BodyMotion, b: BodyMotion, rows: Sequence[int] = (0,)) -> bool:
-    return all(x[list(rows)].tobytes() == y[list(rows)].tobytes() for x, y in zip(a, b, strict=True))
+def same(a: BodyMotion, b: BodyMotion) -> bool:
+    """Whether the first vehicles move alike to the last bit."""
+    return all(x[0].tobytes() == y[0].tobytes() for x, y in zip(a, b, strict=True))
 
 
 def test_free_air_is_numpys_alone_to_the_last_bit() -> None:
@@ -217,53 +201,3 @@ def test_it_can_stand_on_a_robot_and_press_on_a_movable() -> None:
     assert at[2, 2] == pytest.approx(0.6 + 0.04, abs=5e-3)
     assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, 1), (2, 3)}
     moved.close()
-
-
-# --- the same run, the same bytes --------------------------------------------------------------------------------------------
-
-
-def crowd() -> BulletEngine:
-    robots = [(P2DX(), (1.2 * k, 0.0, 0.0)) for k in range(4)]
-    quadrotors = [(UAV, (1.2 * k, 0.1 * k, 0.5 + 0.4 * k)) for k in range(6)]
-    return engine(*robots, *quadrotors, world=WALL)
-
-
-def course(moved: BulletEngine, tick: int) -> None:
-    for row in range(10):
-        moved.command(row, (0.5, 0.3 * math.sin(0.2 * tick + row), 0.4 * math.cos(0.1 * tick + row)), 0.3)
-    moved.advance((tick + 1) * SECOND_NS // 10)
-
-
-def digest() -> str:
-    moved, told = crowd(), hashlib.sha256()
-    for tick in range(60):
-        course(moved, tick)
-        for array in moved.read():
-            told.update(array.tobytes())
-        told.update(repr(moved.touching(passing=True)).encode())
-    moved.close()
-    return told.hexdigest()
-
-
-def test_another_process_gives_the_same_bytes() -> None:
-    code = f"import runpy, sys; sys.path[:0] = {sys.path!r}; print(runpy.run_path({__file__!r})['digest']())"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
-    assert done.stdout.strip() == digest()
-
-
-def test_interleaved_engines_do_not_disturb_each_other() -> None:
-    a, b, alone = crowd(), crowd(), crowd()
-    touched = set()
-    for tick in range(40):
-        course(alone, tick)
-        touched |= {(touch.row, touch.other) for touch in alone.touching(passing=True)}
-        course(a, tick)
-        if tick >= 3:
-            course(b, tick - 3)
-    for tick in range(37, 40):
-        course(b, tick)
-    assert same(a.read(), alone.read(), range(10))
-    assert same(b.read(), alone.read(), range(10))
-    assert len(touched) > 2  # it is a crowd
-    for moved in (a, b, alone):
-        moved.close()

@@ -4,28 +4,14 @@ import math
 
 import pytest
 
+from tests.support.physics.bullet_engines import engine
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
-from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet import p
-from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.movables import on_time
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
-from vcmvsp.physics.vehicles.specification import Vehicle
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Movable, Moving, World, Zone
-
-
-def engine(*vehicles: tuple[Vehicle, Vec3], world: World) -> BulletEngine:
-    return BulletEngine(
-        world=world,
-        models=[model for model, _ in vehicles],
-        positions=[position for _, position in vehicles],
-        headings=[0.0] * len(vehicles),
-        rate_hz=120.0,
-        iterations=50,
-        gravity=9.81,
-    )
 
 
 def crate(x: float, mass_kg: float, friction: float = 0.5) -> Movable:
