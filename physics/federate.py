@@ -165,7 +165,6 @@ class Physics:
             self._check_free(number, place, yaw, SOON_S)
 
     def _movers(self) -> dict[str, Mover]:
-        """Engine and row of each simulated vehicle."""
         movers: dict[str, Mover] = {}
         for engine, numbers in self._engines:
             for row, number in enumerate(numbers.tolist()):

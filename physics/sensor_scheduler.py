@@ -149,7 +149,6 @@ def _drops_out(each: FittedSensor) -> bool:
 
 
 def _measure(scene: Scene, fitted: Sequence[FittedSensor], rngs: Sequence[np.random.Generator]) -> list[Reading]:
-    """Readings of sensors of one class; errors name them."""
     sensors, kind = [each.sensor for each in fitted], type(fitted[0].sensor)
     try:
         row_of = scene.cache.get("rows")
@@ -171,6 +170,5 @@ def _named(fitted: Sequence[FittedSensor]) -> str:
 
 
 def _divisors(hz: float) -> str:
-    """Some possible rates, for messages."""
     rates = [f"{hz / by:g}" for by in (1, 2, 3, 4, 5, 6, 8, 10, 12, 24) if float(f"{hz / by:g}") == hz / by]
     return ", ".join(rates) + " Hz"

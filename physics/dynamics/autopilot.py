@@ -122,7 +122,6 @@ class Autopilot:
         return self._steer(rotation, rate)
 
     def _guide(self, position: Floats, velocity: Floats, rotation: Floats, elapsed_s: float) -> None:
-        """Loops of way-points and velocities."""
         want = self._velocity
         if self._any_place:
             want = np.where(self._to_place, self._approach(position), want)
@@ -174,7 +173,6 @@ class Autopilot:
         self._cos, self._sin = np.cos(self._heading), np.sin(self._heading)
 
     def _steer(self, rotation: Floats, rate: Floats) -> Floats:
-        """Loops of attitude and rates, and the mixer."""
         axis = into_body(rotation, self._axis)
         stiff = self._attitude_gain * np.sqrt(2.0 / np.maximum(axis[2] + 1.0, _OVERHEAD))
         upright = rotation[2, 2]

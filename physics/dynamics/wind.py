@@ -59,7 +59,6 @@ class Gusts:
         return self._now
 
     def _draw(self) -> NDArray[np.float64]:
-        """Standard normal numbers (n, 3) of the present tick."""
         place = self._tick % _BLOCK
         if place == 0:
             self._block = np.array([each.standard_normal((_BLOCK, 3)) for each in self._streams])

@@ -76,7 +76,6 @@ class Commands:
 
 
 def _check(key: str, command: Command, flying: bool) -> None:
-    """Refuse a command that the vehicle cannot follow."""
     if isinstance(command, Velocity):
         x, y, z = command.linear
         if isfinite(x + command.yaw_rate) and (not flying or isfinite(y + z)):

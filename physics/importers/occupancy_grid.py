@@ -74,7 +74,6 @@ class Map(Surroundings):
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
-    """The keys of a map's YAML file that count here, checked."""
     yaml = library("yaml", str(path), "pyyaml")
     try:
         text = text_of(path)

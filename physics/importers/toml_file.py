@@ -39,7 +39,6 @@ class File:
         return tuple(Path(each) for each in pictures if each)
 
     def _read(self) -> tuple[Empty, Source]:
-        """Content of the file, and its source."""
         path = Path(self.path)
         text = text_of(path)
         try:

@@ -12,7 +12,7 @@ import numpy as np
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.raycast.spatial_index import PieceIndex
 
-_THIN = 1e-9  # m2: twice the area between scanner and segment; less is facing from its edge, that is not at all
+_THIN = 1e-9  # m2: twice the area between scanner and segment; less is a view from the edge, without effect
 _COORDINATES = [0, 0, 1, 1, 2, 2]  # of the rows of `PieceIndex.edges`
 
 
@@ -46,7 +46,7 @@ def spread_of(first: float, step: float, beams: int) -> tuple[float, float, floa
 
 
 class Segments(NamedTuple):
-    """Line segments in the planes of scanners, clockwise as facing by the scanner, none from its edge."""
+    """Line segments in the planes of scanners, clockwise for the scanner, none from its edge."""
 
     scanner: Array  # (k,)
     x: Array  # (2, k) m, ahead: of both ends
@@ -167,7 +167,7 @@ def _along(axis: Array, points: Array) -> Array:
 
 
 def _clockwise(scanner: Array, x: Array, y: Array) -> Segments:
-    """Segments with ends in the right order, without segments facing from their edge."""
+    """Segments with ends in the right order, without segments seen from their edge."""
     area = x[0] * y[1] - x[1] * y[0]
     swap = area > 0.0
     (some,) = (np.abs(area) > _THIN).nonzero()

@@ -107,5 +107,4 @@ def _edges(corners: Array, bottom: Array, top: Array) -> Array:
 
 
 def _bounds(corners: Array, bottom: Array, top: Array) -> Array:
-    """West, south, lower, east, north and upper end of prisms, (m, 6) m."""
     return np.column_stack([corners.min(axis=1), bottom, corners.max(axis=1), top])

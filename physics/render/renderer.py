@@ -61,7 +61,6 @@ def render(
 
 
 def _visible(pieces: ScenePieces, view: View) -> Triangles:
-    """Triangles that may be in the picture and show their front."""
     near = shown(pieces, np.flatnonzero(_in_frustum(pieces.center, pieces.radius, view)), view)
     first = pieces.first[near]
     count = pieces.first[near + 1] - first
@@ -71,7 +70,6 @@ def _visible(pieces: ScenePieces, view: View) -> Triangles:
 
 
 def _bodies_near(scene: Scene, without: int, view: View) -> Array:
-    """Rows of bodies that may be in the picture."""
     hulls = hulls_of(scene)
     visible = _in_frustum(hulls.centre, hulls.radius, view)
     if without >= 0:
@@ -101,7 +99,6 @@ def _in_frustum(center: Array, radius: Array, view: View) -> Array:
 
 
 def _facing(plane: Array, view: View) -> Array:
-    """Numbers of planes that show their front."""
     return np.flatnonzero(plane[:, :3] @ view.eye > plane[:, 3])
 
 
@@ -142,7 +139,6 @@ def _any(of_corners: Array) -> Array:
 
 
 def _draw(buffers: Buffers, corner: Array, color: Array, source: Array, view: View) -> tuple[Array, Array | None]:
-    """Draw triangles pixel by pixel; returns colours and numbers."""
     if not len(corner):
         return buffers.color, buffers.number
     values = np.zeros((len(corner), 3, 3), np.float32)  # the three channels of each corner; that of the first corner counts

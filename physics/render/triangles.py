@@ -167,7 +167,6 @@ def bodies(scene: Scene, rows: Array) -> Triangles:
 
 
 def _bodies(scene: Scene, rows: Array, kind: str) -> Triangles:
-    """Hulls of one kind."""
     hulls, (unit, normals, face) = hulls_of(scene), _unit(kind)
     size, turn = 2.0 * hulls.half[:, rows].T, np.moveaxis(hulls.rotation[:, :, rows], 2, 0)
     count = len(rows) * len(unit)

@@ -18,8 +18,6 @@ _BITS = 4  # of a pixel's fraction in OpenCV's drawing
 
 
 class _Sheet(NamedTuple):
-    """A picture with a map in it."""
-
     picture: Array
     west: float  # m, at the left edge of the map
     north: float  # m, at its upper edge
@@ -57,7 +55,6 @@ def draw_map(world: World, low: Array, high: Array, width: int, height: int, tim
 
 
 def _sheet(low: Array, high: Array, width: int, height: int) -> _Sheet:
-    """An empty sheet, with a margin."""
     room_x, room_y = width - _LEFT - _RIGHT, height - _TOP - _BOTTOM
     size = np.maximum((high - low)[:2], 0.1)
     scale = 0.96 * min(room_x / size[0], room_y / size[1])
@@ -67,7 +64,6 @@ def _sheet(low: Array, high: Array, width: int, height: int) -> _Sheet:
 
 
 def _floor(sheet: _Sheet, world: World) -> None:
-    """The ground picture, or the floor's colour."""
     part = sheet.picture[_TOP : _TOP + sheet.height, _LEFT : _LEFT + sheet.width]
     part[:] = world.ground.color
     picture = world.ground.image()
@@ -105,7 +101,6 @@ def _targets(sheet: _Sheet, world: World, time_s: float) -> None:
 
 
 def _solids(sheet: _Sheet, world: World) -> None:
-    """Solids from above, the lowest first."""
     faces = []
     for solid in world.solids:
         color = color_of(solid)
@@ -126,7 +121,6 @@ def _name(sheet: _Sheet, name: str, place: Array) -> None:
 
 
 def _frame(sheet: _Sheet, name: str) -> None:
-    """Edge, axes with numbers, scale bar and name."""
     picture, (left, top) = sheet.picture, (_LEFT, _TOP)
     right, bottom = left + sheet.width, top + sheet.height
     picture[:top], picture[bottom:], picture[:, :left], picture[:, right:] = 4 * (_PAPER,)

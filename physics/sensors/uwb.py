@@ -83,7 +83,6 @@ class Uwb(Sensor):
 
 
 def _away(place: Array, near: NearestPoint | None, bias_m: float) -> Array:
-    """Bias away from the nearest point of a solid, (3,) m."""
     if near is None or near.distance_m == 0.0:
         return np.zeros(3)
     away: Array = (place - near.point) * (bias_m / near.distance_m)

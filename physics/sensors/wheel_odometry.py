@@ -72,7 +72,6 @@ class WheelOdometry(Sensor):
         return Odometry(pose=self._pose, v=v, w=w)
 
     def _counted(self, angle: float) -> float:
-        """Angle of a wheel as counted by its encoder, rad."""
         per_turn = self.ticks_per_turn
         return math.floor(angle / math.tau * per_turn) * math.tau / per_turn if per_turn else angle
 

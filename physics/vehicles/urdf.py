@@ -109,8 +109,6 @@ class _Wheel(NamedTuple):
 
 
 class _Tree:
-    """The links and joints of a URDF file."""
-
     def __init__(self, file: str) -> None:
         self.path = Path(file).resolve()
         try:
@@ -155,7 +153,6 @@ class _Tree:
             raise ScenarioError(problem, key="file")
 
     def _check_tree(self) -> str:
-        """Check the tree of links; returns the root."""
         children = [_name(joint, "child") for joint in self._joints.values()]
         roots = [name for name in self._links if name not in children]
         strays = [each for joint in self._joints.values() for each in (_name(joint, "child"), _name(joint, "parent"))]

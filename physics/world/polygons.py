@@ -132,7 +132,6 @@ def _meet(a: Array, b: Array, c: Array, d: Array) -> Array:
 
 
 def _lies_between(p: Point, q: Point, r: Point) -> bool:
-    """Whether a corner lies on the line between two others."""
     if r in (p, q) or _turn(p, q, r) != 0.0:
         return False
     return 0.0 < (r[0] - p[0]) * (q[0] - p[0]) + (r[1] - p[1]) * (q[1] - p[1]) < (q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2
@@ -235,7 +234,6 @@ def _triangles(corners: Sequence[Point], ring: Sequence[int]) -> list[list[int]]
 
 
 def _any_inside(corners: Sequence[Point], triangle: tuple[int, int, int], ring: Sequence[int]) -> bool:
-    """Whether a corner of the ring lies in the triangle or on its edge."""
     a, b, c = (corners[k] for k in triangle)
     (low_x, _, high_x), (low_y, _, high_y) = (sorted(axis) for axis in zip(a, b, c, strict=True))
     for k in ring:

@@ -71,7 +71,6 @@ class PlacedTarget:
 
     @cached_property
     def _runs(self) -> list[float]:
-        """Distance of each corner along the way, m."""
         return [0.0, *accumulate(math.dist(a, b) for a, b in pairwise(self._corners))]
 
 

@@ -121,7 +121,6 @@ class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return distances
 
     def _in_table(self, time_s: float) -> float:
-        """The time of the table for a time of the run."""
         first, last = self.times_s[0], self.times_s[-1]
         return first + (time_s - first) % (last - first) if self.loop and last > first else time_s
 

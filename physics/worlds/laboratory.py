@@ -54,7 +54,6 @@ class Laboratory(Surroundings):
 
 
 def _walls() -> Iterator[Box]:
-    """The walls, the southern one in three pieces around the door."""
     length, middle = LENGTH + 2.0 * _WALL, 0.5 * (WIDTH + _WALL)
     yield _upright(0.0, middle, length, _WALL, 0.0, HEIGHT, "brick")
     for side in (-1.0, 1.0):
@@ -65,7 +64,6 @@ def _walls() -> Iterator[Box]:
 
 
 def _place(x: float, y: float) -> Iterator[Box]:
-    """A table and its two chairs."""
     length, depth, height = _TABLE
     yield _upright(x, y, length, depth, height - _TOP, height, "wood", _WOOD)
     for u, v in _corners(length - _TABLE_LEG, depth - _TABLE_LEG):

@@ -77,7 +77,6 @@ def _trees(number: int, seed: int) -> Iterator[Cylinder]:
 
 
 def _ground() -> GroundPicture:
-    """Lawn, track, pitch, courts and paths."""
     marks = [
         _area((0.0, -110.0), (LENGTH, 6.0), _PAVED),
         _area((0.0, -100.0), (60.0, 26.0), _PAVED),
@@ -112,7 +111,6 @@ def _ring(center: Point2, radius: float) -> Mark:
 
 
 def _stadium(radius: float) -> tuple[Point2, ...]:
-    """Two half circles joined by straights."""
     half = [math.pi * k / 48 for k in range(49)]
     east = [(0.5 * _STRAIGHT + radius * math.sin(a), -radius * math.cos(a)) for a in half]
     return (*east, *((-x, -y) for x, y in east))
@@ -131,7 +129,6 @@ def _pitch() -> list[Mark]:
 
 
 def _court(middle: Point2) -> list[Mark]:
-    """A tennis court."""
     x, y = middle
     net = Mark(line=((x - 0.5 * _COURT[0], y), (x + 0.5 * _COURT[0], y)), width=0.12, color=_WHITE)
     return [_area(middle, (_COURT[0] + 6.0, _COURT[1] + 8.0), _HARD_COURT), _frame(middle, _COURT), net]

@@ -91,7 +91,6 @@ def _with(ground: GroundPicture, zones: Sequence[Zone]) -> GroundPicture:
 
 
 def _check_pictures(ground: GroundPicture, targets: Sequence[GroundTarget]) -> None:
-    """Refuse unreadable picture files before the start."""
     marked, painted = [each.picture for each in targets], [each.picture for each in ground.marks]
     pictures = [ground.picture, *painted, *marked]
     for picture in filter(None, dict.fromkeys(pictures)):

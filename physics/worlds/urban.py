@@ -111,7 +111,6 @@ class Urban(Surroundings):
         return self.complete("urban", solids=solids, ground=ground, bounds=bounds)
 
     def _lots(self, x: float, y: float) -> Iterator[Point2]:
-        """The middles of the lots of a block."""
         places = [(self.lot + self.gap) * (k - 0.5 * (self.lots - 1)) for k in range(self.lots)]
         return ((x + u, y + v) for u in places for v in places)
 
@@ -133,11 +132,9 @@ class Urban(Surroundings):
         yield _box(center, size, eaves, height, material, roof)
 
     def _storeys(self, height: float) -> float:
-        """A height in whole storeys, one at least."""
         return height if self.storey == 0.0 else max(1, round(height / self.storey)) * self.storey
 
     def _lines(self) -> Iterator[Mark]:
-        """Broken lines along the middles of the streets."""
         for axis in (0, 1):
             pitch, middles, end = self.block + self.street, self.middles(axis), 0.5 * self.size[1 - axis]
             for middle in [middles[0] - 0.5 * pitch, *(each + 0.5 * pitch for each in middles)]:

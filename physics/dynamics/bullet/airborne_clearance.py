@@ -77,7 +77,6 @@ class SolidsMap:
 
 
 def _boxes(triangles: Array) -> list[tuple[Array, float, float]]:
-    """Upright boxes around triangles (t, 3, 3) m."""
     low, high = triangles.min(axis=1), triangles.max(axis=1)
     small = (high - low).max(axis=1) <= _SMALL_M
     cubes, of = np.unique(np.floor(low[small] / _SMALL_M).astype(int), axis=0, return_inverse=True)

@@ -157,7 +157,6 @@ class BulletEngine:
             self._external_bodies.place(now_ns)
 
     def _look(self, now_ns: int) -> None:
-        """Let the quadrotors look for all other bodies."""
         places, reach = self._things.spheres(now_ns, self._flyers.look_s)
         if self._ground_rows and float(self._flyers.fleet.position[:, 2].min()) < self._robot_top + REACH_M:
             at = [p.getBasePositionAndOrientation(body, self._client)[0] for body in self._robots.bodies]

@@ -25,8 +25,6 @@ from vcmvsp.physics.world.world import World, Zone
 
 
 class _Wheels(NamedTuple):
-    """Parameters of the motors of one robot."""
-
     body: int
     joints: tuple[int, int]
     signs: tuple[float, float]  # -1: the joint's axis points to the right
@@ -111,7 +109,6 @@ class GroundRobots:
         return self._reference_motion()._replace(wheels=self._signs * np.array(angles).reshape(n, 2), odometry=odometry)
 
     def _joint_states(self) -> list[_Joints]:
-        """Angles and rates of both wheels of every robot."""
         if not self._joints:
             states, client = p.getJointStates, self._client
             self._joints = [states(each.body, each.joints, client) for each in self._wheels]

@@ -96,7 +96,6 @@ class BulletQuadrotors:
         p.setCollisionFilterGroupMask(body, -1, SOLID, FLOOR | SOLID, client)
 
     def _place(self, rows: list[int]) -> None:
-        """Set the states of bodies to those of the fleet."""
         fleet, client = self.fleet, self._client
         spin = np.einsum("nij,nj->ni", rotations(fleet.attitude[rows]), fleet.rate[rows]).tolist()
         at, speed, attitude = fleet.position[rows].tolist(), fleet.velocity[rows].tolist(), fleet.attitude[rows].tolist()
