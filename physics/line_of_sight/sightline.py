@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.line_of_sight.meshes import MeshObstacles
 from vcmvsp.physics.line_of_sight.prisms import PrismObstacles
-from vcmvsp.physics.raycast.broad_phase import by_bearing
+from vcmvsp.physics.raycast.caster import by_bearing
 from vcmvsp.physics.world.solids import AnySolid, Box, Mesh
 from vcmvsp.physics.world.world import World, made_once
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.shapes import Shapes
+from vcmvsp.physics.world.solids import Shapes
 
 _CELLS_PER_REACH = 4.0
 _MOST = 4_000_000  # numbers of pieces in the index; then it is begun anew

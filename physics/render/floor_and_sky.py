@@ -1,4 +1,4 @@
-"""Floor and sky in a camera's picture."""
+"""Floor, sky and targets in a camera's picture; targets also on maps."""
 
 import math
 from typing import NamedTuple
@@ -7,9 +7,11 @@ import cv2
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.render.target_textures import lay_seen, textures_of
-from vcmvsp.physics.render.triangles import packed
+from vcmvsp.physics.render.triangles import clipped, packed
 from vcmvsp.physics.render.view import View
+from vcmvsp.physics.world.floor import read_picture
+from vcmvsp.physics.world.solids import rectangle
+from vcmvsp.physics.world.targets import PlacedTarget
 from vcmvsp.physics.world.world import World, made_once
 
 SKY = (172, 204, 235)  # above the horizon
@@ -109,3 +111,98 @@ def _warped(world: World, levels: list[Level], view: View, nearest: float) -> Ar
     )
     packed_picture: Array = picture.view(np.int32)[:, :, 0] & 0xFFFFFF
     return packed_picture
+
+
+_NEAREST_M = 0.005  # along the optical axis
+_DISC_PX = 128
+
+
+class Texture(NamedTuple):
+    """Look of a target: red, green, blue, each times the opacity, and that, (n, n, 4) uint8; then each half as large."""
+
+    levels: list[Array]
+
+
+def textures_of(world: World) -> list[Texture]:
+    """Textures of the targets of a world."""
+    by_look: dict[object, Texture] = {}
+    textures = []
+    for target in world.targets:
+        look = target.picture or target.color
+        if look not in by_look:
+            by_look[look] = _texture(target)
+        textures.append(by_look[look])
+    return textures
+
+
+def _texture(target: PlacedTarget) -> Texture:
+    if target.picture:
+        pixels = read_picture(target.picture)
+        edge = max(pixels.shape[:2])
+        rgba = cv2.cvtColor(cv2.resize(pixels, (edge, edge), interpolation=cv2.INTER_LINEAR), cv2.COLOR_RGB2RGBA)
+    else:
+        rgba = np.zeros((_DISC_PX, _DISC_PX, 4), np.uint8)
+        middle = round((0.5 * _DISC_PX - 0.5) * 16)
+        cv2.circle(rgba, (middle, middle), 8 * _DISC_PX, (*target.color, 255), cv2.FILLED, cv2.LINE_AA, 4)
+    levels = [rgba]
+    while (edge := levels[-1].shape[0]) > 1:
+        levels.append(cv2.resize(levels[-1], ((edge + 1) // 2,) * 2, interpolation=cv2.INTER_AREA))
+    return Texture(levels)
+
+
+def lay_seen(picture: Array, world: World, textures: list[Texture], view: View, time_s: float) -> None:
+    """Lay the targets into the floor of a picture, (h, w, 4) uint8, before the sky is drawn."""
+    corners = np.array([corners_of(target, time_s) for target in world.targets])
+    places = np.concatenate([corners, np.zeros((len(corners), 4, 1))], axis=2) - view.eye
+    places = places @ view.rotation
+    scale, middle = view.focal_px, 0.5 * np.array([view.width, view.height])
+    for number in np.flatnonzero(places[:, :, 2].max(axis=1) > _NEAREST_M).tolist():
+        ahead = places[number]
+        if ahead[:, 2].min() <= _NEAREST_M:  # partly behind the camera
+            halves = ahead[[(0, 1, 2), (0, 2, 3)]]
+            ahead = clipped(halves, halves[:, :, 2] - _NEAREST_M)[0].reshape(-1, 3)
+        pixels = ahead[:, :2] * (scale / ahead[:, 2:]) + middle - 0.5
+        if (pixels.max(axis=0) > -1.0).all() and (pixels.min(axis=0) < (view.width, view.height)).all():
+            lay(picture, textures[number], corners[number], pixels, view.floor_from_pixel())
+
+
+def corners_of(target: PlacedTarget, time_s: float) -> Array:
+    """Corners of a target's picture, (4, 2) m: its upper right, then counter-clockwise."""
+    half = 0.5 * target.size_m
+    return rectangle(*target.place(time_s), half, half, target.yaw_rad)
+
+
+def lay(picture: Array, texture: Texture, corners: Array, pixels: Array, floor_from_pixel: Array) -> None:
+    """Lay a target over a picture, (h, w, 3 or 4) uint8.
+
+    Args:
+        picture: changed.
+        texture: of the target.
+        corners: of the target on the floor, (4, 2) m: its upper right, then counter-clockwise.
+        pixels: corners of its visible part, (k, 2) column and row.
+        floor_from_pixel: (3, 3), see `View`.
+    """
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    size = math.sqrt(max(cv2.contourArea(cv2.convexHull(pixels.astype(np.float32))), 1.0))  # of it in the picture, px
+    level = round(math.log2(max(texture.levels[0].shape[0] / size, 1.0)))
+    pixel_of = texture.levels[min(level, len(texture.levels) - 1)]
+    edge = pixel_of.shape[0]
+    room = 1.0 + (high - low).max() / edge  # it fades out half a pixel of its own beyond its edges
+    left, top = np.maximum(np.floor(low - room), 0).astype(int).tolist()
+    right, bottom = np.minimum(np.ceil(high + room) + 1, picture.shape[1::-1]).astype(int).tolist()
+    if left >= right or top >= bottom:
+        return
+    along, down = corners[0] - corners[1], corners[2] - corners[1]
+    basis = np.linalg.inv(np.array([[along[0], down[0], corners[1, 0]], [along[1], down[1], corners[1, 1]], [0.0, 0.0, 1.0]]))
+    texture_from_floor = np.array([[edge, 0.0, -0.5], [0.0, edge, -0.5], [0.0, 0.0, 1.0]]) @ basis
+    shift = np.array([[1.0, 0.0, left], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
+    over = cv2.warpPerspective(
+        pixel_of,
+        texture_from_floor @ floor_from_pixel @ shift,
+        (right - left, bottom - top),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_CONSTANT,
+    )
+    part = picture[top:bottom, left:right, :3]
+    behind = part * (255 - over[:, :, 3:].astype(np.uint16))
+    part[:] = over[:, :, :3] + ((behind + 127) // 255).astype(np.uint8)

@@ -10,8 +10,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.raycast.moving_hulls import hulls_of
 from vcmvsp.physics.world.polygons import outward
 from vcmvsp.physics.world.scene import Scene
-from vcmvsp.physics.world.shapes import Shapes, prism_triangles
-from vcmvsp.physics.world.solids import color_of
+from vcmvsp.physics.world.solids import Shapes, color_of, prism_triangles
 from vcmvsp.physics.world.world import Light, World
 
 _CHUNK = 64  # triangles of a mesh that are looked up together

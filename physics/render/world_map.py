@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.render.target_textures import corners_of, lay, textures_of
+from vcmvsp.physics.render.floor_and_sky import corners_of, lay, textures_of
 from vcmvsp.physics.world.solids import Mesh, color_of, rectangle
 from vcmvsp.physics.world.world import World, made_once
 

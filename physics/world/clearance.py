@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.shapes import Group, Shapes
+from vcmvsp.physics.world.solids import Group, Shapes
 
 _STRETCH = 32  # places of a way that share a bounding box
 _AT_ONCE = 256  # stretches that are looked at place by place in one go

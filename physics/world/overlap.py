@@ -9,7 +9,7 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.world.polygons import overlap_m
-from vcmvsp.physics.world.shapes import Shapes
+from vcmvsp.physics.world.solids import Shapes
 
 _SKIN = 1e-9  # m: touching is not overlapping
 

@@ -19,8 +19,7 @@ from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability, Vec3
 from vcmvsp.physics.world.clearance import Clearance
 from vcmvsp.physics.world.floor import GroundPicture
 from vcmvsp.physics.world.overlap import Blocking
-from vcmvsp.physics.world.shapes import Shapes, shapes_of
-from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder, color_of, heading_of
+from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder, Shapes, color_of, heading_of, shapes_of
 from vcmvsp.physics.world.targets import PlacedTarget
 
 __all__ = ["GroundPicture", "Light", "Movable", "Moving", "Wind", "World", "Zone", "made_once"]

@@ -1,10 +1,8 @@
 """The worlds that a scenario can name: each has ``build() -> World``. Readers of files are in `physics.importers`."""
 
 from vcmvsp.physics.worlds.boxes import Boxes, Empty
-from vcmvsp.physics.worlds.corridor import Corridor
-from vcmvsp.physics.worlds.gates import Gates, GatesOffset
 from vcmvsp.physics.worlds.laboratory import Laboratory
-from vcmvsp.physics.worlds.pillar import Pillar
+from vcmvsp.physics.worlds.obstacle_courses import Corridor, Gates, GatesOffset, Pillar
 from vcmvsp.physics.worlds.recreation import RecreationCentre
 from vcmvsp.physics.worlds.urban import Urban
 

@@ -208,15 +208,6 @@ def test_a_sensor_between_two_bullet_steps_is_refused_and_a_fitting_one_is_not(p
     assert len(values(steps, "car1/fix")) == 61
 
 
-def test_bodies_that_start_inside_each_other_are_refused_by_name(play: Play) -> None:
-    with pytest.raises(ScenarioError, match="car2 and car1 overlap") as raised:
-        play(BulletPhysics(world=World(), vehicles=[car(), car("car2", 0.5)]), [], 1.0, TENTH)
-    assert raised.value.key == "vehicle.car2.position"
-    world = World(solids=(Box(center=(0.0, 0.0, 1.0), size=(4.0, 4.0, 2.0)),))  # round the robot: no side is touched
-    with pytest.raises(ScenarioError, match=r"car1 and the box at \(0.0, 0.0, 1.0\).* overlap at the start, by"):
-        play(BulletPhysics(world=world, vehicles=[car()]), [], 1.0, TENTH)
-
-
 def box(name: str, x: float, z: float = 0.2) -> Movable:
     return Movable(name=name, solid=Box(center=(x, 0.0, z), size=(0.4, 0.4, 0.4)), mass_kg=1.0)
 

@@ -184,13 +184,6 @@ def test_a_crash_is_published_even_if_it_bounces_off_in_between() -> None:
     assert told[-1]["world/states"].position[0, 0] < 2.0  # it is away again
 
 
-def test_a_pushed_movable_is_named() -> None:
-    crate = Movable(name="crate", solid=Box(center=(1.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=1.0)
-    physics = BulletPhysics(world=World(movables=(crate,)), vehicles=[spec("car", P2DX(), (0.0, 0.0, 0.0))])
-    told = flown(physics, [(0.0, "car", Velocity(linear=(0.4, 0.0, 0.0)))], 4.0)
-    assert {at["world/contact"] for at in told if "world/contact" in at} == {Contact(vehicle="car", other="crate")}
-
-
 def test_whoever_else_is_in_the_run_changes_nothing_where_they_do_not_touch() -> None:
     world = World(wind=Wind(velocity=(1.0, 0.0, 0.0), gust=1.0))
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Measured, Velocity
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
@@ -130,14 +129,6 @@ def test_contacts_are_shown_with_their_places() -> None:
     assert (row, other) == (0, None)
     assert place[0] == pytest.approx(0.5, abs=0.02)
     assert Witness.seen[0][1].touching == []
-
-
-def test_sensors_faster_than_physics_or_between_its_steps_are_refused() -> None:
-    for rate_hz in (240.0, 50.0):
-        sensors: Any = {"witness": Witness(rate_hz=rate_hz)}
-        with pytest.raises(ScenarioError, match=f"{rate_hz:g} Hz") as raised:
-            played(BulletPhysics(world=World(), vehicles=[VehicleSpec(name="car", model=P2DX(), sensors=sensors)]), 1.0)
-        assert raised.value.key == "vehicle.car.sensors.witness.rate_hz"
 
 
 @BOTH

@@ -10,7 +10,7 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.world.polygons import outward
-from vcmvsp.physics.world.shapes import Shapes
+from vcmvsp.physics.world.solids import Shapes
 
 REACH_M = 1.5  # the map knows pieces this far around a cell: more than a vehicle and its way to the next look take together
 _CELLS = 250_000

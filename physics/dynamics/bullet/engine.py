@@ -9,10 +9,9 @@ from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.airborne_clearance import REACH_M
 from vcmvsp.physics.dynamics.bullet.contacts import ContactFinder
-from vcmvsp.physics.dynamics.bullet.external_vehicles import ExternalBodies
 from vcmvsp.physics.dynamics.bullet.ground_robots import GroundRobots
 from vcmvsp.physics.dynamics.bullet.quadrotors import BulletQuadrotors
-from vcmvsp.physics.dynamics.bullet.world_bodies import WorldBodies
+from vcmvsp.physics.dynamics.bullet.world_bodies import ExternalBodies, WorldBodies
 from vcmvsp.physics.dynamics.external_vehicles import ExternalVehicles
 from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.engine.interface import BodyMotion, Touch, gathered

@@ -23,7 +23,7 @@ from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.engine.interface import BodyMotion, without_wheels
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.world.scene import rotations
-from vcmvsp.physics.world.shapes import Shapes
+from vcmvsp.physics.world.solids import Shapes
 
 _LOOK_HZ = 20.0
 _AWAY_LOOKS = 10  # parked after so many clear looks

@@ -94,7 +94,7 @@ def test_the_length_in_a_prism_is_what_sampling_finds(
     share = math.dist(tx, rx) / count
     (found,) = lengths(tx, rx, among=(prism,))[0]
     assert found == pytest.approx(inside.sum() * share, abs=(len(radii) + 3) * share)
-    assert lengths(tx, rx, among=(as_mesh_of_prism(prism),))[0][0] == pytest.approx(found, abs=1e-5)
+    assert lengths(tx, rx, among=(as_mesh(prism),))[0][0] == pytest.approx(found, abs=1e-5)
 
 
 def holds(ring: Array, points: Array) -> Array:
@@ -105,12 +105,6 @@ def holds(ring: Array, points: Array) -> Array:
                 ax + (points[:, 1] - ay) * (bx - ax) / (by - ay) > points[:, 0]
             )
     return odd
-
-
-def as_mesh_of_prism(prism: Prism) -> Mesh:
-    """The same body; inner faces between its convex parts cancel each other."""
-    points, triangles = World(solids=(prism,)).mesh()
-    return Mesh(triangles=points[triangles])
 
 
 @given(points=st.lists(place | whole, min_size=2, max_size=6))

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from tests.support.physics.random_worlds import L_SHAPE, Floats, solids
 from vcmvsp.physics.raycast.caster import FLOOR, Caster, caster_of
-from vcmvsp.physics.world.shapes import Shapes, shapes_of
-from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism
+from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism, Shapes, shapes_of
 from vcmvsp.physics.world.world import World
 
 WALL = Box(center=(5.0, 0.0, 1.0), size=(0.2, 4.0, 2.0))

@@ -57,16 +57,6 @@ def test_a_cylinder_is_round() -> None:
     assert one(lying, (0, 1.1, 0.5), (1, 0, 0)) == INF
 
 
-def test_own_body_is_left_out_and_rows_are_told() -> None:
-    three = scene(World(), [(0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (6.0, 0.0, 0.0)], hulls=[CAN] * 3)
-    start, toward = np.zeros((4, 3)), np.tile([1.0, 0.0, 0.0], (4, 1))
-    found = cast_bodies(three, start, toward, 20.0, np.array([0, 1, 2, -1]))
-    assert found.which.tolist() == [1, 0, 0, 0]
-    assert found.distance.tolist() == [2.5, 0.0, 0.0, 0.0]
-    assert cast_bodies(three, start, toward, 20.0, 0).which.tolist() == [1] * 4
-    assert cast_bodies(three, start, -toward, 20.0, 0).which.tolist() == [-1] * 4
-
-
 def surface(hull: Hull, points: Floats) -> Floats:
     """Signed distance-like measure of points in the frame of a hull: 0 on its surface, less inside."""
     offset = np.abs(points - np.array(hull.offset))

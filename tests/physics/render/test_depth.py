@@ -11,7 +11,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render import large_faces, renderer
 from vcmvsp.physics.render.renderer import render
 from vcmvsp.physics.render.view import View
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.scene import Scene, rotations
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Hull, Mesh, Prism
 from vcmvsp.physics.world.world import World
 
@@ -26,18 +26,8 @@ def a_color(rng: Rng) -> tuple[int, int, int]:
 def a_rotation(rng: Rng) -> Array:
     """Any attitude, all alike."""
     q = rng.standard_normal(4)
-    return _rotation(q / np.linalg.norm(q))
-
-
-def _rotation(q: Array) -> Array:
-    w, x, y, z = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    rotation: Array = rotations(q[None] / np.linalg.norm(q))[0]
+    return rotation
 
 
 def towards(eye: Array, aim: Array, roll: float = 0.0) -> Array:
@@ -92,7 +82,7 @@ def mixed(rng: Rng) -> list[AnySolid]:
         angle = rng.uniform(0, 7)
         corner = (
             np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 2], [0, 2]])
-            @ _rotation(np.array([np.cos(angle), 0, 0, np.sin(angle)]))[:2, :2]
+            @ rotations(np.array([[np.cos(angle), 0, 0, np.sin(angle)]]))[0, :2, :2]
         )
         outline = tuple((x + a, y + b) for a, b in corner.tolist())
         found += [

@@ -48,11 +48,6 @@ def test_segments_of_a_round_hull_share_the_bearings_evenly(segments: int, turn:
         assert pressed(0.25 * math.cos(angle), 0.25 * math.sin(angle), segments=segments, hull=hull) == [f"s{expected}"]
 
 
-def test_nothing_touches_nothing_pressed() -> None:
-    (reading,) = readings(Bumper(), [scene_of()])
-    assert reading.values == {"front": 0.0, "left": 0.0, "back": 0.0, "right": 0.0}
-
-
 def test_the_floor_does_not_count_but_a_body_at_its_height_does() -> None:
     assert pressed(1.0, 0.0, z=0.0) == []
     scene = scene_of((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), touching=[(0, 1, (0.25, 0.0, 0.0))])

@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 
 from vcmvsp.cosim.clock import Ticks
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
-from vcmvsp.physics.sensors.altimeter import Altimeter
 from vcmvsp.physics.sensors.bumper import Bumper
-from vcmvsp.physics.sensors.gps import Gps
 from vcmvsp.physics.sensors.imu import InertialUnit
 from vcmvsp.physics.sensors.noise import Noise
 from vcmvsp.physics.sensors.sensor import Sensor
@@ -85,22 +82,3 @@ def test_an_inertial_unit_feels_the_floor_push_and_the_turn(play: Play, kind: ty
     assert force[circling].mean(axis=0) == pytest.approx((0.0, 0.3 * 0.6, 9.81), abs=0.02)  # v w to the left
     assert turn[circling].mean(axis=0) == pytest.approx((0.0, 0.0, 0.6), abs=0.005)
     assert force[standing].mean(axis=0) == pytest.approx((0.0, 0.0, 9.81), abs=0.02)
-
-
-def test_what_a_sensor_says_comes_late_by_its_latency(play: Play) -> None:
-    values = ran(play, KinematicPhysics, {"gps": Gps(), "alt": Altimeter(latency_s=0.013)}, seconds=1.0)
-    assert [(at, fix.time_ns) for at, fix in values["car/gps"].items()][:2] == [(10**8, 0), (3 * 10**8, 2 * 10**8)]
-    assert all(at == reading.time_ns + 13_000_000 for at, reading in values["car/alt"].items())
-
-
-def test_runs_are_equal_also_with_the_same_sensor_objects(play: Play) -> None:
-    sensors: dict[str, Sensor] = {"gps": Gps(), "imu": InertialUnit(), "odo": odometer(walk_m=0.01)}
-    first, second = (ran(play, BulletPhysics, sensors, seconds=2.0) for _ in range(2))
-    for name in sensors:
-        assert first[f"car/{name}"] == second[f"car/{name}"]
-
-
-def test_a_rate_above_that_of_physics_is_refused_by_name(play: Play) -> None:
-    with pytest.raises(ScenarioError, match="240 Hz is more than the 120 steps a second") as refused:
-        ran(play, BulletPhysics, {"imu": InertialUnit(rate_hz=240.0)})
-    assert refused.value.key == "vehicle.car.sensors.imu.rate_hz"

@@ -12,24 +12,8 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.world.polygons import Point, area_m2, convex_parts, is_convex, outward, overlap_m, problem_of, width_m
 
 L_SHAPE = ((0.0, 0.0), (3.0, 0.0), (3.0, 1.0), (1.0, 1.0), (1.0, 3.0), (0.0, 3.0))
-COMB = (
-    (0, 0),
-    (7, 0),
-    (7, 3),
-    (6, 3),
-    (6, 1),
-    (5, 1),
-    (5, 3),
-    (4, 3),
-    (4, 1),
-    (3, 1),
-    (3, 3),
-    (2, 3),
-    (2, 1),
-    (1, 1),
-    (1, 3),
-    (0, 3),
-)
+TEETH = [(x + dx, y) for x in (6, 4, 2, 0) for dx, y in ((1, 1), (1, 3), (0, 3), (0, 1))]
+COMB = ((0, 0), (7, 0), *TEETH[1:-1])
 SPIRAL = ((0, 0), (8, 0), (8, 8), (2, 8), (2, 4), (4, 4), (4, 6), (6, 6), (6, 2), (0, 2))
 PLUS = ((1, 0), (2, 0), (2, 1), (3, 1), (3, 2), (2, 2), (2, 3), (1, 3), (1, 2), (0, 2), (0, 1), (1, 1))
 SAMPLES = np.random.default_rng(5).uniform(size=(4000, 2))

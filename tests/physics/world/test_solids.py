@@ -15,7 +15,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.polygons import area_m2, problem_of
 from vcmvsp.physics.world.solids import MATERIAL_COLORS, AnySolid, Box, Cylinder, Mesh, Prism, color_of
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import Light, Moving, World, Zone
 
 place = st.tuples(*[st.floats(-50.0, 50.0)] * 3)
 edge = st.floats(0.05, 20.0)
@@ -27,6 +27,11 @@ radii = st.lists(st.floats(0.3, 5.0), min_size=3, max_size=9)
 def star(lengths: list[float]) -> tuple[tuple[float, float], ...]:
     angles = math.tau * np.arange(len(lengths)) / len(lengths)
     return tuple((r * math.cos(a), r * math.sin(a)) for r, a in zip(lengths, angles, strict=True))
+
+
+def cart(times_s: tuple[float, ...], count: int | None = None) -> Moving:
+    way = ((0.0, 0.0, 0.5, 0.0),) * (len(times_s) if count is None else count)
+    return Moving(name="cart", solid=Box(center=(0, 0, 0.5), size=(1, 1, 1)), times_s=times_s, way=way)
 
 
 def volume_of(points: Array, triangles: Array) -> float:
@@ -113,6 +118,16 @@ def test_a_cylinder_is_a_polygon_just_inside_the_circle(radius: float) -> None:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
+        (lambda: Box(center=(0, 0, 0), size=(0.0, 1.0, 1.0)), "positive sizes"),
+        (lambda: Box(center=(0, 0, 0), size=(1.0, math.nan, 1.0)), "positive sizes"),
+        (lambda: Zone(center=(0, 0), size=(1.0, -1.0), friction=0.5), "a zone needs .* two positive sizes"),
+        (lambda: Zone(center=(0, 0), size=(1.0, math.nan), friction=0.5), "a zone needs"),
+        (lambda: Light(direction=(0.0, 0.0, 0.0)), "direction"),
+        (lambda: Light(direction=(0.0, math.inf, 1.0)), "direction"),
+        (lambda: cart((0.0, 0.0)), "cart"),
+        (lambda: cart((0.0,), count=2), "cart"),
+        (lambda: cart(()), "cart"),
+        (lambda: cart((0.0, math.nan)), "cart"),
         (lambda: Cylinder(center=(0, 0, math.inf), radius=1.0, height=1.0), "finite"),
         (lambda: Cylinder(center=(0, 0, 0), radius=-1.0, height=1.0), "positive"),
         (lambda: Cylinder(center=(0, 0, 0), radius=1.0, height=0.0), "positive"),

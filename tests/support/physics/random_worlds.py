@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.physics.raycast.broad_phase import Nearest, Reached, touching_spheres
+from vcmvsp.physics.raycast.caster import Nearest, Reached, touching_spheres
 from vcmvsp.physics.raycast.moving_hulls import hulls_of, in_frames, meet
 from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Hull, Mesh, Prism
