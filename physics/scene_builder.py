@@ -19,7 +19,8 @@ class SceneBuilder:
         things: list[Movable | Moving] = [*world.movables, *world.moving]
         self._world, self._gravity = world, gravity
         self._vehicles = tuple(spec.name for spec in vehicles)
-        self._hulls = (*(spec.model.hull for spec in vehicles), *[each.solid.hull for each in things])
+        vehicle_hulls = [spec.model.hull for spec in vehicles]
+        self._hulls = (*vehicle_hulls, *[each.solid.hull for each in things])
         self.names = (*self._vehicles, *[each.name for each in things])
         self._standing = start_of(world.movables)  # where no engine can push movables
         self._published = self._standing.position, self._standing.attitude

@@ -5,7 +5,7 @@ Vehicles are rows of arrays; there is no object per vehicle. An engine is constr
 
 * bodies from the models' parameters, from ``World.mesh()``, movables and the time-tables of moving obstacles;
 * ground robots: one call of `physics.dynamics.firmware` a step, which returns the wheel speeds to hold;
-* quadrotors: force and torque of `physics.dynamics.quadrotor_fleet.QuadrotorFleet`, whose arrays the engine updates;
+* quadrotors: force and torque of `physics.dynamics.quadrotor_fleet.QuadrotorFleet`, with arrays that the engine updates;
 * the same bits from the same calls, independent of the order of a set, of other engines, and of the number of reads.
 """
 

@@ -44,7 +44,8 @@ class PrismObstacles:
         self._count = np.array([len(each) for each in starts], np.int64)
         self._first = np.cumsum(self._count) - self._count
         self._start = np.concatenate([np.empty((0, 2)), *starts])
-        self._end = np.concatenate([np.empty((0, 2)), *(np.roll(ring, -1, axis=0) for each in shrunk for ring in each)])
+        rings = [ring for each in shrunk for ring in each]
+        self._end = np.concatenate([np.empty((0, 2)), *(np.roll(ring, -1, axis=0) for ring in rings)])
         boxes = np.array([(each.min(axis=0), each.max(axis=0)) for each in starts]).reshape(-1, 2, 2)
         self._middle, self._half = 0.5 * (boxes[:, 0] + boxes[:, 1]), 0.5 * (boxes[:, 1] - boxes[:, 0])
 

@@ -46,7 +46,8 @@ class PieceIndex:
         self.corners = _joined([np.full(len(group.corners), group.corners.shape[1]) for group in groups], np.intp)
         self.first = np.cumsum(self.corners) - self.corners
         self.solid = _joined([group.solid for group in groups], np.int64)
-        self.bottom, self.top = (_joined([group[k] for group in groups]) for k in (1, 2))
+        self.bottom = _joined([group.bottom for group in groups])
+        self.top = _joined([group.top for group in groups])
         self.edges = np.concatenate([np.empty((6, 0)), *(_edges(*group[:3]) for group in groups)], axis=1)
 
         boxes = [np.empty((0, 6)), *(_bounds(*group[:3]) for group in groups)]

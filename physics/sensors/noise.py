@@ -37,7 +37,8 @@ class Errors:
     """
 
     def __init__(self, channels: Sequence[Noise]) -> None:
-        columns = {name: np.array([getattr(each, name) for each in channels], float) for name in Noise.__struct_fields__}
+        table = np.array([msgspec.structs.astuple(each) for each in channels], float).T  # (fields, channels)
+        columns = dict(zip(Noise.__struct_fields__, table, strict=True))
         self._bias, self._bias_sd, self._sigma = columns["bias"], columns["bias_sd"], columns["sigma"]
         self._drift_sd, self._drift_time_s, self._walk = columns["drift_sd"], columns["drift_time_s"], columns["walk"]
         self._outlier, self._probability = columns["outlier"], columns["outlier_probability"]

@@ -77,14 +77,16 @@ def _trees(number: int, seed: int) -> Iterator[Cylinder]:
 
 
 def _ground() -> GroundPicture:
+    paths = [(0.5 * (x + math.copysign(134.0, x)), abs(abs(x) - 134.0) + 6.0) for x in (-95.0, 98.0)]  # middle, length, m
     marks = [
         _area((0.0, -110.0), (LENGTH, 6.0), _PAVED),
         _area((0.0, -100.0), (60.0, 26.0), _PAVED),
         _area((-95.0, 64.0), (70.0, 14.0), _PAVED),
         _area((98.0, 64.0), (58.0, 16.0), _PAVED),
-        *(_area((x, -23.0), (6.0, 174.0), _PAVED) for x in (-134.0, 134.0)),
-        *(_area((0.5 * (x + math.copysign(134.0, x)), 61.0), (abs(abs(x) - 134.0) + 6.0, 6.0), _PAVED) for x in (-95.0, 98.0)),
-        *(mark for middle in _COURTS for mark in _court(middle)),
+        _area((-134.0, -23.0), (6.0, 174.0), _PAVED),
+        _area((134.0, -23.0), (6.0, 174.0), _PAVED),
+        *[_area((x, 61.0), (length, 6.0), _PAVED) for x, length in paths],
+        *[mark for middle in _COURTS for mark in _court(middle)],
         Mark(outline=_stadium(_BEND + _LANES * _LANE), color=_TARTAN),
         Mark(outline=_stadium(_BEND), color=_PITCH_GREEN),
     ]

@@ -43,8 +43,9 @@ class WorldBodies:
             sleep = {"activationState": p.ACTIVATION_STATE_ENABLE_SLEEPING, "sleepThreshold": _FALLS_ASLEEP}
             p.changeDynamics(body, -1, **sleep, physicsClientId=client)
         self.moving = [self._build(each.solid, HEAVY_KG, 0.5, SOLID) for each in world.moving]  # without contact to the floor
-        solids = [each.solid for each in world.movables] + [each.solid for each in world.moving]
-        self._radii_m = np.array([0.5 * math.hypot(*solid.hull.size) for solid in solids])  # of spheres around them
+        sizes = [each.solid.hull.size for each in world.movables]
+        sizes += [each.solid.hull.size for each in world.moving]
+        self._radii_m = np.array([0.5 * math.hypot(*size) for size in sizes])  # of spheres around them
         self.place(0)
 
     def _build_solids(self, world: World) -> None:
