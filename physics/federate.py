@@ -32,7 +32,7 @@ from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, ExternalMotion, Instants, Needed, RunInfo, Slot, Step
 from vcmvsp.cosim.types import Array, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
-from vcmvsp.physics.dynamics.external_vehicles import ExternalVehicles, check_wheel_sensors
+from vcmvsp.physics.dynamics.external_vehicles import ExternalEngine, check_wheel_sensors
 from vcmvsp.physics.dynamics.kinematic_aerial import AerialEngine
 from vcmvsp.physics.dynamics.kinematic_ground import GroundEngine
 from vcmvsp.physics.engine.commands import Commands, Mover
@@ -100,7 +100,7 @@ class Physics:
         names = () if outside is None else outside.names
         self._external = [number for number, name in enumerate(self._names) if name in names]
         self._simulated = [number for number, name in enumerate(self._names) if name not in names]
-        self._external_vehicles: ExternalVehicles | None = None
+        self._external_engine: ExternalEngine | None = None
         self._engines: list[tuple[Engine, Array]] = []
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
@@ -116,7 +116,7 @@ class Physics:
         self._run, self._now_ns = run, 0
         self._scenes = SceneBuilder(self.world, self.vehicles, self.gravity)
         external = [self.vehicles[number] for number in self._external]
-        self._external_vehicles = ExternalVehicles(self._outside, external) if self._outside and self._outside.names else None
+        self._external_engine = ExternalEngine(self._outside, external) if self._outside and self._outside.names else None
         self._sources = PoseSources(self.vehicles, self._simulated, run.seed)
         self._sensors = SensorScheduler({spec.name: spec.sensors for spec in self.vehicles}, run.seed, requested=run.wanted)
         own = (*self._sensors.instants, *self._sources.instants, *([Instants(PACE)] if run.paced else []))
@@ -222,8 +222,8 @@ class Physics:
         return gathered([(engine.read(), rows) for engine, rows in self._engines], len(self.vehicles))
 
     def _publish(self, now_ns: int, *, states: bool, readings: bool) -> list[Event]:
-        if self._external_vehicles:
-            self._external_vehicles.update(now_ns)
+        if self._external_engine:
+            self._external_engine.update(now_ns)
         motion = self._motion()
         events = []
         if states:
@@ -255,13 +255,13 @@ class Physics:
         engines: list[tuple[Engine, list[int]]] = []
         ground = {n: model for n in numbers if isinstance(model := self.vehicles[n].model, GroundVehicle)}
         if ground:
-            at = [self.vehicles[n].start for n in ground], [self.vehicles[n].heading for n in ground]
+            starts = [(self.vehicles[n].start, self.vehicles[n].heading) for n in ground]
             sensed = any(spec.sensors for spec in self.vehicles)
-            engines.append((GroundEngine([*ground.values()], *at, sensed=sensed), [*ground]))
+            engines.append((GroundEngine([*ground.values()], *zip(*starts, strict=True), sensed=sensed), [*ground]))
         air = {n: model for n in numbers if isinstance(model := self.vehicles[n].model, Point | Quadrotor)}
         if air:
-            at = [self.vehicles[n].start for n in air], [self.vehicles[n].heading for n in air]
-            engines.append((AerialEngine([*air.values()], *at), [*air]))
+            starts = [(self.vehicles[n].start, self.vehicles[n].heading) for n in air]
+            engines.append((AerialEngine([*air.values()], *zip(*starts, strict=True)), [*air]))
         return engines
 
 
@@ -271,7 +271,7 @@ class KinematicPhysics(Physics):
     def engines(self) -> list[tuple[Engine, list[int]]]:
         """One engine on the ground, one in the air, one for external vehicles."""
         simulated = self._bodiless(self._simulated)
-        return [*simulated, (self._external_vehicles, self._external)] if self._external_vehicles else simulated
+        return [*simulated, (self._external_engine, self._external)] if self._external_engine else simulated
 
 
 class BulletPhysics(Physics):
@@ -296,6 +296,6 @@ class BulletPhysics(Physics):
             iterations=self.iterations,
             gravity=self.gravity,
             accelerations=any(spec.sensors for spec in specs),
-            external=self._external_vehicles,
+            external=self._external_engine,
         )
         return [(bullet, bodies), *self._bodiless([n for n in range(len(self.vehicles)) if n not in bodies])]

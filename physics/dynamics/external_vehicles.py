@@ -20,7 +20,7 @@ from vcmvsp.physics.world.scene import rotations
 _UNIT = 1e-3  # tolerance of the norm of a quaternion
 
 
-class ExternalVehicles(Bodiless):
+class ExternalEngine(Bodiless):
     """Motion of the external vehicles.
 
     Args:

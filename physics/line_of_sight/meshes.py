@@ -41,9 +41,9 @@ class MeshObstacles:
         self._middle = corners.mean(axis=1)
         offsets = corners - self._middle[:, None]
         self._radius2 = (offsets * offsets).sum(axis=2).max(axis=1, initial=0.0) * (1.0 + 1e-9) + 1e-18
-        self.thickness_m: Floats = np.array(
-            [slab_m(mesh.triangles) if closed else SHEET_M for mesh, closed in zip(solids, self._closed, strict=True)]
-        )
+        self.thickness_m: Floats = np.full(len(solids), SHEET_M)
+        for number in np.flatnonzero(self._closed).tolist():
+            self.thickness_m[number] = slab_m(solids[number].triangles)
 
     def inside(self, tx: Floats, rx: Floats) -> Floats:
         """Lengths inside each mesh, (n, c) m, of the lines from ``tx`` (3,) to each of ``rx`` (n, 3).

@@ -30,12 +30,13 @@ class Positioning:
         dx, dy, turn = rng.standard_normal(3).tolist()
         far_x, far_y = jump(self.outlier_probability, self.outlier_m, rng)
         x, y, z = truth.position
+        yaw = wrap(truth.yaw + self.sigma_rad * turn) if self.heading else None
         return Fix(
             time_ns=now_ns,
             position=(x + self.sigma_m * dx + far_x, y + self.sigma_m * dy + far_y, z),
-            yaw=wrap(truth.yaw + self.sigma_rad * turn) if self.heading else None,
+            yaw=yaw,
             sigma_m=self.sigma_m,
-            sigma_rad=self.sigma_rad if self.heading else 0.0,
+            sigma_rad=0.0 if yaw is None else self.sigma_rad,
         )
 
 

@@ -35,7 +35,8 @@ class Surroundings:
     light: Light = DAYLIGHT  # where the sun is: ``{ direction = [0.3, 0.2, 1], ambient = 0.6 }``
 
     def __post_init__(self) -> None:
-        bodies = [each.name for each in self.movables] + [each.name for each in self.moving]
+        bodies = [each.name for each in self.movables]
+        bodies += [each.name for each in self.moving]
         for what, called in (("two of movables and moving", bodies), ("two targets", names(self.targets))):
             for name in called:
                 if called.count(name) > 1:
@@ -91,8 +92,8 @@ def _with(ground: GroundPicture, zones: Sequence[Zone]) -> GroundPicture:
 
 
 def _check_pictures(ground: GroundPicture, targets: Sequence[GroundTarget]) -> None:
-    marked, painted = [each.picture for each in targets], [each.picture for each in ground.marks]
-    pictures = [ground.picture, *painted, *marked]
+    pictures = [ground.picture, *[mark.picture for mark in ground.marks]]
+    pictures += [target.picture for target in targets]
     for picture in filter(None, dict.fromkeys(pictures)):
         try:
             read_picture(picture)

@@ -19,7 +19,7 @@ class ContactFinder:
         self._client, self._bodies = client, bodies
         # Where only the base can touch more than the floor, contacts of wheels need not be listed.
         self._links = {row: _ANY_LINK if row in jointed else _BASE for row in bodies}
-        self._row_of = {body: row for row, body in bodies.items()}
+        self._row_of = dict(zip(bodies.values(), bodies, strict=True))
         self._row_of |= zip(others, range(len(bodies), len(bodies) + len(others)), strict=True)
 
     def now(self, rows: Sequence[int]) -> list[Touch]:

@@ -12,7 +12,7 @@ from vcmvsp.physics.dynamics.bullet.contacts import ContactFinder
 from vcmvsp.physics.dynamics.bullet.ground_robots import GroundRobots
 from vcmvsp.physics.dynamics.bullet.quadrotors import BulletQuadrotors
 from vcmvsp.physics.dynamics.bullet.world_bodies import ExternalBodies, WorldBodies
-from vcmvsp.physics.dynamics.external_vehicles import ExternalVehicles
+from vcmvsp.physics.dynamics.external_vehicles import ExternalEngine
 from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.engine.interface import BodyMotion, Touch, gathered
 from vcmvsp.physics.vehicles.models import DifferentialDrive
@@ -50,7 +50,7 @@ class BulletEngine:
         iterations: int,
         gravity: float,
         accelerations: bool = False,
-        external: ExternalVehicles | None = None,
+        external: ExternalEngine | None = None,
     ) -> None:
         self._ticks, self._step, self._step_s = Ticks.rate(rate_hz), 0, 1.0 / rate_hz
         self._encoder_steps = max(1, round(rate_hz / _ENCODER_HZ))

@@ -8,7 +8,7 @@ import numpy as np
 from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, WHEEL, p, turned
 from vcmvsp.physics.dynamics.bullet.body_builder import hull_shape, rigid_body
-from vcmvsp.physics.dynamics.external_vehicles import ExternalVehicles
+from vcmvsp.physics.dynamics.external_vehicles import ExternalEngine
 from vcmvsp.physics.dynamics.movables import on_time
 from vcmvsp.physics.dynamics.rigid_body import into_body
 from vcmvsp.physics.engine.interface import NO_BODIES, BodyMotion, without_wheels
@@ -157,7 +157,7 @@ class ExternalBodies:
     gravity in Bullet: a body in contact is not dragged down.
     """
 
-    def __init__(self, client: int, external: ExternalVehicles, hulls: list[Hull], *, gravity: float, step_s: float) -> None:
+    def __init__(self, client: int, external: ExternalEngine, hulls: list[Hull], *, gravity: float, step_s: float) -> None:
         self._client, self._external, self._lift, self._step_s = client, external, gravity * step_s, step_s
         self._at = external.read().position
         self.bodies = []

@@ -18,7 +18,7 @@ from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
 from vcmvsp.cosim.types import FrameReport, Later, Message, VehicleState, Velocity, Waypoint
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.federate import RadioFederate
-from vcmvsp.physics.dynamics.external_vehicles import ExternalVehicles
+from vcmvsp.physics.dynamics.external_vehicles import ExternalEngine
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.imu import InertialUnit
 from vcmvsp.physics.sensors.neighbour_range import NeighbourRange
@@ -161,7 +161,7 @@ def test_in_between_they_go_straight_on_and_turn_about_the_vertical(
     attitude = (w * c, w * s, z * s, z * c)  # turned by yaw, then rolled about its own x axis
     spin = tuple((np.array(rotations(np.array([attitude]))[0]).T @ (0.0, 0.0, turning)).tolist())
     state = VehicleState(position=(x, 1.0, 2.0), velocity=(speed, 0.5, -0.1), attitude=attitude, angular_velocity=spin)
-    reflected = ExternalVehicles(Courses(real=lambda _: state), [spec("real", x)])
+    reflected = ExternalEngine(Courses(real=lambda _: state), [spec("real", x)])
     reflected.update(SECOND_NS)
     after, yaw_rates = reflected.at(SECOND_NS + round(span_s * SECOND_NS))
     assert after.position[0] == pytest.approx((x + span_s * speed, 1.0 + 0.5 * span_s, 2.0 - 0.1 * span_s), abs=1e-8)

@@ -13,7 +13,7 @@ from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import VehicleState, Velocity
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
-from vcmvsp.physics.dynamics.external_vehicles import ExternalVehicles
+from vcmvsp.physics.dynamics.external_vehicles import ExternalEngine
 from vcmvsp.physics.federate import BulletPhysics
 from vcmvsp.physics.sensors.bumper import Bumper
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Lag
@@ -128,7 +128,7 @@ def test_the_body_is_where_it_is_said_to_be_before_every_step() -> None:
         position=(1.0, 2.0, 0.0), velocity=(0.4, -0.3, 0.0), attitude=quaternion_from_yaw(0.5), angular_velocity=(0.0, 0.0, 0.7)
     )
     vehicle = spec("real", 1.0, 2.0, heading=0.5)
-    reflected = ExternalVehicles(Courses(real=lambda _: state), [vehicle])
+    reflected = ExternalEngine(Courses(real=lambda _: state), [vehicle])
     engine = BulletEngine(world=World(), vehicles=[vehicle], rate_hz=120.0, iterations=50, gravity=9.81, external=reflected)
     reflected.update(0)
     for step in range(1, 61):
