@@ -66,7 +66,7 @@ def figure_command(
 
 
 def validate_command(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for VALIDATION.md and validation.json.")] = Path(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for VALIDATION.md, validation.csv, validation.json.")] = Path(
         "validation"
     ),
     only: Annotated[
@@ -78,9 +78,10 @@ def validate_command(
     json: AsJson = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
 ) -> None:
-    """Measure every law, closed form and outside reference anew, and write what came out.
+    """Measure every law, closed form and outside reference again, and write expected and measured numbers.
 
-    The exit code is 1 if a row is not within its tolerance, or a check breaks off: which, is said. All take several minutes.
+    Leaves VALIDATION.md (a line per check), validation.csv and validation.json (all rows). The exit code is 1 if a row is not
+    within its tolerance or a check breaks off; each is named. All checks take about 13 minutes.
 
     Example: vcmvsp validate --only path-loss --only figure-24
     """

@@ -1,15 +1,22 @@
 """Rows of figures and checks: a measured number beside the expected one, and its tolerance."""
 
+import csv
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from vcmvsp.cosim.util.files import replacing
+
+COLUMNS = ("case", "expected", "measured", "tolerance", "ok")
+
 
 @dataclass(frozen=True)
 class Row:
-    """A number that must come out, and what did. Tolerances are absolute; where one means a share, the case says so."""
+    """An expected and a measured number. Tolerances are absolute; the case names the share where one is relative."""
 
     case: str
     expected: float
@@ -18,36 +25,53 @@ class Row:
 
     @property
     def ok(self) -> bool:
-        """Whether it came out; never if it is no number."""
+        """Whether the numbers agree within the tolerance; NaN never does."""
         return bool(abs(self.measured - self.expected) <= self.tolerance)
 
     @property
+    def tolerance_used(self) -> float:
+        """``|measured - expected|`` over the tolerance, at most 1 if the row is ok; infinite or NaN if it cannot be."""
+        difference = abs(self.measured - self.expected)
+        return difference / self.tolerance if self.tolerance else (math.inf if difference else 0.0)
+
+    @property
     def plain(self) -> dict[str, Any]:
-        """The row for JSON, with ``ok``; what was measured is None where it is no finite number."""
+        """The row for JSON, with ``ok``; ``measured`` is None if it is not finite."""
         measured = self.measured if math.isfinite(self.measured) else None
         return {"case": self.case, "expected": self.expected, "measured": measured, "tolerance": self.tolerance, "ok": self.ok}
 
     @property
+    def csv(self) -> tuple[str, float, float, float, str]:
+        """The row for a CSV file with the columns `COLUMNS`."""
+        return self.case, self.expected, self.measured, self.tolerance, str(self.ok).lower()
+
+    @property
     def cells(self) -> tuple[str, str, str, str]:
-        """The row for a reader: case, expected, measured and tolerance."""
+        """Case, expected, measured and tolerance as text."""
         return self.case, f"{self.expected:.6g}", f"{self.measured:.6g}", f"{self.tolerance:.6g}"
 
 
 def relative(case: str, expected: float, measured: float, share: float) -> Row:
-    """A row whose tolerance is a share of what is expected; the case says so."""
+    """A row whose tolerance is a share of the expected number; the case names the share."""
     return Row(f"{case} (within {100 * share:g} %)", float(expected), float(measured), float(abs(expected) * share))
 
 
 def absolute(case: str, expected: float, measured: float, tolerance: float) -> Row:
-    """A row with a tolerance of its own."""
+    """A row with an absolute tolerance."""
     return Row(case, float(expected), float(measured), float(tolerance))
 
 
 def at_most(case: str, limit: float, measured: float) -> Row:
-    """A row for what may not exceed a limit: what is compared with zero is by how much it does."""
+    """A row for an upper limit: the excess is compared with zero."""
     return Row(f"{case}, at most {limit:g}: excess", 0.0, float(np.maximum(measured - limit, 0.0)), 0.0)
 
 
 def at_least(case: str, limit: float, measured: float) -> Row:
-    """A row for what must reach a limit: what is compared with zero is by how much it does not."""
+    """A row for a lower limit: the shortfall is compared with zero."""
     return Row(f"{case}, at least {limit:g}: shortfall", 0.0, float(np.maximum(limit - measured, 0.0)), 0.0)
+
+
+def write_csv(path: Path, header: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
+    """Write a CSV file whole or not at all."""
+    with replacing(path) as place, place.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([header, *lines])

@@ -1,31 +1,53 @@
-"""What a validation leaves: a document that can be read, and the same as JSON. Nothing in them tells when they were made."""
+"""Files of a validation: head figures as Markdown, all rows as CSV and JSON. None of them contains a time of writing."""
 
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib import metadata
-from itertools import groupby
 from pathlib import Path
 
+from vcmvsp.cosim.reproduction.row import COLUMNS, write_csv
 from vcmvsp.cosim.reproduction.validation import CHECKS
 from vcmvsp.cosim.reproduction.validation.check import Outcome
 from vcmvsp.cosim.util.files import to_json, write_whole, writing
 
 SCHEMA = "vcmvsp.validation/1"
 LIBRARIES = ("numpy", "scipy", "pybullet")
+HEAD = """\
+# Validation
+
+<!-- written by vcmvsp validate -->
+
+**{checks} of {all_checks} checks, {rows} rows, {verdict}.** Made with {made_with}.
+
+Every number was measured by this command, in about {minutes:.0f} min of one core. The same versions give the
+same numbers:
+
+    vcmvsp validate{only}
+
+The command also writes all rows, with their expected and measured numbers: `validation.csv` and
+`validation.json`. The source of an expected number stands beside it in `cosim/reproduction`.
+
+A row holds if |measured - expected| <= tolerance. The column *used* is the largest share of a tolerance that
+a row of the check uses; 1 is the limit. A *reduced* check has fewer runs than `vcmvsp figure` of the same name.
+
+| check | what | expected by | rows | used | off |
+|---|---|---|--:|--:|--:|
+"""
 
 
 def write(outcomes: Sequence[Outcome], folder: Path) -> list[Path]:
-    """Write VALIDATION.md and validation.json; the answer is where they are."""
-    paths = [folder / "VALIDATION.md", folder / "validation.json"]
+    """Write VALIDATION.md, validation.csv and validation.json; returns their paths."""
+    head, table, everything = (folder / name for name in ("VALIDATION.md", "validation.csv", "validation.json"))
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        for path, content in zip(paths, (as_markdown(outcomes), as_json(outcomes)), strict=True):
-            write_whole(path, content)
-    return paths
+        write_whole(head, as_markdown(outcomes))
+        write_csv(table, ("check", *COLUMNS), ((each.check.name, *row.csv) for each in outcomes for row in each.rows))
+        write_whole(everything, as_json(outcomes))
+    return [head, table, everything]
 
 
 def as_json(outcomes: Sequence[Outcome]) -> str:
-    """Checks with their rows (schema ``vcmvsp.validation/1``)."""
+    """All checks with their rows, by the schema ``vcmvsp.validation/1``."""
     checks = [
         {
             "name": each.check.name,
@@ -43,12 +65,33 @@ def as_json(outcomes: Sequence[Outcome]) -> str:
 
 
 def as_markdown(outcomes: Sequence[Outcome]) -> str:
-    """The document: a table of all checks, and a table of the rows of each."""
-    return "\n".join([*_summary(outcomes), *_details(outcomes)]) + "\n"
+    """The head figures of all checks, a line each."""
+    off = failures(outcomes)
+    only = "" if len(outcomes) == len(CHECKS) else "".join(f" --only {each.check.name}" for each in outcomes)
+    head = HEAD.format(
+        checks=len(outcomes),
+        all_checks=len(CHECKS),
+        rows=sum(len(each.rows) for each in outcomes),
+        verdict=f"{len(off)} off" if off else "all hold",
+        made_with=", ".join(_made_with()),
+        minutes=max(1.0, sum(each.check.seconds for each in outcomes) / 60.0),
+        only=only,
+    )
+    return head + "".join(map(head_line, outcomes))
+
+
+def head_line(outcome: Outcome) -> str:
+    """The line of a check in the table of VALIDATION.md."""
+    check = outcome.check
+    title = f"{check.title} Reduced: {check.reduced}." if check.reduced else check.title
+    used = f"{max(row.tolerance_used for row in outcome.rows):.2g}" if outcome.rows else "-"
+    off = f"**{len(outcome.missed)}**" if outcome.missed else "0"
+    cells = [f"`{check.name}`", title, check.source, str(len(outcome.rows)), used, off if outcome.rows else "**broke off**"]
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
 
 
 def failures(outcomes: Sequence[Outcome]) -> list[str]:
-    """A line for each row that is off, and for each check that broke off."""
+    """A line for each row that is off and for each check that broke off."""
     lines = []
     for each in outcomes:
         for row in each.missed:
@@ -57,52 +100,6 @@ def failures(outcomes: Sequence[Outcome]) -> list[str]:
         if not each.rows:
             lines.append(f"{each.check.name}: {each.problem}")
     return lines
-
-
-def _summary(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    rows, off = sum(len(each.rows) for each in outcomes), failures(outcomes)
-    yield "# Validation\n"
-    yield (
-        "What the platform does, beside what is known without it: closed forms, standards, figures of the literature, other\n"
-        "programs. `vcmvsp validate` has measured every number under *measured* anew, and written this document.\n"
-    )
-    verdict = f"{len(off)} off" if off else "all hold"
-    yield f"**{len(outcomes)} of {len(CHECKS)} checks, {rows} rows, {verdict}.** Made with {', '.join(_made_with())}.\n"
-    only = "" if len(outcomes) == len(CHECKS) else "".join(f" --only {each.check.name}" for each in outcomes)
-    minutes = sum(each.check.seconds for each in outcomes) / 60.0
-    yield f"To make it again, in about {max(minutes, 1.0):.0f} min of one core; the same versions give the same numbers:\n"
-    yield f"    vcmvsp validate{only}\n"
-    yield (
-        "A row holds where measured and expected differ by no more than the tolerance, an absolute number; where it is a\n"
-        "share of what is expected, the case says so. Where another program, a standard or a book says what is to be\n"
-        "expected, that stands under *expected by*, and in the code beside the number (`cosim/reproduction`).\n"
-        "A check that is *reduced* has fewer runs than `vcmvsp figure` of the same name; its tolerances are the same.\n"
-    )
-    yield "| area | check | what | expected by | rows | off |"
-    yield "|---|---|---|---|--:|--:|"
-    for each in outcomes:
-        off_here = str(len(each.missed)) if each.rows else "broke off"
-        yield _line(each.check.area, f"`{each.check.name}`", each.check.title, each.check.source, str(len(each.rows)), off_here)
-
-
-def _details(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    for area, checks in groupby(outcomes, key=lambda each: each.check.area):
-        yield f"\n## {area}"
-        for each in checks:
-            yield f"\n### {each.check.name}\n"
-            yield f"{each.check.title} Expected by: {each.check.source}."
-            if each.check.reduced:
-                yield f"Reduced: {each.check.reduced}."
-            if each.problem:
-                yield f"\n{each.problem}"
-            else:
-                yield "\n| case | expected | measured | tolerance | verdict |\n|---|--:|--:|--:|---|"
-            for row in each.rows:
-                yield _line(*row.cells, "holds" if row.ok else "**OFF**")
-
-
-def _line(*cells: str) -> str:
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
 def _made_with() -> list[str]:

@@ -1,12 +1,15 @@
 """``vcmvsp validate``: quick checks hold, a law that is broken is told with its row, no figure is left out."""
 
+import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.support.cosim.command_line import Outcome, vcmvsp_command
+from tests.support.cosim.command_line import Outcome, contents, vcmvsp_command
+from tests.support.paths import ROOT
 from vcmvsp.cosim.reproduction import figures
 from vcmvsp.cosim.reproduction.row import Row
 from vcmvsp.cosim.reproduction.validation import CHECKS, chosen, document, levels
@@ -25,12 +28,19 @@ def validated(folder: Path, *names: str) -> Outcome:
     return vcmvsp_command("validate", "--jobs", "1", "--out", str(folder), *only)
 
 
+def cells(line: str) -> list[str]:
+    """Name, title, source, rows, used and off of a line of VALIDATION.md."""
+    return [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+
+
 @pytest.mark.parametrize("name", QUICK)
 def test_a_quick_check_holds(name: str) -> None:
     outcome = kit.measured(CHECKS[name])
     assert document.failures([outcome]) == []
     cases = [row.case for row in outcome.rows]
     assert len(set(cases)) == len(cases) > 0
+    (committed,) = (line for line in (ROOT / "VALIDATION.md").read_text().splitlines() if line.startswith(f"| `{name}` |"))
+    assert cells(committed)[:4] == cells(document.head_line(outcome))[:4]
 
 
 def test_every_figure_has_a_check_and_every_check_a_source() -> None:
@@ -39,18 +49,28 @@ def test_every_figure_has_a_check_and_every_check_a_source() -> None:
     assert all(check.source and check.title and ":" in check.measure for check in CHECKS.values())
 
 
-def test_what_is_written_says_it_all_and_is_the_same_each_time(tmp_path: Path) -> None:
+def test_files_contain_every_row_and_are_equal_each_time(tmp_path: Path) -> None:
     given = [validated(tmp_path / name, "received", "draws") for name in ("a", "b")]
     assert [each.code for each in given] == [0, 0]
-    texts = [(tmp_path / name / "VALIDATION.md").read_text() for name in ("a", "b")]
-    assert texts[0] == texts[1]
-    assert f"2 of {len(CHECKS)} checks, 9 rows, all hold." in texts[0]
-    assert texts[0].index("### draws") < texts[0].index("### received")  # in the order of the document, not of the arguments
-    told = json.loads((tmp_path / "a" / "validation.json").read_text())
-    assert told["ok"]
-    assert [check["name"] for check in told["checks"]] == ["draws", "received"]
-    assert [len(check["rows"]) for check in told["checks"]] == [3, 6]
-    assert all(f"| {row['case']} |" in texts[0] for check in told["checks"] for row in check["rows"])
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+    head = (tmp_path / "a" / "VALIDATION.md").read_text()
+    assert f"2 of {len(CHECKS)} checks, 9 rows, all hold." in head
+    assert head.index("| `draws` |") < head.index("| `received` |")  # order of the document, not of the arguments
+    document = json.loads((tmp_path / "a" / "validation.json").read_text())
+    assert document["ok"]
+    assert [(check["name"], len(check["rows"])) for check in document["checks"]] == [("draws", 3), ("received", 6)]
+    with (tmp_path / "a" / "validation.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["check"] for row in rows] == ["draws"] * 3 + ["received"] * 6
+    assert [row["case"] for row in rows] == [row["case"] for check in document["checks"] for row in check["rows"]]
+
+
+def test_the_committed_document_lists_every_check_and_all_hold() -> None:
+    head, _, table = (ROOT / "VALIDATION.md").read_text().partition("|--:|--:|--:|\n")
+    lines = [cells(line) for line in table.splitlines()]
+    assert [line[:3] for line in lines] == [cells(document.head_line(kit.Outcome(check)))[:3] for check in CHECKS.values()]
+    assert f"**{len(CHECKS)} of {len(CHECKS)} checks, {sum(int(line[3]) for line in lines)} rows, all hold.**" in head
+    assert all(float(line[4]) <= 1.0 and line[5] == "0" for line in lines)
 
 
 def test_a_law_that_is_broken_is_told_with_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,7 +85,7 @@ def test_a_law_that_is_broken_is_told_with_its_row(tmp_path: Path, monkeypatch: 
     off = [line.strip() for line in given.err.splitlines() if line.startswith("  ")]
     assert len(off) == len(levels.DISTANCES_M)
     assert off[0] == "path-loss: friis, 1 m: loss, dB: 40.053, not 40.052 within 0.0001"
-    assert (tmp_path / "VALIDATION.md").read_text().count("**OFF**") == len(off)
+    assert f"| **{len(off)}** |" in (tmp_path / "VALIDATION.md").read_text()
     assert not json.loads((tmp_path / "validation.json").read_text())["ok"]
 
 
