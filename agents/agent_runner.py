@@ -42,18 +42,18 @@ class Seat:
         self.spec, self.vehicle, self.next_ns = spec, spec.vehicle, 0
         self._started, self._command_key, self._note_key = False, f"{spec.vehicle}/command", f"{spec.vehicle}/note"
         if agent is None:
-            self.agent, params, taken = build(spec, kinds)
+            self.agent, params, defaults_used = build(spec, kinds)
         else:  # what it was made with is its maker's to know; what the scenario says is as good as any
-            known = binding.parameters(type(agent))
-            said = {name: value for name, value in {**spec.defaults, **spec.params}.items() if name in known}
-            self.agent, params, taken = agent, binding.complete(type(agent), said), tuple(spec.defaults)
+            parameters = binding.parameters(type(agent))
+            params_of_spec = {name: value for name, value in {**spec.defaults, **spec.params}.items() if name in parameters}
+            self.agent, params, defaults_used = agent, binding.complete(type(agent), params_of_spec), tuple(spec.defaults)
         try:
             self._ticks = Ticks.every(binding.convert(spec.period_s or self.agent.period, Period))
         except ScenarioError as error:
             problem = f"the class's own period {error.problem}"
             raise ScenarioError(problem, key=f"vehicle.{spec.vehicle}.agent.kind", source=spec.source) from error
-        wanted = self.agent.sensors
-        sensors = [each for each in dict.fromkeys((*ALWAYS, *spec.sensors)) if wanted is None or each in wanted]
+        requested = self.agent.sensors
+        sensors = [each for each in dict.fromkeys((*ALWAYS, *spec.sensors)) if requested is None or each in requested]
         self.info = AgentInfo(
             vehicle=spec.vehicle,
             agent=spec.kind,
@@ -61,8 +61,8 @@ class Seat:
             latency_ns=seconds_to_ns(spec.latency_s),
             params=params,
             known=tuple(binding.parameters(type(self.agent))),
-            taken=taken,
-            sensors=tuple(wanted or ()),
+            taken=defaults_used,
+            sensors=tuple(requested or ()),
             files=files_of(type(self.agent), params),
         )
         self._state: VehicleState | None = None
@@ -126,13 +126,13 @@ class Seat:
             self._heard.clear()
             events.extend(self._absence.go_on(now_ns + self.info.latency_ns))
         else:
-            given = len(events)
+            before = len(events)
             try:
                 self._act(now_ns, now_ns + self.info.latency_ns, events)
             except AgentError as error:
                 if self.spec.on_lost == "stop":
                     raise
-                del events[given:]
+                del events[before:]
                 self._leave(now_ns, error, events)
 
     def _leave(self, now_ns: int, error: AgentError, events: list[Event]) -> None:
@@ -148,7 +148,7 @@ class Seat:
                 (self.vehicle,), self.spec.kind, "has no state to act on: nothing published its vehicle's estimate"
             )
         agent, radio = self.agent, self._radio
-        seen = Observation(
+        observation = Observation(
             vehicle=self.vehicle,
             time_ns=now_ns,
             state=self._state,
@@ -158,7 +158,7 @@ class Seat:
         if self._heard:
             self._heard.clear()
         try:
-            command = agent.act(seen, radio)
+            command = agent.act(observation, radio)
         except KeyboardInterrupt as error:
             about = f" in agent {self.spec.kind} of vehicle {self.vehicle}{place_of(error)}"
             raise KeyboardInterrupt(about) from error
@@ -196,12 +196,12 @@ class Seat:
         if not isinstance(command, COMMANDS):
             raise self._error(f"returned {messages.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
         try:
-            said, total = _plain(command)
+            plain_command, total = _plain(command)
         except (TypeError, ValueError):
             raise self._error(f"returned {command}; every coordinate must be a number") from None
         if not math.isfinite(total):
-            raise self._error(f"returned a command that is not finite: {said}")
-        return said
+            raise self._error(f"returned a command that is not finite: {plain_command}")
+        return plain_command
 
     def _place(self, follows: Any) -> Follows:
         """The place to keep in plain floats, as it would come over a wire."""

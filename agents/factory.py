@@ -20,8 +20,8 @@ class Kinds:
         """The class that a spec names."""
         if (spec.kind, spec.folder) not in self._found:
             key, origin = f"vehicle.{spec.vehicle}.agent.kind", binding.Named(spec.source)
-            found = registry.find("agent", spec.kind, folder=Path(spec.folder), key=key, origin=origin)
-            self._found[spec.kind, spec.folder] = found
+            agent_class = registry.find("agent", spec.kind, folder=Path(spec.folder), key=key, origin=origin)
+            self._found[spec.kind, spec.folder] = agent_class
         return self._found[spec.kind, spec.folder]
 
 
@@ -47,13 +47,13 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
     key, origin = f"vehicle.{spec.vehicle}.agent", binding.Named(spec.source)
     kind = kinds.find(spec)
     check_acts(kind, spec.kind, f"{key}.kind", spec.source)
-    known = binding.parameters(kind)
-    taken = tuple(name for name in spec.defaults if name in known and name not in spec.params)
-    params = {**{name: spec.defaults[name] for name in taken}, **spec.params}
+    parameters = binding.parameters(kind)
+    defaults_used = tuple(name for name in spec.defaults if name in parameters and name not in spec.params)
+    params = {**{name: spec.defaults[name] for name in defaults_used}, **spec.params}
     params |= {
-        name: binding.fitted(params[name], known[name].annotation, kept)
-        for name, kept in spec.replaced.items()
-        if name in params and name in known
+        name: binding.fitted(params[name], parameters[name].annotation, value)
+        for name, value in spec.replaced.items()
+        if name in params and name in parameters
     }
     located = binding.with_files(kind, params, lambda name: str(registry.located(name, Path(spec.folder))))
     try:
@@ -61,9 +61,9 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
             agent: Agent = binding.call(kind, located, key=key, origin=origin, also=binding.parameters(AgentTable))
     except ScenarioError as error:
         name = error.key.removeprefix(f"{key}.")
-        shared = name.partition(".")[0] in taken  # the first chunk: what is wrong may be inside a table
+        shared = name.partition(".")[0] in defaults_used  # the first chunk: what is wrong may be inside a table
         raise (ScenarioError(error.problem, key=f"agents.{name}", source=spec.source) if shared else error) from error
-    return agent, binding.complete(kind, params), taken
+    return agent, binding.complete(kind, params), defaults_used
 
 
 def build_nested(described: Mapping[str, Any], key: str) -> Agent:
@@ -72,8 +72,8 @@ def build_nested(described: Mapping[str, Any], key: str) -> Agent:
     if not isinstance(kind, str):
         allowed = ", ".join(builtin_kinds.KINDS["agent"])
         raise ScenarioError(f"must be a string, one of {allowed}, module:Class or file.py:Class", key=where)
-    found = registry.find("agent", kind, key=where)
-    check_acts(found, kind, where)
+    agent_class = registry.find("agent", kind, key=where)
+    check_acts(agent_class, kind, where)
     params = {name: value for name, value in described.items() if name != "kind"}
-    agent: Agent = binding.call(found, params, key=key, also=("kind",))
+    agent: Agent = binding.call(agent_class, params, key=key, also=("kind",))
     return agent

@@ -27,16 +27,16 @@ class AgentHost:
 
     def __init__(self, name: str, specs: Sequence[AgentSpec], objects: Mapping[str, Agent] | None = None) -> None:
         self.name = name
-        given, kinds = objects or {}, Kinds()
+        objects_by_vehicle, kinds = objects or {}, Kinds()
         ordered = sorted(specs, key=lambda spec: spec.vehicle)
-        self._seats = [Seat(spec, given.get(spec.vehicle), kinds) for spec in ordered]
+        self._seats = [Seat(spec, objects_by_vehicle.get(spec.vehicle), kinds) for spec in ordered]
         self.agents = tuple(seat.info for seat in self._seats)
         self._trains = list(dict.fromkeys(info.ticks for info in self.agents))  # few, of many seats
         self._train = [self._trains.index(info.ticks) for info in self.agents]
-        heard = {f"{seat.vehicle}/heard": seat.hear for seat in self._seats}
+        receivers = {f"{seat.vehicle}/heard": seat.hear for seat in self._seats}
         latest = {f"{seat.vehicle}/{what}": see for seat in self._seats for what, see in seat.sees.items()}
-        self.reads, self.latest = tuple(heard), tuple(latest)
-        self._takes: dict[str, Callable[[Any], None]] = heard | latest  # what becomes of a value, by its key
+        self.reads, self.latest = tuple(receivers), tuple(latest)
+        self._takes: dict[str, Callable[[Any], None]] = receivers | latest  # what becomes of a value, by its key
 
     def start(self, run: RunInfo) -> int | None:
         """Tell every agent who and where it is; all act first at time 0."""

@@ -41,9 +41,9 @@ class GetAround(Agent):
         """With no task: get out of the way of what comes near."""
         return self.around(obs, radio, Velocity())
 
-    def around(self, obs: Observation, radio: Radio, wanted: Velocity | Waypoint | None) -> Velocity | Waypoint | None:
+    def around(self, obs: Observation, radio: Radio, requested: Velocity | Waypoint | None) -> Velocity | Waypoint | None:
         """What to do in place of what is wanted."""
-        command = self._around(obs, wanted)
+        command = self._around(obs, requested)
         self.note(**self._steering.notes)
         return command
 
@@ -62,13 +62,15 @@ class GetAround(Agent):
     def _flown(self, obs: Observation, command: Velocity, waypoint: Waypoint | None) -> Velocity | Waypoint:
         """The same in the air, for a velocity that may stand for a way-point."""
         goal = self.goal if waypoint is None or self.goal is not None else waypoint.position[:2]
-        moved = around(self._steering, obs, command.linear, command.yaw_rate, goal)
+        decision = around(self._steering, obs, command.linear, command.yaw_rate, goal)
         as_wanted = (
-            moved.mode == "task" and math.dist(moved.velocity, command.linear) < SAME and moved.yaw_rate == command.yaw_rate
+            decision.mode == "task"
+            and math.dist(decision.velocity, command.linear) < SAME
+            and decision.yaw_rate == command.yaw_rate
         )
         if waypoint is not None and self._steering.level == 0 and as_wanted:
             return waypoint
-        return Velocity(linear=moved.velocity, yaw_rate=moved.yaw_rate)
+        return Velocity(linear=decision.velocity, yaw_rate=decision.yaw_rate)
 
 
 class Avoid(Agent):
@@ -87,8 +89,8 @@ class Avoid(Agent):
     def __init__(self, task: dict[str, Any], avoidance: Avoidance, *, goal: Point | None = None) -> None:
         self.task, self._around = build_nested(task, "task"), GetAround(avoidance, goal)
         self.period = self.task.period
-        wanted, looked_at = self.task.sensors, self._around.sensors or ()
-        self.sensors = None if wanted is None else tuple(dict.fromkeys((*wanted, *looked_at)))
+        task_sensors, own_sensors = self.task.sensors, self._around.sensors or ()
+        self.sensors = None if task_sensors is None else tuple(dict.fromkeys((*task_sensors, *own_sensors)))
         self._last: Velocity | Waypoint | None = None
 
     def start(self, info: VehicleInfo) -> None:
@@ -104,8 +106,8 @@ class Avoid(Agent):
         self.follows = self.task.follows
         command = self._around.around(obs, radio, self._last)
         self.note(**{**self.task.drain_notes(), **self._around.drain_notes()})
-        for shown in self.task.drain_shown().values():
-            self.show(shown)
+        for value in self.task.drain_shown().values():
+            self.show(value)
         return command
 
     def close(self) -> None:

@@ -88,9 +88,9 @@ def clearances(points: Array, curvatures: Array, keep: float) -> Array:
     touched = np.abs(apart, out=apart) < keep  # |R - keep| < q < R + keep, multiplied out
     if len(away) and excess[0] < 0.0:
         touched |= blocks
-    found = np.full(len(curvatures), math.inf)
+    free_m = np.full(len(curvatures), math.inf)
     if not touched.any():
-        return found
+        return free_m
 
     def until(row: Array, column: Array) -> Array:
         way = _until_touch(x[column], y[column], excess[column], curvatures[row], keep)
@@ -98,16 +98,16 @@ def clearances(points: Array, curvatures: Array, keep: float) -> Array:
 
     rows = np.flatnonzero(touched.any(axis=1))
     nearest = touched[rows].argmax(axis=1)
-    found[rows] = until(rows, nearest)
+    free_m[rows] = until(rows, nearest)
     # No way to touch a point is shorter than the chord: only those nearer than what is found already can be touched earlier.
-    within = np.searchsorted(away, found + keep)
-    columns = int(within.max(initial=0, where=np.isfinite(found)))
+    within = np.searchsorted(away, free_m + keep)
+    columns = int(within.max(initial=0, where=np.isfinite(free_m)))
     earlier = touched[:, :columns] & (np.arange(columns) < within[:, None])
     row, column = np.divmod(np.flatnonzero(earlier), max(columns, 1))  # quicker than `nonzero` in two dimensions
     if len(row):
         firsts = np.flatnonzero(np.diff(row, prepend=-1))
-        found[row[firsts]] = np.minimum(found[row[firsts]], np.minimum.reduceat(until(row, column), firsts))
-    return found
+        free_m[row[firsts]] = np.minimum(free_m[row[firsts]], np.minimum.reduceat(until(row, column), firsts))
+    return free_m
 
 
 def _until_touch(x: Array, y: Array, excess: Array, curvature: Array, keep: float) -> Array:

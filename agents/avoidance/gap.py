@@ -122,29 +122,35 @@ class GapMethod:
     def _way(self, view: View, task: Task) -> tuple[float, float] | None:
         """Bearing of the middle of the gap to take, and how far it reaches to either side, rad; None: there is none."""
         lookahead, first = self._settings.lookahead_m, float(view.bearings[0])
-        wanted = _bearing(task.leader or task.aim or task.velocity)
-        if view.sees(wanted):
-            way = self._chosen(*gaps_ahead(view, wanted, lookahead), wanted, task, view.step)
+        goal_bearing = _bearing(task.leader or task.aim or task.velocity)
+        if view.sees(goal_bearing):
+            way = self._chosen(*gaps_ahead(view, goal_bearing, lookahead), goal_bearing, task, view.step)
             if way is not None:
                 return way
-        found = gaps(view.ranges, lookahead, first, view.step, view.cyclic)
+        candidates = gaps(view.ranges, lookahead, first, view.step, view.cyclic)
         if view.cyclic:
             return self._chosen(
-                found, wanted + (found.bearing - wanted + math.pi) % math.tau - math.pi, wanted, task, view.step
+                candidates,
+                goal_bearing + (candidates.bearing - goal_bearing + math.pi) % math.tau - math.pi,
+                goal_bearing,
+                task,
+                view.step,
             )
-        return self._chosen(found, found.bearing, view.near_middle(wanted), task, view.step)
+        return self._chosen(candidates, candidates.bearing, view.near_middle(goal_bearing), task, view.step)
 
-    def _chosen(self, found: Gaps, places: Array, wanted: float, task: Task, step: float) -> tuple[float, float] | None:
+    def _chosen(
+        self, candidates: Gaps, places: Array, goal_bearing: float, task: Task, step: float
+    ) -> tuple[float, float] | None:
         """The best of these gaps, thought to be at ``places``, rad; ties to the wider."""
         best: tuple[float, float, float] | None = None
         top, lookahead = self._settings.top, self._settings.lookahead_m
-        beams = found.end - found.begin
-        columns = (found.width, found.bearing, places, 0.5 * step * beams)
+        beams = candidates.end - candidates.begin
+        columns = (candidates.width, candidates.bearing, places, 0.5 * step * beams)
         for width, bearing, place, half in zip(*(each[:top].tolist() for each in columns), strict=True):
             if width <= 2.0 * self._half_m:
                 break
             if task.aim is None or task.leader is not None:
-                cost = abs(place - wanted)
+                cost = abs(place - goal_bearing)
             else:
                 cost = math.dist((lookahead * math.cos(place), lookahead * math.sin(place)), task.aim)
             if best is None or cost < best[0] - 1e-9:

@@ -82,26 +82,26 @@ def gaps_ahead(view: View, bearing: float, lookahead_m: float) -> tuple[Gaps, Ar
         unseen, ranges = 0, view.ranges.take(np.arange(begin, end), mode="wrap")
     else:
         unseen, ranges = max(-begin, 0), view.ranges[max(begin, 0) : end]
-    found = gaps(ranges, lookahead_m, first + (begin + unseen) * view.step, view.step)
-    width = _whole_widths(view, found, begin + unseen, len(ranges), lookahead_m)
+    candidates = gaps(ranges, lookahead_m, first + (begin + unseen) * view.step, view.step)
+    width = _whole_widths(view, candidates, begin + unseen, len(ranges), lookahead_m)
     order = np.argsort(-width, kind="stable")
-    found = Gaps(found.begin[order], found.end[order], width[order], found.bearing[order])
-    more = (found.end == len(ranges)) * (end - begin - unseen - len(ranges)) - (found.begin == 0) * unseen
-    return found, found.bearing + 0.5 * view.step * more
+    candidates = Gaps(candidates.begin[order], candidates.end[order], width[order], candidates.bearing[order])
+    more = (candidates.end == len(ranges)) * (end - begin - unseen - len(ranges)) - (candidates.begin == 0) * unseen
+    return candidates, candidates.bearing + 0.5 * view.step * more
 
 
-def _whole_widths(view: View, found: Gaps, begin: int, count: int, lookahead_m: float) -> Array:
+def _whole_widths(view: View, candidates: Gaps, begin: int, count: int, lookahead_m: float) -> Array:
     """The widths of gaps among ``count`` beams from beam ``begin`` on, m; of those that go on beyond them, as a whole.
 
     What is seen under half a turn or more is no door, and its width says nothing.
     """
-    cut = np.flatnonzero((found.begin == 0) | (found.end == count))
+    cut = np.flatnonzero((candidates.begin == 0) | (candidates.end == count))
     if not len(cut):
-        return found.width
-    width, every = found.width.copy(), len(view.ranges)
+        return candidates.width
+    width, every = candidates.width.copy(), len(view.ranges)
     whole = gaps(view.ranges, lookahead_m, 0.0, view.step, view.cyclic)
     for each in cut.tolist():
-        inside = (begin + int(found.begin[each]) - whole.begin) % every < whole.end - whole.begin
+        inside = (begin + int(candidates.begin[each]) - whole.begin) % every < whole.end - whole.begin
         one = inside.argmax()
         if (whole.end[one] - whole.begin[one] + 1) * view.step < math.pi:
             width[each] = min(width[each], float(whole.width[one]))

@@ -66,5 +66,5 @@ def free_m(view: View, bearing: float, half_width: float, length: float) -> floa
 
 def half_angles(ranges: Array, half_width: float) -> Array:
     """Half of the angle, (n,) rad, that returns at these distances, m, block for a disc of radius ``half_width``, m."""
-    found: Array = np.arcsin(np.minimum(1.0, half_width / np.maximum(ranges, half_width)))
-    return found
+    half_angles: Array = np.arcsin(np.minimum(1.0, half_width / np.maximum(ranges, half_width)))
+    return half_angles

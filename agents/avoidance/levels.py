@@ -85,10 +85,10 @@ def limited_flight(velocity: Point, view: View, keep_m: float, approach: float) 
     nearest point gets further from the given velocity, so that it ends (the dual method of Goldfarb and Idnani, A numerically
     stable dual method for solving strictly convex quadratic programs, Mathematical Programming 27, 1983, in two dimensions).
     """
-    seen = np.isfinite(view.ranges)
-    if not seen.any() or not math.isfinite(velocity[0] + velocity[1]):
+    finite = np.isfinite(view.ranges)
+    if not finite.any() or not math.isfinite(velocity[0] + velocity[1]):
         return velocity
-    units, most = view.units[seen], approach * np.maximum(view.ranges[seen] - keep_m - SPARE_M, 0.0)
+    units, most = view.units[finite], approach * np.maximum(view.ranges[finite] - keep_m - SPARE_M, 0.0)
     allowed = velocity
     holding: list[int] = []
     for _ in range(ROUNDS):
@@ -138,8 +138,8 @@ def limited_drive(v: float, view: View, keep_m: float, lane_m: float, approach: 
 def _left_m(view: View, keep_m: float, lane_m: float, sign: float) -> float:
     """How far a disc can move along x, m, ahead (sign 1) or back (-1), until it touches a return; negative: it does already."""
     ranges, ahead = view.ranges, sign * view.units[:, 0]
-    seen = np.isfinite(ranges) & (ahead > EXACT)
-    along, aside = ranges[seen] * ahead[seen], ranges[seen] * view.units[seen, 1]
+    finite = np.isfinite(ranges) & (ahead > EXACT)
+    along, aside = ranges[finite] * ahead[finite], ranges[finite] * view.units[finite, 1]
     inside = np.abs(aside) < lane_m
     left = along[inside] - np.sqrt(keep_m**2 - aside[inside] ** 2)
     return float(left.min(initial=math.inf))

@@ -81,10 +81,10 @@ class Steering:
             return self._told_of(BLIND)
         return self._told_of(self._limited(obs, view, Decision((v, 0.0), w, "task"), abs(v)))
 
-    def _limited(self, obs: Observation, view: View, decision: Decision, wanted: float) -> Decision:
+    def _limited(self, obs: Observation, view: View, decision: Decision, requested: float) -> Decision:
         """What is left of a decision near obstacles, for a vehicle whose task wants it to go at ``wanted``, m/s."""
         x, y, _ = obs.state.velocity
-        fastest = max(wanted, math.hypot(*decision.velocity), math.hypot(x, y))
+        fastest = max(requested, math.hypot(*decision.velocity), math.hypot(x, y))
         self.level = self._levels.update(obs.time_ns, view.nearest_m, fastest)
         velocity = self._levels.limited(view, decision.velocity)
         if not self._flies and velocity[0] and not view.sees(0.0 if velocity[0] > 0.0 else math.pi):
@@ -93,7 +93,7 @@ class Steering:
             self.level = max(self.level, 1)
             velocity = saturated(velocity, self._speed)
         elif view.nearest_m == 0.0:
-            velocity = saturated(velocity, max(self._speed, wanted))
+            velocity = saturated(velocity, max(self._speed, requested))
         return decision._replace(velocity=velocity)
 
     def _is_doubtful(self, now_ns: int, view: View) -> bool:
@@ -126,7 +126,7 @@ class Moved(NamedTuple):
 def around(
     steering: Steering | None,
     obs: Observation,
-    wanted: Vec3,
+    requested: Vec3,
     yaw_rate: float,
     aim: Point | None = None,
     leader: Point | None = None,
@@ -136,11 +136,13 @@ def around(
     Obstacles are avoided sideways: the climb stays as wanted, but for a vehicle that sees nothing and stands still.
     """
     if steering is None:
-        return Moved(wanted, yaw_rate, "task")
+        return Moved(requested, yaw_rate, "task")
     yaw = obs.state.yaw
-    task = Task(rotate2(wanted[0], wanted[1], -yaw), yaw_rate, _seen(obs, aim), _seen(obs, leader), steering.settings.max_speed)
+    task = Task(
+        rotate2(requested[0], requested[1], -yaw), yaw_rate, _seen(obs, aim), _seen(obs, leader), steering.settings.max_speed
+    )
     decision = steering.steer(obs, task)
-    climb = 0.0 if decision.mode == "blind" else wanted[2]
+    climb = 0.0 if decision.mode == "blind" else requested[2]
     return Moved((*rotate2(*decision.velocity, yaw), climb), decision.yaw_rate, decision.mode)
 
 

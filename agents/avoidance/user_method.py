@@ -41,12 +41,12 @@ class Own(Settings, frozen=True, kw_only=True, tag="own"):
 
     def maker(self) -> Callable[[Body, float], Method]:
         """Looks the class up at once, while it is known where its file is looked for."""
-        made = find("avoidance", self.algorithm, key="avoidance.algorithm")
+        factory = find("avoidance", self.algorithm, key="avoidance.algorithm")
 
         def make(body: Body, period_s: float) -> Method:
             offered = {"body": body, "period_s": period_s}
-            given = {name: value for name, value in offered.items() if name in parameters(made)}
-            method: Method = call(made, self.params, key="avoidance.params", given=given)
+            params = {name: value for name, value in offered.items() if name in parameters(factory)}
+            method: Method = call(factory, self.params, key="avoidance.params", given=params)
             return method
 
         return make

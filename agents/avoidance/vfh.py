@@ -157,15 +157,15 @@ class _Vfh:
             return Decision(task.velocity, task.yaw_rate, "task")
         if v:
             self._cruise = v
-        seen = _seen(len(view.ranges), float(view.bearings[0]), view.step, self._set.sectors, cyclic=view.cyclic)
-        free, target = seen & ~self._blocked, self._target(task)
-        if free.sum() == seen.sum():  # also where the aim is not among what is seen
+        visible = _seen(len(view.ranges), float(view.bearings[0]), view.step, self._set.sectors, cyclic=view.cyclic)
+        free, target = visible & ~self._blocked, self._target(task)
+        if free.sum() == visible.sum():  # also where the aim is not among what is seen
             self._previous = target
             return Decision(task.velocity, task.yaw_rate, "task")
         radius = 0.0 if self._flies else max(0.0, task.now[0]) / self._set.max_yaw_rate
-        way = self._way(free & self._turnable(view, radius), seen, target)
+        way = self._way(free & self._turnable(view, radius), visible, target)
         if way is None:
-            return self._turning(view, self._way(free, seen, target) if radius else None, task)
+            return self._turning(view, self._way(free, visible, target) if radius else None, task)
         self._previous = way.bearing
         if way.to_target and (self._flies or not v or not self._blocked[0]):
             return Decision(task.velocity, task.yaw_rate, "task")
@@ -198,21 +198,21 @@ class _Vfh:
         turnable: Array = (directions <= left.min(initial=math.pi)) & (directions >= right.max(initial=-math.pi))
         return turnable
 
-    def _way(self, free: Array, seen: Array, target: float) -> Way | None:
+    def _way(self, free: Array, visible: Array, target: float) -> Way | None:
         """The cheapest direction: where the task goes, or an edge of an opening, well clear of obstacles.
 
         An opening is entered half of ``wide_deg`` beside an obstacle at its edge, in its middle if there are two and it is
         narrower. The edge of what is seen is no obstacle; a target beyond it counts as being there.
         """
         choices = []
-        target = self._into_view(target, seen)
+        target = self._into_view(target, visible)
         for first, count in openings(free):
             right, width = first * self._angle, (count - 1) * self._angle
             if count == len(free):
                 return Way(target, to_target=True)
             clear = min(0.5 * math.radians(self._set.wide_deg), 0.5 * width)
-            low = clear if seen[first - 1] else 0.0
-            high = width - (clear if seen[(first + count) % len(free)] else 0.0)
+            low = clear if visible[first - 1] else 0.0
+            high = width - (clear if visible[(first + count) % len(free)] else 0.0)
             inside = wrap(target - right - 0.5 * width) + 0.5 * width
             if low - 1e-9 <= inside <= high + 1e-9:
                 choices.append(Way(target, to_target=True))
@@ -220,13 +220,13 @@ class _Vfh:
         # Of equals, the target, then the left-most: the order is that of the sectors.
         return min(choices, key=lambda way: (round(self._cost(way.bearing, target), 9), not way.to_target), default=None)
 
-    def _into_view(self, target: float, seen: Array) -> float:
-        sector = round(target / self._angle) % len(seen)
-        if seen[sector]:
+    def _into_view(self, target: float, visible: Array) -> float:
+        sector = round(target / self._angle) % len(visible)
+        if visible[sector]:
             return target
-        away = np.abs(wrapped(_directions(len(seen)) - target))
-        away[~seen] = math.inf
-        return float(_directions(len(seen))[int(away.argmin())])
+        away = np.abs(wrapped(_directions(len(visible)) - target))
+        away[~visible] = math.inf
+        return float(_directions(len(visible))[int(away.argmin())])
 
     def _cost(self, bearing: float, target: float) -> float:
         """What a direction costs: weighted angles to the target, the heading, and the direction before."""

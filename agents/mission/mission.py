@@ -82,8 +82,8 @@ class Mission(Agent):
         self.period = self._tasks["search"].period
         self._around = None if avoidance is None else GetAround(avoidance)
         self._runner = self._made_runner()
-        wanted, looked_at = self._runner.sensors, () if self._watch is None else self._watch.sensors
-        self.sensors = None if wanted is None else tuple(dict.fromkeys((*wanted, *looked_at)))
+        task_sensors, own_sensors = self._runner.sensors, () if self._watch is None else self._watch.sensors
+        self.sensors = None if task_sensors is None else tuple(dict.fromkeys((*task_sensors, *own_sensors)))
         self._state, self._seq = State(), 0
 
     def start(self, info: VehicleInfo) -> None:
@@ -126,11 +126,11 @@ class Mission(Agent):
         self.follows = task.follows if state.task == "formation" else None
         if self._leads and state.task == "search":
             self._report(obs, radio, command)
-        for noted in self._runner.said.values():
-            self.note(**noted)
+        for notes in self._runner.said.values():
+            self.note(**notes)
         self.note(**self._runner.notes)
-        for shown in self._runner.shown:
-            self.show(shown)
+        for value in self._runner.shown:
+            self.show(value)
         return command
 
     def close(self) -> None:
@@ -144,23 +144,23 @@ class Mission(Agent):
 
     def _facts(self, obs: Observation) -> Facts:
         """All that the algorithms know, and the guard."""
-        known: dict[str, Any] = {}
+        facts: dict[str, Any] = {}
         for task, algorithm in self._tasks.items():
             if (tell := getattr(algorithm, "facts", None)) is not None:
-                told_of = tell(obs)
-                for name in told_of:
+                facts_of_task = tell(obs)
+                for name in facts_of_task:
                     if name not in Facts._fields:
                         raise ValueError(f"algorithms.{task}: facts() tells {unknown('fact', name, Facts._fields)}")
-                known |= told_of
+                facts |= facts_of_task
         if "track" not in self._tasks:
-            known |= {"recognised": False, "probability": 0.0}
+            facts |= {"recognised": False, "probability": 0.0}
         if "formation" not in self._tasks:
-            known["shared"] = False
+            facts["shared"] = False
         guard = self._runner.guard
         if guard is not None:
             near = guard.nearest_m, guard.settings.reach_m, guard.second_m
-            known |= {"nearest_m": near[0], "first_m": near[1], "second_m": near[2], "closing": guard.closing}
-        return Facts(now_ns=obs.time_ns, **known)
+            facts |= {"nearest_m": near[0], "first_m": near[1], "second_m": near[2], "closing": guard.closing}
+        return Facts(now_ns=obs.time_ns, **facts)
 
     def _turn(self, obs: Observation, before: str, after: str, facts: Facts) -> None:
         """Tell one algorithm that it is the task no more, and another that it is."""

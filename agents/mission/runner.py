@@ -33,7 +33,7 @@ class Standby(Protocol):
 class Around(Protocol):
     """An agent that does what the task wants, but in another way: avoidance. It is asked in place of `act`, after all tasks."""
 
-    def around(self, obs: Observation, radio: Radio, wanted: Command | None) -> Command | None:
+    def around(self, obs: Observation, radio: Radio, command: Command | None) -> Command | None:
         """What to do in place of what the task wants now; None: nobody knows what."""
 
 
@@ -67,9 +67,9 @@ class Runner:
     @property
     def sensors(self) -> tuple[str, ...] | None:
         """All that any of them looks at; None: all there is."""
-        wanted = [() if self.guard is None else self.guard.sensors, *(agent.sensors for agent in self._agents)]
-        named = [each for each in wanted if each is not None]
-        return tuple(dict.fromkeys(name for each in named for name in each)) if len(named) == len(wanted) else None
+        sensors = [() if self.guard is None else self.guard.sensors, *(agent.sensors for agent in self._agents)]
+        named = [each for each in sensors if each is not None]
+        return tuple(dict.fromkeys(name for each in named for name in each)) if len(named) == len(sensors) else None
 
     def start(self, info: VehicleInfo) -> None:
         """All begin."""
@@ -109,12 +109,12 @@ class Runner:
         self._note(obs, commander, why)
         self._runs_up = self._runs_up or (self._obeyed is not None and obeyed is not self._obeyed)
         self._obeyed = obeyed
-        wanted = self._wants.get(id(obeyed))
-        if wanted is None:
+        requested = self._wants.get(id(obeyed))
+        if requested is None:
             if self._command is None:
                 return None
-            wanted = STANDING
-        self._command = self._run_up(obs, wanted)
+            requested = STANDING
+        self._command = self._run_up(obs, requested)
         if self.guard is not None:
             self._command = self.guard.limited(obs, self._command)
         return self._command
@@ -134,8 +134,8 @@ class Runner:
                 answer = agent.act(obs, radio)
             if answer is not None:
                 self._wants[id(agent)] = answer
-            if noted := agent.drain_notes():
-                self.said[names[id(agent)]] = noted
+            if notes := agent.drain_notes():
+                self.said[names[id(agent)]] = notes
             self.shown += agent.drain_shown().values()
 
     def _note(self, obs: Observation, commander: str, why: str) -> None:
@@ -144,17 +144,17 @@ class Runner:
             self.notes = {"commander": commander, "since_s": obs.time_s, "why": why}
         self._commander = commander
 
-    def _run_up(self, obs: Observation, wanted: Command) -> Command:
+    def _run_up(self, obs: Observation, command: Command) -> Command:
         """The command that comes next on the way from the last one to what is wanted."""
-        if not self._runs_up or isinstance(wanted, Waypoint):  # on its way to a point an autopilot keeps to its own limits
+        if not self._runs_up or isinstance(command, Waypoint):  # on its way to a point an autopilot keeps to its own limits
             self._runs_up = False
-            return wanted
+            return command
         last = self._command if isinstance(self._command, Velocity) else self._moving(obs)
-        linear = _towards(last.linear, wanted.linear, self.acceleration * self._period_s)
-        turn, most = wanted.yaw_rate - last.yaw_rate, self.yaw_acceleration * self._period_s
-        yaw_rate = wanted.yaw_rate if abs(turn) <= most else last.yaw_rate + math.copysign(most, turn)
-        self._runs_up = linear != wanted.linear or yaw_rate != wanted.yaw_rate
-        return Velocity(linear=linear, yaw_rate=yaw_rate) if self._runs_up else wanted
+        linear = _towards(last.linear, command.linear, self.acceleration * self._period_s)
+        turn, most = command.yaw_rate - last.yaw_rate, self.yaw_acceleration * self._period_s
+        yaw_rate = command.yaw_rate if abs(turn) <= most else last.yaw_rate + math.copysign(most, turn)
+        self._runs_up = linear != command.linear or yaw_rate != command.yaw_rate
+        return Velocity(linear=linear, yaw_rate=yaw_rate) if self._runs_up else command
 
     def _moving(self, obs: Observation) -> Velocity:
         """How the vehicle moves, as a command: what a way-point has made it do, or nobody yet."""

@@ -67,9 +67,9 @@ class Guard:
         straight = velocity_to(obs, command, self.settings.max_speed) if isinstance(command, Waypoint) else command
         x, y, z = straight.linear
         yaw = obs.state.yaw if self._flies else 0.0
-        wanted = rotate2(x, y, -yaw)
+        requested = rotate2(x, y, -yaw)
         level = self._levels.update(obs.time_ns, self._view.nearest_m, max(self._speed, math.hypot(x, y)))
-        left = self._levels.limited(self._view, wanted)
-        if left == wanted:
+        left = self._levels.limited(self._view, requested)
+        if left == requested:
             return command if level < 2 else straight
         return Velocity(linear=(*rotate2(*left, yaw), z), yaw_rate=straight.yaw_rate)

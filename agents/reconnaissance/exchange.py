@@ -102,10 +102,10 @@ class Delta(Alone):
         counts = {tile: self.tiling.counts_of(tile, raw) for tile, raw in message.entries if type(tile) is int}
         if len(counts) < len(message.entries):  # what is no number, or a tile twice
             return False
-        found = {tile: each for tile, each in counts.items() if each is not None}
-        if len(found) < len(counts):
+        tiles = {tile: each for tile, each in counts.items() if each is not None}
+        if len(tiles) < len(counts):
             return False
-        for tile, (hits, misses) in found.items():
+        for tile, (hits, misses) in tiles.items():
             if message.ms > newest[tile]:
                 newest[tile] = message.ms
                 odds = self._map[tile] + self.sensor.evidence(hits, misses)
@@ -149,9 +149,9 @@ class Consensus(Alone):
 
     def look(self, cells: Array, hits: Array, now_ns: int) -> None:
         """A step: agree with the others, then add own looks, cells (n,), each at most once, and whether each look said 1."""
-        heard, share = self._fresh.sum(axis=0)[:, None], 1.0 / self._members
+        received, share = self._fresh.sum(axis=0)[:, None], 1.0 / self._members
         total = np.where(self._fresh[..., None], self._heard, 0.0).sum(axis=0)
-        self._map = (1.0 - share * heard) * self._map + share * total
+        self._map = (1.0 - share * received) * self._map + share * total
         self._fresh[:] = False
         super().look(cells, hits, now_ns)
 
@@ -168,14 +168,14 @@ class Consensus(Alone):
         place, message = self._places.get(sender), parsed(body, "c", 2, now_ns // 1_000_000 + self._clock_bound_ms)
         if place is None or message is None:
             return False
-        found: list[tuple[int, Array]] = []
+        entries: list[tuple[int, Array]] = []
         for tile, raw in message.entries:
             if type(tile) is not int or not 0 <= tile < self.tiling.tiles or len(raw) != 2 * self.tiling.per_tile:
                 return False
-            found.append((tile, np.frombuffer(raw, "<i2") / STEPS))
-        if any(np.abs(odds).max() > LIMIT for _, odds in found):
+            entries.append((tile, np.frombuffer(raw, "<i2") / STEPS))
+        if any(np.abs(odds).max() > LIMIT for _, odds in entries):
             return False
-        for tile, odds in found:
+        for tile, odds in entries:
             if message.ms > self._newest[place, tile]:
                 self._newest[place, tile] = message.ms
                 self._heard[place, tile], self._fresh[place, tile] = odds, True

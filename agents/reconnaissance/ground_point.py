@@ -78,9 +78,9 @@ class Nadir(NamedTuple):
         None: it shows the horizon.
         """
         first, top, last, low = (edge - 0.5 for edge in part or (0, 0, self.width, self.height))  # outer edges of pixels
-        seen = [self.ground_point(corner) for corner in ((first, top), (first, low), (last, low), (last, top))]
-        corners = tuple(corner for corner in seen if corner is not None)
-        return corners if len(corners) == len(seen) else None
+        ground_corners = [self.ground_point(corner) for corner in ((first, top), (first, low), (last, low), (last, top))]
+        corners = tuple(corner for corner in ground_corners if corner is not None)
+        return corners if len(corners) == len(ground_corners) else None
 
     def region(self, place: Point, reach_m: float) -> Region | None:
         """The pixels that show all of the ground within ``reach_m`` of a place, as far as the picture does; None: none do."""

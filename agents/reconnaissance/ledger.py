@@ -91,10 +91,10 @@ class Ledger:
         changed = np.where(self._newer(), self._others_changed, self._changed)
         self._times[changed != self._times_of] = 0
         self._times_of = changed
-        known = changed != NEVER
+        changed_cells = changed != NEVER
         if not self.relay:
-            known[np.arange(len(known)) != self._me] = False
-        who, tile = np.nonzero(known)
+            changed_cells[np.arange(len(changed_cells)) != self._me] = False
+        who, tile = np.nonzero(changed_cells)
         order = np.lexsort((tile, who, -changed[who, tile], who != self._me, self._times[who, tile]))
         who, tile, ms = who[order], tile[order], now_ns // 1_000_000
         bodies, used = self.tiling.bodies(KEY, ms, self._entries(who, tile, ms - changed[who, tile]), most)

@@ -79,7 +79,7 @@ class Sheet:
         edges = np.array([(0, 0), (0, height), (width, height), (width, 0)], np.float32) - np.float32(0.5)
         turn = cv2.getPerspectiveTransform(edges, (on_sheet - low - 0.5).astype(np.float32))
         part = self._pixels[low[1] : high[1], low[0] : high[0]]
-        seen = cv2.warpPerspective(picture, turn, part.shape[1::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        warped = cv2.warpPerspective(picture, turn, part.shape[1::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         inside = np.zeros(part.shape[:2], np.uint8)
         cv2.fillConvexPoly(inside, np.rint((on_sheet - low - 0.5) * 16.0).astype(np.int32), 1, cv2.LINE_8, 4)
-        np.copyto(part, seen, where=inside[:, :, None] > 0)
+        np.copyto(part, warped, where=inside[:, :, None] > 0)

@@ -106,15 +106,15 @@ class Roster:
     def hear(self, obs: Observation) -> None:
         """Once a tick: take in what others told; whatever a member sends shows that it is there, unless a program sends it."""
         self._start_ns = obs.time_ns if self._start_ns is None else self._start_ns
-        for heard in obs.heard:
-            sender, body = heard.message.sender, heard.message.body
+        for reception in obs.heard:
+            sender, body = reception.message.sender, reception.message.body
             if sender == self.me or sender not in self._sector_of or isinstance(body, bytes):
                 continue
             self._there_ns[sender] = obs.time_ns
-            said = _parsed(body, (obs.time_ns + self._clock_bound_ns) // 1_000_000)
+            status = _parsed(body, (obs.time_ns + self._clock_bound_ns) // 1_000_000)
             before = self._heard.get(sender)
-            if said is not None and (before is None or said.ms > before.ms):
-                self._heard[sender] = said
+            if status is not None and (before is None or status.ms > before.ms):
+                self._heard[sender] = status
 
     def tell(self, obs: Observation, radio: Radio, task: Task, claim: Claim | None) -> None:
         """Once a tick: say what this vehicle does, when it is due."""

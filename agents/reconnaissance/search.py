@@ -208,8 +208,8 @@ class Search(Agent):
         frame = None if self.watch is None else self.watch.look(obs)
         if frame is None or not frame.whole or frame.footprint is None:
             return None
-        if self._way is None and self._kept is not None and (seen_m := swaths_m(frame, self._kept[0])) is not None:
-            self._lay(seen_m)
+        if self._way is None and self._kept is not None and (swaths := swaths_m(frame, self._kept[0])) is not None:
+            self._lay(swaths)
         if self._looked_ns is not None and frame.time_ns - self._looked_ns < self._look_ns:
             return None
         self._looked_ns = frame.time_ns
@@ -236,9 +236,9 @@ class Search(Agent):
         if not self._agreed:  # a consensus takes a step at each look, and the messages say what came of it
             self.map.look(*NOTHING, obs.time_ns)
         self._agreed = False
-        sent = sum(radio.send(body) for body in self.map.messages(obs.time_ns, self.most))
-        if sent:
-            self._bytes += sent
+        frames_sent = sum(radio.send(body) for body in self.map.messages(obs.time_ns, self.most))
+        if frames_sent:
+            self._bytes += frames_sent
             self.note(map_bytes=self._bytes)
 
     def _note_found(self) -> None:

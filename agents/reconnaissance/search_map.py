@@ -44,8 +44,8 @@ class SearchMap:
 
     def hear(self, obs: Observation) -> None:
         """Take in what others tell; messages that are not of the map are somebody else's."""
-        taken = [self._mind.take(each.message.sender, each.message.body, obs.time_ns) for each in obs.heard]
-        if any(taken):
+        accepted = [self._mind.take(each.message.sender, each.message.body, obs.time_ns) for each in obs.heard]
+        if any(accepted):
             self._changed()
 
     def look(self, cells: Array, hits: Array, now_ns: int) -> None:
@@ -133,8 +133,8 @@ def of_reading(grid: Grid, looks: Looks) -> tuple[Array, Array]:
 def of_picture(grid: Grid, frame: Frame) -> tuple[Array, Array]:
     """Cells that a picture shows, (n,), and in which of them something was recognised, (n,) bool."""
     cells = grid.inside(np.array(frame.footprint or (), float))
-    found = [cell for each in frame.sightings if (cell := grid.at(*each.place)) is not None]
-    return cells, np.isin(cells, found)
+    target_cells = [cell for each in frame.sightings if (cell := grid.at(*each.place)) is not None]
+    return cells, np.isin(cells, target_cells)
 
 
 def swaths_m(frame: Frame, height_m: float) -> Point | None:
@@ -168,8 +168,8 @@ def _blobs(grid: Grid, odds: Array) -> list[Blob]:
     cells, flat = np.flatnonzero(held), odds.ravel()
     cells = cells[np.argsort(labels.ravel()[cells], kind="stable")]
     ends = np.cumsum(np.bincount(labels.ravel(), minlength=count + 1)[1:])[:-1]
-    found: list[Blob] = []
+    blobs: list[Blob] = []
     for of_it in np.split(cells, ends):
         x, y = grid.centres(of_it).mean(axis=0).tolist()
-        found.append(Blob(of_it, (x, y), float(flat[of_it].max())))
-    return sorted(found, key=lambda blob: (-blob.odds, int(blob.cells[0])))
+        blobs.append(Blob(of_it, (x, y), float(flat[of_it].max())))
+    return sorted(blobs, key=lambda blob: (-blob.odds, int(blob.cells[0])))

@@ -88,10 +88,10 @@ def step(state: State, facts: Facts) -> State:
     if state.now_ns is None:
         state = state._replace(since_ns=facts.now_ns)
     state = _with_task(_timed(state, facts, facts.now_ns - before), facts)
-    wanted, why = _avoidance(state, facts) or _the_task(state)
-    if wanted == state.name or (state.switches > 0 and facts.now_ns - state.since_ns < DWELL_NS):
+    next_mode, why = _avoidance(state, facts) or _the_task(state)
+    if next_mode == state.name or (state.switches > 0 and facts.now_ns - state.since_ns < DWELL_NS):
         return state
-    return state._replace(name=wanted, since_ns=facts.now_ns, why=why, switches=state.switches + 1, clear_ns=None)
+    return state._replace(name=next_mode, since_ns=facts.now_ns, why=why, switches=state.switches + 1, clear_ns=None)
 
 
 def _timed(state: State, facts: Facts, passed_ns: int) -> State:
@@ -104,8 +104,8 @@ def _timed(state: State, facts: Facts, passed_ns: int) -> State:
     state = state._replace(now_ns=facts.now_ns, clear_ns=clear_ns)
     if state.task != "track":
         return state
-    seen_ns = state.found_ns if facts.seen_ns is None else max(facts.seen_ns, state.found_ns)
-    lost = facts.now_ns - seen_ns >= LOST_NS
+    last_seen_ns = state.found_ns if facts.seen_ns is None else max(facts.seen_ns, state.found_ns)
+    lost = facts.now_ns - last_seen_ns >= LOST_NS
     return state._replace(lost=lost, spiral_ns=state.spiral_ns + passed_ns if lost and state.lost else 0)
 
 

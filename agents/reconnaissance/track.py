@@ -165,13 +165,13 @@ class Track(Agent):
     def begin(self, obs: Observation, place: Point | None) -> None:
         """Track what is at this place, m; None: what is below."""
         place = obs.state.position[:2] if place is None else place
-        known = self._candidate
+        candidate = self._candidate
         way_m = math.dist(place, obs.state.position[:2])
-        if known is not None and math.dist(known.place, place) <= self._tracker.within_m:
-            self._target, seen_ns, there_ns = known.target, known.since_ns, 0
+        if candidate is not None and math.dist(candidate.place, place) <= self._tracker.within_m:
+            self._target, last_seen_ns, there_ns = candidate.target, candidate.since_ns, 0
         else:
-            self._target, seen_ns, there_ns = "", obs.time_ns, obs.time_ns + seconds_to_ns(DETOUR * way_m / self.max_speed)
-        self._tracker.begin(seen_ns, place)
+            self._target, last_seen_ns, there_ns = "", obs.time_ns, obs.time_ns + seconds_to_ns(DETOUR * way_m / self.max_speed)
+        self._tracker.begin(last_seen_ns, place)
         self._since_ns, self._there_ns = obs.time_ns, there_ns
         self._height = obs.state.position[2] if self.height is None else self.height
         self._note_target()

@@ -111,34 +111,34 @@ class Tracker:
         self.seen_ns = 0  # when the newest picture was taken that shows it
         self._searched = 0  # ticks, since it was lost
 
-    def begin(self, taken_ns: int, place: Point) -> None:
+    def begin(self, image_ns: int, place: Point) -> None:
         """Track what is at this place, m, at rest as far as is known, and forget what was tracked before."""
         if not _is_place(place):
             raise ValueError(f"a target is at a place, not at {place}")
-        self._place, self.velocity, self.seen_ns, self._searched = place, (0.0, 0.0), taken_ns, 0
+        self._place, self.velocity, self.seen_ns, self._searched = place, (0.0, 0.0), image_ns, 0
 
     def end(self) -> None:
         """Track nothing."""
         self._place = None
 
-    def see(self, taken_ns: int, places: Iterable[Point]) -> bool:
+    def see(self, image_ns: int, places: Iterable[Point]) -> bool:
         """Take in what a picture shows that was taken then; whether the target is among it.
 
         The nearest to where it is expected is it, if that is near enough. A picture not newer than the last one that showed
         it changes nothing.
         """
-        if self._place is None or taken_ns <= self.seen_ns:
+        if self._place is None or image_ns <= self.seen_ns:
             return False
-        expected = self.predicted(taken_ns)
+        expected = self.predicted(image_ns)
         nearest = min((place for place in places if _is_place(place)), key=lambda each: math.dist(each, expected), default=None)
-        if nearest is None or math.dist(nearest, expected) > self.reach_m(taken_ns):
+        if nearest is None or math.dist(nearest, expected) > self.reach_m(image_ns):
             return False
-        passed_s = (taken_ns - self.seen_ns) / 1e9
+        passed_s = (image_ns - self.seen_ns) / 1e9
         share = 1.0 - (1.0 - self.smoothing) ** (passed_s / self.period_s)
         (x, y), (vx, vy) = self._place, self.velocity
-        moved = (nearest[0] - x) / passed_s, (nearest[1] - y) / passed_s
-        self.velocity = vx + share * (moved[0] - vx), vy + share * (moved[1] - vy)
-        self._place, self.seen_ns, self._searched = nearest, taken_ns, 0
+        velocity = (nearest[0] - x) / passed_s, (nearest[1] - y) / passed_s
+        self.velocity = vx + share * (velocity[0] - vx), vy + share * (velocity[1] - vy)
+        self._place, self.seen_ns, self._searched = nearest, image_ns, 0
         return True
 
     def phase(self, now_ns: int) -> Phase:

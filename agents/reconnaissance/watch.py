@@ -140,7 +140,7 @@ class Watch:
         if part is None or not (nadir.upright >= STEEPEST and nadir.height_m > 0.0 and image.focal_px > 0.0):
             return Frame(image.time_ns, nadir, (), image, None, self.region is None)
         distance_m = nadir.height_m / nadir.upright  # along the optical axis
-        found = self._detector.detect(image.pixels, distance_m, image.focal_px, None if part == whole else part)
+        detections = self._detector.detect(image.pixels, distance_m, image.focal_px, None if part == whole else part)
         sightings = tuple(
             Sighting(
                 target=one.target,
@@ -150,7 +150,7 @@ class Watch:
                 side_px=one.side_px,
                 score=min(max(one.match, 0.0), 1.0),
             )
-            for one in found
+            for one in detections
             if (place := nadir.ground_point(one.centre_px)) is not None
         )
         edge = math.ceil(INSIDE * self._largest_m * image.focal_px / distance_m)
@@ -166,8 +166,8 @@ def _common(one: Region, other: Region) -> Region | None:
     return (left, top, right, bottom) if left < right and top < bottom else None
 
 
-def _loaded(wanted: Wanted, key: str) -> Target:
+def _loaded(entry: Wanted, key: str) -> Target:
     try:
-        return Target.load(wanted.name, registry.located(wanted.picture), wanted.size_m)
+        return Target.load(entry.name, registry.located(entry.picture), entry.size_m)
     except ScenarioError as error:
         raise ScenarioError(error.problem, key=f"{key}.{error.key}") from error

@@ -114,20 +114,20 @@ class AerialFollower(Agent):
         self._member.tell(obs, radio, speed, yaw_rate, **told(obs, velocity))
         lead = self._estimate(obs, newest)
         if lead is None:
-            moved = around(self._steering, obs, self._faded(obs.time_ns), self._turning(obs, None))
+            decision = around(self._steering, obs, self._faded(obs.time_ns), self._turning(obs, None))
         else:
             place, velocity = self._place(lead)
             off = [there - here for there, here in zip(place, obs.state.position, strict=True)]
             self.note(error_m=math.hypot(*off))
             vx, vy, vz = (v + self.gain * error for v, error in zip(velocity, off, strict=True))
-            moved = around(self._steering, obs, (vx, vy, vz), self._turning(obs, lead), place[:2], lead.position[:2])
+            decision = around(self._steering, obs, (vx, vy, vz), self._turning(obs, lead), place[:2], lead.position[:2])
         # Limited last, as a field adds up its pushes and the way to go: in that sum, what is far off its place hurries more.
-        velocity = limited(moved.velocity, self.max_speed)
+        velocity = limited(decision.velocity, self.max_speed)
         if lead is not None:
             self._last, self._fading_ns = velocity, None
         if self._steering is not None:
             self.note(**self._steering.notes)
-        return Velocity(linear=velocity, yaw_rate=moved.yaw_rate)
+        return Velocity(linear=velocity, yaw_rate=decision.yaw_rate)
 
     def stand_by(self, obs: Observation, radio: Radio) -> None:
         """While the vehicle is busy otherwise: listen. It says nothing, so that nobody follows it."""

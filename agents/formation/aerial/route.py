@@ -87,13 +87,13 @@ class AerialRoute(Leader):
         before = None if self._kept is None else self._next
         self._from = self._from or obs.state.position
         height, yaw = self._kept or (obs.state.position[2], obs.state.yaw)
-        wanted = self._along_the_way(obs) if self.way else self._on(obs, height)
+        target = self._along_the_way(obs) if self.way else self._on(obs, height)
         arrived = self.way and self._next == len(self.way)
         if self.heading == "course" and not arrived:
             yaw = self._course(self._from, yaw)
         self._kept = height, yaw
         w = max(-self.yaw_rate, min(YAW_GAIN * wrap(yaw - obs.state.yaw), self.yaw_rate))
-        velocity, w, _ = around(self._steering, obs, wanted, w, self.aim(obs))
+        velocity, w, _ = around(self._steering, obs, target, w, self.aim(obs))
         if self._steering is not None:
             self.note(**self._steering.notes)
         if self.way and self._next != before:

@@ -140,20 +140,20 @@ class Consensus(Agent):
         """The protocol: velocity of the own point, m/s, world."""
         (vx, vy), delayed = self.velocity, self.own == "delayed"
         sum_x = sum_y = squares = oldest_s = 0.0
-        heard = 0
+        neighbours = 0
         for name, (dx, dy) in self._places.items():
-            seen = self._newest.get(name)
-            if seen is None or (age_s := max(0, here.t_ns - seen.t_ns) / 1e9) >= self.timeout_s:
+            member = self._newest.get(name)
+            if member is None or (age_s := max(0, here.t_ns - member.t_ns) / 1e9) >= self.timeout_s:
                 continue
             if delayed:
-                _, own_x, own_y = self._recall(seen.t_ns)
+                _, own_x, own_y = self._recall(member.t_ns)
             else:
                 own_x, own_y = here.x - vx * age_s, here.y - vy * age_s
-            ex, ey = seen.x - own_x - dx, seen.y - own_y - dy
+            ex, ey = member.x - own_x - dx, member.y - own_y - dy
             sum_x, sum_y, squares = sum_x + ex, sum_y + ey, squares + ex * ex + ey * ey
-            heard, oldest_s = heard + 1, max(oldest_s, age_s)
-        if heard:
-            self.note(heard=heard, age_s=oldest_s, disagreement=math.sqrt(squares / heard))
+            neighbours, oldest_s = neighbours + 1, max(oldest_s, age_s)
+        if neighbours:
+            self.note(heard=neighbours, age_s=oldest_s, disagreement=math.sqrt(squares / neighbours))
         else:
             self.note(heard=0)
         return vx + self.gain * sum_x, vy + self.gain * sum_y
@@ -167,15 +167,15 @@ class Consensus(Agent):
     def _listen(self, obs: Observation) -> None:
         """Keep the newest report of every neighbour: late ones and copies change nothing, nonsense is counted."""
         latest_ns = obs.time_ns + self._clock_bound_ns
-        for heard in obs.heard:
-            sender, body = heard.message.sender, heard.message.body
+        for reception in obs.heard:
+            sender, body = reception.message.sender, reception.message.body
             if sender not in self._places or isinstance(body, bytes):  # which are of a program there
                 continue
-            seen = _parse(body, latest_ns)
-            if seen is None:
+            member = _parse(body, latest_ns)
+            if member is None:
                 self._refused += 1
-            elif sender not in self._newest or seen.t_ns > self._newest[sender].t_ns:
-                self._newest[sender] = seen
+            elif sender not in self._newest or member.t_ns > self._newest[sender].t_ns:
+                self._newest[sender] = member
         if self._refused:
             self.note(refused=self._refused)
 

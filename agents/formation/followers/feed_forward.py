@@ -32,8 +32,8 @@ class Feeding:
         if self._feed != "leader":
             return
         relayed = None if parent is None else lead_of(parent, now_ns + self._clock_bound_ns)
-        heard = (relayed, *leader) if leader else (relayed or parent,)
-        for report in heard:
+        reports = (relayed, *leader) if leader else (relayed or parent,)
+        for report in reports:
             if report is not None and (self.lead is None or report.t_ns > self.lead.t_ns):
                 self.lead = report
 

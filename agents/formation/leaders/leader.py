@@ -58,8 +58,8 @@ class Leader(Agent):
         clock_bound_s: NonNegative = 0.0,
     ) -> None:
         self.estimator = estimator_of(estimator, horizon_s=horizon_s, fade_s=fade_s)
-        wanted = {*tell, *getattr(self.estimator, "needs", ())}
-        self._tells_a, self._plan_ticks = "a" in wanted, plan_ticks if "plan" in wanted else 0
+        needs = {*tell, *getattr(self.estimator, "needs", ())}
+        self._tells_a, self._plan_ticks = "a" in needs, plan_ticks if "plan" in needs else 0
         self._reporter = Reporter(sending, self.estimator)
         check_silence(self._reporter.sending, formation)
         self._formation, self._clock_bound_s = formation, clock_bound_s
@@ -134,9 +134,9 @@ class Leader(Agent):
                 team.wide = shape
         self._go_on(team, obs)
         if self._guide is not None:
-            wanted = self._guide.shape(obs, self._listening, self.estimator)
-            if wanted != team.shape:
-                self._change(team, wanted, obs)
+            outline = self._guide.shape(obs, self._listening, self.estimator)
+            if outline != team.shape:
+                self._change(team, outline, obs)
             self.note(**self._guide.notes)
         return dict(team.fields())
 

@@ -66,11 +66,11 @@ class Teleop(Leader):
                 self.close()
         if self._device is None:
             self.note(status="device lost")
-        asked_v = max(-self.max_reverse, min(v, self.speed))
-        asked_w = max(-self.yaw_rate, min(w, self.yaw_rate))
-        self.note(asked_v=asked_v, asked_w=asked_w)
-        self._v = towards(self._v, asked_v, self.acceleration * self._period_s)
-        self._w = towards(self._w, asked_w, self.yaw_acceleration * self._period_s)
+        v_limited = max(-self.max_reverse, min(v, self.speed))
+        w_limited = max(-self.yaw_rate, min(w, self.yaw_rate))
+        self.note(asked_v=v_limited, asked_w=w_limited)
+        self._v = towards(self._v, v_limited, self.acceleration * self._period_s)
+        self._w = towards(self._w, w_limited, self.yaw_acceleration * self._period_s)
         return self._v, self._w
 
     def close(self) -> None:

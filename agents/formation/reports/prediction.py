@@ -156,10 +156,14 @@ def _made(content: Mapping[str, Any], horizon_s: float, fade_s: float) -> Estima
             unknown("estimator", kind, ESTIMATORS)
             + "; or give module:Class or file.py:Class with a method predict(report, age_s)"
         )
-    made: type[Estimator] = ESTIMATORS[kind] if kind in ESTIMATORS else find("estimator", kind, key="estimator")
+    estimator_class: type[Estimator] = ESTIMATORS[kind] if kind in ESTIMATORS else find("estimator", kind, key="estimator")
     own = {name: value for name, value in content.items() if name != "kind"}
     offered = {"horizon_s": horizon_s, "fade_s": fade_s}
-    return call(made, {**{name: value for name, value in offered.items() if name in parameters(made)}, **own}, key="estimator")
+    return call(
+        estimator_class,
+        {**{name: value for name, value in offered.items() if name in parameters(estimator_class)}, **own},
+        key="estimator",
+    )
 
 
 def moved(state: LeaderState, age_s: float, horizon_s: float, fade_s: float) -> LeaderState:

@@ -32,8 +32,8 @@ class Listening:
     def take(self, obs: Observation) -> list[Report]:
         """Go through what came in since the last tick; the reports of it, oldest first."""
         reports = []
-        for heard in obs.heard:
-            message = heard.message
+        for reception in obs.heard:
+            message = reception.message
             sender, body = message.sender, message.body
             if sender not in self._senders or isinstance(body, bytes):
                 continue

@@ -84,13 +84,13 @@ class Reporter:
             self._sent[self._seq] = now
             self._seq += 1
             if len(self._sent) > REMEMBERED:
-                wanted = {*self._has.values(), *range(self._seq - REMEMBERED // 2, self._seq)}
-                self._sent = {number: report for number, report in self._sent.items() if number in wanted}
+                needed = {*self._has.values(), *range(self._seq - REMEMBERED // 2, self._seq)}
+                self._sent = {number: report for number, report in self._sent.items() if number in needed}
 
     def _hear(self, obs: Observation) -> None:
         """Note which reports have arrived."""
-        for heard in obs.heard:
-            body, name = heard.message.body, heard.message.sender
+        for reception in obs.heard:
+            body, name = reception.message.body, reception.message.sender
             number = None if isinstance(body, bytes) else body.get("ack")
             if type(number) is int and number in self._sent:
                 self._has[name] = max(number, self._has.get(name, -1))
@@ -113,12 +113,12 @@ class Reporter:
             numbers = set(self._has.values())
         return any(number < 0 or self._wrong(self._sent[number], now) for number in sorted(numbers))
 
-    def _wrong(self, known: Report, now: Report) -> bool:
+    def _wrong(self, last: Report, now: Report) -> bool:
         """Whether one who has the report ``known`` takes this vehicle to be elsewhere, or a shape or a lane for another."""
-        if any(known.body.get(key) != now.body.get(key) for key in ("sn", "cl")):
+        if any(last.body.get(key) != now.body.get(key) for key in ("sn", "cl")):
             return True
-        age_s = (now.t_ns - known.t_ns) / 1e9
-        x, y, th, _, _ = self.estimator.predict(known, age_s)
-        up = 0.0 if self._flight is None else self._flight(known, age_s).position[2] - self._flight(now, 0.0).position[2]
+        age_s = (now.t_ns - last.t_ns) / 1e9
+        x, y, th, _, _ = self.estimator.predict(last, age_s)
+        up = 0.0 if self._flight is None else self._flight(last, age_s).position[2] - self._flight(now, 0.0).position[2]
         aside = math.hypot(x - now.state.x, y - now.state.y, up)
         return aside + METRES_PER_RADIAN * abs(wrap(th - now.state.th)) > self.sending.threshold

@@ -155,8 +155,8 @@ class Membership:
         self._keep(parent, (0.0, 0.0) if parent is None else team.beside(parent))
         if self._broadcast_always is None:
             changes = team.changed > 0 or bool(team.formation.changes)  # whoever deals out places wants to know where all are
-            asked = changes or team.formation.passage is not None
-            self.broadcast = bool(team.children) or self._heartbeat_ns is not None or asked
+            varies = changes or team.formation.passage is not None
+            self.broadcast = bool(team.children) or self._heartbeat_ns is not None or varies
         self._reporter.start(team.children)
 
 

@@ -45,20 +45,20 @@ class Lookout(VisibleMembers):
         super().__init__(info.body, passage)
         self.passage, self.team = passage, team
 
-    def is_clear(self, obs: Observation, heard: Listening, estimator: Estimator) -> bool:
+    def is_clear(self, obs: Observation, listening: Listening, estimator: Estimator) -> bool:
         """Whether a member is to say so."""
-        return self.is_free(obs, heard, estimator, self.passage.clear_m)
+        return self.is_free(obs, listening, estimator, self.passage.clear_m)
 
-    def is_free(self, obs: Observation, heard: Listening, estimator: Estimator, ahead_m: float) -> bool:
+    def is_free(self, obs: Observation, listening: Listening, estimator: Estimator, ahead_m: float) -> bool:
         """Whether nothing but members stands in the lane up to ``ahead_m``; a bad scan, or none, means that something may."""
         view = self._looking.look(obs)
         if view is None:
             return False
         across = [y for _, y in self.team.places(self.team.wide)]
         aside = 0.5 * self._body.width_m + self.passage.margin_m
-        seen = np.isfinite(view.ranges)
-        seen[self._of_members(view, obs, heard, estimator)] = False
-        x, y = view.ranges[seen] * view.units[seen].T
+        finite = np.isfinite(view.ranges)
+        finite[self._of_members(view, obs, listening, estimator)] = False
+        x, y = view.ranges[finite] * view.units[finite].T
         within = (y > min(across) - aside) & (y < max(across) + aside) & (x > -self.passage.behind_m) & (x < ahead_m)
         return not within.any()
 
@@ -77,12 +77,12 @@ class Guide:
         self._told = {"lane": "", "waits_for": ""}
         self.notes: dict[str, str] = {}
 
-    def shape(self, obs: Observation, heard: Listening, estimator: Estimator) -> str:
+    def shape(self, obs: Observation, listening: Listening, estimator: Estimator) -> str:
         """That of now, or another one; asked once a tick."""
         passage, team = self._lookout.passage, self._lookout.team
         is_narrow = team.shape == passage.shape
-        free = self._lookout.is_free(obs, heard, estimator, passage.free_m if is_narrow else passage.narrow_m)
-        wide = self._policy.widens(obs.time_ns, free, self._names, heard) if is_narrow else free
+        free = self._lookout.is_free(obs, listening, estimator, passage.free_m if is_narrow else passage.narrow_m)
+        wide = self._policy.widens(obs.time_ns, free, self._names, listening) if is_narrow else free
         waits_for = self._policy.waits_for if is_narrow and free else ()
         now = {"lane": "free" if free else "narrow", "waits_for": ", ".join(waits_for[:NAMED])}
         self.notes = {name: value for name, value in now.items() if value != self._told[name]}

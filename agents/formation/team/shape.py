@@ -47,15 +47,15 @@ def width(places: Sequence[Slot], body: float) -> float:
 
 
 def _own(count: int, offsets: Sequence[Slot]) -> Slots:
-    given = tuple((float(x), float(y)) for x, y in offsets)
-    if len(given) < count:
-        raise ValueError(f"shape 'own' needs the offsets of all {count} members, but there are {len(given)}")
-    if given[0] != (0.0, 0.0):
-        raise ValueError(f"the first of the offsets is the leader's own place and must be [0, 0], not {list(given[0])}")
-    for number, place in enumerate(given):
-        if place in given[:number]:
-            raise ValueError(f"offsets has the place {list(place)} twice, as its items {given.index(place)} and {number}")
-    return given[:count]
+    points = tuple((float(x), float(y)) for x, y in offsets)
+    if len(points) < count:
+        raise ValueError(f"shape 'own' needs the offsets of all {count} members, but there are {len(points)}")
+    if points[0] != (0.0, 0.0):
+        raise ValueError(f"the first of the offsets is the leader's own place and must be [0, 0], not {list(points[0])}")
+    for number, place in enumerate(points):
+        if place in points[:number]:
+            raise ValueError(f"offsets has the place {list(place)} twice, as its items {points.index(place)} and {number}")
+    return points[:count]
 
 
 def _column(count: int) -> list[Slot]:

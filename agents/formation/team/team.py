@@ -51,9 +51,9 @@ class Team:
         else:
             self._tree = parents(formation.topology, count, formation.branching)
         narrow = formation.passage
-        wanted = {formation.shape, *(shape for _, shape in formation.changes), narrow and narrow.shape}
+        shapes = {formation.shape, *(shape for _, shape in formation.changes), narrow and narrow.shape}
         spacings = ((narrow.shape, narrow.spacing),) if narrow is not None and narrow.spacing is not None else ()
-        self._slots = _all_slots(count, formation.spacing, spacings, formation.offsets, "own" in wanted)
+        self._slots = _all_slots(count, formation.spacing, spacings, formation.offsets, "own" in shapes)
         if narrow is not None:
             _check_narrower(narrow.shape, self._slots[narrow.shape], formation.shape, self._slots[formation.shape])
         self.shape: str = formation.shape
@@ -147,10 +147,10 @@ class Team:
         self.parent = self.ancestors[0] if self.ancestors else None
         self.children = tuple(names[child] for child, parent in enumerate(self._tree) if parent == node)
         self.ranks = tuple(names[each] for each in ranks(self._tree))
-        told: dict[str, Any] = {"shape": self.shape, "sn": self.changed} if self.changed else {}
+        fields: dict[str, Any] = {"shape": self.shape, "sn": self.changed} if self.changed else {}
         if self._order != tuple(range(len(self.members))):
-            told["order"] = list(self._order)
-        self._fields = told
+            fields["order"] = list(self._order)
+        self._fields = fields
 
 
 @functools.lru_cache(maxsize=16)  # all members of a run ask for the same
@@ -158,8 +158,8 @@ def _all_slots(
     count: int, spacing: float, spacings: tuple[tuple[str, float], ...], offsets: tuple[Slot, ...], own: bool
 ) -> Mapping[str, Slots]:
     """The slots of every shape that the team can take; ``spacings``: of single shapes; ``own``: whether that must be there."""
-    taken = [shape for shape in SHAPES if shape != "own" or own or offsets]
-    return {shape: slots(shape, count, dict(spacings).get(shape, spacing), offsets) for shape in taken}
+    shapes = [shape for shape in SHAPES if shape != "own" or own or offsets]
+    return {shape: slots(shape, count, dict(spacings).get(shape, spacing), offsets) for shape in shapes}
 
 
 def _check_narrower(narrow: str, places: Slots, wide: str, wide_places: Slots) -> None:
@@ -178,14 +178,14 @@ def members_of(formation: Formation, vehicles: Sequence[str], name: str) -> tupl
         ValueError: it names who is none of the vehicles, or somebody twice, or leaves this one out.
     """
     members = formation.members or tuple(vehicles)
-    known, seen = frozenset(vehicles), set()
+    names, used = frozenset(vehicles), set()
     for member in members:
-        if member not in known:
+        if member not in names:
             raise ValueError(f"formation.members: {unknown('vehicle', member, vehicles)}")
-        if member in seen:
+        if member in used:
             raise ValueError(f"formation.members names {member} twice")
-        seen.add(member)
-    if name not in seen:
+        used.add(member)
+    if name not in used:
         raise ValueError(f"formation.members ({', '.join(members)}) does not name {name}; add it, or give it no formation")
     return members
 
@@ -202,7 +202,7 @@ def assign(positions: Sequence[Slot], places: Sequence[Slot]) -> tuple[int, ...]
     """
     from scipy.optimize import linear_sum_assignment  # takes long to load, and few teams change shape
 
-    others, wanted = np.array(positions[1:], float).reshape(-1, 2), np.array(places[1:], float).reshape(-1, 2)
-    way = np.hypot(*(wanted[:, None, :] - others[None, :, :]).transpose(2, 0, 1))
+    others, targets = np.array(positions[1:], float).reshape(-1, 2), np.array(places[1:], float).reshape(-1, 2)
+    way = np.hypot(*(targets[:, None, :] - others[None, :, :]).transpose(2, 0, 1))
     _, who = linear_sum_assignment(way)  # rows, here the places, come in their order
     return (0, *(int(member) + 1 for member in who))

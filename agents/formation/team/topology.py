@@ -34,33 +34,33 @@ def parents(topology: TopologyName, count: int, branching: int = 2) -> tuple[int
     raise ValueError("the topology 'graph' follows names, not places: see named_parents")
 
 
-def named_parents(given: Mapping[str, str], members: Sequence[str]) -> tuple[int, ...]:
+def named_parents(parents: Mapping[str, str], members: Sequence[str]) -> tuple[int, ...]:
     """The number of the member that each member follows, by the names in a formation's ``parents``.
 
     Raises:
         ValueError: an unknown name, somebody besides the first who follows nobody, or members who follow each other.
     """
-    for name in (*given, *given.values()):
+    for name in (*parents, *parents.values()):
         if name not in members:
             raise ValueError(f"formation.parents: {unknown('member', name, members)}")
     first = members[0]
-    if first in given:
-        raise ValueError(f"formation.parents: {first} is the first member and leads; it cannot follow {given[first]}")
+    if first in parents:
+        raise ValueError(f"formation.parents: {first} is the first member and leads; it cannot follow {parents[first]}")
     for name in members[1:]:
-        if name not in given:
+        if name not in parents:
             raise ValueError(f"formation.parents: {name} follows nobody, but {first} leads already; say whom {name} follows")
     leads_to_first = {first}
     for name in members:
         path = [name]
         while path[-1] not in leads_to_first:
-            path.append(given[path[-1]])
+            path.append(parents[path[-1]])
             if path[-1] in path[:-1]:
                 circle = path[path.index(path[-1]) :]
                 words = ", ".join(f"{one} follows {other}" for one, other in pairwise(circle))
                 raise ValueError(f"formation.parents: {words}: a circle, which nobody leads")
         leads_to_first.update(path)
     number = {name: each for each, name in enumerate(members)}
-    return (ROOT, *(number[given[name]] for name in members[1:]))
+    return (ROOT, *(number[parents[name]] for name in members[1:]))
 
 
 def ancestors(tree: Sequence[int], place: int) -> tuple[int, ...]:

@@ -49,7 +49,7 @@ class VisibleMembers:
         self._body, self._member_m = body, settings.member_m
         self._report_ns = seconds_to_ns(settings.report_s)
 
-    def without_members(self, obs: Observation, heard: Listening, estimator: Estimator, scanner: str) -> Observation:
+    def without_members(self, obs: Observation, listening: Listening, estimator: Estimator, scanner: str) -> Observation:
         """The observation with a scan in which members are not to be seen, for one that is to keep its place close to them.
 
         Taken for obstacles, those ahead in a column would hold up whoever follows them, and those on their way to a new place
@@ -59,27 +59,27 @@ class VisibleMembers:
         view = view_of(scan)
         if not isinstance(scan, Scan) or view is None:
             return obs
-        mine, ranges = self._of_members(view, obs, heard, estimator), view.ranges.copy()
+        mine, ranges = self._of_members(view, obs, listening, estimator), view.ranges.copy()
         ranges[mine] = np.inf
         return replace(obs, readings=Readings({**obs.readings, scanner: replace(scan, ranges=ranges)}))
 
-    def behind_members(self, obs: Observation, v: float, heard: Listening, estimator: Estimator, approach: float) -> float:
+    def behind_members(self, obs: Observation, v: float, listening: Listening, estimator: Estimator, approach: float) -> float:
         """As much of a speed (m/s) as a vehicle may have so as not to run into a member ahead of it, or back into one behind.
 
         It comes nearer to one in its way by no more than ``approach`` (1/s) times what is left between circles around both
         bodies. The law knows of places alone, not of who crosses whose way to them.
         """
         lane, apart = self._body.width_m + BESIDE_M, 2.0 * self._body.radius_m
-        for x, y, away in self._mates(obs, heard, estimator):
+        for x, y, away in self._mates(obs, listening, estimator):
             room = approach * (abs(x) - apart)
             if abs(y) < lane:
                 v = min(v, max(0.0, away + room)) if x > 0.0 else max(v, min(0.0, away - room))
         return v
 
-    def _mates(self, obs: Observation, heard: Listening, estimator: Estimator) -> list[Mate]:
+    def _mates(self, obs: Observation, listening: Listening, estimator: Estimator) -> list[Mate]:
         """Those of whom there is a fresh report, at the height of this vehicle."""
         (x, y, z), yaw, mates = obs.state.position, obs.state.yaw, []
-        for report in heard.newest.values():
+        for report in listening.newest.values():
             height = height_of(report)
             if height is None:
                 height = 0.0 if self._body.flies else z  # of one on wheels
@@ -88,7 +88,7 @@ class VisibleMembers:
                 mates.append(Mate(*rotate2(then.x - x, then.y - y, -yaw), then.v * math.cos(then.th - yaw)))
         return mates
 
-    def _of_members(self, view: View, obs: Observation, heard: Listening, estimator: Estimator) -> Array:
+    def _of_members(self, view: View, obs: Observation, listening: Listening, estimator: Estimator) -> Array:
         """Which beams end at a member, or as near to where it is taken to be as it may be.
 
         Only close to where a member's own fresh report puts it now, and at its height. This is safe, since what else stands so
@@ -96,13 +96,13 @@ class VisibleMembers:
         clear; whatever is larger than that circle is seen next to it; and a report that is lost or old hides nothing. What is
         nearer than can be measured, or no number, is nobody's.
         """
-        mates = self._mates(obs, heard, estimator)
+        mates = self._mates(obs, listening, estimator)
         if not mates:
             return np.zeros(0, np.intp)
-        (seen,) = np.nonzero(np.isfinite(view.ranges) & (view.ranges > 0.0))
-        points = view.ranges[seen, None] * view.units[seen]
+        (finite,) = np.nonzero(np.isfinite(view.ranges) & (view.ranges > 0.0))
+        points = view.ranges[finite, None] * view.units[finite]
         away = np.hypot(*np.moveaxis(points[:, None] - np.array(mates)[:, :2], -1, 0))
-        return np.asarray(seen[(away <= self._body.radius_m + self._member_m).any(axis=1)])
+        return np.asarray(finite[(away <= self._body.radius_m + self._member_m).any(axis=1)])
 
 
 def moved_to(obs: Observation, report: Report, estimator: Estimator) -> LeaderState:

@@ -58,16 +58,16 @@ def hues(picture: Array) -> Hues:
     return Hues(label, tuple((counts / hsv[:, :, 0].size).tolist()))
 
 
-def scores(hsv: Array, wanted: Hues, side_px: int) -> Array:
+def scores(hsv: Array, hues: Hues, side_px: int) -> Array:
     """How well the colours around each pixel are the target's, (h, w) uint8, 255: all of them; beyond the border is nothing."""
     total = np.zeros(hsv.shape[:2], np.uint8)
     _, pale = cv2.threshold(cv2.extractChannel(hsv, 1), SATURATION - 1, 255, cv2.THRESH_BINARY_INV)
     hue = cv2.bitwise_or(cv2.extractChannel(hsv, 0), pale)  # 255 is no hue
-    for table, share in zip(wanted.tables, wanted.shares, strict=True):
-        found = cv2.boxFilter(cv2.LUT(hue, table), -1, (side_px, side_px), borderType=cv2.BORDER_CONSTANT)
-        _, counted = cv2.threshold(found, round(255 * share), 0, cv2.THRESH_TRUNC)  # no more than the target has
+    for table, share in zip(hues.tables, hues.shares, strict=True):
+        counts = cv2.boxFilter(cv2.LUT(hue, table), -1, (side_px, side_px), borderType=cv2.BORDER_CONSTANT)
+        _, counted = cv2.threshold(counts, round(255 * share), 0, cv2.THRESH_TRUNC)  # no more than the target has
         cv2.add(total, counted, total)
-    return np.asarray(cv2.convertScaleAbs(total, alpha=1.0 / sum(wanted.shares)))
+    return np.asarray(cv2.convertScaleAbs(total, alpha=1.0 / sum(hues.shares)))
 
 
 def peaks(score: Array, side_px: int, inside: tuple[int, int, int, int]) -> Array:
@@ -77,14 +77,14 @@ def peaks(score: Array, side_px: int, inside: tuple[int, int, int, int]) -> Arra
     left, top, right, bottom = inside
     summit = np.zeros_like(score)
     summit[top:bottom, left:right] = np.where(score == highest, score, 0)[top:bottom, left:right]
-    found: list[tuple[float, float, float]] = []
-    while len(found) < MOST_PEAKS:
+    places: list[tuple[float, float, float]] = []
+    while len(places) < MOST_PEAKS:
         _, best, _, (u, v) = cv2.minMaxLoc(summit)
         if best < THRESHOLD * 255:
             break
-        found.append((*_middle(score, u, v, PART * best, side_px // 2), best / 255.0))
+        places.append((*_middle(score, u, v, PART * best, side_px // 2), best / 255.0))
         cv2.circle(summit, (u, v), reach, 0.0, -1)
-    return np.array(found).reshape(-1, 3)
+    return np.array(places).reshape(-1, 3)
 
 
 def _middle(score: Array, u: int, v: int, least: float, reach: int) -> tuple[float, float]:

@@ -99,19 +99,19 @@ class Detector:
         """
         if not (height_m > 0.0 and focal_px > 0.0 and math.isfinite(height_m + focal_px)):
             return []
-        found: list[Detection] = []
+        detections: list[Detection] = []
         for size_m in sorted({target.size_m for target in self.targets}):  # what targets of one size need is made once
             side = size_m * focal_px / height_m
             if SMALLEST_PX <= side <= min(image_rgb.shape[:2]) and (part := _part(image_rgb, side, region)) is not None:
-                found += self._of_size(size_m, side, part)
+                detections += self._of_size(size_m, side, part)
         if region is not None:
-            found = [one for one in found if _contains(region, *one.centre_px)]
-        found.sort(key=lambda one: -one.match)
-        kept: list[Detection] = []
-        for one in found:  # one place holds one target
-            if not any(_same_place(one, other) for other in kept):
-                kept.append(one)
-        return kept
+            detections = [one for one in detections if _contains(region, *one.centre_px)]
+        detections.sort(key=lambda one: -one.match)
+        distinct: list[Detection] = []
+        for one in detections:  # one place holds one target
+            if not any(_same_place(one, other) for other in distinct):
+                distinct.append(one)
+        return distinct
 
     def _of_size(self, size_m: float, side: float, search: _Search) -> list[Detection]:
         """Targets whose side takes up so many pixels."""
@@ -119,7 +119,7 @@ class Detector:
         hsv = cv2.cvtColor(small.image, cv2.COLOR_RGB2HSV)
         window = round(0.5 * (side * small.scale - 1.0)) * 2 + 1  # odd
         sharp: _Search | None = None
-        found: list[Detection] = []
+        detections: list[Detection] = []
         for target in self.targets:
             if target.size_m != size_m:
                 continue
@@ -130,8 +130,8 @@ class Detector:
                 continue
             places = np.column_stack([*small.whole(peaks[:, 0], peaks[:, 1]), peaks[:, 2]])
             sharp = sharp or search.reduced(PATCH / side)
-            found += self._judge(target.name, template, places, sharp, side)
-        return found
+            detections += self._judge(target.name, template, places, sharp, side)
+        return detections
 
     def _judge(self, name: str, template: Template, places: Array, search: _Search, side: float) -> list[Detection]:
         """What the later stages leave of places (n, 3): u, v px of the whole picture and score."""
@@ -141,13 +141,13 @@ class Detector:
         px = np.full(len(u), side * search.scale)
         for tries, least in ((AROUND_IT, HOPEFUL), (NEAR_IT, PROMISING)):
             u, v, px, rings, _ = _best(COARSE, template.coarse, search.image, u, v, px, tries)
-            kept = rings >= least
-            if not kept.any():
+            candidates = rings >= least
+            if not candidates.any():
                 return []
-            u, v, px, places = u[kept], v[kept], px[kept], places[kept]
+            u, v, px, places = u[candidates], v[candidates], px[candidates], places[candidates]
         u, v, px, _, _ = _best(FULL, template.full, search.image, u, v, px, CLOSE_TO_IT)
         u, v, px, rings, spectra = _best(FULL, template.full, search.image, u, v, px, LARGER_OR_SMALLER)
-        found = []
+        detections = []
         for i in np.flatnonzero(rings >= RINGS).tolist():
             angle = rotation(spectra[:, i], template.full.spectra[:, 0])
             pose, score = Pose(float(u[i]), float(v[i]), angle, float(px[i])), 0.0
@@ -157,8 +157,8 @@ class Detector:
                     continue
             across, down = search.whole(np.array([pose.u]), np.array([pose.v]))
             centre, size = (float(across[0]), float(down[0])), pose.side_px / search.scale
-            found.append(Detection(name, centre, wrap(pose.angle), size, float(places[i, 2]), float(rings[i]), score))
-        return found
+            detections.append(Detection(name, centre, wrap(pose.angle), size, float(places[i, 2]), float(rings[i]), score))
+        return detections
 
 
 def _contains(region: Region, u: float, v: float) -> bool:
@@ -171,14 +171,14 @@ def _same_place(one: Detection, other: Detection) -> bool:
 
 
 def _best(
-    rings: Rings, wanted: Signature, image: Array, u: Array, v: Array, px: Array, tries: Array
+    rings: Rings, sizes: Signature, image: Array, u: Array, v: Array, px: Array, tries: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Of the tries about each of n patches the one most like the target: u, v, side px, cosine (n,), spectra (9, n, m)."""
     us = (u[:, None] + px[:, None] * tries[:, 0]).ravel()
     vs = (v[:, None] + px[:, None] * tries[:, 1]).ravel()
     sides = (px[:, None] * tries[:, 2]).ravel()
     spectra = rings.spectra(image, us, vs, sides)
-    cosines = product(rings.signatures(spectra).unit, wanted.unit.T).reshape(len(u), -1)
+    cosines = product(rings.signatures(spectra).unit, sizes.unit.T).reshape(len(u), -1)
     best = np.arange(len(u)) * len(tries) + cosines.argmax(axis=1)
     return us[best], vs[best], sides[best], cosines.max(axis=1), spectra[:, best]
 

@@ -139,48 +139,48 @@ def frame(
     """
     side = size_m * FOCAL_PX / height_m
     canvas = _scene(rng, FOCAL_PX / height_m * FINE)
-    made = likenesses(targets[0][1], rng) if distractors else []
+    decoys = likenesses(targets[0][1], rng) if distractors else []
     middles = list(places) if places is not None else _places(rng, len(targets), side, [])
-    middles += _places(rng, len(made), side, middles)
+    middles += _places(rng, len(decoys), side, middles)
     turns = list(angles) if angles is not None else rng.uniform(-math.pi, math.pi, len(targets)).tolist()
-    turns += rng.uniform(-math.pi, math.pi, len(made)).tolist()
-    for picture, middle, turn in zip([p for _, p in targets] + made, middles, turns, strict=True):
+    turns += rng.uniform(-math.pi, math.pi, len(decoys)).tolist()
+    for picture, middle, turn in zip([p for _, p in targets] + decoys, middles, turns, strict=True):
         _paste(canvas, picture, middle, turn, side)
     small = cv2.resize(canvas, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).astype(np.float32)
     small = small * (rng.uniform(0.75, 1.2) if light is None else light) + noise * rng.standard_normal(small.shape, np.float32)
     image = np.clip(np.rint(small), 0, 255).astype(np.uint8)
     image.flags.writeable = False  # as those of cameras
     truths = tuple(Truth(name, *middles[i], turns[i]) for i, (name, _) in enumerate(targets))
-    alike = tuple((name, *middles[len(targets) + i]) for i, name in enumerate(DISTRACTORS[: len(made)]))
+    alike = tuple((name, *middles[len(targets) + i]) for i, name in enumerate(DISTRACTORS[: len(decoys)]))
     return Frame(Seen(image, height_m, FOCAL_PX, truths), alike)
 
 
-def tilted(made: Frame, tilt: float, about: float) -> Frame:
+def tilted(frame: Frame, tilt: float, about: float) -> Frame:
     """The same scene from a camera tilted by so much (rad) about an axis of its picture that points ``about`` (rad)."""
     K = np.array([[FOCAL_PX, 0.0, 0.5 * (WIDTH - 1)], [0.0, FOCAL_PX, 0.5 * (HEIGHT - 1)], [0.0, 0.0, 1.0]])
     turn, _ = cv2.Rodrigues(tilt * np.array([math.cos(about), math.sin(about), 0.0]))
     H = K @ turn @ np.linalg.inv(K)
-    image = cv2.warpPerspective(made.image, H, (WIDTH, HEIGHT), flags=cv2.INTER_LINEAR, borderValue=(105, 105, 95))
-    moved = []
-    for truth in made.seen.truths:
+    image = cv2.warpPerspective(frame.image, H, (WIDTH, HEIGHT), flags=cv2.INTER_LINEAR, borderValue=(105, 105, 95))
+    shifted = []
+    for truth in frame.seen.truths:
         u, v, w = (H @ np.array([truth.u, truth.v, 1.0])).tolist()
-        moved.append(replace(truth, u=u / w, v=v / w))
-    return replace(made, seen=replace(made.seen, image=image, truths=tuple(moved)))
+        shifted.append(replace(truth, u=u / w, v=v / w))
+    return replace(frame, seen=replace(frame.seen, image=image, truths=tuple(shifted)))
 
 
-def _places(rng: np.random.Generator, n: int, side: float, taken: Sequence[Point]) -> list[Point]:
+def _places(rng: np.random.Generator, n: int, side: float, occupied: Sequence[Point]) -> list[Point]:
     """Places wholly inside that keep clear of each other; where they do not fit, all are drawn anew."""
     edge = 0.75 * side
     for _ in range(1000):
-        found = list(taken)
+        places = list(occupied)
         for _ in range(200):
-            if len(found) == n + len(taken):
-                return found[len(taken) :]
+            if len(places) == n + len(occupied):
+                return places[len(occupied) :]
             at = (float(rng.uniform(edge, WIDTH - 1 - edge)), float(rng.uniform(edge, HEIGHT - 1 - edge)))
-            if all(math.dist(at, one) > CLEAR * side for one in found):
-                found.append(at)
-        if len(found) == n + len(taken):
-            return found[len(taken) :]
+            if all(math.dist(at, one) > CLEAR * side for one in places):
+                places.append(at)
+        if len(places) == n + len(occupied):
+            return places[len(occupied) :]
     raise ValueError("there is no room for them all")
 
 

@@ -45,10 +45,10 @@ def colour_map(target: Target, image: Array, height_m: float, focal_px: float, *
     hues = target.template(round(side)).hues
     label = np.where(hues.label <= most_hues, hues.label, 0).astype(np.uint8)
     score = colour.scores(cv2.cvtColor(small, cv2.COLOR_RGB2HSV), colour.Hues(label, hues.shares[:most_hues]), window)
-    found = colour.peaks(score, window, (0, 0, score.shape[1], score.shape[0]))
+    places = colour.peaks(score, window, (0, 0, score.shape[1], score.shape[0]))
     exact = np.array([small.shape[1] / image.shape[1], small.shape[0] / image.shape[0]])
-    found[:, :2] = (found[:, :2] + 0.5) / exact - 0.5  # the edges of pixels coincide, not their middles
-    return ColourMap(score, scale, found)
+    places[:, :2] = (places[:, :2] + 0.5) / exact - 0.5  # the edges of pixels coincide, not their middles
+    return ColourMap(score, scale, places)
 
 
 def inspect(target: Target, image: Array, height_m: float, focal_px: float, place: tuple[float, float]) -> Scores:

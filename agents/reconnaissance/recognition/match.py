@@ -47,9 +47,9 @@ def match(image: Array, template: Template, pose: Pose) -> tuple[float, Pose]:
 def _shift(image: Array, template: Template, pose: Pose) -> tuple[float, Pose]:
     """The best shift, to parts of a pixel."""
     patch = _patches(image, pose, np.zeros(1), np.ones(1), PATCH + 2 * SHIFT)[0]
-    found = cv2.matchTemplate(patch, template.patch, cv2.TM_CCOEFF_NORMED)
-    _, score, _, (u, v) = cv2.minMaxLoc(found)
-    return score, pose.shifted(u - SHIFT + vertex(found[v], u), v - SHIFT + vertex(found[:, u], v))
+    scores = cv2.matchTemplate(patch, template.patch, cv2.TM_CCOEFF_NORMED)
+    _, score, _, (u, v) = cv2.minMaxLoc(scores)
+    return score, pose.shifted(u - SHIFT + vertex(scores[v], u), v - SHIFT + vertex(scores[:, u], v))
 
 
 def _turn(image: Array, template: Template, pose: Pose) -> Pose:

@@ -48,8 +48,8 @@ class Rings:
         parts = product(self._transform, samples.reshape(self._angles, -1).astype(np.float32))
         parts = parts.reshape(2, HARMONICS, n, self._radii, 3)
         parts[0, 0] -= parts[0, 0].mean(axis=1, keepdims=True)  # channel means
-        found: Array = (parts[0] + 1j * parts[1]).reshape(HARMONICS, n, -1) * self._weight
-        return found
+        transform: Array = (parts[0] + 1j * parts[1]).reshape(HARMONICS, n, -1) * self._weight
+        return transform
 
     def signatures(self, spectra: Array) -> Signature:
         """The magnitudes that belong to them."""
@@ -62,8 +62,8 @@ class Rings:
 
 def product(a: Array, b: Array) -> Array:
     """Of two matrices, by one thread: the sums come out the same on any number of cores."""
-    found: Array = np.einsum("ij,jk->ik", a, b)
-    return found
+    product: Array = np.einsum("ij,jk->ik", a, b)
+    return product
 
 
 COARSE = Rings(36, 12)  # to find the middle

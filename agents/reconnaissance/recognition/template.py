@@ -37,8 +37,8 @@ class Target:
                 f"a picture is an array (n, n, 3) of uint8, RGB, not {shape} of {self.picture.dtype}", key="picture"
             )
         if shape[0] != shape[1] or shape[0] < SMALLEST_PX:
-            wanted = f"the picture of {self.name} must be square, {SMALLEST_PX} pixels or more a side"
-            raise ScenarioError(f"{wanted}, not {shape[1]} x {shape[0]}", key="picture")
+            rule = f"the picture of {self.name} must be square, {SMALLEST_PX} pixels or more a side"
+            raise ScenarioError(f"{rule}, not {shape[1]} x {shape[0]}", key="picture")
         if not 0.0 < self.size_m < float("inf"):
             raise ScenarioError(f"the side of {self.name} must be greater than 0 m, not {self.size_m}", key="size_m")
         if not self.template(PATCH).hues.shares:

@@ -154,14 +154,14 @@ def _draw_heat(axes: Axes, heat: "Heat") -> None:
         return
     axes.set_title(heat.label, loc="right", fontsize=8)
     if heat.style == "growing":
-        shown, norm, colors = values, None, GROWING
+        levels, norm, colors = values, None, GROWING
     else:
         furthest = max(float(np.abs(np.log(values)).max()), 1e-3)
-        shown, norm, colors = np.log(values), TwoSlopeNorm(0.0, -furthest, furthest), ABOUT_ONE
-    picture = axes.imshow(shown, origin="lower", aspect="auto", cmap=colors, norm=norm)
+        levels, norm, colors = np.log(values), TwoSlopeNorm(0.0, -furthest, furthest), ABOUT_ONE
+    picture = axes.imshow(levels, origin="lower", aspect="auto", cmap=colors, norm=norm)
     axes.set_xticks(range(len(heat.x)), [f"{x:g}" for x in heat.x])
     axes.set_yticks(range(len(heat.y)), [f"{y:g}" for y in heat.y])
     for (row, column), value in np.ndenumerate(values):
-        red, green, blue, _ = picture.to_rgba(shown[row, column])
+        red, green, blue, _ = picture.to_rgba(levels[row, column])
         dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.55
         axes.text(column, row, f"{value:.2g}", ha="center", va="center", fontsize=7, color="white" if dark else "black")

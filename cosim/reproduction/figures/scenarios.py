@@ -68,12 +68,16 @@ def fleet(
     """
     cars: list[dict[str, Any]] = [{"name": "car1", "agent": {"kind": "trajectory", "path": path, **(leader or {})}}]
     starts = {"car1": (0.0, 0.0, 0.0)}
-    for number, given in enumerate(followers, 2):
+    for number, follower in enumerate(followers, 2):
         name = f"car{number}"
-        agent = {"kind": "leader_follower", "leader": "car1", **{key: value for key, value in given.items() if key != "pose"}}
+        agent = {
+            "kind": "leader_follower",
+            "leader": "car1",
+            **{key: value for key, value in follower.items() if key != "pose"},
+        }
         x, y, _ = starts[agent["leader"]]
         slot_x, slot_y, _ = place_of(agent)
-        starts[name] = given.get("pose", (x + slot_x, y + slot_y, 0.0))
+        starts[name] = follower.get("pose", (x + slot_x, y + slot_y, 0.0))
         cars.append({"name": name, "pose": starts[name], "agent": agent})
     return {
         "name": "figure",
@@ -124,17 +128,17 @@ def step_follower(at_s: float, behind: float = 0.0, left: float = 0.0, **law: ob
 
 def tracks(result: Result, scenario: Mapping[str, Any]) -> Tracks:
     """Poses and errors of a run of `fleet`."""
-    moved = motion(result.states)
-    x, y, _ = moved.position
+    movement = motion(result.states)
+    x, y, _ = movement.position
     z = []
     for car in scenario["vehicle"][1:]:
         slot_x, slot_y, handle = place_of(car["agent"])
-        of, lead = moved.column(car["name"]), moved.column(car["agent"]["leader"])
-        turn, own = np.exp(1j * moved.yaw[:, lead]), np.exp(1j * moved.yaw[:, of])
+        of, lead = movement.column(car["name"]), movement.column(car["agent"]["leader"])
+        turn, own = np.exp(1j * movement.yaw[:, lead]), np.exp(1j * movement.yaw[:, of])
         point = x[:, lead] + 1j * y[:, lead] + turn * (slot_x + handle + 1j * slot_y)
         error = (point - x[:, of] - 1j * y[:, of]) / own - handle
         z.append(np.stack([error.real, error.imag], axis=-1))
-    return Tracks(moved.time_ns / 1e9, np.stack([x, y, moved.yaw], axis=-1), np.stack(z, axis=1))
+    return Tracks(movement.time_ns / 1e9, np.stack([x, y, movement.yaw], axis=-1), np.stack(z, axis=1))
 
 
 def track(scenario: Mapping[str, Any], **more: Any) -> Job:
@@ -144,8 +148,8 @@ def track(scenario: Mapping[str, Any], **more: Any) -> Job:
 
 def errors_from(result: Result, scenario: Mapping[str, Any], from_s: float) -> Array:
     """Root mean square of ``|z|`` from ``from_s`` on, m, of each follower, (followers,)."""
-    seen = tracks(result, scenario)
-    return np.asarray(np.sqrt((seen.error[seen.time_s >= from_s] ** 2).mean(axis=0)))
+    run_tracks = tracks(result, scenario)
+    return np.asarray(np.sqrt((run_tracks.error[run_tracks.time_s >= from_s] ** 2).mean(axis=0)))
 
 
 def rms(scenario: Mapping[str, Any], from_s: float = 20.0, **more: Any) -> Job:

@@ -54,8 +54,8 @@ def run_all(checks: Sequence[Check], jobs: int, progress: Callable[[int, int], N
     """
     order = sorted(range(len(checks)), key=lambda place: -checks[place].seconds)
     done = Runner(jobs, progress)([partial(measured, checks[place]) for place in order])
-    found = dict(zip(order, done, strict=True))
-    return [found[place] for place in range(len(checks))]
+    outcomes = dict(zip(order, done, strict=True))
+    return [outcomes[place] for place in range(len(checks))]
 
 
 def measured(check: Check) -> Outcome:

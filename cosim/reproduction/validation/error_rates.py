@@ -62,8 +62,8 @@ def success() -> Sequence[Row]:
     sinr_db = np.arange(-10.0, 30.0, 0.002)
     for rate, half_db in HALF_DB.items():
         errors, _ = channel_curves.error_rate(channel(f"wifi-a-{rate}").phy, "table")
-        found_db = float(np.interp(0.5, errors.success(sinr_db, 1024), sinr_db))
-        rows.append(absolute(f"wifi-a-{rate}, table: SINR of one half, dB", half_db, found_db, 0.1))
+        measured_db = float(np.interp(0.5, errors.success(sinr_db, 1024), sinr_db))
+        rows.append(absolute(f"wifi-a-{rate}, table: SINR of one half, dB", half_db, measured_db, 0.1))
     return rows
 
 

@@ -59,8 +59,8 @@ def path_loss() -> Sequence[Row]:
     rows = []
     for name, (expected, layer) in laws.items():
         losses = part("path_loss_db", channel("ideal", path_loss=layer), line(DISTANCES_M, height))
-        for far, exact, found in zip(DISTANCES_M, expected, losses, strict=True):
-            rows.append(absolute(f"{name}, {far:g} m: loss, dB", exact, found, 1e-4))
+        for far, exact, measured in zip(DISTANCES_M, expected, losses, strict=True):
+            rows.append(absolute(f"{name}, {far:g} m: loss, dB", exact, measured, 1e-4))
     for exponent in (2.0, 2.5, 3.0, 4.0):
         reach = 2.0 * 10.0 ** ((-49.67 + 93.0) / (10.0 * exponent))
         edge = np.linspace(reach - 0.05, reach + 0.05, 1001)
@@ -87,8 +87,8 @@ def walls() -> Sequence[Row]:
                 "vehicles": {"kind": "kinematic"},
                 "vehicle": [{"name": "a", "agent": still}, {"name": "b", "pose": (10.0, 0.0, 0.0), "agent": still}],
             }
-            found = numbers(run(scenario, mcap=False).radio, "wall_loss_db")
-            rows.append(absolute(f"{material}, {1000 * thick:g} mm, {hz / 1e9:g} GHz: loss, dB", loss_db, found[0], 0.051))
+            measured = numbers(run(scenario, mcap=False).radio, "wall_loss_db")
+            rows.append(absolute(f"{material}, {1000 * thick:g} mm, {hz / 1e9:g} GHz: loss, dB", loss_db, measured[0], 0.051))
     return rows
 
 
@@ -103,8 +103,8 @@ def shadowing() -> Sequence[Row]:
         way[0] = 0.0
         way[1:] /= np.linalg.norm(way[1:], axis=1, keepdims=True)
         before.append(part("shadowing_db", on, position))
-        for delta, found in after.items():
-            found.append(part("shadowing_db", on, position + delta * way))
+        for delta, measured in after.items():
+            measured.append(part("shadowing_db", on, position + delta * way))
         there_first = position[[1, 0]]
         back.append(part("shadowing_db", on, there_first)[0] - before[-1][0])
     values = np.concatenate(before)
@@ -113,8 +113,8 @@ def shadowing() -> Sequence[Row]:
         absolute("mean, dB", 0.0, values.mean(), 0.15),
         absolute("largest difference between there and back, dB", 0.0, np.abs(back).max(), 1e-9),
     ]
-    for delta, found in after.items():
-        rho = np.corrcoef(values, np.concatenate(found))[0, 1]
+    for delta, measured in after.items():
+        rho = np.corrcoef(values, np.concatenate(measured))[0, 1]
         case = f"one end moved by {delta:g} m: correlation, exp(-d / 10 m)"
         rows.append(absolute(case, math.exp(-delta / APART_M), rho, 0.03))
     return rows
@@ -149,8 +149,8 @@ def doppler() -> Sequence[Row]:
             later = gain[:, number] - gain[:, number].mean()
             bessel = float(j0(2.0 * math.pi * DOPPLER_HZ * lag_s))
             exact = (2.0 * direct * bessel + bessel**2) / (2.0 * direct + 1.0)
-            found = float((now * later).mean() / (now.std() * later.std()))
-            rows.append(absolute(f"{name}, {DOPPLER_HZ:g} Hz: correlation after {1e3 * lag_s:g} ms", exact, found, 0.05))
+            measured = float((now * later).mean() / (now.std() * later.std()))
+            rows.append(absolute(f"{name}, {DOPPLER_HZ:g} Hz: correlation after {1e3 * lag_s:g} ms", exact, measured, 0.05))
     return rows
 
 
@@ -160,7 +160,7 @@ def _quantiles(name: str, layer: Mapping[str, object], expected: Sequence[float]
     gain = 10.0 ** (decibels / 10.0)
     pairs = zip(PERCENT, expected, np.percentile(decibels, PERCENT), strict=True)
     return [
-        *(absolute(f"{name}: quantile {percent} %, dB", exact, found, within) for percent, exact, found in pairs),
+        *(absolute(f"{name}: quantile {percent} %, dB", exact, measured, within) for percent, exact, measured in pairs),
         absolute(f"{name}: mean power", 1.0, gain.mean(), 0.01),
         relative(f"{name}: variance of the power", variance, gain.var(), 0.02),
     ]

@@ -29,9 +29,9 @@ def chance() -> Sequence[Row]:
         case = f"gilbert_elliott, {bad:g} and {good:g} per s"
         rows.append(absolute(f"{case}: share lost, p / (p + r)", share, lost.mean(), 0.015))
         for lag in (15, 50):
-            found = np.mean((lost[lag:] - share) * (lost[:-lag] - share)) / (share * (1.0 - share))
+            correlation = np.mean((lost[lag:] - share) * (lost[:-lag] - share)) / (share * (1.0 - share))
             rows.append(
-                absolute(f"{case}: correlation after {0.02 * lag:g} / (p + r)", math.exp(-0.02 * lag), float(found), 0.03)
+                absolute(f"{case}: correlation after {0.02 * lag:g} / (p + r)", math.exp(-0.02 * lag), float(correlation), 0.03)
             )
     return rows
 
@@ -66,9 +66,9 @@ def age() -> Sequence[Row]:
             "delay": {"kind": "fixed", "seconds": delay_s},
         }
         on = channel("ideal", **layers)
-        position, sent = line(np.linspace(1.0, 2.0, 100).tolist()), np.arange(1000) * T_NS
-        received = np.array([heard(on, position, sent_ns=int(at)).received_ns for at in sent])
-        ramps = [_ramps(sent[got], column[got]) for column in received.T if (got := column >= 0).any()]
+        position, sent_ns = line(np.linspace(1.0, 2.0, 100).tolist()), np.arange(1000) * T_NS
+        received_ns = np.array([heard(on, position, sent_ns=int(at)).received_ns for at in sent_ns])
+        ramps = [_ramps(sent_ns[arrived], column[arrived]) for column in received_ns.T if (arrived := column >= 0).any()]
         start, end = (np.concatenate(parts) for parts in zip(*ramps, strict=True))
         mean = (end**2 - start**2).sum() / 2.0 / (end - start).sum()
         case = f"loss {p:g}, delay {delay_s:g} s"
@@ -80,6 +80,6 @@ def age() -> Sequence[Row]:
     return rows
 
 
-def _ramps(sent: Array, received: Array) -> tuple[Array, Array]:
+def _ramps(sent_ns: Array, received_ns: Array) -> tuple[Array, Array]:
     """How old the newest message is, s, just after each reception and just before the next one."""
-    return (received[:-1] - sent[:-1]) / 1e9, (received[1:] - sent[:-1]) / 1e9
+    return (received_ns[:-1] - sent_ns[:-1]) / 1e9, (received_ns[1:] - sent_ns[:-1]) / 1e9

@@ -155,25 +155,25 @@ def judged(name: str) -> Sequence[Row]:
     position = np.zeros((of.radios, 3))
     position[:, :2] = np.random.default_rng(1).uniform(0.0, of.side_m, (of.radios, 2))
     apart = np.linalg.norm(position[:, None] - position, axis=-1)
-    bins, sent, got = np.digitize(apart, EDGES_M[1:]), np.zeros(len(EDGES_M)), np.zeros(len(EDGES_M))
+    bins, frames, receptions = np.digitize(apart, EDGES_M[1:]), np.zeros(len(EDGES_M)), np.zeros(len(EDGES_M))
     delays = []
     for seed in range(of.runs):
         on = channel(of.preset, seed=seed, path_loss={"exponent": of.exponent})
         for report in _random(on, position, of.hz, of.seconds, 100, np.random.default_rng(seed)):
             own = int(report.sender.removeprefix("v"))
             arrived, others = np.asarray(report.received_ns) >= 0, np.delete(bins[own], own)
-            sent += np.bincount(others, minlength=len(EDGES_M))
-            got += np.bincount(others[arrived], minlength=len(EDGES_M))
+            frames += np.bincount(others, minlength=len(EDGES_M))
+            receptions += np.bincount(others[arrived], minlength=len(EDGES_M))
             delays.append((np.asarray(report.received_ns)[arrived] - report.sent_ns) / 1e6)
     delay_ms = np.concatenate(delays)
     rows = [
-        absolute("delivery", of.delivery, got.sum() / sent.sum(), 0.01),
+        absolute("delivery", of.delivery, receptions.sum() / frames.sum(), 0.01),
         relative("mean delay, ms", of.mean_ms, delay_ms.mean(), 0.05),
     ]
     for at_ms, share, within in zip(of.quantiles_ms, of.shares, (0.03, 0.015, 0.015), strict=True):
         rows.append(absolute(f"share of delays up to {at_ms:g} ms", share, float(np.mean(delay_ms <= at_ms + 1e-3)), within))
-    for low, expected, found in zip(EDGES_M, of.by_distance, got / sent, strict=True):
-        rows.append(absolute(f"delivery from {low:g} m on", expected, found, 0.02))
+    for low, expected, measured in zip(EDGES_M, of.by_distance, receptions / frames, strict=True):
+        rows.append(absolute(f"delivery from {low:g} m on", expected, measured, 0.02))
     return rows
 
 
@@ -181,7 +181,7 @@ def lrwpan() -> Sequence[Row]:
     """Unslotted CSMA/CA in a room of 10 m, and on a line whose ends do not hear each other."""
     rows = []
     for kind, count, hz, size, seconds, runs, delivery, mean_ms in LRWPAN:
-        arrived, meant, delays = 0, 0, []
+        arrived, expected, delays = 0, 0, []
         for seed in range(runs):
             rng = np.random.default_rng((seed, 3))
             position = np.zeros((count, 3))
@@ -191,13 +191,13 @@ def lrwpan() -> Sequence[Row]:
             exponent = 2.0 if kind == "room" else 3.0
             on = channel("zigbee", seed=seed, path_loss={"exponent": exponent, "reference_loss_db": 40.052})
             for report in _random(on, position, hz, seconds, size, rng):
-                got = np.asarray(report.received_ns)
-                got = got[got >= 0]
-                arrived, meant = arrived + len(got), meant + count - 1
-                delays.append((got - report.sent_ns) / 1e6)
+                arrivals_ns = np.asarray(report.received_ns)
+                arrivals_ns = arrivals_ns[arrivals_ns >= 0]
+                arrived, expected = arrived + len(arrivals_ns), expected + count - 1
+                delays.append((arrivals_ns - report.sent_ns) / 1e6)
         case = f"{kind}, {count} radios, {hz:g} Hz, {size} bytes"
         rows += [
-            absolute(f"{case}: delivery", delivery, arrived / meant, 0.02),
+            absolute(f"{case}: delivery", delivery, arrived / expected, 0.02),
             relative(f"{case}: mean delay, ms", mean_ms, np.concatenate(delays).mean(), 0.05),
         ]
     return rows

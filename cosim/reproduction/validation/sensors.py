@@ -47,11 +47,11 @@ def scanner() -> Sequence[Row]:
         "position": (0.0, 0.0, 0.5),
     }
     scan = _readings({"kind": "empty", "cylinders": pillars}, (0.0, 0.0, 0.4), sensor)[-1]
-    found, exact = np.asarray(scan.ranges, float), _pillars(centres, 0.5, 0.4 + _bearings(scan))
-    both = np.isfinite(found) & np.isfinite(exact)
+    ranges, exact = np.asarray(scan.ranges, float), _pillars(centres, 0.5, 0.4 + _bearings(scan))
+    both = np.isfinite(ranges) & np.isfinite(exact)
     rows += [
-        absolute("pillars, 720 beams: seen or not by mistake", 0.0, np.sum(np.isfinite(found) != np.isfinite(exact)), 6.0),
-        absolute("pillars, 720 beams: mean difference, m", 0.0, np.abs(found[both] - exact[both]).mean(), 0.01),
+        absolute("pillars, 720 beams: seen or not by mistake", 0.0, np.sum(np.isfinite(ranges) != np.isfinite(exact)), 6.0),
+        absolute("pillars, 720 beams: mean difference, m", 0.0, np.abs(ranges[both] - exact[both]).mean(), 0.01),
     ]
     return rows
 
@@ -84,9 +84,9 @@ def inertial() -> Sequence[Row]:
     v, w = 0.3, 0.15
     sensor = {"kind": "imu", "rate_hz": 50.0, "accelerometer_density": 0.0, "gyroscope_density": 0.0}
     sensor |= {name: {"sigma": 0.0} for name in ("accelerometer", "gyroscope")}
-    found = _readings({"kind": "empty"}, (0.0, 0.0, 0.0), sensor, {"speed": v, "yaw_rate": w}, 10.0)
-    force = np.mean([each.acceleration for each in found[50:]], axis=0)
-    turning = np.mean([each.angular_velocity for each in found[50:]], axis=0)
+    readings = _readings({"kind": "empty"}, (0.0, 0.0, 0.0), sensor, {"speed": v, "yaw_rate": w}, 10.0)
+    force = np.mean([each.acceleration for each in readings[50:]], axis=0)
+    turning = np.mean([each.angular_velocity for each in readings[50:]], axis=0)
     return [
         absolute("circle: specific force ahead, m/s2", 0.0, force[0], 1e-3),
         relative("circle: specific force inwards, v w, m/s2", v * w, force[1], 0.01),
@@ -98,10 +98,10 @@ def inertial() -> Sequence[Row]:
 def positions() -> Sequence[Row]:
     """Errors of fixes on a vehicle that stands: as large as stated, and independent from one to the next."""
     sensor = {"kind": "positioning", "rate_hz": 50.0, "sigma_m": 0.15, "sigma_rad": 0.05}
-    found = _readings({"kind": "empty"}, (2.0, -1.0, 0.3), sensor, STILL, 100.0)
-    x = np.array([fix.position[0] for fix in found]) - 2.0
-    y = np.array([fix.position[1] for fix in found]) + 1.0
-    yaw = np.array([fix.yaw for fix in found]) - 0.3
+    readings = _readings({"kind": "empty"}, (2.0, -1.0, 0.3), sensor, STILL, 100.0)
+    x = np.array([fix.position[0] for fix in readings]) - 2.0
+    y = np.array([fix.position[1] for fix in readings]) + 1.0
+    yaw = np.array([fix.yaw for fix in readings]) - 0.3
     rows = []
     for name, error, sigma in (("x, m", x, 0.15), ("y, m", y, 0.15), ("yaw, rad", yaw, 0.05)):
         rows += [
@@ -129,11 +129,11 @@ def _readings(
         "vehicles": {"kind": "kinematic", "sensors": {"it": {"rate_hz": 10.0, **sensor}}},
         "vehicle": [{"name": "car", "pose": pose, "agent": {"kind": "trajectory", **drives}}],
     }
-    told: list[Any] = []
+    readings: list[Any] = []
 
     def observe(event: Event) -> None:
         if event.key == "car/it":
-            told.append(event.value.get() if isinstance(event.value, Later) else event.value)
+            readings.append(event.value.get() if isinstance(event.value, Later) else event.value)
 
     run(scenario, mcap=False, observe=observe)
-    return told
+    return readings

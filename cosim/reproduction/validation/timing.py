@@ -33,22 +33,22 @@ def ticks() -> Sequence[Row]:
         late = max(abs(train.at(k) - k * SECOND_NS / exact) for k in (1, 7, 1_000, 3600 * int(hz)))
         rows.append(absolute(f"{hz:g} Hz: furthest from k / rate within an hour, ns", 0.0, float(late), 1.0))
     rates = {"car1": 0.1, "car2": 0.03, "car3": 1.0 / 64.0}
-    scenario, seen = fleet(6.0, [{}, {}]), {name: list[int]() for name in rates}
+    scenario, acts = fleet(6.0, [{}, {}]), {name: list[int]() for name in rates}
     for car in scenario["vehicle"]:
         car["agent"] = {**car["agent"], "period_s": rates[car["name"]]}
 
     def observe(event: Event) -> None:
         name, _, what = event.key.partition("/")
         if what == "command":
-            seen[name].append(event.time_ns)
+            acts[name].append(event.time_ns)
 
     run(scenario, mcap=False, observe=observe)
     for name, period_s in rates.items():
         train = Ticks.every(period_s)
-        off = np.abs(np.array(seen[name]) - [train.at(k) for k in range(len(seen[name]))])
+        off = np.abs(np.array(acts[name]) - [train.at(k) for k in range(len(acts[name]))])
         case = f"agent of {period_s:g} s in a run of 6 s"
         rows += [
-            absolute(f"{case}: commands", math.ceil(6.0 / period_s - 1e-9), len(seen[name]), 0.0),
+            absolute(f"{case}: commands", math.ceil(6.0 / period_s - 1e-9), len(acts[name]), 0.0),
             absolute(f"{case}: furthest from its tick, ns", 0.0, off.max(), 0.0),
         ]
     return rows
@@ -71,8 +71,8 @@ def late_loop() -> Sequence[Row]:
     delay_s, period_s = 0.3, 0.01
     for k_d in (1.45, 1.52, 1.60, 1.70):
         time_s, z = _alone(k_d / delay_s, delay_s, 12.0, period_s=period_s)
-        seen = delay_s + 0.5 * period_s
-        exact = math.exp((lambertw(-k_d / delay_s * seen) / seen).real)
+        age_s = delay_s + 0.5 * period_s
+        exact = math.exp((lambertw(-k_d / delay_s * age_s) / age_s).real)
         rows.append(relative(f"k d = {k_d:g}: growth a second, exp(W(-k d) / d)", exact, _growth(z[time_s > 4.0]) ** 100, 0.01))
     return rows
 
@@ -82,8 +82,8 @@ def _alone(gain: float, latency_s: float, duration_s: float, *, period_s: float 
     follower = {"pose": (-1.0 - START_M, 0.0, 0.0), "k1": gain, "latency_s": latency_s, **UNLIMITED}
     periods: dict[str, Any] = {"agents": {"period_s": period_s}, "record": {"period_s": period_s}}
     scenario = fleet(duration_s, [follower], path="straight", leader={"speed": 0.0}, **periods)
-    seen = tracks(run(scenario, mcap=False), scenario)
-    return seen.time_s, seen.z[:, 0, 0]
+    run_tracks = tracks(run(scenario, mcap=False), scenario)
+    return run_tracks.time_s, run_tracks.z[:, 0, 0]
 
 
 def _recursion(gain: float, late: float, count: int) -> Array:
@@ -115,8 +115,8 @@ def old_reports() -> Sequence[Row]:
             chord = 2.0 * (R + side) * math.sin(0.5 * W * age_s)
             case = f"delay {delay_s:g} s, circle of {R + side:g} m: 2 R sin(w a / 2), m"
             rows.append(relative(case, chord, error, 1e-4))
-        found = result.metrics["radio"]["age_s"]["max"]
-        rows.append(absolute(f"delay {delay_s:g} s: age in use, s", age_s, found, 1e-9))
+        measured_s = result.metrics["radio"]["age_s"]["max"]
+        rows.append(absolute(f"delay {delay_s:g} s: age in use, s", age_s, measured_s, 1e-9))
         line = run(fleet(60.0, path="straight", **more), mcap=False).metrics["formation"]["final_m"]
         rows.append(relative(f"delay {delay_s:g} s, line: v a, m", V * age_s, line, 1e-6))
     return rows
@@ -128,8 +128,8 @@ def draws() -> Sequence[Row]:
     for number, (counter, key, answer) in enumerate(PHILOX, 1):
         c0, c1, c2, c3 = _words(counter)
         k0, k1 = _words(key)
-        found = [int(each) for each in philox4x32((c0, c1, c2, c3), (k0, k1))]
-        wrong = sum(one != other for one, other in zip(found, _words(answer), strict=True))
+        words = [int(each) for each in philox4x32((c0, c1, c2, c3), (k0, k1))]
+        wrong = sum(one != other for one, other in zip(words, _words(answer), strict=True))
         rows.append(absolute(f"vector {number} of philox4x32 x 10: words that differ", 0.0, wrong, 0.0))
     return rows
 

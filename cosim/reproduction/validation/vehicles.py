@@ -23,12 +23,12 @@ def wheels() -> Sequence[Row]:
         scenario = fleet(20.0, [], kind=kind, physics={"kind": "bullet"})
         beside = {"name": "car2", "pose": (0.0, -3.0, 0.0), "agent": {"kind": "trajectory", "path": "straight"}}
         scenario["vehicle"].append(beside)
-        moved = motion(run(scenario, mcap=False).states)
-        steady = moved.time_ns >= 5 * 10**9
-        x, y, _ = moved.position
-        span_s = (moved.time_ns[-1] - moved.time_ns[steady][0]) / 1e9
+        movement = motion(run(scenario, mcap=False).states)
+        steady = movement.time_ns >= 5 * 10**9
+        x, y, _ = movement.position
+        span_s = (movement.time_ns[-1] - movement.time_ns[steady][0]) / 1e9
         way = np.hypot(np.diff(x[steady], axis=0), np.diff(y[steady], axis=0)).sum(axis=0) / span_s
-        turned = np.ptp(np.unwrap(moved.yaw[steady], axis=0), axis=0) / span_s
+        turned = np.ptp(np.unwrap(movement.yaw[steady], axis=0), axis=0) / span_s
         rows += [
             relative(f"{kind}, circle: speed, m/s", V, way[0], 0.01),
             relative(f"{kind}, circle: yaw rate, rad/s", W, turned[0], 0.01),
@@ -46,10 +46,10 @@ def quadrotor() -> Sequence[Row]:
         still = _fly("v=0,w=0", 6.0, hz)
         rows.append(absolute(f"{at}, hovering: off its place, m", 0.0, _off(still, (0.0, 0.0, HEIGHT_M)), 1e-6))
         for speed in (2.0, 4.0):
-            seen = _fly(f"v={speed:g},w=0", 16.0, hz)
-            tilt = math.tan(seen["tilt"][-1])
+            flight = _fly(f"v={speed:g},w=0", 16.0, hz)
+            tilt = math.tan(flight["tilt"][-1])
             rows += [
-                relative(f"{at}, {speed:g} m/s: speed, m/s", speed, seen["v"][-1], 0.002),
+                relative(f"{at}, {speed:g} m/s: speed, m/s", speed, flight["v"][-1], 0.002),
                 relative(f"{at}, {speed:g} m/s: tan of the tilt, c v / (m g)", DRAG * speed / WEIGHT_N, tilt, 1e-3),
             ]
         wind = _fly("v=0,w=0", 16.0, hz, {"world.wind": {"velocity": [0.0, 6.0, 0.0]}})

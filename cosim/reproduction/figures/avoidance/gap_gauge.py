@@ -104,14 +104,14 @@ class Gauge(Agent):
 
     def _width(self, obs: Observation, radio: Radio, door: Door) -> float:
         """The largest width that may be needed for the door to be taken, m."""
-        taken, refused = 0.0, 4.0
+        accepted_m, refused_m = 0.0, 4.0
         for _ in range(STEPS):
-            needed = 0.5 * (taken + refused)
+            needed = 0.5 * (accepted_m + refused_m)
             if self._takes(obs, radio, door, needed):
-                taken = needed
+                accepted_m = needed
             else:
-                refused = needed
-        return taken
+                refused_m = needed
+        return accepted_m
 
     def _takes(self, obs: Observation, radio: Radio, door: Door, needed: float) -> bool:
         """Whether a vehicle that needs so much goes through the door.

@@ -99,9 +99,9 @@ def team(doors: Sequence[tuple[float, float]], leader: tuple[float, float], slot
 
 def passed(result: Result) -> Passed:
     """What is kept of a run."""
-    moved = motion(result.states)
-    x, y = (moved.position[axis] for axis in (0, 1))
-    lead, own = moved.column("leader"), moved.column("follower")
+    movement = motion(result.states)
+    x, y = (movement.position[axis] for axis in (0, 1))
+    lead, own = movement.column("leader"), movement.column("follower")
     place, at = np.column_stack([x[:, own], y[:, own]]), np.array([x[0, lead], y[0, lead]])
     return Passed(place, at, float(result.metrics["safety"]["min_clearance_m"]))
 
@@ -118,10 +118,10 @@ def fig_41(runner: Runner) -> Figure:
         },
     }
     answers = runner([*(Job(team(*case), passed) for case in cases.values()), four_doors(), *random_doors()])
-    seen: dict[str, Passed] = dict(zip(cases, answers[: len(cases)], strict=True))
+    passages: dict[str, Passed] = dict(zip(cases, answers[: len(cases)], strict=True))
     four, parts = answers[len(cases)], answers[len(cases) + 1 :]
     rows: list[Row] = []
-    for number, (case, each) in enumerate(seen.items()):
+    for number, (case, each) in enumerate(passages.items()):
         if number < 3:
             rows.append(absolute(f"{case}: passes the wall at y, m", ALIKE[number][0], each.through_m, 0.5 * 0.7))
         elif number < 5:
@@ -131,7 +131,7 @@ def fig_41(runner: Runner) -> Figure:
             rows.append(at_least(f"{case}: its way at first, deg to that side", TURNED_DEG, side * each.first_deg))
         rows.append(at_least(f"{case}: least clearance, m", BODY_M, each.clearance_m))
     return Figure(
-        "Figs 40, 41: which door a follower takes", _panels(seen, four, parts), [*rows, *_widths(four, parts)], columns=3
+        "Figs 40, 41: which door a follower takes", _panels(passages, four, parts), [*rows, *_widths(four, parts)], columns=3
     )
 
 
@@ -153,11 +153,11 @@ def _off(each: Gauged) -> Array:
     return np.asarray(each.width - [door.width for door in each.doors])
 
 
-def _panels(seen: Mapping[str, Passed], four: Gauged, parts: Sequence[Gauged]) -> list[Panel]:
-    ways = list(seen.items())
+def _panels(passages: Mapping[str, Passed], four: Gauged, parts: Sequence[Gauged]) -> list[Panel]:
+    ways = list(passages.items())
     distance = np.array([door.distance for door in four.doors])
     narrow = np.array([door.width < NEEDED_M for door in four.doors])
-    told = [
+    texts = [
         Curve(distance[which], four.width[which], f"{width:g} m wide", color, "markers")
         for which, width, color in ((narrow, NARROW_M, 2), (~narrow, ENOUGH_M, 1))
     ]
@@ -167,7 +167,7 @@ def _panels(seen: Mapping[str, Passed], four: Gauged, parts: Sequence[Gauged]) -
         _map("Three doors of 0.7 m", ALIKE, ways[:3]),
         _map("Doors of 0.35, 0.45, 0.35 and 0.7 m", UNLIKE, ways[3:5]),
         _map("The leader is behind the robot", ALIKE, ways[5:]),
-        Panel("Four doors", "distance of the wall [m]", "width as it looks [m]", told, levels={"needed": NEEDED_M}),
+        Panel("Four doors", "distance of the wall [m]", "width as it looks [m]", texts, levels={"needed": NEEDED_M}),
         Panel("Random doors", "width [m]", "looks wider by [cm]", [off], y_limits=(0.0, 3.0)),
     ]
 

@@ -51,16 +51,16 @@ class Toured:
 
 def toured(result: Result) -> Toured:
     """What is kept of a run."""
-    moved = motion(result.states)
-    columns = [moved.column(name) for name in NAMES]
-    errors, safety = formation_errors(moved, result.follows), result.metrics["safety"]
-    wide = np.zeros(len(moved.time_ns), bool)
+    movement = motion(result.states)
+    columns = [movement.column(name) for name in NAMES]
+    errors, safety = formation_errors(movement, result.follows), result.metrics["safety"]
+    wide = np.zeros(len(movement.time_ns), bool)
     for each in result.follows:
         if each.vehicle == NAMES[1]:
-            wide[moved.time_ns >= each.time_ns] = each.follows.slot[1] != 0.0
+            wide[movement.time_ns >= each.time_ns] = each.follows.slot[1] != 0.0
     return Toured(
-        moved.time_ns / 1e9,
-        np.stack([moved.position[axis][:, columns] for axis in (0, 1)], axis=-1),
+        movement.time_ns / 1e9,
+        np.stack([movement.position[axis][:, columns] for axis in (0, 1)], axis=-1),
         np.stack([errors[name] for name in NAMES[1:]], axis=-1),
         wide,
         int(safety["collisions"]),
@@ -73,40 +73,40 @@ def fig_54(runner: Runner) -> Figure:
     """Tracks among the furniture, the shape, and the errors; the numbers of three seeds."""
     table = loader.table_of(loader.path_of(SCENARIO))
     runs = runner([Job(table, toured, seed=seed) for seed in SEEDS])
-    rows = [row for seed, seen in zip(SEEDS, runs, strict=True) for row in _rows(f"seed {seed}", seen)]
-    seen = runs[0]
-    errors = [Curve(seen.time_s, seen.error[:, i], name, i + 2) for i, name in enumerate(NAMES[1:])]
-    sides = [Curve(seen.time_s, seen.sides_m[:, i], f"{a} - {b}", i + 1) for i, (a, b) in enumerate(PAIRS)]
+    rows = [row for seed, tour in zip(SEEDS, runs, strict=True) for row in _rows(f"seed {seed}", tour)]
+    tour = runs[0]
+    errors = [Curve(tour.time_s, tour.error[:, i], name, i + 2) for i, name in enumerate(NAMES[1:])]
+    sides = [Curve(tour.time_s, tour.sides_m[:, i], f"{a} - {b}", i + 1) for i, (a, b) in enumerate(PAIRS)]
     panels = [
-        _map(seen),
+        _map(tour),
         Panel("Formation error", "time [s]", "|z| [m]", errors, levels={"5 cm": NEAR_M}),
         Panel("Shape", "time [s]", "distance of two robots [m]", sides, levels={"wedge": SPACING_M}),
     ]
     return Figure("Fig. 54: a team among the furniture of a laboratory", panels, rows, columns=3)
 
 
-def _rows(case: str, seen: Toured) -> list[Row]:
+def _rows(case: str, tour: Toured) -> list[Row]:
     rows = [
-        absolute(f"{case}: contacts", 0.0, seen.contacts, 0.0),
-        at_least(f"{case}: least clearance of a robot's middle, m", BODY_M, seen.clearance_m),
-        at_least(f"{case}: two robots' middles apart, m", 2.0 * BODY_M, seen.apart_m),
-        absolute(f"{case}: a wedge at the end", 1.0, seen.wide[-1], 0.0),
+        absolute(f"{case}: contacts", 0.0, tour.contacts, 0.0),
+        at_least(f"{case}: least clearance of a robot's middle, m", BODY_M, tour.clearance_m),
+        at_least(f"{case}: two robots' middles apart, m", 2.0 * BODY_M, tour.apart_m),
+        absolute(f"{case}: a wedge at the end", 1.0, tour.wide[-1], 0.0),
     ]
     for i, name in enumerate(NAMES[1:]):
-        rows.append(at_most(f"{case}: |z| of {name} at the end, m", NEAR_M, seen.error[-1, i]))
+        rows.append(at_most(f"{case}: |z| of {name} at the end, m", NEAR_M, tour.error[-1, i]))
     return rows
 
 
-def _map(seen: Toured) -> Panel:
+def _map(tour: Toured) -> Panel:
     """The room, tracks, and the team every few seconds."""
     world, _ = worlds.world_of(SCENARIO, {})
     solids = [each for each in worlds.outlines(world) if np.ptp(each, axis=0).min() >= SMALL_M]
     closed = [np.vstack([each, each[:1]]) for each in solids]
     around = [Curve(each[:, 0], each[:, 1], style="thin") for each in closed]
-    step = round(EVERY_S / float(seen.time_s[1] - seen.time_s[0]))
-    teams = [Curve(each[:, 0], each[:, 1], style="thin") for each in seen.place[::step, [0, 1, 2, 0]]]
+    step = round(EVERY_S / float(tour.time_s[1] - tour.time_s[0]))
+    teams = [Curve(each[:, 0], each[:, 1], style="thin") for each in tour.place[::step, [0, 1, 2, 0]]]
     tracks = []
-    for color, track in enumerate(np.moveaxis(seen.place, 1, 0), 1):
+    for color, track in enumerate(np.moveaxis(tour.place, 1, 0), 1):
         moves = np.hypot(*(track - track[-1]).T) > STILL_M
         tracks.append(Curve(track[moves, 0], track[moves, 1], "", color, "pose"))
     title = "car1 blue, car2 red, car3 green; the team every 6 s"

@@ -97,11 +97,11 @@ def walls(world: str) -> list[tuple[float, float, float, float]]:
     else:
         middles = [(FIRST + APART * number, offset) for number, offset in enumerate(OFFSETS[world])]
         places = [(x - 0.5 * THICK, x + 0.5 * THICK, offset) for x, offset in middles]
-    found = []
+    walls = []
     for west, east, middle in places:
         low, high = middle - 0.5 * PASSAGE, middle + 0.5 * PASSAGE
-        found += [(west, east, high, high + WALL), (west, east, low - WALL, low)]
-    return found
+        walls += [(west, east, high, high + WALL), (west, east, low - WALL, low)]
+    return walls
 
 
 def team(world: str, policy: str, *, loss: float = 0.1, scanner_m: float = 0.3) -> dict[str, Any]:
@@ -151,15 +151,15 @@ def team(world: str, policy: str, *, loss: float = 0.1, scanner_m: float = 0.3) 
 
 def passed(result: Result, world: str) -> Passed:
     """What is kept of a run of `team`."""
-    moved = motion(result.states)
-    time_s = moved.time_ns / 1e9
-    columns = [moved.column(name) for name in NAMES]
-    place = np.stack([moved.position[0][:, columns], moved.position[1][:, columns]], axis=-1)
-    errors = formation_errors(moved, result.follows)
+    movement = motion(result.states)
+    time_s = movement.time_ns / 1e9
+    columns = [movement.column(name) for name in NAMES]
+    place = np.stack([movement.position[0][:, columns], movement.position[1][:, columns]], axis=-1)
+    errors = formation_errors(movement, result.follows)
     narrow = np.zeros(len(time_s), bool)
     for each in result.follows:
         if each.vehicle == NAMES[1]:
-            narrow[moved.time_ns >= each.time_ns] = each.follows.slot[1] == 0.0
+            narrow[movement.time_ns >= each.time_ns] = each.follows.slot[1] == 0.0
     out = np.flatnonzero(place[:, 0, 0] > BODY + max(east for _, east, _, _ in walls(world)))
     return Passed(
         time_s,
@@ -195,9 +195,9 @@ def passage_policies(runner: Runner) -> Figure:
     jobs = [job(world, policy, seed) for world, policy in cases for seed in SEEDS]
     jobs += [job(world, "all-clear", seed, **hard[name]) for world, name in more for seed in SEEDS]
     answers = iter(runner(jobs))
-    seen = {case: [next(answers) for _ in SEEDS] for case in cases}
-    rows = [row for (world, policy), runs in seen.items() for row in _rows(world, policy, runs)]
-    late = [_mean(each.formed_s for each in seen["corridor", policy]) for policy in POLICIES]
+    trials = {case: [next(answers) for _ in SEEDS] for case in cases}
+    rows = [row for (world, policy), runs in trials.items() for row in _rows(world, policy, runs)]
+    late = [_mean(each.formed_s for each in trials["corridor", policy]) for policy in POLICIES]
     rows.append(at_most("corridor: formed again with B later than with A by, s", 5.0, late[2] - late[0]))
     for world, name in more:
         runs = [next(answers) for _ in SEEDS]
@@ -211,18 +211,18 @@ def passage_policies(runner: Runner) -> Figure:
             rows.append(absolute(f"{case}: least |z| once wide again, m", 0.0, nearest, NEAR))
         else:
             rows.append(absolute(f"{case}: largest |z| at the end, m", 0.0, _left(runs), NEAR))
-    shown = [(world, policy) for policy in ("immediate", "all-clear") for world in EXPECTED]
-    return Figure("Passages 0.9 m wide", [_map(*case, seen[case][0]) for case in shown], rows, columns=3)
+    cases_shown = [(world, policy) for policy in ("immediate", "all-clear") for world in EXPECTED]
+    return Figure("Passages 0.9 m wide", [_map(*case, trials[case][0]) for case in cases_shown], rows, columns=3)
 
 
 def _corridor(runner: Runner, policy: str, title: str) -> Figure:
     runs = runner([job("corridor", policy, seed) for seed in SEEDS])
-    seen = runs[0]
-    errors = [Curve(seen.time_s, seen.error[:, i], name, i + 2) for i, name in enumerate(NAMES[1:])]
-    across = np.where(seen.narrow, 0.0, SPACING)
-    shape = [Curve(seen.time_s, across, "as called", 0, "dashed"), Curve(seen.time_s, seen.apart_m, "driven", 1)]
+    trial = runs[0]
+    errors = [Curve(trial.time_s, trial.error[:, i], name, i + 2) for i, name in enumerate(NAMES[1:])]
+    across = np.where(trial.narrow, 0.0, SPACING)
+    shape = [Curve(trial.time_s, across, "as called", 0, "dashed"), Curve(trial.time_s, trial.apart_m, "driven", 1)]
     panels = [
-        _map("corridor", policy, seen),
+        _map("corridor", policy, trial),
         Panel("Formation error", "time [s]", "|z| [m]", errors, levels={"5 cm": NEAR}),
         Panel("Width of the team, without bodies", "time [s]", "width [m]", shape),
     ]
@@ -260,17 +260,17 @@ def _rows(world: str, policy: str, runs: Sequence[Passed]) -> list[Row]:
     return [*rows, absolute(f"{case}: largest |z| at the end, m", 0.0, _left(runs), NEAR)]
 
 
-def _map(world: str, policy: str, seen: Passed) -> Panel:
+def _map(world: str, policy: str, trial: Passed) -> Panel:
     """Walls as far as they matter, tracks, and the team every 3 s."""
     blocks = [(west, east, max(south, -SHOWN), min(north, SHOWN)) for west, east, south, north in walls(world)]
     around = [
         Curve(np.array([west, east, east, west, west]), np.array([south, south, north, north, south]), "walls", 0)
         for west, east, south, north in blocks
     ]
-    place = seen.place[seen.place[:, 0, 0] < max(east for _, east, _, _ in blocks) + 5.0]
+    place = trial.place[trial.place[:, 0, 0] < max(east for _, east, _, _ in blocks) + 5.0]
     tracks = [Curve(place[:, i, 0], place[:, i, 1], name, i + 1, "pose") for i, name in enumerate(NAMES)]
     teams = [Curve(each[:, 0], each[:, 1], "every 3 s", 0, "thin") for each in place[:: round(3.0 / TICK_S), [0, 1, 2, 0]]]
-    title = f"{world}, {LETTERS[policy]}: {seen.counts['mode_toggles']} changes of mode, {seen.counts['avoid_s']:.1f} s"
+    title = f"{world}, {LETTERS[policy]}: {trial.counts['mode_toggles']} changes of mode, {trial.counts['avoid_s']:.1f} s"
     return Panel(title, "x east [m]", "y north [m]", [*around, *teams, *tracks], equal=True)
 
 

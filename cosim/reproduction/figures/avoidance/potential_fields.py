@@ -80,7 +80,7 @@ class Flown:
 def fig_28(runner: Runner) -> Figure:
     """One vehicle flies straight on past the pillar, from three offsets; a stronger field; four resolutions."""
     offsets, expected = (0.1, 0.2, 0.4), (0.795, 0.796, 0.799)
-    shown, strong, resolved = _split(
+    printed, strong, resolved = _split(
         runner(
             [
                 *(_alone(y0) for y0 in offsets),
@@ -91,7 +91,7 @@ def fig_28(runner: Runner) -> Figure:
         (len(offsets), 1, len(BEAMS)),
     )
     rows = []
-    for y0, clearance, each in zip(offsets, expected, shown, strict=True):
+    for y0, clearance, each in zip(offsets, expected, printed, strict=True):
         rows += [
             absolute(f"y0 = {y0:g} m: least clearance, m", clearance, each.clearance_m(), CM2),
             absolute(f"y0 = {y0:g} m: flies on at y, m", 1.36, each.y[-1, 0], CM2),
@@ -105,7 +105,7 @@ def fig_28(runner: Runner) -> Figure:
         rows.append(absolute(f"{count} beams, goal (4, 0.2): least clearance, m", clearance, measured, CM2))
     curves = [
         Curve(each.x[:, 0], each.y[:, 0], f"y0 = {y0:g} m", i)
-        for i, (y0, each) in enumerate(zip(offsets, shown, strict=True), 1)
+        for i, (y0, each) in enumerate(zip(offsets, printed, strict=True), 1)
     ]
     curves.append(Curve(strong[0].x[:, 0], strong[0].y[:, 0], "0.2 m, gain 0.3", 4, "dashed"))
     panels = [
@@ -145,8 +145,8 @@ def fig_29(runner: Runner) -> Figure:
         for i, ((tang, *_), each) in enumerate(zip(cases, pasts, strict=True), 1)
     ]
     rms = {
-        radius: np.array([np.sqrt((each.error[each.time_s >= 20.0] ** 2).mean()) for each in seen])
-        for radius, seen in ((THIN_M, thin), (WIDE_M, wide))
+        radius: np.array([np.sqrt((each.error[each.time_s >= 20.0] ** 2).mean()) for each in flights])
+        for radius, flights in ((THIN_M, thin), (WIDE_M, wide))
     }
     for (spacing, expected), measured in zip(SPACINGS.items(), rms[THIN_M], strict=True):
         if expected is not None:
@@ -248,10 +248,10 @@ def _job(
 
 def flown(result: Result, slots: Sequence[tuple[float, float]]) -> Flown:
     """Where all were; the first never turns, so that places beside it are those of the scenario."""
-    moved = motion(result.states)
-    x, y, _ = moved.position
+    movement = motion(result.states)
+    x, y, _ = movement.position
     error = [np.hypot(x[:, 0] + dx - x[:, i], y[:, 0] + dy - y[:, i]) for i, (dx, dy) in enumerate(slots, 1)]
-    return Flown(moved.time_ns / 1e9, x, y, np.array(error).reshape(len(slots), len(x)).T)
+    return Flown(movement.time_ns / 1e9, x, y, np.array(error).reshape(len(slots), len(x)).T)
 
 
 def _above(title: str, curves: Sequence[Curve], x_limits: tuple[float, float] | None = None) -> Panel:
@@ -271,5 +271,5 @@ def _above(title: str, curves: Sequence[Curve], x_limits: tuple[float, float] | 
 
 def _split(values: Sequence[Any], counts: Sequence[int]) -> list[list[Any]]:
     """The values as lists of these lengths."""
-    given = iter(values)
-    return [[next(given) for _ in range(count)] for count in counts]
+    remaining = iter(values)
+    return [[next(remaining) for _ in range(count)] for count in counts]

@@ -76,8 +76,8 @@ class Stepped(Agent):
 def fig_levels(runner: Runner) -> Figure:
     """Least clearance at three speeds, with and without level 2; with the stepped servo, and with an exact lag."""
     cases = [(stepped, level, speed) for stepped in (True, False) for level in (1, 2) for speed in SPEEDS]
-    seen = dict(zip(cases, runner([Job(_scenario(*case), _track) for case in cases]), strict=True))
-    least = {case: float(_clearance(track).min()) for case, track in seen.items()}
+    tracks = dict(zip(cases, runner([Job(_scenario(*case), _track) for case in cases]), strict=True))
+    least = {case: float(_clearance(track).min()) for case, track in tracks.items()}
     rows: list[Row] = []
     for level, expected in ((1, ALONE), (2, LIMITED)):
         for speed, clear in zip(SPEEDS, expected, strict=True):
@@ -87,7 +87,7 @@ def fig_levels(runner: Runner) -> Figure:
         case = f"exact lag, {speed:g} m/s: least clearance, m"
         rows.append(at_most(f"{NAMES[1]}, {case}", CORE_M, least[False, 1, speed]))
         rows.append(at_least(f"{NAMES[2]}, {case}", CORE_M, least[False, 2, speed]))
-    panels = [*(_from_above(seen, level) for level in (1, 2)), _fast(seen), _near(least)]
+    panels = [*(_from_above(tracks, level) for level in (1, 2)), _fast(tracks), _near(least)]
     return Figure("Past a pillar at 1, 2 and 3 m/s with a lag of 0.5 s", panels, rows)
 
 
@@ -119,8 +119,8 @@ def _scenario(stepped: bool, level: int, speed: float) -> dict[str, Any]:
 
 def _track(result: Result) -> Array:
     """Place and speed at every recorded instant, (m, 3): x m, y m, m/s."""
-    moved = motion(result.states)
-    x, y = (moved.position[axis][:, 0] for axis in (0, 1))
+    movement = motion(result.states)
+    x, y = (movement.position[axis][:, 0] for axis in (0, 1))
     speed = np.hypot(np.gradient(x, RECORD_S), np.gradient(y, RECORD_S))
     return np.column_stack([x, y, speed])
 
@@ -136,7 +136,7 @@ def _between(track: Array, west: float, east: float) -> Array:
     return track[(track[:, 0] >= west) & (track[:, 0] <= east)]
 
 
-def _from_above(seen: Mapping[Case, Array], level: int) -> Panel:
+def _from_above(tracks: Mapping[Case, Array], level: int) -> Panel:
     """Tracks, the pillar, and the line that is to be kept free."""
     around = np.linspace(0.0, math.tau, 401) + 1e-6  # no corner of the pillar is met exactly
     cos, sin = np.cos(around), np.sin(around)
@@ -146,16 +146,16 @@ def _from_above(seen: Mapping[Case, Array], level: int) -> Panel:
     ]
     for number, speed in enumerate(SPEEDS, 1):
         for stepped in (True, False):
-            x, y, _ = _between(seen[stepped, level, speed], *SHOWN).T
+            x, y, _ = _between(tracks[stepped, level, speed], *SHOWN).T
             lines.append(Curve(x, y, f"{speed:g} m/s" if stepped else "", number, LAGS[stepped][1]))
     title = f"{NAMES[level][0].upper()}{NAMES[level][1:]} (dashed: exact lag)"
     return Panel(title, "x east [m]", "y north [m]", lines, equal=True, x_limits=(SHOWN[0], 6.0))
 
 
-def _fast(seen: Mapping[Case, Array]) -> Panel:
+def _fast(tracks: Mapping[Case, Array]) -> Panel:
     """Speed by distance, until it is nearest."""
     lines = []
-    for (stepped, level, speed), track in seen.items():
+    for (stepped, level, speed), track in tracks.items():
         if stepped:
             way_m = _clearance(track)
             until = int(way_m.argmin()) + 1

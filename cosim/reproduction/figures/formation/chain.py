@@ -43,8 +43,8 @@ def chain(runner: Runner) -> Figure:
     peaks = {d: _peak("dr", d) for d in DELAYS_S}
     swings = [(w, DELAY_S) for w in OMEGAS] + [(peaks[d][0], d) for d in DELAYS_S]
     columns = {**WAYS, "leader": LED}
-    seen = runner([*(_surge(*each) for each in swings), *(column(each) for each in columns.values())])
-    gains, links = np.array(seen[: len(swings)]), dict(zip(columns, seen[len(swings) :], strict=True))
+    answers = runner([*(_surge(*each) for each in swings), *(column(each) for each in columns.values())])
+    gains, links = np.array(answers[: len(swings)]), dict(zip(columns, answers[len(swings) :], strict=True))
     rows = _gain_rows(gains, peaks) + _column_rows(links)
     omega = np.geomspace(0.2, 5.0, 200)
     curves, lines = [], []
@@ -132,11 +132,11 @@ def _surge(omega: float, delay_s: float) -> Job:
 
 def sways(result: Result, scenario: Mapping[str, Any], omega: float) -> Array:
     """How far each follower of car2 sways to and fro at ``omega``, over how far car2 does."""
-    seen = tracks(result, scenario)
-    late = seen.time_s >= WARM_S
-    t = seen.time_s[late]
+    run = tracks(result, scenario)
+    late = run.time_s >= WARM_S
+    t = run.time_s[late]
     basis = np.stack([np.ones_like(t), t, np.cos(omega * t), np.sin(omega * t)], axis=-1)
-    fit = np.linalg.lstsq(basis, seen.pose[late, 1:, 0], rcond=None)[0]
+    fit = np.linalg.lstsq(basis, run.pose[late, 1:, 0], rcond=None)[0]
     size = np.hypot(fit[2], fit[3])
     return np.asarray(size[1:] / size[0])
 

@@ -37,10 +37,10 @@ def fig_24(runner: Runner) -> Figure:
     """The triangle on a circle of 2 m: every error ends at zero, and the followers' circles are those of the closed forms."""
     short = [{**place, "handle": 0.3} for place in (RIGHT_BEHIND, LEFT_BEHIND)]
     starts = [{**RIGHT_BEHIND, "pose": (-1.6, -0.9, 0.4)}, {**LEFT_BEHIND, "pose": (-1.3, 0.9, -0.4)}]
-    shown, handle, *proofs = runner(
+    steady, handle, *proofs = runner(
         [track(fleet(90.0, starts)), track(fleet(90.0, short)), *(_proof(part) for part in range(PARTS))]
     )
-    rows = [absolute("|z| after 90 s, m", 0.0, shown.error[-1].max(), 1e-6), *_on_circle(shown)]
+    rows = [absolute("|z| after 90 s, m", 0.0, steady.error[-1].max(), 1e-6), *_on_circle(steady)]
     for number, side in enumerate(SIDES):
         expected = closed_forms.circle_distance(R, V, side, AHEAD, 0.3)
         rows.append(absolute(f"rho of follower {number + 1} with handle 0.3 m, m", expected, _rho(handle)[number], 1e-4))
@@ -62,29 +62,29 @@ def fig_24(runner: Runner) -> Figure:
         [*lines, Curve(time_s, 2.0 * decay[:, 0], "2 m exp(-k t)", 2, "dashed")],
         log_y=True,
     )
-    return Figure("Fig. 24: leader-follower triangle on a circle of 2 m", [*_panels(shown), proof], rows, columns=3)
+    return Figure("Fig. 24: leader-follower triangle on a circle of 2 m", [*_panels(steady), proof], rows, columns=3)
 
 
 def fig_25(runner: Runner) -> Figure:
     """The same with limited accelerations and lags: commands are constant on a circle, so no error remains."""
     places = [{**RIGHT_BEHIND, "pose": (-1.6, -0.9, 0.4)}, {**LEFT_BEHIND, "pose": (-1.3, 0.9, -0.4)}]
-    (shown,) = runner([track(fleet(90.0, places, kind="inertial"))])
-    late = shown.error[shown.time_s >= 60.0]
-    rows = [at_most("|z| from 60 s on, m", 1e-3, late.max()), *_on_circle(shown, 1e-3)]
-    return Figure("Fig. 25: the triangle on a circle of 2 m, inertial vehicles", _panels(shown), rows)
+    (steady,) = runner([track(fleet(90.0, places, kind="inertial"))])
+    late = steady.error[steady.time_s >= 60.0]
+    rows = [at_most("|z| from 60 s on, m", 1e-3, late.max()), *_on_circle(steady, 1e-3)]
+    return Figure("Fig. 25: the triangle on a circle of 2 m, inertial vehicles", _panels(steady), rows)
 
 
 def fig_26(runner: Runner) -> Figure:
     """The same where all poses that are used come from positioning, with independent errors of every fix."""
-    rows, seen = [], []
+    rows, runs = [], []
     noises = ((0.15, 0.05, (0.06, 0.01), (0.03, 0.005)), (0.05, 0.02, (0.018, 0.002), (0.008, 0.0015)))
     jobs = []
     for sigma_m, sigma_rad, _, _ in noises:
         sensor = {"rate_hz": 10.0, "sigma_m": sigma_m, "sigma_rad": sigma_rad}
         vehicles = {"pose_source": "positioning", "positioning": sensor}
         jobs.append(track(fleet(120.0, [RIGHT_BEHIND, LEFT_BEHIND] * 10, vehicles=vehicles), seed=1))
-    seen = runner(jobs)
-    for (sigma_m, sigma_rad, rms, spread), each in zip(noises, seen, strict=True):
+    runs = runner(jobs)
+    for (sigma_m, sigma_rad, rms, spread), each in zip(noises, runs, strict=True):
         late = each.time_s >= 20.0
         case = f"sigma {sigma_m:g} m, {sigma_rad:g} rad"
         radial = _radius(each)[late]
@@ -93,44 +93,44 @@ def fig_26(runner: Runner) -> Figure:
             absolute(f"{case}: radial deviation of followers, m", spread[0], radial[:, 1:].std(axis=0).mean(), spread[1]),
             absolute(f"{case}: leader off its circle, m", 0.0, np.abs(radial[:, 0] - R).max(), 1e-9),
         ]
-    first = Tracks(seen[0].time_s, seen[0].pose[:, :3], seen[0].z[:, :2])
+    first = Tracks(runs[0].time_s, runs[0].pose[:, :3], runs[0].z[:, :2])
     return Figure(
         "Fig. 26: the triangle on a circle of 2 m, positioning noise of 0.15 m and 0.05 rad", _panels(first, log=False), rows
     )
 
 
-def _panels(seen: Tracks, *, log: bool = True) -> list[Panel]:
+def _panels(track: Tracks, *, log: bool = True) -> list[Panel]:
     """The tracks from above, and the errors."""
-    paths = [Curve(seen.pose[:, i, 0], seen.pose[:, i, 1], name, i, "pose") for i, name in enumerate(NAMES)]
-    errors = [Curve(seen.time_s, seen.error[:, i], name, i + 1) for i, name in enumerate(NAMES[1:])]
+    paths = [Curve(track.pose[:, i, 0], track.pose[:, i, 1], name, i, "pose") for i, name in enumerate(NAMES)]
+    errors = [Curve(track.time_s, track.error[:, i], name, i + 1) for i, name in enumerate(NAMES[1:])]
     return [
         Panel("Tracks; follower 1 at +30°, 2 at -30°", "x east [m]", "y north [m]", paths, equal=True),
         Panel("Formation error", "time [s]", "|z| [m]", errors, log_y=log, y_limits=(1e-9, 2.0) if log else None),
     ]
 
 
-def _radius(seen: Tracks) -> Array:
+def _radius(track: Tracks) -> Array:
     """Distance of all vehicles to the middle of the circle that the leader ends on, (m, vehicles)."""
-    x, y, yaw = seen.pose[-1, 0]
-    return np.asarray(np.hypot(seen.pose[..., 0] - x + R * math.sin(yaw), seen.pose[..., 1] - y - R * math.cos(yaw)))
+    x, y, yaw = track.pose[-1, 0]
+    return np.asarray(np.hypot(track.pose[..., 0] - x + R * math.sin(yaw), track.pose[..., 1] - y - R * math.cos(yaw)))
 
 
-def _rho(seen: Tracks) -> Array:
+def _rho(track: Tracks) -> Array:
     """Distance of the followers to their leader at the end, m."""
-    return np.asarray(np.hypot(*(seen.pose[-1, 1:, :2] - seen.pose[-1, :1, :2]).T))
+    return np.asarray(np.hypot(*(track.pose[-1, 1:, :2] - track.pose[-1, :1, :2]).T))
 
 
-def _on_circle(seen: Tracks, tolerance: float = 1e-5) -> list[Row]:
+def _on_circle(track: Tracks, tolerance: float = 1e-5) -> list[Row]:
     """Radius, distance and speed of both followers at the end, against the closed forms."""
-    chord = np.hypot(*(seen.pose[-1, 1:, :2] - seen.pose[-2, 1:, :2]).T)
+    chord = np.hypot(*(track.pose[-1, 1:, :2] - track.pose[-2, 1:, :2]).T)
     speed = chord / (T * np.sinc(W * T / 2.0 / math.pi))  # along the arc
     rows = []
     for number, side in enumerate(SIDES):
         radius, rho, v = closed_forms.circle(R, V, side, AHEAD)
         of = f"of follower {number + 1}"
         rows += [
-            absolute(f"radius {of}, m", radius, _radius(seen)[-1, number + 1], tolerance),
-            absolute(f"rho {of}, m", rho, _rho(seen)[number], tolerance),
+            absolute(f"radius {of}, m", radius, _radius(track)[-1, number + 1], tolerance),
+            absolute(f"rho {of}, m", rho, _rho(track)[number], tolerance),
             absolute(f"speed {of}, m/s", v, speed[number], tolerance),
         ]
     return rows
@@ -156,5 +156,5 @@ def _proof(part: int) -> Job:
 
 def _squares(result: Result, scenario: dict[str, object]) -> tuple[Array, Array]:
     """Times from the first report on, s, and |z|^2 (m, followers), m2: twice V."""
-    seen = tracks(result, scenario)
-    return seen.time_s[1:] - seen.time_s[1], seen.error[1:] ** 2
+    track = tracks(result, scenario)
+    return track.time_s[1:] - track.time_s[1], track.error[1:] ** 2

@@ -45,26 +45,26 @@ def delay(runner: Runner) -> Figure:
         for d in DELAYS_S
     ]
     curved = [team(path, radio(delay_s=d), 2, both) for path in loss_integration.PATHS for d in DELAYS_S]
-    seen = runner([*exact, *curved])
-    table = np.array(seen[: len(exact)]).reshape(len(kinds), len(DELAYS_S), 2)  # of car2 and car3
+    runs = runner([*exact, *curved])
+    table = np.array(runs[: len(exact)]).reshape(len(kinds), len(DELAYS_S), 2)  # of car2 and car3
     d, rows = np.array(DELAYS_S), []
     lines = {"straight": np.stack([V * d, V * d], axis=-1)}
     lines["circle"] = np.stack([2.0 * (R + side) * np.sin(W * d / 2.0) for side in (ASIDE, -ASIDE)], axis=-1)
     panels = []
     for path, closed in lines.items():
         hold, dr = (table[kinds.index((path, estimator))] for estimator in both)
-        shown = 2 if path == "circle" else 1
-        for side, name in enumerate(("follower 1 (+30°)", "follower 2 (-30°)")[:shown]):
+        column = 2 if path == "circle" else 1
+        for side, name in enumerate(("follower 1 (+30°)", "follower 2 (-30°)")[:column]):
             rows += [
                 absolute(f"{path}, hold, {name}, delay {each:g} s: |z|, closed form, m", must, is_, 5e-4)
                 for each, must, is_ in zip(DELAYS_S, closed[:, side], hold[:, side], strict=True)
             ]
         rows.append(absolute(f"{path}, dr, all delays: largest |z|, m", 0.0, dr.max(), 1e-4))
-        curves = [Curve(d, closed[:, side], "closed form", 0, "dotted") for side in range(shown)]
-        curves += [Curve(d, hold[:, side], "hold", 1, "markers") for side in range(shown)]
+        curves = [Curve(d, closed[:, side], "closed form", 0, "dotted") for side in range(column)]
+        curves += [Curve(d, hold[:, side], "hold", 1, "markers") for side in range(column)]
         curves.append(Curve(d, dr.max(axis=-1), "dr", 2, "markers"))
         panels.append(Panel(f"Leader on a {path.replace('straight', 'straight line')}", "delay [s]", "|z| [m]", curves))
-    errors = [by_estimator(each) for each in seen[len(exact) :]]
+    errors = [by_estimator(each) for each in runs[len(exact) :]]
     more, compared = _curved(errors, both, "closed forms")
     rows += compared
     return Figure("Formation error by delay (points: runs)", [*panels, *more], rows)
@@ -73,8 +73,8 @@ def delay(runner: Runner) -> Figure:
 def estimators(runner: Runner) -> Figure:
     """RMS of |z| over the delay of all messages, for all estimators."""
     names = loss_integration.ESTIMATORS
-    seen = runner([team(path, radio(delay_s=d), 2, names) for path in loss_integration.PATHS for d in DELAYS_S])
-    panels, rows = _curved([by_estimator(each) for each in seen], names, "log")
+    runs = runner([team(path, radio(delay_s=d), 2, names) for path in loss_integration.PATHS for d in DELAYS_S])
+    panels, rows = _curved([by_estimator(each) for each in runs], names, "log")
     return Figure("Estimators of the leader's present state, by delay (points: runs)", panels, rows)
 
 
@@ -82,9 +82,9 @@ def loss_delay(runner: Runner, followers: int = FOLLOWERS) -> Figure:
     """RMS of |z| on the slalom over loss and delay together: ``dr``, and how it compares with ``hold``."""
     both = ("hold", "dr")
     cells = [(p, d) for d in MAP_S for p in MAP_P]
-    seen = runner([team("slalom", radio(p, d), followers * (1 + 3 * ((p, d) in NAMED)), both) for p, d in cells])
-    measured = {cell: by_estimator(each) for cell, each in zip(cells, seen, strict=True)}
-    exact = {cell: integrated("slalom", each) for cell, each in zip(cells, seen, strict=True)}
+    runs = runner([team("slalom", radio(p, d), followers * (1 + 3 * ((p, d) in NAMED)), both) for p, d in cells])
+    measured = {cell: by_estimator(each) for cell, each in zip(cells, runs, strict=True)}
+    exact = {cell: integrated("slalom", each) for cell, each in zip(cells, runs, strict=True)}
     rows: list[Row] = []
     for (p, d), must in NAMED.items():
         rows += [
@@ -118,15 +118,15 @@ def _curved(errors: list[dict[str, float]], names: tuple[str, ...], scale: str) 
     for path, part in zip(loss_integration.PATHS, parts, strict=True):
         curves = []
         for color, name in enumerate(names, 1):
-            got = np.array([each[name] for each in part])
+            measured = np.array([each[name] for each in part])
             must = REFERENCE[path][name]
             curves += [
-                Curve(np.array(DELAYS_S), got, name, color, "markers"),
+                Curve(np.array(DELAYS_S), measured, name, color, "markers"),
                 Curve(np.array(DELAYS_S), _integrated(path, name), "", color),
             ]
             rows += [
                 relative(f"{path}, {name}, delay {d:g} s: RMS |z|, m", expected, is_, 0.1)
-                for d, expected, is_ in zip(DELAYS_S, must, got, strict=True)
+                for d, expected, is_ in zip(DELAYS_S, must, measured, strict=True)
             ]
         rows += [
             at_most(f"{path}, delay {d:g} s: dr over hold", 0.6, each["dr"] / each["hold"])

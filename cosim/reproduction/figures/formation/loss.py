@@ -47,23 +47,23 @@ def loss(
         for estimator in loss_integration.ESTIMATORS
     ]
     curved = [team(path, radio(p), followers if p else 2, (estimator,)) for path, p, estimator in cases]
-    seen = runner([*curved, *(_straight(p, straight * (1 + (p >= RARE)) if p else 2) for p in probabilities)])
-    measured = {case: root_mean_square(each.rms) for case, each in zip(cases, seen, strict=False)}
+    runs = runner([*curved, *(_straight(p, straight * (1 + (p >= RARE)) if p else 2) for p in probabilities)])
+    measured = {case: root_mean_square(each.rms) for case, each in zip(cases, runs, strict=False)}
     p, panels, rows = np.array(probabilities), [], []
     for path in loss_integration.PATHS:
         curves = []
         for color, estimator in enumerate(loss_integration.ESTIMATORS, 1):
-            got = np.array([measured[path, each, estimator] for each in probabilities])
+            measured_m = np.array([measured[path, each, estimator] for each in probabilities])
             many = loss_integration.rms(path, estimator, p, np.ones(len(p), int), count=MANY)
-            curves += [Curve(p, got, estimator, color, "markers"), Curve(p, many, "", color)]
+            curves += [Curve(p, measured_m, estimator, color, "markers"), Curve(p, many, "", color)]
         rows += [
             relative(f"{path}, {case[2]}, p = {case[1]:g}: RMS |z|, m", integrated(path, each)[case[2]], measured[case], 0.001)
-            for case, each in zip(cases, seen, strict=False)
+            for case, each in zip(cases, runs, strict=False)
             if case[0] == path
         ]
         rows += [_better(path, each, measured) for each in probabilities if 0.3 <= each <= 0.8]
         panels.append(Panel(TITLES[path], "probability of loss", "RMS |z| [m]", curves, log_y=True))
-    lags = np.array([root_mean_square(each) for each in seen[len(cases) :]])
+    lags = np.array([root_mean_square(each) for each in runs[len(cases) :]])
     closed = np.array([closed_forms.lag_behind(V, K1, T, T, each)[1] for each in probabilities])
     rows += [
         relative(f"straight, hold, p = {each:g}: RMS |z|, closed form, m", must, is_, 0.05 if each >= 0.9 else 0.03)
@@ -88,8 +88,8 @@ def team(path: str, air: dict[str, Any], count: int, estimators: tuple[str, ...]
     """A run of 120 s with ``count`` followers of each estimator, that gives a `Team`."""
     places = (RIGHT_BEHIND, LEFT_BEHIND)
     followers = [{**places[i % 2], "estimator": each} for each in estimators for i in range(count)]
-    told = [need for need, user in (("a", "acc"), ("plan", "plan")) if user in estimators]
-    scenario = fleet(120.0, followers, path=path, leader={"tell": told}, radio=air)
+    needs = [need for need, user in (("a", "acc"), ("plan", "plan")) if user in estimators]
+    scenario = fleet(120.0, followers, path=path, leader={"tell": needs}, radio=air)
     return Job(scenario, partial(_read, scenario=scenario, estimators=estimators), seed=1)
 
 
@@ -111,12 +111,12 @@ def integrated(path: str, each: Team) -> dict[str, float]:
 
 def _read(result: Result, scenario: Mapping[str, Any], estimators: tuple[str, ...]) -> Team:
     names, to = names_of(result.radio, "receiver")
-    sent, received = (numbers(result.radio, name, null=-1) for name in ("sent_ns", "received_ns"))
+    sent_ns, received_ns = (numbers(result.radio, name, null=-1) for name in ("sent_ns", "received_ns"))
     number = {car["name"]: i for i, car in enumerate(scenario["vehicle"][1:])}
     missed = np.zeros((round(scenario["duration_s"] / T) + 1, len(number)), bool)
     column = np.array([number.get(name, -1) for name in names])[to]
-    missed[np.rint(sent / 1e9 / T).astype(int), column] = received < 0
-    delay_s = (received - sent)[received >= 0].min() / 1e9
+    missed[np.rint(sent_ns / 1e9 / T).astype(int), column] = received_ns < 0
+    delay_s = (received_ns - sent_ns)[received_ns >= 0].min() / 1e9
     return Team(estimators, errors_from(result, scenario, 20.0), missed, max(1, math.ceil(delay_s / T - 1e-6)))
 
 

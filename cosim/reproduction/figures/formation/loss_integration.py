@@ -97,9 +97,9 @@ def errors(path: str, estimator: str, missed: Array, age: Array, *, from_s: floa
     pose = np.stack([np.full(number, -AHEAD), -side, np.zeros(number)], axis=-1)
     newest, last = np.full(number, -1), np.zeros((number, 2))
     for tick in range(ticks):
-        sent = tick - age
-        arrived = (sent >= 0) & ~missed[np.maximum(sent, 0), everyone]
-        newest = np.where(arrived, sent, newest)
+        sent_tick = tick - age
+        arrived = (sent_tick >= 0) & ~missed[np.maximum(sent_tick, 0), everyone]
+        newest = np.where(arrived, sent_tick, newest)
         if tick >= round(from_s / T):
             square += (_error(lead.pose[tick], pose, side) ** 2).sum(axis=-1)
         old = np.where(newest >= 0, tick - newest, 0)
@@ -119,13 +119,13 @@ def _predictions(lead: Leader, estimator: str, oldest: int) -> Array:
     change = np.diff(reported, axis=0, prepend=reported[:1]) / T
     pose, believed = start, reported
     for age in range(oldest + 1):
-        known = min(age, HORIZON)
+        points = min(age, HORIZON)
         if estimator == "plan" and age <= PLAN:  # the plan is what will come
             pose, believed = lead.pose[age : age + count], lead.speeds[age : age + count]
         elif estimator == "acc" and age <= HORIZON:
             low, high = np.array(LIMITS).T
-            believed = np.clip(reported + DECAY_S * (1.0 - math.exp(-known * T / DECAY_S)) * change, low, high)
-            pose = _arc(start, 0.5 * (reported + believed) * known)
+            believed = np.clip(reported + DECAY_S * (1.0 - math.exp(-points * T / DECAY_S)) * change, low, high)
+            pose = _arc(start, 0.5 * (reported + believed) * points)
         elif estimator != "hold" and age > 0:  # on by a period, at the speeds in its middle
             pose = _arc(pose, believed * _left(estimator, age - 0.5))
         table[:, age] = np.concatenate([pose, believed * _left(estimator, age)], axis=-1)

@@ -41,12 +41,12 @@ def fig_32(runner: Runner) -> Figure:
     ):
         z = each.z[:, 0, 0]
         law = {"gain": K1, "speed": V, "period_s": T}
-        known, counted = (closed_forms.start_up(behind, *servo, **law, first_tick=first) for first in (0, 1))
+        at_first, counted = (closed_forms.start_up(behind, *servo, **law, first_tick=first) for first in (0, 1))
         times = T * np.arange(len(counted))
         settled = settling_s(times, counted, BAND_M)
         rows += [
             absolute(
-                f"{name}: integration, leader known at once: settling, s", at_once, settling_s(times, known, BAND_M), 0.1001
+                f"{name}: integration, leader known at once: settling, s", at_once, settling_s(times, at_first, BAND_M), 0.1001
             ),
             absolute(
                 f"{name}: settling with the first report a tick old, s", settled, settling_s(each.time_s, z, BAND_M), 1e-6

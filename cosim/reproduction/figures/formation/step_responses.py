@@ -38,10 +38,10 @@ def fig_30(runner: Runner) -> Figure:
     servo = [_step(30.0, 12.0, kind="lag", behind=STEP_M, k1=k1) for k1 in GAINS]
     bare = [_step(10.0, 5.0, behind=STEP_M, k1=k1) for k1 in BARE_GAINS]
     fine = [_step(10.0, 4.0, kind="lag", period_s=FINE_T, behind=STEP_M, k1=k1) for k1 in FINE_GAINS]
-    seen = runner([*servo, *bare, *fine])
+    runs = runner([*servo, *bare, *fine])
     rows: list[Row] = []
     with_servo, expected, without = [], [], []
-    for color, (k1, each) in enumerate(zip(GAINS, seen, strict=False), 1):
+    for color, (k1, each) in enumerate(zip(GAINS, runs, strict=False), 1):
         time_s, z = _response(each, 30.0, 0)
         exact = STEP_M * closed_forms.servo_step(k1, T, LAG_S, len(z))
         with_servo.append(Curve(time_s, z, f"k1 = {k1:g}", color))
@@ -52,13 +52,13 @@ def fig_30(runner: Runner) -> Figure:
             absolute(f"{of}: overshoot, %", 100 * overshoot(exact), 100 * overshoot(z), 0.05),
             absolute(f"{of}: settling to 5 %, s", settled, settling_s(time_s, z, FIVE_PER_CENT), 1e-9),
         ]
-    for color, (k1, each) in enumerate(zip(BARE_GAINS, seen[len(GAINS) :], strict=False), 1):
+    for color, (k1, each) in enumerate(zip(BARE_GAINS, runs[len(GAINS) :], strict=False), 1):
         time_s, z = _response(each, 10.0, 0)
         without.append(Curve(time_s, z, f"k1 = {k1:g}", color, "both"))
         rows.append(
             absolute(f"kinematic, k1 = {k1:g}: overshoot k1 T - 1, %", max(0.0, 100 * (k1 * T - 1)), 100 * overshoot(z), 1e-6)
         )
-    for k1, each in zip(FINE_GAINS, seen[-len(FINE_GAINS) :], strict=True):
+    for k1, each in zip(FINE_GAINS, runs[-len(FINE_GAINS) :], strict=True):
         _, z = _response(each, 10.0, 0)
         case = f"lag 0.5 s, T = 5 ms, k1 = {k1:g}: overshoot, closed form for T = 0, %"
         rows.append(absolute(case, 100 * closed_forms.servo_overshoot(k1, LAG_S), 100 * overshoot(z), 0.5))
@@ -73,10 +73,10 @@ def fig_30(runner: Runner) -> Figure:
 
 def fig_31(runner: Runner) -> Figure:
     """0.5 m to the left of the place at the leader's speed: z2 of the handle, and the robot itself, which no k2 hurries."""
-    seen = runner([_step(30.0, 16.0, kind="lag", left=STEP_M, k2=k2) for k2 in GAINS])
+    runs = runner([_step(30.0, 16.0, kind="lag", left=STEP_M, k2=k2) for k2 in GAINS])
     expected = (0.0, 0.0, 0.160, 0.376, 0.646)
     handle, robot, rows, latest = [], [], [], []
-    for color, (k2, each, most) in enumerate(zip(GAINS, seen, expected, strict=True), 1):
+    for color, (k2, each, most) in enumerate(zip(GAINS, runs, expected, strict=True), 1):
         time_s, z = _response(each, 30.0, 1)
         aside = _aside(each)[each.time_s >= 30.0]
         handle.append(Curve(time_s, z, f"k2 = {k2:g}", color))
@@ -105,17 +105,17 @@ def fig_33(runner: Runner) -> Figure:
     ]
     components = [0] * 4 + [1] * 4 + [0] * 4 + [1] * 8  # z1 or z2
     runs = runner([*along, *across, *servo, *tiny])
-    seen = [_response(each, BEFORE_S, component) for each, component in zip(runs, components, strict=True)]
+    responses = [_response(each, BEFORE_S, component) for each, component in zip(runs, components, strict=True)]
     panels, rows = [], []
     names = ("z1, kinematic, 0.5 m behind", "z2, kinematic, 0.5 m to the left", "z1, servo lag 0.5 s, 0.5 m behind")
     for part, name in enumerate(names):
         curves = []
-        for color, (rate, (time_s, z)) in enumerate(zip(RATES_HZ, seen[4 * part : 4 * part + 4], strict=True), 1):
+        for color, (rate, (time_s, z)) in enumerate(zip(RATES_HZ, responses[4 * part : 4 * part + 4], strict=True), 1):
             curves.append(Curve(time_s, z, f"{rate:g} Hz", color, "both" if rate < 10.0 else "line"))
             rows += _rate_rows(name, rate, time_s, z, color - 1)
         panels.append(Panel(name, "time since the step [s]", f"{name[:2]} [m]", curves, x_limits=(0.0, 16.0)))
     growth = []
-    for (period, share), (_, z) in zip(bounds, seen[12:], strict=True):
+    for (period, share), (_, z) in zip(bounds, responses[12:], strict=True):
         exact = TINY_M * closed_forms.side_steps(share * _bound(period), period, AHEAD, V, len(z))
         case = (
             f"T = {period:g} s, {share:g} x the bound k2 = {_bound(period):.4f}: z2 after {BOUND_COUNT} periods over its start"
@@ -155,13 +155,13 @@ def _step(at_s: float, for_s: float, *, kind: str = "kinematic", period_s: float
     return track(fleet(at_s + for_s, [step_follower(at_s, **step)], path="straight", kind=kind, agents=agents, record=record))
 
 
-def _response(seen: Tracks, at_s: float, component: int) -> tuple[Array, Array]:
+def _response(run: Tracks, at_s: float, component: int) -> tuple[Array, Array]:
     """Times since the step, s, and one component of the error, m."""
-    after = seen.time_s >= at_s
-    return seen.time_s[after] - at_s, seen.z[after, 0, component]
+    after = run.time_s >= at_s
+    return run.time_s[after] - at_s, run.z[after, 0, component]
 
 
-def _aside(seen: Tracks) -> Array:
+def _aside(run: Tracks) -> Array:
     """How far left of its place the follower itself is, in the leader's frame, m (which here is the world's)."""
     slot_y = -np.sqrt(1.0 - AHEAD**2)
-    return np.asarray(seen.pose[:, 1, 1] - seen.pose[:, 0, 1] - slot_y)
+    return np.asarray(run.pose[:, 1, 1] - run.pose[:, 0, 1] - slot_y)

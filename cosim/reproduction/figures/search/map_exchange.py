@@ -52,41 +52,43 @@ def search_exchange(runner: Runner, seeds: int = SEEDS, losses: Sequence[float] 
     tries = dict.fromkeys(cases, seeds) | {(count, "none", 0.0): min(seeds, ALONE) for count in COUNTS}
     jobs = [partial(searched, *case, seed, LIMITS_S[case[0]]) for case, most in tries.items() for seed in range(most)]
     answers = iter(runner(jobs))
-    seen: dict[tuple[int, str, float], list[Searched]] = {
+    searches: dict[tuple[int, str, float], list[Searched]] = {
         case: [next(answers) for _ in range(most)] for case, most in tries.items()
     }
     rows: list[Row] = sequential_rows()
     for count in COUNTS:
-        rows += _rows(count, seen, losses)
+        rows += _rows(count, searches, losses)
     panels = [
-        *(_times(count, seen, losses) for count in COUNTS),
-        *(_bytes(count, seen, losses) for count in COUNTS),
+        *(_times(count, searches, losses) for count in COUNTS),
+        *(_bytes(count, searches, losses) for count in COUNTS),
     ]
     return Figure("Search for two targets: until all know both (medians; infinite ones not drawn)", panels, rows)
 
 
-def _rows(count: int, seen: Mapping[tuple[int, str, float], list[Searched]], losses: Sequence[float]) -> list[Row]:
+def _rows(count: int, searches: Mapping[tuple[int, str, float], list[Searched]], losses: Sequence[float]) -> list[Row]:
     """Medians beside those of the independent simulation, and beside the ledger's; who is never over."""
-    rows, reference, best = [], REFERENCE[count], _median(seen[count, "ledger", losses[0]])
+    rows, reference, best = [], REFERENCE[count], _median(searches[count, "ledger", losses[0]])
     for kind in KINDS:
         for loss in losses:
-            found, must = seen[count, kind, loss], reference[kind][LOSSES.index(loss)]
+            runs, must = searches[count, kind, loss], reference[kind][LOSSES.index(loss)]
             case = f"N = {count}, {kind}, loss {loss:g}"
             if (kind, loss) in NOT_OVER[count]:
-                rows.append(absolute(f"{case}: share not over", NOT_OVER[count][kind, loss], _unfinished(found), 0.25))
+                rows.append(absolute(f"{case}: share not over", NOT_OVER[count][kind, loss], _unfinished(runs), 0.25))
             elif kind == "ledger":
-                rows.append(relative(f"{case}: median, s", must, _median(found), SHARE))
+                rows.append(relative(f"{case}: median, s", must, _median(runs), SHARE))
                 ratio = must / reference["ledger"][0]
                 if loss > 0.0:
-                    rows.append(relative(f"{case}: median over that without loss", ratio, _median(found) / best, SHARE))
+                    rows.append(relative(f"{case}: median over that without loss", ratio, _median(runs) / best, SHARE))
             else:
-                rows.append(at_most(f"{case}: median, s", (1.0 + SHARE) * must, _median(found)))
-                quicker = _median(seen[count, "ledger", loss]) - _median(found)
+                rows.append(at_most(f"{case}: median, s", (1.0 + SHARE) * must, _median(runs)))
+                quicker = _median(searches[count, "ledger", loss]) - _median(runs)
                 rows.append(at_most(f"{case}: the ledger's median is greater by, s", 0.0, quicker))
     if losses[0] == 0.0:
-        rows.append(absolute(f"N = {count}, delta over ledger, no loss", 1.0, _median(seen[count, "delta", 0.0]) / best, 0.0))
-    rows.append(absolute(f"N = {count}, none: share not over", 1.0, _unfinished(seen[count, "none", 0.0]), 0.2))
-    over = [each.false_cells for loss in losses for each in seen[count, "ledger", loss] if math.isfinite(each.done_s)]
+        rows.append(
+            absolute(f"N = {count}, delta over ledger, no loss", 1.0, _median(searches[count, "delta", 0.0]) / best, 0.0)
+        )
+    rows.append(absolute(f"N = {count}, none: share not over", 1.0, _unfinished(searches[count, "none", 0.0]), 0.2))
+    over = [each.false_cells for loss in losses for each in searches[count, "ledger", loss] if math.isfinite(each.done_s)]
     false = float(np.mean(over)) if over else math.nan
     rows.append(absolute(f"N = {count}, ledger: false cells of a map", FALSE_CELLS, false, 0.3))
     return rows
@@ -118,36 +120,36 @@ def sequential(p: float) -> tuple[int, float, float]:
     return net, float(visits[0] * (1.0 - p)), float(visits.sum())
 
 
-def _median(found: Sequence[Searched]) -> float:
-    return float(np.median([each.done_s for each in found]))
+def _median(runs: Sequence[Searched]) -> float:
+    return float(np.median([each.done_s for each in runs]))
 
 
-def _unfinished(found: Sequence[Searched]) -> float:
-    return float(np.mean([math.isinf(each.done_s) for each in found]))
+def _unfinished(runs: Sequence[Searched]) -> float:
+    return float(np.mean([math.isinf(each.done_s) for each in runs]))
 
 
-def _times(count: int, seen: Mapping[tuple[int, str, float], list[Searched]], losses: Sequence[float]) -> Panel:
+def _times(count: int, searches: Mapping[tuple[int, str, float], list[Searched]], losses: Sequence[float]) -> Panel:
     curves = []
     for color, kind in enumerate(KINDS, 1):
         at = [LOSSES.index(loss) for loss in losses]
         x, must = np.array(losses), np.array(REFERENCE[count][kind])[at]
-        got = np.array([_median(seen[count, kind, loss]) for loss in losses])
+        medians = np.array([_median(searches[count, kind, loss]) for loss in losses])
         curves += [
-            Curve(x[np.isfinite(got)], got[np.isfinite(got)], kind, color, "both"),
+            Curve(x[np.isfinite(medians)], medians[np.isfinite(medians)], kind, color, "both"),
             Curve(x[np.isfinite(must)], must[np.isfinite(must)], "independent" if color == 1 else "", color, "hollow"),
         ]
-        each = [(loss, one.done_s) for loss in losses for one in seen[count, kind, loss] if math.isfinite(one.done_s)]
+        each = [(loss, one.done_s) for loss in losses for one in searches[count, kind, loss] if math.isfinite(one.done_s)]
         curves.append(
             Curve(np.array([a + 0.008 * (color - 2) for a, _ in each]), np.array([b for _, b in each]), "", color, "dots")
         )
     return Panel(f"{count} vehicles", "probability of loss", "until all know both [s]", curves, log_y=True)
 
 
-def _bytes(count: int, seen: Mapping[tuple[int, str, float], list[Searched]], losses: Sequence[float]) -> Panel:
+def _bytes(count: int, searches: Mapping[tuple[int, str, float], list[Searched]], losses: Sequence[float]) -> Panel:
     curves = []
     for color, kind in enumerate(KINDS, 1):
         rates = [
-            float(np.mean([each.bytes_sent / each.seconds / count / 1000.0 for each in seen[count, kind, loss]]))
+            float(np.mean([each.bytes_sent / each.seconds / count / 1000.0 for each in searches[count, kind, loss]]))
             for loss in losses
         ]
         curves.append(Curve(np.array(losses), np.array(rates), kind, color, "both"))
@@ -161,21 +163,21 @@ SHOWN_SEED, SHOWN_LOSS, SHOWN_S = 4, 0.3, (20.0, 50.0, 80.0, 160.0)
 def fig_45(runner: Runner) -> Figure:
     """The maps of two vehicles at four instants, three messages in ten lost."""
     limit_s = SHOWN_S[-1] + 2.0
-    (found,) = runner([partial(searched, 2, "ledger", SHOWN_LOSS, SHOWN_SEED, limit_s, keep_s=SHOWN_S)])
+    (search,) = runner([partial(searched, 2, "ledger", SHOWN_LOSS, SHOWN_SEED, limit_s, keep_s=SHOWN_S)])
     targets = places(SHOWN_SEED)
     cells = {(int(y / CELL_M), int(x / CELL_M)) for x, y in targets}
     rows, panels = [], []
-    for name in found.tracks:
-        last = found.maps[-1][name].probability
+    for name in search.tracks:
+        last = search.maps[-1][name].probability
         rows += [
             absolute(f"{name}: targets that its map is sure of", 2.0, sum(last[cell] > SURE for cell in cells), 0.0),
             at_most(f"{name}: false cells", 2.0, float((last > SURE).sum() - sum(last[cell] > SURE for cell in cells))),
             absolute(f"{name}: share of the cells that are decided", 1.0, _decided(last), 0.2),
         ]
-        panels += [_map(name, at_s, each[name], found, targets) for at_s, each in zip(SHOWN_S, found.maps, strict=True)]
-    apart = [np.abs(_plain(each["uav1"]) - _plain(each["uav2"])).mean() for each in found.maps]
+        panels += [_map(name, at_s, each[name], search, targets) for at_s, each in zip(SHOWN_S, search.maps, strict=True)]
+    apart = [np.abs(_plain(each["uav1"]) - _plain(each["uav2"])).mean() for each in search.maps]
     rows.append(at_most("the two maps differ by, mean of all cells and instants", 0.05, float(np.mean(apart))))
-    rows.append(at_most("all know both after, s", SHOWN_S[-1], found.done_s))
+    rows.append(at_most("all know both after, s", SHOWN_S[-1], search.done_s))
     return Figure("Fig. 45: probability of a target, ledger, three messages in ten lost", panels, rows, columns=len(SHOWN_S))
 
 
@@ -183,18 +185,18 @@ def _decided(probability: Array) -> float:
     return float(((probability > SURE) | (probability < 255.0 - SURE)).mean())
 
 
-def _plain(shown: ProbabilityMap) -> Array:
-    return np.asarray(shown.probability / 255.0)
+def _plain(belief: ProbabilityMap) -> Array:
+    return np.asarray(belief.probability / 255.0)
 
 
-def _map(name: str, at_s: float, shown: ProbabilityMap, found: Searched, targets: Sequence[tuple[float, float]]) -> Panel:
-    middles = CELL_M * (np.arange(shown.probability.shape[0]) + 0.5)
+def _map(name: str, at_s: float, belief: ProbabilityMap, search: Searched, targets: Sequence[tuple[float, float]]) -> Panel:
+    middles = CELL_M * (np.arange(belief.probability.shape[0]) + 0.5)
     x, y = np.array(targets).T
     named = at_s == SHOWN_S[0]  # a legend in each would hide too much
     curves = [Curve(x, y, "target" if named else "", 2, "hollow")]
-    for color, (other, track) in zip((4, 3), found.tracks.items(), strict=True):
+    for color, (other, track) in zip((4, 3), search.tracks.items(), strict=True):
         so_far = track[track[:, 0] <= at_s]
         curves.append(Curve(so_far[:, 1], so_far[:, 2], other if named else "", color))
     ends = (0.0, EDGE_M)
-    heat = Heat(middles, middles, _plain(shown), "P(target) [1]", "map")
+    heat = Heat(middles, middles, _plain(belief), "P(target) [1]", "map")
     return Panel(f"{name} after {at_s:g} s", "x east [m]", "y north [m]", curves, heat=heat, x_limits=ends, y_limits=ends)

@@ -116,17 +116,17 @@ class Watcher:
 
     def end(self, limit_s: float) -> Searched:
         """What is kept."""
-        found = self.searched
-        found.seconds = min(found.done_s, limit_s)
-        found.bytes_sent = sum(self._bytes.values())
-        if math.isfinite(found.done_s):
+        search = self.searched
+        search.seconds = min(search.done_s, limit_s)
+        search.bytes_sent = sum(self._bytes.values())
+        if math.isfinite(search.done_s):
             sure = [int((each.probability > SURE).sum()) for each in self._maps.values()]
-            found.false_cells = float(np.mean(sure)) - len({*self._targets})
-        found.tracks = {name: np.array(track) for name, track in self._tracks.items()} if self._keep_s else {}
-        return found
+            search.false_cells = float(np.mean(sure)) - len({*self._targets})
+        search.tracks = {name: np.array(track) for name, track in self._tracks.items()} if self._keep_s else {}
+        return search
 
-    def _holds(self, shown: ProbabilityMap) -> bool:
-        return all(shown.probability[cell] > SURE for cell in self._targets)
+    def _holds(self, belief: ProbabilityMap) -> bool:
+        return all(belief.probability[cell] > SURE for cell in self._targets)
 
     def _keep(self, time_s: float, states: States) -> None:
         if not self._keep_s:

@@ -58,11 +58,11 @@ def recognition(runner: Runner, frames: int = FRAMES) -> Figure:
         ]
     of_stages = _joined(by_height)
     cameras: list[Rates] = list(answers)
-    for height, seen in zip(HEIGHTS, cameras, strict=True):
-        degrees, sides = math.degrees(np.median(seen.angles)), float(np.median(seen.places)) / SIZE_M
+    for height, rates in zip(HEIGHTS, cameras, strict=True):
+        degrees, sides = math.degrees(np.median(rates.angles)), float(np.median(rates.places)) / SIZE_M
         rows += [
-            absolute(f"town, {height:g} m: precision", 1.0, seen.precision.value, 1.0 - PRECISION),
-            absolute(f"town, {height:g} m: recall, unoccluded", 1.0, seen.unoccluded.value, 1.0 - RECALL),
+            absolute(f"town, {height:g} m: precision", 1.0, rates.precision.value, 1.0 - PRECISION),
+            absolute(f"town, {height:g} m: recall, unoccluded", 1.0, rates.unoccluded.value, 1.0 - RECALL),
             absolute(f"town, {height:g} m: median error of the angle, deg", 0.0, degrees, ANGLE_DEG),
             absolute(f"town, {height:g} m: median error of the place, sides", 0.0, sides, PLACE),
         ]
@@ -94,7 +94,7 @@ def _sides(each: Tally) -> float:
     return float(np.median(each.places)) if each.places else math.nan
 
 
-def _shares(title: str, by_height: list[list[Tally]], cameras: list[Rates], asked: float) -> Panel:
+def _shares(title: str, by_height: list[list[Tally]], cameras: list[Rates], required: float) -> Panel:
     x, name = np.array(HEIGHTS), title.lower()
     curves = [
         Curve(x, np.array([getattr(each[stage], name) for each in by_height]), STAGES[stage], 1 + stage, "both")
@@ -102,7 +102,7 @@ def _shares(title: str, by_height: list[list[Tally]], cameras: list[Rates], aske
     ]
     shares = [each.precision if name == "precision" else each.unoccluded for each in cameras]
     curves.append(Curve(x, np.array([each.value for each in shares]), "camera over a town", 0, "hollow"))
-    return Panel(title, "height [m]", name, curves, levels={"asked for": asked}, y_limits=(0.0, 1.05))
+    return Panel(title, "height [m]", name, curves, levels={"asked for": required}, y_limits=(0.0, 1.05))
 
 
 def _errors(tallies: list[Tally]) -> Panel:
@@ -119,10 +119,10 @@ def _example(height_m: float, number: int) -> Panel:
     """A picture with what is in it and what was found."""
     frame = made_up(height_m, number)
     detector = Detector([target()])
-    found = detector.detect(frame.image, height_m, frame.seen.focal_px)
+    detections = detector.detect(frame.image, height_m, frame.seen.focal_px)
     alike = [box(u, v, 1.5 * frame.side_px, 0.0, "likeness", 6) for _, u, v in frame.likenesses]
-    right = [box(one.centre_px[0], one.centre_px[1], 1.3 * one.side_px, one.angle, "recognised", 0) for one in found]
-    missed = [] if found else [box(one.u, one.v, 1.6 * frame.side_px, 0.0, "missed", 2) for one in frame.seen.truths]
+    right = [box(one.centre_px[0], one.centre_px[1], 1.3 * one.side_px, one.angle, "recognised", 0) for one in detections]
+    missed = [] if detections else [box(one.u, one.v, 1.6 * frame.side_px, 0.0, "missed", 2) for one in frame.seen.truths]
     title = f"From {height_m:g} m: a side has {frame.side_px:g} px"
     return Panel(title, "u [px]", "v [px]", [*alike, *right, *missed], photo=Photo(frame.image))
 
@@ -130,6 +130,8 @@ def _example(height_m: float, number: int) -> Panel:
 def _photo() -> Panel:
     """What a camera of the platform sees of a town, and what was recognised."""
     with tempfile.TemporaryDirectory() as folder:
-        taken = Snapshots(town(Path(folder), 20.0, TOWNS[-1])).take(*PHOTO)
-    found = [box(one.centre_px[0], one.centre_px[1], 1.3 * one.side_px, one.angle, "recognised", 0) for one in taken.sightings]
-    return Panel("A camera over a town, from 20 m", "u [px]", "v [px]", found, photo=Photo(taken.pixels))
+        snapshots = Snapshots(town(Path(folder), 20.0, TOWNS[-1])).take(*PHOTO)
+    boxes = [
+        box(one.centre_px[0], one.centre_px[1], 1.3 * one.side_px, one.angle, "recognised", 0) for one in snapshots.sightings
+    ]
+    return Panel("A camera over a town, from 20 m", "u [px]", "v [px]", boxes, photo=Photo(snapshots.pixels))

@@ -71,9 +71,9 @@ def _maps() -> list[Panel]:
     axes = "u [px]", "v [px]"
     panels = [Panel(f"The picture, from {height_m:g} m", *axes, [here, *alike], photo=Photo(frame.image))]
     for hues, name in ((1, "the most frequent colour"), (4, "all colours")):
-        found = inspection.colour_map(target(), frame.image, height_m, frame.seen.focal_px, most_hues=hues)
-        peaks = Curve(found.peaks[:, 0], found.peaks[:, 1], f"{len(found.peaks)} peaks", 1, "hollow")
-        photo = Photo(_enlarged(found.score, frame.image.shape[:2]))
+        score_map = inspection.colour_map(target(), frame.image, height_m, frame.seen.focal_px, most_hues=hues)
+        peaks = Curve(score_map.peaks[:, 0], score_map.peaks[:, 1], f"{len(score_map.peaks)} peaks", 1, "hollow")
+        photo = Photo(_enlarged(score_map.score, frame.image.shape[:2]))
         panels.append(Panel(f"Score by {name}", *axes, [here, peaks], photo=photo))
     return panels
 
@@ -109,12 +109,13 @@ class Judged(NamedTuple):
 
 def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
     """What turning changes and what it does not; scores of targets and of their likenesses; estimated angles."""
-    seen = [one for each in _by_height(runner, _judged, frames) for one in each]
+    judgements = [one for each in _by_height(runner, _judged, frames) for one in each]
     turned, shifted = runner([partial(_turned, TURNS_DEG), partial(_shifted, SHIFTS_PX)])
     rings, match = (
-        {kind: np.array([getattr(each.scores[kind], name) for each in seen]) for kind in KINDS} for name in ("rings", "match")
+        {kind: np.array([getattr(each.scores[kind], name) for each in judgements]) for kind in KINDS}
+        for name in ("rings", "match")
     )
-    errors = np.degrees([abs(wrap(each.scores["target"].angle - each.angle)) for each in seen])
+    errors = np.degrees([abs(wrap(each.scores["target"].angle - each.angle)) for each in judgements])
     least = "least correlation"
     rows: list[Row] = [
         absolute("target, stage 2: least score", 1.0, rings["target"].min(), 1.0 - TARGET_RINGS),
@@ -136,21 +137,21 @@ def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
         _moved("A turned target", "turned by [deg]", TURNS_DEG, turned, by_turn),
         _moved("A shifted target", "told place off by [px of 48]", SHIFTS_PX, shifted, by_shift),
         _scores(rings, match),
-        *_angles(seen, errors),
+        *_angles(judgements, errors),
     ]
     return Figure("Fig. 47: later stages: what turning does not change, then correlation", panels, rows, columns=3)
 
 
 def _judged(height_m: float, numbers: Sequence[int]) -> list[Judged]:
-    found = []
+    peaks = []
     for number in numbers:
         frame = made_up(height_m, number)
         (truth,) = frame.seen.truths
         places = {"target": (truth.u, truth.v), **{name: (u, v) for name, u, v in frame.likenesses}}
         picture = frame.image, height_m, frame.seen.focal_px
         scores = {kind: inspection.inspect(target(), *picture, at) for kind, at in places.items()}
-        found.append(Judged(scores, truth.angle))
-    return found
+        peaks.append(Judged(scores, truth.angle))
+    return peaks
 
 
 def _alone(degrees: float, off_px: float = 0.0) -> inspection.Scores:
@@ -159,8 +160,8 @@ def _alone(degrees: float, off_px: float = 0.0) -> inspection.Scores:
     frame = ground.frame(
         np.random.default_rng(5), 20.0, places=[place], angles=[math.radians(degrees)], distractors=False, light=1.0
     )
-    told = place[0] + off_px * frame.side_px / 48.0, place[1]
-    return inspection.inspect(target(), frame.image, 20.0, frame.seen.focal_px, told)
+    estimates = place[0] + off_px * frame.side_px / 48.0, place[1]
+    return inspection.inspect(target(), frame.image, 20.0, frame.seen.focal_px, estimates)
 
 
 def _turned(degrees: Sequence[float]) -> list[inspection.Scores]:
@@ -182,11 +183,11 @@ def _likenesses() -> Panel:
     return Panel(f"A target of {SIZE_M:g} m, framed, and its likenesses", "u [px]", "v [px]", [first], photo=Photo(pixels))
 
 
-def _moved(title: str, by: str, amounts: Sequence[int], seen: Sequence[inspection.Scores], named: Mapping[str, str]) -> Panel:
+def _moved(title: str, by: str, amounts: Sequence[int], scores: Sequence[inspection.Scores], named: Mapping[str, str]) -> Panel:
     """Scores of a target alone, by how far it is turned or shifted; ``named`` says which scores."""
     x = np.array(amounts, float)
     curves = [
-        Curve(x, np.array([getattr(each, name) for each in seen]), label, 1 + i)
+        Curve(x, np.array([getattr(each, name) for each in scores]), label, 1 + i)
         for i, (name, label) in enumerate(named.items())
     ]
     return Panel(title, by, "score", curves, levels={"threshold of stage 3": MATCH})
@@ -199,11 +200,11 @@ def _scores(rings: dict[str, Array], match: dict[str, Array]) -> Panel:
     return Panel("Scores of targets and likenesses", "score of stage 2", "score of stage 3", curves)
 
 
-def _angles(seen: Sequence[Judged], errors: Array) -> list[Panel]:
-    truth = np.degrees([each.angle for each in seen])
-    told = np.degrees([each.scores["target"].angle for each in seen])
+def _angles(judgements: Sequence[Judged], errors: Array) -> list[Panel]:
+    truth = np.degrees([each.angle for each in judgements])
+    angles = np.degrees([each.scores["target"].angle for each in judgements])
     ends = np.array([-180.0, 180.0])
-    curves = [Curve(truth, told, "estimated", 2, "markers"), Curve(ends, ends, "", 0, "thin")]
+    curves = [Curve(truth, angles, "estimated", 2, "markers"), Curve(ends, ends, "", 0, "thin")]
     share = np.arange(1, len(errors) + 1) / len(errors)
     return [
         Panel("The angle of the target", "true [deg]", "estimated [deg]", curves),

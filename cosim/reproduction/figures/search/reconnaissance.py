@@ -44,12 +44,12 @@ class Scouted:
 
 def scouted(result: Result) -> Scouted:
     """What is kept of a run."""
-    moved = motion(result.states)
-    columns = [moved.column(name) for name in NAMES]
+    movement = motion(result.states)
+    columns = [movement.column(name) for name in NAMES]
     mission, safety = result.metrics["mission"], result.metrics["safety"]
     return Scouted(
-        moved.time_ns / 1e9,
-        np.stack([moved.position[axis][:, columns] for axis in (0, 1)], axis=-1),
+        movement.time_ns / 1e9,
+        np.stack([movement.position[axis][:, columns] for axis in (0, 1)], axis=-1),
         {name: float("nan") if at_s is None else at_s for name, at_s in mission["found_s"].items()},
         mission["targets_tracked"],
         mission["false_finds"],
@@ -66,32 +66,32 @@ def fig_51(runner: Runner, seeds: tuple[int, ...] = SEEDS) -> Figure:
     runs: list[Scouted] = runner([Job(table, scouted, {"duration_s": DURATION_S}, seed) for seed in seeds])
     rows: list[Row] = []
     tracks, distances = [], []
-    for seed, seen in zip(seeds, runs, strict=True):
+    for seed, mission in zip(seeds, runs, strict=True):
         world, _ = worlds.world_of(SCENARIO, {"seed": seed})
-        targets = {each.name: np.array([each.place(at_s) for at_s in seen.time_s]) for each in world.targets}
+        targets = {each.name: np.array([each.place(at_s) for at_s in mission.time_s]) for each in world.targets}
         assert world.bounds is not None  # noqa: S101  towns have them
         west, south, east, north = world.bounds
         once_s = (east - west) * (north - south) / (len(NAMES) * SPEED * SEEN_M)
-        away = {name: np.hypot(*np.moveaxis(seen.place - at[:, None], -1, 0)) for name, at in targets.items()}
-        rows += rows_of(f"town {seed}", seen, once_s, away)
-        tracks.append(_map(f"Town {seed}", world, seen, targets))
-        distances.append(_distances(f"Town {seed}: distance to the nearer target", seen, away))
+        away = {name: np.hypot(*np.moveaxis(mission.place - at[:, None], -1, 0)) for name, at in targets.items()}
+        rows += rows_of(f"town {seed}", mission, once_s, away)
+        tracks.append(_map(f"Town {seed}", world, mission, targets))
+        distances.append(_distances(f"Town {seed}: distance to the nearer target", mission, away))
     return Figure(
         "Fig. 51: two quadrotors find and track two targets in a town", [*tracks, *distances], rows, columns=len(seeds)
     )
 
 
-def rows_of(case: str, seen: Scouted, once_s: float, away: dict[str, Array]) -> list[Row]:
+def rows_of(case: str, mission: Scouted, once_s: float, away: dict[str, Array]) -> list[Row]:
     """What must come out of a run."""
-    last = float(np.max([*seen.found_s.values()]))  # NaN: one was not
-    late = seen.time_s >= seen.time_s[-1] - LAST_S
+    last = float(np.max([*mission.found_s.values()]))  # NaN: one was not
+    late = mission.time_s >= mission.time_s[-1] - LAST_S
     rows = [
-        absolute(f"{case}: targets found", len(away), sum(np.isfinite(list(seen.found_s.values()))), 0.0),
-        absolute(f"{case}: targets tracked", len(away), seen.tracked, 0.0),
-        absolute(f"{case}: finds of what is no target", 0.0, seen.false_finds, 0.0),
-        absolute(f"{case}: contacts", 0.0, seen.contacts, 0.0),
-        at_least(f"{case}: least clearance, m", BODY_M, seen.clearance_m),
-        at_least(f"{case}: vehicles apart, m", 2.0 * BODY_M, seen.apart_m),
+        absolute(f"{case}: targets found", len(away), sum(np.isfinite(list(mission.found_s.values()))), 0.0),
+        absolute(f"{case}: targets tracked", len(away), mission.tracked, 0.0),
+        absolute(f"{case}: finds of what is no target", 0.0, mission.false_finds, 0.0),
+        absolute(f"{case}: contacts", 0.0, mission.contacts, 0.0),
+        at_least(f"{case}: least clearance, m", BODY_M, mission.clearance_m),
+        at_least(f"{case}: vehicles apart, m", 2.0 * BODY_M, mission.apart_m),
         absolute(f"{case}: last found, in times of one sweep of {once_s:.0f} s", 0.0, last / once_s, SLOW),
     ]
     rows += [
@@ -101,18 +101,18 @@ def rows_of(case: str, seen: Scouted, once_s: float, away: dict[str, Array]) -> 
     return rows
 
 
-def _map(title: str, world: "worlds.World", seen: Scouted, targets: dict[str, Array]) -> Panel:
+def _map(title: str, world: "worlds.World", mission: Scouted, targets: dict[str, Array]) -> Panel:
     """Buildings, targets, tracks with their ends."""
     closed = [np.vstack([each, each[:1]]) for each in worlds.outlines(world)]
     around = [Curve(each[:, 0], each[:, 1], style="thin") for each in closed]
-    found = [Curve(at[-1:, 0], at[-1:, 1], "target", 2, "hollow") for at in targets.values()]
-    tracks = [Curve(seen.place[:, i, 0], seen.place[:, i, 1], name, (1, 3)[i], "pose") for i, name in enumerate(NAMES)]
-    return Panel(title, "x east [m]", "y north [m]", [*around, *tracks, *found], equal=True)
+    curves = [Curve(at[-1:, 0], at[-1:, 1], "target", 2, "hollow") for at in targets.values()]
+    tracks = [Curve(mission.place[:, i, 0], mission.place[:, i, 1], name, (1, 3)[i], "pose") for i, name in enumerate(NAMES)]
+    return Panel(title, "x east [m]", "y north [m]", [*around, *tracks, *curves], equal=True)
 
 
-def _distances(title: str, seen: Scouted, away: dict[str, Array]) -> Panel:
+def _distances(title: str, mission: Scouted, away: dict[str, Array]) -> Panel:
     nearer = np.min(list(away.values()), axis=0)
-    curves = [Curve(seen.time_s, nearer[:, i], name, (1, 3)[i]) for i, name in enumerate(NAMES)]
+    curves = [Curve(mission.time_s, nearer[:, i], name, (1, 3)[i]) for i, name in enumerate(NAMES)]
     up = np.array([0.0, float(nearer.max())])
-    curves += [Curve(np.array([at_s, at_s]), up, "found", 2, "dotted") for at_s in seen.found_s.values()]
+    curves += [Curve(np.array([at_s, at_s]), up, "found", 2, "dotted") for at_s in mission.found_s.values()]
     return Panel(title, "time [s]", "distance [m]", curves)

@@ -84,13 +84,13 @@ def made_up(height_m: float, number: int) -> ground.Frame:
 
 def tallied(height_m: float, numbers: Sequence[int]) -> tuple[Tally, Tally, Tally]:
     """With the first stage alone, with two and with all three."""
-    wanted, tallies = target(), (Tally(), Tally(), Tally())
-    detectors = [Detector([wanted], stages=stages) for stages in (1, 2, 3)]
+    sample, tallies = target(), (Tally(), Tally(), Tally())
+    detectors = [Detector([sample], stages=stages) for stages in (1, 2, 3)]
     for number in numbers:
         frame = made_up(height_m, number)
         for detector, tally in zip(detectors, tallies, strict=True):
-            found = detector.detect(frame.image, height_m, frame.seen.focal_px)
-            tally.add(found, frame.seen.truths, frame.side_px)
+            detections = detector.detect(frame.image, height_m, frame.seen.focal_px)
+            tally.add(detections, frame.seen.truths, frame.side_px)
     return tallies
 
 
@@ -145,9 +145,9 @@ def photographed(height_m: float, frames: int, seeds: Sequence[int]) -> Rates:
     rates = Rates()
     with tempfile.TemporaryDirectory() as folder:
         for seed in seeds:
-            taken = Snapshots(town(Path(folder), height_m, seed), seed=seed)
+            snapshots = Snapshots(town(Path(folder), height_m, seed), seed=seed)
             for number in range(frames):
-                rates.add(taken.take(number, frames))
+                rates.add(snapshots.take(number, frames))
     return rates
 
 
