@@ -24,7 +24,7 @@ MUTABLE = frozenset({dict, list})  # of what comes out of MessagePack
 ALWAYS = ("odometry", "fix")  # what every vehicle may have besides the sensors that the scenario names
 
 
-class Seat:
+class AgentRunner:
     """A seat for one agent.
 
     Args:

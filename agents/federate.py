@@ -7,7 +7,7 @@ into events that take effect at tick + latency (`agents.agent_runner`).
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from vcmvsp.agents.agent_runner import NEVER_NS, Seat
+from vcmvsp.agents.agent_runner import NEVER_NS, AgentRunner
 from vcmvsp.agents.factory import Kinds
 from vcmvsp.cosim.agent import Agent, AgentSpec
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
@@ -29,7 +29,7 @@ class AgentHost:
         self.name = name
         objects_by_vehicle, kinds = objects or {}, Kinds()
         ordered = sorted(specs, key=lambda spec: spec.vehicle)
-        self._seats = [Seat(spec, objects_by_vehicle.get(spec.vehicle), kinds) for spec in ordered]
+        self._seats = [AgentRunner(spec, objects_by_vehicle.get(spec.vehicle), kinds) for spec in ordered]
         self.agents = tuple(seat.info for seat in self._seats)
         self._trains = list(dict.fromkeys(info.ticks for info in self.agents))  # few, of many seats
         self._train = [self._trains.index(info.ticks) for info in self.agents]

@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.measure import Row, cpu, in_turn, measured, table
 from bench.workloads import run_cpu_s
-from vcmvsp.agents.reconnaissance.recognition import Detector, Target
+from vcmvsp.agents.reconnaissance.recognition import Detector, TargetPicture
 from vcmvsp.cosim.analysis.snapshots import Snapshot, Snapshots
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Array
@@ -63,9 +63,9 @@ def _pictures() -> list[Snapshot]:
     return [snapshots.take(number, PICTURES) for number in range(PICTURES)]
 
 
-def _targets() -> list[Target]:
+def _targets() -> list[TargetPicture]:
     folder = scenarios.path_of(SCENARIO).parent / "targets"
-    return [Target.load(name, folder / f"{name}.png", SIZE_M) for name in ("alpha", "bravo")]
+    return [TargetPicture.load(name, folder / f"{name}.png", SIZE_M) for name in ("alpha", "bravo")]
 
 
 def _row(what: str, pictures: list[Snapshot], limit_ms: float) -> Row:

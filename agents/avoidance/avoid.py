@@ -5,7 +5,7 @@ from typing import Any
 
 from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance.method import Point
-from vcmvsp.agents.avoidance.steering import Steering, around
+from vcmvsp.agents.avoidance.steering import AvoidanceSteering, around
 from vcmvsp.agents.avoidance.waypoint import velocity_to
 from vcmvsp.agents.factory import build_nested
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
@@ -28,7 +28,7 @@ class GetAround(Agent):
 
     def __init__(self, avoidance: Avoidance, goal: Point | None = None) -> None:
         self.goal = goal
-        self._steering = Steering(avoidance)
+        self._steering = AvoidanceSteering(avoidance)
         self.sensors = self._steering.sensors
         self._flies = False
 

@@ -25,7 +25,7 @@ EXACT = 1e-9  # m/s, of limits
 ROUNDS = 64  # of the search for the nearest velocity, which takes a handful
 
 
-class Levels:
+class ObstacleLevels:
     """How near things are to a vehicle: 0, 1 or 2, updated once a tick.
 
     Attributes:

@@ -3,10 +3,10 @@
 import math
 from typing import NamedTuple
 
-from vcmvsp.agents.avoidance.levels import Levels
+from vcmvsp.agents.avoidance.levels import ObstacleLevels
 from vcmvsp.agents.avoidance.method import Decision, Mode, Point, Task, saturated
 from vcmvsp.agents.avoidance.settings import Settings, body_of
-from vcmvsp.agents.avoidance.view import Looking, View
+from vcmvsp.agents.avoidance.view import ScanReader, View
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
@@ -18,7 +18,7 @@ UNSEEN = 0.1  # m/s: on wheels, to where the scanner does not look
 BLIND = Decision((0.0, 0.0), 0.0, "blind")
 
 
-class Steering:
+class AvoidanceSteering:
     """Avoidance of one vehicle, asked once a tick.
 
     A vehicle that does not see stands: without a reading of its scanner, with one that is too old, of which nothing can be made
@@ -34,7 +34,7 @@ class Steering:
 
     def __init__(self, settings: Settings) -> None:
         self.settings, self._make = settings, settings.maker()
-        self._looking = Looking(settings.scanner, settings.stale_s)
+        self._looking = ScanReader(settings.scanner, settings.stale_s)
         self.sensors = (settings.scanner,)
         self.notes: dict[str, float | str | bool] = {}
         self.level = 0
@@ -51,7 +51,7 @@ class Steering:
             self._method = self._make(body, info.period_s)
         except ScenarioError as error:  # of a method of one's own, which is built only here
             raise ValueError(str(error)) from error
-        self._levels, self._flies = Levels(self.settings, body, info.latency_s), body.flies
+        self._levels, self._flies = ObstacleLevels(self.settings, body, info.latency_s), body.flies
         self._was_near = False  # something, in the last scan that was good and not empty
         self._empty_ns: int | None = None  # since when all of that is gone
         self._speed, self._now = 0.0, (0.0, 0.0)  # m/s; m/s ahead and rad/s: as last commanded
@@ -115,7 +115,7 @@ class Steering:
         return decision
 
 
-class Moved(NamedTuple):
+class SteeredMotion(NamedTuple):
     """Command of a vehicle in the air."""
 
     velocity: Vec3  # m/s, world
@@ -124,26 +124,26 @@ class Moved(NamedTuple):
 
 
 def around(
-    steering: Steering | None,
+    steering: AvoidanceSteering | None,
     obs: Observation,
     requested: Vec3,
     yaw_rate: float,
     aim: Point | None = None,
     leader: Point | None = None,
-) -> Moved:
+) -> SteeredMotion:
     """The wanted command (m/s world, rad/s) of a vehicle in the air, led around obstacles; ``aim`` and ``leader`` are m, world.
 
     Obstacles are avoided sideways: the climb stays as wanted, but for a vehicle that sees nothing and stands still.
     """
     if steering is None:
-        return Moved(requested, yaw_rate, "task")
+        return SteeredMotion(requested, yaw_rate, "task")
     yaw = obs.state.yaw
     task = Task(
         rotate2(requested[0], requested[1], -yaw), yaw_rate, _seen(obs, aim), _seen(obs, leader), steering.settings.max_speed
     )
     decision = steering.steer(obs, task)
     climb = 0.0 if decision.mode == "blind" else requested[2]
-    return Moved((*rotate2(*decision.velocity, yaw), climb), decision.yaw_rate, decision.mode)
+    return SteeredMotion((*rotate2(*decision.velocity, yaw), climb), decision.yaw_rate, decision.mode)
 
 
 def _seen(obs: Observation, place: Point | None) -> Point | None:

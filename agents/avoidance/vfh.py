@@ -68,7 +68,7 @@ class Vfh(Settings, frozen=True, kw_only=True, tag="vfh"):
         return _Vfh(self, keep, period_s, flies=body.flies)
 
 
-class Way(NamedTuple):
+class Valley(NamedTuple):
     """A direction that is free."""
 
     bearing: float  # rad
@@ -198,7 +198,7 @@ class _Vfh:
         turnable: Array = (directions <= left.min(initial=math.pi)) & (directions >= right.max(initial=-math.pi))
         return turnable
 
-    def _way(self, free: Array, visible: Array, target: float) -> Way | None:
+    def _way(self, free: Array, visible: Array, target: float) -> Valley | None:
         """The cheapest direction: where the task goes, or an edge of an opening, well clear of obstacles.
 
         An opening is entered half of ``wide_deg`` beside an obstacle at its edge, in its middle if there are two and it is
@@ -209,14 +209,14 @@ class _Vfh:
         for first, count in openings(free):
             right, width = first * self._angle, (count - 1) * self._angle
             if count == len(free):
-                return Way(target, to_target=True)
+                return Valley(target, to_target=True)
             clear = min(0.5 * math.radians(self._set.wide_deg), 0.5 * width)
             low = clear if visible[first - 1] else 0.0
             high = width - (clear if visible[(first + count) % len(free)] else 0.0)
             inside = wrap(target - right - 0.5 * width) + 0.5 * width
             if low - 1e-9 <= inside <= high + 1e-9:
-                choices.append(Way(target, to_target=True))
-            choices += [Way(wrap(right + low), to_target=False), Way(wrap(right + high), to_target=False)]
+                choices.append(Valley(target, to_target=True))
+            choices += [Valley(wrap(right + low), to_target=False), Valley(wrap(right + high), to_target=False)]
         # Of equals, the target, then the left-most: the order is that of the sectors.
         return min(choices, key=lambda way: (round(self._cost(way.bearing, target), 9), not way.to_target), default=None)
 
@@ -250,7 +250,7 @@ class _Vfh:
         room = (min(ahead, far) ** 2 - self._keep**2) / (far**2 - self._keep**2)
         return max(0.0, room) * (1.0 - abs(self._rate(bearing)) / self._set.max_yaw_rate)
 
-    def _turning(self, view: View, way: Way | None, task: Task) -> Decision:
+    def _turning(self, view: View, way: Valley | None, task: Task) -> Decision:
         """On the spot: to a direction that is free but cannot be reached on a circle, or to one side until there is one."""
         if way is not None:
             self._previous = way.bearing

@@ -84,7 +84,7 @@ def geometry_of(scan: Scan) -> Geometry | None:
     return len(ranges), first, step
 
 
-class Looking:
+class ScanReader:
     """What a vehicle sees by one of its scanners, tick by tick.
 
     Args:

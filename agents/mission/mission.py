@@ -2,7 +2,7 @@
 
 An algorithm is any agent. What it may have besides ``act``:
 
-``facts(obs)``           what the table asks for (`agents.reconnaissance.state_table.Facts`), before the table decides
+``facts(obs)``           what the table asks for (`agents.reconnaissance.state_table.MissionFacts`), before the table decides
 ``stand_by(obs, radio)`` in place of ``act`` while it neither commands nor is the task
 ``begin(obs, place)``    it becomes the task; ``place``: of the target, m, world, or None
 ``end(obs)``             it is the task no more
@@ -19,10 +19,10 @@ from vcmvsp.agents.avoidance.avoid import GetAround
 from vcmvsp.agents.factory import build_nested
 from vcmvsp.agents.formation.aerial.flight import along, told
 from vcmvsp.agents.formation.reports.report import send_report
-from vcmvsp.agents.mission.runner import Runner
+from vcmvsp.agents.mission.runner import AlgorithmRunner
 from vcmvsp.agents.mission.speed_limit import Guard
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
-from vcmvsp.agents.reconnaissance.state_table import TASKS, Facts, State, step
+from vcmvsp.agents.reconnaissance.state_table import TASKS, MissionFacts, MissionState, step
 from vcmvsp.agents.reconnaissance.watch import Watch, Watching
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.config.messages import unknown
@@ -30,7 +30,7 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import NonNegative, Positive, Velocity, Waypoint
 
 
-class Mission(Agent):
+class SearchMission(Agent):
     """Search, formation and track by the table of `agents.reconnaissance.state_table`, avoidance, a speed limit near obstacles.
 
     Noted besides what the algorithms note: ``commander``, ``since_s`` and ``why`` at every switch, ``task`` and ``task_why``
@@ -84,7 +84,7 @@ class Mission(Agent):
         self._runner = self._made_runner()
         task_sensors, own_sensors = self._runner.sensors, () if self._watch is None else self._watch.sensors
         self.sensors = None if task_sensors is None else tuple(dict.fromkeys((*task_sensors, *own_sensors)))
-        self._state, self._seq = State(), 0
+        self._state, self._seq = MissionState(), 0
 
     def start(self, info: VehicleInfo) -> None:
         """Find those who take part, and begin."""
@@ -104,7 +104,7 @@ class Mission(Agent):
                 if hasattr(algorithm, what):
                     setattr(algorithm, what, value)
         self._runner = self._made_runner()
-        self._state, self._seq = State(), 0
+        self._state, self._seq = MissionState(), 0
         self._runner.start(info)
         self.note(task=self._state.task, task_why=self._state.task_why)
 
@@ -137,20 +137,20 @@ class Mission(Agent):
         """All end."""
         self._runner.close()
 
-    def _made_runner(self) -> Runner:
+    def _made_runner(self) -> AlgorithmRunner:
         guard = None if self.avoidance is None else Guard(self.avoidance)
         around = {} if self._around is None else dict.fromkeys(("avoid1", "avoid2"), self._around)
-        return Runner({**self._tasks, **around}, guard=guard, **self._limits)
+        return AlgorithmRunner({**self._tasks, **around}, guard=guard, **self._limits)
 
-    def _facts(self, obs: Observation) -> Facts:
+    def _facts(self, obs: Observation) -> MissionFacts:
         """All that the algorithms know, and the guard."""
         facts: dict[str, Any] = {}
         for task, algorithm in self._tasks.items():
             if (tell := getattr(algorithm, "facts", None)) is not None:
                 facts_of_task = tell(obs)
                 for name in facts_of_task:
-                    if name not in Facts._fields:
-                        raise ValueError(f"algorithms.{task}: facts() tells {unknown('fact', name, Facts._fields)}")
+                    if name not in MissionFacts._fields:
+                        raise ValueError(f"algorithms.{task}: facts() tells {unknown('fact', name, MissionFacts._fields)}")
                 facts |= facts_of_task
         if "track" not in self._tasks:
             facts |= {"recognised": False, "probability": 0.0}
@@ -160,9 +160,9 @@ class Mission(Agent):
         if guard is not None:
             near = guard.nearest_m, guard.settings.reach_m, guard.second_m
             facts |= {"nearest_m": near[0], "first_m": near[1], "second_m": near[2], "closing": guard.closing}
-        return Facts(now_ns=obs.time_ns, **facts)
+        return MissionFacts(now_ns=obs.time_ns, **facts)
 
-    def _turn(self, obs: Observation, before: str, after: str, facts: Facts) -> None:
+    def _turn(self, obs: Observation, before: str, after: str, facts: MissionFacts) -> None:
         """Tell one algorithm that it is the task no more, and another that it is."""
         if (end := getattr(self._tasks[before], "end", None)) is not None:
             end(obs)

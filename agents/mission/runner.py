@@ -30,14 +30,14 @@ class Standby(Protocol):
 
 
 @runtime_checkable
-class Around(Protocol):
+class Avoidance(Protocol):
     """An agent that does what the task wants, but in another way: avoidance. It is asked in place of `act`, after all tasks."""
 
     def around(self, obs: Observation, radio: Radio, command: Command | None) -> Command | None:
         """What to do in place of what the task wants now; None: nobody knows what."""
 
 
-class Runner:
+class AlgorithmRunner:
     """Asks algorithms, obeys one of them, and changes from one to another without a jerk.
 
     From a take-over on, the command runs from the last one towards what the new commander wants, no faster than the vehicle
@@ -59,7 +59,7 @@ class Runner:
         self.algorithms, self.guard = dict(algorithms), guard
         self.acceleration, self.yaw_acceleration = acceleration, yaw_acceleration
         each = {id(agent): agent for agent in self.algorithms.values()}.values()
-        self._agents = [*(a for a in each if not isinstance(a, Around)), *(a for a in each if isinstance(a, Around))]
+        self._agents = [*(a for a in each if not isinstance(a, Avoidance)), *(a for a in each if isinstance(a, Avoidance))]
         self.notes: dict[str, float | str | bool] = {}
         self.said: dict[str, dict[str, float | str | bool]] = {}  # what the agents noted at the last tick, by their first names
         self.shown: list[Shown] = []  # what they showed
@@ -101,7 +101,7 @@ class Runner:
             obs: what is known.
             radio: the vehicle's only one, for all of them.
             commander: who commands from now on.
-            task: whose wish an agent that gets `Around` things is to fulfil; default: the commander's.
+            task: whose wish an agent that gets `Avoidance` things is to fulfil; default: the commander's.
             why: the reason for it, noted when the commander changes.
         """
         obeyed = self.algorithms[commander]
@@ -128,7 +128,7 @@ class Runner:
             if agent is not obeyed and agent is not task and isinstance(agent, Standby):
                 agent.stand_by(obs, radio)
                 answer = None
-            elif isinstance(agent, Around):
+            elif isinstance(agent, Avoidance):
                 answer = agent.around(obs, radio, None if agent is task else self._wants.get(id(task)))
             else:
                 answer = agent.act(obs, radio)

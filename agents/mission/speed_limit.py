@@ -5,9 +5,9 @@ It knows nothing of states, take-overs and reasons, and comes after them all: wh
 
 import math
 
-from vcmvsp.agents.avoidance.levels import Levels, second_m
+from vcmvsp.agents.avoidance.levels import ObstacleLevels, second_m
 from vcmvsp.agents.avoidance.settings import Settings, body_of
-from vcmvsp.agents.avoidance.view import Looking, View
+from vcmvsp.agents.avoidance.view import ScanReader, View
 from vcmvsp.agents.avoidance.waypoint import velocity_to
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.frames import rotate2
@@ -28,7 +28,7 @@ class Guard:
 
     def __init__(self, settings: Settings) -> None:
         self.settings, self.sensors = settings, (settings.scanner,)
-        self._looking = Looking(settings.scanner, settings.stale_s)
+        self._looking = ScanReader(settings.scanner, settings.stale_s)
         self.nearest_m, self.second_m, self.closing = math.inf, 0.0, False
 
     def start(self, info: VehicleInfo) -> None:
@@ -39,7 +39,7 @@ class Guard:
         """
         self._looking.start(info, "avoidance.scanner")
         body = body_of(info)
-        self._levels = Levels(self.settings, body, info.latency_s)
+        self._levels = ObstacleLevels(self.settings, body, info.latency_s)
         self._view: View | None = None
         self._flies, self._latency_s = body.flies, info.latency_s
 

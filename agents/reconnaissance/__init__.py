@@ -5,14 +5,14 @@
 Formations and obstacle avoidance do not belong here.
 """
 
-from vcmvsp.agents.reconnaissance.exchange import Exchange, exchange
+from vcmvsp.agents.reconnaissance.exchange import MapExchange, exchange
 from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor, decisions, log_odds, probability
 from vcmvsp.agents.reconnaissance.sectors import Comb, lanes, strips
 
 __all__ = [
     "Comb",
-    "Exchange",
     "Grid",
+    "MapExchange",
     "Rectangle",
     "Sensor",
     "decisions",

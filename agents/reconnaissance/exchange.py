@@ -21,7 +21,7 @@ Kind = Literal["none", "delta", "consensus", "ledger"]
 STEPS = 1600  # of a number in a message for 1 of l: 20 is 32000, which two bytes hold, and half a step is 0.0003
 
 
-class Exchange(Protocol):
+class MapExchange(Protocol):
     """What a member knows of the area. Each tick: take what was heard, look (at nothing, if there is nothing), send."""
 
     @property
@@ -194,7 +194,7 @@ def exchange(
     relay: bool = True,
     scaled: bool = False,
     clock_bound_s: float = 0.0,
-) -> Exchange:
+) -> MapExchange:
     """One member's end of an exchange; all but ``me`` must be the same for all members.
 
     Args:

@@ -15,7 +15,7 @@ AHEAD_S = 1.0  # how far ahead it looks along a lane
 PROGRESS_M = 1.0  # nearer to the way-point by less than that is no progress
 
 
-class Way:
+class LaneFollower:
     """Velocities along the lanes of a comb.
 
     Args:

@@ -8,7 +8,7 @@ import numpy as np
 
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
 from vcmvsp.agents.reconnaissance.probability_map import Rectangle
-from vcmvsp.agents.reconnaissance.watch import STEEPEST, Frame
+from vcmvsp.agents.reconnaissance.watch import STEEPEST, WatchFrame
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array, Mosaic, Positive, frozen
@@ -46,7 +46,7 @@ class Sheet:
         self._laid_ns: int | None = None  # when the newest picture was taken that lies there
         self._shown_ns: int | None = None
 
-    def lay(self, frame: Frame) -> None:
+    def lay(self, frame: WatchFrame) -> None:
         """Take in a picture, if it is time for another one and it shows no horizon."""
         if self._laid_ns is not None and frame.time_ns - self._laid_ns < EVERY_NS:
             return

@@ -2,7 +2,7 @@
 
 import cv2
 
-from vcmvsp.agents.reconnaissance.watch import Frame
+from vcmvsp.agents.reconnaissance.watch import WatchFrame
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.types import Image, Sightings
 
@@ -10,7 +10,7 @@ NOTHING_NS = seconds_to_ns(5.0)  # pixels without a target in them are kept so o
 QUALITY = 80  # of JPEG, in percent
 
 
-class Showing:
+class PictureRecording:
     """Of one camera.
 
     Args:
@@ -22,7 +22,7 @@ class Showing:
         self._camera, self._every_ns = camera, seconds_to_ns(picture_s)
         self._kept_ns: int | None = None  # when the newest picture was taken whose pixels were kept
 
-    def of(self, frame: Frame) -> Sightings | None:
+    def of(self, frame: WatchFrame) -> Sightings | None:
         """What is recorded of a picture; None: nothing."""
         wait_ns = self._every_ns if frame.sightings else max(self._every_ns, NOTHING_NS)
         keep = self._kept_ns is None or frame.time_ns - self._kept_ns >= wait_ns

@@ -46,7 +46,7 @@ class Claim(NamedTuple):
         return math.dist(self.place, other.place) <= SAME_M
 
 
-class Heard(NamedTuple):
+class MemberStatus(NamedTuple):
     """What a member said last."""
 
     ms: int
@@ -97,7 +97,7 @@ class Roster:
         self._alive_ns, self._report_ns = seconds_to_ns(alive_s), seconds_to_ns(report_s)
         self._claim_ns = max(self._alive_ns, seconds_to_ns(claim_s))
         self.clock_bound_s, self._clock_bound_ns = clock_bound_s, seconds_to_ns(clock_bound_s)
-        self._heard: dict[str, Heard] = {}
+        self._heard: dict[str, MemberStatus] = {}
         self._there_ns: dict[str, int] = {}  # when anything came from its agent
         self._start_ns: int | None = None
         self._told: tuple[Task, str | None] | None = None
@@ -210,7 +210,7 @@ def _by_sector(members: Sequence[str], sectors: Sequence[Sequence[str]]) -> dict
     return {name: of.get(name, name) for name in members}
 
 
-def _parsed(body: Any, latest_ms: int) -> Heard | None:
+def _parsed(body: Any, latest_ms: int) -> MemberStatus | None:
     """What a member says of itself; None: that is not what it is, or it makes no sense."""
     if not isinstance(body, Mapping):
         return None
@@ -218,7 +218,7 @@ def _parsed(body: Any, latest_ms: int) -> Heard | None:
     if task not in TASKS or not _is_time(ms, min(latest_ms, LATEST_MS)):
         return None
     if "tg" not in body:
-        return Heard(ms, task, None)
+        return MemberStatus(ms, task, None)
     target, place, since = body["tg"], body.get("at"), body.get("since")
     if not isinstance(target, str) or len(target) > LONGEST_NAME or not _is_time(since, ms):
         return None
@@ -226,7 +226,7 @@ def _parsed(body: Any, latest_ms: int) -> Heard | None:
         return None
     if not all(abs(each) <= FARTHEST_M for each in place):
         return None
-    return Heard(ms, task, Claim(target, (place[0], place[1]), since * 1_000_000))
+    return MemberStatus(ms, task, Claim(target, (place[0], place[1]), since * 1_000_000))
 
 
 def _is_time(value: Any, latest: int) -> TypeGuard[int]:

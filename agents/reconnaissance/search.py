@@ -8,7 +8,7 @@ import numpy as np
 
 from vcmvsp.agents.formation.aerial.flight import GAIN, YAW_GAIN, check_flies
 from vcmvsp.agents.reconnaissance.exchange import Kind, exchange
-from vcmvsp.agents.reconnaissance.lane_following import Way
+from vcmvsp.agents.reconnaissance.lane_following import LaneFollower
 from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor
 from vcmvsp.agents.reconnaissance.roster import Roster, members_of
 from vcmvsp.agents.reconnaissance.search_map import SearchMap, of_picture, of_reading, swaths_m
@@ -148,7 +148,7 @@ class Search(Agent):
         self.map = SearchMap(
             self.grid, exchange(**self._exchange, me=info.name, members=roster.members, clock_bound_s=roster.clock_bound_s)
         )
-        self._way: Way | None = None
+        self._way: LaneFollower | None = None
         self._kept: tuple[float, float] | None = None  # height and heading to fly at, m and rad
         self._now_ns: int | None = None  # of the last tick
         self._looked_ns: int | None = None  # when what was counted as a look last was taken
@@ -273,7 +273,7 @@ class Search(Agent):
 
         across = swaths[1] if self.sensor == CAMERA else 0.0
         comb = Comb(self.roster.sector, self.grid.area, swaths[0], **self._lanes, across=across, is_open=is_open)
-        self._way = Way(comb, **self._flight)
+        self._way = LaneFollower(comb, **self._flight)
 
     def _check_sensor(self, info: VehicleInfo) -> None:
         """Have something to look with."""

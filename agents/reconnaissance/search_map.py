@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vcmvsp.agents.reconnaissance.exchange import Exchange
+from vcmvsp.agents.reconnaissance.exchange import MapExchange
 from vcmvsp.agents.reconnaissance.probability_map import TARGET, Grid, decisions, log_odds, probability
 from vcmvsp.agents.reconnaissance.tiles import Body
-from vcmvsp.agents.reconnaissance.watch import Frame
+from vcmvsp.agents.reconnaissance.watch import WatchFrame
 from vcmvsp.cosim.agent import Observation
 from vcmvsp.cosim.types import Array, Looks, ProbabilityMap, frozen
 
@@ -35,7 +35,7 @@ class SearchMap:
         mind: how it is shared.
     """
 
-    def __init__(self, grid: Grid, mind: Exchange) -> None:
+    def __init__(self, grid: Grid, mind: MapExchange) -> None:
         self.grid, self._mind = grid, mind
         self._seen = np.zeros(grid.rows * grid.columns, bool)
         self._same_m = max(SAME_M, SAME_CELLS * grid.cell)
@@ -130,14 +130,14 @@ def of_reading(grid: Grid, looks: Looks) -> tuple[Array, Array]:
     return (rows * grid.columns + columns)[inside], looks.hits[inside]
 
 
-def of_picture(grid: Grid, frame: Frame) -> tuple[Array, Array]:
+def of_picture(grid: Grid, frame: WatchFrame) -> tuple[Array, Array]:
     """Cells that a picture shows, (n,), and in which of them something was recognised, (n,) bool."""
     cells = grid.inside(np.array(frame.footprint or (), float))
     target_cells = [cell for each in frame.sightings if (cell := grid.at(*each.place)) is not None]
     return cells, np.isin(cells, target_cells)
 
 
-def swaths_m(frame: Frame, height_m: float) -> Point | None:
+def swaths_m(frame: WatchFrame, height_m: float) -> Point | None:
     """How far a camera sees along x and along y, to both sides, from a height, m, world.
 
     Another picture, from another height, says so; None: it shows nothing, or not what is below.

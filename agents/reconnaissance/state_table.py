@@ -44,7 +44,7 @@ LOST_NS = seconds_to_ns(3.0)  # without a detection: lost
 SPIRAL_NS = seconds_to_ns(10.0)  # so long it is searched for then
 
 
-class Facts(NamedTuple):
+class MissionFacts(NamedTuple):
     """What is known at a tick."""
 
     now_ns: int
@@ -60,7 +60,7 @@ class Facts(NamedTuple):
     place: tuple[float, float] | None = None  # m, world: of what is recognised or probable; for whom it may concern
 
 
-class State(NamedTuple):
+class MissionState(NamedTuple):
     """Who commands, since when and why; what the task is; and the timers of the table."""
 
     name: Name = "search"
@@ -81,7 +81,7 @@ class State(NamedTuple):
         return self.name in CLEAR_M
 
 
-def step(state: State, facts: Facts) -> State:
+def step(state: MissionState, facts: MissionFacts) -> MissionState:
     """The state at a tick, from that of the tick before. Times that go back count as no time."""
     before = facts.now_ns if state.now_ns is None else state.now_ns
     facts = facts._replace(now_ns=max(facts.now_ns, before))
@@ -94,7 +94,7 @@ def step(state: State, facts: Facts) -> State:
     return state._replace(name=next_mode, since_ns=facts.now_ns, why=why, switches=state.switches + 1, clear_ns=None)
 
 
-def _timed(state: State, facts: Facts, passed_ns: int) -> State:
+def _timed(state: MissionState, facts: MissionFacts, passed_ns: int) -> MissionState:
     """The timers move on."""
     clear_ns = None
     if state.name in CLEAR_M:
@@ -109,7 +109,7 @@ def _timed(state: State, facts: Facts, passed_ns: int) -> State:
     return state._replace(lost=lost, spiral_ns=state.spiral_ns + passed_ns if lost and state.lost else 0)
 
 
-def _with_task(state: State, facts: Facts) -> State:
+def _with_task(state: MissionState, facts: MissionFacts) -> MissionState:
     """The task from now on, whoever commands."""
     searching: Task = "formation" if facts.shared else "search"
     if state.task == "track":
@@ -126,16 +126,16 @@ def _with_task(state: State, facts: Facts) -> State:
     return _turned_to(state, searching, "the sector is shared" if facts.shared else "alone in the sector")
 
 
-def _turned_to(state: State, task: Task, why: str) -> State:
+def _turned_to(state: MissionState, task: Task, why: str) -> MissionState:
     return state._replace(task=task, task_why=why, lost=False, spiral_ns=0)
 
 
-def _the_task(state: State) -> tuple[Name, str]:
+def _the_task(state: MissionState) -> tuple[Name, str]:
     """The task is to command, and why."""
     return state.task, f"nothing is near any more ({state.task_why})" if state.avoids else state.task_why
 
 
-def _avoidance(state: State, facts: Facts) -> tuple[Name, str] | None:
+def _avoidance(state: MissionState, facts: MissionFacts) -> tuple[Name, str] | None:
     """The level of avoidance that is due, and why; None: none is."""
     near, nearer = (not facts.nearest_m >= limit_m for limit_m in (facts.first_m, facts.second_m))  # not a number is near
     has_passed = state.clear_ns is not None and facts.now_ns - state.clear_ns >= CLEAR_NS

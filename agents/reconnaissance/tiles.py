@@ -21,7 +21,7 @@ LATEST_MS = 2**53  # of the clock; more is no time
 Body = dict[str, Any]
 
 
-class Parsed(NamedTuple):
+class TileMessage(NamedTuple):
     """A message that makes sense as far as its outside goes."""
 
     ms: int
@@ -98,7 +98,7 @@ def packed(counts: Array) -> bytes:
     return counts.astype("<u1" if counts.max(initial=0) < 256 else "<u2").tobytes()
 
 
-def parsed(body: Any, key: str, length: int, latest_ms: int) -> Parsed | None:
+def parsed(body: Any, key: str, length: int, latest_ms: int) -> TileMessage | None:
     """The outside of a message; None where it has no such key, is from the future or malformed."""
     if not isinstance(body, dict):
         return None
@@ -109,7 +109,7 @@ def parsed(body: Any, key: str, length: int, latest_ms: int) -> Parsed | None:
         not isinstance(entry, list | tuple) or len(entry) != length or not isinstance(entry[-1], bytes) for entry in entries
     ):
         return None
-    return Parsed(ms, [list(entry) for entry in entries])
+    return TileMessage(ms, [list(entry) for entry in entries])
 
 
 def number(value: Any, end: int) -> bool:

@@ -9,10 +9,10 @@ import msgspec
 
 from vcmvsp.agents.formation.aerial.flight import check_flies
 from vcmvsp.agents.reconnaissance.mosaic import Mosaicking, Sheet
-from vcmvsp.agents.reconnaissance.picture_recording import Showing
+from vcmvsp.agents.reconnaissance.picture_recording import PictureRecording
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
 from vcmvsp.agents.reconnaissance.tracking import GAIN, LOST_S, SMOOTHING, SPIRAL_S, WITHIN_M, Confirmation, Point, Tracker
-from vcmvsp.agents.reconnaissance.watch import Around, Frame, Watch, Watching
+from vcmvsp.agents.reconnaissance.watch import GroundDisc, Watch, WatchFrame, Watching
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
@@ -25,7 +25,7 @@ WHOLE_NS = seconds_to_ns(1.0)  # so often all of a picture is looked at, whateve
 DETOUR = 2.0  # times the straight way: so long it may take to get where a target is said to be
 
 
-class Track(Agent):
+class TrackTarget(Agent):
     """Looks for targets, and keeps over one that it has recognised.
 
     By itself it hovers until a target is confirmed that nobody else tracks, tracks that, and hovers again where it has lost it
@@ -115,7 +115,7 @@ class Track(Agent):
         searching = self._searching if self._alone else {"lost_s": LOST_S, "spiral_s": SPIRAL_S}  # as its table has it
         self._tracker = Tracker(info.period_s, **timing, **self._keeping, **searching)
         self._confirming = {name: self._confirmation() for name in sorted(self.watch.names)}
-        self._showing = Showing(self._camera, self._picture_s)
+        self._showing = PictureRecording(self._camera, self._picture_s)
         self._sheet = None if self._mosaic is None else _sheet(self._mosaic)
         self._candidate: Claim | None = None  # confirmed by the newest picture, and nobody else's
         self._found: set[str] = set()
@@ -228,7 +228,7 @@ class Track(Agent):
             self.begin(obs, facts["place"])
         roster.tell(obs, radio, "search" if self._since_ns is None else "track", self.claim)
 
-    def _take(self, obs: Observation, frame: Frame, roster: Roster) -> None:
+    def _take(self, obs: Observation, frame: WatchFrame, roster: Roster) -> None:
         """Take in a picture."""
         if (sightings := self._showing.of(frame)) is not None:
             self.show(sightings)
@@ -244,7 +244,7 @@ class Track(Agent):
             self._found.add(name)
             self.note(found=name, found_x=x, found_y=y)
 
-    def _see(self, obs: Observation, frame: Frame) -> None:
+    def _see(self, obs: Observation, frame: WatchFrame) -> None:
         """Whether the target is in the picture, and which one it is."""
         tracker = self._tracker
         if tracker.see(frame.time_ns, [each.place for each in frame.sightings if self._target in ("", each.target)]):
@@ -256,7 +256,7 @@ class Track(Agent):
             if math.dist(place, obs.state.position[:2]) > tracker.within_m:
                 tracker.begin(frame.time_ns, place)
 
-    def _confirmed(self, obs: Observation, frame: Frame, roster: Roster) -> Claim | None:
+    def _confirmed(self, obs: Observation, frame: WatchFrame, roster: Roster) -> Claim | None:
         """The nearest target that this picture and the last ones confirm, and that no other vehicle tracks; new ones first."""
         x, y, _ = obs.state.position
         claims: list[tuple[bool, float, Claim]] = []
@@ -272,7 +272,7 @@ class Track(Agent):
     def _aim(self, now_ns: int, watch: Watch) -> None:
         """Which ground is looked at in the next picture."""
         sees = self._tracker.phase(now_ns) in ("seen", "predicted") and self._target and now_ns - self._whole_ns < WHOLE_NS
-        watch.region = Around(self._tracker.predicted(now_ns), self._tracker.reach_m(now_ns)) if sees else None
+        watch.region = GroundDisc(self._tracker.predicted(now_ns), self._tracker.reach_m(now_ns)) if sees else None
 
     def _note_target(self) -> None:
         if self._target != self._told:

@@ -8,7 +8,7 @@ import msgspec
 
 from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, Point, Region, nadir_of
 from vcmvsp.agents.reconnaissance.poses import Poses
-from vcmvsp.agents.reconnaissance.recognition import Detector, Target
+from vcmvsp.agents.reconnaissance.recognition import Detector, TargetPicture
 from vcmvsp.agents.reconnaissance.recognition.detector import SMALLEST_PX
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.config import registry
@@ -37,7 +37,7 @@ class Watching(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ground_m: float = 0.0  # height of the ground on which the targets lie, m, world
 
 
-class Around(NamedTuple):
+class GroundDisc(NamedTuple):
     """A part of the ground: all that is no further than that from a place."""
 
     place: Point  # m, world
@@ -45,7 +45,7 @@ class Around(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class WatchFrame:
     """What one picture shows."""
 
     time_ns: int  # when it was taken
@@ -77,7 +77,7 @@ class Watch:
         ScenarioError: a picture of a target that cannot be read, or that is no good for recognition.
     """
 
-    region: Around | None = None
+    region: GroundDisc | None = None
 
     def __init__(self, settings: Watching, *, key: str = "watching") -> None:
         self.settings, self.sensors, self._key = settings, (settings.camera,), key
@@ -101,11 +101,11 @@ class Watch:
             raise ValueError(f"{self._key}.camera = {camera!r}: {info.name} has no such sensor (it carries: {carries})")
         self._poses = Poses(info.period_s)
         self._asked_ns: int | None = None
-        self._frame: Frame | None = None
+        self._frame: WatchFrame | None = None
         self._taken_ns: int | None = None  # when the newest picture was taken
         self.region = None
 
-    def look(self, obs: Observation) -> Frame | None:
+    def look(self, obs: Observation) -> WatchFrame | None:
         """What a picture shows that has come in since the last tick; None: none has, or nobody knows where it was taken.
 
         Once a tick at least, so that it is known where the vehicle was; asked again at the same tick it answers the same.
@@ -120,7 +120,7 @@ class Watch:
         self._frame = self._looked(obs.readings.get(self.settings.camera))
         return self._frame
 
-    def _looked(self, image: Any) -> Frame | None:
+    def _looked(self, image: Any) -> WatchFrame | None:
         if image is None:
             return None
         if not isinstance(image, Image):
@@ -134,11 +134,11 @@ class Watch:
             return None
         return self._recognised(image, nadir_of(image, pose, mount=self.settings.mount, ground_m=self.settings.ground_m))
 
-    def _recognised(self, image: Image, nadir: Nadir) -> Frame:
+    def _recognised(self, image: Image, nadir: Nadir) -> WatchFrame:
         whole = 0, 0, nadir.width, nadir.height
         part = whole if self.region is None else nadir.region(*self.region)
         if part is None or not (nadir.upright >= STEEPEST and nadir.height_m > 0.0 and image.focal_px > 0.0):
-            return Frame(image.time_ns, nadir, (), image, None, self.region is None)
+            return WatchFrame(image.time_ns, nadir, (), image, None, self.region is None)
         distance_m = nadir.height_m / nadir.upright  # along the optical axis
         detections = self._detector.detect(image.pixels, distance_m, image.focal_px, None if part == whole else part)
         sightings = tuple(
@@ -157,7 +157,7 @@ class Watch:
         inner = _common((edge, edge, nadir.width - edge, nadir.height - edge), part)
         large_enough = self._smallest_m * image.focal_px >= SMALLEST_PX * distance_m  # else they may be there, unseen
         looked = inner if nadir.upright >= RELIABLE and large_enough else None
-        return Frame(image.time_ns, nadir, sightings, image, looked, self.region is None)
+        return WatchFrame(image.time_ns, nadir, sightings, image, looked, self.region is None)
 
 
 def _common(one: Region, other: Region) -> Region | None:
@@ -166,8 +166,8 @@ def _common(one: Region, other: Region) -> Region | None:
     return (left, top, right, bottom) if left < right and top < bottom else None
 
 
-def _loaded(entry: Wanted, key: str) -> Target:
+def _loaded(entry: Wanted, key: str) -> TargetPicture:
     try:
-        return Target.load(entry.name, registry.located(entry.picture), entry.size_m)
+        return TargetPicture.load(entry.name, registry.located(entry.picture), entry.size_m)
     except ScenarioError as error:
         raise ScenarioError(error.problem, key=f"{key}.{error.key}") from error

@@ -12,7 +12,17 @@ import numpy as np
 
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.assembly import worlds
-from vcmvsp.cosim.assembly.parts.recognition import Camera, Frame, Hull, Nadir, PlacedTarget, Scene, Watch, Watching, turned
+from vcmvsp.cosim.assembly.parts.recognition import (
+    Camera,
+    Hull,
+    Nadir,
+    PlacedTarget,
+    Scene,
+    Watch,
+    WatchFrame,
+    Watching,
+    turned,
+)
 from vcmvsp.cosim.assembly.parts.search_map import Grid, Rectangle, of_picture
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.config import binding, factory, messages, registry
@@ -241,7 +251,7 @@ class Snapshots:
         )
         return self._camera.measure(taken, 0, rng)
 
-    def _in_sight(self, target: PlacedTarget, frame: Frame, state: VehicleState, time_s: float) -> InSight | None:
+    def _in_sight(self, target: PlacedTarget, frame: WatchFrame, state: VehicleState, time_s: float) -> InSight | None:
         """A target in a picture; None: its middle is not in it."""
         place = target.place(time_s)
         pixel, size = frame.nadir.pixel(place), (frame.nadir.width, frame.nadir.height)
@@ -271,7 +281,7 @@ def _search_of(params: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
     return params, "agents"
 
 
-def _visible(target: PlacedTarget, frame: Frame, time_s: float) -> float:
+def _visible(target: PlacedTarget, frame: WatchFrame, time_s: float) -> float:
     """Which part of a target nothing hides, of 25 points of it that the picture shows."""
     depth_m = frame.image.depth_m
     assert depth_m is not None  # noqa: S101  the camera is made so that it gives depths

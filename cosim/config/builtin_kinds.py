@@ -91,8 +91,8 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "aerial_follower": "vcmvsp.agents.formation.aerial.follower:AerialFollower",
         "avoid": "vcmvsp.agents.avoidance.avoid:Avoid",
         "search": "vcmvsp.agents.reconnaissance.search:Search",
-        "track": "vcmvsp.agents.reconnaissance.track:Track",
-        "mission": "vcmvsp.agents.mission.mission:Mission",
+        "track": "vcmvsp.agents.reconnaissance.track:TrackTarget",
+        "mission": "vcmvsp.agents.mission.mission:SearchMission",
     },
     "estimator": {},  # a parameter of agents, which know their own
     "avoidance": {},  # likewise

@@ -92,7 +92,7 @@ def integrated(
     """
     ticks, count = missed.shape
     lead = plain.leader(path, ticks * T)
-    told = lead if noise is None else plain.Leader(lead.speeds, lead.pose + noise[: len(lead.pose)])
+    told = lead if noise is None else plain.LeaderTrack(lead.speeds, lead.pose + noise[: len(lead.pose)])
     kinds = sorted({*crew})
     tables = [predictions(told, each) for each in kinds]
     oldest = max(table.shape[1] for table in tables) - 1
@@ -116,7 +116,7 @@ def integrated(
     return np.asarray(np.sqrt(square / (ticks - FROM)))
 
 
-def predictions(told: plain.Leader, estimator: str) -> Floats:
+def predictions(told: plain.LeaderTrack, estimator: str) -> Floats:
     """What an estimator makes of each report at each age: (reports, ages, 5), for higher ages as at the last."""
     if estimator != FREE:
         return plain._predictions(told, estimator, SETTLED)

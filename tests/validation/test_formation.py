@@ -23,7 +23,7 @@ from tests.support.validation.fleets import (
     poses,
 )
 from vcmvsp.agents.formation import LeaderFollower
-from vcmvsp.agents.formation.followers.leader_follower_law import Place
+from vcmvsp.agents.formation.followers.leader_follower_law import FollowerPlace
 from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.types import Follows, Velocity
@@ -71,7 +71,7 @@ class Closer(LeaderFollower):
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         if obs.time_s >= self.at_s:
-            self.place = Place(0.5, 0.0, 1.5)
+            self.place = FollowerPlace(0.5, 0.0, 1.5)
             self.follows = Follows(leader="car1", slot=(-1.0, 0.0), handle_m=1.5)
         return super().act(obs, radio)
 

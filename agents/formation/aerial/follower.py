@@ -4,7 +4,7 @@ import math
 from typing import Literal
 
 from vcmvsp.agents.avoidance import Avoidance
-from vcmvsp.agents.avoidance.steering import Steering, around
+from vcmvsp.agents.avoidance.steering import AvoidanceSteering, around
 from vcmvsp.agents.formation.aerial.flight import GAIN, YAW_GAIN, Airborne, Flight, along, check_flies, limited, told
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
 from vcmvsp.agents.formation.reports.report import Report
@@ -91,7 +91,7 @@ class AerialFollower(Agent):
             raise ValueError("slot says where to be beside a leader; a formation does so itself: give just one of them")
         if formation is None and above:
             raise ValueError("above needs a formation; beside a leader, slot has a height")
-        self._steering = None if avoidance is None else Steering(avoidance)
+        self._steering = None if avoidance is None else AvoidanceSteering(avoidance)
         self.sensors = scanners(avoidance, formation) or self.sensors
         self._yaw: float | None = None  # of the start
         self._last: Vec3 = STILL  # the last command that answered a report

@@ -36,7 +36,7 @@ Graph = Literal["complete", "ring", "path", "star"]
 Vec2 = tuple[float, float]
 
 
-class Seen(NamedTuple):
+class NeighbourPoint(NamedTuple):
     """Where a member's point was."""
 
     t_ns: int
@@ -92,8 +92,8 @@ class Consensus(Agent):
         self.max_speed = math.inf if max_speed is None else max_speed
         self.timeout_s = timeout_s
         self._clock_bound_ns, self._timeout_ns = seconds_to_ns(clock_bound_s), seconds_to_ns(timeout_s)
-        self._newest: dict[str, Seen] = {}
-        self._past: list[Seen] = []  # the own point, tick by tick, as far back as a report may be
+        self._newest: dict[str, NeighbourPoint] = {}
+        self._past: list[NeighbourPoint] = []  # the own point, tick by tick, as far back as a report may be
         self._times: list[int] = []  # the same, when only
         self._refused = 0
         self._places: dict[str, Vec2] = {}  # delta_j - delta_i of every neighbour
@@ -136,7 +136,7 @@ class Consensus(Agent):
         v, w = axle_velocity(ux, uy, yaw, self.handle)
         return Velocity(linear=(v, 0.0, 0.0), yaw_rate=w)
 
-    def _demand(self, here: Seen) -> Vec2:
+    def _demand(self, here: NeighbourPoint) -> Vec2:
         """The protocol: velocity of the own point, m/s, world."""
         (vx, vy), delayed = self.velocity, self.own == "delayed"
         sum_x = sum_y = squares = oldest_s = 0.0
@@ -158,11 +158,11 @@ class Consensus(Agent):
             self.note(heard=0)
         return vx + self.gain * sum_x, vy + self.gain * sum_y
 
-    def _own_point(self, obs: Observation) -> Seen:
+    def _own_point(self, obs: Observation) -> NeighbourPoint:
         x, y, _ = obs.state.position
         if self.handle is not None:
             x, y = hand_point(x, y, obs.state.yaw, self.handle)
-        return Seen(obs.time_ns, x, y)
+        return NeighbourPoint(obs.time_ns, x, y)
 
     def _listen(self, obs: Observation) -> None:
         """Keep the newest report of every neighbour: late ones and copies change nothing, nonsense is counted."""
@@ -179,14 +179,14 @@ class Consensus(Agent):
         if self._refused:
             self.note(refused=self._refused)
 
-    def _remember(self, here: Seen) -> None:
+    def _remember(self, here: NeighbourPoint) -> None:
         self._past.append(here)
         self._times.append(here.t_ns)
         gone = bisect_left(self._times, here.t_ns - self._timeout_ns) - 1  # one from before, to interpolate
         if gone > 0:
             del self._past[:gone], self._times[:gone]
 
-    def _recall(self, t_ns: int) -> Seen:
+    def _recall(self, t_ns: int) -> NeighbourPoint:
         """Where the own point was; between ticks on a straight line."""
         i = min(bisect_left(self._times, t_ns), len(self._times) - 1)
         at = self._past[i]
@@ -194,7 +194,7 @@ class Consensus(Agent):
             return at
         (t0, x0, y0), (t1, x1, y1) = self._past[i - 1], at
         part = (t_ns - t0) / (t1 - t0)
-        return Seen(t_ns, x0 + part * (x1 - x0), y0 + part * (y1 - y0))
+        return NeighbourPoint(t_ns, x0 + part * (x1 - x0), y0 + part * (y1 - y0))
 
     def _take(self, shape: ShapeName | None) -> None:
         """Take a shape: everybody's place relative to the own one, and where the formation error is measured."""
@@ -238,7 +238,7 @@ def neighbours_of(graph: Graph, index: int, count: int) -> tuple[int, ...]:
     return tuple(sorted({*others} - {index}))
 
 
-def _parse(body: Mapping[str, Any], latest_ns: int) -> Seen | None:
+def _parse(body: Mapping[str, Any], latest_ns: int) -> NeighbourPoint | None:
     """The report in a message body; None where it is not one that can be used."""
     try:
         t_ns, x, y = body["t_ns"], body["x"], body["y"]
@@ -246,4 +246,4 @@ def _parse(body: Mapping[str, Any], latest_ns: int) -> Seen | None:
             return None
     except (KeyError, TypeError):
         return None
-    return Seen(t_ns, float(x), float(y))
+    return NeighbourPoint(t_ns, float(x), float(y))

@@ -9,7 +9,7 @@ from vcmvsp.cosim.clock import seconds_to_ns
 Feed = Literal["parent", "leader", "none"]
 
 
-class Feeding:
+class FeedForward:
     """Keeps what it takes to feed the leader's speed forward.
 
     Attributes:

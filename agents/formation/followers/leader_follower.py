@@ -9,9 +9,9 @@ from typing import Any
 
 from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance.settings import body_of
-from vcmvsp.agents.avoidance.steering import Steering
-from vcmvsp.agents.formation.followers.feed_forward import Feed, Feeding
-from vcmvsp.agents.formation.followers.leader_follower_law import Place, formation_law, point_of
+from vcmvsp.agents.avoidance.steering import AvoidanceSteering
+from vcmvsp.agents.formation.followers.feed_forward import Feed, FeedForward
+from vcmvsp.agents.formation.followers.leader_follower_law import FollowerPlace, formation_law, point_of
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
 from vcmvsp.agents.formation.reports.report import LeaderState, accelerations, measured_speeds
 from vcmvsp.agents.formation.reports.sending import Sending
@@ -93,13 +93,13 @@ class LeaderFollower(Agent):
         self.formation, self.k1, self.k2 = formation, k1, k2
         self.estimator = estimator_of(estimator, horizon_s=horizon_s, fade_s=fade_s)
         self.feed_forward_s = feed_forward_s
-        self._feeding = Feeding(feed, self.estimator, timeout_s, clock_bound_s)
+        self._feeding = FeedForward(feed, self.estimator, timeout_s, clock_bound_s)
         self.max_speed = math.inf if max_speed is None else max_speed
         self.max_reverse = max_reverse
         self.max_yaw_rate = math.inf if max_yaw_rate is None else max_yaw_rate
         self.horizon_s, self.fade_s, self.timeout_s = horizon_s, fade_s, timeout_s
         self._tells_a = feed_forward_s > 0.0 or "a" in getattr(self.estimator, "needs", ())
-        self._steering = None if avoidance is None else Steering(avoidance)
+        self._steering = None if avoidance is None else AvoidanceSteering(avoidance)
         self.sensors = scanners(avoidance, formation) or self.sensors
         self._before: tuple[int, float, float] | None = None  # at the last tick: time in ns, own measured speeds
         self._v = self._w = 0.0  # the last command that answered a report
@@ -199,7 +199,7 @@ class LeaderFollower(Agent):
     def _keep(self, leader: str | None, slot: tuple[float, float]) -> None:
         """From now on, be at ``slot`` (m) in the frame of ``leader``; None: follow nobody."""
         self.leader = leader
-        self.place = Place(self._handle + slot[0], slot[1], self._handle)
+        self.place = FollowerPlace(self._handle + slot[0], slot[1], self._handle)
         self.follows = None if leader is None else Follows(leader=leader, slot=slot, handle_m=self._handle)
 
     def _tell(self, obs: Observation, radio: Radio) -> None:

@@ -22,7 +22,7 @@ from vcmvsp.agents.formation.reports.report import LeaderState
 from vcmvsp.cosim.frames import rotate2
 
 
-class Place(NamedTuple):
+class FollowerPlace(NamedTuple):
     """What a follower means to keep: its handle on a point of the leader's frame."""
 
     c_x: float  # m, leader's frame, forward
@@ -39,13 +39,13 @@ class Demand(NamedTuple):
     z2: float  # m, left
 
 
-def point_of(leader: LeaderState, place: Place) -> tuple[float, float]:
+def point_of(leader: LeaderState, place: FollowerPlace) -> tuple[float, float]:
     """The point r that the follower's handle is to be on, m, world."""
     x, y = rotate2(place.c_x, place.c_y, leader.th)
     return leader.x + x, leader.y + y
 
 
-def formation_law(pose: tuple[float, float, float], leader: LeaderState, place: Place, k1: float, k2: float) -> Demand:
+def formation_law(pose: tuple[float, float, float], leader: LeaderState, place: FollowerPlace, k1: float, k2: float) -> Demand:
     """Speeds for a follower at ``pose`` (x m, y m, yaw rad) with gains ``k1``, ``k2`` in 1/s; nothing is limited here."""
     x, y, th = pose
     c_x, c_y, handle = place

@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from vcmvsp.agents.avoidance import Avoidance
-from vcmvsp.agents.avoidance.steering import Steering
+from vcmvsp.agents.avoidance.steering import AvoidanceSteering
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
-from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.reports.received import ReportReceiver
 from vcmvsp.agents.formation.reports.sending import Reporter, Sending
 from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.agents.formation.team.membership import check_silence
@@ -65,7 +65,7 @@ class Leader(Agent):
         self._formation, self._clock_bound_s = formation, clock_bound_s
         self._team: Team | None = None
         self._guide: Guide | None = None
-        self._steering = None if avoidance is None else Steering(avoidance)
+        self._steering = None if avoidance is None else AvoidanceSteering(avoidance)
         self.sensors = scanners(avoidance, formation) or self.sensors
         self._period_s = self.period
         self._last: tuple[float, float] | None = None  # the speeds of the tick before
@@ -99,7 +99,7 @@ class Leader(Agent):
             )
         self._reporter.start(team.children)
         self._believed: set[str] = set()  # who has told of newer shapes than this vehicle knew
-        self._listening = Listening(team.members, self._clock_bound_s)
+        self._listening = ReportReceiver(team.members, self._clock_bound_s)
         if self._formation.passage is not None:
             self._guide = Guide(self._formation.passage, team, info)
         self.note(shape=team.shape)

@@ -15,7 +15,7 @@ TURN_ON_THE_SPOT = 0.8  # rad: with the way aside by more than that, it turns be
 TURN_GAIN = 1.5  # 1/s, of turning on the spot
 
 
-class Stage(NamedTuple):
+class RouteStage(NamedTuple):
     """Where along the way it is: on the line between two points."""
 
     start: Point  # m
@@ -61,7 +61,7 @@ class Route(Leader):
             raise ValueError("way needs at least one point")
         self.way, self.loop, self.speed, self.yaw_rate = way, loop, speed, yaw_rate
         self.lookahead_m, self.arrive_m, self.deceleration = lookahead_m, arrive_m, deceleration
-        self._stage: Stage | None = None
+        self._stage: RouteStage | None = None
         self._pose = (0.0, 0.0, 0.0)
 
     def speeds(self, obs: Observation) -> tuple[float, float]:
@@ -69,7 +69,7 @@ class Route(Leader):
         x, y, _ = obs.state.position
         before = self._stage
         self._pose = x, y, obs.state.yaw
-        self._stage, v, w = self._steered(self._pose, before or Stage((x, y), 0))
+        self._stage, v, w = self._steered(self._pose, before or RouteStage((x, y), 0))
         if before is None or self._stage.number != before.number:
             self.note(point=self._stage.number)
         if self._stage.number == len(self.way):
@@ -85,7 +85,7 @@ class Route(Leader):
     def led_astray(self, obs: Observation) -> None:
         """The line to the next point begins here."""
         if self._stage is not None:
-            self._stage = Stage(obs.state.position[:2], self._stage.number)
+            self._stage = RouteStage(obs.state.position[:2], self._stage.number)
 
     def ahead(self, count: int) -> Sequence[tuple[float, float]]:
         """What it would command from where these speeds lead."""
@@ -99,7 +99,7 @@ class Route(Leader):
             plan.append((v, w))
         return plan
 
-    def _steered(self, pose: tuple[float, float, float], stage: Stage) -> tuple[Stage, float, float]:
+    def _steered(self, pose: tuple[float, float, float], stage: RouteStage) -> tuple[RouteStage, float, float]:
         """Where along the way a vehicle is that was at ``stage`` before, and how fast to go: m/s and rad/s."""
         x, y, th = pose
         start, number = stage
@@ -109,7 +109,7 @@ class Route(Leader):
             start, number = self.way[number], number + 1
             if self.loop:
                 number %= len(self.way)
-        stage = Stage(start, number)
+        stage = RouteStage(start, number)
         if number == len(self.way) or math.dist((x, y), self.way[number]) <= self.arrive_m:  # or all are one place
             return stage, 0.0, 0.0
         aim_x, aim_y = _aim((x, y), start, self.way[number], self.lookahead_m)

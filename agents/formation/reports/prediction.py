@@ -95,7 +95,7 @@ class Acceleration(DeadReckoning):
         return moved(LeaderState(x, y, th, v_then, w_then), age_s - trusted_s, 0.0, self.fade_s)
 
 
-class Plan(Acceleration):
+class PlanPrediction(Acceleration):
     """The leader does what it said that it would do: exact as long as it does and the plan lasts.
 
     After the plan its last speeds are taken to stay, with a horizon that begins there. Where a report has no plan, or none that
@@ -122,7 +122,7 @@ class Plan(Acceleration):
         return moved(LeaderState(x, y, th, v, w), rest_s, dt + self.horizon_s, self.fade_s)
 
 
-ESTIMATORS: Mapping[str, type[Estimator]] = {"hold": Hold, "dr": DeadReckoning, "acc": Acceleration, "plan": Plan}
+ESTIMATORS: Mapping[str, type[Estimator]] = {"hold": Hold, "dr": DeadReckoning, "acc": Acceleration, "plan": PlanPrediction}
 
 
 def estimator_of(kind: Any, *, horizon_s: float, fade_s: float) -> Estimator:

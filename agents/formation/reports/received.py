@@ -13,7 +13,7 @@ from vcmvsp.cosim.clock import seconds_to_ns
 LEAST_HEARTBEAT_S = 1.0
 
 
-class Listening:
+class ReportReceiver:
     """Keeps the report of each sender that was valid last: late ones and copies change nothing, nonsense is counted.
 
     Attributes:

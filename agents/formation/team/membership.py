@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from vcmvsp.agents.formation.reports.prediction import Estimator
-from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.reports.received import ReportReceiver
 from vcmvsp.agents.formation.reports.report import Report
 from vcmvsp.agents.formation.reports.sending import Reporter, Sending, acknowledge
 from vcmvsp.agents.formation.team.formation import Formation
@@ -61,7 +61,7 @@ class Membership:
         self._heartbeat_ns = None if heartbeat_s is None else seconds_to_ns(heartbeat_s)
         self._clock_bound_s = clock_bound_s
         self._reporter = Reporter(sending, estimator)
-        self.listening = Listening(() if leader is None else (leader,), clock_bound_s)
+        self.listening = ReportReceiver(() if leader is None else (leader,), clock_bound_s)
         self.team: Team | None = None
         self.lookout: Lookout | None = None
         self.notes: dict[str, str | int] = {}
@@ -100,7 +100,7 @@ class Membership:
                 f"{team.name} is the first member of the formation and leads it: give it an agent that leads "
                 f"({leads}), or name another one first in formation.members"
             )
-        self.listening = Listening((name for name in team.members if name != team.name), self._clock_bound_s)
+        self.listening = ReportReceiver((name for name in team.members if name != team.name), self._clock_bound_s)
         if self.formation.passage is not None:
             self.lookout = Lookout(self.formation.passage, team, info)
         self._settle(team, team.parent)

@@ -15,9 +15,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from vcmvsp.agents.avoidance.settings import Settings
-from vcmvsp.agents.avoidance.view import Looking
+from vcmvsp.agents.avoidance.view import ScanReader
 from vcmvsp.agents.formation.reports.prediction import Estimator
-from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.reports.received import ReportReceiver
 from vcmvsp.agents.formation.reports.report import Report
 from vcmvsp.agents.formation.team.formation import Formation, Passage
 from vcmvsp.agents.formation.team.passage_policy import policy_of
@@ -38,18 +38,18 @@ class Lookout(VisibleMembers):
     """
 
     def __init__(self, passage: Passage, team: Team, info: VehicleInfo) -> None:
-        self._looking = Looking(passage.scanner, passage.stale_s)
+        self._looking = ScanReader(passage.scanner, passage.stale_s)
         self._looking.start(info, "formation.passage.scanner")
         if info.body is None:
             raise ValueError(f"formation.passage: nobody says how large {info.name} is, so its team's lane is not known")
         super().__init__(info.body, passage)
         self.passage, self.team = passage, team
 
-    def is_clear(self, obs: Observation, listening: Listening, estimator: Estimator) -> bool:
+    def is_clear(self, obs: Observation, listening: ReportReceiver, estimator: Estimator) -> bool:
         """Whether a member is to say so."""
         return self.is_free(obs, listening, estimator, self.passage.clear_m)
 
-    def is_free(self, obs: Observation, listening: Listening, estimator: Estimator, ahead_m: float) -> bool:
+    def is_free(self, obs: Observation, listening: ReportReceiver, estimator: Estimator, ahead_m: float) -> bool:
         """Whether nothing but members stands in the lane up to ``ahead_m``; a bad scan, or none, means that something may."""
         view = self._looking.look(obs)
         if view is None:
@@ -77,7 +77,7 @@ class Guide:
         self._told = {"lane": "", "waits_for": ""}
         self.notes: dict[str, str] = {}
 
-    def shape(self, obs: Observation, listening: Listening, estimator: Estimator) -> str:
+    def shape(self, obs: Observation, listening: ReportReceiver, estimator: Estimator) -> str:
         """That of now, or another one; asked once a tick."""
         passage, team = self._lookout.passage, self._lookout.team
         is_narrow = team.shape == passage.shape

@@ -18,7 +18,7 @@ radio, at the end of a long chain, count as gone.
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.reports.received import ReportReceiver
 from vcmvsp.agents.formation.team.formation import Passage
 from vcmvsp.cosim.clock import seconds_to_ns
 
@@ -32,7 +32,7 @@ class Policy(Protocol):
 
     waits_for: Sequence[str]
 
-    def widens(self, now_ns: int, free: bool, names: Iterable[str], listening: Listening) -> bool:
+    def widens(self, now_ns: int, free: bool, names: Iterable[str], listening: ReportReceiver) -> bool:
         """Asked at every tick at which the team is narrow.
 
         Args:
@@ -51,7 +51,7 @@ class Timer:
         self._since_ns: int | None = None
         self.waits_for: Sequence[str] = ()
 
-    def widens(self, now_ns: int, free: bool, names: Iterable[str], listening: Listening) -> bool:
+    def widens(self, now_ns: int, free: bool, names: Iterable[str], listening: ReportReceiver) -> bool:
         """Whether that time is over; then it begins anew."""
         if free and self._since_ns is None:
             self._since_ns = now_ns
@@ -75,12 +75,12 @@ class AllClear(Timer):
         super().__init__(steady_s)
         self._report_ns, self._silence_ns = seconds_to_ns(report_s), seconds_to_ns(silence_s)
 
-    def widens(self, now_ns: int, free: bool, names: Iterable[str], listening: Listening) -> bool:
+    def widens(self, now_ns: int, free: bool, names: Iterable[str], listening: ReportReceiver) -> bool:
         """Whether all lanes have been free for that time."""
         self.waits_for = [name for name in names if not self._is_clear(now_ns, name, listening)]
         return super().widens(now_ns, free and not self.waits_for, names, listening)
 
-    def _is_clear(self, now_ns: int, name: str, listening: Listening) -> bool:
+    def _is_clear(self, now_ns: int, name: str, listening: ReportReceiver) -> bool:
         if listening.absent_ns(name, now_ns) >= self._silence_ns:
             return True  # it is gone
         report = listening.newest.get(name)

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from vcmvsp.agents.avoidance.view import View, view_of
 from vcmvsp.agents.formation.reports.prediction import Estimator
-from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.reports.received import ReportReceiver
 from vcmvsp.agents.formation.reports.report import LeaderState, Report, height_of
 from vcmvsp.agents.formation.team.formation import Passage
 from vcmvsp.cosim.agent import Body, Observation
@@ -49,7 +49,7 @@ class VisibleMembers:
         self._body, self._member_m = body, settings.member_m
         self._report_ns = seconds_to_ns(settings.report_s)
 
-    def without_members(self, obs: Observation, listening: Listening, estimator: Estimator, scanner: str) -> Observation:
+    def without_members(self, obs: Observation, listening: ReportReceiver, estimator: Estimator, scanner: str) -> Observation:
         """The observation with a scan in which members are not to be seen, for one that is to keep its place close to them.
 
         Taken for obstacles, those ahead in a column would hold up whoever follows them, and those on their way to a new place
@@ -63,7 +63,9 @@ class VisibleMembers:
         ranges[mine] = np.inf
         return replace(obs, readings=Readings({**obs.readings, scanner: replace(scan, ranges=ranges)}))
 
-    def behind_members(self, obs: Observation, v: float, listening: Listening, estimator: Estimator, approach: float) -> float:
+    def behind_members(
+        self, obs: Observation, v: float, listening: ReportReceiver, estimator: Estimator, approach: float
+    ) -> float:
         """As much of a speed (m/s) as a vehicle may have so as not to run into a member ahead of it, or back into one behind.
 
         It comes nearer to one in its way by no more than ``approach`` (1/s) times what is left between circles around both
@@ -76,7 +78,7 @@ class VisibleMembers:
                 v = min(v, max(0.0, away + room)) if x > 0.0 else max(v, min(0.0, away - room))
         return v
 
-    def _mates(self, obs: Observation, listening: Listening, estimator: Estimator) -> list[Mate]:
+    def _mates(self, obs: Observation, listening: ReportReceiver, estimator: Estimator) -> list[Mate]:
         """Those of whom there is a fresh report, at the height of this vehicle."""
         (x, y, z), yaw, mates = obs.state.position, obs.state.yaw, []
         for report in listening.newest.values():
@@ -88,7 +90,7 @@ class VisibleMembers:
                 mates.append(Mate(*rotate2(then.x - x, then.y - y, -yaw), then.v * math.cos(then.th - yaw)))
         return mates
 
-    def _of_members(self, view: View, obs: Observation, listening: Listening, estimator: Estimator) -> Array:
+    def _of_members(self, view: View, obs: Observation, listening: ReportReceiver, estimator: Estimator) -> Array:
         """Which beams end at a member, or as near to where it is taken to be as it may be.
 
         Only close to where a member's own fresh report puts it now, and at its height. This is safe, since what else stands so

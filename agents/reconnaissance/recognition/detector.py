@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 
 from vcmvsp.agents.reconnaissance.recognition import colour
-from vcmvsp.agents.reconnaissance.recognition.match import Pose, match
+from vcmvsp.agents.reconnaissance.recognition.match import MatchedPose, match
 from vcmvsp.agents.reconnaissance.recognition.polar import COARSE, FULL, Rings, Signature, product, rotation
-from vcmvsp.agents.reconnaissance.recognition.template import PATCH, Target, Template
+from vcmvsp.agents.reconnaissance.recognition.template import PATCH, TargetPicture, Template
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
@@ -84,7 +84,7 @@ class Detector:
     ``stages`` may leave out later ones, to see what each is good for.
     """
 
-    def __init__(self, targets: Sequence[Target], *, stages: int = 3) -> None:
+    def __init__(self, targets: Sequence[TargetPicture], *, stages: int = 3) -> None:
         if not targets:
             raise ScenarioError("there must be a target to look for", key="targets")
         if len({target.name for target in targets}) < len(targets):
@@ -150,7 +150,7 @@ class Detector:
         detections = []
         for i in np.flatnonzero(rings >= RINGS).tolist():
             angle = rotation(spectra[:, i], template.full.spectra[:, 0])
-            pose, score = Pose(float(u[i]), float(v[i]), angle, float(px[i])), 0.0
+            pose, score = MatchedPose(float(u[i]), float(v[i]), angle, float(px[i])), 0.0
             if self._stages == 3:
                 score, pose = match(search.image, template, pose)
                 if score < MATCH:

@@ -94,7 +94,7 @@ class Truth:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class SyntheticPicture:
     """A picture taken straight down, and all targets with their middles in it."""
 
     image: Array  # (h, w, 3) uint8, RGB
@@ -104,10 +104,10 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Frame:
+class SyntheticFrame:
     """A picture and what is in it."""
 
-    seen: Seen
+    seen: SyntheticPicture
     likenesses: tuple[tuple[str, float, float], ...]  # what it is, u, v: px
 
     @property
@@ -132,7 +132,7 @@ def frame(
     noise: float = 6.0,
     places: Sequence[Point] | None = None,
     angles: Sequence[float] | None = None,
-) -> Frame:
+) -> SyntheticFrame:
     """One picture: targets (and five likenesses of the first) anywhere, any way round, wholly inside unless places are given.
 
     Places are px of the picture; angles rad, counter-clockwise.
@@ -152,10 +152,10 @@ def frame(
     image.flags.writeable = False  # as those of cameras
     truths = tuple(Truth(name, *middles[i], turns[i]) for i, (name, _) in enumerate(targets))
     alike = tuple((name, *middles[len(targets) + i]) for i, name in enumerate(DISTRACTORS[: len(decoys)]))
-    return Frame(Seen(image, height_m, FOCAL_PX, truths), alike)
+    return SyntheticFrame(SyntheticPicture(image, height_m, FOCAL_PX, truths), alike)
 
 
-def tilted(frame: Frame, tilt: float, about: float) -> Frame:
+def tilted(frame: SyntheticFrame, tilt: float, about: float) -> SyntheticFrame:
     """The same scene from a camera tilted by so much (rad) about an axis of its picture that points ``about`` (rad)."""
     K = np.array([[FOCAL_PX, 0.0, 0.5 * (WIDTH - 1)], [0.0, FOCAL_PX, 0.5 * (HEIGHT - 1)], [0.0, 0.0, 1.0]])
     turn, _ = cv2.Rodrigues(tilt * np.array([math.cos(about), math.sin(about), 0.0]))

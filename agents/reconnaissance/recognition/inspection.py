@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 
 from vcmvsp.agents.reconnaissance.recognition import colour
-from vcmvsp.agents.reconnaissance.recognition.match import SHIFT, Pose, match
+from vcmvsp.agents.reconnaissance.recognition.match import SHIFT, MatchedPose, match
 from vcmvsp.agents.reconnaissance.recognition.polar import FULL, product, rotation
-from vcmvsp.agents.reconnaissance.recognition.template import PATCH, Target, Template
+from vcmvsp.agents.reconnaissance.recognition.template import PATCH, TargetPicture, Template
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
 
@@ -36,7 +36,7 @@ class ColourMap(NamedTuple):
     peaks: Array  # (n, 3): u, v px of the picture and score in [0, 1], best first
 
 
-def colour_map(target: Target, image: Array, height_m: float, focal_px: float, *, most_hues: int = 4) -> ColourMap:
+def colour_map(target: TargetPicture, image: Array, height_m: float, focal_px: float, *, most_hues: int = 4) -> ColourMap:
     """The score of a picture (h, w, 3) by the target's most frequent hues, so many of them."""
     side = target.size_m * focal_px / height_m
     scale = min(1.0, colour.SIDE_PX / side)
@@ -51,7 +51,7 @@ def colour_map(target: Target, image: Array, height_m: float, focal_px: float, *
     return ColourMap(score, scale, places)
 
 
-def inspect(target: Target, image: Array, height_m: float, focal_px: float, place: tuple[float, float]) -> Scores:
+def inspect(target: TargetPicture, image: Array, height_m: float, focal_px: float, place: tuple[float, float]) -> Scores:
     """What all stages say of what is about a place, px of a picture (h, w, 3): the middle is looked for nearby."""
     side = target.size_m * focal_px / height_m
     template, scale = target.template(round(side)), min(1.0, PATCH / side)
@@ -63,16 +63,16 @@ def inspect(target: Target, image: Array, height_m: float, focal_px: float, plac
     best = int(cosines.argmax())
     angle = wrap(rotation(spectra[:, best], template.full.spectra[:, 0]))
     middle = float(us[best]), float(vs[best])
-    turned, _ = match(sharp, template, Pose(*middle, angle, side * scale))
-    upright = _correlation(sharp, template, Pose(*middle, 0.0, side * scale), SHIFT)
-    fixed = _correlation(sharp, template, Pose(u, v, angle, side * scale), 0)
+    turned, _ = match(sharp, template, MatchedPose(*middle, angle, side * scale))
+    upright = _correlation(sharp, template, MatchedPose(*middle, 0.0, side * scale), SHIFT)
+    fixed = _correlation(sharp, template, MatchedPose(u, v, angle, side * scale), 0)
     coloured = colour_map(target, image, height_m, focal_px)
     row, column = (int(np.clip(round((value + 0.5) * coloured.scale - 0.5), 0, None)) for value in reversed(place))
     near = coloured.score[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3]
     return Scores(float(near.max()) / 255.0, float(cosines[best]), angle, turned, upright, fixed)
 
 
-def _correlation(image: Array, template: Template, pose: Pose, shift: int) -> float:
+def _correlation(image: Array, template: Template, pose: MatchedPose, shift: int) -> float:
     """Of the template with a patch that is turned back, the best within so many pixels of the patch to all sides."""
     size, px = PATCH + 2 * shift, pose.side_px / PATCH
     c, s = px * math.cos(pose.angle), px * math.sin(pose.angle)

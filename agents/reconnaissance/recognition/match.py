@@ -21,7 +21,7 @@ HOPELESS = 0.45  # correlation before turn and scale are refined: no refinement 
 
 
 @dataclass(frozen=True)
-class Pose:
+class MatchedPose:
     """Where a patch is and how it is turned."""
 
     u: float  # px
@@ -29,14 +29,14 @@ class Pose:
     angle: float  # rad, counter-clockwise
     side_px: float
 
-    def shifted(self, across: float, down: float) -> "Pose":
+    def shifted(self, across: float, down: float) -> "MatchedPose":
         """By so many px of the patch, along its own edges."""
         px = self.side_px / PATCH
         c, s = px * math.cos(self.angle), px * math.sin(self.angle)
-        return Pose(self.u + c * across + s * down, self.v - s * across + c * down, self.angle, self.side_px)
+        return MatchedPose(self.u + c * across + s * down, self.v - s * across + c * down, self.angle, self.side_px)
 
 
-def match(image: Array, template: Template, pose: Pose) -> tuple[float, Pose]:
+def match(image: Array, template: Template, pose: MatchedPose) -> tuple[float, MatchedPose]:
     """The correlation in [-1, 1] and where it is found: first the best shift, then turn and scale, then the shift again."""
     score, pose = _shift(image, template, pose)
     if score < HOPELESS:
@@ -44,7 +44,7 @@ def match(image: Array, template: Template, pose: Pose) -> tuple[float, Pose]:
     return _shift(image, template, _turn(image, template, pose))
 
 
-def _shift(image: Array, template: Template, pose: Pose) -> tuple[float, Pose]:
+def _shift(image: Array, template: Template, pose: MatchedPose) -> tuple[float, MatchedPose]:
     """The best shift, to parts of a pixel."""
     patch = _patches(image, pose, np.zeros(1), np.ones(1), PATCH + 2 * SHIFT)[0]
     scores = cv2.matchTemplate(patch, template.patch, cv2.TM_CCOEFF_NORMED)
@@ -52,14 +52,14 @@ def _shift(image: Array, template: Template, pose: Pose) -> tuple[float, Pose]:
     return score, pose.shifted(u - SHIFT + vertex(scores[v], u), v - SHIFT + vertex(scores[:, u], v))
 
 
-def _turn(image: Array, template: Template, pose: Pose) -> Pose:
+def _turn(image: Array, template: Template, pose: MatchedPose) -> MatchedPose:
     """The best turn, then the best scale, then the turn again, since each depends a little on the other."""
     one = np.ones(len(TURNS))
     turn = _best(TURNS, _correlations(image, template, pose, TURNS, one))
     scale = _best(SCALES, _correlations(image, template, pose, turn * one, SCALES))
     turns = turn + TURNS[1:-1]
     turn = _best(turns, _correlations(image, template, pose, turns, scale * one[1:-1]))
-    return Pose(pose.u, pose.v, pose.angle + turn, pose.side_px * scale)
+    return MatchedPose(pose.u, pose.v, pose.angle + turn, pose.side_px * scale)
 
 
 def _best(tried: Array, values: Array) -> float:
@@ -68,7 +68,7 @@ def _best(tried: Array, values: Array) -> float:
     return float(tried[at]) + float(tried[1] - tried[0]) * vertex(values, at)
 
 
-def _correlations(image: Array, template: Template, pose: Pose, turns: Array, scales: Array) -> Array:
+def _correlations(image: Array, template: Template, pose: MatchedPose, turns: Array, scales: Array) -> Array:
     """Of patches turned and scaled against the pose, (n,)."""
     return product(unit(_patches(image, pose, turns, scales, PATCH)), template.unit[:, None])[:, 0]
 
@@ -82,7 +82,7 @@ def vertex(values: Array, at: int) -> float:
     return 0.5 * (before - after) / bend if bend < 0.0 else 0.0
 
 
-def _patches(image: Array, pose: Pose, turns: Array, scales: Array, size: int) -> Array:
+def _patches(image: Array, pose: MatchedPose, turns: Array, scales: Array, size: int) -> Array:
     """Upright patches (n, size, size, 3) about the pose's middle, turned and scaled against it."""
     step = pose.side_px / PATCH * scales
     c, s = step * np.cos(pose.angle + turns), step * np.sin(pose.angle + turns)

@@ -20,7 +20,7 @@ SMALLEST_PX = 16  # a picture of a target has at least so many pixels a side
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class TargetPicture:
     """A square picture of a target as it is seen from above, and its true size.
 
     One that is nearly its own mirror image cannot be told from it; one that looks the same when turned has any of those angles.
@@ -45,7 +45,7 @@ class Target:
             raise ScenarioError(f"the picture of {self.name} is grey: targets are found by their colours first", key="picture")
 
     @classmethod
-    def load(cls, name: str, path: Path | str, size_m: float) -> "Target":
+    def load(cls, name: str, path: Path | str, size_m: float) -> "TargetPicture":
         """Reads the picture from a file (PNG, JPEG, ...)."""
         try:
             read = decoded(limits.read_bytes(Path(path), limits.FILE_BYTES), cv2.IMREAD_COLOR_RGB)
@@ -72,7 +72,7 @@ class Template:
 
 
 @lru_cache(maxsize=64)
-def _template(target: Target, side_px: int) -> Template:
+def _template(target: TargetPicture, side_px: int) -> Template:
     patch = cv2.resize(target.picture, (PATCH, PATCH), interpolation=cv2.INTER_AREA)
     sigma = CAMERA_BLUR_PX * PATCH / side_px
     patch = cv2.GaussianBlur(patch, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)

@@ -1,9 +1,9 @@
 """Recognition of targets in pictures from the air: cameras, detector and its stages, synthetic pictures."""
 
 from vcmvsp.agents.reconnaissance.ground_point import Nadir, turned
-from vcmvsp.agents.reconnaissance.recognition import Detector, Target, ground, inspection
+from vcmvsp.agents.reconnaissance.recognition import Detector, TargetPicture, ground, inspection
 from vcmvsp.agents.reconnaissance.recognition.detector import Detection
-from vcmvsp.agents.reconnaissance.watch import Frame, Watch, Watching
+from vcmvsp.agents.reconnaissance.watch import Watch, WatchFrame, Watching
 from vcmvsp.physics.sensors.camera import Camera
 from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.solids import Hull
@@ -13,13 +13,13 @@ __all__ = [
     "Camera",
     "Detection",
     "Detector",
-    "Frame",
     "Hull",
     "Nadir",
     "PlacedTarget",
     "Scene",
-    "Target",
+    "TargetPicture",
     "Watch",
+    "WatchFrame",
     "Watching",
     "ground",
     "inspection",

@@ -17,7 +17,7 @@ SLOT_NS, SIFS_NS, DIFS_NS, ACK_NS = 20_000, 10_000, 50_000, 203_000  # of 802.11
 EDGES_M = (0.0, 20.0, 40.0, 60.0, 75.0, 86.0)
 
 
-class Judged(NamedTuple):
+class Ns3Case(NamedTuple):
     """Radios uniform in a square that broadcast 100 bytes at random times, and what ns-3 makes of them."""
 
     preset: str
@@ -35,31 +35,31 @@ class Judged(NamedTuple):
 
 
 NS3 = {
-    "802.11b, 50 in one domain": Judged(
+    "802.11b, 50 in one domain": Ns3Case(
         *("wifi-b-1", 50, 200.0, 2.0, 10.0, 4, 2, 0.9617, 2.952),
         (2.191, 7.366, 11.023),
         (0.500, 0.950, 0.990),
         (0.9953, 0.9902, 0.9785, 0.9713, 0.9650, 0.9524),
     ),
-    "802.11b, 100 in one domain, overloaded": Judged(
+    "802.11b, 100 in one domain, overloaded": Ns3Case(
         *("wifi-b-1", 100, 200.0, 2.0, 10.0, 2, 2, 0.6223, 12.597),
         (10.985, 29.476, 39.012),
         (0.500, 0.950, 0.990),
         (0.9687, 0.8801, 0.7618, 0.6714, 0.6082, 0.5406),
     ),
-    "802.11b, 30, hidden from each other": Judged(
+    "802.11b, 30, hidden from each other": Ns3Case(
         *("wifi-b-1", 30, 170.0, 3.0, 15.0, 6, 3, 0.4155, 1.721),
         (1.330, 3.376, 5.015),
         (0.700, 0.950, 0.990),
         (0.9826, 0.9568, 0.9273, 0.8476, 0.7423, 0.0),
     ),
-    "802.11g, 100 in one domain": Judged(
+    "802.11g, 100 in one domain": Ns3Case(
         *("wifi-g-6", 100, 200.0, 2.0, 30.0, 1, 3, 0.8684, 0.748),
         (0.499, 2.096, 2.937),
         (0.503, 0.950, 0.990),
         (0.9879, 0.9634, 0.9264, 0.8916, 0.8709, 0.8358),
     ),
-    "802.11g, 40, hidden from each other": Judged(
+    "802.11g, 40, hidden from each other": Ns3Case(
         *("wifi-g-6", 40, 170.0, 3.0, 40.0, 2, 3, 0.4129, 0.327),
         (0.264, 0.650, 1.022),
         (0.800, 0.950, 0.990),

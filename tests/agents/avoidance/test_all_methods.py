@@ -1,4 +1,4 @@
-"""All methods, through `Steering`: fields of boxes, every kind of scanner, and what they must not do."""
+"""All methods, through `AvoidanceSteering`: fields of boxes, every kind of scanner, and what they must not do."""
 
 import math
 from itertools import pairwise
@@ -11,7 +11,7 @@ from tests.support.agents.obstacle_fields import WHEELS, WINGS, Box, scattered, 
 from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
 from vcmvsp.agents.avoidance.gaps import gaps_ahead
 from vcmvsp.agents.avoidance.settings import Settings
-from vcmvsp.agents.avoidance.steering import Steering
+from vcmvsp.agents.avoidance.steering import AvoidanceSteering
 from vcmvsp.cosim.agent import VehicleInfo
 from vcmvsp.cosim.types import Scan
 
@@ -274,7 +274,7 @@ def test_a_scan_of_the_future_is_none() -> None:
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
 def test_one_whose_scanner_sits_behind_its_middle_keeps_as_far_away(method: Settings) -> None:
     """A wall across the way: with ranges taken for those from its middle, it would come nearer by how far that is off."""
-    made, x, wall = Steering(method), 0.0, [((2.0, -5.0), (2.2, 5.0))]
+    made, x, wall = AvoidanceSteering(method), 0.0, [((2.0, -5.0), (2.2, 5.0))]
     made.start(
         VehicleInfo(
             name="a",

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.agents.avoidance import PotentialField, View, view_of
-from vcmvsp.agents.avoidance.levels import Levels, limited_drive, limited_flight, second_m
+from vcmvsp.agents.avoidance.levels import ObstacleLevels, limited_drive, limited_flight, second_m
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.types import Scan
 
@@ -116,7 +116,7 @@ def test_on_wheels_no_return_of_the_lane_is_driven_at_too_fast(distances: list[f
 
 
 def test_a_corridor_of_90_cm_does_not_slow_an_amigobot_down_and_its_end_does() -> None:
-    assert Levels(PotentialField(keep_m=0.266), AMIGO).keep_m < 0.45
+    assert ObstacleLevels(PotentialField(keep_m=0.266), AMIGO).keep_m < 0.45
     assert limited_drive(0.6, walls(0.45), 0.266, 0.1895, APPROACH) == 0.6
     near_end = limited_drive(0.6, walls(0.45, 1.0), 0.266, 0.1895, APPROACH)
     assert near_end == pytest.approx(APPROACH * (1.0 - 0.266 - 0.03))
@@ -124,7 +124,7 @@ def test_a_corridor_of_90_cm_does_not_slow_an_amigobot_down_and_its_end_does() -
 
 def test_levels_hold_an_amigobot_back_for_what_is_ahead_and_not_for_walls_beside_it_whatever_is_kept() -> None:
     for keep in (0.266, 0.6):
-        levels = Levels(PotentialField(keep_m=keep), AMIGO)
+        levels = ObstacleLevels(PotentialField(keep_m=keep), AMIGO)
         view = walls(0.45)
         assert levels.update(0, view.nearest_m, 0.6) == 2
         assert levels.limited(view, (0.6, 0.0)) == (0.6, 0.0)
@@ -150,24 +150,24 @@ def test_who_sees_nothing_behind_is_let_back() -> None:
 def test_level_2_begins_where_braking_must(speed: float, latency: float, begins: float) -> None:
     """The larger of keep + 0.3 m and keep + v latency + v^2 / (2 a), a = 0.3 m/s2."""
     assert second_m(speed, 0.6, 0.3, latency) == pytest.approx(begins)
-    levels = Levels(PotentialField(keep_m=0.6), DRONE, latency)
+    levels = ObstacleLevels(PotentialField(keep_m=0.6), DRONE, latency)
     assert levels.update(0, begins + 1e-6, speed) < 2
     assert levels.update(0, begins - 1e-6, speed) == 2
 
 
 def test_levels_0_and_1_are_told_apart_by_the_reach_of_the_method() -> None:
-    levels = Levels(PotentialField(), DRONE)
+    levels = ObstacleLevels(PotentialField(), DRONE)
     assert [levels.update(0, nearest, 0.1) for nearest in (math.inf, 1.2, 1.19, 0.91)] == [0, 0, 1, 1]
 
 
 def test_level_2_ends_when_things_have_been_further_away_for_half_a_second() -> None:
-    levels = Levels(PotentialField(), DRONE)
+    levels = ObstacleLevels(PotentialField(), DRONE)
     places = [0.8, 1.04, 1.04, 1.06, 1.06, 1.04, 1.06, *[1.06] * 4, 1.06]  # 0.9 begins, 1.05 ends, and starts to count anew
     assert [levels.update(100 * MS * tick, nearest, 0.0) for tick, nearest in enumerate(places)] == [2] * 11 + [1]
 
 
 def test_without_the_second_level_nothing_is_limited() -> None:
-    levels = Levels(PotentialField(level=1), DRONE)
+    levels = ObstacleLevels(PotentialField(level=1), DRONE)
     assert levels.update(0, 0.1, 1.0) == 1
     assert levels.limited(seen([0.1] * 32), (1.0, 0.0)) == (1.0, 0.0)
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from vcmvsp.agents.avoidance import Decision, DynamicWindow, Gap, PotentialField, Task, Vfh, View
 from vcmvsp.agents.avoidance.settings import Settings
-from vcmvsp.agents.avoidance.steering import Steering
+from vcmvsp.agents.avoidance.steering import AvoidanceSteering
 from vcmvsp.cosim.agent import Body, Observation, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import quaternion_from_yaw
@@ -50,8 +50,8 @@ class AskedMethod:
         return Decision((x, y), w, "avoid")
 
 
-def steering(chosen: Settings | None = None, body: Body = WINGS) -> Steering:
-    made = Steering(chosen or Asked())
+def steering(chosen: Settings | None = None, body: Body = WINGS) -> AvoidanceSteering:
+    made = AvoidanceSteering(chosen or Asked())
     made.start(VehicleInfo(**INFO, body=body, sensors=("scan",)))
     return made
 
@@ -134,13 +134,13 @@ def test_a_second_run_begins_afresh() -> None:
 
 def test_a_vehicle_without_that_scanner_is_refused() -> None:
     with pytest.raises(ValueError, match=r"avoidance\.scanner = 'scan': a has no such sensor \(it carries: gps, lidar\)"):
-        Steering(Asked()).start(VehicleInfo(**INFO, body=WHEELS, sensors=("gps", "lidar")))
-    Steering(Asked(scanner="lidar")).start(VehicleInfo(**INFO, body=WHEELS, sensors=("gps", "lidar")))
+        AvoidanceSteering(Asked()).start(VehicleInfo(**INFO, body=WHEELS, sensors=("gps", "lidar")))
+    AvoidanceSteering(Asked(scanner="lidar")).start(VehicleInfo(**INFO, body=WHEELS, sensors=("gps", "lidar")))
 
 
 def test_a_vehicle_of_unknown_size_is_refused() -> None:
     with pytest.raises(ValueError, match="how much room a takes"):
-        Steering(Asked()).start(VehicleInfo(**INFO))
+        AvoidanceSteering(Asked()).start(VehicleInfo(**INFO))
 
 
 def test_parameters_that_a_method_of_ones_own_refuses_are_the_scenarios() -> None:
@@ -265,7 +265,7 @@ def test_no_scan_whatever_raises(kind: type[Any], values: list[float], first: fl
 def test_level_2_begins_earlier_where_commands_come_late() -> None:
     """0.5 m are kept; at 1 m/s 1.67 m are needed to brake, and 0.4 m go by until a command counts."""
     for latency_s, level in ((0.0, 0), (0.4, 2)):
-        made = Steering(Asked())
+        made = AvoidanceSteering(Asked())
         made.start(VehicleInfo(**{**INFO, "latency_s": latency_s}, body=WINGS, sensors=("scan",)))
         made.steer(obs(scan(ahead(2.3))), GO)
         assert made.level == level

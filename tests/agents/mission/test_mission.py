@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vcmvsp.agents.avoidance import Gap
-from vcmvsp.agents.mission.mission import Mission
+from vcmvsp.agents.mission.mission import SearchMission
 from vcmvsp.agents.reconnaissance.roster import Claim
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.config import registry
@@ -64,7 +64,7 @@ class Flown:
     def __init__(self, name: str = "a", *, search: Any = None, track: Any = None, **more: Any) -> None:
         algorithms = {"search": search or table(1.0)} | ({} if track is None else {"track": track})
         algorithms |= {"formation": FOLLOWS} if "sectors" in more else {}
-        self.agent = Mission(algorithms, acceleration=1e9, yaw_acceleration=1e9, **more)
+        self.agent = SearchMission(algorithms, acceleration=1e9, yaw_acceleration=1e9, **more)
         self.radio, self.name = Radio(name, NAMES), name
         self.notes: list[dict[str, Any]] = []
         self.sent: list[list[Any]] = []
@@ -171,7 +171,7 @@ def test_who_flies_along_finds_the_files_that_its_algorithm_names_in_the_folder_
     (tmp_path / "own.py").write_text(own)
     formation = FOLLOWS | {"estimator": "own.py:Guess"}
     with registry.looking_in(tmp_path):
-        agent = Mission({"search": table(1.0), "formation": formation}, sectors=(("a", "b"), ("c",)))
+        agent = SearchMission({"search": table(1.0), "formation": formation}, sectors=(("a", "b"), ("c",)))
     for name, tasks in (("a", ["search"]), ("b", ["search", "formation"]), ("c", ["search"]), ("b", ["search", "formation"])):
         agent.start(VehicleInfo(name=name, vehicles=NAMES, period_s=0.1, latency_s=0.0, seed=1, body=BODY, sensors=("scan",)))
         assert list(agent._tasks) == tasks
@@ -179,15 +179,15 @@ def test_who_flies_along_finds_the_files_that_its_algorithm_names_in_the_folder_
 
 def test_what_cannot_be_a_mission_is_refused() -> None:
     with pytest.raises(ScenarioError, match="there must be an algorithm for search"):
-        Mission({"track": table(1.0)})
+        SearchMission({"track": table(1.0)})
     with pytest.raises(ScenarioError, match="serach"):
-        Mission({"serach": table(1.0)})
+        SearchMission({"serach": table(1.0)})
     with pytest.raises(ScenarioError, match="formation"):
-        Mission({"search": table(1.0)}, sectors=(("a", "b"),))
+        SearchMission({"search": table(1.0)}, sectors=(("a", "b"),))
     with pytest.raises(ValueError, match="members: unknown vehicle 'd'"):
         Flown(members=("a", "d"))
     with pytest.raises(ScenarioError) as caught:
-        Mission({"search": {"kind": f"{HERE}:Plays", "sped": 1.0}})
+        SearchMission({"search": {"kind": f"{HERE}:Plays", "sped": 1.0}})
     assert caught.value.key == "algorithms.search.sped"
 
 

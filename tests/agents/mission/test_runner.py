@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.agents.mission.runner import Command, Runner
+from vcmvsp.agents.mission.runner import AlgorithmRunner, Command
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Message, Reception, Vec3, VehicleState, Velocity, Waypoint
@@ -64,8 +64,8 @@ def going(*linear: float, turn: float = 0.0) -> Velocity:
     return Velocity(linear=(x, y, z), yaw_rate=turn)
 
 
-def runner_of(*agents: Says, acceleration: float = 1.0, body: Body = WINGS) -> Runner:
-    runner = Runner({agent.name: agent for agent in agents}, acceleration=acceleration, yaw_acceleration=2.0)
+def runner_of(*agents: Says, acceleration: float = 1.0, body: Body = WINGS) -> AlgorithmRunner:
+    runner = AlgorithmRunner({agent.name: agent for agent in agents}, acceleration=acceleration, yaw_acceleration=2.0)
     runner.start(VehicleInfo(name="a", vehicles=("a", "b"), period_s=T, latency_s=0.0, seed=1, body=body))
     return runner
 
@@ -74,7 +74,7 @@ RADIO = Radio("a", ("a", "b"))
 
 
 def ask(
-    runner: Runner,
+    runner: AlgorithmRunner,
     tick: int,
     commander: str,
     *,
@@ -153,7 +153,7 @@ def test_avoidance_gets_around_things_on_the_way_that_the_task_wants_by_then() -
 
 def test_one_agent_may_have_several_names_and_is_asked_once() -> None:
     around = Slower("avoid", going(1.0))
-    runner = Runner({"avoid1": around, "avoid2": around}, acceleration=1.0, yaw_acceleration=1.0)
+    runner = AlgorithmRunner({"avoid1": around, "avoid2": around}, acceleration=1.0, yaw_acceleration=1.0)
     runner.start(VehicleInfo(name="a", vehicles=("a",), period_s=T, latency_s=0.0, seed=1, body=WINGS))
     assert ask(runner, 0, "avoid1") == ask(runner, 1, "avoid2") == going(1.0)
     assert around.calls == ["start", "around None", "around None"]

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.agents.avoidance import PotentialField
-from vcmvsp.agents.mission import Facts, Guard, Runner, State, step
+from vcmvsp.agents.mission import AlgorithmRunner, Guard, MissionFacts, MissionState, step
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Scan, VehicleState, Velocity, Waypoint
@@ -83,7 +83,7 @@ def test_a_blind_vehicle_stands(ranges: Any) -> None:
     guard = guard_of()
     assert limited(guard, seen(ranges), Velocity(linear=(1.0, 0.0, 1.0), yaw_rate=1.0)) == Velocity()
     assert guard.nearest_m == 0.0
-    assert step(State(), Facts(0, nearest_m=guard.nearest_m, second_m=guard.second_m)).name == "avoid2"
+    assert step(MissionState(), MissionFacts(0, nearest_m=guard.nearest_m, second_m=guard.second_m)).name == "avoid2"
 
 
 def test_it_tells_how_near_things_are_and_whether_the_vehicle_closes_on_them() -> None:
@@ -125,10 +125,10 @@ def flown(facts: list[dict[str, Any]], speeds: tuple[float, float, float], *, li
     search, track, avoid = (Rams(speed) for speed in speeds)
     algorithms = {"search": search, "formation": search, "track": track, "avoid1": avoid, "avoid2": avoid}
     looks, guard = Guard(SETTINGS), Guard(SETTINGS) if limits else None
-    runner = Runner(algorithms, acceleration=1.0, yaw_acceleration=1.0, guard=guard)
+    runner = AlgorithmRunner(algorithms, acceleration=1.0, yaw_acceleration=1.0, guard=guard)
     looks.start(info_of())
     runner.start(info_of())
-    x, v, state, nearest, late, radio = 0.0, 0.0, State(), math.inf, 0, Radio("a", ("a",))
+    x, v, state, nearest, late, radio = 0.0, 0.0, MissionState(), math.inf, 0, Radio("a", ("a",))
     for tick in range(200):
         ranges = np.full(64, np.inf)
         ahead = np.cos(math.tau * np.arange(64) / 64)
@@ -136,7 +136,7 @@ def flown(facts: list[dict[str, Any]], speeds: tuple[float, float, float], *, li
         obs = seen(ranges, tick, x, v)
         looks.look(obs)
         runner.look(obs)
-        known = Facts(obs.time_ns, looks.nearest_m, looks.closing, second_m=looks.second_m, **facts[tick % len(facts)])
+        known = MissionFacts(obs.time_ns, looks.nearest_m, looks.closing, second_m=looks.second_m, **facts[tick % len(facts)])
         state = step(state, known)
         late += known.nearest_m < known.second_m and state.name != "avoid2"
         command = runner.act(obs, radio, state.name, task=state.task, why=state.why)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.agents.reconnaissance import Comb, Rectangle
-from vcmvsp.agents.reconnaissance.lane_following import Way
+from vcmvsp.agents.reconnaissance.lane_following import LaneFollower
 from vcmvsp.agents.reconnaissance.sectors import Point
 
 AREA = Rectangle(0.0, 0.0, 40.0, 100.0)  # lanes at x = 5, 15, 25, 35, from y = 4 to 96
@@ -17,11 +17,13 @@ T = 0.1
 TICK_NS = 100_000_000
 
 
-def way(reached: float = 2.0, stuck_s: float = 6.0, speed: float = 4.0) -> Way:
-    return Way(Comb("a", AREA, 8.0, reached=reached), speed=speed, acceleration=2.0, stuck_s=stuck_s)
+def way(reached: float = 2.0, stuck_s: float = 6.0, speed: float = 4.0) -> LaneFollower:
+    return LaneFollower(Comb("a", AREA, 8.0, reached=reached), speed=speed, acceleration=2.0, stuck_s=stuck_s)
 
 
-def flown(along: Way, seconds: float, *, lag_s: float = 0.0, most: float = math.inf, start: Point = (5.0, 0.0)) -> np.ndarray:
+def flown(
+    along: LaneFollower, seconds: float, *, lag_s: float = 0.0, most: float = math.inf, start: Point = (5.0, 0.0)
+) -> np.ndarray:
     """(x, y, speed) at each tick, of a vehicle whose velocity follows with a lag, by no more than so many m/s2."""
     (x, y), (vx, vy), track = start, (0.0, 0.0), []
     for tick in range(round(seconds / T)):
@@ -98,5 +100,5 @@ def test_who_does_something_else_is_not_stuck() -> None:
 
 
 def test_an_area_that_is_all_seen_at_once_is_hovered_over() -> None:
-    track = flown(Way(Comb("a", Rectangle(0.0, 0.0, 6.0, 6.0), 8.0), speed=4.0, acceleration=2.0, stuck_s=6.0), 30.0)
+    track = flown(LaneFollower(Comb("a", Rectangle(0.0, 0.0, 6.0, 6.0), 8.0), speed=4.0, acceleration=2.0, stuck_s=6.0), 30.0)
     assert np.abs(track[50:, :2] - 3.0).max() < 1.5

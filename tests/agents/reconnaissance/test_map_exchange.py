@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.support.agents.area_search import GRID, S, over_the_air
 from tests.support.agents.shared_maps import KINDS, SENSOR, SMALL, TEAM, everything, ledger, look, tell
 from vcmvsp.agents.reconnaissance import exchange, log_odds
-from vcmvsp.agents.reconnaissance.exchange import Consensus, Exchange, Kind
+from vcmvsp.agents.reconnaissance.exchange import Consensus, Kind, MapExchange
 from vcmvsp.agents.reconnaissance.ledger import Ledger
 
 # -- without loss
@@ -20,7 +20,7 @@ from vcmvsp.agents.reconnaissance.ledger import Ledger
 def test_without_loss_a_ledger_is_the_central_map_bit_for_bit(max_bytes: int) -> None:
     rng = np.random.default_rng(1)
     central = ledger("a")
-    minds: dict[str, Exchange] = {name: ledger(name, max_bytes=max_bytes) for name in TEAM}
+    minds: dict[str, MapExchange] = {name: ledger(name, max_bytes=max_bytes) for name in TEAM}
     for tick in range(1, 40):
         for mind in minds.values():
             central.look(*look(mind, rng, tick * S), tick * S)
@@ -46,7 +46,7 @@ def test_what_is_passed_on_reaches_those_who_cannot_hear_it_themselves() -> None
 
 def test_without_loss_delta_adds_up_to_the_same() -> None:
     rng, central = np.random.default_rng(3), ledger("a")
-    minds: dict[str, Exchange] = {name: exchange("delta", SMALL, SENSOR, name, TEAM) for name in TEAM}
+    minds: dict[str, MapExchange] = {name: exchange("delta", SMALL, SENSOR, name, TEAM) for name in TEAM}
     for tick in range(1, 6):
         for mind in minds.values():
             central.look(*look(mind, rng, tick * S), tick * S)
@@ -58,7 +58,7 @@ def test_without_loss_delta_adds_up_to_the_same() -> None:
 
 def test_in_consensus_all_end_up_with_the_nth_part_of_all_evidence() -> None:
     rng, central = np.random.default_rng(4), ledger("a", prior=0.3)
-    minds: dict[str, Exchange] = {name: exchange("consensus", SMALL, SENSOR, name, TEAM, prior=0.3) for name in TEAM}
+    minds: dict[str, MapExchange] = {name: exchange("consensus", SMALL, SENSOR, name, TEAM, prior=0.3) for name in TEAM}
     nothing = np.empty(0, int), np.empty(0, bool)
     for tick in range(1, 12):
         for mind in minds.values():

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
 from vcmvsp.agents.reconnaissance.mosaic import Mosaicking, Sheet
 from vcmvsp.agents.reconnaissance.probability_map import Rectangle
-from vcmvsp.agents.reconnaissance.watch import Frame
+from vcmvsp.agents.reconnaissance.watch import WatchFrame
 from vcmvsp.cosim.types import Array, Image
 
 SECOND = 10**9
@@ -22,9 +22,9 @@ RAMP = np.stack([u * 0.375, v * 0.5, np.full(u.shape, 200.0)], axis=-1).astype(n
 RED = np.full((480, 640, 3), (255, 0, 0), np.uint8)
 
 
-def frame(pixels: Array, time_ns: int, position: tuple[float, float, float], attitude: tuple[float, ...]) -> Frame:
+def frame(pixels: Array, time_ns: int, position: tuple[float, float, float], attitude: tuple[float, ...]) -> WatchFrame:
     nadir = Nadir(position, attitude, 400.0, 640, 480)  # type: ignore[arg-type]
-    return Frame(time_ns, nadir, (), Image(pixels=pixels, time_ns=time_ns, focal_px=400.0), None, True)
+    return WatchFrame(time_ns, nadir, (), Image(pixels=pixels, time_ns=time_ns, focal_px=400.0), None, True)
 
 
 def attitude(yaw: float, tilt: float, about: float) -> tuple[float, ...]:

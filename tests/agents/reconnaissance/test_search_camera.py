@@ -10,7 +10,7 @@ from tests.support.agents.search_agents import GRID, info, see
 from vcmvsp.agents.reconnaissance import lanes
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
 from vcmvsp.agents.reconnaissance.search import Search
-from vcmvsp.agents.reconnaissance.watch import Frame
+from vcmvsp.agents.reconnaissance.watch import WatchFrame
 from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.types import Image, Sighting, Velocity
 
@@ -23,9 +23,9 @@ class Eye:
     """Stands for a `Watch`: shows what the test says."""
 
     def __init__(self) -> None:
-        self.next: Frame | None = None
+        self.next: WatchFrame | None = None
 
-    def look(self, obs: Observation) -> Frame | None:
+    def look(self, obs: Observation) -> WatchFrame | None:
         return self.next
 
 
@@ -43,7 +43,7 @@ class Flight:
         now_ns = self.tick * S // 5
         found = tuple(Sighting(target="x", place=at, centre_px=(1.0, 1.0), angle=0.0, side_px=4.0, score=1.0) for at in places)
         nadir = Nadir((20.0, 20.0, z), (1.0, 0.0, 0.0, 0.0), 40.0, PIXELS[1], PIXELS[0])
-        frame = Frame(now_ns, nadir, found, PICTURE, (0, 0, PIXELS[1], PIXELS[0]), True)
+        frame = WatchFrame(now_ns, nadir, found, PICTURE, (0, 0, PIXELS[1], PIXELS[0]), True)
         self.eye.next = replace(frame, **change) if picture else None
         return self.agent.act(see((20.0, 20.0, z), now_ns), self.radio)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from vcmvsp.agents.reconnaissance import Grid, Rectangle, Sensor, exchange
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
 from vcmvsp.agents.reconnaissance.search_map import SearchMap, of_picture, of_reading, swaths_m
-from vcmvsp.agents.reconnaissance.watch import Frame
+from vcmvsp.agents.reconnaissance.watch import WatchFrame
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Image, Looks, Sighting
 
@@ -90,11 +90,11 @@ def test_a_detector_of_other_cells_is_refused() -> None:
         of_reading(GRID, looks)
 
 
-def frame(x: float, y: float, height: float, *places: tuple[float, float], yaw: float = 0.0, ground: float = 0.0) -> Frame:
+def frame(x: float, y: float, height: float, *places: tuple[float, float], yaw: float = 0.0, ground: float = 0.0) -> WatchFrame:
     """A picture of 64 x 48 pixels at a focal length of 40."""
     nadir = Nadir((x, y, height), quaternion_from_yaw(yaw), 40.0, 64, 48, ground)
     found = tuple(Sighting(target="t", place=at, centre_px=(1.0, 1.0), angle=0.0, side_px=4.0, score=1.0) for at in places)
-    return Frame(0, nadir, found, Image(pixels=np.zeros((48, 64, 3), np.uint8)), (0, 0, 64, 48), True)
+    return WatchFrame(0, nadir, found, Image(pixels=np.zeros((48, 64, 3), np.uint8)), (0, 0, 64, 48), True)
 
 
 def test_a_picture_is_a_look_at_the_cells_that_it_shows() -> None:

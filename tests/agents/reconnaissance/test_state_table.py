@@ -8,37 +8,37 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.agents.reconnaissance.state_table import DWELL_NS, LOST_NS, SPIRAL_NS, Facts, State, step
+from vcmvsp.agents.reconnaissance.state_table import DWELL_NS, LOST_NS, SPIRAL_NS, MissionFacts, MissionState, step
 
 MS, SECOND = 1_000_000, 10**9
 NEAR, NEARER = 1.0, 0.5  # nearer than d1 = 1.2 m, nearer than d2 = 0.9 m
 
 
-def run(state: State, from_s: float, to_s: float, **facts: Any) -> State:
+def run(state: MissionState, from_s: float, to_s: float, **facts: Any) -> MissionState:
     """Ten ticks a second from one instant to another, the latter included, at which the same is known."""
     for tick in range(round(10 * from_s), round(10 * to_s) + 1):
-        state = step(state, Facts(100 * MS * tick, **facts))
+        state = step(state, MissionFacts(100 * MS * tick, **facts))
     return state
 
 
-def at(state: State, when_s: float, **facts: Any) -> State:
+def at(state: MissionState, when_s: float, **facts: Any) -> MissionState:
     return run(state, when_s, when_s, **facts)
 
 
-def searching(to_s: float = 9.9) -> State:
-    return run(State(), 0.0, to_s)
+def searching(to_s: float = 9.9) -> MissionState:
+    return run(MissionState(), 0.0, to_s)
 
 
-def tracking(from_s: float = 5.0, to_s: float = 9.9) -> State:
+def tracking(from_s: float = 5.0, to_s: float = 9.9) -> MissionState:
     """Has the target in sight."""
-    state = at(State(), from_s, recognised=True)
+    state = at(MissionState(), from_s, recognised=True)
     for tick in range(round(10 * from_s) + 1, round(10 * to_s) + 1):
-        state = step(state, Facts(100 * MS * tick, seen_ns=100 * MS * tick))
+        state = step(state, MissionFacts(100 * MS * tick, seen_ns=100 * MS * tick))
     assert state.name == "track"
     return state
 
 
-def avoiding(level: int, before: State, from_s: float = 10.0) -> State:
+def avoiding(level: int, before: MissionState, from_s: float = 10.0) -> MissionState:
     """Has just begun to."""
     state = at(before, from_s, nearest_m=NEAR if level == 1 else NEARER, closing=True, seen_ns=round(from_s * SECOND))
     assert state.name == f"avoid{level}"
@@ -49,8 +49,8 @@ def avoiding(level: int, before: State, from_s: float = 10.0) -> State:
 
 
 def test_it_begins_with_the_search() -> None:
-    assert State().name == searching().name == "search"
-    state = step(State(), Facts(7 * SECOND))
+    assert MissionState().name == searching().name == "search"
+    state = step(MissionState(), MissionFacts(7 * SECOND))
     assert (state.since_ns, state.why, state.switches) == (7 * SECOND, "start", 0)
 
 
@@ -143,7 +143,7 @@ def test_avoidance_goes_before_tracking(nearest: float, closing: bool, name: str
 
 
 @pytest.mark.parametrize("before", [searching(), tracking()])
-def test_level_1_ends_when_nothing_has_been_within_d1_and_20_cm_for_half_a_second(before: State) -> None:
+def test_level_1_ends_when_nothing_has_been_within_d1_and_20_cm_for_half_a_second(before: MissionState) -> None:
     state = avoiding(1, before)
     assert run(state, 10.1, 20.0, nearest_m=1.4, seen_ns=20 * SECOND).name == "avoid1"
     assert run(state, 10.1, 10.5, nearest_m=1.41, seen_ns=10 * SECOND).name == "avoid1"
@@ -156,7 +156,7 @@ def test_level_1_ends_when_nothing_has_been_within_d1_and_20_cm_for_half_a_secon
 
 
 @pytest.mark.parametrize("before", [searching(), tracking()])
-def test_level_2_ends_in_level_1_when_nothing_has_been_within_d2_and_15_cm_for_half_a_second(before: State) -> None:
+def test_level_2_ends_in_level_1_when_nothing_has_been_within_d2_and_15_cm_for_half_a_second(before: MissionState) -> None:
     state = avoiding(2, before)
     assert run(state, 10.1, 20.0, nearest_m=1.05, seen_ns=20 * SECOND).name == "avoid2"
     assert run(state, 10.1, 10.5, nearest_m=1.06, seen_ns=10 * SECOND).name == "avoid2"
@@ -203,7 +203,7 @@ def test_a_spiral_that_is_interrupted_goes_on_afterwards() -> None:
 
 lengths = st.one_of(st.sampled_from([0.0, 0.5, 1.0, 1.1, 1.3, 1.5, math.inf, math.nan, -math.inf]), st.floats(0.0, 3.0))
 known = st.builds(
-    Facts,
+    MissionFacts,
     now_ns=st.one_of(st.integers(0, 3 * SECOND), st.integers(0, 150 * MS)),  # since the last ones
     nearest_m=lengths,
     closing=st.booleans(),
@@ -216,9 +216,9 @@ known = st.builds(
 )
 
 
-def history(sequence: list[Facts]) -> list[tuple[State, Facts]]:
+def history(sequence: list[MissionFacts]) -> list[tuple[MissionState, MissionFacts]]:
     """Each state with the facts that led to it; times one after another."""
-    state, now_ns, seen = State(), 0, list[tuple[State, Facts]]()
+    state, now_ns, seen = MissionState(), 0, list[tuple[MissionState, MissionFacts]]()
     for each in sequence:
         now_ns += each.now_ns
         facts = each._replace(now_ns=now_ns)
@@ -228,17 +228,17 @@ def history(sequence: list[Facts]) -> list[tuple[State, Facts]]:
 
 
 @given(st.lists(known, max_size=60))
-def test_there_is_at_most_one_switch_in_half_a_second_whatever_is_known(sequence: list[Facts]) -> None:
-    states = [State(), *(state for state, _ in history(sequence))]
+def test_there_is_at_most_one_switch_in_half_a_second_whatever_is_known(sequence: list[MissionFacts]) -> None:
+    states = [MissionState(), *(state for state, _ in history(sequence))]
     switched = [after.now_ns for before, after in pairwise(states) if before.name != after.name]
     assert all(later - earlier >= DWELL_NS for earlier, later in pairwise(switched))  # type: ignore[operator]
     assert states[-1].switches == len(switched)
 
 
 @given(st.lists(known, min_size=1, max_size=60))
-def test_level_2_begins_as_soon_as_a_switch_is_allowed(sequence: list[Facts]) -> None:
+def test_level_2_begins_as_soon_as_a_switch_is_allowed(sequence: list[MissionFacts]) -> None:
     """So never more than half a second late; and nothing else begins before it."""
-    before = State()
+    before = MissionState()
     for state, facts in history(sequence):
         near = not facts.nearest_m >= facts.second_m
         allowed = before.switches == 0 or facts.now_ns - before.since_ns >= DWELL_NS
@@ -250,25 +250,27 @@ def test_level_2_begins_as_soon_as_a_switch_is_allowed(sequence: list[Facts]) ->
 
 
 @given(st.lists(known, max_size=60))
-def test_what_is_suspended_returns(sequence: list[Facts]) -> None:
+def test_what_is_suspended_returns(sequence: list[MissionFacts]) -> None:
     """Once nothing is near any more for long enough, the task commands, and all that time the task was one of the tasks."""
     seen = history(sequence)
     assert all(state.task in ("search", "formation", "track") for state, _ in seen)
-    state = seen[-1][0] if seen else State()
+    state = seen[-1][0] if seen else MissionState()
     now_ns = state.now_ns or 0
     for tick in range(1, 25):
-        state = step(state, Facts(now_ns + tick * 100 * MS, seen_ns=now_ns + tick * 100 * MS, shared=state.task == "formation"))
+        state = step(
+            state, MissionFacts(now_ns + tick * 100 * MS, seen_ns=now_ns + tick * 100 * MS, shared=state.task == "formation")
+        )
     assert state.name == state.task
 
 
 @given(st.lists(known, min_size=1, max_size=40), st.integers(0, 10 * SECOND))
-def test_a_clock_that_was_put_back_counts_as_no_time(sequence: list[Facts], back_ns: int) -> None:
+def test_a_clock_that_was_put_back_counts_as_no_time(sequence: list[MissionFacts], back_ns: int) -> None:
     state, facts = history(sequence)[-1]
     assert step(state, facts._replace(now_ns=facts.now_ns - back_ns)) == step(state, facts)
 
 
 @given(st.lists(known, min_size=1, max_size=40))
-def test_the_same_facts_lead_to_the_same_state_which_nobody_can_change(sequence: list[Facts]) -> None:
+def test_the_same_facts_lead_to_the_same_state_which_nobody_can_change(sequence: list[MissionFacts]) -> None:
     assert repr(history(sequence)) == repr(history(sequence))
     state = history(sequence)[-1][0]
     assert isinstance(hash(state), int)
@@ -277,9 +279,9 @@ def test_the_same_facts_lead_to_the_same_state_which_nobody_can_change(sequence:
 
 
 @given(st.lists(known, min_size=1, max_size=60))
-def test_nothing_is_tracked_for_long_that_is_not_seen_whatever_is_near(sequence: list[Facts]) -> None:
+def test_nothing_is_tracked_for_long_that_is_not_seen_whatever_is_near(sequence: list[MissionFacts]) -> None:
     """The spiral counts all of the time from one tick to the next, from the one on at which the target is lost."""
-    before, seen_ns, late_ns = State(), 0, 0
+    before, seen_ns, late_ns = MissionState(), 0, 0
     for state, facts in history(sequence):
         passed_ns = state.now_ns - (before.now_ns or state.now_ns)  # type: ignore[operator]
         if state.task == before.task == "track":

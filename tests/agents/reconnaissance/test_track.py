@@ -10,7 +10,7 @@ import vcmvsp
 from tests.support.agents.aerial_loop import BODY, T, Uav
 from tests.support.agents.fake_cameras import T_NS, Eye, at_rest, keep_over, started
 from vcmvsp.agents.reconnaissance.roster import Roster
-from vcmvsp.agents.reconnaissance.track import CLIMB, Track
+from vcmvsp.agents.reconnaissance.track import CLIMB, TrackTarget
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Message, Reception, Waypoint
@@ -26,7 +26,7 @@ def told(sender: str, tick: int, **body: Any) -> Reception:
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0, -3.0])
 def test_the_offset_shrinks_by_0_92_a_tick_at_any_yaw_once_the_target_is_confirmed(yaw: float) -> None:
-    track = started(Track(), Eye(at_rest(alpha=(3.0, -2.0))))
+    track = started(TrackTarget(), Eye(at_rest(alpha=(3.0, -2.0))))
     was = keep_over(track, Uav((0.0, 0.0, 30.0), yaw), 40)
     assert [each.position for each in was[:3]] == [(0.0, 0.0, 30.0)] * 3  # it hovers until the third picture
     for before, after in pairwise(was[2:]):
@@ -40,7 +40,7 @@ def test_the_offset_shrinks_by_0_92_a_tick_at_any_yaw_once_the_target_is_confirm
 def test_behind_a_target_at_half_a_metre_a_second_it_lags_by_v_over_k_unless_it_knows_the_speed(
     smoothing: float, lag: float, within: float
 ) -> None:
-    track = started(Track(smoothing=smoothing), Eye(lambda time_s: {"alpha": (0.5 * time_s, 1.0)}))
+    track = started(TrackTarget(smoothing=smoothing), Eye(lambda time_s: {"alpha": (0.5 * time_s, 1.0)}))
     was = keep_over(track, Uav((0.0, 0.0, 30.0), 1.0), 300)
     for tick in range(200, 300):
         assert 0.5 * tick * T - was[tick].position[0] == pytest.approx(lag, abs=within)
@@ -48,12 +48,12 @@ def test_behind_a_target_at_half_a_metre_a_second_it_lags_by_v_over_k_unless_it_
 
 
 def test_with_pictures_now_and_then_it_gets_there_as_well() -> None:
-    was = keep_over(started(Track(), Eye(at_rest(alpha=(3.0, -2.0)), every=5)), Uav((0.0, 0.0, 30.0)), 120)
+    was = keep_over(started(TrackTarget(), Eye(at_rest(alpha=(3.0, -2.0)), every=5)), Uav((0.0, 0.0, 30.0)), 120)
     assert was[-1].position == pytest.approx((3.0, -2.0, 30.0), abs=1e-3)
 
 
 def test_it_climbs_to_its_height_no_faster_than_allowed() -> None:
-    was = keep_over(started(Track(height=20.0), Eye(at_rest(alpha=(0.0, 0.0)))), Uav((0.0, 0.0, 30.0)), 300)
+    was = keep_over(started(TrackTarget(height=20.0), Eye(at_rest(alpha=(0.0, 0.0)))), Uav((0.0, 0.0, 30.0)), 300)
     heights = [each.position[2] for each in was]
     assert max(abs(b - a) for a, b in pairwise(heights)) <= CLIMB * T + 1e-9
     assert heights[-1] == pytest.approx(20.0, abs=1e-3)
@@ -61,7 +61,7 @@ def test_it_climbs_to_its_height_no_faster_than_allowed() -> None:
 
 def test_a_gain_that_cannot_settle_is_refused_at_the_start_by_its_key() -> None:
     for params, latency in (({"gain": 21.0}, 0.0), ({}, 2.0)):
-        track = Track(**params)  # type: ignore[arg-type]
+        track = TrackTarget(**params)  # type: ignore[arg-type]
         track.watch = Eye(at_rest())  # type: ignore[assignment]
         with pytest.raises(ValueError, match=r"gain = .*must lie between 0 and"):
             track.start(VehicleInfo(name="me", vehicles=("me",), period_s=T, latency_s=latency, seed=1, body=BODY))
@@ -71,7 +71,7 @@ def test_a_gain_that_cannot_settle_is_refused_at_the_start_by_its_key() -> None:
 
 
 def test_what_is_confirmed_is_told_and_noted_once() -> None:
-    track = started(Track(), Eye(at_rest(alpha=(3.0, -2.0))), alone=False)
+    track = started(TrackTarget(), Eye(at_rest(alpha=(3.0, -2.0))), alone=False)
     uav, notes = Uav((0.0, 0.0, 30.0)), []
     facts = []
     for tick in range(10):
@@ -85,7 +85,7 @@ def test_what_is_confirmed_is_told_and_noted_once() -> None:
 
 
 def test_of_two_the_nearest_is_found_first_and_the_other_at_the_next_picture() -> None:
-    track = started(Track(), Eye(at_rest(alpha=(5.0, 0.0), bravo=(0.0, 4.0))), alone=False)
+    track = started(TrackTarget(), Eye(at_rest(alpha=(5.0, 0.0), bravo=(0.0, 4.0))), alone=False)
     uav, found = Uav((0.0, 0.0, 30.0)), []
     for tick in range(5):
         track.facts(uav.see(tick * T_NS))
@@ -103,7 +103,7 @@ def test_of_two_the_nearest_is_found_first_and_the_other_at_the_next_picture() -
     ],
 )
 def test_a_target_that_another_tracks_is_not_recognised(name: str, place: tuple[float, float], theirs: bool) -> None:
-    track = started(Track(), Eye(at_rest(alpha=(3.0, -2.0))), alone=False)
+    track = started(TrackTarget(), Eye(at_rest(alpha=(3.0, -2.0))), alone=False)
     assert track.roster is not None
     uav, facts = Uav((0.0, 0.0, 30.0)), []
     notes: list[str] = []
@@ -116,7 +116,7 @@ def test_a_target_that_another_tracks_is_not_recognised(name: str, place: tuple[
 
 
 def test_who_began_later_gives_way_and_leaves_the_place_alone_for_a_while() -> None:
-    track = started(Track(), Eye(at_rest(alpha=(3.0, -2.0))), alone=False)
+    track = started(TrackTarget(), Eye(at_rest(alpha=(3.0, -2.0))), alone=False)
     assert track.roster is not None
     uav, targets = Uav((0.0, 0.0, 30.0)), []
     for tick in range(1, 21):
@@ -138,7 +138,7 @@ def test_who_began_later_gives_way_and_leaves_the_place_alone_for_a_while() -> N
 
 
 def test_alone_it_searches_where_it_lost_the_target_and_then_gives_the_place_up() -> None:
-    track = started(Track(), Eye(lambda time_s: {"alpha": (1.0, 0.0)} if time_s < 2.0 else {}))
+    track = started(TrackTarget(), Eye(lambda time_s: {"alpha": (1.0, 0.0)} if time_s < 2.0 else {}))
     was = keep_over(track, Uav((0.0, 0.0, 30.0)), 200)
     lost = 1.9 + 3.0 + 10.0
     away = [math.dist(each.position[:2], (1.0, 0.0)) for each in was]
@@ -153,7 +153,7 @@ def test_alone_it_searches_where_it_lost_the_target_and_then_gives_the_place_up(
 @pytest.mark.parametrize("params", [{"lost_s": 60.0}, {"spiral_s": 1.0}, {"lost_s": 0.5, "spiral_s": 60.0}])
 def test_in_a_mission_it_is_lost_and_searched_for_as_long_as_the_mission_says(params: dict[str, float]) -> None:
     """Else the place would not be given up when the mission ends the search, and begun with again at once, for ever."""
-    track = started(Track(**params), Eye(at_rest(alpha=(1.0, 0.0))), alone=False)  # type: ignore[arg-type]
+    track = started(TrackTarget(**params), Eye(at_rest(alpha=(1.0, 0.0))), alone=False)  # type: ignore[arg-type]
     uav, radio = Uav((0.0, 0.0, 30.0)), Radio("me", ("me", "other"))
     track.facts(uav.see(0))
     track.begin(uav.see(0), (1.0, 0.0))
@@ -173,7 +173,7 @@ def test_in_a_mission_it_is_lost_and_searched_for_as_long_as_the_mission_says(pa
 
 
 def test_it_may_be_started_again_and_knows_nothing_of_what_was_before() -> None:
-    track, ways = Track(), []
+    track, ways = TrackTarget(), []
     for _ in range(2):
         track.watch = Eye(lambda time_s: {"alpha": (3.0, -2.0)} if time_s < 2.0 else {})  # type: ignore[assignment]
         track.start(VehicleInfo(name="me", vehicles=("me", "other"), period_s=T, latency_s=0.0, seed=1, body=BODY))
@@ -184,7 +184,7 @@ def test_it_may_be_started_again_and_knows_nothing_of_what_was_before() -> None:
 
 
 def test_it_tells_others_what_it_tracks() -> None:
-    track, radio = started(Track(), Eye(at_rest(alpha=(3.0, -2.0)))), Radio("me", ("me", "other"))
+    track, radio = started(TrackTarget(), Eye(at_rest(alpha=(3.0, -2.0)))), Radio("me", ("me", "other"))
     uav = Uav((0.0, 0.0, 30.0))
     other = Roster("other", ("me", "other"))
     for tick in range(5):
@@ -202,7 +202,7 @@ def test_it_tells_others_what_it_tracks() -> None:
 
 
 def test_nobody_loses_a_target_on_the_way_to_where_it_is_said_to_be() -> None:
-    track = started(Track(), Eye(at_rest()), alone=False)
+    track = started(TrackTarget(), Eye(at_rest()), alone=False)
     uav, radio = Uav((0.0, 0.0, 30.0)), Radio("me", ("me", "other"))
     track.facts(uav.see(0))
     track.begin(uav.see(0), (60.0, 0.0))
@@ -222,7 +222,7 @@ def test_nobody_loses_a_target_on_the_way_to_where_it_is_said_to_be() -> None:
 
 
 def test_nor_does_it_try_to_get_there_for_ever() -> None:
-    track = started(Track(max_speed=4.0), Eye(at_rest()), alone=False)
+    track = started(TrackTarget(max_speed=4.0), Eye(at_rest()), alone=False)
     uav = Uav((0.0, 0.0, 30.0))
     track.facts(uav.see(0))
     track.begin(uav.see(0), (60.0, 0.0))
@@ -231,7 +231,7 @@ def test_nor_does_it_try_to_get_there_for_ever() -> None:
 
 
 def test_it_learns_which_one_it_is_when_it_sees_it() -> None:
-    track = started(Track(), Eye(at_rest(bravo=(0.5, 30.0))), alone=False)
+    track = started(TrackTarget(), Eye(at_rest(bravo=(0.5, 30.0))), alone=False)
     uav, radio, targets = Uav((0.0, 0.0, 30.0)), Radio("me", ("me", "other")), []
     track.facts(uav.see(0))
     track.begin(uav.see(0), (0.0, 30.0))
@@ -251,7 +251,7 @@ def test_it_learns_which_one_it_is_when_it_sees_it() -> None:
 
 
 def test_alone_it_hovers_where_it_began() -> None:
-    track, uav = started(Track(height=25.0), Eye(at_rest())), Uav((1.0, 2.0, 30.0))
+    track, uav = started(TrackTarget(height=25.0), Eye(at_rest())), Uav((1.0, 2.0, 30.0))
     assert track.act(uav.see(0), Radio("me", ("me", "other"))) == Waypoint(position=(1.0, 2.0, 25.0))
 
 

@@ -6,14 +6,14 @@ from tests.support.agents.aerial_loop import Uav
 from tests.support.agents.fake_cameras import T_NS, Eye, at_rest, keep_over, started
 from vcmvsp.agents.reconnaissance.mosaic import Mosaicking
 from vcmvsp.agents.reconnaissance.probability_map import Rectangle
-from vcmvsp.agents.reconnaissance.track import Track
+from vcmvsp.agents.reconnaissance.track import TrackTarget
 from vcmvsp.cosim.agent import Radio
 from vcmvsp.cosim.types import Mosaic, Sightings, Velocity
 
 
 def test_while_it_sees_its_target_it_looks_around_it_and_at_all_of_the_picture_every_second() -> None:
     eye = Eye(lambda time_s: {"alpha": (1.0, 0.0)} if time_s < 4.0 else {})
-    keep_over(started(Track(), eye), Uav((0.0, 0.0, 30.0)), 80)
+    keep_over(started(TrackTarget(), eye), Uav((0.0, 0.0, 30.0)), 80)
     assert eye.regions[:3] == [None] * 3
     tracked = eye.regions[3:40]
     assert 3 <= tracked.count(None) <= 4
@@ -23,7 +23,7 @@ def test_while_it_sees_its_target_it_looks_around_it_and_at_all_of_the_picture_e
 
 def test_others_are_found_while_it_tracks_one() -> None:
     track = started(
-        Track(), Eye(lambda time_s: {"alpha": (1.0, 0.0), "bravo": (9.0, 3.0)} if time_s > 2.0 else {"alpha": (1.0, 0.0)})
+        TrackTarget(), Eye(lambda time_s: {"alpha": (1.0, 0.0), "bravo": (9.0, 3.0)} if time_s > 2.0 else {"alpha": (1.0, 0.0)})
     )
     uav, radio, found = Uav((0.0, 0.0, 30.0)), Radio("me", ("me", "other")), {}
     for tick in range(80):
@@ -37,7 +37,7 @@ def test_others_are_found_while_it_tracks_one() -> None:
 
 
 def test_standing_by_it_goes_on_seeing() -> None:
-    track = started(Track(), Eye(lambda time_s: {"alpha": (0.5 * time_s, 0.0)}), alone=False)
+    track = started(TrackTarget(), Eye(lambda time_s: {"alpha": (0.5 * time_s, 0.0)}), alone=False)
     uav, radio = Uav((0.0, 0.0, 30.0)), Radio("me", ("me", "other"))
     for tick in range(60):
         obs = uav.see(tick * T_NS)
@@ -50,7 +50,7 @@ def test_standing_by_it_goes_on_seeing() -> None:
 
 
 def test_every_picture_with_a_target_is_shown_and_its_pixels_once_a_second() -> None:
-    track = started(Track(), Eye(lambda time_s: {"alpha": (1.0, 0.0)} if 7.0 <= time_s < 9.0 else {}), alone=False)
+    track = started(TrackTarget(), Eye(lambda time_s: {"alpha": (1.0, 0.0)} if 7.0 <= time_s < 9.0 else {}), alone=False)
     uav, shown = Uav((0.0, 0.0, 30.0)), {}
     for tick in range(150):
         track.facts(uav.see(tick * T_NS))
@@ -64,7 +64,7 @@ def test_every_picture_with_a_target_is_shown_and_its_pixels_once_a_second() -> 
 
 def test_the_mosaic_is_shown_as_often_as_asked() -> None:
     mosaic = Mosaicking(area=Rectangle(-20.0, -20.0, 20.0, 20.0), cell_m=0.5, every_s=5.0)
-    track = started(Track(mosaic=mosaic), Eye(at_rest()), alone=False)
+    track = started(TrackTarget(mosaic=mosaic), Eye(at_rest()), alone=False)
     uav, shown = Uav((0.0, 0.0, 30.0)), []
     for tick in range(120):
         track.facts(uav.see(tick * T_NS))

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from tests.support.agents.aerial_loop import BODY, T
 from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, nadir_of
 from vcmvsp.agents.reconnaissance.poses import Poses
-from vcmvsp.agents.reconnaissance.recognition.ground import FOCAL_PX, Frame, frame, glyph, tilted
-from vcmvsp.agents.reconnaissance.watch import Around, Wanted, Watch, Watching
+from vcmvsp.agents.reconnaissance.recognition.ground import FOCAL_PX, SyntheticFrame, frame, glyph, tilted
+from vcmvsp.agents.reconnaissance.watch import GroundDisc, Wanted, Watch, Watching
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import ScenarioError
@@ -50,7 +50,7 @@ def seen(tick: int, position: Vec3, attitude: Quaternion = (1.0, 0.0, 0.0, 0.0),
     return Observation(vehicle="me", time_ns=tick * T_NS, state=state, readings=readings, heard=())
 
 
-def taken(made: Frame, time_ns: int) -> Image:
+def taken(made: SyntheticFrame, time_ns: int) -> Image:
     return Image(pixels=made.image, time_ns=time_ns, focal_px=FOCAL_PX)
 
 
@@ -195,14 +195,14 @@ def test_only_the_part_of_the_ground_is_looked_at_that_it_is_told(watch: Watch) 
     assert shown.whole
     x, y = shown.nadir.ground_point((300.0, 200.0)) or (math.nan, math.nan)
     for tick, (aside, found) in enumerate([(0.0, 1), (1.9, 1), (2.2, 0)], start=1):
-        watch.region = Around((x + aside, y), 2.0)
+        watch.region = GroundDisc((x + aside, y), 2.0)
         part = watch.look(seen(tick, (0.0, 0.0, 20.0), camera=taken(made, tick * T_NS)))
         assert part is not None
         assert (len(part.sightings), part.whole) == (found, False)
         corners = np.array(part.footprint)
         assert corners.min(axis=0) == pytest.approx((x + aside - 2.0, y - 2.0), abs=0.1)  # a pixel or two
         assert corners.max(axis=0) == pytest.approx((x + aside + 2.0, y + 2.0), abs=0.1)
-    watch.region = Around((x + 90.0, y), 2.0)
+    watch.region = GroundDisc((x + 90.0, y), 2.0)
     part = watch.look(seen(4, (0.0, 0.0, 20.0), camera=taken(made, 4 * T_NS)))
     assert part is not None
     assert (part.sightings, part.looked, part.footprint) == ((), None, None)

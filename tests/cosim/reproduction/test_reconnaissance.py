@@ -8,11 +8,11 @@ import pytest
 
 from tests.support.cosim.figures import drawn
 from vcmvsp.cosim.reproduction.figures.search import reconnaissance
-from vcmvsp.cosim.reproduction.figures.search.reconnaissance import Scouted, rows_of
+from vcmvsp.cosim.reproduction.figures.search.reconnaissance import MissionRun, rows_of
 
 TIME_S = np.arange(0.0, 100.0, 0.5)
 ALPHA, BRAVO = np.array([10.0, 20.0]), np.array([-30.0, 5.0])
-GOOD = Scouted(
+GOOD = MissionRun(
     TIME_S,
     np.stack([np.tile(ALPHA + 0.2, (200, 1)), np.tile(BRAVO, (200, 1))], axis=1),
     {"alpha": 40.0, "bravo": 60.0},
@@ -25,7 +25,7 @@ GOOD = Scouted(
 )
 
 
-def missed(seen: Scouted) -> list[str]:
+def missed(seen: MissionRun) -> list[str]:
     away = {name: np.hypot(*np.moveaxis(seen.place - at, -1, 0)) for name, at in (("alpha", ALPHA), ("bravo", BRAVO))}
     return [row.case for row in rows_of("town", seen, 50.0, away) if not row.ok]
 

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from vcmvsp.agents.reconnaissance import Comb, Exchange, Grid, Rectangle, Sensor, decisions, exchange
+from vcmvsp.agents.reconnaissance import Comb, Grid, MapExchange, Rectangle, Sensor, decisions, exchange
 from vcmvsp.agents.reconnaissance.exchange import Kind
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array
@@ -69,7 +69,7 @@ class Search:
     scaled: bool = False
     relay: bool = True
     names: list[str] = field(init=False)
-    minds: dict[str, Exchange] = field(init=False)
+    minds: dict[str, MapExchange] = field(init=False)
     sent_bytes: int = 0
 
     def __post_init__(self) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 from tests.support.agents.aerial_loop import BODY, T, Uav
 from vcmvsp.agents.reconnaissance.ground_point import nadir_of
 from vcmvsp.agents.reconnaissance.roster import Roster
-from vcmvsp.agents.reconnaissance.track import Track
-from vcmvsp.agents.reconnaissance.watch import Around, Frame, Watching
+from vcmvsp.agents.reconnaissance.track import TrackTarget
+from vcmvsp.agents.reconnaissance.watch import GroundDisc, WatchFrame, Watching
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
 from vcmvsp.cosim.types import Image, Sighting, Waypoint
 
@@ -28,20 +28,20 @@ def at_rest(**places: tuple[float, float]) -> Targets:
 class Eye:
     """In place of a `Watch`: a picture every so many ticks; all targets that are in it are recognised."""
 
-    region: Around | None = None
+    region: GroundDisc | None = None
 
     def __init__(self, targets: Targets, names: tuple[str, ...] = ("alpha", "bravo"), every: int = 1) -> None:
         self.targets, self.names, self._every_ns = targets, names, every * T_NS
         self.settings = Watching(targets=(), camera="eye")
-        self.regions: list[Around | None] = []
-        self._last: tuple[int, Frame | None] = -1, None
+        self.regions: list[GroundDisc | None] = []
+        self._last: tuple[int, WatchFrame | None] = -1, None
 
-    def look(self, obs: Observation) -> Frame | None:
+    def look(self, obs: Observation) -> WatchFrame | None:
         if obs.time_ns != self._last[0]:
             self._last = obs.time_ns, self._frame(obs) if obs.time_ns % self._every_ns == 0 else None
         return self._last[1]
 
-    def _frame(self, obs: Observation) -> Frame:
+    def _frame(self, obs: Observation) -> WatchFrame:
         self.regions.append(self.region)
         image = Image(pixels=BLACK.pixels, time_ns=obs.time_ns, focal_px=BLACK.focal_px)
         nadir = nadir_of(image, obs.state)
@@ -55,10 +55,10 @@ class Eye:
             seen = nadir.ground_point(pixel)
             assert seen is not None
             found.append(Sighting(target=name, place=seen, centre_px=pixel, angle=0.0, side_px=20.0, score=0.9))
-        return Frame(obs.time_ns, nadir, tuple(found), image, (0, 0, 640, 480), self.region is None)
+        return WatchFrame(obs.time_ns, nadir, tuple(found), image, (0, 0, 640, 480), self.region is None)
 
 
-def started(track: Track, eye: Eye, members: tuple[str, ...] = ("me", "other"), *, alone: bool = True) -> Track:
+def started(track: TrackTarget, eye: Eye, members: tuple[str, ...] = ("me", "other"), *, alone: bool = True) -> TrackTarget:
     """The agent with that eye, told that it is ``me``."""
     track.watch = eye  # type: ignore[assignment]
     track.roster = None if alone else Roster("me", members)
@@ -66,7 +66,7 @@ def started(track: Track, eye: Eye, members: tuple[str, ...] = ("me", "other"), 
     return track
 
 
-def keep_over(track: Track, uav: Uav, ticks: int, *, from_tick: int = 0) -> list[Uav]:
+def keep_over(track: TrackTarget, uav: Uav, ticks: int, *, from_tick: int = 0) -> list[Uav]:
     """Where the vehicle was at every tick; one that is to hover stands still."""
     radio, was = Radio("me", ("me", "other")), []
     for tick in range(from_tick, from_tick + ticks):

@@ -10,7 +10,7 @@ import numpy as np
 from vcmvsp.agents.avoidance import view_of
 from vcmvsp.agents.avoidance.method import Decision, Method, Task
 from vcmvsp.agents.avoidance.settings import Settings
-from vcmvsp.agents.avoidance.steering import Steering
+from vcmvsp.agents.avoidance.steering import AvoidanceSteering
 from vcmvsp.agents.avoidance.view import View
 from vcmvsp.cosim.agent import Body, Observation, VehicleInfo
 from vcmvsp.cosim.frames import arc, quaternion_from_yaw, rotate2, wrap
@@ -143,9 +143,9 @@ def drive(
 WHEELS, WINGS = Body(width_m=0.33, radius_m=0.18), Body(width_m=0.5, radius_m=0.25, flies=True)
 
 
-def steering(settings: Settings, body: Body = WHEELS) -> Steering:
+def steering(settings: Settings, body: Body = WHEELS) -> AvoidanceSteering:
     """Of one vehicle, before its first tick."""
-    made = Steering(settings)
+    made = AvoidanceSteering(settings)
     made.start(VehicleInfo(name="a", vehicles=("a",), period_s=PERIOD_S, latency_s=0.0, seed=1, body=body, sensors=("scan",)))
     return made
 

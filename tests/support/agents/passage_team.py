@@ -11,7 +11,7 @@ from tests.support.agents.agent_loop import observe
 from tests.support.agents.formation_member import TICK_NS, says
 from vcmvsp.agents.formation import Trajectory
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
-from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.reports.received import ReportReceiver
 from vcmvsp.agents.formation.team.formation import Formation, Passage
 from vcmvsp.agents.formation.team.passage import Lookout
 from vcmvsp.agents.formation.team.team import Team
@@ -53,14 +53,14 @@ def sees(reading: Any, tick: int = 0, *heard: Reception) -> Observation:
 
 
 def free(
-    reading: Any, *, ahead_m: float = 2.0, heard: Listening | None = None, tick: int = 0, of: Lookout | None = None
+    reading: Any, *, ahead_m: float = 2.0, heard: ReportReceiver | None = None, tick: int = 0, of: Lookout | None = None
 ) -> bool:
-    return (of or lookout()).is_free(sees(reading, tick), heard or Listening((), 0.0), DeadReckoning(), ahead_m)
+    return (of or lookout()).is_free(sees(reading, tick), heard or ReportReceiver((), 0.0), DeadReckoning(), ahead_m)
 
 
-def heard_of(*receptions: Reception) -> Listening:
+def heard_of(*receptions: Reception) -> ReportReceiver:
     """What the leader, at the origin, has heard."""
-    listening = Listening(CARS, 0.0)
+    listening = ReportReceiver(CARS, 0.0)
     listening.take(sees(None, 1000, *receptions))
     return listening
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.support.agents.area_search import over_the_air
 from vcmvsp.agents.reconnaissance import Grid, Rectangle, Sensor, exchange
-from vcmvsp.agents.reconnaissance.exchange import Exchange, Kind
+from vcmvsp.agents.reconnaissance.exchange import Kind, MapExchange
 from vcmvsp.agents.reconnaissance.ledger import Ledger
 from vcmvsp.cosim.types import Array
 
@@ -22,7 +22,7 @@ def ledger(me: str, grid: Grid = SMALL, **more: Any) -> Ledger:
     return mind
 
 
-def look(mind: Exchange, rng: np.random.Generator, now_ns: int, grid: Grid = SMALL) -> tuple[Array, Array]:
+def look(mind: MapExchange, rng: np.random.Generator, now_ns: int, grid: Grid = SMALL) -> tuple[Array, Array]:
     """A random look at a part of the grid."""
     (width, height), spot = (grid.columns, grid.rows), rng.random(2)
     cells = grid.within(spot[0] * width, spot[1] * height, 3.0)
@@ -31,7 +31,7 @@ def look(mind: Exchange, rng: np.random.Generator, now_ns: int, grid: Grid = SMA
     return cells, hits
 
 
-def tell(teller: Exchange, hearers: dict[str, Exchange], me: str, now_ns: int, most: int = 100) -> None:
+def tell(teller: MapExchange, hearers: dict[str, MapExchange], me: str, now_ns: int, most: int = 100) -> None:
     for body in teller.messages(now_ns, most):
         for mind in hearers.values():
             assert mind.take(me, over_the_air(body), now_ns)

@@ -46,7 +46,7 @@ def wall_box(
     return {"center": center, "size": (thick, high - low, height), "yaw_rad": tilt}
 
 
-class Door(NamedTuple):
+class WallDoor(NamedTuple):
     """A door in a wall that crosses the x axis ``distance`` ahead, turned by ``tilt``."""
 
     distance: float  # m
@@ -98,11 +98,11 @@ class Gauge(Agent):
         """Gauge a door, and on to the next place."""
         here, self._tick = min(self._tick, len(self.doors) - 1), self._tick + 1
         there = self.places[min(self._tick, len(self.places) - 1)]
-        target = (*there, LOW_M + self._width(obs, radio, Door(*self.doors[here])))
+        target = (*there, LOW_M + self._width(obs, radio, WallDoor(*self.doors[here])))
         x, y, z = ((to - at) / self._info.period_s for to, at in zip(target, obs.state.position, strict=True))
         return Velocity(linear=(x, y, z))
 
-    def _width(self, obs: Observation, radio: Radio, door: Door) -> float:
+    def _width(self, obs: Observation, radio: Radio, door: WallDoor) -> float:
         """The largest width that may be needed for the door to be taken, m."""
         accepted_m, refused_m = 0.0, 4.0
         for _ in range(STEPS):
@@ -113,7 +113,7 @@ class Gauge(Agent):
                 refused_m = needed
         return accepted_m
 
-    def _takes(self, obs: Observation, radio: Radio, door: Door, needed: float) -> bool:
+    def _takes(self, obs: Observation, radio: Radio, door: WallDoor, needed: float) -> bool:
         """Whether a vehicle that needs so much goes through the door.
 
         It is sent beside the middle, so that no lane there is free, but not far: a gap is cut a quarter turn from where a
@@ -137,15 +137,15 @@ class Gauge(Agent):
         return bool(x or y) and right < math.atan2(y, x) < left
 
 
-class Gauged(NamedTuple):
+class GaugeReading(NamedTuple):
     """Doors, and how wide they looked."""
 
-    doors: tuple[Door, ...]
+    doors: tuple[WallDoor, ...]
     width: Array  # (n,) m
 
 
 def gauge(
-    walls: Mapping[tuple[float, float], Sequence[Door]], looks: Sequence[tuple[tuple[float, float], Door]], far: float
+    walls: Mapping[tuple[float, float], Sequence[WallDoor]], looks: Sequence[tuple[tuple[float, float], WallDoor]], far: float
 ) -> Job:
     """A run in which doors are gauged.
 
@@ -183,18 +183,18 @@ def gauge(
     return Job(scenario, partial(gauged, doors=doors))
 
 
-def gauged(result: Result, doors: tuple[Door, ...]) -> Gauged:
+def gauged(result: Result, doors: tuple[WallDoor, ...]) -> GaugeReading:
     """What a run of `gauge` has found."""
     height = motion(result.states).position[2][:, 0]
-    return Gauged(doors, height[1 : len(doors) + 1] - LOW_M)
+    return GaugeReading(doors, height[1 : len(doors) + 1] - LOW_M)
 
 
 def random_doors() -> list[Job]:
     """Each in a wall of its own; those are left out of which a jamb is hardly in sight: they are one with the free side."""
-    draws, doors = np.random.Generator(np.random.PCG64(0)), list[Door]()
+    draws, doors = np.random.Generator(np.random.PCG64(0)), list[WallDoor]()
     while len(doors) < DOORS:
         distance, width, tilt, middle = draws.uniform((0.5, 0.4, -0.3, -0.4), (1.7, 1.6, 0.3, 0.4)).tolist()
-        door = Door(distance, tilt, middle, width)
+        door = WallDoor(distance, tilt, middle, width)
         if max(math.hypot(*door.at(side)) for side in (-1.0, 1.0)) < SIGHT_M - 0.02:
             doors.append(door)
     jobs = []
@@ -214,9 +214,9 @@ def four_doors() -> Job:
     for distance in draws.uniform(*RANGE_M, DISTANCES).tolist():
         which = int(draws.integers(len(orders)))
         place = (-distance, APART_M * which)
-        looks += [(place, Door(distance, 0.0, float(middles[which, k]), orders[which][k])) for k in range(4)]
+        looks += [(place, WallDoor(distance, 0.0, float(middles[which, k]), orders[which][k])) for k in range(4)]
     walls = {
-        (0.0, APART_M * which): [Door(0.0, 0.0, float(middles[which, k]), each[k]) for k in range(4)]
+        (0.0, APART_M * which): [WallDoor(0.0, 0.0, float(middles[which, k]), each[k]) for k in range(4)]
         for which, each in enumerate(orders)
     }
     return gauge(walls, looks, FAR_M)

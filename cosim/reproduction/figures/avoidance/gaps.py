@@ -20,7 +20,7 @@ from vcmvsp.cosim.reproduction.figures.avoidance.gap_gauge import (
     NEEDED_M,
     STEP_M,
     TOP,
-    Gauged,
+    GaugeReading,
     four_doors,
     random_doors,
     wall_box,
@@ -43,7 +43,7 @@ BEHIND, ROUND = ((-1.5, 1.0), (-1.5, -1.0)), (4.9, 0.4)  # leaders behind the ro
 TURNED_DEG = 60.0  # a way to the border; doors are within 45
 
 
-class Passed(NamedTuple):
+class GapRun(NamedTuple):
     """What is kept of a run of `team`."""
 
     place: Array  # (m, 2) m, of the follower
@@ -97,13 +97,13 @@ def team(doors: Sequence[tuple[float, float]], leader: tuple[float, float], slot
     }
 
 
-def passed(result: Result) -> Passed:
+def passed(result: Result) -> GapRun:
     """What is kept of a run."""
     movement = motion(result.states)
     x, y = (movement.position[axis] for axis in (0, 1))
     lead, own = movement.column("leader"), movement.column("follower")
     place, at = np.column_stack([x[:, own], y[:, own]]), np.array([x[0, lead], y[0, lead]])
-    return Passed(place, at, float(result.metrics["safety"]["min_clearance_m"]))
+    return GapRun(place, at, float(result.metrics["safety"]["min_clearance_m"]))
 
 
 def fig_41(runner: Runner) -> Figure:
@@ -118,7 +118,7 @@ def fig_41(runner: Runner) -> Figure:
         },
     }
     answers = runner([*(Job(team(*case), passed) for case in cases.values()), four_doors(), *random_doors()])
-    passages: dict[str, Passed] = dict(zip(cases, answers[: len(cases)], strict=True))
+    passages: dict[str, GapRun] = dict(zip(cases, answers[: len(cases)], strict=True))
     four, parts = answers[len(cases)], answers[len(cases) + 1 :]
     rows: list[Row] = []
     for number, (case, each) in enumerate(passages.items()):
@@ -135,7 +135,7 @@ def fig_41(runner: Runner) -> Figure:
     )
 
 
-def _widths(four: Gauged, parts: Sequence[Gauged]) -> list[Row]:
+def _widths(four: GaugeReading, parts: Sequence[GaugeReading]) -> list[Row]:
     """How wide doors look."""
     true = np.array([door.width for door in four.doors])
     off = np.concatenate([_off(each) for each in parts])
@@ -148,12 +148,12 @@ def _widths(four: Gauged, parts: Sequence[Gauged]) -> list[Row]:
     ]
 
 
-def _off(each: Gauged) -> Array:
+def _off(each: GaugeReading) -> Array:
     """How much wider doors look than they are, (n,) m."""
     return np.asarray(each.width - [door.width for door in each.doors])
 
 
-def _panels(passages: Mapping[str, Passed], four: Gauged, parts: Sequence[Gauged]) -> list[Panel]:
+def _panels(passages: Mapping[str, GapRun], four: GaugeReading, parts: Sequence[GaugeReading]) -> list[Panel]:
     ways = list(passages.items())
     distance = np.array([door.distance for door in four.doors])
     narrow = np.array([door.width < NEEDED_M for door in four.doors])
@@ -172,7 +172,7 @@ def _panels(passages: Mapping[str, Passed], four: Gauged, parts: Sequence[Gauged
     ]
 
 
-def _map(title: str, doors: Sequence[tuple[float, float]], ways: Sequence[tuple[str, Passed]]) -> Panel:
+def _map(title: str, doors: Sequence[tuple[float, float]], ways: Sequence[tuple[str, GapRun]]) -> Panel:
     """The wall, tracks, and in the same colours where their leaders stand."""
     curves = [Curve(np.array([WALL_M, WALL_M]), np.array(end), "wall") for end in wall_pieces(doors, END_M)]
     for color, (_, each) in enumerate(ways, 1):

@@ -31,7 +31,7 @@ SMALL_M = 0.1  # legs, and backs of chairs: below or above something larger
 
 
 @dataclass(frozen=True)
-class Toured:
+class LaboratoryRun:
     """What is kept of a run."""
 
     time_s: Array  # (m,)
@@ -49,7 +49,7 @@ class Toured:
         return np.asarray(np.hypot(*np.moveaxis(self.place[:, i] - self.place[:, j], -1, 0)))
 
 
-def toured(result: Result) -> Toured:
+def toured(result: Result) -> LaboratoryRun:
     """What is kept of a run."""
     movement = motion(result.states)
     columns = [movement.column(name) for name in NAMES]
@@ -58,7 +58,7 @@ def toured(result: Result) -> Toured:
     for each in result.follows:
         if each.vehicle == NAMES[1]:
             wide[movement.time_ns >= each.time_ns] = each.follows.slot[1] != 0.0
-    return Toured(
+    return LaboratoryRun(
         movement.time_ns / 1e9,
         np.stack([movement.position[axis][:, columns] for axis in (0, 1)], axis=-1),
         np.stack([errors[name] for name in NAMES[1:]], axis=-1),
@@ -85,7 +85,7 @@ def fig_54(runner: Runner) -> Figure:
     return Figure("Fig. 54: a team among the furniture of a laboratory", panels, rows, columns=3)
 
 
-def _rows(case: str, tour: Toured) -> list[Row]:
+def _rows(case: str, tour: LaboratoryRun) -> list[Row]:
     rows = [
         absolute(f"{case}: contacts", 0.0, tour.contacts, 0.0),
         at_least(f"{case}: least clearance of a robot's middle, m", BODY_M, tour.clearance_m),
@@ -97,7 +97,7 @@ def _rows(case: str, tour: Toured) -> list[Row]:
     return rows
 
 
-def _map(tour: Toured) -> Panel:
+def _map(tour: LaboratoryRun) -> Panel:
     """The room, tracks, and the team every few seconds."""
     world, _ = worlds.world_of(SCENARIO, {})
     solids = [each for each in worlds.outlines(world) if np.ptp(each, axis=0).min() >= SMALL_M]

@@ -62,7 +62,7 @@ EXPECTED: Mapping[str, Mapping[str, tuple[int, int, float, float, float]]] = {
 
 
 @dataclass(frozen=True)
-class Passed:
+class PassageRun:
     """What is kept of a run."""
 
     time_s: Array  # (m,)
@@ -149,7 +149,7 @@ def team(world: str, policy: str, *, loss: float = 0.1, scanner_m: float = 0.3) 
     }
 
 
-def passed(result: Result, world: str) -> Passed:
+def passed(result: Result, world: str) -> PassageRun:
     """What is kept of a run of `team`."""
     movement = motion(result.states)
     time_s = movement.time_ns / 1e9
@@ -161,7 +161,7 @@ def passed(result: Result, world: str) -> Passed:
         if each.vehicle == NAMES[1]:
             narrow[movement.time_ns >= each.time_ns] = each.follows.slot[1] == 0.0
     out = np.flatnonzero(place[:, 0, 0] > BODY + max(east for _, east, _, _ in walls(world)))
-    return Passed(
+    return PassageRun(
         time_s,
         place,
         np.stack([errors[name] for name in NAMES[1:]], axis=-1),
@@ -229,7 +229,7 @@ def _corridor(runner: Runner, policy: str, title: str) -> Figure:
     return Figure(title, panels, _rows("corridor", policy, runs), columns=3)
 
 
-def _rows(world: str, policy: str, runs: Sequence[Passed]) -> list[Row]:
+def _rows(world: str, policy: str, runs: Sequence[PassageRun]) -> list[Row]:
     """The row of `EXPECTED`.
 
     Among offset gates much depends on how the leader gets around them, which here it does with more room: there the clearance,
@@ -260,7 +260,7 @@ def _rows(world: str, policy: str, runs: Sequence[Passed]) -> list[Row]:
     return [*rows, absolute(f"{case}: largest |z| at the end, m", 0.0, _left(runs), NEAR)]
 
 
-def _map(world: str, policy: str, trial: Passed) -> Panel:
+def _map(world: str, policy: str, trial: PassageRun) -> Panel:
     """Walls as far as they matter, tracks, and the team every 3 s."""
     blocks = [(west, east, max(south, -SHOWN), min(north, SHOWN)) for west, east, south, north in walls(world)]
     around = [
@@ -274,11 +274,11 @@ def _map(world: str, policy: str, trial: Passed) -> Panel:
     return Panel(title, "x east [m]", "y north [m]", [*around, *teams, *tracks], equal=True)
 
 
-def _count(runs: Sequence[Passed], name: str) -> float:
+def _count(runs: Sequence[PassageRun], name: str) -> float:
     return _mean(each.counts[name] for each in runs)
 
 
-def _left(runs: Sequence[Passed]) -> float:
+def _left(runs: Sequence[PassageRun]) -> float:
     """The largest error at the end, m."""
     return float(max(each.error[-1].max() for each in runs))
 

@@ -44,7 +44,7 @@ THIN_M, WIDE_M = 0.04, 0.25  # radius of vehicles, as others see them: picked, s
 
 
 @dataclass(frozen=True)
-class Flown:
+class FieldRun:
     """True places of the m recorded instants."""
 
     time_s: Array  # (m,)
@@ -246,12 +246,12 @@ def _job(
     return Job(scenario, partial(flown, slots=tuple(slots)))
 
 
-def flown(result: Result, slots: Sequence[tuple[float, float]]) -> Flown:
+def flown(result: Result, slots: Sequence[tuple[float, float]]) -> FieldRun:
     """Where all were; the first never turns, so that places beside it are those of the scenario."""
     movement = motion(result.states)
     x, y, _ = movement.position
     error = [np.hypot(x[:, 0] + dx - x[:, i], y[:, 0] + dy - y[:, i]) for i, (dx, dy) in enumerate(slots, 1)]
-    return Flown(movement.time_ns / 1e9, x, y, np.array(error).reshape(len(slots), len(x)).T)
+    return FieldRun(movement.time_ns / 1e9, x, y, np.array(error).reshape(len(slots), len(x)).T)
 
 
 def _above(title: str, curves: Sequence[Curve], x_limits: tuple[float, float] | None = None) -> Panel:

@@ -5,7 +5,7 @@ middle of it, led by a potential field of 32 beams at 10 Hz, with and without le
 
 Expected clearances come from an independent simulation in which the lag was stepped once a period, before the vehicle moved,
 ``v += (command - v) T / lag``. Such a servo runs after its command by lag - T = 0.4 s instead of 0.5 s, which at 3 m/s is 30 cm
-of way: so the comparison needs the same servo, and `Stepped` puts it between the agent and a vehicle without a lag of its own.
+of way: the comparison needs the same servo, so `ServoAgent` puts it between the agent and a vehicle without lag.
 What the exact lag of a vehicle gives stands beside it. At 3 m/s the field alone is a matter of luck: with where on the way the
 scans fall, 0.3 m apart, its clearance scatters from 0.16 to 0.20 m (with level 2 by 3 mm).
 """
@@ -51,7 +51,7 @@ class Ahead(Agent):
         return Velocity(linear=(self.speed, 0.0, 0.0))
 
 
-class Stepped(Agent):
+class ServoAgent(Agent):
     """What another agent commands reaches the vehicle through a servo that is stepped once a tick."""
 
     def __init__(self, agent: dict[str, Any], lag_s: Positive) -> None:
@@ -96,7 +96,7 @@ def _scenario(stepped: bool, level: int, speed: float) -> dict[str, Any]:
     task = {"kind": f"{HERE}:Ahead", "speed": speed}
     agent: dict[str, Any] = {"kind": "vcmvsp.agents.avoidance.avoid:Avoid", "task": task, "avoidance": field}
     if stepped:
-        agent = {"kind": f"{HERE}:Stepped", "agent": agent, "lag_s": LAG_S}
+        agent = {"kind": f"{HERE}:ServoAgent", "agent": agent, "lag_s": LAG_S}
     vehicle = {
         "name": "uav",
         "kind": "point",

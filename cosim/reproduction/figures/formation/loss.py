@@ -75,7 +75,7 @@ def loss(
 
 
 @dataclass(frozen=True)
-class Team:
+class TeamRun:
     """What is read of a run of `team`."""
 
     estimators: tuple[str, ...]
@@ -85,7 +85,7 @@ class Team:
 
 
 def team(path: str, air: dict[str, Any], count: int, estimators: tuple[str, ...]) -> Job:
-    """A run of 120 s with ``count`` followers of each estimator, that gives a `Team`."""
+    """A run of 120 s with ``count`` followers of each estimator, that gives a `TeamRun`."""
     places = (RIGHT_BEHIND, LEFT_BEHIND)
     followers = [{**places[i % 2], "estimator": each} for each in estimators for i in range(count)]
     needs = [need for need, user in (("a", "acc"), ("plan", "plan")) if user in estimators]
@@ -93,13 +93,13 @@ def team(path: str, air: dict[str, Any], count: int, estimators: tuple[str, ...]
     return Job(scenario, partial(_read, scenario=scenario, estimators=estimators), seed=1)
 
 
-def by_estimator(each: Team) -> dict[str, float]:
+def by_estimator(each: TeamRun) -> dict[str, float]:
     """The errors of a team, put together."""
     parts = np.split(each.rms, len(each.estimators))
     return {name: root_mean_square(part) for name, part in zip(each.estimators, parts, strict=True)}
 
 
-def integrated(path: str, each: Team) -> dict[str, float]:
+def integrated(path: str, each: TeamRun) -> dict[str, float]:
     """What they must be, given the losses."""
     parts = np.split(each.missed, len(each.estimators), axis=1)
     age = np.full(parts[0].shape[1], each.age)
@@ -109,7 +109,7 @@ def integrated(path: str, each: Team) -> dict[str, float]:
     }
 
 
-def _read(result: Result, scenario: Mapping[str, Any], estimators: tuple[str, ...]) -> Team:
+def _read(result: Result, scenario: Mapping[str, Any], estimators: tuple[str, ...]) -> TeamRun:
     names, to = names_of(result.radio, "receiver")
     sent_ns, received_ns = (numbers(result.radio, name, null=-1) for name in ("sent_ns", "received_ns"))
     number = {car["name"]: i for i, car in enumerate(scenario["vehicle"][1:])}
@@ -117,7 +117,7 @@ def _read(result: Result, scenario: Mapping[str, Any], estimators: tuple[str, ..
     column = np.array([number.get(name, -1) for name in names])[to]
     missed[np.rint(sent_ns / 1e9 / T).astype(int), column] = received_ns < 0
     delay_s = (received_ns - sent_ns)[received_ns >= 0].min() / 1e9
-    return Team(estimators, errors_from(result, scenario, 20.0), missed, max(1, math.ceil(delay_s / T - 1e-6)))
+    return TeamRun(estimators, errors_from(result, scenario, 20.0), missed, max(1, math.ceil(delay_s / T - 1e-6)))
 
 
 def root_mean_square(each: Array) -> float:

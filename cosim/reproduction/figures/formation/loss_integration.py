@@ -22,7 +22,7 @@ SLOWEST = -0.1  # m/s
 DECAY_S, LIMITS = 1.0, ((-0.1, 0.6), (-0.8, 0.8))  # of accelerations: forgotten within; where they end, m/s and rad/s
 
 
-class Leader(NamedTuple):
+class LeaderTrack(NamedTuple):
     """Speeds (n, 2) of every tick, m/s and rad/s, and the poses (n, 3) that they lead to, m and rad."""
 
     speeds: Array
@@ -30,7 +30,7 @@ class Leader(NamedTuple):
 
 
 @functools.cache
-def leader(path: str, duration_s: float = 120.0) -> Leader:
+def leader(path: str, duration_s: float = 120.0) -> LeaderTrack:
     """The standard paths of a leader, as far as its last plan goes."""
     count = round(duration_s / T) + PLAN + 1
     t = T * np.arange(count)
@@ -45,7 +45,7 @@ def leader(path: str, duration_s: float = 120.0) -> Leader:
     pose = np.zeros((count, 3))
     for tick in range(count - 1):
         pose[tick + 1] = _arc(pose[tick], speeds[tick])
-    return Leader(speeds, pose)
+    return LeaderTrack(speeds, pose)
 
 
 def rms(
@@ -111,7 +111,7 @@ def errors(path: str, estimator: str, missed: Array, age: Array, *, from_s: floa
     return np.asarray(np.sqrt(square / (ticks - round(from_s / T))))
 
 
-def _predictions(lead: Leader, estimator: str, oldest: int) -> Array:
+def _predictions(lead: LeaderTrack, estimator: str, oldest: int) -> Array:
     """Pose and speeds of the leader (reports, ages up to ``oldest``, 5) as estimated."""
     count = len(lead.pose) - PLAN
     table = np.empty((count, oldest + 1, 5))

@@ -15,7 +15,7 @@ import numpy as np
 
 from vcmvsp.cosim.assembly.parts.search_map import Sensor, decisions
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel
-from vcmvsp.cosim.reproduction.figures.search.map_exchange_runs import CELL_M, EDGE_M, SURE, Searched, places, searched
+from vcmvsp.cosim.reproduction.figures.search.map_exchange_runs import CELL_M, EDGE_M, SURE, SearchRun, places, searched
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_most, relative
 from vcmvsp.cosim.reproduction.runner import Runner
 from vcmvsp.cosim.types import Array, ProbabilityMap
@@ -52,7 +52,7 @@ def search_exchange(runner: Runner, seeds: int = SEEDS, losses: Sequence[float] 
     tries = dict.fromkeys(cases, seeds) | {(count, "none", 0.0): min(seeds, ALONE) for count in COUNTS}
     jobs = [partial(searched, *case, seed, LIMITS_S[case[0]]) for case, most in tries.items() for seed in range(most)]
     answers = iter(runner(jobs))
-    searches: dict[tuple[int, str, float], list[Searched]] = {
+    searches: dict[tuple[int, str, float], list[SearchRun]] = {
         case: [next(answers) for _ in range(most)] for case, most in tries.items()
     }
     rows: list[Row] = sequential_rows()
@@ -65,7 +65,7 @@ def search_exchange(runner: Runner, seeds: int = SEEDS, losses: Sequence[float] 
     return Figure("Search for two targets: until all know both (medians; infinite ones not drawn)", panels, rows)
 
 
-def _rows(count: int, searches: Mapping[tuple[int, str, float], list[Searched]], losses: Sequence[float]) -> list[Row]:
+def _rows(count: int, searches: Mapping[tuple[int, str, float], list[SearchRun]], losses: Sequence[float]) -> list[Row]:
     """Medians beside those of the independent simulation, and beside the ledger's; who is never over."""
     rows, reference, best = [], REFERENCE[count], _median(searches[count, "ledger", losses[0]])
     for kind in KINDS:
@@ -120,15 +120,15 @@ def sequential(p: float) -> tuple[int, float, float]:
     return net, float(visits[0] * (1.0 - p)), float(visits.sum())
 
 
-def _median(runs: Sequence[Searched]) -> float:
+def _median(runs: Sequence[SearchRun]) -> float:
     return float(np.median([each.done_s for each in runs]))
 
 
-def _unfinished(runs: Sequence[Searched]) -> float:
+def _unfinished(runs: Sequence[SearchRun]) -> float:
     return float(np.mean([math.isinf(each.done_s) for each in runs]))
 
 
-def _times(count: int, searches: Mapping[tuple[int, str, float], list[Searched]], losses: Sequence[float]) -> Panel:
+def _times(count: int, searches: Mapping[tuple[int, str, float], list[SearchRun]], losses: Sequence[float]) -> Panel:
     curves = []
     for color, kind in enumerate(KINDS, 1):
         at = [LOSSES.index(loss) for loss in losses]
@@ -145,7 +145,7 @@ def _times(count: int, searches: Mapping[tuple[int, str, float], list[Searched]]
     return Panel(f"{count} vehicles", "probability of loss", "until all know both [s]", curves, log_y=True)
 
 
-def _bytes(count: int, searches: Mapping[tuple[int, str, float], list[Searched]], losses: Sequence[float]) -> Panel:
+def _bytes(count: int, searches: Mapping[tuple[int, str, float], list[SearchRun]], losses: Sequence[float]) -> Panel:
     curves = []
     for color, kind in enumerate(KINDS, 1):
         rates = [
@@ -189,7 +189,7 @@ def _plain(belief: ProbabilityMap) -> Array:
     return np.asarray(belief.probability / 255.0)
 
 
-def _map(name: str, at_s: float, belief: ProbabilityMap, search: Searched, targets: Sequence[tuple[float, float]]) -> Panel:
+def _map(name: str, at_s: float, belief: ProbabilityMap, search: SearchRun, targets: Sequence[tuple[float, float]]) -> Panel:
     middles = CELL_M * (np.arange(belief.probability.shape[0]) + 0.5)
     x, y = np.array(targets).T
     named = at_s == SHOWN_S[0]  # a legend in each would hide too much

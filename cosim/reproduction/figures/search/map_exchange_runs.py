@@ -80,7 +80,7 @@ def places(seed: int) -> list[tuple[float, float]]:
 
 
 @dataclass
-class Searched:
+class SearchRun:
     """What is kept of a search."""
 
     done_s: float = math.inf  # when all maps were sure of both targets; inf: not within the limit
@@ -99,7 +99,7 @@ class Watcher:
         self._targets = [(int(y / CELL_M), int(x / CELL_M)) for x, y in targets]
         self._keep_s, self._maps, self._bytes = keep_s, dict[str, ProbabilityMap](), dict[str, float]()
         self._tracks: dict[str, list[tuple[float, float, float]]] = {}
-        self.searched = Searched()
+        self.searched = SearchRun()
 
     def on(self, event: Event) -> None:
         """Take an event."""
@@ -114,7 +114,7 @@ class Watcher:
             if len(self._maps) == self._count and all(self._holds(each) for each in self._maps.values()):
                 self.searched.done_s = min(self.searched.done_s, time_s)
 
-    def end(self, limit_s: float) -> Searched:
+    def end(self, limit_s: float) -> SearchRun:
         """What is kept."""
         search = self.searched
         search.seconds = min(search.done_s, limit_s)
@@ -137,7 +137,7 @@ class Watcher:
             self.searched.maps.append(dict(self._maps))
 
 
-def searched(count: int, exchange: str, loss: float, seed: int, limit_s: float, *, keep_s: tuple[float, ...] = ()) -> Searched:
+def searched(count: int, exchange: str, loss: float, seed: int, limit_s: float, *, keep_s: tuple[float, ...] = ()) -> SearchRun:
     """What came of a search; with maps and tracks, if there are seconds at which maps are to be kept (then to the limit)."""
     parsed, source = scenarios.load(search(count, exchange, loss, seed, limit_s))
     watcher = Watcher(count, places(seed), keep_s)

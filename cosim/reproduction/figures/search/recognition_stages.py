@@ -100,7 +100,7 @@ def _hues(shares: Sequence[float]) -> Panel:
     return Panel("The target's colours", "from the most frequent one", "share of the target", [curve], y_limits=(0.0, 0.7))
 
 
-class Judged(NamedTuple):
+class PlaceScores(NamedTuple):
     """What the stages say of places in a picture."""
 
     scores: dict[str, inspection.Scores]  # by kind
@@ -142,7 +142,7 @@ def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
     return Figure("Fig. 47: later stages: what turning does not change, then correlation", panels, rows, columns=3)
 
 
-def _judged(height_m: float, numbers: Sequence[int]) -> list[Judged]:
+def _judged(height_m: float, numbers: Sequence[int]) -> list[PlaceScores]:
     peaks = []
     for number in numbers:
         frame = made_up(height_m, number)
@@ -150,7 +150,7 @@ def _judged(height_m: float, numbers: Sequence[int]) -> list[Judged]:
         places = {"target": (truth.u, truth.v), **{name: (u, v) for name, u, v in frame.likenesses}}
         picture = frame.image, height_m, frame.seen.focal_px
         scores = {kind: inspection.inspect(target(), *picture, at) for kind, at in places.items()}
-        peaks.append(Judged(scores, truth.angle))
+        peaks.append(PlaceScores(scores, truth.angle))
     return peaks
 
 
@@ -200,7 +200,7 @@ def _scores(rings: dict[str, Array], match: dict[str, Array]) -> Panel:
     return Panel("Scores of targets and likenesses", "score of stage 2", "score of stage 3", curves)
 
 
-def _angles(judgements: Sequence[Judged], errors: Array) -> list[Panel]:
+def _angles(judgements: Sequence[PlaceScores], errors: Array) -> list[Panel]:
     truth = np.degrees([each.angle for each in judgements])
     angles = np.degrees([each.scores["target"].angle for each in judgements])
     ends = np.array([-180.0, 180.0])

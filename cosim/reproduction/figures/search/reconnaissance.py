@@ -28,7 +28,7 @@ ON_IT_M, LAST_S = 1.0, 10.0  # who tracks is that near to its target, over the l
 
 
 @dataclass(frozen=True)
-class Scouted:
+class MissionRun:
     """What is kept of a run."""
 
     time_s: Array  # (m,)
@@ -42,12 +42,12 @@ class Scouted:
     apart_m: float
 
 
-def scouted(result: Result) -> Scouted:
+def scouted(result: Result) -> MissionRun:
     """What is kept of a run."""
     movement = motion(result.states)
     columns = [movement.column(name) for name in NAMES]
     mission, safety = result.metrics["mission"], result.metrics["safety"]
-    return Scouted(
+    return MissionRun(
         movement.time_ns / 1e9,
         np.stack([movement.position[axis][:, columns] for axis in (0, 1)], axis=-1),
         {name: float("nan") if at_s is None else at_s for name, at_s in mission["found_s"].items()},
@@ -63,7 +63,7 @@ def scouted(result: Result) -> Scouted:
 def fig_51(runner: Runner, seeds: tuple[int, ...] = SEEDS) -> Figure:
     """Tracks through three towns, and how near the vehicles come to the targets."""
     table = loader.table_of(loader.path_of(SCENARIO))
-    runs: list[Scouted] = runner([Job(table, scouted, {"duration_s": DURATION_S}, seed) for seed in seeds])
+    runs: list[MissionRun] = runner([Job(table, scouted, {"duration_s": DURATION_S}, seed) for seed in seeds])
     rows: list[Row] = []
     tracks, distances = [], []
     for seed, mission in zip(seeds, runs, strict=True):
@@ -81,7 +81,7 @@ def fig_51(runner: Runner, seeds: tuple[int, ...] = SEEDS) -> Figure:
     )
 
 
-def rows_of(case: str, mission: Scouted, once_s: float, away: dict[str, Array]) -> list[Row]:
+def rows_of(case: str, mission: MissionRun, once_s: float, away: dict[str, Array]) -> list[Row]:
     """What must come out of a run."""
     last = float(np.max([*mission.found_s.values()]))  # NaN: one was not
     late = mission.time_s >= mission.time_s[-1] - LAST_S
@@ -101,7 +101,7 @@ def rows_of(case: str, mission: Scouted, once_s: float, away: dict[str, Array]) 
     return rows
 
 
-def _map(title: str, world: "worlds.World", mission: Scouted, targets: dict[str, Array]) -> Panel:
+def _map(title: str, world: "worlds.World", mission: MissionRun, targets: dict[str, Array]) -> Panel:
     """Buildings, targets, tracks with their ends."""
     closed = [np.vstack([each, each[:1]]) for each in worlds.outlines(world)]
     around = [Curve(each[:, 0], each[:, 1], style="thin") for each in closed]
@@ -110,7 +110,7 @@ def _map(title: str, world: "worlds.World", mission: Scouted, targets: dict[str,
     return Panel(title, "x east [m]", "y north [m]", [*around, *tracks, *curves], equal=True)
 
 
-def _distances(title: str, mission: Scouted, away: dict[str, Array]) -> Panel:
+def _distances(title: str, mission: MissionRun, away: dict[str, Array]) -> Panel:
     nearer = np.min(list(away.values()), axis=0)
     curves = [Curve(mission.time_s, nearer[:, i], name, (1, 3)[i]) for i, name in enumerate(NAMES)]
     up = np.array([0.0, float(nearer.max())])

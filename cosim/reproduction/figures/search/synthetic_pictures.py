@@ -16,7 +16,7 @@ import numpy as np
 
 from vcmvsp.cosim.analysis.recognition import Rates
 from vcmvsp.cosim.analysis.snapshots import Snapshots
-from vcmvsp.cosim.assembly.parts.recognition import Detection, Detector, Target, ground
+from vcmvsp.cosim.assembly.parts.recognition import Detection, Detector, TargetPicture, ground
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.reproduction.figures.figure import Curve
 
@@ -72,12 +72,12 @@ def together(tallies: Iterable[Tally]) -> Tally:
     return total
 
 
-def target() -> Target:
+def target() -> TargetPicture:
     """What is looked for in made-up pictures."""
-    return Target("glyph", ground.glyph(), SIZE_M)
+    return TargetPicture("glyph", ground.glyph(), SIZE_M)
 
 
-def made_up(height_m: float, number: int) -> ground.Frame:
+def made_up(height_m: float, number: int) -> ground.SyntheticFrame:
     """A picture of the ground, always the same for these arguments: ``image``, ``seen``, ``likenesses``, ``side_px``."""
     return ground.frame(np.random.default_rng([round(10 * height_m), number]), height_m)
 

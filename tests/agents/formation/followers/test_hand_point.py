@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.agents.formation import LeaderState, axle_velocity, hand_point, hand_velocity
-from vcmvsp.agents.formation.followers.leader_follower_law import Place, formation_law
+from vcmvsp.agents.formation.followers.leader_follower_law import FollowerPlace, formation_law
 from vcmvsp.cosim.frames import arc
 
 ANGLE = st.floats(-10.0, 10.0)
@@ -40,7 +40,7 @@ def test_the_law_moves_the_handle_with_its_point_and_towards_it(
     x: float, y: float, th: float, lx: float, ly: float, lth: float, v: float, w: float, left: float, ell: float
 ) -> None:
     """The same law by another road: velocity of the point (finite differences) + gains, turned into speeds by (3-4)."""
-    place, k1, k2, h = Place(0.3, left, ell), 0.8, 0.5, 1e-5
+    place, k1, k2, h = FollowerPlace(0.3, left, ell), 0.8, 0.5, 1e-5
 
     def point(dt: float) -> complex:
         px, py, pth = arc((lx, ly, lth), v, w, dt)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.support.agents.agent_loop import Pose, drive
 from tests.support.step_responses import overshoot, servo_step, settling_s
 from vcmvsp.agents.formation import LeaderFollower, LeaderState, Trajectory
-from vcmvsp.agents.formation.followers.leader_follower_law import Demand, Place, formation_law
+from vcmvsp.agents.formation.followers.leader_follower_law import Demand, FollowerPlace, formation_law
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
 
@@ -36,12 +36,12 @@ def behind(k1: float, **params: float) -> LeaderFollower:
     pose=st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-4, 4)),
     v=st.floats(-0.5, 0.5),
     w=st.floats(-0.5, 0.5),
-    place=st.builds(Place, st.floats(-1, 1), st.floats(-1, 1), st.floats(0.3, 1.5)),
+    place=st.builds(FollowerPlace, st.floats(-1, 1), st.floats(-1, 1), st.floats(0.3, 1.5)),
     k1=st.floats(0.1, 3),
     k2=st.floats(0.1, 3),
 )
 def test_the_energy_of_the_error_falls_at_the_rate_of_the_proof(
-    pose: Pose, v: float, w: float, place: Place, k1: float, k2: float
+    pose: Pose, v: float, w: float, place: FollowerPlace, k1: float, k2: float
 ) -> None:
     """V' by a central difference of the true motion, for any start, leader, slot, handle and gains."""
     h, leader = 1e-5, LeaderState(0.0, 0.0, 0.0, v, w)
@@ -60,7 +60,7 @@ def test_the_error_decays_exponentially_whatever_the_leader_does() -> None:
     draws, k, T, ticks = stream(0, "law/proof"), 0.5, 1e-3, 2000
     expected = np.exp(-k * T * np.arange(ticks))
     for side in (LEFT, -LEFT) * 100:
-        place = Place(0.0, -side, L)
+        place = FollowerPlace(0.0, -side, L)
         off_x, off_y, th, w_l = draws.uniform((-1.0, -1.0, -1.5, -W), (1.0, 1.0, 1.5, W)).tolist()
         pose, leader = (off_x - L, off_y - side, th), LeaderState(0.0, 0.0, 0.0, V, w_l)
         squares = []
@@ -85,7 +85,7 @@ def test_with_different_gains_the_smaller_one_bounds_the_decay() -> None:
     assert (run.error <= bound + 1e-3).all()
 
 
-def printed_law(pose: Pose, leader: LeaderState, place: Place, k1: float, k2: float) -> Demand:
+def printed_law(pose: Pose, leader: LeaderState, place: FollowerPlace, k1: float, k2: float) -> Demand:
     """The law with the term that (3-33) adds to v_f: rho_d w_l sin(phi_d + thb), here of the standard triangle."""
     law = formation_law(pose, leader, place, k1, k2)
     return law._replace(v=law.v + leader.w * math.sin(math.radians(30.0) + leader.th - pose[2]))
@@ -93,12 +93,12 @@ def printed_law(pose: Pose, leader: LeaderState, place: Place, k1: float, k2: fl
 
 @pytest.mark.parametrize(("law", "left_over"), [(formation_law, 0.0), (printed_law, 0.135)])
 def test_the_printed_extra_term_leaves_an_error_on_a_circle(
-    law: Callable[[Pose, LeaderState, Place, float, float], Demand], left_over: float
+    law: Callable[[Pose, LeaderState, FollowerPlace, float, float], Demand], left_over: float
 ) -> None:
     pose: Pose = (-L, -LEFT, 0.0)
     leader = LeaderState(0.0, 0.0, 0.0, V, W)
     for _ in range(900):
-        demand = law(pose, leader, Place(0.0, -LEFT, L), 0.8, 0.8)
+        demand = law(pose, leader, FollowerPlace(0.0, -LEFT, L), 0.8, 0.8)
         pose = arc(pose, demand.v, demand.w, 0.1)
         leader = LeaderState(*arc(leader[:3], V, W, 0.1), V, W)
     assert math.hypot(demand.z1, demand.z2) == pytest.approx(left_over, abs=5e-4)

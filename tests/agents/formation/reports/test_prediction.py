@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tests.support.paths import ROOT
 from vcmvsp.agents.formation import DeadReckoning, Hold, LeaderFollower, LeaderState, Report
-from vcmvsp.agents.formation.reports.prediction import Acceleration, Plan, estimator_of
+from vcmvsp.agents.formation.reports.prediction import Acceleration, PlanPrediction, estimator_of
 from vcmvsp.agents.formation.reports.report import accelerations, lead_of, plan_of
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
@@ -100,7 +100,7 @@ def accelerating(state: LeaderState, a: float, al: float) -> Report:
 @settings(deadline=None)
 @given(state=STATES, age=st.floats(0.0, 10.0))
 def test_without_accelerations_they_are_dead_reckoning(state: LeaderState, age: float) -> None:
-    for estimator in (Acceleration(), Plan()):
+    for estimator in (Acceleration(), PlanPrediction()):
         assert estimator.predict(report(state), age) == DeadReckoning().predict(report(state), age)
         assert estimator.predict(accelerating(state, 0.0, 0.0), age) == DeadReckoning().predict(report(state), age)
 
@@ -152,7 +152,7 @@ def test_a_plan_that_is_kept_to_is_exact_at_every_tick_and_between(
     first: tuple[float, float], speeds: list[tuple[float, float]], dt: float, data: st.DataObject
 ) -> None:
     """As many ticks as the plan has speeds, those of now besides: 20 told at 10 Hz last for ages up to 2 s, and 0.1 s more."""
-    told, estimator, pose = planning(first, speeds, dt), Plan(), (1.0, -2.0, 0.5)
+    told, estimator, pose = planning(first, speeds, dt), PlanPrediction(), (1.0, -2.0, 0.5)
     for tick, (v, w) in enumerate([first, *speeds]):
         then = estimator.predict(told, tick * dt)
         assert then == pytest.approx((*pose, v, w), abs=1e-9)
@@ -166,7 +166,7 @@ def test_a_plan_that_is_kept_to_is_exact_at_every_tick_and_between(
 def test_after_the_plan_its_last_speeds_are_reckoned_with_for_another_horizon(
     speeds: list[tuple[float, float]], age: float
 ) -> None:
-    told, estimator = planning((0.3, 0.1), speeds), Plan(1.5, 1.0)
+    told, estimator = planning((0.3, 0.1), speeds), PlanPrediction(1.5, 1.0)
     ends_s = 0.1 * (len(speeds) + 1)
     last = estimator.predict(told, ends_s)
     assert estimator.predict(told, ends_s + age) == pytest.approx(
@@ -180,10 +180,10 @@ def test_what_was_predicted_before_changes_no_prediction(
     speeds: list[tuple[float, float]], ages: list[tuple[bool, float]]
 ) -> None:
     """The way along a plan is kept from one prediction to the next; reports may alternate."""
-    estimator, one, other = Plan(), planning((0.3, 0.1), speeds), planning((-0.1, 0.4), speeds[::-1])
+    estimator, one, other = PlanPrediction(), planning((0.3, 0.1), speeds), planning((-0.1, 0.4), speeds[::-1])
     for first, age in ages:
         told = one if first else other
-        assert estimator.predict(told, age) == Plan().predict(told, age)
+        assert estimator.predict(told, age) == PlanPrediction().predict(told, age)
 
 
 NONSENSE = st.one_of(
@@ -202,7 +202,7 @@ NONSENSE = st.one_of(
 @given(plan=NONSENSE, dt=NONSENSE, a=NONSENSE, al=NONSENSE, age=st.floats(0.0, 10.0))
 def test_whatever_comes_by_radio_the_estimate_is_a_number(plan: Any, dt: Any, a: Any, al: Any, age: float) -> None:
     told = Report(0, LeaderState(1.0, 2.0, 0.3, 0.3, 0.1), {"plan": plan, "dt": dt, "a": a, "al": al})
-    for estimator in (Acceleration(), Plan()):
+    for estimator in (Acceleration(), PlanPrediction()):
         assert all(math.isfinite(each) for each in estimator.predict(told, age))
 
 
@@ -231,7 +231,7 @@ def test_a_bad_plan_counts_as_none(bad: dict[str, Any]) -> None:
     assert plan_of(good) == (0.1, [(0.3, 0.1), (0.2, 0.2)])
     told = good._replace(body={**good.body, **bad})
     assert plan_of(told) is None
-    assert Plan().predict(told, 0.7) == Acceleration().predict(told, 0.7) != DeadReckoning().predict(told, 0.7)
+    assert PlanPrediction().predict(told, 0.7) == Acceleration().predict(told, 0.7) != DeadReckoning().predict(told, 0.7)
 
 
 def test_accelerations_that_make_no_sense_count_as_none() -> None:

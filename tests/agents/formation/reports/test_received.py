@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.support.agents.agent_loop import observe, received
 from vcmvsp.agents.formation import Hold, LeaderFollower, Trajectory
-from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.reports.received import ReportReceiver
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.config.registry import find
@@ -122,7 +122,7 @@ def test_a_clock_that_is_ahead_within_its_bound_is_believed_and_counts_as_age_ze
 
 
 def test_a_program_that_goes_on_talking_does_not_hide_that_its_agent_is_silent() -> None:
-    listening = Listening(["leader"], 0.0)
+    listening = ReportReceiver(["leader"], 0.0)
     for tick, body in enumerate([body_of(0), b"\x00", msgspec.msgpack.encode(body_of(2)), b""]):
         listening.take(observe(POSE, tick * TICK_NS, [heard(body)]))
     assert (listening.absent_ns("leader", 3 * TICK_NS), listening.refused) == (3 * TICK_NS, 0)

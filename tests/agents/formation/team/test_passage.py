@@ -13,7 +13,7 @@ from tests.support.agents.agent_loop import observe, received
 from tests.support.agents.formation_member import TICK_NS, says
 from tests.support.agents.passage_team import BEAMS, CARS, SIDE, at, clear, formation, free, heard_of, info, lookout, scan, sees
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
-from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.reports.received import ReportReceiver
 from vcmvsp.agents.formation.team.formation import Formation, Passage
 from vcmvsp.agents.formation.team.passage import Lookout
 from vcmvsp.agents.formation.team.passage_policy import AllClear, Policy, policy_of
@@ -175,9 +175,9 @@ def test_a_member_does_not_run_into_another_nor_back_into_one(x: float, y: float
 # --- policies ---
 
 
-def widens(policy: Policy, *frees: bool, heard: Listening | None = None, first: int = 0) -> list[bool]:
+def widens(policy: Policy, *frees: bool, heard: ReportReceiver | None = None, first: int = 0) -> list[bool]:
     """Its answers, a tick of 0.1 s each."""
-    listening = heard or Listening((), 0.0)
+    listening = heard or ReportReceiver((), 0.0)
     names = CARS[1:] if heard else ()
     return [policy.widens((first + tick) * TICK_NS, each, names, listening) for tick, each in enumerate(frees)]
 
@@ -206,18 +206,18 @@ def test_nonsense_is_not_clear(nonsense: Any) -> None:
 
 
 def test_old_reports_do_not_count_and_the_silent_are_left_out() -> None:
-    policy, heard = policy_of(Passage(steady_s=0.0)), Listening(CARS, 0.0)
+    policy, heard = policy_of(Passage(steady_s=0.0)), ReportReceiver(CARS, 0.0)
     heard.take(sees(None, 0, clear("car2", 0), clear("car3", 0)))
     answers = widens(policy, *[True] * 120, heard=heard)
     assert [tick for tick, yes in enumerate(answers) if yes] == [*range(26), *range(100, 120)]
-    late = Listening(CARS, 0.0)
+    late = ReportReceiver(CARS, 0.0)
     late.take(sees(None, 110, clear("car2", 110, 0)))
     assert not any(widens(policy, *[True] * 10, heard=late, first=110))  # car3 is left out, but car2 is not clear
 
 
 @pytest.mark.parametrize("wrong", [{"x": math.nan}, {"t_ns": 10**12}, {"v": None}, None])
 def test_who_says_what_cannot_be_used_is_there_nevertheless(wrong: dict[str, Any] | None) -> None:
-    policy, heard = policy_of(Passage(steady_s=0.0)), Listening(CARS, 0.0)
+    policy, heard = policy_of(Passage(steady_s=0.0)), ReportReceiver(CARS, 0.0)
     answers = []
     for tick in range(130):
         body = {"seq": tick, "t_ns": tick * TICK_NS, "x": 0.0, "y": 0.0, "th": 0.0, "v": 0.3, "w": 0.0, "cl": 0}
@@ -230,7 +230,7 @@ def test_who_says_what_cannot_be_used_is_there_nevertheless(wrong: dict[str, Any
 @given(st.lists(st.tuples(st.booleans(), *[st.sampled_from((None, 0, 1))] * 2), max_size=80))
 def test_all_clear_never_widens_against_anybody(ticks: list[tuple[bool, int | None, int | None]]) -> None:
     """Against the rule, put plainly: for six ticks on end free, and all newest reports clear and no older than 2 s."""
-    policy, heard = AllClear(0.5, 2.0, 10.0), Listening(CARS, 0.0)
+    policy, heard = AllClear(0.5, 2.0, 10.0), ReportReceiver(CARS, 0.0)
     newest: dict[str, tuple[int, int]] = {}
     good = 0
     for tick, (is_free, *said) in enumerate(ticks):

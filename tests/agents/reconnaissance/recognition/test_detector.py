@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from vcmvsp.agents.reconnaissance.recognition import Detection, Detector, Target, ground
-from vcmvsp.agents.reconnaissance.recognition.ground import FOCAL_PX, YELLOW, Frame, frame, glyph, tilted
+from vcmvsp.agents.reconnaissance.recognition import Detection, Detector, TargetPicture, ground
+from vcmvsp.agents.reconnaissance.recognition.ground import FOCAL_PX, YELLOW, SyntheticFrame, frame, glyph, tilted
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
 
 HEIGHTS = (10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0)
-GLYPH = Target("glyph", glyph(), 2.0)
+GLYPH = TargetPicture("glyph", glyph(), 2.0)
 
 
 def second_glyph() -> Array:
@@ -39,7 +39,7 @@ class Tally:
     angles: list[float] = field(default_factory=list)  # errors, rad
     places: list[float] = field(default_factory=list)  # errors, sides
 
-    def add(self, made: Frame, detections: list[Detection]) -> None:
+    def add(self, made: SyntheticFrame, detections: list[Detection]) -> None:
         (truth,) = made.seen.truths
         right = [one for one in detections if math.dist(one.centre_px, (truth.u, truth.v)) < 0.25 * made.side_px][:1]
         self.found, self.missed = self.found + len(right), self.missed + 1 - len(right)
@@ -56,12 +56,12 @@ class Tally:
 
 
 @pytest.fixture(scope="module")
-def frames() -> list[Frame]:
+def frames() -> list[SyntheticFrame]:
     """Three for each height, each with five likenesses."""
     return [frame(np.random.default_rng([int(height), k]), height) for height in HEIGHTS for k in range(3)]
 
 
-def tallied(frames: list[Frame], stages: int = 3, height_error: float = 1.0) -> dict[float, Tally]:
+def tallied(frames: list[SyntheticFrame], stages: int = 3, height_error: float = 1.0) -> dict[float, Tally]:
     """By height, and 0 for all."""
     detector = Detector([GLYPH], stages=stages)
     tallies = {height: Tally() for height in (0.0, *HEIGHTS)}
@@ -72,7 +72,7 @@ def tallied(frames: list[Frame], stages: int = 3, height_error: float = 1.0) -> 
     return tallies
 
 
-def test_targets_are_found_from_10_to_40_m_and_nothing_else(frames: list[Frame]) -> None:
+def test_targets_are_found_from_10_to_40_m_and_nothing_else(frames: list[SyntheticFrame]) -> None:
     """Precision at least 0.95; recall at least 0.90, 1 deg and 0.05 sides at the median, at every height."""
     tallies = tallied(frames)
     assert tallies[0.0].precision >= 0.95
@@ -82,7 +82,7 @@ def test_targets_are_found_from_10_to_40_m_and_nothing_else(frames: list[Frame])
         assert np.median(tally.places) <= 0.05
 
 
-def test_each_stage_is_needed_and_loses_nothing(frames: list[Frame]) -> None:
+def test_each_stage_is_needed_and_loses_nothing(frames: list[SyntheticFrame]) -> None:
     """Colours alone let through all in the same colours; turning blinds to mirror images alone."""
     colours, turned = tallied(frames, stages=1)[0.0], tallied(frames, stages=2)[0.0]
     assert colours.missed == turned.missed == 0
@@ -93,7 +93,7 @@ def test_each_stage_is_needed_and_loses_nothing(frames: list[Frame]) -> None:
 
 
 @pytest.mark.parametrize("error", [0.9, 1.1])
-def test_heights_may_be_wrong_by_a_tenth(frames: list[Frame], error: float) -> None:
+def test_heights_may_be_wrong_by_a_tenth(frames: list[SyntheticFrame], error: float) -> None:
     tally = tallied(frames, height_error=error)[0.0]
     assert tally.found / len(frames) >= 0.90
     assert tally.precision >= 0.95
@@ -101,7 +101,7 @@ def test_heights_may_be_wrong_by_a_tenth(frames: list[Frame], error: float) -> N
 
 
 @pytest.mark.parametrize(("stages", "within"), [(2, 0.07), (3, 0.04)])
-def test_the_side_that_is_found_is_the_true_one(frames: list[Frame], stages: int, within: float) -> None:
+def test_the_side_that_is_found_is_the_true_one(frames: list[SyntheticFrame], stages: int, within: float) -> None:
     """Whatever the height says; the second stage tries sizes 6 % apart."""
     detector = Detector([GLYPH], stages=stages)
     for made in frames[::3]:
@@ -113,7 +113,7 @@ def test_the_side_that_is_found_is_the_true_one(frames: list[Frame], stages: int
 
 
 @pytest.mark.parametrize("tilt", [0.1, 0.2])
-def test_the_camera_may_be_tilted(frames: list[Frame], tilt: float) -> None:
+def test_the_camera_may_be_tilted(frames: list[SyntheticFrame], tilt: float) -> None:
     """Where the whole target is still in the picture."""
     rng = np.random.default_rng(5)
     tally = Tally()
@@ -157,9 +157,9 @@ def test_light_changes_neither_place_nor_angle() -> None:
 
 def test_several_targets_of_several_sizes_in_one_pass() -> None:
     targets = [
-        Target("one", glyph(), 2.0),
-        Target("two", second_glyph(), 2.0),
-        Target("large", second_glyph()[:, ::-1].copy(), 3.0),
+        TargetPicture("one", glyph(), 2.0),
+        TargetPicture("two", second_glyph(), 2.0),
+        TargetPicture("large", second_glyph()[:, ::-1].copy(), 3.0),
     ]
     for k in range(4):
         made = frame(np.random.default_rng(k), 20.0, [("one", glyph()), ("two", second_glyph())], distractors=False)
@@ -174,7 +174,7 @@ def test_several_targets_of_several_sizes_in_one_pass() -> None:
 
 def test_one_place_holds_one_target() -> None:
     """The one that it is more like, where several are alike."""
-    duller = Target("duller", cv2.GaussianBlur(glyph(), (0, 0), 12.0), 2.0)
+    duller = TargetPicture("duller", cv2.GaussianBlur(glyph(), (0, 0), 12.0), 2.0)
     for targets in ([GLYPH, duller], [duller, GLYPH]):
         (one,) = Detector(targets).detect(frame(np.random.default_rng(6), 15.0).image, 15.0, FOCAL_PX)
         assert one.target == "glyph"
@@ -182,7 +182,7 @@ def test_one_place_holds_one_target() -> None:
     assert alone.target == "duller"
 
 
-def test_a_region_gives_what_the_whole_picture_gives_there(frames: list[Frame]) -> None:
+def test_a_region_gives_what_the_whole_picture_gives_there(frames: list[SyntheticFrame]) -> None:
     detector = Detector([GLYPH])
     for made in frames[::3]:
         (whole,) = detector.detect(made.image, made.seen.height_m, FOCAL_PX)
@@ -218,7 +218,7 @@ def test_heights_from_which_nothing_can_be_recognised(height: float) -> None:
     assert Detector([GLYPH]).detect(frame(np.random.default_rng(0), 20.0).image, height, FOCAL_PX) == []
 
 
-def test_answers_depend_on_nothing_before_and_on_no_threads(frames: list[Frame]) -> None:
+def test_answers_depend_on_nothing_before_and_on_no_threads(frames: list[SyntheticFrame]) -> None:
     first = [Detector([GLYPH]).detect(made.image, made.seen.height_m, FOCAL_PX) for made in frames[::3]]
     detector, threads = Detector([GLYPH]), cv2.getNumThreads()
     try:
@@ -232,12 +232,12 @@ def test_answers_depend_on_nothing_before_and_on_no_threads(frames: list[Frame])
 
 def test_pictures_are_read_from_files(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "glyph.png"), glyph()[:, :, ::-1])
-    assert np.array_equal(Target.load("glyph", tmp_path / "glyph.png", 2.0).picture, glyph())
+    assert np.array_equal(TargetPicture.load("glyph", tmp_path / "glyph.png", 2.0).picture, glyph())
     (tmp_path / "text.png").write_text("no picture")
     (tmp_path / "empty.png").write_text("")
     for name in ("text.png", "empty.png", "none.png"):
         with pytest.raises(ScenarioError, match="picture"):
-            Target.load("glyph", tmp_path / name, 2.0)
+            TargetPicture.load("glyph", tmp_path / name, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -254,7 +254,7 @@ def test_pictures_are_read_from_files(tmp_path: Path) -> None:
 )
 def test_what_is_no_target_is_refused(picture: Array, size_m: float, words: str) -> None:
     with pytest.raises(ScenarioError, match=words):
-        Target("glyph", picture, size_m)
+        TargetPicture("glyph", picture, size_m)
 
 
 def test_detectors_need_targets_of_different_names() -> None:

@@ -8,17 +8,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.agents.reconnaissance.recognition import Target
+from vcmvsp.agents.reconnaissance.recognition import TargetPicture
 from vcmvsp.agents.reconnaissance.recognition import colour as colours
 from vcmvsp.agents.reconnaissance.recognition.detector import RINGS, _Search
 from vcmvsp.agents.reconnaissance.recognition.ground import BLUE, RED, glyph, mirrored
-from vcmvsp.agents.reconnaissance.recognition.match import Pose, match, vertex
+from vcmvsp.agents.reconnaissance.recognition.match import MatchedPose, match, vertex
 from vcmvsp.agents.reconnaissance.recognition.polar import FULL, TURNS, Rings, rotation
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
 
 MIDDLE = (np.array([23.5]), np.array([23.5]), np.array([48.0]))  # of a patch, and its side
-TEMPLATE = Target("glyph", glyph(), 2.0).template(48)
+TEMPLATE = TargetPicture("glyph", glyph(), 2.0).template(48)
 
 
 def turned(picture: Array, angle: float, side: int = 48) -> Array:
@@ -97,7 +97,7 @@ def test_turning_changes_neither_magnitudes_nor_what_is_found(angle: float) -> N
     assert cosine > 0.97
     told = rotation(spectrum, TEMPLATE.full.spectra[:, 0])
     assert abs(wrap(told - angle)) < math.radians(2.0)
-    score, pose = match(picture, TEMPLATE, Pose(71.5, 71.5, told, 48.0))
+    score, pose = match(picture, TEMPLATE, MatchedPose(71.5, 71.5, told, 48.0))
     assert score > 0.95
     assert abs(wrap(pose.angle - angle)) < math.radians(0.5)
     assert math.dist((pose.u, pose.v), (71.5, 71.5)) < 0.3
@@ -126,9 +126,11 @@ def test_magnitudes_do_not_tell_a_mirror_image_but_correlation_does() -> None:
     picture = turned(mirrored(glyph()), 0.7)
     cosine, spectrum = rings(picture)
     assert cosine > 0.97
-    best = max(match(picture, TEMPLATE, Pose(71.5, 71.5, angle, 48.0))[0] for angle in np.linspace(-math.pi, math.pi, 73))
+    best = max(
+        match(picture, TEMPLATE, MatchedPose(71.5, 71.5, angle, 48.0))[0] for angle in np.linspace(-math.pi, math.pi, 73)
+    )
     assert best < 0.65
-    assert match(picture, TEMPLATE, Pose(71.5, 71.5, rotation(spectrum, TEMPLATE.full.spectra[:, 0]), 48.0))[0] < 0.65
+    assert match(picture, TEMPLATE, MatchedPose(71.5, 71.5, rotation(spectrum, TEMPLATE.full.spectra[:, 0]), 48.0))[0] < 0.65
 
 
 def test_correlation_alone_is_lost_where_the_picture_is_turned() -> None:
@@ -145,8 +147,8 @@ def test_correlation_alone_is_lost_where_the_picture_is_turned() -> None:
 def test_templates_are_blurred_as_the_camera_blurs() -> None:
     """A target of 16 px a side is more like the template for 16 px than like a sharp one; one of 64 px the other way round."""
     for side, other in ((16, 200), (64, 16)):
-        picture, start = turned(glyph(), 0.0, side), Pose(71.5, 71.5, 0.0, float(side))
-        target = Target("glyph", glyph(), 2.0)
+        picture, start = turned(glyph(), 0.0, side), MatchedPose(71.5, 71.5, 0.0, float(side))
+        target = TargetPicture("glyph", glyph(), 2.0)
         assert match(picture, target.template(side), start)[0] > match(picture, target.template(other), start)[0] + 0.005
 
 
@@ -154,7 +156,7 @@ def test_templates_are_blurred_as_the_camera_blurs() -> None:
 @settings(max_examples=20, deadline=None)
 def test_matching_corrects_place_and_size(shift: tuple[float, float], scale: float) -> None:
     picture = turned(glyph(), 0.3)
-    score, pose = match(picture, TEMPLATE, Pose(71.5 + shift[0], 71.5 + shift[1], 0.33, 48.0 * scale))
+    score, pose = match(picture, TEMPLATE, MatchedPose(71.5 + shift[0], 71.5 + shift[1], 0.33, 48.0 * scale))
     assert score > 0.95
     assert math.dist((pose.u, pose.v), (71.5, 71.5)) < 0.5
     assert pose.side_px == pytest.approx(48.0, rel=0.025)  # at worst 2.35 %, of 845 places and sizes on a grid
