@@ -1,4 +1,4 @@
-"""One agent in its host: what it will see at its next tick, and what it has said. The only caller of `Agent.act`."""
+"""One agent in its host: collects its observations, calls `Agent.act`, turns the answer into events."""
 
 import math
 import traceback
@@ -20,22 +20,22 @@ from vcmvsp.cosim.util.text import plain
 
 NEVER_NS = 2**63
 COMMANDS = (Velocity, Waypoint)
-MUTABLE = frozenset({dict, list})  # of what comes out of MessagePack
-ALWAYS = ("odometry", "fix")  # what every vehicle may have besides the sensors that the scenario names
+MUTABLE = frozenset({dict, list})  # types that MessagePack decodes to
+ALWAYS = ("odometry", "fix")  # besides the sensors of the scenario
 
 
 class AgentRunner:
-    """A seat for one agent.
+    """Runs one agent.
 
     Args:
-        spec: of the agent.
-        agent: it, if it exists already.
-        kinds: where its class is looked up, if not.
+        spec: the agent's specification.
+        agent: the agent, if it exists already.
+        kinds: cache of agent classes, used if it does not.
 
     Attributes:
-        next_ns: its next tick.
-        info: what there is to be said of the agent.
-        sees: takes the newest of what is published about its vehicle, by the last chunk of its key.
+        next_ns: next tick.
+        info: description of the agent for the run.
+        sees: receivers of the newest values about the vehicle, by the last chunk of the key.
     """
 
     def __init__(self, spec: AgentSpec, agent: Agent | None, kinds: Kinds) -> None:
@@ -43,7 +43,7 @@ class AgentRunner:
         self._started, self._command_key, self._note_key = False, f"{spec.vehicle}/command", f"{spec.vehicle}/note"
         if agent is None:
             self.agent, params, defaults_used = build(spec, kinds)
-        else:  # what it was made with is its maker's to know; what the scenario says is as good as any
+        else:  # constructor arguments are unknown; the scenario's parameters stand in
             parameters = binding.parameters(type(agent))
             params_of_spec = {name: value for name, value in {**spec.defaults, **spec.params}.items() if name in parameters}
             self.agent, params, defaults_used = agent, binding.complete(type(agent), params_of_spec), tuple(spec.defaults)
@@ -78,7 +78,7 @@ class AgentRunner:
         self._absence: Absence | None = None
 
     def start(self, run: RunInfo) -> None:
-        """Tell the agent who and where it is."""
+        """Start the agent with the data of its vehicle and of the run."""
         self._radio, self._started = Radio(self.vehicle, run.vehicles), True
         self._vehicles = run.vehicles
         about = VehicleInfo(
@@ -107,15 +107,15 @@ class AgentRunner:
         return None
 
     def hear(self, reception: Reception) -> None:
-        """Note what its vehicle has heard."""
+        """Queue a received message for the next observation."""
         self._heard.append(reception if isinstance(reception.message.body, bytes) else _own_copy(reception))
 
     def _locate(self, state: VehicleState) -> None:
         self._state = state
 
     def tick(self, now_ns: int, after_ns: int, events: list[Event]) -> None:
-        """Append what the agent does at its tick, or what its vehicle does without it, in effect from now + latency on."""
-        if self.next_ns < now_ns:  # out of reach of the run, it has missed ticks
+        """Append the events of a tick, in effect from now + latency on."""
+        if self.next_ns < now_ns:  # ticks missed while the host was disconnected
             self.next_ns = self._ticks.after(now_ns - 1)
             if self.next_ns > now_ns:
                 return
@@ -136,13 +136,12 @@ class AgentRunner:
                 self._leave(now_ns, error, events)
 
     def _leave(self, now_ns: int, error: AgentError, events: list[Event]) -> None:
-        """The agent has failed: the scenario says what follows."""
+        """Replace the failed agent by the behaviour that ``on_lost`` names."""
         when, follows = now_ns + self.info.latency_ns, self._follows is not None
         self._absence = Absence(self.spec, now_ns, when, error.cause, follows=follows)
         events.extend(self._absence.news)
 
     def _act(self, now_ns: int, when: int, events: list[Event]) -> None:
-        """Let the agent act; what it does takes effect at ``when``."""
         if self._state is None:
             raise AgentError(
                 (self.vehicle,), self.spec.kind, "has no state to act on: nothing published its vehicle's estimate"
@@ -173,7 +172,7 @@ class AgentRunner:
             self._tell(when, events)
 
     def _tell(self, when: int, events: list[Event]) -> None:
-        """Append what the agent has noted, shown and sent."""
+        """Append notes, displays and messages of the agent."""
         if notes := self.agent.drain_notes():
             events.append(Event(self._note_key, when, Note(values=notes)))
         if self.agent._shown:  # noqa: SLF001  as in `_act`
@@ -182,17 +181,17 @@ class AgentRunner:
             events += [Event(f"{self.vehicle}/send", when, message) for message in self._radio.drain()]
 
     def _die(self, now_ns: int, events: list[Event]) -> None:
-        """From now on the vehicle stands still and says nothing."""
+        """Stop the vehicle and end all messages, at the failure time of the scenario."""
         self._heard.clear()
         if not self._dead:
             self._dead, when = True, now_ns + self.info.latency_ns
             note = Note(values={"status": "failed"})
             events += [Event(f"{self.vehicle}/command", when, Velocity()), Event(f"{self.vehicle}/note", when, note)]
-            if self._follows is not None:  # it means to keep no place any more
+            if self._follows is not None:
                 events.append(Event(f"{self.vehicle}/follows", when, self._place(None)))
 
     def _checked(self, command: Any) -> Velocity | Waypoint:
-        """The command in plain floats, as it would come over a wire."""
+        """The command in plain floats, as over a wire."""
         if not isinstance(command, COMMANDS):
             raise self._error(f"returned {messages.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
         try:
@@ -204,7 +203,7 @@ class AgentRunner:
         return plain_command
 
     def _place(self, follows: Any) -> Follows:
-        """The place to keep in plain floats, as it would come over a wire."""
+        """The place to keep in plain floats, as over a wire."""
         if follows is None:
             return Follows(leader=None)
         try:
@@ -216,18 +215,17 @@ class AgentRunner:
         return place
 
     def guarded(self, method: Any, *args: Any, passes: type[Exception] | tuple[()] = ()) -> Any:
-        """Call a method of the agent; what it raises becomes an error that names agent, vehicle, and the line."""
+        """Call a method of the agent; an exception becomes an error with agent, vehicle and line."""
         try:
             return method(*args)
         except KeyboardInterrupt:
             raise
         except passes:
             raise
-        except BaseException as error:  # whatever an agent raises must not end the recording
+        except BaseException as error:  # no exception of an agent may end the recording
             raise self._failure(error) from error
 
     def _failure(self, error: BaseException) -> AgentError:
-        """What an agent raised, as an error that names agent, vehicle, and the line."""
         cause = f"raised {words_of(error)}{place_of(error)}"
         return self._error(cause, details="".join(traceback.format_exception(error)))
 
@@ -250,7 +248,7 @@ def _plain(command: Velocity | Waypoint) -> tuple[Velocity | Waypoint, float]:
 
 
 def _own_copy(reception: Reception) -> Reception:
-    """The reception with a body of its own, so that an agent that changes it changes nobody else's, as over a wire."""
+    """The reception with its own body: an agent that changes a body changes no other agent's, as over a wire."""
     message = reception.message
     assert isinstance(message.body, dict)  # noqa: S101  bytes need no copy
     flat = MUTABLE.isdisjoint(map(type, message.body.values()))

@@ -1,4 +1,4 @@
-"""Builds agents from the tables of a scenario, agents within agents among them."""
+"""Builds agents, and agents nested in agents, from the tables of a scenario."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,13 +11,13 @@ from vcmvsp.cosim.scenario.schema import AgentTable
 
 
 class Kinds:
-    """Classes of agents, each looked up once per host: a file is not executed again for every vehicle."""
+    """Cache of agent classes: one look-up per host, so that a file is not executed again for every vehicle."""
 
     def __init__(self) -> None:
         self._found: dict[tuple[str, str], Any] = {}
 
     def find(self, spec: AgentSpec) -> Any:
-        """The class that a spec names."""
+        """The class of an agent."""
         if (spec.kind, spec.folder) not in self._found:
             key, origin = f"vehicle.{spec.vehicle}.agent.kind", binding.Named(spec.source)
             agent_class = registry.find("agent", spec.kind, folder=Path(spec.folder), key=key, origin=origin)
@@ -26,7 +26,7 @@ class Kinds:
 
 
 def check_acts(kind: Any, name: str, key: str, source: str = "") -> None:
-    """Refuse what is no class of agents, or one without an `act` of its own."""
+    """Reject a class that is no agent, or has no `act` of its own."""
     if not (isinstance(kind, type) and issubclass(kind, Agent)):
         raise ScenarioError(
             f"'{name}' is not derived from vcmvsp.Agent: write class {kind.__name__}(Agent)", key=key, source=source
@@ -67,7 +67,7 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
 
 
 def build_nested(described: Mapping[str, Any], key: str) -> Agent:
-    """Build the agent that a table inside another agent's parameters describes; errors name its keys as ``key`` + "."."""
+    """Build the agent that a table in another agent's parameters describes; errors name its keys as ``key`` + "."."""
     kind, where = described.get("kind"), messages.join(key, "kind")
     if not isinstance(kind, str):
         allowed = ", ".join(builtin_kinds.KINDS["agent"])

@@ -1,6 +1,6 @@
-"""The host of agents: one federate for all agents that live in one process.
+"""Host of agents: one federate for all agents of a process.
 
-It turns what was published about a vehicle into an `Observation`, calls the agent, and turns its command, messages and notes
+It collects the published data of a vehicle into an `Observation`, calls the agent, and turns its command, messages and notes
 into events that take effect at tick + latency (`agents.agent_runner`).
 """
 
@@ -14,12 +14,12 @@ from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 
 
 class AgentHost:
-    """A federate that holds agents, one per vehicle.
+    """A federate with agents, one per vehicle.
 
     Args:
         name: of the federate.
-        specs: the agents to build.
-        objects: agents that exist already, by vehicle; the rest of their spec still counts.
+        specs: specifications of the agents.
+        objects: existing agents, by vehicle; the rest of their specification still applies.
     """
 
     slot = wake_slot = Slot.AGENT
@@ -31,21 +31,21 @@ class AgentHost:
         ordered = sorted(specs, key=lambda spec: spec.vehicle)
         self._seats = [AgentRunner(spec, objects_by_vehicle.get(spec.vehicle), kinds) for spec in ordered]
         self.agents = tuple(seat.info for seat in self._seats)
-        self._trains = list(dict.fromkeys(info.ticks for info in self.agents))  # few, of many seats
+        self._trains = list(dict.fromkeys(info.ticks for info in self.agents))  # few, shared by many agents
         self._train = [self._trains.index(info.ticks) for info in self.agents]
         receivers = {f"{seat.vehicle}/heard": seat.hear for seat in self._seats}
         latest = {f"{seat.vehicle}/{what}": see for seat in self._seats for what, see in seat.sees.items()}
         self.reads, self.latest = tuple(receivers), tuple(latest)
-        self._takes: dict[str, Callable[[Any], None]] = receivers | latest  # what becomes of a value, by its key
+        self._takes: dict[str, Callable[[Any], None]] = receivers | latest  # receivers of values, by key
 
     def start(self, run: RunInfo) -> int | None:
-        """Tell every agent who and where it is; all act first at time 0."""
+        """Start all agents; the first tick of each is at time 0."""
         for seat in self._seats:
             seat.start(run)
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        """Hand out what arrived, and let every agent act whose tick this is."""
+        """Distribute the inbox and run every agent that has a tick now."""
         takes = self._takes
         for event in inbox:
             takes[event.key](event.value)
@@ -59,7 +59,7 @@ class AgentHost:
         return Step(events, next_ns)
 
     def close(self) -> None:
-        """Close every agent that was started, even if one of them fails; the first failure is raised at the end."""
+        """Close every started agent, even after a failure; the first failure is raised at the end."""
         failures = [error for seat in self._seats if (error := seat.close())]
         if failures:
             raise failures[0]

@@ -1,4 +1,4 @@
-"""A process that hosts agents: started by a run (``runs = "process"``) or by hand (``vcmvsp agent``)."""
+"""A process that hosts agents: started by a run (``runs = "process"``) or by a user (``vcmvsp agent``)."""
 
 import argparse
 import io
@@ -42,20 +42,20 @@ def host(
     secret: Path | None = None,
     on_state: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """Serve the agents of these vehicles to the run at ``endpoint`` until it ends; the answer is why it ended.
+    """Serve the agents of vehicles to the run at ``endpoint`` until it ends; returns the reason of the end.
 
     Args:
         endpoint: Zenoh endpoint of the run, e.g. ``tcp/127.0.0.1:7447``.
-        vehicles: whose agents to run.
-        kind: the agent's class, a file relative to the current folder; None: what the scenario says.
-        allow: other classes that the run may ask for, as modules or files.
-        code_folder: of Python files that the run may ask for by file name; None: none.
-        params: parameters that win over the scenario's.
-        token: by which a run knows a host that it has started itself.
+        vehicles: names of the vehicles.
+        kind: class of the agents, a file relative to the current folder; None: the kind of the scenario.
+        allow: other classes that the run may load, as modules or files.
+        code_folder: folder of Python files that the run may load by name; None: none.
+        params: parameters that override the scenario's.
+        token: proof that the run started this host.
         keys: file with the certificate of this machine.
-        insecure: do without one, although the run is on another machine or of another user.
-        secret: file with that of a run without certificates (`cosim.transport.local_secret`); None: this user's own.
-        on_state: told what is being waited for.
+        insecure: work without a certificate even if the run is on another machine or of another user.
+        secret: file with the secret of a run without certificates (`cosim.transport.local_secret`); None: the user's own.
+        on_state: receives texts about the current state.
     """
     for vehicle in vehicles:
         if not re.fullmatch(r"[A-Za-z0-9_-]+", vehicle):
@@ -64,7 +64,7 @@ def host(
         raise UsageError(f"--set {strange[0]}: that is for the scenario to say; a host sets parameters of its agent")
     named = user_classes.classes_in([*allow, kind, params])
     may_load = user_classes.only(None if token else user_classes.OwnCode(named, code_folder, on_state))
-    if kind is not None:  # its own fault is said here: the run goes on waiting
+    if kind is not None:  # errors of the class are reported here: the run goes on waiting
         with user_classes.only(user_classes.OwnCode(named, code_folder)):
             check_acts(registry.find("agent", kind, key="", origin=binding.Named("vcmvsp agent")), kind, "")
     bundle = None
@@ -75,7 +75,7 @@ def host(
         if warning := bundle.check():
             on_state(warning)
         bundle.speaks_for(vehicles)
-    if not token:  # whom a run has started it has also told where to dial
+    if not token:  # a host that a run starts got a checked endpoint
         endpoint = endpoint_rules(endpoint, bundle, insecure=insecure, side="host")
 
     def hello(host_id: str) -> Hello:
@@ -87,14 +87,14 @@ def host(
 
 
 def _end_with_parent(pipe: io.FileIO) -> None:
-    """Leave at once when the run's process is gone: its end of the pipe closes, however it died."""
+    """Exit when the pipe closes, which it does however the run's process ends."""
     pipe.read()
     time.sleep(GRACE_S)  # to end by itself, as it does after a run that went well
     os._exit(1)
 
 
 def main() -> int:
-    """Entry point of a host that a run has spawned."""
+    """Entry point of a host that a run starts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the run's to handle; it ends its hosts
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--connect", required=True)
@@ -110,6 +110,6 @@ def main() -> int:
     except UsageError as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_code
-    except VcmvspError as error:  # the run has been told, and tells it
+    except VcmvspError as error:  # the run has the error and reports it
         return error.exit_code
     return 0

@@ -1,4 +1,4 @@
-"""Patrol: go from way-point to way-point, on wheels or in the air; wait where something stands in the way."""
+"""Patrol: drive or fly from way-point to way-point; wait while the way is blocked."""
 
 import math
 
@@ -9,29 +9,29 @@ from vcmvsp.cosim.frames import rotate2, wrap
 from vcmvsp.cosim.types import Array, NonNegative, Positive, Scan, Vec3, Velocity, Waypoint
 
 TURN_GAIN = 1.5  # 1/s
-LANE_M = 0.6  # what it needs of the way, across
-TURN_ON_THE_SPOT = 0.8  # rad: aside by more than that, it turns before it goes on
+LANE_M = 0.6  # width of the lane
+TURN_ON_THE_SPOT = 0.8  # rad: larger bearings are turned away before driving on
 
 
 class Patrol(Agent):
     """Visit points in turn.
 
-    On wheels: turn towards the point, then drive at it, slower the further it lies aside. In the air: tell the autopilot. A
-    vehicle on wheels with a range scanner stops as long as something in its way is nearer than ``clearance``, and than the
-    point; when it has waited for ``patience_s`` it turns where there is more room until the way is free. That lets vehicles
-    pass each other, and leads round no wall: it plans no way.
+    On wheels: turn towards the point, then drive at it, slower the further it lies aside. In the air: send way-points to the
+    autopilot. A ground vehicle with a range scanner stops while something in its way is nearer than ``clearance`` and than the
+    point; after ``patience_s`` it turns to the roomier side until the way is free. Vehicles can so pass each other, but there
+    is no path planning around walls.
 
     Args:
-        way: points, x, y, z m, world; on wheels z does not matter.
-        relative: the points are meant from where the vehicle starts.
+        way: points, x, y, z m, world; z is ignored on wheels.
+        relative: points are relative to the start position.
         speed: m/s.
-        loop: begin again after the last one; else stay there.
-        arrive_m: a point is reached from this near.
-        flies: whether it is told way-points or velocities.
-        scanner: name of the range scanner that it looks at; empty: none.
+        loop: start again after the last point; otherwise stay there.
+        arrive_m: distance at which a point is reached.
+        flies: command way-points instead of velocities.
+        scanner: name of the range scanner; empty: none.
         clearance: of the way ahead, m.
-        patience_s: how long it waits before it turns aside.
-        report_s: it tells its position by radio so often, s, from a random instant on; 0: never.
+        patience_s: wait before turning aside, s.
+        report_s: period of position reports by radio, s, from a random instant on; 0: never.
     """
 
     def __init__(
@@ -58,12 +58,12 @@ class Patrol(Agent):
         self._origin: Vec3 | None = None
 
     def start(self, info: VehicleInfo) -> None:
-        """Note the period, and draw when to report: not all at once."""
+        """Draw the time of the first report: random, so that vehicles do not report at once."""
         self._period_s = info.period_s
         self._report_at_s = info.stream("report").uniform(0.0, self.report_s) if self.report_s else math.inf
 
     def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint:
-        """Go on towards the next point."""
+        """The command towards the next point."""
         if self._origin is None:
             self._origin = obs.state.position if self.relative else (0.0, 0.0, 0.0)
         if obs.time_s >= self._report_at_s:
@@ -73,7 +73,7 @@ class Patrol(Agent):
         return self._fly(obs) if self.flies else self._drive(obs)
 
     def _aim(self, obs: Observation) -> Vec3:
-        """The next point, or the one after it where this one is reached."""
+        """The next point, or the one after it once that is reached."""
         for _ in self.way:
             x, y, z = (a + b for a, b in zip(self.way[self._next], self._origin or (0.0, 0.0, 0.0), strict=True))
             away = [a - b for a, b in zip((x, y, z), obs.state.position, strict=True)]

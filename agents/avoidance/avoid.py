@@ -1,4 +1,4 @@
-"""Avoidance around any agent, which need not know about obstacles: `GetAround` for commands, `Avoid` for a whole agent."""
+"""Avoidance around other agents: `GetAround` for single commands, `Avoid` for a whole agent."""
 
 import math
 from typing import Any
@@ -11,19 +11,19 @@ from vcmvsp.agents.factory import build_nested
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.types import Velocity, Waypoint
 
-SAME = 1e-9  # m/s: a velocity turned into the body frame and back
+SAME = 1e-9  # m/s: rounding of a rotation into the body frame and back
 
 
 class GetAround(Agent):
-    """Does what a task wants, but around what stands in the way.
+    """Leads commands around obstacles.
 
-    Velocities go through the avoidance, in the body frame on wheels, in the world frame in the air (where x and y are looked
-    after, not the height). A way-point is left to the autopilot as long as nothing is near; else it is flown to by velocities.
+    Velocities pass through the avoidance: in the body frame on wheels, in the world frame in the air (x and y only, not the
+    height). A way-point is left to the autopilot while nothing is near; otherwise velocities lead there.
 
-    Noted: ``mode`` and ``level``, when they change.
+    Notes ``mode`` and ``level`` when they change.
 
     Attributes:
-        goal: where the task is about to get, x and y, m, world; None: where its commands lead.
+        goal: destination of the task, x and y, m, world; None: the direction of its commands.
     """
 
     def __init__(self, avoidance: Avoidance, goal: Point | None = None) -> None:
@@ -38,11 +38,11 @@ class GetAround(Agent):
         self._flies = info.body is not None and info.body.flies
 
     def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint | None:
-        """With no task: get out of the way of what comes near."""
+        """Without a task: evade approaching obstacles."""
         return self.around(obs, radio, Velocity())
 
     def around(self, obs: Observation, radio: Radio, requested: Velocity | Waypoint | None) -> Velocity | Waypoint | None:
-        """What to do in place of what is wanted."""
+        """The requested command, led around obstacles."""
         command = self._around(obs, requested)
         self.note(**self._steering.notes)
         return command
@@ -53,14 +53,14 @@ class GetAround(Agent):
                 raise ValueError("avoid: the task gave a Waypoint, and a vehicle on wheels takes velocities alone")
             return self._flown(obs, velocity_to(obs, command, self._steering.settings.max_speed), command)
         if not isinstance(command, Velocity):
-            return command  # none yet; or something that the host refuses
+            return command  # None, or a type that the host rejects
         if self._flies:
             return self._flown(obs, command, None)
         decision = self._steering.drive(obs, (command.linear[0], command.yaw_rate), self.goal)
         return Velocity(linear=(*decision.velocity, 0.0), yaw_rate=decision.yaw_rate)
 
     def _flown(self, obs: Observation, command: Velocity, waypoint: Waypoint | None) -> Velocity | Waypoint:
-        """The same in the air, for a velocity that may stand for a way-point."""
+        """As `_around` for a vehicle in the air; ``command`` may replace a way-point."""
         goal = self.goal if waypoint is None or self.goal is not None else waypoint.position[:2]
         decision = around(self._steering, obs, command.linear, command.yaw_rate, goal)
         as_wanted = (
@@ -74,16 +74,15 @@ class GetAround(Agent):
 
 
 class Avoid(Agent):
-    """Does what another agent says, but around what stands in the way (`GetAround`).
+    """Runs another agent and leads its commands around obstacles (`GetAround`).
 
-    Where the task leaves its last command in force, that one is looked at again.
-
-    Noted besides what the task notes: ``mode`` and ``level``, when they change.
+    The last command of the task stays in force and is checked again at every tick. Notes ``mode`` and ``level`` when they
+    change, besides the notes of the task.
 
     Args:
-        task: the agent that says where to go: its ``kind`` and its parameters.
-        avoidance: how this vehicle gets around what stands in the way.
-        goal: where the task is about to get, x and y, m, world; default: where its commands lead.
+        task: table of the agent that commands: its ``kind`` and its parameters.
+        avoidance: method of avoidance of this vehicle.
+        goal: destination of the task, x and y, m, world; default: the direction of its commands.
     """
 
     def __init__(self, task: dict[str, Any], avoidance: Avoidance, *, goal: Point | None = None) -> None:
@@ -94,14 +93,14 @@ class Avoid(Agent):
         self._last: Velocity | Waypoint | None = None
 
     def start(self, info: VehicleInfo) -> None:
-        """Both begin."""
+        """Start the task and the avoidance."""
         self._around.start(info)
         self._last = None
         self.task.start(info)
         self.follows = self.task.follows
 
     def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint | None:
-        """What the task says, as far as nothing is in the way."""
+        """The command of the task, led around obstacles."""
         self._last = self.task.act(obs, radio) or self._last
         self.follows = self.task.follows
         command = self._around.around(obs, radio, self._last)
@@ -111,5 +110,5 @@ class Avoid(Agent):
         return command
 
     def close(self) -> None:
-        """Both end."""
+        """Close the task."""
         self.task.close()

@@ -1,4 +1,4 @@
-"""The dynamic window: of the speeds that can be had within a period and after which it can still stop, the best.
+"""Dynamic window: the best of the speeds that can be reached within a period and still allow a stop.
 
 D. Fox, W. Burgard, S. Thrun, The dynamic window approach to collision avoidance, IEEE Robotics and Automation Magazine 4 (1),
 1997, with the returns of a scan for obstacles.
@@ -26,17 +26,16 @@ Grid = Annotated[int, msgspec.Meta(ge=2, le=101)]
 
 
 class DynamicWindow(Settings, frozen=True, kw_only=True, tag="dynamic_window"):
-    """The dynamic window (Fox, Burgard, Thrun 1997), for vehicles on wheels: the best speeds after which it can still stop.
+    """Dynamic window (Fox, Burgard, Thrun 1997) for vehicles on wheels: the best speeds that still allow a stop.
 
-    The task is left as it is while the way straight to its aim is free as far as it looks, and it can stop on its own arc.
-    Otherwise it takes those of the speeds that it can have after a period which score best, if it can stop on their arc,
-    braking along it, 5 cm before anything is nearer than ``keep_m``. The score is that of heading for the aim where it would be
-    at rest, of the clearance of the arc and of the speed, each between 0 and 1. Its present speeds are what it was told last.
+    The task's command passes unchanged while the straight way to its aim is free within the look-ahead distance and the vehicle
+    can stop on its own arc. Otherwise the method picks, from the speeds that are reachable within a period, those with the best
+    score. A pair of speeds is admissible if braking along its arc ends 5 cm before anything is nearer than ``keep_m``. The
+    score adds the heading towards the aim at rest, the clearance of the arc and the speed, each between 0 and 1.
 
-    Where there are none it turns on the spot until the way ahead is free, and then goes on in that direction until the aim is
-    free, or, out of the field of view, for the distance that it looks ahead: the paper leaves it to a planner not to get there,
-    and facing what is between it and its aim it would stand for ever. It passes things closely, and goes to and fro before wide
-    walls.
+    Without admissible speeds the vehicle turns on the spot until the way ahead is free. It then drives in that direction until
+    the aim is free or, if the aim is out of view, for the look-ahead distance: the paper leaves this case to a planner.
+    The method passes obstacles closely and oscillates before wide walls.
     """
 
     lookahead_m: Positive = 1.2  # clearances beyond that are all the same
@@ -52,7 +51,7 @@ class DynamicWindow(Settings, frozen=True, kw_only=True, tag="dynamic_window"):
 
     @property
     def reach_m(self) -> float:
-        """As far as it looks."""
+        """The look-ahead distance."""
         return self.lookahead_m
 
     def method(self, body: Body, period_s: float) -> Method:
@@ -124,7 +123,7 @@ def _until_touch(x: Array, y: Array, excess: Array, curvature: Array, keep: floa
 
 
 class _DynamicWindow:
-    """What one vehicle remembers: the speeds that it has, as far as it does what it was told, and where it is turning to."""
+    """State of one vehicle: its commanded speeds and its detour."""
 
     def __init__(self, settings: DynamicWindow, keep: float, period_s: float) -> None:
         self._set, self._keep, self._period_s = settings, keep, period_s
@@ -135,7 +134,6 @@ class _DynamicWindow:
         self._cruise = 0.0  # m/s, of the task, when it last had a speed
 
     def decide(self, view: View, task: Task) -> Decision:
-        """What to do at a tick."""
         self._now = max(0.0, task.now[0]), task.now[1]
         if self._detour is not None:
             self._detour = wrap(self._detour - self._now[1] * self._period_s)
@@ -162,7 +160,7 @@ class _DynamicWindow:
         return Decision((speeds[0], 0.0), speeds[1], "avoid")
 
     def _around(self, points: Array, top: float, task: Task) -> tuple[float, float] | None:
-        """The best speeds towards the aim, or, after turning away from what is in its way, on from there; None: turn."""
+        """The best speeds towards the aim or along the detour; None: turn."""
         far = self._set.lookahead_m
         if self._side and self._detour is None:
             if _straight(points, 0.0, self._keep) < far:
@@ -181,17 +179,17 @@ class _DynamicWindow:
         return points
 
     def _stopping_m(self, v: float) -> float:
-        """How far it goes yet at a speed that it holds for a period."""
+        """Distance to standstill from speed v after one more period, m."""
         return v * self._period_s + 0.5 * v * v / self._set.braking
 
     def _may_resume(self, view: View, task: Task) -> bool:
-        """Unless it is turning away from what is in its way, or has gone so little since that it may still be beside it."""
+        """Whether no detour keeps the vehicle from its task."""
         if self._detour is None:
             return not self._side or task.velocity[0] > 0.0
         return self._gone_m >= self._set.lookahead_m or task.aim is None or view.sees(math.atan2(task.aim[1], task.aim[0]))
 
     def _leads_on(self, points: Array, task: Task) -> bool:
-        """Nothing stands between it and its aim, as far as it looks; where it has none, on the way that it takes."""
+        """Whether the way to the aim is free as far as the look-ahead distance; without an aim, the task's own arc."""
         if task.aim is None:
             way = np.array([task.yaw_rate / task.velocity[0]])
             return bool(clearances(points, way, self._keep)[0] >= self._set.lookahead_m)
@@ -199,7 +197,7 @@ class _DynamicWindow:
         return _straight(points, bearing, self._keep) >= min(away, self._set.lookahead_m)
 
     def _best(self, points: Array, top: float, aim: Point) -> tuple[float, float] | None:
-        """The best admissible speeds of the window, m/s and rad/s; None if it can but stand."""
+        """The best admissible speeds of the window, m/s and rad/s; None if there are none."""
         reach, swing = self._set.acceleration * self._period_s, self._set.turn_acceleration * self._period_s
         v0, w0 = self._now
         v = np.linspace(max(0.0, v0 - reach), max(min(top, v0 + reach), v0 - reach, 0.0), self._set.speeds)
@@ -230,7 +228,7 @@ class _DynamicWindow:
         return 1.0 - off / math.pi
 
     def _turning(self, view: View, task: Task) -> Decision:
-        """On the spot, to one side until there is a way straight ahead: facing what blocks the aim, it would stand for ever."""
+        """Turn on the spot, always to one side, until there is a way straight ahead."""
         if not self._side:
             behind = task.aim if task.aim is not None and task.aim[0] < 0.0 else None
             self._side = (1 if behind[1] > 0.0 else -1) if behind else view.roomier_side(self._set.lookahead_m)
@@ -246,7 +244,7 @@ def _straight(points: Array, bearing: float, keep: float) -> float:
 
 
 def _aim(task: Task, far: float) -> Point:
-    """Where it is to get; a vehicle that roams, to where its own way leads."""
+    """The aim; without one, the end of the task's own arc."""
     if task.aim is not None:
         return task.aim
     v, w = task.velocity[0], task.yaw_rate

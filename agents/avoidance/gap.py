@@ -46,31 +46,28 @@ class Gap(Settings, frozen=True, kw_only=True, tag="gap"):
         return max(0.5 * body.width_m + self.margin_m, self.kept_m(body))
 
     def method(self, body: Body, period_s: float) -> Method:
-        """One for a vehicle."""
+        """A `GapMethod`."""
         return GapMethod(self, body, period_s)
 
 
 class GapMethod:
-    """How one vehicle does so.
+    """State of one vehicle that drives through gaps.
 
-    The lane leads to the task's aim, no further than the look-ahead distance. Where there is no aim, that of the task's own
-    motion counts; on the spot anything may turn. So it is where the aim lies outside the field of view and nothing is known of
-    the lane; but a vehicle on its way around something does not take up its task before it sees that it can.
+    The lane leads to the task's aim, at most as far as the look-ahead distance. Without an aim, or with one out of view, it
+    leads along the task's own motion; turning on the spot is always free. A vehicle on its way around an obstacle resumes its
+    task only when it sees that the lane is free.
 
-    Of the gaps, a vehicle that follows takes the one nearest in bearing to its leader (Toh 2012, 4-4, 4-5: the leader may be
-    outside the field of view, then a gap at that border is nearest); one with an aim the one whose end, at the look-ahead
-    distance, is nearest to it; one that roams the one nearest to its own direction. A full turn is first looked at as half a
-    turn around where the vehicle wants to go: behind it all is free, as a rule, and the middle of one gap around
-    everything but a pillar leads straight back.
+    Choice of the gap: a follower takes the gap nearest in bearing to its leader (Toh 2012, 4-4, 4-5: with the leader out of
+    view, a gap at that border of the field of view). A vehicle with an aim takes the gap whose end, at the look-ahead
+    distance, is nearest to the aim; a roaming one the gap nearest to its own direction. A full turn is first examined as
+    half a turn around the goal's direction, because the middle of one gap around everything but a pillar leads straight back.
 
-    It heads for the middle of that gap where a disc as wide as the lane gets through there past all that is near; else in the
-    direction next to it in which it does: what stands nearer than the gap may reach into the way to its middle. Where it
-    gets through nowhere in that gap it heads for the middle all the same, to see better from nearer, until it makes no way for
-    three seconds; then it takes the direction next to it anywhere, until it has gone as far as it looks ahead.
+    Direction: the middle of the gap if a disc as wide as the lane passes there, else the nearest direction in the gap in which
+    it passes. If it passes nowhere in the gap, the vehicle still approaches the middle to see better, until it makes no way for
+    three seconds; then it takes the nearest free direction anywhere, for the look-ahead distance.
 
-    Where there is none, and where there is no gap, it turns towards its leader or aim, or to the side with more room. It keeps
-    to that side, also against a way on the other, until it has gone as far as it looks ahead, or nothing is near any more:
-    turning to and fro it would see the same for ever.
+    Without a gap or a direction the vehicle turns towards its leader or aim, or to the roomier side. It keeps that side
+    until it has driven the look-ahead distance or nothing is near; otherwise it would turn to and fro for ever.
     """
 
     def __init__(self, settings: Gap, body: Body, period_s: float) -> None:
@@ -84,7 +81,7 @@ class GapMethod:
         self._waited_s = 0.0  # for so long it has made no way on its way around something
 
     def decide(self, view: View, task: Task) -> Decision:
-        """What to do at a tick."""
+        """The decision of a tick."""
         speed, lookahead = math.hypot(*task.velocity), self._settings.lookahead_m
         self._speed = speed or self._speed
         self._gone_m += abs(task.now[0]) * self._period_s
@@ -107,7 +104,6 @@ class GapMethod:
         return self._towards(bearing, view, task)
 
     def _is_free(self, view: View, task: Task) -> bool:
-        """Whether nothing stands in the way of the task."""
         lookahead = self._settings.lookahead_m
         if view.nearest_m > lookahead:
             return True

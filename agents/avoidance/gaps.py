@@ -91,9 +91,9 @@ def gaps_ahead(view: View, bearing: float, lookahead_m: float) -> tuple[Gaps, Ar
 
 
 def _whole_widths(view: View, candidates: Gaps, begin: int, count: int, lookahead_m: float) -> Array:
-    """The widths of gaps among ``count`` beams from beam ``begin`` on, m; of those that go on beyond them, as a whole.
+    """Widths, m, of gaps among ``count`` beams from beam ``begin`` on; cut gaps are measured whole.
 
-    What is seen under half a turn or more is no door, and its width says nothing.
+    A gap of half a turn or more is no door, so its width is not used.
     """
     cut = np.flatnonzero((candidates.begin == 0) | (candidates.end == count))
     if not len(cut):

@@ -1,7 +1,7 @@
-"""Near things, slowly: two levels of avoidance, and the limit of the speed at the second.
+"""Two levels of avoidance by distance, and the speed limit of the second.
 
-Level 1 begins where a method begins to look at things, level 2 where a vehicle must brake for them: from there on it comes no
-faster towards anything than in proportion to the way that is left. Along one beam the distance then decays to ``keep_m``, and a
+Level 1 begins where a method first considers obstacles, level 2 where a vehicle must brake for them: from there on its
+approach speed is at most proportional to the remaining distance. Along one beam the distance then decays to ``keep_m``, and a
 vehicle whose speed lags by tau does not overshoot, if ``approach`` <= 1/(4 tau).
 """
 
@@ -17,7 +17,7 @@ from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.types import Array
 
 SPARE_M = 0.03  # it comes to rest so much before it is as near as it may be
-AROUND_M = 0.3  # beyond what is kept: level 2 begins there at the latest
+AROUND_M = 0.3  # beyond the distance to keep: latest begin of level 2
 RELEASE_M, RELEASE_S = 0.15, 0.5  # so much further away, and for so long, before level 2 ends
 BESIDE_M = 0.05  # on wheels: what passes the body at so much does not count
 REVERSE = 0.1  # m/s: on wheels, the fastest way back at level 2
@@ -72,7 +72,7 @@ class ObstacleLevels:
 
 
 def second_m(speed: float, keep_m: float, braking: float, latency_s: float = 0.0) -> float:
-    """From how near on level 2 holds, m: what is kept and 0.3 m, or the way to standstill where that is longer."""
+    """Distance at which level 2 begins, m: the distance to keep plus 0.3 m, or the stopping distance if that is longer."""
     return keep_m + max(AROUND_M, speed * latency_s + speed * speed / (2.0 * braking))
 
 

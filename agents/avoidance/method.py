@@ -1,8 +1,8 @@
-"""What a method of avoidance is asked, and what it answers.
+"""Interface of a method of avoidance: a `Task` and a `View` in, a `Decision` out.
 
-A method looks at one `View` and at what the task would do, and says what to do instead. It knows no scenario, no radio, no
-clock; speed limits near obstacles (`agents.avoidance.levels`) and bad scans are others' business. All in the body frame, x
-forward, y left. Ground vehicles move along x alone: their velocities have no y.
+A method has no access to scenario, radio and clock. Speed limits near obstacles (`agents.avoidance.levels`) and invalid scans
+are handled outside. All values are in the body frame, x forward, y left. Ground vehicles move along x only: their velocities
+have y = 0.
 """
 
 import math
@@ -21,9 +21,9 @@ class Task(NamedTuple):
     velocity: Point  # m/s
     yaw_rate: float = 0.0  # rad/s
     aim: Point | None = None  # m: where it is to get; None: nowhere in particular, it roams
-    leader: Point | None = None  # m: where whom it follows is, as far as is known
+    leader: Point | None = None  # m: estimated position of the leader
     max_speed: float = 0.6  # m/s: as fast as it may go on its way around something
-    now: tuple[float, float] = (0.0, 0.0)  # m/s ahead, rad/s: what it was last commanded, whoever limited that
+    now: tuple[float, float] = (0.0, 0.0)  # m/s ahead, rad/s: last command, after all limits
 
 
 class Decision(NamedTuple):
@@ -41,7 +41,7 @@ def saturated(velocity: Point, max_speed: float) -> Point:
 
 
 class Method(Protocol):
-    """One way of getting around things; one object per vehicle, asked once a tick, which may remember."""
+    """A method of avoidance: one object per vehicle, called once a tick, with its own state."""
 
     def decide(self, view: View, task: Task) -> Decision:
         """What to do at a tick."""

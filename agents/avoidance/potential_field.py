@@ -1,6 +1,6 @@
-"""The potential field: whatever is near pushes, the nearer the harder; a vehicle goes where its task and all pushes add up to.
+"""Potential field: near obstacles repel a vehicle; its velocity is the sum of the task's velocity and all repulsions.
 
-What stands x metres away along a beam pushes with (Toh 2012, section 3.2; R the reach, r the core)::
+A return at x metres along a beam repels with (Toh 2012, section 3.2; R the reach, r the core)::
 
     F(x) = (R - x) / (x - r)    for x < R, and not at all beyond
 
@@ -23,7 +23,7 @@ entering the field and kept until nothing is in reach any more: a vehicle that c
   and its hand can (Toh 2012, (3-4)); of the task, that is (v, w times that distance). It goes no faster back than its task
   does, and ahead than its task has had it go since something is near: what is behind does not drive it on. Where the sum points
   backwards it turns on the spot, to one side, until that leads ahead, less than 60 degrees aside. It goes slower rather than
-  elsewhere where it cannot turn so fast. Who stands, v = w = 0, remains standing.
+  elsewhere where it cannot turn so fast. A standing vehicle, v = w = 0, remains standing.
 
 Nothing in reach leaves the task as it is. Two things a field does not do: enter a passage that is hardly wider than the reach
 (with these defaults 1.2 m is closed and 1.6 m open), whose jambs push back together; and keep its core free when it is driven
@@ -38,7 +38,7 @@ from vcmvsp.agents.avoidance.view import View
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.types import Array, NonNegative, Positive
 
-BEAMS = 32  # in a full turn, of the scanner that the gain is meant for (Toh 2012)
+BEAMS = 32  # in a full turn, of the scanner that the gain was tuned with (Toh 2012)
 EDGE_M = 0.05  # from the core to where the push grows no further
 LEADS_ON = 0.5  # cosine of how far aside the sum may point for a turn on the spot to end
 TIE = 1e-9  # of the greatest that it could be: less to one side than that is rounding

@@ -1,4 +1,4 @@
-"""What ``avoidance = {...}`` of an agent says, whatever the method: who looks, how near is too near, how fast it goes there."""
+"""Common keys of ``avoidance = {...}``: scanner, distance to keep, speed limit."""
 
 from collections.abc import Callable
 from typing import Annotated
@@ -35,19 +35,19 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         raise NotImplementedError
 
     def method(self, body: Body, period_s: float) -> Method:
-        """One of this kind for a vehicle that is asked every ``period_s`` seconds."""
+        """A method of this kind for a vehicle with a period of ``period_s`` seconds."""
         raise NotImplementedError
 
     def maker(self) -> Callable[[Body, float], Method]:
-        """What makes a method; asked for when the agent is built, which is before it knows its vehicle."""
+        """Factory of methods; loaded when the agent is built, before its vehicle is known."""
         return self.method
 
 
 def body_of(info: VehicleInfo) -> Body:
-    """How much room a vehicle takes.
+    """The space that a vehicle takes up.
 
     Raises:
-        ValueError: nobody says.
+        ValueError: the vehicle has no known body.
     """
     if info.body is None:
         raise ValueError(f"avoidance needs to know how much room {info.name} takes, and nobody says: there is no body")

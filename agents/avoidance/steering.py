@@ -19,16 +19,16 @@ BLIND = Decision((0.0, 0.0), 0.0, "blind")
 
 
 class AvoidanceSteering:
-    """Avoidance of one vehicle, asked once a tick.
+    """Avoidance of one vehicle, called once a tick.
 
-    A vehicle that does not see stands: without a reading of its scanner, with one that is too old, of which nothing can be made
-    (see `agents.avoidance.view.view_of`), whose beams lie otherwise than those before, or with 0 on every beam. More likely the
-    scanner is at fault than all is well: where something was near (level 1 or 2) and all returns vanish at once, it goes no
-    faster than before for half a second; with 0 on a beam, no faster than before or than its task has it. What a method raises
-    is not caught. On wheels, it goes no faster than 0.1 m/s to where its scanner does not look.
+    A vehicle without a valid scan stands still: no reading of its scanner, one that is too old or invalid
+    (`agents.avoidance.view.view_of`), one with changed beams, or 0 on every beam. A scanner fault is assumed where
+    something was near (level 1 or 2) and all returns vanish at once: for half a second the vehicle is then no faster than
+    before. With 0 on one beam it is no faster than before or than its task. Exceptions of a method are not caught. On
+    wheels the speed is at most 0.1 m/s in directions that the scanner does not cover.
 
     Attributes:
-        notes: what has changed at the last tick, for `cosim.agent.Agent.note`: ``mode``, ``level``.
+        notes: changes of the last tick, for `cosim.agent.Agent.note`: ``mode``, ``level``.
         level: 0; 1: near enough for the method; 2: so near that the speed is limited.
     """
 
@@ -40,10 +40,10 @@ class AvoidanceSteering:
         self.level = 0
 
     def start(self, info: VehicleInfo) -> None:
-        """Before the first tick: what kind of vehicle this is.
+        """Take the scanner and the body of the vehicle.
 
         Raises:
-            ValueError: it has no such scanner, nobody says how large it is, or the method does not suit it.
+            ValueError: the scanner is missing, the size of the vehicle is unknown, or the method does not suit it.
         """
         self._looking.start(info, "avoidance.scanner")
         body = body_of(info)
@@ -82,7 +82,7 @@ class AvoidanceSteering:
         return self._told_of(self._limited(obs, view, Decision((v, 0.0), w, "task"), abs(v)))
 
     def _limited(self, obs: Observation, view: View, decision: Decision, requested: float) -> Decision:
-        """What is left of a decision near obstacles, for a vehicle whose task wants it to go at ``wanted``, m/s."""
+        """The decision with the speed limit near obstacles; ``requested`` is the speed of the task, m/s."""
         x, y, _ = obs.state.velocity
         fastest = max(requested, math.hypot(*decision.velocity), math.hypot(x, y))
         self.level = self._levels.update(obs.time_ns, view.nearest_m, fastest)
@@ -131,9 +131,10 @@ def around(
     aim: Point | None = None,
     leader: Point | None = None,
 ) -> SteeredMotion:
-    """The wanted command (m/s world, rad/s) of a vehicle in the air, led around obstacles; ``aim`` and ``leader`` are m, world.
+    """Velocity (m/s, world) and yaw rate (rad/s) of an aerial vehicle, led around obstacles.
 
-    Obstacles are avoided sideways: the climb stays as wanted, but for a vehicle that sees nothing and stands still.
+    ``aim`` and ``leader`` are m, world. Obstacles are avoided sideways: the climb does not change, unless the vehicle has
+    no valid scan and stands still.
     """
     if steering is None:
         return SteeredMotion(requested, yaw_rate, "task")

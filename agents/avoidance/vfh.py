@@ -129,7 +129,7 @@ class _Vfh:
         return decision
 
     def _remember(self, turned: float) -> None:
-        """What was said of directions before, as they are now: the vehicle has turned, rad, as it was told to."""
+        """Rotate the remembered sectors by the commanded turn, rad."""
         self._previous = wrap(self._previous - turned)
         self._turned += turned
         steps = round(self._turned / self._angle)
@@ -147,7 +147,7 @@ class _Vfh:
         return near
 
     def _moving_m(self, task: Task) -> float:
-        """How far the place of one who follows moves on while it matters, m: from where on one is slowed at this speed."""
+        """Distance that a follower's place moves on while an obstacle matters, m."""
         return math.hypot(*task.velocity) / self._set.approach if task.leader is not None else 0.0
 
     def _decided(self, view: View, task: Task, near: Array) -> Decision:
@@ -263,7 +263,7 @@ class _Vfh:
 
 
 def _kept(values: Array) -> Array:
-    """The same, which nobody writes to."""
+    """The array as a shared, read-only one."""
     values.flags.writeable = False
     return values
 

@@ -22,7 +22,7 @@ FULL = 1.0 - 1e-6  # of the range: where nothing came back, some scanners say th
 
 
 class View(NamedTuple):
-    """Ranges around a vehicle, and where its beams point; arrays that nobody writes to."""
+    """Ranges around a vehicle and the directions of its beams; the arrays are read-only."""
 
     ranges: Array  # (n,) m; inf: no return; 0: nearer than it can measure, or no number
     bearings: Array  # (n,) rad, from ahead to the left

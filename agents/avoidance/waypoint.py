@@ -1,4 +1,4 @@
-"""A way-point as the velocity that leads there, for those who have to look after what is on the way."""
+"""A way-point as a velocity, for agents that must avoid obstacles on the way."""
 
 import math
 
