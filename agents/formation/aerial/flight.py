@@ -1,8 +1,8 @@
-"""What leaders and followers in the air have in common: motion in all directions, and the reports of it.
+"""Motion and reports of aerial leaders and followers.
 
-On wheels a vehicle moves where it heads, and a pose with two speeds says all. In the air it moves in any direction, whatever
-its heading: reports hold ``vx vy vz z`` besides the standard keys, whose ``v`` is then the speed along the heading. So a
-vehicle on wheels may follow one in the air that flies where it heads, and one in the air may follow any vehicle on wheels.
+A ground vehicle moves along its heading, so a pose and two speeds describe it. An aerial vehicle moves in any direction:
+its reports also hold ``vx vy vz z``; their ``v`` is the speed along the heading. So a ground vehicle can follow an aerial one
+that flies along its heading, and an aerial vehicle can follow any ground vehicle.
 """
 
 import math
@@ -21,7 +21,7 @@ KEYS = ("vx", "vy", "vz", "z")
 
 
 class Flight(NamedTuple):
-    """Where a vehicle that is followed is now, and how it moves, as far as its report tells."""
+    """Estimated state of a reporting vehicle."""
 
     position: Vec3  # m, world; of one on wheels z is 0
     velocity: Vec3  # m/s, world
@@ -30,17 +30,17 @@ class Flight(NamedTuple):
 
 
 class Airborne:
-    """An estimator for all that is reported: of a vehicle in the air it moves each coordinate by its own speed.
+    """Estimator for ground and aerial senders: moves each coordinate of an aerial one by its own speed.
 
-    How far an old speed is trusted is the matter of the estimator inside; of a vehicle on wheels it makes all of the estimate.
-    There is no ``acc`` and no ``plan`` in the air: they reckon as ``dr``.
+    The inner estimator sets how long an old speed counts; for a ground sender it makes the whole estimate. ``acc`` and ``plan``
+    do not exist in the air: they act as ``dr``.
     """
 
     def __init__(self, inner: Estimator) -> None:
         self.inner = inner
 
     def predict(self, report: Report, age_s: float) -> LeaderState:
-        """Seen from above, for those that look at nothing else."""
+        """The state seen from above."""
         if _aloft(report.body) is None:
             return self.inner.predict(report, age_s)
         (x, y, _), velocity, yaw, w = self.flight(report, age_s)
@@ -52,7 +52,7 @@ class Airborne:
         if aloft is None:
             x, y, yaw, v, w = self.inner.predict(report, age_s)
             return Flight((x, y, 0.0), (v * math.cos(yaw), v * math.sin(yaw), 0.0), yaw, w)
-        # What becomes of one who reports 1 m/s along x says for how many seconds speeds last, and what is left of them.
+        # A unit report of 1 m/s along x gives the time that speeds last and their remaining share.
         unit = Report(report.t_ns, LeaderState(0.0, 0.0, 0.0, 1.0, 0.0), {})
         lasted_s, _, _, left, _ = self.inner.predict(unit, age_s)
         (x, y, yaw, _, w), (vx, vy, vz, z) = report.state, aloft
@@ -61,7 +61,7 @@ class Airborne:
 
 
 def check_flies(info: VehicleInfo) -> None:
-    """Refuse a vehicle on wheels: it would take a velocity in the world for one ahead and aside.
+    """Reject a vehicle on wheels, which would take a world velocity for a body velocity.
 
     Raises:
         ValueError: it does not fly.
@@ -71,23 +71,23 @@ def check_flies(info: VehicleInfo) -> None:
 
 
 def told(obs: Observation, velocity: Vec3) -> dict[str, float]:
-    """What a report holds besides the standard keys of a vehicle that moves at ``velocity`` m/s, world."""
+    """Additional keys of a report for a vehicle that moves at ``velocity`` m/s, world."""
     return dict(zip(KEYS, (*velocity, obs.state.position[2]), strict=True))
 
 
 def along(velocity: Vec3, yaw: float) -> float:
-    """The part of a velocity in the direction of a heading, m/s."""
+    """Component of a velocity along a heading, m/s."""
     return velocity[0] * math.cos(yaw) + velocity[1] * math.sin(yaw)
 
 
 def limited(velocity: Vec3, most: float) -> Vec3:
-    """The same direction, at ``most`` m/s at most."""
+    """The velocity, reduced to ``most`` m/s at most."""
     share = most / speed if (speed := math.hypot(*velocity)) > most else 1.0
     return velocity[0] * share, velocity[1] * share, velocity[2] * share
 
 
 def _aloft(body: Mapping[str, Any]) -> tuple[float, float, float, float] | None:
-    """Velocity and height in a report; None where it does not say, or says nonsense."""
+    """Velocity and height of a report; None if they are missing or implausible."""
     try:
         vx, vy, vz, z = (body[key] for key in KEYS)
         return (vx, vy, vz, z) if abs(vx) + abs(vy) + abs(vz) + abs(z) < PLAUSIBLE else None

@@ -1,4 +1,4 @@
-"""A follower in the air: keeps a place beside a leader of which it knows only what the radio brings."""
+"""Aerial follower: keeps a place beside a leader that it knows from radio reports only."""
 
 import math
 from typing import Literal
@@ -21,35 +21,34 @@ STILL: Vec3 = (0.0, 0.0, 0.0)
 
 
 class AerialFollower(Agent):
-    """Keep a place beside ``leader``, or in a ``formation``; hover until it is heard, and when it falls silent.
+    """Keep a place beside ``leader``, or in a ``formation``; hover before the first report and after the last.
 
     Velocity ``v = v_slot + gain (slot - p)``: the slot lies in the leader's frame, turned by its heading alone, and moves with
-    it; so the error decays with ``exp(-gain t)`` whatever the leader does. A leader on wheels flies at height 0.
+    it, so the error decays with ``exp(-gain t)`` for any motion of the leader. A leader on wheels has height 0.
 
-    Noted at every tick: ``status`` (``waiting``, ``following``, ``leader lost``; ``leading`` in a team that has lost all
-    before this member), ``age_s`` of the report in use, the error that the follower believes it has, ``error_m``, and, once
-    there is one, the number of messages that could not be used, ``refused``. In a team also, when they change, ``parent``
-    (empty where it leads) and ``shape``.
+    Notes at every tick: ``status`` (``waiting``, ``following``, ``leader lost``; ``leading`` in a team without a living
+    ancestor), ``age_s`` of the report in use, the estimated error ``error_m`` and, from the first one on, the number of
+    unusable messages, ``refused``. In a team also, when they change, ``parent`` (empty for a leading member) and ``shape``.
 
     Args:
-        leader: name of the vehicle to follow; it must report itself. A formation says it instead.
-        slot: where to be in the leader's frame, x forward, y left, z up, m; needed with ``leader``.
-        formation: the team's shape, and who follows whom in it.
-        above: in a formation: how much higher than the parent to fly, m.
+        leader: name of the leader, which must report itself. Not with a formation.
+        slot: place in the leader's frame, x forward, y left, z up, m; needed with ``leader``.
+        formation: shape and topology of the team.
+        above: in a formation: height above the parent, m.
         gain: 1/s.
-        heading: ``keep`` that of the start, or have that of the ``leader``.
+        heading: ``keep`` that of the start, or take that of the ``leader``.
         estimator: ``hold`` or ``dr``, ``module:Class``, ``file.py:Class`` or an object with ``predict(report, age_s)``.
         max_speed: limit of the commanded speed, m/s; default: none but the vehicle's own.
         max_yaw_rate: limit of the commanded yaw rate, rad/s.
-        horizon_s: how long ``dr`` trusts the last reported speeds, s.
-        fade_s: time in which it lets them fade after that, and in which this vehicle stops when the leader is lost, s.
+        horizon_s: how long ``dr`` uses the last reported speeds, s.
+        fade_s: time in which they fade to zero after that, and in which this vehicle stops without a leader, s.
         timeout_s: age of the newest report at which the leader counts as lost, s.
-        heartbeat_s: in a formation: silence after which a parent is left for its own parent, s (`heartbeat_for`).
-        clock_bound_s: how far ahead the leader's clock may be, s; a report from further in the future is refused.
-        broadcast: report itself for vehicles that follow this one. Default: in a formation where somebody follows it, a
-            heartbeat is asked for, or the shape is to change; otherwise no.
+        heartbeat_s: in a formation: silence after which a parent is replaced by its own parent, s (`heartbeat_for`).
+        clock_bound_s: largest lead of the leader's clock, s; reports from further in the future are rejected.
+        broadcast: report itself to followers. Default: in a formation with children, a heartbeat or changes of shape;
+            otherwise no.
         sending: when it reports.
-        avoidance: how it gets around what stands between it and its place; default: it does not look.
+        avoidance: method of avoidance on the way to its place; default: none.
     """
 
     def __init__(
@@ -130,13 +129,13 @@ class AerialFollower(Agent):
         return Velocity(linear=velocity, yaw_rate=decision.yaw_rate)
 
     def stand_by(self, obs: Observation, radio: Radio) -> None:
-        """While the vehicle is busy otherwise: listen. It says nothing, so that nobody follows it."""
+        """Receive reports and send none, so that this vehicle has no followers while it does something else."""
         self._member.hear(obs)
         self.note(**self._member.notes)
-        self._last, self._fading_ns = obs.state.velocity, None  # with nobody to follow then, it stops from how it moves
+        self._last, self._fading_ns = obs.state.velocity, None  # without a leader it stops from its present motion
 
     def _estimate(self, obs: Observation, newest: Report | None) -> Flight | None:
-        """Whom it follows, now; None while that is not known."""
+        """Estimated state of the leader now; None while it is unknown."""
         if newest is None:
             self.note(status="waiting" if self.leader else "leading")
             return None
@@ -152,7 +151,7 @@ class AerialFollower(Agent):
         return (x + slot_x, y + slot_y, z + self.slot[2]), (vx - w * slot_y, vy + w * slot_x, vz)
 
     def _turning(self, obs: Observation, lead: Flight | None) -> float:
-        """The yaw rate that keeps the heading, rad/s."""
+        """Yaw rate towards the heading to keep, rad/s."""
         if self._yaw is None:
             self._yaw = obs.state.yaw
         rate = 0.0
@@ -161,16 +160,16 @@ class AerialFollower(Agent):
         return max(-self.max_yaw_rate, min(rate + YAW_GAIN * wrap(self._yaw - obs.state.yaw), self.max_yaw_rate))
 
     def _faded(self, now_ns: int) -> Vec3:
-        """What is left of the last command after its leader was lost, m/s."""
+        """The last command before the leader was lost, reduced with time, m/s."""
         self._fading_ns = now_ns if self._fading_ns is None else self._fading_ns
         left = max(0.0, 1.0 - (now_ns - self._fading_ns) / 1e9 / self.fade_s)
         return self._last[0] * left, self._last[1] * left, self._last[2] * left
 
     def _keep(self, leader: str | None, slot: Vec3) -> None:
-        """From now on, be at ``slot`` (m) in the frame of ``leader``; None: follow nobody."""
+        """Set the place to keep: ``slot`` (m) in the frame of ``leader``; None: no leader."""
         self.leader, self.slot = leader, slot
         self.follows = None if leader is None else Follows(leader=leader, slot=slot[:2])
 
     def _keep_beside(self, parent: str | None, slot: Slot) -> None:
-        """The same in a team."""
+        """As `_keep`, for a team."""
         self._keep(parent, STILL if parent is None else (*slot, self.above))

@@ -1,4 +1,4 @@
-"""A leader in the air: along a way of points, or straight on for ever."""
+"""Aerial leader: along way-points, or straight on without end."""
 
 import math
 from typing import Any, Literal
@@ -78,12 +78,12 @@ class AerialRoute(Leader):
         self._kept: tuple[float, float] | None = None  # height of the start, m, and the heading to keep, rad
 
     def start(self, info: VehicleInfo) -> None:
-        """Refuse wheels; note who is led."""
+        """Reject wheels; find the team."""
         check_flies(info)
         super().start(info)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """Fly on, and tell all how this vehicle moves from now on."""
+        """Fly on and report the motion from now on."""
         before = None if self._kept is None else self._next
         self._from = self._from or obs.state.position
         height, yaw = self._kept or (obs.state.position[2], obs.state.yaw)
@@ -127,7 +127,7 @@ class AerialRoute(Leader):
         return math.atan2(y, x) if math.hypot(x, y) > self.arrive_m else before
 
     def _on(self, obs: Observation, height: float) -> Vec3:
-        """In the direction of the course, at the height of the start."""
+        """Velocity in the direction of the course, at the height of the start."""
         course = math.radians(self.course_deg or 0.0)
         climb = max(-self.speed, min(GAIN * (height - obs.state.position[2]), self.speed))
         return self.speed * math.cos(course), self.speed * math.sin(course), climb

@@ -1,4 +1,4 @@
-"""Consensus: all members agree on where the formation is, each by what it hears of its neighbours; nobody leads.
+"""Consensus: members agree on the place of the formation from the reports of their neighbours, without a leader.
 
 With ``delta_i`` the place of member i in the formation (turned to ``heading``), every member moves its point ``x_i`` at::
 
@@ -9,7 +9,7 @@ time-delays", IEEE Trans. Automatic Control 49(9), 2004), with formation offsets
 cooperative control of vehicle formations", IET Control Theory & Applications 1(2), 2007). With L the Laplacian of a connected
 undirected graph, the disagreement decays at least as fast as ``exp(-kappa lambda_2(L) t)``.
 
-What is heard is old, and there are two ways to write that down:
+Reports are old when they are used. Two forms of the protocol:
 
 ``fresh``    the neighbour's old point against the own present one, the neighbour having moved on at v_ref since: converges for
              every age, as long as kappa T times the number of neighbours is below 1 (diagonal dominance).
@@ -47,8 +47,8 @@ class NeighbourPoint(NamedTuple):
 class Consensus(Agent):
     """Agree with the neighbours on where the formation is, and move along with it at ``velocity``.
 
-    At every tick it sends ``t_ns``, ``x`` and ``y`` of its point to all who can hear it; a member of another kind that reports
-    these (a `Trajectory` does) is a neighbour like any other. Who hears nobody moves at ``velocity``.
+    At every tick it broadcasts ``t_ns``, ``x`` and ``y`` of its point; a member of another kind that reports
+    these (a `Trajectory` does) is a neighbour like any other. A member without neighbours moves at ``velocity``.
 
     Noted at every tick: ``heard``, the number of neighbours in use; ``age_s``, the greatest age of their reports, and
     ``disagreement``, the root mean square over them of ``|(x_j - delta_j) - (x_i - delta_i)|`` as this member believes it (m);
@@ -60,9 +60,9 @@ class Consensus(Agent):
     Args:
         formation: shape, spacing, offsets, members and changes of the team, the same for all (its topology does not count);
             default: all members meet at one point.
-        graph: who is whose neighbour, by the order of the members; of a ``star``, the first is the hub.
+        graph: neighbours by the order of the members; the hub of a ``star`` is the first.
         neighbours: instead of a graph, the names of this member's own neighbours.
-        own: which own point a report is compared with: the ``fresh`` one, or the ``delayed`` one that is as old as the report.
+        own: own point that a report is compared with: the ``fresh`` one, or the ``delayed`` one of the report's age.
         gain: kappa, 1/s.
         velocity: v_ref, x and y, m/s, world.
         heading: which way the formation faces, rad; members in the air turn there.
@@ -119,7 +119,7 @@ class Consensus(Agent):
         self._take(shape)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """Move towards agreement with all who have been heard of lately."""
+        """Move towards agreement with the neighbours that reported lately."""
         here = self._own_point(obs)
         radio.send(t_ns=here.t_ns, x=here.x, y=here.y)
         self._listen(obs)

@@ -1,4 +1,4 @@
-"""Whose speed a follower feeds forward: its parent's, that of the team's leader, or nobody's."""
+"""Source of the speed that a follower feeds forward: its parent, the leader of the team, or none."""
 
 from typing import Literal
 
@@ -10,10 +10,10 @@ Feed = Literal["parent", "leader", "none"]
 
 
 class FeedForward:
-    """Keeps what it takes to feed the leader's speed forward.
+    """Collects the reports for feeding the leader's speed forward.
 
     Attributes:
-        lead: the newest report of the team's leader, where that is whose speed counts.
+        lead: newest report of the team's leader, if its speed is fed forward.
     """
 
     def __init__(self, feed: Feed, estimator: Estimator, timeout_s: float, clock_bound_s: float) -> None:
@@ -22,12 +22,12 @@ class FeedForward:
         self.lead: Report | None = None
 
     def hear(self, now_ns: int, parent: Report | None, *leader: Report | None) -> None:
-        """Keep the newest report of the leader, from itself or relayed by the parent.
+        """Take the newest report of the leader, direct or relayed by the parent.
 
         Args:
             now_ns: time of the tick.
-            parent: the newest report of whom the vehicle follows.
-            leader: in a team, the newest of its leader. Outside one, a parent that relays none is taken to be the leader.
+            parent: newest report of the parent.
+            leader: in a team, newest report of its leader. Outside a team, a parent that relays none is the leader.
         """
         if self._feed != "leader":
             return

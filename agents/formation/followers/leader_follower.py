@@ -1,6 +1,6 @@
-"""The follower: keeps a place beside a leader of which it knows only what the radio brings.
+"""Ground follower: keeps a place beside a leader that it knows from radio reports only.
 
-The law itself, with its geometry, is in `agents.formation.followers.leader_follower_law`; who follows whom in a team in
+The control law and its geometry are in `agents.formation.followers.leader_follower_law`, the topology of a team in
 `agents.formation.team.team`.
 """
 
@@ -29,39 +29,38 @@ TEAM_HANDLE_M = 0.4  # serves slots on all sides of a parent
 
 
 class LeaderFollower(Agent):
-    """Keep a place beside ``leader``, or in a ``formation``; stand still until it is heard, stop when it falls silent.
+    """Keep a place beside ``leader``, or in a ``formation``; stand still before the first report, stop after the last.
 
-    Noted at every tick: ``status`` (``waiting``, ``following``, ``leader lost``; ``leading`` in a team that has lost all
-    before this member), ``age_s`` of the report in use, the error ``z1``, ``z2`` that the follower believes it has (m), and,
-    once there is one, the number of messages that could not be used, ``refused``. In a team also, when they change,
-    ``parent`` (empty where it leads) and ``shape``.
+    Notes at every tick: ``status`` (``waiting``, ``following``, ``leader lost``; ``leading`` in a team without a living
+    ancestor), ``age_s`` of the report in use, the estimated error ``z1``, ``z2`` (m) and, from the first one on, the number of
+    unusable messages, ``refused``. In a team also, when they change, ``parent`` (empty for a leading member) and ``shape``.
 
     Args:
-        leader: name of the vehicle to follow; it must report itself (a `Trajectory`, or a follower with ``broadcast``). A
-            formation says it instead.
+        leader: name of the leader, which must report itself (a `Trajectory`, or a follower with ``broadcast``). Not with a
+            formation.
         distance: rho_d, m.
-        bearing_deg: phi_d, degrees: where the leader is to be seen; positive: on the left, so the follower is right-behind.
+        bearing_deg: phi_d, degrees: bearing of the leader; positive: on the left, so the follower is right-behind.
         handle: ell, m; default: L = distance cos(bearing), as in the thesis, which needs L > 0; in a formation 0.4 m.
-        slot: in place of distance and bearing: where to be in the leader's frame, x forward and y left, m; behind: negative x.
-        formation: the team's shape, and who follows whom in it.
+        slot: in place of distance and bearing: place in the leader's frame, x forward and y left, m; behind: negative x.
+        formation: shape and topology of the team.
         k1: gain along the follower's heading, 1/s.
         k2: gain across it, 1/s; stable only below 2/T - v_l/ell at period T.
         estimator: ``hold``, ``dr``, ``acc``, ``plan``, ``module:Class``, ``file.py:Class`` or an object with
             ``predict(report, age_s)``.
-        feed: whose speed is fed forward: the parent's; that of the team's leader, as relayed, with the parent's yaw rate; none.
-        feed_forward_s: how many seconds of the parent's acceleration are added to the speed: the own servo's lag.
+        feed: source of the fed-forward speed: ``parent``; ``leader``, as relayed, with the parent's yaw rate; ``none``.
+        feed_forward_s: seconds of the parent's acceleration that are added to the speed: the lag of the own servo.
         max_speed: limit of the commanded speed, m/s; default: none but the vehicle's own.
         max_reverse: fastest commanded reverse, m/s.
         max_yaw_rate: limit of the commanded yaw rate, rad/s; default: none but the vehicle's own.
-        horizon_s: how long ``dr`` trusts the last reported speeds, and the feed-forward the acceleration, s.
-        fade_s: time in which it lets them fade after that, and in which this vehicle stops when the leader is lost, s.
+        horizon_s: how long ``dr`` uses the last reported speeds, and the feed-forward the acceleration, s.
+        fade_s: time in which they fade to zero after that, and in which this vehicle stops without a leader, s.
         timeout_s: age of the newest report at which the leader counts as lost, s.
-        heartbeat_s: in a formation: silence after which a parent is left for its own parent, s (`heartbeat_for`).
-        clock_bound_s: how far ahead the leader's clock may be, s; a report from further in the future is refused.
-        broadcast: report the own pose and measured speed for vehicles that follow this one. Default: in a formation where
-            somebody follows it, a heartbeat is asked for, or the shape is to change; otherwise no.
+        heartbeat_s: in a formation: silence after which a parent is replaced by its own parent, s (`heartbeat_for`).
+        clock_bound_s: largest lead of the leader's clock, s; reports from further in the future are rejected.
+        broadcast: report the own pose and measured speed to followers. Default: in a formation with children, a heartbeat or
+            changes of shape; otherwise no.
         sending: when it reports.
-        avoidance: how it gets around what stands between it and its place; default: it does not look.
+        avoidance: method of avoidance on the way to its place; default: none.
     """
 
     def __init__(
@@ -189,7 +188,7 @@ class LeaderFollower(Agent):
 
     def _fade(self, now_ns: int, for_s: float) -> tuple[float, float]:
         """Let the last command fade to a standstill, along its own arc; ``for_s``: for how long it should have faded by now."""
-        if self._member.team is not None:  # one who was lost may come to lead: it goes on slowing down
+        if self._member.team is not None:  # a lost member may become the leader: it continues to slow down
             since_ns = now_ns - seconds_to_ns(for_s)
             self._fading_ns = since_ns if self._fading_ns is None else min(since_ns, self._fading_ns)
             for_s = (now_ns - self._fading_ns) / 1e9
@@ -197,7 +196,7 @@ class LeaderFollower(Agent):
         return self._v * left, self._w * left
 
     def _keep(self, leader: str | None, slot: tuple[float, float]) -> None:
-        """From now on, be at ``slot`` (m) in the frame of ``leader``; None: follow nobody."""
+        """Set the place to keep: ``slot`` (m) in the frame of ``leader``; None: no leader."""
         self.leader = leader
         self.place = FollowerPlace(self._handle + slot[0], slot[1], self._handle)
         self.follows = None if leader is None else Follows(leader=leader, slot=slot, handle_m=self._handle)

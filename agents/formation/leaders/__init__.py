@@ -1,1 +1,1 @@
-"""Leaders on the ground: where they go, and who drives them. Reports and shapes are in packages beside it."""
+"""Leaders on the ground: their paths and drivers. Reports and shapes are in packages beside it."""

@@ -1,6 +1,6 @@
-"""What a person drives with: a keyboard, a gamepad, or a table that was written before.
+"""Input devices of a human driver: keyboard, gamepad, or a recorded table.
 
-Each answers one verb, `Device.read`, at once and without waiting, from whatever has come in since it was asked last.
+`Device.read` returns at once, without waiting, from the input since the last call.
 """
 
 import atexit
@@ -52,7 +52,7 @@ class Device(Protocol):
     """Something that tells how a vehicle is to move."""
 
     def read(self, time_s: float) -> Speeds:
-        """The speed, m/s, and the yaw rate, rad/s, asked for now."""
+        """Requested speed, m/s, and yaw rate, rad/s."""
 
     def close(self) -> None:
         """Leave the device as it was found."""
@@ -182,9 +182,9 @@ class Joystick:
 
 
 class Table:
-    """Rows ``t_s,v,w``: from ``t_s`` (s) on, that speed (m/s) and yaw rate (rad/s) are asked for, until the next row.
+    """Rows ``t_s,v,w``: speed (m/s) and yaw rate (rad/s) from ``t_s`` (s) until the next row; both 0 before the first row.
 
-    Before the first, none are. What a person drove once can so be driven again.
+    Replays a drive of a person.
     """
 
     def __init__(self, path: Path) -> None:
@@ -192,7 +192,7 @@ class Table:
         self._next = 0
 
     def read(self, time_s: float) -> Speeds:
-        """The values of the last row whose time has come."""
+        """The values of the current row."""
         while self._next < len(self._rows) and self._rows[self._next][0] <= time_s:
             self._next += 1
         if self._next == 0:
@@ -226,7 +226,7 @@ def _rows(path: Path) -> Sequence[tuple[float, float, float]]:
 
 
 def _new(file: int | None) -> bytes:
-    """All that has come in; a device that has been taken away, or whose other end is closed, is lost."""
+    """All new input. A removed device, or one with a closed end, is lost."""
     came = b""
     while file is not None:
         try:

@@ -1,6 +1,6 @@
-"""What all leaders have in common: they move as they like, and tell those who follow where they are and what they are about.
+"""Base class of leaders: reports pose, speeds and intentions to the followers; subclasses define the motion.
 
-A leader of your own says how it moves, and need not care about the rest::
+A subclass defines its speeds only::
 
     class Waltz(Leader):
         def speeds(self, obs):
@@ -30,18 +30,18 @@ PlanTicks = Annotated[int, msgspec.Meta(ge=1, le=100)]
 
 
 class Leader(Agent):
-    """Moves by `speeds`, reports itself at every tick, and leads a formation where it has one.
+    """Moves by `speeds`, reports itself at every tick, and leads a formation if it has one.
 
     Args:
-        tell: what reports hold besides pose and speeds, whatever the estimator: ``a`` (accelerations), ``plan``.
-        plan_ticks: how many ticks ahead a plan tells; a follower that hears less often than that has to guess.
-        estimator: of those who follow; what it needs is told, and sending when needed reckons with it.
+        tell: additional content of reports, for any estimator: ``a`` (accelerations), ``plan``.
+        plan_ticks: length of a plan in ticks; followers that receive reports less often extrapolate.
+        estimator: estimator of the followers; its inputs are reported, and event-triggered sending runs it.
         horizon_s: of that estimator, s.
         fade_s: of that estimator, s.
         sending: when reports are sent; default: at every tick.
-        formation: the team that this vehicle leads, and when it changes its shape; default: none.
-        avoidance: how it gets around what stands in the way; default: it does not look.
-        clock_bound_s: how far ahead the clocks of members may be, s; a report from further in the future is refused.
+        formation: the team that this vehicle leads, and its changes of shape; default: none.
+        avoidance: method of avoidance; default: none.
+        clock_bound_s: largest lead of the clocks of members, s; reports from further in the future are rejected.
     """
 
     def __init__(
@@ -79,14 +79,14 @@ class Leader(Agent):
         return None
 
     def led_astray(self, obs: Observation) -> None:
-        """Told at every tick at which something in the way had it drive otherwise than by its `speeds`."""
+        """Called at every tick at which avoidance replaces the command of `speeds`."""
 
     def ahead(self, count: int) -> Sequence[tuple[float, float]] | None:
         """The speeds of the ``count`` ticks to come, those of now not among them; None where it makes no plans."""
         return None
 
     def start(self, info: VehicleInfo) -> None:
-        """Note the period, and who is led."""
+        """Take the period and the team."""
         self._period_s = info.period_s
         if self._steering is not None:
             self._steering.start(info)
@@ -98,7 +98,7 @@ class Leader(Agent):
                 f"formation: {info.name} does not lead this team, {team.ancestors[-1]} does; name it first in members"
             )
         self._reporter.start(team.children)
-        self._believed: set[str] = set()  # who has told of newer shapes than this vehicle knew
+        self._believed: set[str] = set()  # members that reported newer shapes than the own
         self._listening = ReportReceiver(team.members, self._clock_bound_s)
         if self._formation.passage is not None:
             self._guide = Guide(self._formation.passage, team, info)
@@ -124,7 +124,7 @@ class Leader(Agent):
         return Velocity(linear=(v, 0.0, 0.0), yaw_rate=w)
 
     def _lead(self, team: Team, obs: Observation) -> dict[str, Any]:
-        """Change the shape when it is time to; what followers must be told of it."""
+        """Change the shape when it is due; returns the keys of the report for the followers."""
         if team.formation.changes or self._guide is not None:
             self._listening.take(obs)
         for shape in team.due(obs.time_ns):
@@ -141,9 +141,9 @@ class Leader(Agent):
         return dict(team.fields())
 
     def _go_on(self, team: Team, obs: Observation) -> None:
-        """Take up what members have heard of, where another host led them before; each of them is believed once.
+        """Take over the shape that members report from a run with another host, once from each member.
 
-        What they know as the last shape would else count for more than the next ones. Passages aside, the shape is the own.
+        Their newest shape number would otherwise outrank the next changes. Outside passages the own shape stays.
         """
         shape, wide = team.shape, team.wide
         newer = [

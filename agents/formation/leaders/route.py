@@ -25,21 +25,21 @@ class RouteStage(NamedTuple):
 class Route(Leader):
     """Visit points in turn along the straight lines between them, slow down at the last one, and stay there.
 
-    Pure pursuit (Coulter, Implementation of the pure pursuit path tracking algorithm, CMU-RI-TR-92-01, 1992): it drives along
-    the circle through a point of the way that lies ``lookahead_m`` ahead, curvature ``2 sin(alpha) / distance`` for a point
-    at the bearing alpha. That point never lies beyond the next one of the way, so that no corner is cut by more than
-    ``arrive_m``; where it lies aside by more than 0.8 rad, the vehicle turns on the spot. It plans ahead as if it moved as it
-    is told to, at once.
+    Pure pursuit (Coulter, Implementation of the pure pursuit path tracking algorithm, CMU-RI-TR-92-01, 1992): the vehicle
+    drives along the circle through a point of the path ``lookahead_m`` ahead, curvature ``2 sin(alpha) / distance`` for a
+    point at the bearing alpha. That point never lies beyond the next way-point, so that no corner is cut by more than
+    ``arrive_m``. At bearings above 0.8 rad the vehicle turns on the spot. Plans assume that commands take effect at once.
 
-    Noted: ``point``, the number of the next one, whenever it changes, and ``status`` ``arrived``.
+    Notes ``point``, the number of the next point, when it changes, and ``status`` ``arrived``.
 
     Args:
-        way: points, x and y, m, world; the first line begins where the vehicle starts.
+        way: points, x and y, m, world; the first line begins at the start position.
         loop: after the last point comes the first again.
         speed: m/s, on straight lines.
-        yaw_rate: fastest turning, rad/s; curves are driven more slowly where they need more.
-        lookahead_m: shorter keeps nearer to the way, longer is smoother and bears more lag: at least ``speed`` times 1 s.
-        arrive_m: a point is reached from this near.
+        yaw_rate: fastest turning, rad/s; narrow curves are driven more slowly.
+        lookahead_m: a shorter one follows the path closely, a longer one is smoother and bears more lag: at least ``speed``
+            times 1 s.
+        arrive_m: distance at which a point is reached.
         deceleration: at the last point, m/s2.
         leading: tell, plan_ticks, estimator, horizon_s, fade_s, sending, formation, avoidance, clock_bound_s, as of `Leader`.
     """
@@ -65,7 +65,7 @@ class Route(Leader):
         self._pose = (0.0, 0.0, 0.0)
 
     def speeds(self, obs: Observation) -> tuple[float, float]:
-        """Those that lead on along the way."""
+        """Speeds along the route."""
         x, y, _ = obs.state.position
         before = self._stage
         self._pose = x, y, obs.state.yaw

@@ -11,9 +11,9 @@ from vcmvsp.cosim.types import Count, NonNegative, Positive, Probability
 class Teleop(Leader):
     """Drive by keyboard, gamepad or table; changes of speed are ramped.
 
-    A person needs a run at wall pace (``vcmvsp run --realtime``). Noted at every tick: ``asked_v`` and ``asked_w``, the speeds
-    asked for before they are ramped, and ``status`` ``device lost`` where the device has gone: then it stops, for good. As a
-    table, the times and the speeds asked for drive the same way again.
+    A person needs a run at wall pace (``vcmvsp run --realtime``). Notes at every tick ``asked_v`` and ``asked_w``, the
+    requested speeds before the ramp, and ``status`` ``device lost`` after a loss of the device, which stops the vehicle for
+    good. A table of the times and requested speeds repeats a drive.
 
     Args:
         device: ``keyboard`` (of the terminal: W A S D or the arrows, a quarter of the limit each; space stops), a joystick such
@@ -23,8 +23,8 @@ class Teleop(Leader):
         yaw_rate: fastest turning, rad/s.
         acceleration: of the ramp, m/s2.
         yaw_acceleration: of the ramp, rad/s2.
-        axes: of a joystick: which two tell the speed and the yaw rate.
-        deadband: of a joystick: the share of an axis about its middle that counts as none.
+        axes: of a joystick: numbers of the axes for speed and yaw rate.
+        deadband: of a joystick: share of an axis about its middle that counts as zero.
         leading: tell, plan_ticks, estimator, horizon_s, fade_s, sending, formation, avoidance, clock_bound_s, as of `Leader`.
     """
 
@@ -57,7 +57,7 @@ class Teleop(Leader):
         self._device = open_device(self.device, limits=limits, axes=self.axes, deadband=self.deadband)
 
     def speeds(self, obs: Observation) -> tuple[float, float]:
-        """Towards what is asked for, as fast as the ramps allow."""
+        """The requested speeds, ramped."""
         v = w = 0.0
         if self._device is not None:
             try:

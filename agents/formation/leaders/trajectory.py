@@ -73,7 +73,7 @@ class Trajectory(Leader):
         # The very sequence of numpy's default_rng(path_seed), named so that a later default cannot change it.
         self._draws = np.random.Generator(np.random.PCG64(path_seed))
         self._v, self._w, self._target_v, self._target_w, self._next_draw_ns = speed, 0.0, speed, 0.0, 0
-        self._coming: deque[tuple[float, float]] = deque()  # speeds that were told ahead of their time
+        self._coming: deque[tuple[float, float]] = deque()  # speeds of the plan that was reported
         self._ticks = Ticks.every(self.period)
         self._known_ns = 0  # up to when speeds were worked out
 

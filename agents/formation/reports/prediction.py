@@ -37,7 +37,7 @@ class Hold:
 
 
 class DeadReckoning:
-    """The leader has kept its speeds: exact on straight lines and circles, for any age up to ``horizon_s``.
+    """Constant speeds: exact on straight lines and circles, for any age up to ``horizon_s``.
 
     Beyond the horizon both speeds fade linearly to zero within ``fade_s``, and the leader stays on its arc.
     """
@@ -96,10 +96,10 @@ class Acceleration(DeadReckoning):
 
 
 class PlanPrediction(Acceleration):
-    """The leader does what it said that it would do: exact as long as it does and the plan lasts.
+    """The reported plan: exact while the plan lasts and the leader follows it.
 
-    After the plan its last speeds are taken to stay, with a horizon that begins there. Where a report has no plan, or none that
-    makes sense, the estimate is that of `Acceleration`.
+    After the plan its last speeds count as constant, with a horizon that begins there. A report without a valid plan is
+    predicted as by `Acceleration`.
     """
 
     needs = ("plan",)

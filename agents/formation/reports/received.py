@@ -1,6 +1,6 @@
-"""What a vehicle has heard of those that matter to it: the newest report of each, and for how long each has been silent.
+"""Received reports: the newest of each relevant sender, and the time since then.
 
-Messages of bytes are those of programs that use the same radio: of the agent there they say nothing, not even that it lives.
+Messages of bytes come from other programs on the same radio; they are no sign of life of the agent there.
 """
 
 import math
@@ -50,11 +50,11 @@ class ReportReceiver:
         return reports
 
     def silent_ns(self, sender: str, now_ns: int) -> int:
-        """For how long a sender has told nothing that can be used; one that never did, since the start."""
+        """Time since the last usable report of a sender; without one, since the start."""
         return now_ns - self._heard_ns.get(sender, 0)
 
     def absent_ns(self, sender: str, now_ns: int) -> int:
-        """For how long nothing at all has been heard of a sender: who says what cannot be used is there nevertheless."""
+        """Time since the last message of a sender, usable or not."""
         return now_ns - self._there_ns.get(sender, 0)
 
 

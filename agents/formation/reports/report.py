@@ -1,4 +1,4 @@
-"""What a vehicle that others follow tells them at every tick, and what of it a follower believes.
+"""Reports of a vehicle to its followers, sent at every tick, and their validation by a follower.
 
 ========= ====== ===================================================================================
 key       type   meaning
@@ -15,15 +15,15 @@ key       type   meaning
 ``plan``  list   the speeds after that, ``dt`` s from now, 2 ``dt``, ...: v1, w1, v2, w2, ... (for the estimator ``plan``)
 ``dt``    float  s between them
 ``lead``  list   ``t_ns x y th v w`` of the newest report of the team's leader, relayed
-``shape`` str    which shape the team has now (where a team has one)
-``sn``    int    how often it has changed: the newest counts, whoever passes it on
-``order`` list   which member has which place: the numbers of the members, by place; absent: as they are numbered
+``shape`` str    present shape of the team (in a team)
+``sn``    int    number of changes: the highest counts, from any sender
+``order`` list   numbers of the members, by place; absent: in their order
 ``cl``    int    1: the sender sees nothing in the lane that the team's wide shape needs; 0: something, or nothing certain
-``ak``    int    1: those who follow the sender answer with the message ``ack`` (`agents.formation.reports.sending`)
+``ak``    int    1: followers answer with the message ``ack`` (`agents.formation.reports.sending`)
 ========= ====== ===================================================================================
 
-The keys are short because every byte costs air time. The answer is a message of its own, to the sender alone, with the one key
-``ack``: the ``seq`` that it heard.
+The keys are short because every byte costs air time. The answer is a unicast message to the sender with the one key
+``ack``: the ``seq`` of the received report.
 """
 
 import math
@@ -58,7 +58,7 @@ class Report(NamedTuple):
 
 
 def send_report(radio: Radio, seq: int, obs: Observation, v: float, w: float, **more: Any) -> None:
-    """Send the report of this tick to all who can hear it; ``more`` as in the second part of the table."""
+    """Broadcast the report of this tick; ``more`` as in the second part of the table."""
     x, y, _ = obs.state.position
     radio.send(seq=seq, t_ns=obs.time_ns, x=x, y=y, th=yaw_of(obs.state.attitude), v=v, w=w, **more)
 

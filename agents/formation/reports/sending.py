@@ -1,10 +1,9 @@
-"""When a vehicle that others follow tells them where it is: what ``sending = {...}`` of an agent says, and who does it.
+"""Sending of reports: the table ``sending = {...}`` of an agent, and the reporter.
 
-Sent only when needed, reports save the channel (event-triggered sending). The sender knows what its followers make of the last
-report that they have, for it runs their estimator on it, and sends a new one once that would be wrong by the threshold. Which
-report they have is certain only if they say so: each answers a report that asks for it with its number (`acknowledge`). Until
-an answer can have come back, the report is taken to have arrived; if none came, the one before it counts again, by which they
-are wrong by now, so that a new report goes out at once.
+Event-triggered sending saves the channel. The sender runs the followers' estimator on the last report that they have, and
+sends a new one when the prediction is off by the threshold. Acknowledgements show which report they have: each follower
+answers a report that asks for it with its number (`acknowledge`). Until an answer is due, the report counts as received; if
+none came, the one before it counts again, whose prediction is off by then, so that a new report goes out at once.
 """
 
 import math
@@ -20,14 +19,14 @@ from vcmvsp.cosim.frames import wrap, yaw_of
 from vcmvsp.cosim.types import NonNegative, Positive
 
 METRES_PER_RADIAN = 0.5  # what an error of the heading counts
-GIVEN_UP = 5.0  # times silence_s: so long is an answer awaited of one who gives none
-REMEMBERED = 64  # reports, besides those that followers have confirmed: an answer to an older one is not understood any more
+GIVEN_UP = 5.0  # times silence_s: wait for a missing answer
+REMEMBERED = 64  # unconfirmed reports in memory; answers to older ones are ignored
 
 
 class Sending(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When reports are sent."""
 
-    when: Literal["always", "needed"] = "always"  # at every tick, or once those who follow would be wrong by the threshold
+    when: Literal["always", "needed"] = "always"  # at every tick, or when the followers' prediction is off by the threshold
     threshold: Positive = 0.02  # of "needed": m; an error of the heading counts half a metre a radian
     silence_s: Positive = 2.0  # of "needed": it sends at least so often, s
     acknowledge: bool = True  # of "needed": followers confirm what they hear, and it is sent again until they do
@@ -59,10 +58,11 @@ class Reporter:
         self._answered_ns: dict[str, float] = {}  # when; inf: it has only just been announced
 
     def start(self, listeners: Iterable[str]) -> None:
-        """Before the first tick, and whenever it changes: who follows this vehicle, so that their answers are awaited.
+        """Set the followers, whose answers are awaited; before the first tick and whenever they change.
 
-        Anybody else who answers is awaited too. Who has given no answer for ``GIVEN_UP`` times ``silence_s`` is taken to be
-        gone, and reports are not repeated for its sake, until it answers again.
+        Answers of any other vehicle are awaited, too. A vehicle without an answer for ``GIVEN_UP`` times ``silence_s``
+        counts as
+        gone: reports are not repeated for it until it answers again.
         """
         names = tuple(listeners)
         self._has = {name: self._has.get(name, -1) for name in names}
@@ -114,7 +114,7 @@ class Reporter:
         return any(number < 0 or self._wrong(self._sent[number], now) for number in sorted(numbers))
 
     def _wrong(self, last: Report, now: Report) -> bool:
-        """Whether one who has the report ``known`` takes this vehicle to be elsewhere, or a shape or a lane for another."""
+        """Whether a follower with the report ``last`` has a wrong pose, shape or lane state of this vehicle."""
         if any(last.body.get(key) != now.body.get(key) for key in ("sn", "cl")):
             return True
         age_s = (now.t_ns - last.t_ns) / 1e9

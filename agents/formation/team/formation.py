@@ -1,4 +1,4 @@
-"""Who keeps which place: what ``formation = {...}`` of an agent says."""
+"""The table ``formation = {...}`` of an agent."""
 
 from collections.abc import Mapping
 from typing import Annotated, Literal
@@ -42,16 +42,16 @@ class Passage(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Formation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A team's shape, and who follows whom in it."""
+    """Shape and topology of a team."""
 
     shape: ShapeName = "wedge"  # at the start
     spacing: Positive = 1.0  # m between neighbours
     offsets: tuple[
         tuple[float, float], ...
     ] = ()  # of shape "own": each member's place, x forward, y left, m; the first is [0, 0]
-    topology: TopologyName = "star"  # who follows whom
+    topology: TopologyName = "star"  # tree of parents over the members
     branching: Annotated[int, msgspec.Meta(ge=1)] = 2  # of topology "k-tree": how many follow each
-    parents: Mapping[str, str] | None = None  # of topology "graph": whom each member follows, by name
+    parents: Mapping[str, str] | None = None  # of topology "graph": the parent of each member, by name
     members: tuple[str, ...] = ()  # by their places, the first leads; default: all vehicles of the run in their order
     changes: tuple[tuple[NonNegative, ShapeName], ...] = ()  # of the leader: from when on (s) the team takes which shape
     passage: Passage | None = None  # narrow where something is in the way of the shape; default: the leader does not look
