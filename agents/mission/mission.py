@@ -1,13 +1,13 @@
-"""A mission: several algorithms on one vehicle, the table that says who commands, and what members tell each other.
+"""A mission: several algorithms on one vehicle, the state table that selects the commander, and messages between members.
 
-An algorithm is any agent. What it may have besides ``act``:
+An algorithm is any agent. Optional members besides ``act``:
 
-``facts(obs)``           what the table asks for (`agents.reconnaissance.state_table.MissionFacts`), before the table decides
+``facts(obs)``           facts for the table (`agents.reconnaissance.state_table.MissionFacts`), before its decision
 ``stand_by(obs, radio)`` in place of ``act`` while it neither commands nor is the task
 ``begin(obs, place)``    it becomes the task; ``place``: of the target, m, world, or None
-``end(obs)``             it is the task no more
+``end(obs)``             it is no longer the task
 ``claim``                the target that it tracks (`agents.reconnaissance.roster.Claim`), or None
-``goal``                 where it is about to get, x and y, m, world, or None: for avoidance
+``goal``                 its destination, x and y, m, world, or None: for avoidance
 ``roster``, ``watch``    None in the class: set to those of the vehicle before ``start``
 """
 
@@ -31,25 +31,26 @@ from vcmvsp.cosim.types import NonNegative, Positive, Velocity, Waypoint
 
 
 class SearchMission(Agent):
-    """Search, formation and track by the table of `agents.reconnaissance.state_table`, avoidance, a speed limit near obstacles.
+    """Search, formation and track by a state table (`state_table`), with avoidance and a speed limit near obstacles.
 
-    Noted besides what the algorithms note: ``commander``, ``since_s`` and ``why`` at every switch, ``task`` and ``task_why``
-    whenever the task changes.
+    Notes, besides those of the algorithms, ``commander``, ``since_s`` and ``why`` at every switch, ``task`` and
+    ``task_why`` when the task changes.
 
     Args:
-        algorithms: by task: ``search``, ``formation`` (for those who fly along in a sector), ``track``; each a table with the
-            ``kind`` of an agent and its parameters. Without ``track`` nothing is ever tracked.
-        watching: the camera and what it looks for; all algorithms look through it. Default: nobody does.
-        avoidance: how it gets around what stands in the way, and how slow it must be near it; default: it does not look.
-        members: all that take part; default: all vehicles of the run.
-        sectors: which of them search one sector together; the first of each searches, the others fly along. Those not named
+        algorithms: by task: ``search``, ``formation`` (for wingmen in a shared sector), ``track``; each a table with the
+            ``kind``
+            of an agent and its parameters. Without ``track`` no target is tracked.
+        watching: camera and targets, shared by all algorithms. Default: none.
+        avoidance: method of avoidance and speed limit near obstacles; default: none.
+        members: all members; default: all vehicles of the run.
+        sectors: groups that search one sector together; the first of each searches, the others fly in formation. Other members
             have a sector of their own.
         acceleration: m/s2, of the command after a take-over.
-        yaw_acceleration: rad/s2, likewise.
-        alive_s: after so long a silence a member counts as lost, s.
-        claim_s: so long a target that it tracked is left to it nevertheless, s.
-        report_s: how often a member tells what it does, s.
-        clock_bound_s: how far ahead the clocks of others may be, s.
+        yaw_acceleration: rad/s2, of the command after a take-over.
+        alive_s: silence after which a member counts as lost, s.
+        claim_s: how long the target of a lost member stays reserved, s.
+        report_s: period of a member's reports, s.
+        clock_bound_s: largest lead of other clocks, s.
     """
 
     def __init__(
@@ -87,7 +88,7 @@ class SearchMission(Agent):
         self._state, self._seq = MissionState(), 0
 
     def start(self, info: VehicleInfo) -> None:
-        """Find those who take part, and begin."""
+        """Find the members, and start the algorithms."""
         name, members = info.name, members_of(info, self.members)
         self._roster = Roster(name, members, sectors=self.sectors, **self._hearing)
         sector = tuple(next((each for each in self.sectors if name in each), (name,)))
@@ -109,7 +110,7 @@ class SearchMission(Agent):
         self.note(task=self._state.task, task_why=self._state.task_why)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint | None:
-        """Find out what is the case, decide who commands, and do what that one says."""
+        """Collect the facts, select the commander, and return its command."""
         self._roster.hear(obs)
         self._runner.look(obs)
         before, facts = self._state, self._facts(obs)
@@ -170,7 +171,7 @@ class SearchMission(Agent):
             begin(obs, facts.place)
 
     def _report(self, obs: Observation, radio: Radio, command: Velocity | Waypoint | None) -> None:
-        """Tell those who fly along how this vehicle moves."""
+        """Report the motion of this vehicle to the members in formation with it."""
         velocity, rate = obs.state.velocity, obs.state.angular_velocity[2]
         if isinstance(command, Velocity):
             velocity, rate = command.linear, command.yaw_rate
@@ -179,7 +180,7 @@ class SearchMission(Agent):
 
 
 def _built(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Agent]:
-    """The algorithms, in the order in which they are asked."""
+    """The algorithms, in their calling order."""
     for task in tables:
         if task not in TASKS:
             raise ScenarioError(unknown("task", task, TASKS), key=f"algorithms.{task}")
@@ -189,7 +190,7 @@ def _built(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Agent]:
 
 
 def _of_sector(table: Mapping[str, Any], sector: Sequence[str]) -> dict[str, Any]:
-    """The table of who flies along, whose formation is that of its sector where it does not say."""
+    """The table of a formation algorithm, with the formation of its sector as the default."""
     formation = table.get("formation")
     if not isinstance(formation, Mapping) or "members" in formation:
         return dict(table)

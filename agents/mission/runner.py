@@ -1,10 +1,9 @@
 """Several algorithms on one vehicle, of which one commands at a time.
 
-All of them go on all the time. At every tick each is asked what it would do; what counts is the answer of the commander. So an
-algorithm that is suspended keeps its state (its next way-point, its estimate of a target), hears all messages and may send:
-maps are exchanged, and neighbours know that it lives, whatever its vehicle is busy with. One that would go on without its
-vehicle (a way flown by the clock; a report that says how the vehicle is about to move) has a method ``stand_by``, which is
-called in place of ``act`` while it neither commands nor says what is wanted of the one who does.
+All of them run all the time: at every tick each computes a command, and the commander's counts. A suspended algorithm keeps its
+state (its next way-point, its estimate of a target), receives all messages and may send: maps are exchanged, and neighbours see
+that the vehicle is alive. An algorithm that would advance without its vehicle (a path by the clock; a report of its intended
+motion) has a method ``stand_by``, which replaces ``act`` while it is neither the commander nor its task.
 """
 
 import math
@@ -23,34 +22,33 @@ STANDING = Velocity()
 
 @runtime_checkable
 class Standby(Protocol):
-    """An agent that does something else than `act` while nobody wants to know what it would do."""
+    """An agent with a substitute for `act` while its command is not needed."""
 
     def stand_by(self, obs: Observation, radio: Radio) -> None:
-        """Hear, and say, what goes on meanwhile."""
+        """Receive and send messages without a command."""
 
 
 @runtime_checkable
 class Avoidance(Protocol):
-    """An agent that does what the task wants, but in another way: avoidance. It is asked in place of `act`, after all tasks."""
+    """An agent that modifies the task's command. It is called in place of `act`, after all tasks."""
 
     def around(self, obs: Observation, radio: Radio, command: Command | None) -> Command | None:
-        """What to do in place of what the task wants now; None: nobody knows what."""
+        """The command in place of the task's; None: no command yet."""
 
 
 class AlgorithmRunner:
-    """Asks algorithms, obeys one of them, and changes from one to another without a jerk.
+    """Runs algorithms, applies the command of one of them, and switches smoothly.
 
-    From a take-over on, the command runs from the last one towards what the new commander wants, no faster than the vehicle
-    can follow, and is the commander's own as soon as it has got there. The guard comes after that, and may brake harder. A
-    commander that leaves its last command in force, but has never had one, stands still.
+    After a take-over the command moves from the last one towards the new commander's, no faster than the vehicle can
+    follow. The guard comes after that, and may brake harder. A commander that has never had a command stands still.
 
-    Noted when they change: ``commander``, ``since_s`` and ``why``.
+    Notes ``commander``, ``since_s`` and ``why`` when they change.
 
     Args:
-        algorithms: by the names of those who may command; one agent may have several names.
-        acceleration: m/s2 that a take-over may ask of the vehicle.
-        yaw_acceleration: rad/s2, likewise.
-        guard: limits the speed near obstacles, whoever commands; None: nothing does.
+        algorithms: by commander name; one agent may have several names.
+        acceleration: limit for a take-over, m/s2.
+        yaw_acceleration: limit for a take-over, rad/s2.
+        guard: speed limit near obstacles for any commander; None: no limit.
     """
 
     def __init__(
@@ -66,18 +64,18 @@ class AlgorithmRunner:
 
     @property
     def sensors(self) -> tuple[str, ...] | None:
-        """All that any of them looks at; None: all there is."""
+        """Sensors of all algorithms; None: all sensors."""
         sensors = [() if self.guard is None else self.guard.sensors, *(agent.sensors for agent in self._agents)]
         named = [each for each in sensors if each is not None]
         return tuple(dict.fromkeys(name for each in named for name in each)) if len(named) == len(sensors) else None
 
     def start(self, info: VehicleInfo) -> None:
-        """All begin."""
+        """Start all algorithms."""
         self._period_s, self._flies = info.period_s, info.body is not None and info.body.flies
         self._wants: dict[int, Command | None] = {}  # by agent: its last command, which it may leave in force
         self._commander: str | None = None
         self._obeyed: Agent | None = None
-        self._command: Command | None = None  # what the vehicle was told last
+        self._command: Command | None = None  # of the last tick
         self._runs_up = False  # since a take-over, until the command is what the commander wants
         if self.guard is not None:
             self.guard.start(info)
@@ -85,24 +83,24 @@ class AlgorithmRunner:
             agent.start(info)
 
     def close(self) -> None:
-        """All end."""
+        """Close all algorithms."""
         for agent in self._agents:
             agent.close()
 
     def look(self, obs: Observation) -> None:
-        """Take in what is around, so that `guard` can tell it; before `act`, at every tick."""
+        """Update `guard`; before `act`, at every tick."""
         if self.guard is not None:
             self.guard.look(obs)
 
     def act(self, obs: Observation, radio: Radio, commander: str, *, task: str | None = None, why: str = "") -> Command | None:
-        """Ask all at a tick, and obey one.
+        """Run all algorithms for a tick; returns the command of one.
 
         Args:
-            obs: what is known.
-            radio: the vehicle's only one, for all of them.
-            commander: who commands from now on.
-            task: whose wish an agent that gets `Avoidance` things is to fulfil; default: the commander's.
-            why: the reason for it, noted when the commander changes.
+            obs: of the tick.
+            radio: of the vehicle, shared by all.
+            commander: commander from now on.
+            task: source of the command for an `Avoidance` agent; default: the commander.
+            why: reason, noted when the commander changes.
         """
         obeyed = self.algorithms[commander]
         self._ask(obs, radio, obeyed, self.algorithms[task or commander])
@@ -120,7 +118,7 @@ class AlgorithmRunner:
         return self._command
 
     def _ask(self, obs: Observation, radio: Radio, obeyed: Agent, task: Agent) -> None:
-        """What each of them would do; one that leaves its last command in force wants that."""
+        """Run each algorithm; one without a new command keeps its last."""
         self.said, self.shown = {}, []
         names = {id(agent): name for name, agent in reversed(self.algorithms.items())}
         for agent in self._agents:
@@ -145,8 +143,8 @@ class AlgorithmRunner:
         self._commander = commander
 
     def _run_up(self, obs: Observation, command: Command) -> Command:
-        """The command that comes next on the way from the last one to what is wanted."""
-        if not self._runs_up or isinstance(command, Waypoint):  # on its way to a point an autopilot keeps to its own limits
+        """The next command on the way from the last one to the requested one."""
+        if not self._runs_up or isinstance(command, Waypoint):  # an autopilot applies its own limits
             self._runs_up = False
             return command
         last = self._command if isinstance(self._command, Velocity) else self._moving(obs)
@@ -157,7 +155,7 @@ class AlgorithmRunner:
         return Velocity(linear=linear, yaw_rate=yaw_rate) if self._runs_up else command
 
     def _moving(self, obs: Observation) -> Velocity:
-        """How the vehicle moves, as a command: what a way-point has made it do, or nobody yet."""
+        """The present motion of the vehicle as a command."""
         x, y, z = obs.state.velocity
         if not self._flies:
             x, y = rotate2(x, y, -obs.state.yaw)
@@ -165,7 +163,7 @@ class AlgorithmRunner:
 
 
 def _towards(start: Vec3, end: Vec3, most: float) -> Vec3:
-    """The vector that is nearer to the end than the start is, by no more than ``most``: the end itself where that is near."""
+    """``start``, moved towards ``end`` by at most ``most``."""
     away = math.dist(start, end)
     if away <= most:
         return end

@@ -32,10 +32,10 @@ class Guard:
         self.nearest_m, self.second_m, self.closing = math.inf, 0.0, False
 
     def start(self, info: VehicleInfo) -> None:
-        """Before the first tick.
+        """Take the scanner and the body of the vehicle.
 
         Raises:
-            ValueError: the vehicle has no such scanner, or nobody says how large it is.
+            ValueError: the scanner is missing, or the size of the vehicle is unknown.
         """
         self._looking.start(info, "avoidance.scanner")
         body = body_of(info)
@@ -58,9 +58,9 @@ class Guard:
         self.closing = math.isfinite(self.nearest_m) and float(direction @ towards) > 0.0
 
     def limited(self, obs: Observation, command: Velocity | Waypoint) -> Velocity | Waypoint:
-        """What is left of a command: all of it far from everything. The climb stays, but for a vehicle that is blind.
+        """The command, slowed near obstacles. The climb does not change, unless the vehicle has no valid scan.
 
-        Near something, a way-point becomes a velocity towards it: nobody knows how fast an autopilot flies there.
+        Near an obstacle a way-point becomes a velocity towards it, because the speed of an autopilot is unknown.
         """
         if self._view is None or not self._view.ranges.any():
             return STANDING

@@ -1,9 +1,9 @@
-"""How members of a team share what they saw: four ways, of which all but the ledger lose by what the radio loses.
+"""Four protocols for sharing the map of a team; lost messages lose evidence in all but the ledger.
 
-``none``        nobody tells anything: each searches on its own.
+``none``        no messages: each member searches on its own.
 ``delta``       the increments since the last message (what is lost is lost).
-``consensus``   after its own update each moves its map towards those that it hears, ``l <- (1 - n / N) l + sum of l_j / N``,
-                n heard of N members (Hu, Xie, Lum and Xu 2013): in the end all have the N-th part of all evidence.
+``consensus``   after its own update each moves its map towards the received ones, ``l <- (1 - n / N) l + sum of l_j / N``,
+                n received of N members (Hu, Xie, Lum and Xu 2013): in the end all have the N-th part of all evidence.
 ``ledger``      cumulative counts by contributor: see `agents.reconnaissance.ledger`.
 """
 
@@ -22,20 +22,20 @@ STEPS = 1600  # of a number in a message for 1 of l: 20 is 32000, which two byte
 
 
 class MapExchange(Protocol):
-    """What a member knows of the area. Each tick: take what was heard, look (at nothing, if there is nothing), send."""
+    """A member's knowledge of the area. Each tick: `take` received messages, `look` (possibly at no cell), send `messages`."""
 
     @property
     def log_odds(self) -> Array:
         """The map to decide by, (rows, columns)."""
 
     def look(self, cells: Array, hits: Array, now_ns: int) -> None:
-        """Add own looks: cells (n,), each at most once, and whether each look said 1."""
+        """Add own looks: cells (n,), each at most once, and the result of each."""
 
     def messages(self, now_ns: int, most: int) -> list[Body]:
         """Up to ``most`` messages to be sent now, each of ``max_bytes`` encoded bytes at most."""
 
     def take(self, sender: str, body: Any, now_ns: int) -> bool:
-        """Merge what was heard; False: it was not of this kind, or nonsense, and nothing was changed."""
+        """Merge a received message; False: it was invalid or of another kind, and nothing changed."""
 
 
 class Alone:
@@ -51,7 +51,7 @@ class Alone:
         return self.tiling.of_grid(self._map)
 
     def look(self, cells: Array, hits: Array, now_ns: int) -> None:
-        """Add own looks: cells (n,), each at most once, and whether each look said 1."""
+        """Add own looks: cells (n,), each at most once, and the result of each."""
         where = self.tiling.index[cells]
         flat = self._map.reshape(-1)
         flat[where] = np.clip(flat[where] + self.sensor.evidence(hits, ~np.asarray(hits, bool)), -LIMIT, LIMIT)
@@ -81,7 +81,7 @@ class Delta(Alone):
         self._newest = {name: np.full(tiling.tiles, -1) for name in members if name != me}
 
     def look(self, cells: Array, hits: Array, now_ns: int) -> None:
-        """Add own looks: cells (n,), each at most once, and whether each look said 1."""
+        """Add own looks: cells (n,), each at most once, and the result of each."""
         super().look(cells, hits, now_ns)
         self._since[self.tiling.count(self._untold, cells, hits)] = now_ns // 1_000_000
 
@@ -114,12 +114,12 @@ class Delta(Alone):
 
 
 class Consensus(Alone):
-    """The own map, moved towards those heard; an entry is ``[tile, l]``, l in steps of 1/1600 as little-endian int16.
+    """The own map, moved towards received ones; an entry is ``[tile, l]``, l in steps of 1/1600 as little-endian int16.
 
-    A call of `look` is one step of the protocol: towards what was heard since the last one, then the own update, which
-    `messages` tell. In this order all move from the values that they told each other, and without loss no evidence is lost. It
-    ends up divided by the number of members: with ``scaled`` the map to decide by is multiplied by it, which is quick, and rash
-    before all agree; without, it takes N times the looks.
+    A call of `look` is one step of the protocol: first towards the maps received since the last step, then the own update,
+    which `messages` send. In this order all members move from the values that they sent, and without loss no evidence is
+    lost. It ends up divided by the number of members: with ``scaled`` the map for decisions is multiplied by it, which is
+    fast, but rash before all agree; without, it takes N times the looks.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class Consensus(Alone):
         return np.clip(self._prior + self._gain * (super().log_odds - self._prior), -LIMIT, LIMIT)
 
     def look(self, cells: Array, hits: Array, now_ns: int) -> None:
-        """A step: agree with the others, then add own looks, cells (n,), each at most once, and whether each look said 1."""
+        """One step: agree with the others, then add own looks, cells (n,), each at most once, and the result of each."""
         received, share = self._fresh.sum(axis=0)[:, None], 1.0 / self._members
         total = np.where(self._fresh[..., None], self._heard, 0.0).sum(axis=0)
         self._map = (1.0 - share * received) * self._map + share * total
@@ -164,7 +164,7 @@ class Consensus(Alone):
         return bodies
 
     def take(self, sender: str, body: Any, now_ns: int) -> bool:
-        """Keep what another believes until the next step; False: nonsense, and nothing was kept."""
+        """Store a received map until the next step; False: it is invalid and was dropped."""
         place, message = self._places.get(sender), parsed(body, "c", 2, now_ns // 1_000_000 + self._clock_bound_ms)
         if place is None or message is None:
             return False
@@ -195,19 +195,19 @@ def exchange(
     scaled: bool = False,
     clock_bound_s: float = 0.0,
 ) -> MapExchange:
-    """One member's end of an exchange; all but ``me`` must be the same for all members.
+    """One member's end of an exchange; all arguments but ``me`` must be equal for all members.
 
     Args:
-        kind: which one.
+        kind: of the protocol.
         grid: the cells.
-        sensor: how far looks are to be trusted.
+        sensor: error rates of looks.
         me: this vehicle.
-        members: all that search together, itself included.
+        members: all members, with this vehicle.
         prior: probability of a target in a cell before the first look.
         max_bytes: size of the largest message, encoded: about 100 for 802.15.4, 1400 for 802.11.
-        relay: of a ``ledger``: pass on what others said, and believe what is passed on.
+        relay: of a ``ledger``: send and accept counts of third members.
         scaled: of ``consensus``: decide by N times the map.
-        clock_bound_s: how far ahead another's clock may be; a message from further in the future is refused.
+        clock_bound_s: largest lead of other clocks, s; messages from further in the future are rejected.
 
     Raises:
         ValueError: ``me`` is not among the members, the prior is 0 or 1, or no cell fits into a message.

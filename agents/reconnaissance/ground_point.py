@@ -1,4 +1,4 @@
-"""From a pixel of a camera that looks straight down to the place on the ground that it shows, and back.
+"""Conversion between pixels of a downward camera and places on the ground.
 
 The picture is that of a pinhole whose principal point is the middle of the picture. The camera is fixed to its vehicle and
 looks along the body's -z; the upper edge of the picture is ahead, its left edge on the left:
@@ -22,7 +22,7 @@ Point = tuple[float, float]  # m, world, on the ground
 Pixel = tuple[float, float]  # column, row
 Region = tuple[int, int, int, int]  # px: first column, first row, and those behind the last ones
 
-MOUNT = (0.0, 0.0, -0.05)  # m, body frame: where the kind ``nadir_camera`` of sensors is, unless it is told otherwise
+MOUNT = (0.0, 0.0, -0.05)  # m, body frame: default of the sensor kind ``nadir_camera``
 LEVEL = 1e-6  # how far the ray of a pixel that sees the ground points down, at least
 
 

@@ -1,4 +1,4 @@
-"""Along the lanes of a strip: how fast, how near to their lines, and past what nobody gets to.
+"""Lane following: speed and course along the lanes of a strip; unreachable way-points are skipped.
 
 Towards a way-point at a distance d it flies at ``min(speed, sqrt(2 a d))``, the speed from which it can still stop there with
 an acceleration a; as a way-point counts as reached before that, the vehicle turns at a speed that it can turn at. Beside a lane
@@ -40,7 +40,7 @@ class LaneFollower:
         self.goal = None
 
     def velocity(self, now_ns: int, position: Point, living: Iterable[str]) -> Point:
-        """The velocity at a tick, m/s, world, for a vehicle at ``position``; ``living``: who else has a strip."""
+        """Velocity of a tick, m/s, world, at ``position``; ``living``: names of the members with a strip."""
         names = tuple(living)
         goal = self.comb.goal(position, names)
         if goal == self.goal and self._is_stuck(now_ns, math.dist(position, goal)):

@@ -1,18 +1,18 @@
-"""The exchange that survives loss: everybody keeps, by contributor, how often each cell was looked at with which result.
+"""Map exchange that survives loss: all members store, by contributor, the number of looks at each cell with each result.
 
-Such counts only grow, so that of two of them the greater is the newer: they are merged in any order, any number of times and by
-any way round, with the same result (a state-based grow-only counter: Shapiro, Preguica, Baquero and Zawirski, "Conflict-free
-replicated data types", SSS 2011). Once everything has come through, everybody has the map of one who made all looks himself.
+Such counts only grow, so the greater of two is the newer. They can be merged in any order, any number of times and over any
+route, with the same result (a state-based grow-only counter: Shapiro, Preguica, Baquero and Zawirski, "Conflict-free
+replicated data types", SSS 2011). When every message has arrived, all members have the map of a single observer of all looks.
 
-Who may tell what about whom:
+Trust:
 
-- Of a vehicle's own looks it believes nobody else.
-- What a contributor says of itself counts, and never less than it said before: old news, copies and a contributor that starts
-  anew lower no count (one that starts anew is heard again where it has looked more often than before).
-- What others pass on of a contributor counts only where it is newer than the contributor's own last word on that tile, and is
-  not from the future; it adds to that word and takes nothing from it. Of what others say, the newest counts.
-- So one who lies about another can raise counts only until that other one is next heard about the tile, and none with
-  ``relay = False``, where all believe contributors alone. What one says of itself cannot be checked: looks err anyhow.
+- A vehicle never accepts counts of its own looks from others.
+- A contributor's own counts are accepted and never decrease: old messages, copies and a restarted contributor lower nothing (a
+  restarted one counts again where it has looked more often than before).
+- Relayed counts of a contributor are accepted only if they are newer than its own last message about that tile, and not
+  from the future; they add to its counts and reduce none. Of relayed counts the newest apply.
+- A false relay can raise counts only until the contributor's next own message about the tile, and none with ``relay = False``.
+  A contributor's own counts cannot be checked: looks have errors in any case.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,19 +30,19 @@ OLDEST_MS = 2**32 - 1  # 49 days, to which the room for ages in messages is cut
 
 
 class Ledger:
-    """Counts by contributor, in tiles; those that changed are sent first, newest first, and all of them again as room is left.
+    """Counts by contributor, in tiles. Changed tiles are sent first, newest first, then all others as room is left.
 
-    An entry of a message is ``[contributor, tile, age_ms, counts]``: the contributor's place among the sorted members, the
-    number of the tile, how long before ``ms`` it last changed, and hits and misses. Within a millisecond, look before you send.
+    An entry of a message is ``[contributor, tile, age_ms, counts]``: the contributor's number among the sorted members, the
+    number of the tile, the time from its last change to ``ms``, and hits and misses. Within a millisecond, look before sending.
 
     Args:
-        tiling: the map, the same for all.
-        sensor: how far looks are to be trusted.
+        tiling: of the map, equal for all members.
+        sensor: error rates of looks.
         prior: log-odds before the first look.
         me: this vehicle.
-        members: all that contribute, itself included.
-        relay: pass on what others said, and believe what is passed on.
-        clock_bound_ms: how far ahead another's clock may be.
+        members: all contributors, with this vehicle.
+        relay: send and accept counts of third members.
+        clock_bound_ms: largest lead of other clocks.
     """
 
     def __init__(
@@ -60,12 +60,12 @@ class Ledger:
         self._places = {name: place for place, name in enumerate(sorted(set(members)))}
         self._me, self._clock_bound_ms = self._places[me], clock_bound_ms
         n, tiles, cells = len(self._places), tiling.tiles, tiling.per_tile
-        self._own = np.zeros((n, tiles, 2, cells), np.uint16)  # what each said of itself: hits and misses
+        self._own = np.zeros((n, tiles, 2, cells), np.uint16)  # hits and misses from each contributor itself
         self._changed = np.full((n, tiles), NEVER)  # ms: when these last changed,
-        self._said = np.full((n, tiles), NEVER)  # and when that was last said
-        self._others = np.zeros((n, tiles, 2, cells), np.uint16)  # what others said of it
+        self._said = np.full((n, tiles), NEVER)  # time of its last message
+        self._others = np.zeros((n, tiles, 2, cells), np.uint16)  # relayed hits and misses
         self._others_changed = np.full((n, tiles), NEVER)
-        self._times = np.zeros((n, tiles), int)  # sent, or heard from others, since the change
+        self._times = np.zeros((n, tiles), int)  # messages with the change, own and received
         self._times_of = np.full((n, tiles), NEVER)  # which change that was
 
     @property
@@ -83,7 +83,7 @@ class Ledger:
         return result
 
     def look(self, cells: Array, hits: Array, now_ns: int) -> None:
-        """Add own looks: cells (n,), each at most once, and whether each look said 1."""
+        """Add own looks: cells (n,), each at most once, and the result of each."""
         self._changed[self._me, self.tiling.count(self._own[self._me], cells, hits)] = now_ns // 1_000_000
 
     def messages(self, now_ns: int, most: int) -> list[Body]:
@@ -102,7 +102,7 @@ class Ledger:
         return bodies
 
     def take(self, sender: str, body: Any, now_ns: int) -> bool:
-        """Merge what was heard; False: nonsense in it, and nothing was merged."""
+        """Merge a received message; False: it is invalid, and nothing was merged."""
         teller, latest_ms = self._places.get(sender, self._me), now_ns // 1_000_000 + self._clock_bound_ms
         message = parsed(body, KEY, 4, latest_ms)
         if teller == self._me or message is None:
@@ -127,7 +127,7 @@ class Ledger:
 
     def _pass_on(self, who: int, tile: int, changed: int, counts: Array) -> None:
         """Believe the newer of two that were passed on; of one instant, one of them, whichever came first."""
-        self._times[who, tile] += changed == self._times_of[who, tile]  # somebody told it already: others first
+        self._times[who, tile] += changed == self._times_of[who, tile]  # already sent by another member: lower priority
         before = self._others_changed[who, tile]
         if changed > before or (changed == before and counts.tobytes() > self._others[who, tile].tobytes()):
             self._others_changed[who, tile], self._others[who, tile] = changed, counts

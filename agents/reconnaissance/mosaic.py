@@ -64,7 +64,7 @@ class Sheet:
         return Mosaic(left=self._left, bottom=self._bottom, cell_m=self._cell_m, pixels=frozen(self._pixels))
 
     def _warp(self, picture: Array, nadir: Nadir, corners: Array) -> None:
-        """Lay a picture whose corners on the ground, (4, 2) m, are those; counter-clockwise from its upper left."""
+        """Draw a picture onto the sheet; ``corners``, (4, 2) m on the ground, run counter-clockwise from its upper left."""
         rows, columns = self._pixels.shape[:2]
         on_sheet = (corners - (self._left, self._bottom)) / self._cell_m  # in cells, from the corner of the first
         low = np.maximum(np.floor(on_sheet.min(axis=0)), 0.0).astype(int)

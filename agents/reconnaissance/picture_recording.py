@@ -6,21 +6,21 @@ from vcmvsp.agents.reconnaissance.watch import WatchFrame
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.types import Image, Sightings
 
-NOTHING_NS = seconds_to_ns(5.0)  # pixels without a target in them are kept so often
+NOTHING_NS = seconds_to_ns(5.0)  # period of recorded pictures without a target
 QUALITY = 80  # of JPEG, in percent
 
 
 class PictureRecording:
-    """Of one camera.
+    """Selects the pictures of one camera for the recording.
 
     Args:
         camera: its name.
-        picture_s: how often pixels with a target in them are kept, s.
+        picture_s: period of recorded pictures with a target in them, s.
     """
 
     def __init__(self, camera: str, picture_s: float) -> None:
         self._camera, self._every_ns = camera, seconds_to_ns(picture_s)
-        self._kept_ns: int | None = None  # when the newest picture was taken whose pixels were kept
+        self._kept_ns: int | None = None  # time of the last recorded picture
 
     def of(self, frame: WatchFrame) -> Sightings | None:
         """What is recorded of a picture; None: nothing."""

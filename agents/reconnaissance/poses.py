@@ -14,7 +14,7 @@ from vcmvsp.cosim.frames import Quaternion, product
 from vcmvsp.cosim.types import Vec3, VehicleState
 
 KEPT_NS = seconds_to_ns(10.0)
-GAP = 1.5  # periods from pose to pose: in longer ones nobody knows how the vehicle has moved
+GAP = 1.5  # periods between poses; longer gaps are not interpolated
 
 
 class Poses:

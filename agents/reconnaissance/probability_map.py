@@ -1,10 +1,10 @@
-"""How likely each cell of an area holds a target, from looks that err: Bayes' rule in log-odds.
+"""Probability of a target in each cell of an area, from looks with errors: Bayes' rule in log-odds.
 
 A look at a cell says 1 (something is there) with probability p if there is a target and q if there is none. By Bayes' rule the
 log-odds ``l = ln(P / (1 - P))`` of a cell change at every look by a constant: ``ln(p / q)`` after a 1 and
 ``ln((1 - p) / (1 - q))`` after a 0 (Hu, Xie, Lum and Xu, "Multiagent information fusion and cooperative control in target
 search", IEEE Trans. Control Systems Technology 21(4), 2013, with Q = -l; Toh 2012, 5.2, whose label 0/1 is what a look says,
-not P). So counts of looks that said 1 and 0, of whomever and in whatever order, are all that has to be known of a cell.
+not P). So the numbers of looks with 1 and with 0, from any vehicle and in any order, are sufficient statistics of a cell.
 """
 
 import math
@@ -60,7 +60,7 @@ class Sensor:
         return math.log((1.0 - self.p) / (1.0 - self.q))
 
     def evidence(self, hits: Array, misses: Array) -> Array:
-        """What so many looks that said 1 and 0 add to the log-odds."""
+        """Log-odds of given numbers of looks with 1 and with 0."""
         result: Array = hits * self.hit + misses * self.miss
         return result
 
@@ -121,13 +121,13 @@ class Grid:
         return int(up) * self.columns + int(across)
 
     def within(self, x: float, y: float, radius: float) -> Array:
-        """Cells whose middles are at most ``radius`` from a point, ascending."""
+        """Cells with centres at most ``radius`` from a point, ascending."""
         return self._where(
             x - radius, y - radius, x + radius, y + radius, lambda u, w: (u - x) ** 2 + (w - y) ** 2 <= radius**2
         )
 
     def inside(self, corners: Array) -> Array:
-        """Cells whose middles lie in a polygon, such as what a camera sees of the ground, ascending.
+        """Cells with centres in a polygon, such as a camera's footprint, ascending.
 
         Args:
             corners: (n, 2) m, world, in order round it; with one that is not finite (an edge of the picture above the horizon)

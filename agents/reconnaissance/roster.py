@@ -1,16 +1,16 @@
-"""Who takes part in a mission, what each of them is doing, and who tracks which target: all that members tell of themselves.
+"""Members of a mission, their tasks and their targets, from their own reports.
 
 ====== ===== ==============================================================
 key    type  meaning
 ====== ===== ==============================================================
 ``do`` str   the task: ``search``, ``formation`` or ``track``
-``ms`` int   when that was so, ms of simulated time
+``ms`` int   time of that task, ms of simulated time
 ``tg`` str   the target that it tracks; absent: none
 ``at`` list  where that target is, x and y, m, world
 ``since`` int when it began to track that one, ms
 ====== ===== ==============================================================
 
-Each says all of it again and again, so that a message may be lost. Of a sender the newest counts, however it was overtaken.
+Every message has the whole status, so that a loss costs one period. The newest by ``ms`` counts, in any order of arrival.
 """
 
 import math
@@ -47,7 +47,7 @@ class Claim(NamedTuple):
 
 
 class MemberStatus(NamedTuple):
-    """What a member said last."""
+    """Last status of a member."""
 
     ms: int
     task: Task
@@ -55,20 +55,20 @@ class MemberStatus(NamedTuple):
 
 
 class Roster:
-    """The mission as one of its members sees it.
+    """The mission from the view of one member.
 
     Args:
         me: this vehicle.
-        members: all that take part, itself included.
-        sectors: which of them search one sector together, the first of each leads there; those not named have one of their own.
-        alive_s: after so long a silence a member counts as lost, s.
-        claim_s: so long its claim stands nevertheless, s: more often than not it is only out of reach.
-        report_s: how often a member tells of itself, s; at once where its task or its target changes.
-        clock_bound_s: how far ahead the clocks of others may be, s.
+        members: all members, with this vehicle.
+        sectors: groups that search one sector together, led by their first; other members have a sector of their own.
+        alive_s: silence after which a member counts as lost, s.
+        claim_s: how long the claim of a lost member stands, s: most are only out of reach.
+        report_s: period of reports, s; a change of task or target is reported at once.
+        clock_bound_s: largest lead of other clocks, s.
 
     Attributes:
-        sector: the one of this vehicle; it has the name of the first of those who share it.
-        clock_bound_s: how far ahead the clocks of others may be, s, whatever they tell.
+        sector: of this vehicle; named after its first member.
+        clock_bound_s: largest lead of other clocks, s.
 
     Raises:
         ValueError: members or sectors that do not fit one another.
@@ -104,7 +104,7 @@ class Roster:
         self._told_ns = 0
 
     def hear(self, obs: Observation) -> None:
-        """Once a tick: take in what others told; whatever a member sends shows that it is there, unless a program sends it."""
+        """Once a tick: take in received statuses. Any message of a member is a sign of life, except one of bytes."""
         self._start_ns = obs.time_ns if self._start_ns is None else self._start_ns
         for reception in obs.heard:
             sender, body = reception.message.sender, reception.message.body
@@ -128,11 +128,11 @@ class Roster:
         radio.send(body)
 
     def alive(self, now_ns: int) -> tuple[str, ...]:
-        """Those who take part and have not been silent for too long, this one among them, in the order of their names."""
+        """Living members with this one, in the order of their names."""
         return tuple(name for name in self.members if name == self.me or self._silent_ns(name, now_ns) < self._alive_ns)
 
     def searchers(self, now_ns: int) -> tuple[str, ...]:
-        """Those of them who search, alone or in formation, and this one; of whom nothing is known searches."""
+        """Living members that search, alone or in formation, with this one; members of unknown task count as searching."""
         return tuple(
             name
             for name in self.alive(now_ns)
@@ -157,9 +157,9 @@ class Roster:
         }
 
     def taken(self, claim: Claim, now_ns: int) -> bool:
-        """Whether another one has the better right to that target.
+        """Whether another member has priority for that target.
 
-        Who knows which one it is comes before who does not; of these who began first; of those that began together the first.
+        Priority: a member with an identified target, then the earlier begin, then the first name.
         """
         mine = _right(self.me, claim)
         return any(claim.same(other) and _right(name, other) < mine for name, other in self.claims(now_ns).items())
@@ -174,12 +174,12 @@ class Roster:
         return [place for _, place in self._given_up]
 
     def _silent_ns(self, name: str, now_ns: int) -> int:
-        """For how long nothing has been heard of a member; of one that never said anything, since the start."""
+        """Time since the last message of a member; without one, since the start."""
         return now_ns - self._there_ns.get(name, now_ns if self._start_ns is None else self._start_ns)
 
 
 def members_of(info: VehicleInfo, named: Sequence[str]) -> tuple[str, ...]:
-    """Those who take part: these, or all vehicles of the run where nobody is named.
+    """The given members; without any, all vehicles of the run.
 
     Raises:
         ValueError: one of them is no vehicle of the run.

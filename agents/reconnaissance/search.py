@@ -32,42 +32,43 @@ NOTHING: tuple[Array, Array] = (np.empty(0, np.intp), np.empty(0, bool))
 
 
 class Search(Agent):
-    """Comb an area in a team: each along the lanes of its own strip, all with one map of where targets may be.
+    """Search an area in a team: each member along the lanes of its own strip, with a shared map of target probabilities.
 
-    The strips are divided among those who live and search; whoever stops searching leaves its strip to the others. It flies
-    level, at one heading. As a part of a mission it goes on looking and sharing while something else commands the vehicle, and
-    goes on with its lane afterwards. By itself it flies on after all is found: ``status`` ``done`` says that it is.
+    The strips are divided among living members that search; the strip of a member that stops goes to the others. The
+    vehicle flies level, at one heading. In a mission it continues to look and to share while another algorithm commands the
+    vehicle, and resumes its lane afterwards. On its own it flies on after all targets are found, with ``status`` ``done``.
 
-    Noted: ``map_bytes``, payload bytes of all messages of the map so far, when it changes; by itself also ``found``,
-    ``found_x`` and ``found_y``, when the map becomes sure of a target (whose name it does not know), and ``status``.
+    Notes ``map_bytes``, payload bytes of all messages of the map so far, when it changes; on its own also ``found``,
+    ``found_x`` and
+    ``found_y``, when the map becomes sure of a target (of unknown name), and ``status``.
 
     Args:
         area: left, bottom, right, top, m, world.
         cell_m: side of a cell of the map, m.
-        members: all that search together; default: all vehicles of the run, or of the mission.
-        sectors: which of them share a strip, as of a mission, which has its own; default: each has one.
-        exchange: how the map is shared: ``ledger``, ``consensus``, ``delta`` or ``none``.
+        members: all members; default: all vehicles of the run, or of the mission.
+        sectors: groups that share a strip; a mission sets its own; default: each member has one.
+        exchange: protocol of the map: ``ledger``, ``consensus``, ``delta`` or ``none``.
         prior: probability of a target in a cell before the first look.
-        p: probability that a look at a cell with a target says so.
-        q: probability that a look at a cell with none says that there is one.
+        p: probability of a detection in a cell with a target.
+        q: probability of a detection in a cell without one.
         max_bytes: size of the largest message of the map, encoded.
-        relay: of a ``ledger``: pass on what others said, and believe what is passed on.
+        relay: of a ``ledger``: send and accept counts of third members.
         scaled: of ``consensus``: decide by the map times the number of members.
-        sensor: ``camera``: what is recognised in pictures; or the name of a sensor of kind ``target_sensor``.
-        watching: the camera and what it looks for, as of a mission, which has its own.
-        look_s: pictures that are nearer in time than that are one look, s: they err alike.
-        swath_m: how far is seen to either side of a lane, m; default: as far as the camera sees.
-        overlap: which part of what is seen from a lane is seen from the next one, too.
+        sensor: ``camera``: recognition in pictures; or the name of a sensor of kind ``target_sensor``.
+        watching: camera and targets; a mission sets its own.
+        look_s: pictures within this time are one look, s: their errors are correlated.
+        swath_m: visible width to either side of a lane, m; default: that of the camera.
+        overlap: share of a lane's swath that the next lane covers again.
         speed: m/s.
-        acceleration: m/s2, that it counts on before turns.
+        acceleration: m/s2, assumed for turns.
         height: m, world; default: that of the start.
-        arrive_m: a way-point is reached from this near.
-        stuck_s: a way-point is left out that it gets no nearer to for so long, s.
+        arrive_m: distance at which a way-point is reached.
+        stuck_s: time without approach after which a way-point is skipped, s.
         share_s: time between messages of the map, s.
         most: messages of the map at a time, at most.
-        targets: how many there are, for ``status``; default: nobody knows.
-        alive_s: after so long a silence a member counts as lost, s; a mission has its own.
-        clock_bound_s: how far ahead the clocks of others may be, s; a mission has its own.
+        targets: number of targets, for ``status``; default: unknown.
+        alive_s: silence after which a member counts as lost, s; a mission sets its own.
+        clock_bound_s: largest lead of other clocks, s; a mission sets its own.
     """
 
     roster: Roster | None = None
@@ -158,7 +159,7 @@ class Search(Agent):
         self._found: list[Point] = []
 
     def facts(self, obs: Observation) -> Mapping[str, Any]:
-        """What the mission is to know: whether the sector is shared, and the surest place that is nobody's."""
+        """Facts for the mission: whether the sector is shared, and the surest unclaimed place."""
         roster = self._tick(obs)
         claims = roster.claims(obs.time_ns).values()
         likely, place = self.map.surest([*(claim.place for claim in claims), *roster.given_up(obs.time_ns)])
@@ -180,7 +181,7 @@ class Search(Agent):
             self._way.pause()
 
     def _tick(self, obs: Observation) -> Roster:
-        """Take in what there is to know, once a tick, whoever asks first."""
+        """Update everything, once a tick, at the first call."""
         assert self.roster is not None  # noqa: S101
         if obs.time_ns == self._now_ns:
             return self.roster
@@ -196,7 +197,7 @@ class Search(Agent):
         if look is not None:
             self.map.look(*look, obs.time_ns)
             self._agreed = True
-        if self._own_roster or self.sensor != CAMERA:  # else who recognises a target says so
+        if self._own_roster or self.sensor != CAMERA:  # otherwise the tracker reports recognised targets
             self._note_found()
         if obs.time_ns >= self._show_at_ns:
             self._show_at_ns = obs.time_ns + SHOW_NS

@@ -1,4 +1,4 @@
-"""The map of one who searches: own looks, what others tell, and where it is sure of targets."""
+"""The map of a searching vehicle: own looks, received ones, and sure targets."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -49,7 +49,7 @@ class SearchMap:
             self._changed()
 
     def look(self, cells: Array, hits: Array, now_ns: int) -> None:
-        """Add own looks: cells (n,), each at most once, and whether each look said that there is something."""
+        """Add own looks: cells (n,), each at most once, and whether each look was a detection."""
         self._mind.look(cells, hits, now_ns)
         self._seen[cells] = True
         self._changed()
@@ -116,10 +116,10 @@ class SearchMap:
 
 
 def of_reading(grid: Grid, looks: Looks) -> tuple[Array, Array]:
-    """Cells of the map that a detector has looked at, (n,), and what it said, (n,) bool.
+    """Cells of a detector's reading, (n,), and the results, (n,) bool.
 
     Raises:
-        ValueError: its cells are not as large as those of the map.
+        ValueError: its cells differ in size from those of the map.
     """
     if not math.isclose(looks.cell_m, grid.cell):
         raise ValueError(f"cell_m = {grid.cell:g}: the sensor looks at cells of {looks.cell_m:g} m, so it must be that")

@@ -1,7 +1,7 @@
-"""Who combs which part of an area, and along which lanes.
+"""Strips of an area and the lanes along them.
 
 The area is divided into vertical strips of equal width, one for each living member in the order of the names (2 before 10):
-whoever knows who lives knows all strips, without a message. When a member fails, the strips are divided anew among the rest.
+the set of living members determines all strips, without a message. When a member fails, the strips are divided anew.
 """
 
 import math
@@ -15,7 +15,7 @@ Point = tuple[float, float]
 
 
 def strips(area: Rectangle, living: Iterable[str]) -> dict[str, Rectangle]:
-    """The strip of each who lives, left to right in the order of the names."""
+    """The strip of each living member, left to right in the order of the names."""
     names = sorted(sorted(set(living)), key=_natural)
     width = (area.right - area.left) / len(names) if names else 0.0
     return {
@@ -65,22 +65,21 @@ def _way(xs: list[float], ends: tuple[float, float]) -> tuple[Point, ...]:
 
 
 class Comb:
-    """One vehicle's way over its strip, again and again until it is done: there and back, or up and down and then across.
+    """One vehicle's path over its strip, repeated until the search ends: back and forth, or up and down and then across.
 
-    Who sees what is below from aside, past buildings, sees on lanes across what was hidden on those along y.
+    Lanes across show what buildings hide from lanes along y.
 
     Args:
-        me: whose way it is.
-        area: what the team is to comb.
-        radius: how far is seen from the vehicle, m.
+        me: name of the vehicle.
+        area: of the team.
+        radius: visible distance from the vehicle, m.
         overlap: of neighbouring lanes.
-        reached: how near a way-point counts as there, m.
-        across: how far is seen from lanes along x, m; 0: there are none.
-        is_open: whether a lane with these ends, m, world, is worth flying along; lanes that are not are left out as long as
-            there are others.
+        reached: distance at which a way-point is reached, m.
+        across: visible distance from lanes along x, m; 0: no such lanes.
+        is_open: whether a lane with these ends, m, world, is worth flying; other lanes are skipped as long as there are such.
 
     Attributes:
-        came: the way-point where the present line begins; None: the vehicle comes from anywhere.
+        came: way-point at the start of the present line; None: none yet.
     """
 
     def __init__(
@@ -97,14 +96,14 @@ class Comb:
         self.me, self.area, self.radius, self.overlap, self.reached = me, area, radius, overlap, reached
         self._across, self._is_open = across, is_open
         self.came: Point | None = None
-        self._ways: dict[tuple[str, ...], _Way] = {}  # by who lives
+        self._ways: dict[tuple[str, ...], _Way] = {}  # by living members
         self._way: _Way | None = None
 
     def goal(self, position: Point, living: Iterable[str]) -> Point:
-        """Where to go from here, m, world; whoever asks lives, whatever is said of it.
+        """The next way-point, m, world; this vehicle always counts as living.
 
-        It goes on with the same strip as long as the same ones live, and begins anew, at the nearest end of the new strip, when
-        that changes. When the same ones live as at some time before, it goes on with the strip of then where it was left.
+        The strip stays as long as the same members live. When they change, the vehicle begins at the nearest end of its new
+        strip. When a former set of members lives again, it resumes that strip where it stopped.
         """
         names = tuple(sorted({*living, self.me}))
         if names not in self._ways:
@@ -128,7 +127,7 @@ class Comb:
         return _Way(way, _pairs([(x, y) for y, x in turned]))
 
     def skip(self) -> None:
-        """Give up the way-point that was the goal: nobody gets there."""
+        """Skip the present way-point, which cannot be reached."""
         self.came = None
         if self._way is not None:
             self._way.go_on(self._is_open)

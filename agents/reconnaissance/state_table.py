@@ -1,7 +1,7 @@
-"""Who commands a vehicle on a search: a table of states, as a pure function of the state and of what is known at a tick.
+"""State table of a vehicle on a search: selects the commander, as a pure function of the state and of the facts of a tick.
 
 =========  ==================================  ============================================  ===============================
-state      entered                             left                                          who commands
+state      entered                             left                                          commander
 =========  ==================================  ============================================  ===============================
 search     at the start; a target is lost      a target is confirmed                         the search
 formation  the same, where two or more share   the same                                      the law of the formation
@@ -15,14 +15,14 @@ avoid2     something nearer than d2            nothing nearer than d2 + 0.15 m f
 =========  ==================================  ============================================  ===============================
 
 avoid2 goes before avoid1, avoid1 before track, track before search. Search, formation and track are the tasks; what avoidance
-interrupts stays the task, and has the command back afterwards. A task may still change meanwhile: pictures are looked at and
+interrupts stays the task, and has the command back afterwards. A task may still change meanwhile: pictures are processed and
 maps are exchanged in every state, so a target that is confirmed on the way around something is tracked after that. The 10 s of
-a spiral count whoever commands, as avoidance does what the tracker wants, only around things: else a vehicle that cannot get to
-where a target is said to be (on a roof, in a narrow street), and so never leaves avoidance, would stay there for ever.
+a spiral count with any commander, as avoidance only modifies the tracker's command: otherwise a vehicle that cannot get to
+the reported place of a target (on a roof, in a narrow street), and so never leaves avoidance, would stay there for ever.
 
 There is no switch within 0.5 s of another, whatever happens. So avoid2 may begin half a second late, if something else began
 just before. That costs no safety, because no safety rests on it: the limit of the speed near obstacles holds for the command of
-whoever commands (`agents.mission.speed_limit`, `agents.avoidance.levels`), from the first tick at which something is nearer
+any commander (`agents.mission.speed_limit`, `agents.avoidance.levels`), from the first tick at which something is nearer
 than d2. What is late is only the way around, and that of a vehicle which comes no nearer than it may. At the end of the half
 second the facts of then decide, and avoid2 goes before all: nothing stands in line before it.
 """
@@ -48,20 +48,20 @@ class MissionFacts(NamedTuple):
     """What is known at a tick."""
 
     now_ns: int
-    nearest_m: float = math.inf  # the nearest obstacle; not a number: who does not know is near
+    nearest_m: float = math.inf  # distance of the nearest obstacle, m; NaN (unknown) counts as near
     closing: bool = False  # whether it comes nearer
     first_m: float = 1.2  # d1: from how near on avoidance looks at things
     second_m: float = 0.9  # d2: from how near on the vehicle must be slow; depends on its speed
     shared: bool = False  # whether others search the same sector
     recognised: bool = False  # a target, by detections in several frames
-    probability: float = 0.0  # in the surest cell of the map whose target is nobody's, and was not given up since
+    probability: float = 0.0  # of the surest cell with an unclaimed target that was not given up since
     seen_ns: int | None = None  # when the target that is tracked was detected last
     taken: bool = False  # another vehicle tracks that target, the confirmed or the tracked one
-    place: tuple[float, float] | None = None  # m, world: of what is recognised or probable; for whom it may concern
+    place: tuple[float, float] | None = None  # m, world: of the recognised or probable target
 
 
 class MissionState(NamedTuple):
-    """Who commands, since when and why; what the task is; and the timers of the table."""
+    """The commander, since when and why; the task; the timers of the table."""
 
     name: Name = "search"
     task: Task = "search"  # the same, or what has the command back after avoidance
@@ -110,7 +110,7 @@ def _timed(state: MissionState, facts: MissionFacts, passed_ns: int) -> MissionS
 
 
 def _with_task(state: MissionState, facts: MissionFacts) -> MissionState:
-    """The task from now on, whoever commands."""
+    """The state with another task."""
     searching: Task = "formation" if facts.shared else "search"
     if state.task == "track":
         if facts.taken:

@@ -22,40 +22,40 @@ AT_LEAST_ONE = Annotated[int, msgspec.Meta(ge=1, le=1000)]
 
 CLIMB = 1.0  # m/s, at most
 WHOLE_NS = seconds_to_ns(1.0)  # so often all of a picture is looked at, whatever is tracked
-DETOUR = 2.0  # times the straight way: so long it may take to get where a target is said to be
+DETOUR = 2.0  # times the straight way: longest time to the reported place of a target
 
 
 class TrackTarget(Agent):
-    """Looks for targets, and keeps over one that it has recognised.
+    """Look for targets, and stay over one that was recognised.
 
-    By itself it hovers until a target is confirmed that nobody else tracks, tracks that, and hovers again where it has lost it
-    or where another vehicle turned out to track it already. In a mission it is told when to begin and when to end.
+    On its own it hovers until an unclaimed target is confirmed, tracks it, and hovers again after losing it or after
+    another vehicle claims it. In a mission `begin` and `end` start and stop tracking.
 
-    While it sees its target only the ground around it is looked at, but for one picture a second: so other targets are still
-    reported to the others, and looking costs a third.
+    While the target is visible, only the ground around it is examined, except in one picture a second: other targets are still
+    reported, and recognition costs a third.
 
-    A target that is known from a map alone may be far away. It counts as seen until the vehicle can be there, at most after
-    twice the time of the straight way: nobody loses what he has not come to see.
+    A target that is known from a map alone may be far away. It counts as visible until the vehicle can be there, at most
+    for twice the time of the straight way.
 
-    Noted: ``target``, the one that it tracks (empty: none, or not known yet), when it changes; ``found``, ``found_x`` and
-    ``found_y``, m, once for each target that it confirms before another tracks it.
+    Notes ``target``, the tracked one (empty: none, or unknown), when it changes; ``found``, ``found_x`` and ``found_y``, m,
+    once for each target that it confirms before another vehicle tracks it.
 
     Args:
-        watching: the camera and what it looks for; as of a mission, which has its own.
-        members: by itself: those who tell one another what they track; default: all vehicles of the run.
-        gain: 1/s, speed towards the target for each metre that it is off.
-        smoothing: share of what is new in the estimated velocity of the target, a tick; 0: it is taken to stand.
+        watching: camera and targets; a mission sets its own.
+        members: on its own: members that exchange claims; default: all vehicles of the run.
+        gain: 1/s, speed towards the target for each metre of offset.
+        smoothing: share of a new measurement in the estimated velocity of the target, a tick; 0: the target is at rest.
         max_speed: m/s.
-        height: m, world, at which it tracks; default: where it is when it begins.
-        needed: so many detections confirm a target,
-        frames: of so many of the last pictures,
-        within_m: no further than that from one another, m; nor is the target then from where it is expected.
-        lost_s: without a detection for so long it is lost, s (by itself; in a mission after 3 s).
-        spiral_s: so long it is then searched for on a spiral, s (by itself; in a mission for 10 s).
+        height: m, world, while tracking; default: that of the begin.
+        needed: number of detections that confirm a target,
+        frames: of this number of last pictures,
+        within_m: no further than this from one another and from the expected place, m.
+        lost_s: time without a detection after which it is lost, s (on its own; in a mission after 3 s).
+        spiral_s: duration of the search on a spiral after that, s (on its own; in a mission 10 s).
         spiral_speed: m/s, on it.
         spiral_pitch_m: from turn to turn of it, m.
-        picture_s: how often a picture with a target in it is recorded, s; one without every 5 s.
-        mosaic: the ground that is put together from pictures, and recorded; default: none.
+        picture_s: period of recorded pictures with a target in them, s; others every 5 s.
+        mosaic: mosaic of the ground from pictures, for the recording; default: none.
     """
 
     roster: Roster | None = None
@@ -95,11 +95,12 @@ class TrackTarget(Agent):
             _sheet(mosaic)
 
     def start(self, info: VehicleInfo) -> None:
-        """Nothing is tracked, nothing has been seen.
+        """Begin without a target.
 
         Raises:
-            ValueError: the vehicle drives on wheels, has no such camera, or nobody says what to look for; with the period and
-                the latency of this agent the gain is too large.
+            ValueError: the vehicle drives on wheels, has no such camera, or there are no targets to look for; the gain is
+                too large
+                for the period and the latency of this agent.
         """
         check_flies(info)
         self._alone = self._alone or self.roster is None
@@ -117,7 +118,7 @@ class TrackTarget(Agent):
         self._confirming = {name: self._confirmation() for name in sorted(self.watch.names)}
         self._showing = PictureRecording(self._camera, self._picture_s)
         self._sheet = None if self._mosaic is None else _sheet(self._mosaic)
-        self._candidate: Claim | None = None  # confirmed by the newest picture, and nobody else's
+        self._candidate: Claim | None = None  # confirmed by the newest picture, and unclaimed
         self._found: set[str] = set()
         self._told = ""  # the target, as it was noted last
         self._asked_ns: int | None = None

@@ -1,9 +1,9 @@
-"""Keeps a vehicle over a target that a camera sees now and then: confirmation, estimate, velocity to fly at, and a search.
+"""Tracking of a target with an intermittent camera: confirmation, estimate, commanded velocity, and search.
 
 Everything is in the plane, in the world frame: a picture says where the target was when it was taken (see
 `agents.reconnaissance.ground_point`), so neither the heading of the vehicle nor its own motion matter here.
 
-What the loop can do (T the period, k the gain; a vehicle that moves as it is told):
+Properties of the loop (T the period, k the gain; a vehicle that follows commands exactly):
 
 - the offset of a target at rest shrinks by 1 - kT a tick, at any heading;
 - behind a target at speed v the vehicle lags by v/k, with ``smoothing`` 0: the estimated speed of the target takes that away;
@@ -31,7 +31,7 @@ LOST_S, SPIRAL_S = 3.0, 10.0  # without a detection: lost; then searched for so 
 
 
 def largest_gain(latency_ticks: int, period_s: float) -> float:
-    """The gain, 1/s, from which on a loop whose commands act on what was so many ticks ago does not settle."""
+    """The gain, 1/s, from which on a loop with a delay of so many ticks is unstable."""
     return 2.0 * math.sin(math.pi / (2 * (2 * latency_ticks + 1))) / period_s
 
 

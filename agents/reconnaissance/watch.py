@@ -1,4 +1,4 @@
-"""What a vehicle sees of targets: each new picture of its camera, what is recognised in it, and where on the ground that is."""
+"""Targets in the pictures of a vehicle's camera: recognition in each new picture, and the places on the ground."""
 
 import math
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ INSIDE = 0.5  # sides of a target between its middle and the edge of a picture t
 class Wanted(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A target to look for."""
 
-    name: str  # for whoever looks at what was found
+    name: str  # for notes and displays
     picture: FileName  # an image file, square: how it looks from above; relative to the scenario's folder
     size_m: Positive = 2.0  # of a side
 
@@ -38,7 +38,7 @@ class Watching(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class GroundDisc(NamedTuple):
-    """A part of the ground: all that is no further than that from a place."""
+    """The ground within a distance of a place."""
 
     place: Point  # m, world
     reach_m: float
@@ -46,35 +46,35 @@ class GroundDisc(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WatchFrame:
-    """What one picture shows."""
+    """Content of one picture."""
 
     time_ns: int  # when it was taken
     nadir: Nadir  # from where, and how
     sightings: tuple[Sighting, ...]  # the surest first
     image: Image
     looked: Region | None  # px: a target with its middle there would have been seen; None: nowhere (tilted too far, ...)
-    whole: bool  # whether that is as much of the picture as can be; else only the part that the watch was told to look at
+    whole: bool  # whether all of the picture was examined; otherwise only `Watch.region`
 
     @property
     def footprint(self) -> tuple[Point, ...] | None:
-        """The corners of the ground that was looked at, counter-clockwise from ahead on the left; None: none was."""
+        """Corners of the examined ground, counter-clockwise from ahead on the left; None: none was examined."""
         return None if self.looked is None else self.nadir.footprint(self.looked)
 
 
 class Watch:
-    """Looks at the pictures of one camera, at each once, whoever asks.
+    """Examines each picture of one camera once.
 
-    To be made in the constructor of an agent: files of targets are looked for in the scenario's folder only then.
+    Must be constructed in the constructor of an agent: only then are files of targets found in the scenario's folder.
 
     Args:
-        settings: what is looked for.
+        settings: camera and targets.
         key: of the settings in the scenario, for messages.
 
     Attributes:
-        region: the part of the ground that is looked at in pictures to come; None: all of it.
+        region: part of the ground to examine in the next pictures; None: all of it.
 
     Raises:
-        ScenarioError: a picture of a target that cannot be read, or that is no good for recognition.
+        ScenarioError: a picture of a target is unreadable or unfit for recognition.
     """
 
     region: GroundDisc | None = None
@@ -90,7 +90,7 @@ class Watch:
         self._smallest_m, self._largest_m = (ends(each.size_m for each in targets) for ends in (min, max))
 
     def start(self, info: VehicleInfo) -> None:
-        """Before the first tick.
+        """Check the camera.
 
         Raises:
             ValueError: the vehicle has no such camera.
@@ -106,9 +106,9 @@ class Watch:
         self.region = None
 
     def look(self, obs: Observation) -> WatchFrame | None:
-        """What a picture shows that has come in since the last tick; None: none has, or nobody knows where it was taken.
+        """Content of a picture that arrived since the last tick; None: there is none, or its pose is unknown.
 
-        Once a tick at least, so that it is known where the vehicle was; asked again at the same tick it answers the same.
+        Must be called at least once a tick, to record the poses; further calls of a tick return the same.
 
         Raises:
             TypeError: the sensor is no camera.

@@ -1,4 +1,4 @@
-"""Runs the jobs of figures and checks, several at a time in processes of their own."""
+"""Runs the jobs of figures and checks, several at a time in processes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Job:
-    """A run, and what is wanted of it: ``read`` is a function of a module, since it may be called in another process."""
+    """A run and the function that reads its result; ``read`` must be a function of a module, for other processes."""
 
     scenario: Mapping[str, Any]
     read: Read
@@ -22,23 +22,23 @@ class Job:
     seed: int | None = None
 
     def __call__(self) -> Any:
-        """What is wanted of it."""
+        """The value read from the result."""
         return self.read(run(self.scenario, seed=self.seed, set=self.set, mcap=False))
 
 
 class Runner:
-    """Runs jobs, several at a time where there are several: those of the platform, or a `functools.partial` of other work.
+    """Runs jobs, in processes if there are several: `Job` objects, or `functools.partial` of other work.
 
     Args:
-        jobs: how many processes; 1: this one.
-        progress: told after every run how many are done, and of how many.
+        jobs: number of processes; 1: this one.
+        progress: called after every run with the finished and the total number.
     """
 
     def __init__(self, jobs: int = 1, progress: Callable[[int, int], None] | None = None) -> None:
         self._jobs, self._progress = jobs, progress or (lambda *_: None)
 
     def __call__(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
-        """What each job gave, in the order of the jobs."""
+        """Results in the order of the jobs."""
         workers = min(self._jobs, len(jobs))
         if workers <= 1:
             return [self._tell(done, len(jobs), _do(job)) for done, job in enumerate(jobs, 1)]

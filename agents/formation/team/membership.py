@@ -1,4 +1,4 @@
-"""What a follower has to do with others: whom it follows and where, what it hears of them, and what it tells them."""
+"""A follower's relations to others: its parent and place, its received and its own reports."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,29 +19,29 @@ Keep = Callable[[str | None, Slot], None]
 
 
 class Membership:
-    """A follower's part in a team, or beside its one leader.
+    """A follower's part in a team, or beside a single leader.
 
     Args:
-        leader: whom it follows; None where a formation says so.
-        formation: the team's.
-        keep: told before the first tick, and whenever it changes, to follow whom, and where to be in the frame of that one, m;
-            None: nobody. Of a team only.
-        estimator: of where others are now.
-        broadcast: whether it reports itself; None: where somebody needs that.
-        sending: when it does.
-        heartbeat_s: silence after which a parent is left for its own.
-        clock_bound_s: how far ahead the clocks of others may be, s.
+        leader: single leader; None in a formation.
+        formation: of the team.
+        keep: called in a team before the first tick and at every change, with the parent and the place in its frame, m; None:
+            no parent.
+        estimator: of the present states of others.
+        broadcast: whether it reports itself; None: where others need its reports.
+        sending: when it reports.
+        heartbeat_s: silence after which a parent is replaced by its own parent, s.
+        clock_bound_s: largest lead of other clocks, s.
 
     Attributes:
-        leader: whom it follows now; None: nobody.
+        leader: present parent; None: none.
         team: None beside a single leader.
-        lookout: where the team is to pass through passages.
-        listening: what it has heard.
+        lookout: for passages of the team.
+        listening: received reports.
         broadcast: whether it reports itself.
-        notes: what has changed at the last tick, for `cosim.agent.Agent.note`: ``shape``, ``parent``, ``refused``.
+        notes: changes of the last tick, for `cosim.agent.Agent.note`: ``shape``, ``parent``, ``refused``.
 
     Raises:
-        ValueError, ScenarioError: what these say does not go together.
+        ValueError, ScenarioError: arguments that do not fit together.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Membership:
         self.lookout: Lookout | None = None
         self.notes: dict[str, str | int] = {}
         self._reports: list[Report] = []  # of the last tick
-        self._newest: Report | None = None  # of whom it follows
+        self._newest: Report | None = None  # of the parent
         check_silence(self._reporter.sending, formation, heartbeat_s)
         if formation is not None:
             if leader is not None:
@@ -81,11 +81,11 @@ class Membership:
             raise ValueError("heartbeat_s needs a formation, which says whom to follow instead")
 
     def start(self, info: VehicleInfo, leads: str) -> None:
-        """Refuse a leader that does not take part, and a formation that does not fit; find the place in it.
+        """Find the place in the formation; reject an unknown leader or a formation that does not fit.
 
         Args:
             info: of the vehicle.
-            leads: agents that lead, for the message to one who comes first in its team.
+            leads: kinds of leading agents, for the message to the first member of a team.
         """
         if self.formation is None:
             others = [name for name in info.vehicles if name != info.name]
@@ -107,7 +107,7 @@ class Membership:
         self.notes = {"shape": team.shape, "parent": team.parent}
 
     def hear(self, obs: Observation) -> Report | None:
-        """Once a tick: take over a newer shape, leave a parent that has died; the newest report of whom it follows."""
+        """Once a tick: take over a newer shape and replace a dead parent; returns the newest report of the parent."""
         self._reports, self.notes = self.listening.take(obs), {}
         if self.team is not None:
             self._keep_up(self.team, obs.time_ns)
@@ -117,7 +117,7 @@ class Membership:
         return self._newest
 
     def tell(self, obs: Observation, radio: Radio, v: float, w: float, **more: Any) -> None:
-        """Once a tick: report the own speeds, m/s and rad/s, and more, where somebody needs that; answer whom it follows."""
+        """Once a tick: report the own speeds, m/s and rad/s, where others need them; acknowledge the parent's report."""
         if self.broadcast:
             if self.team is not None:
                 more.update(self.team.fields())
@@ -127,7 +127,7 @@ class Membership:
         self.answer(radio)
 
     def answer(self, radio: Radio) -> None:
-        """Once a tick, as `tell` does it: answer whom it follows, if that is asked for."""
+        """Once a tick without `tell`: acknowledge the parent's report if it asks for that."""
         newest = self._newest
         if newest is not None and self.leader is not None and "ak" in newest.body and newest in self._reports:
             acknowledge(radio, newest, self.leader)
@@ -154,17 +154,17 @@ class Membership:
         self.leader = parent
         self._keep(parent, (0.0, 0.0) if parent is None else team.beside(parent))
         if self._broadcast_always is None:
-            changes = team.changed > 0 or bool(team.formation.changes)  # whoever deals out places wants to know where all are
+            changes = team.changed > 0 or bool(team.formation.changes)  # assignment of places needs the positions of all
             varies = changes or team.formation.passage is not None
             self.broadcast = bool(team.children) or self._heartbeat_ns is not None or varies
         self._reporter.start(team.children)
 
 
 def check_silence(sending: Sending, formation: Formation | None, heartbeat_s: float | None = None) -> None:
-    """Refuse that a vehicle is silent, as it may be who has nothing to tell, for longer than others take it to be there.
+    """Reject a longest silence of a sender that exceeds the time after which it counts as gone.
 
     Raises:
-        ValueError: it may be.
+        ValueError: it does.
     """
     if sending.when == "always":
         return

@@ -27,14 +27,14 @@ from vcmvsp.agents.formation.team.visible_members import VisibleMembers, moved_t
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.frames import rotate2
 
-NAMED = 3  # at most: of those whom a narrow team waits for
+NAMED = 3  # most names in the note ``waits_for``
 
 
 class Lookout(VisibleMembers):
-    """What one vehicle sees of the lane that its team needs.
+    """The part of the team's lane that one vehicle sees.
 
     Raises:
-        ValueError: it has no such scanner, or nobody says how large it is.
+        ValueError: the scanner is missing, or the size of the vehicle is unknown.
     """
 
     def __init__(self, passage: Passage, team: Team, info: VehicleInfo) -> None:
@@ -64,11 +64,12 @@ class Lookout(VisibleMembers):
 
 
 class Guide:
-    """Says, for the leader, which shape the team is to have.
+    """Decides, for the leader, on the shape of the team at passages.
 
     Attributes:
-        notes: what has changed at the last tick, for `cosim.agent.Agent.note`: ``lane``, ``narrow`` or ``free``, and
-            ``waits_for``, for whom a narrow team waits though the leader's lane is free: three names at most, or none.
+        notes: changes of the last tick, for `cosim.agent.Agent.note`: ``lane``, ``narrow`` or ``free``, and ``waits_for``,
+            up to
+            three members for which a narrow team waits although the leader's lane is free.
     """
 
     def __init__(self, passage: Passage, team: Team, info: VehicleInfo) -> None:
@@ -78,7 +79,7 @@ class Guide:
         self.notes: dict[str, str] = {}
 
     def shape(self, obs: Observation, listening: ReportReceiver, estimator: Estimator) -> str:
-        """That of now, or another one; asked once a tick."""
+        """The present shape or a new one; called once a tick."""
         passage, team = self._lookout.passage, self._lookout.team
         is_narrow = team.shape == passage.shape
         free = self._lookout.is_free(obs, listening, estimator, passage.free_m if is_narrow else passage.narrow_m)
@@ -91,7 +92,7 @@ class Guide:
 
 
 def places_of(obs: Observation, reports: Mapping[str, Report], estimator: Estimator) -> dict[str, Slot]:
-    """Where those are now who sent these reports, as estimated: m in this vehicle's frame, x forward, y left."""
+    """Estimated positions of the senders of reports: m in this vehicle's frame, x forward, y left."""
     (x, y, _), yaw, places = obs.state.position, obs.state.yaw, {}
     for name, report in reports.items():
         then = moved_to(obs, report, estimator)

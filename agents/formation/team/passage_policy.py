@@ -1,18 +1,17 @@
-"""When a narrow team becomes wide again.
+"""Policies for widening a narrow team.
 
-It is harder to say than when to become narrow, since those behind are in the passage still when the leader is out of it; Toh
-2012 (7.2) leaves it open. A policy answers: an object with one verb, `Policy.widens`, asked at every tick at which the team is
-narrow.
+Widening is harder to time than narrowing: the last members are in the passage when the leader is out of it, and Toh 2012 (7.2)
+leaves the question open. `Policy.widens` is called at every tick at which the team is narrow.
 
 ============= ====================================================================================================
-``immediate`` the leader's lane is free (Toh 2012): those behind are called out of the passage sideways
+``immediate`` the leader's lane is free (Toh 2012): members behind are called out of the passage sideways
 ``timer``     it has been free for ``timer_s``: right for one length of the team at one speed only
-``all-clear`` it is free, and so say all members of their own lanes, for ``steady_s`` on end; who says nothing is not clear,
-              until nothing at all was heard of him for ``silence_s``: then he is gone
+``all-clear`` it is free, and all members report clear lanes, for ``steady_s`` on end; a silent member counts as not clear,
+              and as gone after ``silence_s`` without any message
 ============= ====================================================================================================
 
-The leader asks those whom it hears itself: nobody passes on for others that they are clear. So members beyond the reach of its
-radio, at the end of a long chain, count as gone.
+The leader uses only reports that it receives itself: lane states are not relayed. Members beyond the reach of its radio, at
+the end of a long chain, count as gone.
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,22 +23,22 @@ from vcmvsp.cosim.clock import seconds_to_ns
 
 
 class Policy(Protocol):
-    """When a narrow team becomes wide again; one object for a leader, which may remember.
+    """A policy for widening a narrow team; one object per leader, with its own state.
 
     Attributes:
-        waits_for: those who at the last tick kept it from becoming wide.
+        waits_for: members that prevented widening at the last tick.
     """
 
     waits_for: Sequence[str]
 
     def widens(self, now_ns: int, free: bool, names: Iterable[str], listening: ReportReceiver) -> bool:
-        """Asked at every tick at which the team is narrow.
+        """Whether to widen; called at every tick at which the team is narrow.
 
         Args:
             now_ns: time of the tick.
-            free: whether the leader's own lane is.
-            names: those that it leads.
-            heard: their reports.
+            free: whether the leader's own lane is free.
+            names: members behind the leader.
+            listening: their reports.
         """
 
 
@@ -69,7 +68,7 @@ class Immediate(Timer):
 
 
 class AllClear(Timer):
-    """When that is so, and no member has said, or left open, that its own lane is not clear."""
+    """As `Timer`, while all living members report clear lanes."""
 
     def __init__(self, steady_s: float, report_s: float, silence_s: float) -> None:
         super().__init__(steady_s)

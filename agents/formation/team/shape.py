@@ -1,4 +1,4 @@
-"""Shapes for any number of vehicles: where everybody belongs, seen from the first, who leads.
+"""Shapes for any number of vehicles: places in the frame of the leader.
 
 Slots are centres in the frame of the leader, x forward, y left, m. With spacing s, member i = 0, 1, 2, ... and k = ceil(i / 2):
 

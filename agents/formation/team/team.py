@@ -1,8 +1,8 @@
-"""What a member knows of its formation: its own place, whom it follows, and which shape the team has now.
+"""A member's view of its formation: own place, parent, present shape.
 
-All members read the same `Formation`, so at the start nothing need be said. When the leader changes the shape, its reports
-carry the new shape, how often it has changed, and who has which place; whoever has heard of a newer shape passes it on in
-its own reports, so that it comes down a chain over any lossy link. The newest counts, whoever told it.
+All members read the same `Formation`, so the start needs no messages. When the leader changes the shape, its reports carry
+the new shape, the number of changes and the assignment of places. Every member repeats them in its own reports, so that they
+pass down a chain over any lossy link. The highest number counts, from any sender.
 """
 
 import functools
@@ -18,24 +18,24 @@ from vcmvsp.agents.formation.team.topology import ancestors, named_parents, pare
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.config.messages import unknown
 
-JUMP = 10_000  # by more than that no team has changed its shape since somebody heard of it last
+JUMP = 10_000  # larger increments of ``sn`` are implausible
 
 
 class Team:
-    """The formation as one of its members sees it.
+    """The formation from the view of one member.
 
     Attributes:
         members: all names; the first leads.
         name, index: of this member, and its number among them.
         shape: the present one.
-        wide: the one that it has, or will have again, where nothing is in the way (`agents.formation.team.passage`).
-        changed: how often it has changed.
-        place: the number of this member's place in it; the leader's is 0.
+        wide: the shape outside passages (`agents.formation.team.passage`).
+        changed: number of changes of shape.
+        place: number of this member's place; the leader's is 0.
         slot: that place, m in the leader's frame, x forward, y left.
-        parent: whom it follows; None: nobody, it leads.
-        ancestors: the parent, the parent's parent, and so on up to the leader.
-        children: who follows it.
-        ranks: all members, those nearest to the leader first; nobody comes before an ancestor of his.
+        parent: member to follow; None: this member leads.
+        ancestors: parent, its parent, and so on up to the leader.
+        children: members whose parent this one is.
+        ranks: all members, nearest to the leader first; ancestors come before descendants.
 
     Raises:
         ValueError: a formation that does not fit these vehicles; the message names its key.
@@ -66,7 +66,7 @@ class Team:
             assign(self._slots[self.shape], self._slots[self.shape])  # loads the solver now, not in the middle of a run
 
     def fields(self) -> Mapping[str, Any]:
-        """What belongs into the own reports, for those who have not heard of it; nothing until the shape first changes."""
+        """Shape and places for the own reports; empty until the shape first changes."""
         return self._fields
 
     def places(self, shape: str) -> Slots:
@@ -83,7 +83,7 @@ class Team:
         return self.slot[0] - x, self.slot[1] - y
 
     def due(self, now_ns: int) -> list[str]:
-        """The shapes that the formation is to change to, and that have come up since this was asked last."""
+        """Scheduled shapes that have become due since the last call."""
         shapes: list[str] = []
         while self._coming and now_ns >= self._coming[0][0]:
             shapes.append(self._coming.popleft()[1])
@@ -120,10 +120,10 @@ class Team:
         self._adopt(shape, self.changed + 1, assign(now, self._slots[shape]))
 
     def whom(self, alive: Callable[[str], bool]) -> str | None:
-        """Whom to follow while not all are alive: the nearest living ancestor; None: nobody, this member leads now.
+        """The nearest living ancestor; None: this member leads now.
 
-        Where no ancestor is left, the living member nearest to the leader leads, and the others keep the shape around it. So
-        nobody follows one who comes after him in ``ranks``, and members never follow each other in a circle.
+        Without a living ancestor, the living member nearest to the leader leads, and the others keep the shape around it. A
+        member never follows one that comes later in ``ranks``, so there are no circles.
         """
         for name in self.ancestors:
             if alive(name):
@@ -137,7 +137,7 @@ class Team:
         self._settle()
 
     def _settle(self) -> None:
-        """Work out who is where, from the shape and the order."""
+        """Recompute places and relations from the shape and the assignment."""
         self.place = self._order.index(self.index)
         self.slot = self._slots[self.shape][self.place]
         of_node = range(len(self.members)) if self._by_name else self._order  # the member at each node of the tree
@@ -172,10 +172,10 @@ def _check_narrower(narrow: str, places: Slots, wide: str, wide_places: Slots) -
 
 
 def members_of(formation: Formation, vehicles: Sequence[str], name: str) -> tuple[str, ...]:
-    """Who belongs to the formation of this vehicle: whom it names, or else all.
+    """Names of the formation's members: as listed, or else all vehicles.
 
     Raises:
-        ValueError: it names who is none of the vehicles, or somebody twice, or leaves this one out.
+        ValueError: an unknown name, a name twice, or this vehicle is missing.
     """
     members = formation.members or tuple(vehicles)
     names, used = frozenset(vehicles), set()

@@ -1,10 +1,10 @@
-"""Who follows whom: a tree over the places of a formation, whose root leads.
+"""Topologies: trees of parents over the places of a formation; the root leads.
 
 ========== ============================= ================================= =============================================
 topology   place i > 0 follows place     depth of N members                what for
 ========== ============================= ================================= =============================================
-``star``   0                             1                                 compact shapes: nobody inherits another's error
-``chain``  i - 1                         N - 1                             columns: everybody drives the path of the first
+``star``   0                             1                                 compact shapes: errors do not propagate
+``chain``  i - 1                         N - 1                             columns: all drive the path of the first
 ``k-tree`` (i - 1) div k                 ceil(log_k(N (k - 1) + 1)) - 1    many members: short ways, no crowd behind one
 ``graph``  as ``parents`` say, by name   as they say                       anything else
 ========== ============================= ================================= =============================================
@@ -35,10 +35,10 @@ def parents(topology: TopologyName, count: int, branching: int = 2) -> tuple[int
 
 
 def named_parents(parents: Mapping[str, str], members: Sequence[str]) -> tuple[int, ...]:
-    """The number of the member that each member follows, by the names in a formation's ``parents``.
+    """Number of the parent of each member, from the names in a formation's ``parents``.
 
     Raises:
-        ValueError: an unknown name, somebody besides the first who follows nobody, or members who follow each other.
+        ValueError: an unknown name, a second member without a parent, or a cycle.
     """
     for name in (*parents, *parents.values()):
         if name not in members:

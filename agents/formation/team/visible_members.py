@@ -1,13 +1,13 @@
-"""Other members in a vehicle's own scan: which returns are theirs, and how fast it may drive behind them.
+"""Members of the team in a vehicle's own scan: which returns are theirs, and how fast it may drive behind them.
 
-On wheels, a follower that has avoidance does not go around those whose reports it hears, a team's members or its one leader:
-it keeps behind them. In the air it keeps off them as off all else.
+On wheels, a follower with avoidance does not drive around vehicles with known reports (a team's members or its single leader):
+it stays behind them. In the air it avoids them like other obstacles.
 
-Members are told by where their reports put them: a member is seen within ``member_m`` of there, besides its radius. That must
-be more than about three standard deviations of the difference between two poses, the own one and the reported one: 0.2 m does
-for errors of up to 4 cm in each coordinate of either, 0.25 m for 5 cm. Where poses are worse, members are now and then taken
-for obstacles, and the team stays narrow for longer, or for ever: then let scanners look over the members, or make ``member_m``
-greater, though not needlessly: what stands that near to a member goes unseen, be it the wall of the passage.
+Returns within ``member_m`` plus the radius of a member's reported place are taken for the member. ``member_m`` must exceed
+about three standard deviations of the difference between the own and the reported pose: 0.2 m suits errors of up to 4 cm in
+each coordinate of either, 0.25 m suits 5 cm. With worse poses members are now and then taken for obstacles, and the team stays
+narrow for longer, or for ever: then mount scanners above the members, or raise ``member_m``, though no more than needed:
+obstacles that near to a member, such as the wall of the passage, are hidden.
 """
 
 import math
@@ -38,11 +38,11 @@ class Mate(NamedTuple):
 
 
 class VisibleMembers:
-    """The members whose reports a vehicle hears, as its scanner sees them: a team's, or its one leader.
+    """Members with known reports in a vehicle's scan: a team's, or its single leader.
 
     Args:
-        body: of the vehicle, and taken to be that of the others too.
-        settings: how near to its report a member is seen, and until when a report counts.
+        body: of the vehicle, assumed for the others too.
+        settings: distance from the report at which a member is recognised, and lifetime of reports.
     """
 
     def __init__(self, body: Body, settings: Passage) -> None:
@@ -50,10 +50,10 @@ class VisibleMembers:
         self._report_ns = seconds_to_ns(settings.report_s)
 
     def without_members(self, obs: Observation, listening: ReportReceiver, estimator: Estimator, scanner: str) -> Observation:
-        """The observation with a scan in which members are not to be seen, for one that is to keep its place close to them.
+        """The observation without the members' returns in its scan, for keeping a place close to them.
 
-        Taken for obstacles, those ahead in a column would hold up whoever follows them, and those on their way to a new place
-        would send each other astray. What keeps it off them is `behind_members`.
+        As obstacles, members ahead in a column would stop the ones behind, and members on their way to new places would
+        deflect each other. `behind_members` prevents collisions.
         """
         scan = obs.readings.get(scanner)
         view = view_of(scan)
@@ -66,10 +66,10 @@ class VisibleMembers:
     def behind_members(
         self, obs: Observation, v: float, listening: ReportReceiver, estimator: Estimator, approach: float
     ) -> float:
-        """As much of a speed (m/s) as a vehicle may have so as not to run into a member ahead of it, or back into one behind.
+        """The part of a speed (m/s) that prevents running into a member ahead, or back into one behind.
 
-        It comes nearer to one in its way by no more than ``approach`` (1/s) times what is left between circles around both
-        bodies. The law knows of places alone, not of who crosses whose way to them.
+        The approach speed is at most ``approach`` (1/s) times the gap between circles around both bodies. The law uses
+        present places only, not crossing paths.
         """
         lane, apart = self._body.width_m + BESIDE_M, 2.0 * self._body.radius_m
         for x, y, away in self._mates(obs, listening, estimator):
@@ -79,7 +79,7 @@ class VisibleMembers:
         return v
 
     def _mates(self, obs: Observation, listening: ReportReceiver, estimator: Estimator) -> list[Mate]:
-        """Those of whom there is a fresh report, at the height of this vehicle."""
+        """Members with a fresh report, at the height of this vehicle."""
         (x, y, z), yaw, mates = obs.state.position, obs.state.yaw, []
         for report in listening.newest.values():
             height = height_of(report)
@@ -91,12 +91,11 @@ class VisibleMembers:
         return mates
 
     def _of_members(self, view: View, obs: Observation, listening: ReportReceiver, estimator: Estimator) -> Array:
-        """Which beams end at a member, or as near to where it is taken to be as it may be.
+        """Indices of the beams that end at a member, or near enough to its estimated place.
 
-        Only close to where a member's own fresh report puts it now, and at its height. This is safe, since what else stands so
-        near to a member stands beside one that is there itself, looks with a scanner of its own, and says that its lane is not
-        clear; whatever is larger than that circle is seen next to it; and a report that is lost or old hides nothing. What is
-        nearer than can be measured, or no number, is nobody's.
+        Only returns near the place of a member's own fresh report, at its height. This is safe: an obstacle that near to a
+        member stands beside one with a scanner of its own, which reports its lane as not clear; larger obstacles are seen
+        beside the circle; a lost or old report hides nothing. Returns below the measuring range, and NaN, belong to no member.
         """
         mates = self._mates(obs, listening, estimator)
         if not mates:

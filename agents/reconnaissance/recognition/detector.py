@@ -114,7 +114,7 @@ class Detector:
         return distinct
 
     def _of_size(self, size_m: float, side: float, search: _Search) -> list[Detection]:
-        """Targets whose side takes up so many pixels."""
+        """Targets with sides of a given number of pixels."""
         small = search.reduced(colour.SIDE_PX / side)
         hsv = cv2.cvtColor(small.image, cv2.COLOR_RGB2HSV)
         window = round(0.5 * (side * small.scale - 1.0)) * 2 + 1  # odd

@@ -1,4 +1,4 @@
-"""What the stages say of given places of a picture, whatever their thresholds: for figures and whoever wants to know why."""
+"""Scores of the stages at given places of a picture, without thresholds: for figures and diagnosis."""
 
 import math
 from typing import NamedTuple

@@ -21,9 +21,9 @@ SMALLEST_PX = 16  # a picture of a target has at least so many pixels a side
 
 @dataclass(frozen=True, eq=False)
 class TargetPicture:
-    """A square picture of a target as it is seen from above, and its true size.
+    """A square picture of a target from above, and its true size.
 
-    One that is nearly its own mirror image cannot be told from it; one that looks the same when turned has any of those angles.
+    A target that is nearly its own mirror image cannot be told from it; one with rotational symmetry has several angles.
     """
 
     name: str
@@ -56,7 +56,7 @@ class TargetPicture:
         return cls(name, read, size_m)
 
     def template(self, side_px: int) -> "Template":
-        """How it looks where its side takes up so many pixels of the camera's picture; the last few are kept."""
+        """The picture scaled to a side of so many pixels; cached."""
         return _template(self, side_px)
 
 

@@ -1,7 +1,7 @@
 """Content of a figure: panels with curves, and rows that compare measured with expected numbers.
 
-A figure is a function ``make(runner: Runner) -> Figure`` in a module of its own, which `cosim.reproduction.figures.NAMES`
-names. It builds scenarios as mappings, hands them to the runner as jobs, and says what to draw; it never draws.
+A figure is a function ``make(runner: Runner) -> Figure`` in a module, listed in `cosim.reproduction.figures.NAMES`. It builds
+scenarios as mappings and gives them to the runner as jobs; `drawing` draws the result.
 """
 
 from collections.abc import Mapping, Sequence
@@ -66,7 +66,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """What a figure consists of; ``columns`` of panels stand side by side."""
+    """Content of a figure; ``columns`` of panels stand side by side."""
 
     title: str
     panels: Sequence[Panel]
@@ -75,5 +75,5 @@ class Figure:
 
     @property
     def ok(self) -> bool:
-        """Whether every row came out."""
+        """Whether all rows hold."""
         return all(row.ok for row in self.rows)

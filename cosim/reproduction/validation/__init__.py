@@ -1,8 +1,8 @@
-"""Every law, closed form and outside reference that the platform is held to, measured anew: ``vcmvsp validate``.
+"""Every law, closed form and outside reference of the platform, measured again: ``vcmvsp validate``.
 
-A check is a function of a module here that measures and gives rows (`cosim.reproduction.row.Row`); nothing is
-copied from an earlier run. Expected numbers are worked out where there is a formula, and stored with their source where
-another program, a standard or a book says them. Start reading in `cosim.reproduction.validation.check`.
+A check is a function of a module here that measures and gives rows (`cosim.reproduction.row.Row`). Expected numbers are
+computed where there is a formula, and stored with their source where they come from another program, a standard or a book.
+Start reading in `cosim.reproduction.validation.check`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -93,10 +93,10 @@ CHECKS: Mapping[str, Check] = {check.name: check for check in _ALL}
 
 
 def chosen(names: Sequence[str]) -> Sequence[Check]:
-    """The checks of these names; all where there are none.
+    """The checks of these names; without names, all.
 
     Raises:
-        UsageError: there is none of that name.
+        UsageError: an unknown name.
     """
     for name in names:
         if name not in CHECKS:

@@ -40,7 +40,7 @@ def send(
 
 
 def heard(on: Channel, position: Array, **frame: int) -> FrameReport:
-    """The report of a frame whose fate is known at once."""
+    """The report of a frame on a channel that decides at once."""
     (report,) = send(on, position, **frame)
     return report
 

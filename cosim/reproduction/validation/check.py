@@ -1,4 +1,4 @@
-"""A check: a measurement made anew each time, and rows that compare it with expected numbers."""
+"""A check: a measurement, and rows that compare it with expected numbers."""
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,7 @@ from vcmvsp.cosim.reproduction.runner import Runner
 
 @dataclass(frozen=True)
 class Check:
-    """What is measured, and by what it is judged."""
+    """A measurement and the source of its expected numbers."""
 
     name: str
     area: str
@@ -27,7 +27,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a check; one that broke off has a problem and no rows."""
+    """Rows of a check; without rows, its problem."""
 
     check: Check
     rows: Sequence[Row] = ()
@@ -35,22 +35,22 @@ class Outcome:
 
     @property
     def missed(self) -> Sequence[Row]:
-        """Rows that are not within their tolerance."""
+        """Rows outside their tolerance."""
         return [row for row in self.rows if not row.ok]
 
     @property
     def ok(self) -> bool:
-        """Whether there are rows, and all came out."""
+        """Whether there are rows, and all hold."""
         return bool(self.rows) and not self.missed
 
 
 def run_all(checks: Sequence[Check], jobs: int, progress: Callable[[int, int], None]) -> list[Outcome]:
-    """Make checks, in the order in which they are given; several at a time, each in a process of its own.
+    """Run checks, longest first; the outcomes are in the order of ``checks``.
 
     Args:
-        checks: what to make.
-        jobs: how many processes; 1: this one.
-        progress: told after every check how many are done, and of how many.
+        checks: to run.
+        jobs: number of processes; 1: this one.
+        progress: called after every check with the finished and the total number.
     """
     order = sorted(range(len(checks)), key=lambda place: -checks[place].seconds)
     done = Runner(jobs, progress)([partial(measured, checks[place]) for place in order])
@@ -59,7 +59,7 @@ def run_all(checks: Sequence[Check], jobs: int, progress: Callable[[int, int], N
 
 
 def measured(check: Check) -> Outcome:
-    """Make one. What it raises is its problem: other checks go on."""
+    """Run one check. An exception becomes its problem."""
     module, _, function = check.measure.partition(":")
     try:
         rows = getattr(importlib.import_module(f"vcmvsp.cosim.reproduction.validation.{module}"), function)(**check.settings)
@@ -69,5 +69,5 @@ def measured(check: Check) -> Outcome:
 
 
 def figure_rows(name: str, **settings: object) -> Sequence[Row]:
-    """The rows of one figure; settings are those of the function that makes it."""
+    """The rows of one figure; settings are arguments of its function."""
     return figures.find(name)(Runner(), **settings).rows

@@ -42,7 +42,7 @@ DOPPLER_HZ, LAGS_S = 8.0, (0.005, 0.01, 0.02, 0.03, 0.048, 0.08, 0.12)
 
 
 def path_loss() -> Sequence[Row]:
-    """Three laws over 1 m to 2 km, and how far a frame is heard with the numbers of the Wireless Simulation Server."""
+    """Three laws over 1 m to 2 km, and the range with the numbers of the Wireless Simulation Server."""
     d, height = np.array(DISTANCES_M), 1.5
     free = 20.0 * np.log10(4.0 * math.pi * d * HZ / LIGHT_M_S)
     laws = {
@@ -133,7 +133,7 @@ def fading() -> Sequence[Row]:
 
 
 def doppler() -> Sequence[Row]:
-    """A thousand links whose gains are a process in time, at 60 instants within an hour and a little later."""
+    """A thousand links with gains that vary in time, at 60 instants within an hour and a little later."""
     rows = []
     for name, layer, direct in (
         ("Rayleigh", {"kind": "rayleigh", "doppler_hz": DOPPLER_HZ}, 0.0),

@@ -178,7 +178,7 @@ def judged(name: str) -> Sequence[Row]:
 
 
 def lrwpan() -> Sequence[Row]:
-    """Unslotted CSMA/CA in a room of 10 m, and on a line whose ends do not hear each other."""
+    """Unslotted CSMA/CA in a room of 10 m, and on a line with hidden ends."""
     rows = []
     for kind, count, hz, size, seconds, runs, delivery, mean_ms in LRWPAN:
         arrived, expected, delays = 0, 0, []
@@ -204,7 +204,7 @@ def lrwpan() -> Sequence[Row]:
 
 
 def _random(on: Channel, position: Array, hz: float, seconds: float, size: int, rng: np.random.Generator) -> list[FrameReport]:
-    """Frames of random senders at random times, and what becomes of all of them."""
+    """Frames of random senders at random times, and their outcomes."""
     count = len(position)
     frames = round(count * hz * seconds)
     times = np.sort(rng.integers(0, round(seconds * 1e9), frames)).tolist()

@@ -78,7 +78,7 @@ def late_loop() -> Sequence[Row]:
 
 
 def _alone(gain: float, latency_s: float, duration_s: float, *, period_s: float = T) -> tuple[Array, Array]:
-    """A follower behind its place at a leader that stands, whose commands take effect later: times, s, and z1, m."""
+    """A follower behind its place at a standing leader, with delayed commands: times, s, and z1, m."""
     follower = {"pose": (-1.0 - START_M, 0.0, 0.0), "k1": gain, "latency_s": latency_s, **UNLIMITED}
     periods: dict[str, Any] = {"agents": {"period_s": period_s}, "record": {"period_s": period_s}}
     scenario = fleet(duration_s, [follower], path="straight", leader={"speed": 0.0}, **periods)

@@ -39,7 +39,7 @@ def wheels() -> Sequence[Row]:
 
 
 def quadrotor() -> Sequence[Row]:
-    """Steady flight: balance of weight, drag and wind by the tilt; speeds that were asked for; limits; two rates of steps."""
+    """Steady flight: balance of weight, drag and wind by the tilt; commanded speeds; limits; two rates of steps."""
     rows = []
     for hz in (120.0, 240.0):
         at = f"{hz:g} Hz"

@@ -91,7 +91,7 @@ class Gauge(Agent):
         self._tick = 0
 
     def start(self, info: VehicleInfo) -> None:
-        """Keep what every agent is told."""
+        """Store the vehicle's data."""
         self._info = info
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:

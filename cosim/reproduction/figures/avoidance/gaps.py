@@ -1,10 +1,9 @@
-"""Figures 40 and 41: a robot before a wall with doors; which of them it takes, and how wide it thinks they are.
+"""Figures 40 and 41: a robot before a wall with doors; the door that it takes, and the estimated width of doors.
 
-An AmigoBot that follows needs 0.4 m: twice what it is told to keep away from everything. It takes the door nearest in bearing
-to its leader, of those that are wide enough; where its leader is behind it, the gap at that border of what it sees. It is the
-method alone that is shown: no limit of the speed near obstacles (``level`` 1). How wide doors look is asked by
-`cosim.reproduction.figures.avoidance.gap_gauge`. Doors are not wider for being crossed at an angle: from further aside, one
-that is just wide enough is touched.
+A following AmigoBot needs 0.4 m: twice its distance to keep. It takes the wide enough door nearest in bearing to its leader;
+with the leader behind it, the gap at that border of its field of view. Only the method is shown: no speed limit near
+obstacles (``level`` 1). `cosim.reproduction.figures.avoidance.gap_gauge` measures the estimated widths. A door is no wider at
+an angle: from further aside, one that is just wide enough is touched.
 """
 
 import math
@@ -44,7 +43,7 @@ TURNED_DEG = 60.0  # a way to the border; doors are within 45
 
 
 class GapRun(NamedTuple):
-    """What is kept of a run of `team`."""
+    """Data of a run of `team`."""
 
     place: Array  # (m, 2) m, of the follower
     leader: Array  # (2,) m
@@ -98,7 +97,7 @@ def team(doors: Sequence[tuple[float, float]], leader: tuple[float, float], slot
 
 
 def passed(result: Result) -> GapRun:
-    """What is kept of a run."""
+    """The data of a run."""
     movement = motion(result.states)
     x, y = (movement.position[axis] for axis in (0, 1))
     lead, own = movement.column("leader"), movement.column("follower")

@@ -1,10 +1,10 @@
-"""Figure 54: a team among the furniture of a laboratory, `lab-formation` as it is.
+"""Figure 54: a team among the furniture of a laboratory, `lab-formation` unchanged.
 
-Three AmigoBots, bodies in Bullet, keep a wedge of 0.7 m through two turns, and a column in an aisle that is too narrow for the
-wedge and in which two things were left. A demonstration: nobody touches anything, and at the end they are a wedge again.
+Three AmigoBots, bodies in Bullet, keep a wedge of 0.7 m through two turns, and a column in an aisle with two objects that
+is too narrow for the wedge. A demonstration: without a contact, and with a wedge at the end.
 
-What is in place then is the points ahead of the followers that the law looks after. They themselves come into place while
-the leader drives on, which it does for only 4 s after the last call: they stand 0.54 m from each other and 0.65 m from it.
+In place at the end are the hand points of the followers, which the law controls. The robots themselves come into place while
+the leader drives on, only 4 s after the last call: they stand 0.54 m from each other and 0.65 m from it.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ SMALL_M = 0.1  # legs, and backs of chairs: below or above something larger
 
 @dataclass(frozen=True)
 class LaboratoryRun:
-    """What is kept of a run."""
+    """Data of a run."""
 
     time_s: Array  # (m,)
     place: Array  # (m, 3, 2) m, of the robots
@@ -50,7 +50,7 @@ class LaboratoryRun:
 
 
 def toured(result: Result) -> LaboratoryRun:
-    """What is kept of a run."""
+    """The data of a run."""
     movement = motion(result.states)
     columns = [movement.column(name) for name in NAMES]
     errors, safety = formation_errors(movement, result.follows), result.metrics["safety"]

@@ -63,7 +63,7 @@ EXPECTED: Mapping[str, Mapping[str, tuple[int, int, float, float, float]]] = {
 
 @dataclass(frozen=True)
 class PassageRun:
-    """What is kept of a run."""
+    """Data of a run."""
 
     time_s: Array  # (m,)
     place: Array  # (m, 3, 2) m, of the robots
@@ -150,7 +150,7 @@ def team(world: str, policy: str, *, loss: float = 0.1, scanner_m: float = 0.3) 
 
 
 def passed(result: Result, world: str) -> PassageRun:
-    """What is kept of a run of `team`."""
+    """The data of a run of `team`."""
     movement = motion(result.states)
     time_s = movement.time_ns / 1e9
     columns = [movement.column(name) for name in NAMES]
@@ -183,7 +183,7 @@ def fig_42(runner: Runner) -> Figure:
 
 
 def fig_43(runner: Runner) -> Figure:
-    """The corridor, and wide again when all are clear: nobody leaves the formation."""
+    """The corridor, and wide again when all are clear: the formation stays together."""
     return _corridor(runner, "all-clear", "Fig. 43: a corridor; wide again when all say that they are clear")
 
 

@@ -1,7 +1,7 @@
 """Figures 28, 29 and the stall: a potential field in the air, past a pillar, alone and in formation.
 
-Vehicles are points that move as they are told, with a scanner of 32 beams all the way round, 6 m, without noise; the pillar is
-0.5 x 0.5 m at the origin. It is the field alone that is measured: no limit of the speed near obstacles (``level`` 1). Expected
+Vehicles are points that follow commands exactly, with a scanner of 32 beams all the way round, 6 m, without noise; the
+pillar is 0.5 x 0.5 m at the origin. Only the field is measured: no speed limit near obstacles (``level`` 1). Expected
 numbers are those of an independent simulation, within 2 cm and one period of 0.1 s. It does not say how wide vehicles are in
 each other's scans, which the errors at close spacings depend on: the radius of 4 cm was picked for being within 2 cm of
 all three (so is 5 cm; 3 and 10 cm are not), not derived, and at 1.2 m, where 0.003 m is expected, 2 cm says little. The way

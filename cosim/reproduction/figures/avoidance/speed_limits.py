@@ -137,7 +137,7 @@ def _between(track: Array, west: float, east: float) -> Array:
 
 
 def _from_above(tracks: Mapping[Case, Array], level: int) -> Panel:
-    """Tracks, the pillar, and the line that is to be kept free."""
+    """Tracks, the pillar, and the border of the clearance."""
     around = np.linspace(0.0, math.tau, 401) + 1e-6  # no corner of the pillar is met exactly
     cos, sin = np.cos(around), np.sin(around)
     lines = [

@@ -16,7 +16,7 @@ from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 
 LAG_S, DELAY_S, OMEGA = 0.5, 0.3, 0.8
-# What a follower does with what it hears of its predecessor.
+# Use of the predecessor's reports by a follower.
 WAYS: Mapping[str, Mapping[str, Any]] = {
     "hold": {"estimator": "hold"},
     "dr": {"estimator": "dr"},
@@ -142,7 +142,7 @@ def sways(result: Result, scenario: Mapping[str, Any], omega: float) -> Array:
 
 
 def column(way: Mapping[str, Any]) -> Job:
-    """A column of seven whose leader obeys at once, that gives the root mean square error of each link."""
+    """A column of seven with a leader without lag; gives the root mean square error of each link."""
     law = {"distance": SPACING_M, "handle": HANDLE_M, "broadcast": True, **way}
     followers = [{**law, "leader": f"car{number}"} for number in range(1, LINKS + 1)]
     scenario = fleet(120.0, followers, path="random", kind="lag", leader={"tell": ["a"]}, radio=lossy(delay_s=DELAY_S))

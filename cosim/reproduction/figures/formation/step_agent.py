@@ -32,7 +32,7 @@ class StepFollower(Agent):
         self._after.start(info)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint | None:
-        """Ask both, for both must have heard what was said; obey one."""
+        """Run both, since both need the messages; return the command of one."""
         commands = self._before.act(obs, radio), self._after.act(obs, radio)
         stepped = obs.time_s >= self._at_s
         self.follows = (self._after if stepped else self._before).follows

@@ -1,10 +1,9 @@
-"""How those who search together share their map, and what loss of messages makes of it; figure 45: their map over time.
+"""Map exchange between searching vehicles, and its dependence on loss of messages; figure 45: the shared map over time.
 
-Two targets in 100 x 100 m, two or four vehicles; the search is over when every vehicle's map is sure of both. All exchanges get
-the same searches, since vehicles comb the same lanes and their detectors err alike. Two targets take long in one search and
-little in another: medians of eight, as those of the independent simulation are, spread by 30 %, of twenty-four by half as much.
-The ledger must come out as there; an exchange that loses evidence, or spreads it thinly, must be slower than the ledger, and no
-slower than there: how well it does depends on when its evidence is decided on.
+Two targets in 100 x 100 m, two or four vehicles; a search ends when every vehicle's map is sure of both. All exchanges get
+the same searches, since lanes and detection errors are equal. Durations vary: medians of eight, as in the independent
+simulation, spread by 30 %, of twenty-four by half as much. The ledger must agree with that simulation. An exchange that loses
+or dilutes evidence must be slower than the ledger, and no slower than in that simulation.
 """
 
 import math
@@ -24,7 +23,7 @@ COUNTS = (2, 4)
 LIMITS_S = {2: 600.0, 4: 500.0}
 LOSSES = (0.0, 0.3, 0.6, 0.9)
 SEEDS = 24
-ALONE = 8  # seeds of those who exchange nothing: all of them search in vain until the limit
+ALONE = 8  # seeds without an exchange: all of these searches run to the limit
 KINDS = ("ledger", "delta", "consensus")
 
 # An independent simulation: medians of eight searches, s; of those of which many are not over within the limit, their share.
@@ -66,7 +65,7 @@ def search_exchange(runner: Runner, seeds: int = SEEDS, losses: Sequence[float] 
 
 
 def _rows(count: int, searches: Mapping[tuple[int, str, float], list[SearchRun]], losses: Sequence[float]) -> list[Row]:
-    """Medians beside those of the independent simulation, and beside the ledger's; who is never over."""
+    """Medians compared with the independent simulation and with the ledger; searches that never end."""
     rows, reference, best = [], REFERENCE[count], _median(searches[count, "ledger", losses[0]])
     for kind in KINDS:
         for loss in losses:

@@ -1,8 +1,8 @@
 """Searches for two targets in 100 x 100 m, with a simulated detector of cells and a radio that loses messages.
 
-Each runs on the whole platform, until every map is sure of both targets: vehicles without a body at 4 m/s, looks once a second
+Each runs on the whole platform until every map is sure of both targets: vehicles without a body at 4 m/s, looks once a second
 at the cells of 2 m within 8 m, right with p = 0.9 at a target and wrong with q = 0.1 elsewhere, messages of up to 1400 bytes
-once a second, which each receiver loses on its own. Members are known to live, however long nothing is heard of them.
+once a second, which each receiver loses independently. Members count as living after any silence.
 """
 
 import math
@@ -81,13 +81,13 @@ def places(seed: int) -> list[tuple[float, float]]:
 
 @dataclass
 class SearchRun:
-    """What is kept of a search."""
+    """Data of a search."""
 
     done_s: float = math.inf  # when all maps were sure of both targets; inf: not within the limit
     false_cells: float = math.nan  # then, a map: cells that are held to be targets, and are none
     bytes_sent: float = 0.0  # of maps, by all, until then
     seconds: float = 0.0  # until then, or the limit
-    maps: list[dict[str, ProbabilityMap]] = field(default_factory=list)  # by vehicle, at the seconds that were asked for
+    maps: list[dict[str, ProbabilityMap]] = field(default_factory=list)  # by vehicle, at the requested seconds
     tracks: dict[str, Array] = field(default_factory=dict)  # by vehicle, (n, 3): s, x and y, m
 
 
@@ -115,7 +115,7 @@ class Watcher:
                 self.searched.done_s = min(self.searched.done_s, time_s)
 
     def end(self, limit_s: float) -> SearchRun:
-        """What is kept."""
+        """The data."""
         search = self.searched
         search.seconds = min(search.done_s, limit_s)
         search.bytes_sent = sum(self._bytes.values())
@@ -138,7 +138,7 @@ class Watcher:
 
 
 def searched(count: int, exchange: str, loss: float, seed: int, limit_s: float, *, keep_s: tuple[float, ...] = ()) -> SearchRun:
-    """What came of a search; with maps and tracks, if there are seconds at which maps are to be kept (then to the limit)."""
+    """The result of a search; with maps and tracks if there are seconds for maps (then it runs to the limit)."""
     parsed, source = scenarios.load(search(count, exchange, loss, seed, limit_s))
     watcher = Watcher(count, places(seed), keep_s)
     with assemble(parsed, source) as assembled:

@@ -38,7 +38,7 @@ PHOTO = (8, 20)  # number of the picture of a town that is shown, and of how man
 STAGES = ("colour", "and rings", "and match")
 SHOWN = ((10.0, 1), (40.0, 2))  # heights and numbers of the pictures that are shown
 REFERENCE = (0.05, 0.44, 1.0)  # an independent implementation's precision with one, two and three stages
-PRECISION, RECALL, ANGLE_DEG, PLACE = 0.95, 0.90, 1.0, 0.05  # what is asked for
+PRECISION, RECALL, ANGLE_DEG, PLACE = 0.95, 0.90, 1.0, 0.05  # requirements
 
 
 def recognition(runner: Runner, frames: int = FRAMES) -> Figure:
@@ -106,7 +106,7 @@ def _shares(title: str, by_height: list[list[Tally]], cameras: list[Rates], requ
 
 
 def _errors(tallies: list[Tally]) -> Panel:
-    """Medians, in parts of what is asked for."""
+    """Medians, as shares of the required values."""
     x = np.array(HEIGHTS)
     curves = [
         Curve(x, np.array([_degrees(each) / ANGLE_DEG for each in tallies]), f"angle, in {ANGLE_DEG:g} deg", 1, "both"),

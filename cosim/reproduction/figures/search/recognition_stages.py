@@ -155,7 +155,7 @@ def _judged(height_m: float, numbers: Sequence[int]) -> list[PlaceScores]:
 
 
 def _alone(degrees: float, off_px: float = 0.0) -> inspection.Scores:
-    """What the stages say of a target alone, 40 px a side, turned by so much; its place is told so many px of the patch off."""
+    """Scores of a single target, 40 px a side, at an angle; the given place is so many px of the patch off."""
     place = 319.5, 239.5
     frame = ground.frame(
         np.random.default_rng(5), 20.0, places=[place], angles=[math.radians(degrees)], distractors=False, light=1.0

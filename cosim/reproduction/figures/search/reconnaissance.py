@@ -1,7 +1,7 @@
-"""Figures 49 to 51: two quadrotors with cameras search a town for two targets, `recon-urban` as it is, but for longer.
+"""Figures 49 to 51: two quadrotors with cameras search a town for two targets, `recon-urban` with a longer duration.
 
-Bodies in Bullet, pictures that are really recognised, maps over 802.11g with loss: the whole mission. Each seed has a town of
-its own. Both targets are found and tracked, each by one vehicle, and nobody touches anything.
+Bodies in Bullet, recognition in rendered pictures, maps over 802.11g with loss: the whole mission. Each seed has a town of
+its own. Both targets are found and tracked, each by one vehicle, without a contact.
 """
 
 from dataclasses import dataclass
@@ -20,16 +20,16 @@ from vcmvsp.cosim.types import Array
 SCENARIO = "recon-urban"
 NAMES = ("uav1", "uav2")
 SEEDS = (1, 2, 3)
-DURATION_S = 300.0  # who has a target leaves the rest of the town to the other, who begins it anew
+DURATION_S = 300.0  # after the first target the other vehicle searches the whole town
 BODY_M = 0.5  # two vehicles are further apart than that, and each from what stands there: it flies at their height, too
 SPEED, SEEN_M = 4.0, 24.0  # m/s; about how wide a strip a camera sees
 SLOW = 3.5  # times as long as it takes to fly over all of the town once: turns, what is in the way, what was hidden
-ON_IT_M, LAST_S = 1.0, 10.0  # who tracks is that near to its target, over the last seconds
+ON_IT_M, LAST_S = 1.0, 10.0  # largest distance of a tracker over the last seconds
 
 
 @dataclass(frozen=True)
 class MissionRun:
-    """What is kept of a run."""
+    """Data of a run."""
 
     time_s: Array  # (m,)
     place: Array  # (m, 2, 2) m, of the vehicles, from above
@@ -43,7 +43,7 @@ class MissionRun:
 
 
 def scouted(result: Result) -> MissionRun:
-    """What is kept of a run."""
+    """The data of a run."""
     movement = motion(result.states)
     columns = [movement.column(name) for name in NAMES]
     mission, safety = result.metrics["mission"], result.metrics["safety"]

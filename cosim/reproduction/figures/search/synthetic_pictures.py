@@ -1,7 +1,7 @@
-"""What a detector makes of made-up pictures of the ground, whose targets and likenesses are known; and of what it sees there.
+"""Detection rates in synthetic pictures of the ground with known targets and likenesses.
 
 The pictures: 640 x 480 px, focal length 400 px, textured ground, roads, three to seven roofs, half of them coloured, light from
-0.75 to 1.2, noise of 6 levels; one target of 2 m, any way round, and of its size a mirror image of it, one cut into 16 pieces,
+0.75 to 1.2, noise of 6 levels; one target of 2 m at any angle, and of its size a mirror image of it, one cut into 16 pieces,
 one of a single colour, one in other hues, and another picture in its colours.
 """
 
@@ -95,7 +95,7 @@ def tallied(height_m: float, numbers: Sequence[int]) -> tuple[Tally, Tally, Tall
 
 
 def town(folder: Path, height_m: float, seed: int) -> dict[str, Any]:
-    """A town in whose streets a target and its likenesses lie, and a vehicle over it; their pictures are put in a folder."""
+    """A town with a target and its likenesses in the streets, and a vehicle above; writes their pictures into a folder."""
     pictures = [ground.glyph(), *ground.likenesses(ground.glyph(), np.random.default_rng(seed))]
     for name, picture in zip(KINDS, pictures, strict=True):
         ground.save(picture, folder / f"{name}.png")
