@@ -172,7 +172,6 @@ class AgentRunner:
             self._tell(when, events)
 
     def _tell(self, when: int, events: list[Event]) -> None:
-        """Append notes, displays and messages of the agent."""
         if notes := self.agent.drain_notes():
             events.append(Event(self._note_key, when, Note(values=notes)))
         if self.agent._shown:  # noqa: SLF001  as in `_act`

@@ -106,7 +106,7 @@ class Patrol(Agent):
 
 
 def _nearest(scan: Scan, bearing: float) -> float:
-    """How far ahead the nearest return is within a lane around a bearing, m."""
+    """Distance of the nearest return in a lane around a bearing, m."""
     aside = scan.angle_min + scan.angle_step * np.arange(len(scan.ranges)) - bearing
     valid = np.isfinite(scan.ranges) | (scan.ranges < 0.0)  # nearer than it can measure: -inf, as good as 0
     ranges = np.where(valid, np.maximum(scan.ranges, 0.0), 0.0)

@@ -110,7 +110,7 @@ def clearances(points: Array, curvatures: Array, keep: float) -> Array:
 
 
 def _until_touch(x: Array, y: Array, excess: Array, curvature: Array, keep: float) -> Array:
-    """The same for pairs of points and curvatures of which it is known that they touch; ``excess`` is half of d^2 - keep^2."""
+    """As `clearances` for pairs of touching points and curvatures; ``excess`` is half of d^2 - keep^2."""
     aside = np.copysign(y, y * curvature)  # towards the centre of the circle
     radius = 1.0 / np.abs(curvature)
     from_centre = np.hypot(x, radius - aside)
@@ -172,7 +172,7 @@ class _DynamicWindow:
         return best
 
     def _points(self, view: View, fastest: float) -> Array:
-        """The returns that matter, (n, 2) m."""
+        """Returns within reach, (n, 2) m."""
         within = max(self._set.lookahead_m, self._stopping_m(fastest + self._set.acceleration * self._period_s)) + self._keep
         near = view.ranges < within
         points: Array = view.units[near] * np.maximum(view.ranges[near], 1e-6)[:, None]  # a touch, too, has a direction
@@ -220,7 +220,7 @@ class _DynamicWindow:
         return float(v[best]), float(w[best])
 
     def _heading(self, v: Array, w: Array, way: Array, aim: Point) -> Array:
-        """How well it heads for the aim where it can be at rest, (m,): 1 straight at it, 0 away from it."""
+        """Heading error at rest as a score, (m,): 1 straight at the aim, 0 away from it."""
         turn = w * self._period_s + 0.5 * w * np.abs(w) / self._set.turn_acceleration
         chord = way * np.sinc(0.5 * turn / math.pi)
         x, y = aim[0] - chord * np.cos(0.5 * turn), aim[1] - chord * np.sin(0.5 * turn)
@@ -236,7 +236,7 @@ class _DynamicWindow:
 
 
 def _straight(points: Array, bearing: float, keep: float) -> float:
-    """How far a disc goes straight that way before it touches a point, m: `clearances` without curvature."""
+    """Clearance of a disc along a straight line, m: `clearances` without curvature."""
     ahead, left = math.cos(bearing), math.sin(bearing)
     x, y = points @ (ahead, left), points @ (-left, ahead)
     met = (np.abs(y) < keep) & (x >= 0.0)

@@ -116,7 +116,7 @@ class GapMethod:
         return lane_free(view, _bearing(task.velocity), self._half_m, lookahead)
 
     def _way(self, view: View, task: Task) -> tuple[float, float] | None:
-        """Bearing of the middle of the gap to take, and how far it reaches to either side, rad; None: there is none."""
+        """Bearing of the middle of the chosen gap, and its reach to either side, rad; None: no gap."""
         lookahead, first = self._settings.lookahead_m, float(view.bearings[0])
         goal_bearing = _bearing(task.leader or task.aim or task.velocity)
         if view.sees(goal_bearing):
@@ -137,7 +137,7 @@ class GapMethod:
     def _chosen(
         self, candidates: Gaps, places: Array, goal_bearing: float, task: Task, step: float
     ) -> tuple[float, float] | None:
-        """The best of these gaps, thought to be at ``places``, rad; ties to the wider."""
+        """The best gap, with middles unwrapped to ``places``, rad; of equal ones the wider."""
         best: tuple[float, float, float] | None = None
         top, lookahead = self._settings.top, self._settings.lookahead_m
         beams = candidates.end - candidates.begin
@@ -154,7 +154,7 @@ class GapMethod:
         return None if best is None else best[1:]
 
     def _fitting(self, view: View, bearing: float, half: float) -> float | None:
-        """The direction next to the middle of a gap, rad, in which it gets past all that is near; None: turn to find one."""
+        """The passable direction next to the middle of a gap, rad; None: there is none."""
         lookahead = self._settings.lookahead_m
         if free_m(view, bearing, self._half_m, lookahead) == math.inf:
             return bearing
@@ -168,7 +168,7 @@ class GapMethod:
         return best if abs(best) < math.pi - TIE else math.copysign(best, bearing)
 
     def _towards(self, bearing: float, view: View, task: Task) -> Decision:
-        """On to a gap: one that follows as fast as it may, to catch up; others no faster than their task has them go."""
+        """The command towards a gap: a follower at full speed, to catch up; others at most at the task's speed."""
         own = task.max_speed if task.leader is not None else self._speed
         speed, aside, settings = min(own, task.max_speed), math.remainder(bearing, math.tau), self._settings
         if self._flies:

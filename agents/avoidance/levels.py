@@ -105,7 +105,7 @@ def limited_flight(velocity: Point, view: View, keep_m: float, approach: float) 
 
 
 def _nearest(velocity: Point, units: Array, most: Array, beams: list[int]) -> tuple[Point, list[int]]:
-    """The velocity nearest to the given one that some beams, at most three, allow; and those of them that hold it."""
+    """The velocity nearest to the given one that all beams allow, and the at most three beams that limit it."""
     limits = [(*units[i].tolist(), float(most[i])) for i in beams]
     x, y = velocity
     tried: list[tuple[Point, list[int]]] = [((0.0, 0.0), beams[-1:])]
@@ -136,7 +136,7 @@ def limited_drive(v: float, view: View, keep_m: float, lane_m: float, approach: 
 
 
 def _left_m(view: View, keep_m: float, lane_m: float, sign: float) -> float:
-    """How far a disc can move along x, m, ahead (sign 1) or back (-1), until it touches a return; negative: it does already."""
+    """Distance that a disc can move along x, m, ahead (sign 1) or back (-1), to a return; negative: it touches one already."""
     ranges, ahead = view.ranges, sign * view.units[:, 0]
     finite = np.isfinite(ranges) & (ahead > EXACT)
     along, aside = ranges[finite] * ahead[finite], ranges[finite] * view.units[finite, 1]

@@ -112,7 +112,7 @@ class _Field:
         return self._on_wheels(saturated(hand, task.max_speed), vx)
 
     def _sum(self, task: Point, push: Point, most: float) -> Point:
-        """Where the task and the pushes lead, m/s; ``most``: what they would be if all pushed the same way."""
+        """Sum of task and repulsions, m/s; ``most``: its value if all repulsions had one direction."""
         (tx, ty), (px, py) = task, push
         speed, strength = math.hypot(tx, ty), math.hypot(px, py)
         if speed == 0.0:
@@ -127,7 +127,7 @@ class _Field:
         return tx + px - around * py, ty + py + around * px
 
     def _on_wheels(self, hand: Point, task_v: float) -> Decision:
-        """The speeds that give the hand this velocity, no faster than the task's, ahead or back."""
+        """Speeds for this velocity of the hand point, no faster than the task's, ahead or back."""
         ux, uy = hand
         if task_v > 0.0 and (ux <= 0.0 or (self._turn and ux < LEADS_ON * math.hypot(ux, uy))):
             if self._turn == 0:  # towards where it is to go; from straight behind, past the side that it is to pass

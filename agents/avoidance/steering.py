@@ -97,7 +97,7 @@ class AvoidanceSteering:
         return decision._replace(velocity=velocity)
 
     def _is_doubtful(self, now_ns: int, view: View) -> bool:
-        """Whether something was near, and all returns have vanished since, at once and not for long."""
+        """Whether something was near and all returns vanished at once, a short time ago."""
         is_empty = view.nearest_m == math.inf
         if not is_empty:
             self._was_near, self._empty_ns = self.level > 0, None
@@ -107,7 +107,7 @@ class AvoidanceSteering:
         return is_empty and self._was_near
 
     def _told_of(self, decision: Decision) -> Decision:
-        """The decision, noted as far as it is news."""
+        """Note the changes of a decision; returns it."""
         self._speed, self._now = math.hypot(*decision.velocity), (decision.velocity[0], decision.yaw_rate)
         now: dict[str, float | str | bool] = {"mode": decision.mode, "level": self.level}
         self.notes = {name: value for name, value in now.items() if value != self._told.get(name)}
@@ -148,7 +148,7 @@ def around(
 
 
 def _seen(obs: Observation, place: Point | None) -> Point | None:
-    """A place in the world as it is in the body frame, m."""
+    """A world point in the body frame, m."""
     if place is None:
         return None
     (x, y, _), yaw = obs.state.position, obs.state.yaw

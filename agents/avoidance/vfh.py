@@ -138,7 +138,7 @@ class _Vfh:
             self._blocked = np.roll(self._blocked, -steps)
 
     def _update(self, view: View, task: Task) -> Array:
-        """The histogram; blocked sectors with hysteresis."""
+        """Update the histogram; blocked sectors have hysteresis."""
         within = self._set.freed_m
         if task.aim is not None:  # what stands behind a place does not keep it from getting there
             within = min(within, math.hypot(*task.aim) + self._moving_m(task) + self._keep)
@@ -177,7 +177,7 @@ class _Vfh:
         return Decision((speed * self._slowed(float(near[0]), way.bearing), 0.0), self._rate(way.bearing), "avoid")
 
     def _target(self, task: Task) -> float:
-        """Where the task goes, rad: in the air as it flies, on wheels towards its aim, straight ahead where it has none."""
+        """Direction of the task, rad: in the air of its velocity, on wheels of its aim, or straight ahead."""
         place: Point | None = task.velocity if self._flies else task.aim or task.leader
         return 0.0 if place is None or math.hypot(*place) < LEAST_M else math.atan2(place[1], place[0])
 
@@ -229,7 +229,7 @@ class _Vfh:
         return float(_directions(len(visible))[int(away.argmin())])
 
     def _cost(self, bearing: float, target: float) -> float:
-        """What a direction costs: weighted angles to the target, the heading, and the direction before."""
+        """Cost of a direction: weighted angles to the target, the heading, and the last direction."""
         heading = self._previous if self._flies else 0.0  # what flies heads where it flies
         return (
             self._set.target_weight * abs(wrap(bearing - target))
@@ -251,7 +251,7 @@ class _Vfh:
         return max(0.0, room) * (1.0 - abs(self._rate(bearing)) / self._set.max_yaw_rate)
 
     def _turning(self, view: View, way: Valley | None, task: Task) -> Decision:
-        """On the spot: to a direction that is free but cannot be reached on a circle, or to one side until there is one."""
+        """Turn on the spot: to a free direction that no arc reaches, or to one side until there is one."""
         if way is not None:
             self._previous = way.bearing
             return Decision((0.0, 0.0), self._rate(way.bearing), "turn")
@@ -270,7 +270,7 @@ def _kept(values: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _directions(sectors: int) -> Array:
-    """Where the sectors point, rad in (-pi, pi]."""
+    """Directions of the sectors, rad in (-pi, pi]."""
     numbers = np.arange(sectors)
     return _kept(math.tau / sectors * np.where(2 * numbers > sectors, numbers - sectors, numbers))
 
@@ -283,6 +283,6 @@ def _apart(count: int, first: float, step: float, sectors: int) -> Array:
 
 @lru_cache(maxsize=16)
 def _seen(count: int, first: float, step: float, sectors: int, *, cyclic: bool) -> Array:
-    """The sectors, (sectors,), that beams look into."""
+    """Sectors with beams in them, (sectors,) bool."""
     middle = first + 0.5 * (count - 1) * step
     return _kept(cyclic | (np.abs(wrapped(_directions(sectors) - middle)) <= 0.5 * count * step))

@@ -131,7 +131,7 @@ class ScanReader:
         return view._replace(ranges=np.maximum(view.ranges - self._beside_m, 0.0)) if self._beside_m else view
 
     def _is_usual(self, geometry: Geometry | None, now_ns: int) -> bool:
-        """Whether the beams of a scan lie as they did, or lie as they do for long enough."""
+        """Whether the beams of a scan are unchanged, or have been for long enough since a change."""
         if self._geometry is None or geometry == self._geometry:
             self._geometry, self._since_ns = geometry, None
             return True
@@ -151,7 +151,7 @@ def wrapped(angles: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _beams(count: int, first: float, step: float) -> tuple[Array, Array, bool]:
-    """Bearings, directions, and whether they close a turn."""
+    """Bearings, unit vectors, and whether they close a turn."""
     bearings = first + step * np.arange(count)
     units = np.column_stack([np.cos(bearings), np.sin(bearings)])
     bearings.flags.writeable = units.flags.writeable = False

@@ -144,7 +144,7 @@ class SearchMission(Agent):
         return AlgorithmRunner({**self._tasks, **around}, guard=guard, **self._limits)
 
     def _facts(self, obs: Observation) -> MissionFacts:
-        """All that the algorithms know, and the guard."""
+        """Facts of all algorithms and the guard."""
         facts: dict[str, Any] = {}
         for task, algorithm in self._tasks.items():
             if (tell := getattr(algorithm, "facts", None)) is not None:
@@ -164,7 +164,7 @@ class SearchMission(Agent):
         return MissionFacts(now_ns=obs.time_ns, **facts)
 
     def _turn(self, obs: Observation, before: str, after: str, facts: MissionFacts) -> None:
-        """Tell one algorithm that it is the task no more, and another that it is."""
+        """End one task and begin another."""
         if (end := getattr(self._tasks[before], "end", None)) is not None:
             end(obs)
         if (begin := getattr(self._tasks[after], "begin", None)) is not None:
@@ -180,7 +180,6 @@ class SearchMission(Agent):
 
 
 def _built(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Agent]:
-    """The algorithms, in their calling order."""
     for task in tables:
         if task not in TASKS:
             raise ScenarioError(unknown("task", task, TASKS), key=f"algorithms.{task}")

@@ -155,7 +155,7 @@ class AlgorithmRunner:
         return Velocity(linear=linear, yaw_rate=yaw_rate) if self._runs_up else command
 
     def _moving(self, obs: Observation) -> Velocity:
-        """The present motion of the vehicle as a command."""
+        """The present motion as a command."""
         x, y, z = obs.state.velocity
         if not self._flies:
             x, y = rotate2(x, y, -obs.state.yaw)

@@ -61,7 +61,7 @@ class LaneFollower:
         return now_ns - self._since_ns >= self._stuck_ns
 
     def _aim(self, position: Point, goal: Point) -> Point:
-        """The way-point itself, or a point before it on the line that leads there."""
+        """The way-point, or a point before it on the line to it."""
         came = self.comb.came
         length = 0.0 if came is None else math.dist(came, goal)
         if came is None or length == 0.0:

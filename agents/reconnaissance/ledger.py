@@ -126,14 +126,14 @@ class Ledger:
         return True
 
     def _pass_on(self, who: int, tile: int, changed: int, counts: Array) -> None:
-        """Believe the newer of two that were passed on; of one instant, one of them, whichever came first."""
+        """Store relayed counts: the newer; of equal times, the first received."""
         self._times[who, tile] += changed == self._times_of[who, tile]  # already sent by another member: lower priority
         before = self._others_changed[who, tile]
         if changed > before or (changed == before and counts.tobytes() > self._others[who, tile].tobytes()):
             self._others_changed[who, tile], self._others[who, tile] = changed, counts
 
     def _newer(self) -> Array:
-        """(members, tiles): where that which others pass on of a contributor is newer than its own last word."""
+        """(members, tiles): whether relayed counts are newer than the contributor's own."""
         newer: Array = self._others_changed > self._said  # of this vehicle itself, both are never
         return newer
 
@@ -142,7 +142,7 @@ class Ledger:
         return np.where(self._newer()[..., None, None], np.maximum(self._own, self._others), self._own)
 
     def _entries(self, who: Array, tile: Array, age_ms: Array) -> Iterator[list[Any]]:
-        """One after the other, since most of them will not fit."""
+        """A generator, since few entries fit into a message."""
         newer = self._newer()
         for a, k, age in zip(who.tolist(), tile.tolist(), age_ms.tolist(), strict=True):
             counts = np.maximum(self._own[a, k], self._others[a, k]) if newer[a, k] else self._own[a, k]

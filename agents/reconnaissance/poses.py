@@ -65,7 +65,7 @@ def _between(
 
 
 def _cubic(way: Vec3, begin: Vec3, end: Vec3, period_s: float, s: float) -> Vec3:
-    """From 0 to ``way`` in a period, with these speeds at its ends: where it is after a share ``s`` of the period."""
+    """Cubic Hermite interpolation from 0 to ``way`` with end speeds, at a share ``s`` of the period."""
     x, y, z = (
         (3.0 - 2.0 * s) * s * s * w + period_s * s * (1.0 - s) * ((1.0 - s) * b - s * e)
         for w, b, e in zip(way, begin, end, strict=True)
@@ -74,7 +74,7 @@ def _cubic(way: Vec3, begin: Vec3, end: Vec3, period_s: float, s: float) -> Vec3
 
 
 def _rotation_vector(turn: Quaternion) -> Vec3:
-    """Axis times angle, rad, of the shorter way round; q and -q are the same."""
+    """Axis times angle, rad, of the shorter rotation; q and -q are equivalent."""
     w, *axis = turn
     sine = math.hypot(*axis)
     angle = 2.0 * math.atan2(sine, abs(w))

@@ -140,7 +140,7 @@ class Grid:
         return self._where(left, bottom, right, top, lambda u, w: _in_polygon(corners, u, w))
 
     def _where(self, left: float, bottom: float, right: float, top: float, test: Callable[[Array, Array], Array]) -> Array:
-        """Cells in a box that pass a test of their middles, x (1, n) and y (m, 1) to (m, n)."""
+        """Cells in a box with centres that pass a test: x (1, n) and y (m, 1) to (m, n)."""
         if not all(map(math.isfinite, (left, bottom, right, top))):
             return np.empty(0, np.intp)
         c0, c1 = np.searchsorted(self.xs, left), np.searchsorted(self.xs, right, "right")
@@ -173,7 +173,7 @@ def decisions(odds: Array, target: float = TARGET, empty: float = EMPTY) -> Arra
 
 
 def _cells(length: float, cell: float) -> int:
-    """How many cells it takes; one that would be hardly more than rounding is none."""
+    """Number of cells along a length, rounded up, with a tolerance for rounding."""
     return max(1, math.ceil(length / cell - 1e-9))
 
 

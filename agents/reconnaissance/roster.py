@@ -191,12 +191,12 @@ def members_of(info: VehicleInfo, named: Sequence[str]) -> tuple[str, ...]:
 
 
 def _right(name: str, claim: Claim) -> tuple[bool, int, str]:
-    """By which claims to one target are put in order."""
+    """Sort key of claims to one target."""
     return not claim.target, claim.since_ns // 1_000_000, name
 
 
 def _by_sector(members: Sequence[str], sectors: Sequence[Sequence[str]]) -> dict[str, str]:
-    """By member: its sector's name, which is that of the first in it."""
+    """Sector name of each member: that of the first member in it."""
     of: dict[str, str] = {}
     for sector in sectors:
         if not sector:
@@ -211,7 +211,7 @@ def _by_sector(members: Sequence[str], sectors: Sequence[Sequence[str]]) -> dict
 
 
 def _parsed(body: Any, latest_ms: int) -> MemberStatus | None:
-    """What a member says of itself; None: that is not what it is, or it makes no sense."""
+    """The status in a message; None if it is invalid."""
     if not isinstance(body, Mapping):
         return None
     task, ms = body.get("do"), body.get("ms")

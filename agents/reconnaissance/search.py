@@ -205,7 +205,7 @@ class Search(Agent):
         return self.roster
 
     def _camera(self, obs: Observation) -> tuple[Array, Array] | None:
-        """What the camera saw, if that counts as a look: cells, and in which of them something was recognised."""
+        """Cells of a picture that counts as a look, and those with a detection."""
         frame = None if self.watch is None else self.watch.look(obs)
         if frame is None or not frame.whole or frame.footprint is None:
             return None
@@ -217,7 +217,7 @@ class Search(Agent):
         return of_picture(self.grid, frame)
 
     def _detector(self, obs: Observation) -> tuple[Array, Array] | None:
-        """What the detector of cells says, if it is new."""
+        """The new reading of the detector of cells."""
         looks = obs.readings.get(self.sensor)
         if looks is None:
             return None
@@ -230,7 +230,7 @@ class Search(Agent):
         return of_reading(self.grid, looks)
 
     def _share(self, obs: Observation, radio: Radio) -> None:
-        """Send messages of the map, when they are due."""
+        """Send messages of the map when due."""
         if obs.time_ns < self._share_at_ns:
             return
         self._share_at_ns = obs.time_ns + self._share_ns
@@ -243,7 +243,7 @@ class Search(Agent):
             self.note(map_bytes=self._bytes)
 
     def _note_found(self) -> None:
-        """Note a place that the map has become sure of; one at a tick."""
+        """Note a newly sure place; one at a tick."""
         new = next((blob for blob in self.map.blobs if not self.map.concerns(blob, self._found)), None)
         if new is None:
             return
@@ -253,7 +253,7 @@ class Search(Agent):
             self.note(status="done")
 
     def _fly(self, obs: Observation, roster: Roster) -> Velocity:
-        """Along the lanes, at the height and the heading to keep."""
+        """The command along the lanes, at the height and the heading to keep."""
         (x, y, z), (height, yaw) = obs.state.position, self._kept or (obs.state.position[2], obs.state.yaw)
         climb = max(-self.speed, min(GAIN * (height - z), self.speed))
         turn = max(-YAW_RATE, min(YAW_GAIN * wrap(yaw - obs.state.yaw), YAW_RATE))
@@ -266,7 +266,7 @@ class Search(Agent):
         return Velocity(linear=(vx, vy, climb), yaw_rate=turn)
 
     def _lay(self, swaths: Point) -> None:
-        """Lay the lanes, for a sensor that sees so far along x and along y, m; what buildings hide is seen on lanes across."""
+        """Lay the lanes for visible distances along x and y, m; lanes across show what buildings hide."""
         assert self.roster is not None  # noqa: S101
 
         def is_open(start: Point, end: Point) -> bool:
@@ -277,7 +277,6 @@ class Search(Agent):
         self._way = LaneFollower(comb, **self._flight)
 
     def _check_sensor(self, info: VehicleInfo) -> None:
-        """Have something to look with."""
         if self.sensor == CAMERA:
             self.watch = self.watch or self._own_watch
             if self.watch is None:

@@ -158,7 +158,7 @@ def swaths_m(frame: WatchFrame, height_m: float) -> Point | None:
 
 
 def _blobs(grid: Grid, odds: Array) -> list[Blob]:
-    """Connected cells that are held to be targets, the surest first, of equal ones the first from the south-west."""
+    """Connected sure cells, the surest first; of equal ones the south-western first."""
     held = odds > log_odds(TARGET)
     if not held.any():
         return []

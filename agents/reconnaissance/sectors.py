@@ -25,7 +25,7 @@ def strips(area: Rectangle, living: Iterable[str]) -> dict[str, Rectangle]:
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
-    """By which names are put in order: uav2 comes before uav10."""
+    """Sort key of names: uav2 before uav10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name)]
 
 
@@ -57,7 +57,6 @@ def lanes(area: Rectangle, radius: float, overlap: float = 0.2, start: Point | N
 
 
 def _way(xs: list[float], ends: tuple[float, float]) -> tuple[Point, ...]:
-    """Up one lane and down the next."""
     points = []
     for i, x in enumerate(xs):
         points += [(x, end) for end in (ends if i % 2 == 0 else ends[::-1])]
@@ -181,7 +180,7 @@ class _Way:
         self.along = math.dist(position, near) == 0.0
 
     def _step(self, position: Point) -> None:
-        """To the next lane, whatever it is worth."""
+        """Go to the next lane."""
         if 0 <= self.number + self.step < len(self.lanes):
             self.number += self.step
         elif self.across:

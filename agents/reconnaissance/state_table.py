@@ -95,7 +95,7 @@ def step(state: MissionState, facts: MissionFacts) -> MissionState:
 
 
 def _timed(state: MissionState, facts: MissionFacts, passed_ns: int) -> MissionState:
-    """The timers move on."""
+    """The state with timers updated."""
     clear_ns = None
     if state.name in CLEAR_M:
         begun_m = facts.first_m if state.name == "avoid1" else facts.second_m
@@ -131,12 +131,12 @@ def _turned_to(state: MissionState, task: Task, why: str) -> MissionState:
 
 
 def _the_task(state: MissionState) -> tuple[Name, str]:
-    """The task is to command, and why."""
+    """The task as commander, and the reason."""
     return state.task, f"nothing is near any more ({state.task_why})" if state.avoids else state.task_why
 
 
 def _avoidance(state: MissionState, facts: MissionFacts) -> tuple[Name, str] | None:
-    """The level of avoidance that is due, and why; None: none is."""
+    """The due level of avoidance, and the reason; None: none."""
     near, nearer = (not facts.nearest_m >= limit_m for limit_m in (facts.first_m, facts.second_m))  # not a number is near
     has_passed = state.clear_ns is not None and facts.now_ns - state.clear_ns >= CLEAR_NS
     if nearer:

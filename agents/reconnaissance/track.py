@@ -126,7 +126,6 @@ class TrackTarget(Agent):
         self._home: Waypoint | None = None
 
     def _forget(self) -> None:
-        """Track nothing."""
         self._target = ""
         self._since_ns: int | None = None  # it tracks since then; None: it does not
         self._there_ns = 0  # until then it may take to get to a target that has not been seen yet
@@ -218,7 +217,7 @@ class TrackTarget(Agent):
         return x, y, z if self.height is None else self.height
 
     def _decide(self, obs: Observation, radio: Radio) -> None:
-        """Without a mission: begin and end as it sees fit, and tell others."""
+        """On its own: begin and end tracking, and exchange claims."""
         _, roster = self._ready()
         roster.hear(obs)
         facts = self.facts(obs)
@@ -230,7 +229,6 @@ class TrackTarget(Agent):
         roster.tell(obs, radio, "search" if self._since_ns is None else "track", self.claim)
 
     def _take(self, obs: Observation, frame: WatchFrame, roster: Roster) -> None:
-        """Take in a picture."""
         if (sightings := self._showing.of(frame)) is not None:
             self.show(sightings)
         if self._sheet is not None:
@@ -246,7 +244,7 @@ class TrackTarget(Agent):
             self.note(found=name, found_x=x, found_y=y)
 
     def _see(self, obs: Observation, frame: WatchFrame) -> None:
-        """Whether the target is in the picture, and which one it is."""
+        """Update tracking from a picture: whether the target is visible, and its name."""
         tracker = self._tracker
         if tracker.see(frame.time_ns, [each.place for each in frame.sightings if self._target in ("", each.target)]):
             place = tracker.predicted(frame.time_ns)
@@ -258,7 +256,7 @@ class TrackTarget(Agent):
                 tracker.begin(frame.time_ns, place)
 
     def _confirmed(self, obs: Observation, frame: WatchFrame, roster: Roster) -> Claim | None:
-        """The nearest target that this picture and the last ones confirm, and that no other vehicle tracks; new ones first."""
+        """The nearest unclaimed target that the last pictures confirm; new ones first."""
         x, y, _ = obs.state.position
         claims: list[tuple[bool, float, Claim]] = []
         for name, confirmation in self._confirming.items():
@@ -271,7 +269,7 @@ class TrackTarget(Agent):
         return min(claims)[2] if claims else None
 
     def _aim(self, now_ns: int, watch: Watch) -> None:
-        """Which ground is looked at in the next picture."""
+        """Select the ground to examine in the next picture."""
         sees = self._tracker.phase(now_ns) in ("seen", "predicted") and self._target and now_ns - self._whole_ns < WHOLE_NS
         watch.region = GroundDisc(self._tracker.predicted(now_ns), self._tracker.reach_m(now_ns)) if sees else None
 
@@ -282,7 +280,7 @@ class TrackTarget(Agent):
 
 
 def _sheet(settings: Mosaicking) -> Sheet:
-    """An empty one; errors name the key."""
+    """An empty mosaic; errors name the key."""
     try:
         return Sheet(settings)
     except ScenarioError as error:

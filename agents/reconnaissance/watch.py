@@ -161,7 +161,7 @@ class Watch:
 
 
 def _common(one: Region, other: Region) -> Region | None:
-    """What two parts of a picture have in common."""
+    """Intersection of two parts of a picture."""
     left, top, right, bottom = max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
     return (left, top, right, bottom) if left < right and top < bottom else None
 

@@ -145,7 +145,7 @@ class AerialFollower(Agent):
         return None if lost else self.estimator.flight(newest, age_s)
 
     def _place(self, lead: Flight) -> tuple[Vec3, Vec3]:
-        """The place to keep, m, and its velocity, m/s, world: it goes round with the leader's heading."""
+        """The place to keep, m, and its velocity, m/s, world; it rotates with the leader's heading."""
         (x, y, z), (vx, vy, vz), w = lead.position, lead.velocity, lead.yaw_rate
         slot_x, slot_y = rotate2(self.slot[0], self.slot[1], lead.yaw)
         return (x + slot_x, y + slot_y, z + self.slot[2]), (vx - w * slot_y, vy + w * slot_x, vz)
@@ -171,5 +171,4 @@ class AerialFollower(Agent):
         self.follows = None if leader is None else Follows(leader=leader, slot=slot[:2])
 
     def _keep_beside(self, parent: str | None, slot: Slot) -> None:
-        """As `_keep`, for a team."""
         self._keep(parent, STILL if parent is None else (*slot, self.above))

@@ -109,7 +109,7 @@ class AerialRoute(Leader):
         return self.way[self._next][:2] if self._next < len(self.way) else None
 
     def _along_the_way(self, obs: Observation) -> Vec3:
-        """Towards the next point, or to the last one again."""
+        """Velocity towards the next point; at the end, to the last one."""
         here = obs.state.position
         for _ in self.way:  # at most once round
             if self._next == len(self.way) or math.dist(here, self.way[self._next]) > self.arrive_m:
@@ -120,7 +120,7 @@ class AerialRoute(Leader):
         return limited((GAIN * (x - here[0]), GAIN * (y - here[1]), GAIN * (z - here[2])), self.speed)
 
     def _course(self, begin: Vec3, before: float) -> float:
-        """The heading of the line that it flies along, rad; of one that leads up or down that of before."""
+        """Heading of the present line, rad; the former one if the line is vertical."""
         if not self.way:
             return math.radians(self.course_deg or 0.0)
         x, y = (there - here for there, here in zip(self.way[self._next][:2], begin[:2], strict=True))

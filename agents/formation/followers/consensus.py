@@ -165,7 +165,7 @@ class Consensus(Agent):
         return NeighbourPoint(obs.time_ns, x, y)
 
     def _listen(self, obs: Observation) -> None:
-        """Keep the newest report of every neighbour: late ones and copies change nothing, nonsense is counted."""
+        """Store the newest report of every neighbour; count invalid ones."""
         latest_ns = obs.time_ns + self._clock_bound_ns
         for reception in obs.heard:
             sender, body = reception.message.sender, reception.message.body
@@ -187,7 +187,7 @@ class Consensus(Agent):
             del self._past[:gone], self._times[:gone]
 
     def _recall(self, t_ns: int) -> NeighbourPoint:
-        """Where the own point was; between ticks on a straight line."""
+        """The own point at a past time, interpolated between ticks."""
         i = min(bisect_left(self._times, t_ns), len(self._times) - 1)
         at = self._past[i]
         if at.t_ns <= t_ns or i == 0:
@@ -197,7 +197,7 @@ class Consensus(Agent):
         return NeighbourPoint(t_ns, x0 + part * (x1 - x0), y0 + part * (y1 - y0))
 
     def _take(self, shape: ShapeName | None) -> None:
-        """Take a shape: everybody's place relative to the own one, and where the formation error is measured."""
+        """Take a shape: places of the neighbours relative to the own one, and the reference of the formation error."""
         members, formation = self._members, self.formation
         if shape is None or formation is None:
             places: tuple[Vec2, ...] = ((0.0, 0.0),) * len(members)
@@ -211,7 +211,7 @@ class Consensus(Agent):
             self.follows = Follows(leader=members[first], slot=(-dx, -dy), handle_m=self.handle or 0.0)
 
     def _facing(self) -> float | None:
-        """Which way the members head once they agree, rad: robots on wheels where they go."""
+        """Heading of the members in agreement, rad: on wheels that of their motion."""
         if self.handle is None:
             return self.heading
         return math.atan2(self.velocity[1], self.velocity[0]) if any(self.velocity) else None
@@ -239,7 +239,7 @@ def neighbours_of(graph: Graph, index: int, count: int) -> tuple[int, ...]:
 
 
 def _parse(body: Mapping[str, Any], latest_ns: int) -> NeighbourPoint | None:
-    """The report in a message body; None where it is not one that can be used."""
+    """The report in a message body; None if it is invalid."""
     try:
         t_ns, x, y = body["t_ns"], body["x"], body["y"]
         if type(t_ns) is not int or t_ns > latest_ns or not abs(x) + abs(y) < PLAUSIBLE:

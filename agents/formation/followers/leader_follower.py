@@ -160,7 +160,7 @@ class LeaderFollower(Agent):
         return Velocity(linear=(v, 0.0, 0.0), yaw_rate=w)
 
     def _wanted(self, obs: Observation, radio: Radio) -> tuple[float, float, LeaderState | None]:
-        """Speeds as if nothing were in the way, m/s and rad/s; while it follows, also how its leader moves."""
+        """Speeds without avoidance, m/s and rad/s; while it follows, also the leader's motion."""
         newest, team = self._member.hear(obs), self._member.team
         if self._member.notes:
             self.note(**self._member.notes)
@@ -187,7 +187,7 @@ class LeaderFollower(Agent):
         return v, w, leader
 
     def _fade(self, now_ns: int, for_s: float) -> tuple[float, float]:
-        """Let the last command fade to a standstill, along its own arc; ``for_s``: for how long it should have faded by now."""
+        """Reduce the last command to a standstill, along its own arc; ``for_s``: time since the fade began."""
         if self._member.team is not None:  # a lost member may become the leader: it continues to slow down
             since_ns = now_ns - seconds_to_ns(for_s)
             self._fading_ns = since_ns if self._fading_ns is None else min(since_ns, self._fading_ns)
@@ -202,7 +202,7 @@ class LeaderFollower(Agent):
         self.follows = None if leader is None else Follows(leader=leader, slot=slot, handle_m=self._handle)
 
     def _tell(self, obs: Observation, radio: Radio) -> None:
-        """Report where this vehicle is and how it moves, and what those behind it would not know otherwise."""
+        """Report pose, motion and the shape of the team."""
         if not (self._member.broadcast or self._tells_a):
             self._member.answer(radio)
             return

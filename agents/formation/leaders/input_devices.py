@@ -170,7 +170,7 @@ class Joystick:
         return v * self._values[ahead], w * self._values[left]
 
     def _share(self, value: int) -> float:
-        """Of the way to the end, positive forward and left; it grows from 0 at the edge of the dead band."""
+        """Deflection as a share, positive forward and left, 0 at the edge of the dead band."""
         beyond = (min(abs(value) / FULL, 1.0) - self._deadband) / (1.0 - self._deadband)
         return math.copysign(beyond, -value) if beyond > 0.0 else 0.0
 

@@ -100,7 +100,7 @@ class Route(Leader):
         return plan
 
     def _steered(self, pose: tuple[float, float, float], stage: RouteStage) -> tuple[RouteStage, float, float]:
-        """Where along the way a vehicle is that was at ``stage`` before, and how fast to go: m/s and rad/s."""
+        """New stage of the route after ``stage``, and speeds, m/s and rad/s."""
         x, y, th = pose
         start, number = stage
         for _ in self.way:  # at most once round
@@ -130,7 +130,7 @@ class Route(Leader):
 
 
 def _aim(place: Point, start: Point, end: Point, lookahead: float) -> Point:
-    """The point of the line from ``start`` to ``end`` that lies ``lookahead`` beyond what is nearest to ``place``."""
+    """The point on the line from ``start`` to ``end`` at ``lookahead`` beyond the point nearest to ``place``."""
     length = math.dist(start, end)
     if length == 0.0:
         return end

@@ -88,7 +88,7 @@ class Reporter:
                 self._sent = {number: report for number, report in self._sent.items() if number in needed}
 
     def _hear(self, obs: Observation) -> None:
-        """Note which reports have arrived."""
+        """Take in acknowledgements."""
         for reception in obs.heard:
             body, name = reception.message.body, reception.message.sender
             number = None if isinstance(body, bytes) else body.get("ack")
@@ -101,7 +101,7 @@ class Reporter:
             del self._has[name], self._answered_ns[name]
 
     def _due(self, now: Report) -> bool:
-        """Whether somebody may be too far from what would be reported now."""
+        """Whether a follower's prediction may be off by the threshold."""
         if not self._sent:
             return True
         since_s = (now.t_ns - self._sent[self._seq - 1].t_ns) / 1e9

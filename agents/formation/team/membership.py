@@ -150,7 +150,6 @@ class Membership:
             self._settle(team, parent)
 
     def _settle(self, team: Team, parent: str | None) -> None:
-        """Take the place beside a parent, as the team's present shape says."""
         self.leader = parent
         self._keep(parent, (0.0, 0.0) if parent is None else team.beside(parent))
         if self._broadcast_always is None:

@@ -95,7 +95,7 @@ def _rank(i: int) -> int:
 
 
 def _edge(count: int) -> int:
-    """The least m with m m >= count."""
+    """Least m with m m >= count."""
     return 1 + math.isqrt(count - 1)
 
 

@@ -157,7 +157,7 @@ class Team:
 def _all_slots(
     count: int, spacing: float, spacings: tuple[tuple[str, float], ...], offsets: tuple[Slot, ...], own: bool
 ) -> Mapping[str, Slots]:
-    """The slots of every shape that the team can take; ``spacings``: of single shapes; ``own``: whether that must be there."""
+    """Slots of every possible shape; ``spacings``: of single shapes; ``own``: whether offsets are required."""
     shapes = [shape for shape in SHAPES if shape != "own" or own or offsets]
     return {shape: slots(shape, count, dict(spacings).get(shape, spacing), offsets) for shape in shapes}
 

@@ -88,7 +88,7 @@ def peaks(score: Array, side_px: int, inside: tuple[int, int, int, int]) -> Arra
 
 
 def _middle(score: Array, u: int, v: int, least: float, reach: int) -> tuple[float, float]:
-    """The centroid of what is above ``least`` around a peak."""
+    """Centroid of the scores above ``least`` around a peak."""
     top, left = max(v - reach, 0), max(u - reach, 0)
     rows, columns = np.nonzero(score[top : v + reach + 1, left : u + reach + 1] >= least)
     return left + float(columns.mean()), top + float(rows.mean())

@@ -134,7 +134,7 @@ class Detector:
         return detections
 
     def _judge(self, name: str, template: Template, places: Array, search: _Search, side: float) -> list[Detection]:
-        """What the later stages leave of places (n, 3): u, v px of the whole picture and score."""
+        """Detections after the later stages, of places (n, 3): u, v px of the whole picture and score."""
         if self._stages == 1:
             return [Detection(name, (u, v), 0.0, side, score, 0.0, 0.0) for u, v, score in places.tolist()]
         u, v = search.within(places[:, 0], places[:, 1])
@@ -173,7 +173,7 @@ def _same_place(one: Detection, other: Detection) -> bool:
 def _best(
     rings: Rings, sizes: Signature, image: Array, u: Array, v: Array, px: Array, tries: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Of the tries about each of n patches the one most like the target: u, v, side px, cosine (n,), spectra (9, n, m)."""
+    """Of the variants of n patches the one most like the target: u, v, side px, cosine (n,), spectra (9, n, m)."""
     us = (u[:, None] + px[:, None] * tries[:, 0]).ravel()
     vs = (v[:, None] + px[:, None] * tries[:, 1]).ravel()
     sides = (px[:, None] * tries[:, 2]).ravel()
@@ -184,7 +184,7 @@ def _best(
 
 
 def _part(image: Array, side: float, region: Region | None) -> _Search | None:
-    """The region and around it what a target with its middle there takes up; none where it lies outside the picture."""
+    """The region with a margin of a target's size; None if it lies outside the picture."""
     height, width = image.shape[:2]
     left, top, right, bottom = (0.0, 0.0, float(width), float(height)) if region is None else region
     left, top, right, bottom = max(left, 0.0), max(top, 0.0), min(right, float(width)), min(bottom, float(height))
@@ -197,6 +197,6 @@ def _part(image: Array, side: float, region: Region | None) -> _Search | None:
 
 
 def _inside(search: _Search, region: Region) -> tuple[int, int, int, int]:
-    """The pixels of a part that lie in a region: left, top, right, bottom."""
+    """Pixels of a part within a region: left, top, right, bottom."""
     (left, right), (top, bottom) = search.within(np.array(region[::2]), np.array(region[1::2]))
     return max(math.ceil(left), 0), max(math.ceil(top), 0), math.ceil(right), math.ceil(bottom)

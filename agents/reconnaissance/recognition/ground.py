@@ -169,7 +169,7 @@ def tilted(frame: SyntheticFrame, tilt: float, about: float) -> SyntheticFrame:
 
 
 def _places(rng: np.random.Generator, n: int, side: float, occupied: Sequence[Point]) -> list[Point]:
-    """Places wholly inside that keep clear of each other; where they do not fit, all are drawn anew."""
+    """Random places inside the picture, apart from each other; drawn anew until they fit."""
     edge = 0.75 * side
     for _ in range(1000):
         places = list(occupied)
@@ -215,7 +215,7 @@ def _rectangle(canvas: Array, middle: Point, size: Point, degrees: float, colour
 
 
 def _paste(canvas: Array, picture: Array, middle: Point, turn: float, side: float) -> None:
-    """Lays a picture on the canvas, turned counter-clockwise, its middle at a place of the small picture."""
+    """Paste a picture onto the canvas, rotated counter-clockwise, centred at a place of the small picture."""
     n = max(8, round(side * FINE))  # brought to about its size first: no aliasing
     small = cv2.resize(picture, (n, n), interpolation=cv2.INTER_AREA)
     scale = side * FINE / n

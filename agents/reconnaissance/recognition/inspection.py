@@ -73,7 +73,7 @@ def inspect(target: TargetPicture, image: Array, height_m: float, focal_px: floa
 
 
 def _correlation(image: Array, template: Template, pose: MatchedPose, shift: int) -> float:
-    """Of the template with a patch that is turned back, the best within so many pixels of the patch to all sides."""
+    """Best correlation of the template with the rotated patch within so many pixels of shift."""
     size, px = PATCH + 2 * shift, pose.side_px / PATCH
     c, s = px * math.cos(pose.angle), px * math.sin(pose.angle)
     A = np.array([[c, s], [-s, c]])

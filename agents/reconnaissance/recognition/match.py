@@ -45,7 +45,7 @@ def match(image: Array, template: Template, pose: MatchedPose) -> tuple[float, M
 
 
 def _shift(image: Array, template: Template, pose: MatchedPose) -> tuple[float, MatchedPose]:
-    """The best shift, to parts of a pixel."""
+    """The best shift, to subpixels."""
     patch = _patches(image, pose, np.zeros(1), np.ones(1), PATCH + 2 * SHIFT)[0]
     scores = cv2.matchTemplate(patch, template.patch, cv2.TM_CCOEFF_NORMED)
     _, score, _, (u, v) = cv2.minMaxLoc(scores)
@@ -53,7 +53,7 @@ def _shift(image: Array, template: Template, pose: MatchedPose) -> tuple[float, 
 
 
 def _turn(image: Array, template: Template, pose: MatchedPose) -> MatchedPose:
-    """The best turn, then the best scale, then the turn again, since each depends a little on the other."""
+    """The best angle, then scale, then angle again, since they are weakly coupled."""
     one = np.ones(len(TURNS))
     turn = _best(TURNS, _correlations(image, template, pose, TURNS, one))
     scale = _best(SCALES, _correlations(image, template, pose, turn * one, SCALES))
@@ -63,13 +63,13 @@ def _turn(image: Array, template: Template, pose: MatchedPose) -> MatchedPose:
 
 
 def _best(tried: Array, values: Array) -> float:
-    """Where on an even grid a curve is greatest."""
+    """Maximum of a curve on an even grid."""
     at = int(values.argmax())
     return float(tried[at]) + float(tried[1] - tried[0]) * vertex(values, at)
 
 
 def _correlations(image: Array, template: Template, pose: MatchedPose, turns: Array, scales: Array) -> Array:
-    """Of patches turned and scaled against the pose, (n,)."""
+    """Correlations of patches rotated and scaled relative to the pose, (n,)."""
     return product(unit(_patches(image, pose, turns, scales, PATCH)), template.unit[:, None])[:, 0]
 
 
@@ -83,7 +83,7 @@ def vertex(values: Array, at: int) -> float:
 
 
 def _patches(image: Array, pose: MatchedPose, turns: Array, scales: Array, size: int) -> Array:
-    """Upright patches (n, size, size, 3) about the pose's middle, turned and scaled against it."""
+    """Upright patches (n, size, size, 3) about the pose's centre, rotated and scaled relative to it."""
     step = pose.side_px / PATCH * scales
     c, s = step * np.cos(pose.angle + turns), step * np.sin(pose.angle + turns)
     along = np.arange(size) - 0.5 * (size - 1)

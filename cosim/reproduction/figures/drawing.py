@@ -65,7 +65,7 @@ def _is_map(panel: "Panel") -> bool:
 
 
 def _draw_panel(axes: Axes, panel: "Panel") -> int:
-    """Draw a panel; how many rows its legend has."""
+    """Draw a panel; returns the rows of its legend."""
     axes.set_title(panel.title, loc="left")
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
@@ -93,7 +93,7 @@ def _draw_curves(axes: Axes, panel: "Panel") -> None:
 
 
 def _draw_legend(axes: Axes) -> int:
-    """Names below the axes, as many beside each other as there is room for; how many rows they take."""
+    """Draw the legend below the axes; returns its rows."""
     handles, labels = axes.get_legend_handles_labels()
     if not labels:
         return 0
@@ -145,7 +145,7 @@ def _draw_curve(axes: Axes, curve: "Curve", label: str, *, marked: bool, shaped:
 
 
 def _draw_heat(axes: Axes, heat: "Heat") -> None:
-    """One cell for every pair of values, whatever the steps between them, with its number; a map is as large as it is."""
+    """One cell per pair of values, evenly spaced, with its number; a map is drawn to scale."""
     values = np.asarray(heat.values)
     axes.grid(visible=False)
     if heat.style == "map":

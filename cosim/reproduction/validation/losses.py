@@ -81,5 +81,5 @@ def age() -> Sequence[Row]:
 
 
 def _ramps(sent_ns: Array, received_ns: Array) -> tuple[Array, Array]:
-    """How old the newest message is, s, just after each reception and just before the next one."""
+    """Age of the newest message, s, just after each reception and just before the next one."""
     return (received_ns[:-1] - sent_ns[:-1]) / 1e9, (received_ns[1:] - sent_ns[:-1]) / 1e9

@@ -113,7 +113,7 @@ def _near(count: int) -> Array:
 
 
 def _rate_hz(count: int, reports: Sequence[FrameReport]) -> float:
-    """Frames that saturated radios get through in a second."""
+    """Throughput of saturated radios, frames a second."""
     tau, air_ns = sending_chance(count), reports[0].air_time_ns
     idle, alone = (1 - tau) ** count, count * tau * (1 - tau) ** (count - 1)
     slot_ns = idle * SLOT_NS + alone * (air_ns + SIFS_NS + ACK_NS + DIFS_NS) + (1 - idle - alone) * (air_ns + DIFS_NS)

@@ -61,7 +61,7 @@ def _bearings(scan: Scan) -> Array:
 
 
 def _room(pose: tuple[float, float, float], bearing: Array) -> Array:
-    """How far the walls are, m."""
+    """Distances of the walls, m."""
     x, y, yaw = pose
     c, s = np.cos(bearing + yaw), np.sin(bearing + yaw)
     with np.errstate(divide="ignore"):
@@ -69,7 +69,7 @@ def _room(pose: tuple[float, float, float], bearing: Array) -> Array:
 
 
 def _pillars(centres: Sequence[tuple[float, float]], radius: float, angle: Array) -> Array:
-    """How far the first of some circles is from the origin, m; inf: none is met."""
+    """Distances of the nearest circles from the origin, m; inf: none is hit."""
     nearest = np.full(len(angle), np.inf)
     for x, y in centres:
         along, aside = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
@@ -119,7 +119,7 @@ def _readings(
     drives: Mapping[str, Any] = STILL,
     duration_s: float = 0.3,
 ) -> list[Any]:
-    """What a sensor of one vehicle tells, in order."""
+    """Readings of a sensor of one vehicle, in order."""
     scenario = {
         "name": "sensing",
         "duration_s": duration_s,

@@ -135,7 +135,6 @@ def fig_41(runner: Runner) -> Figure:
 
 
 def _widths(four: GaugeReading, parts: Sequence[GaugeReading]) -> list[Row]:
-    """How wide doors look."""
     true = np.array([door.width for door in four.doors])
     off = np.concatenate([_off(each) for each in parts])
     right = int(((four.width > NEEDED_M) == (true > NEEDED_M)).sum())
@@ -148,7 +147,7 @@ def _widths(four: GaugeReading, parts: Sequence[GaugeReading]) -> list[Row]:
 
 
 def _off(each: GaugeReading) -> Array:
-    """How much wider doors look than they are, (n,) m."""
+    """Error of the estimated widths, (n,) m."""
     return np.asarray(each.width - [door.width for door in each.doors])
 
 
@@ -172,7 +171,7 @@ def _panels(passages: Mapping[str, GapRun], four: GaugeReading, parts: Sequence[
 
 
 def _map(title: str, doors: Sequence[tuple[float, float]], ways: Sequence[tuple[str, GapRun]]) -> Panel:
-    """The wall, tracks, and in the same colours where their leaders stand."""
+    """The wall, tracks, and the leaders' positions in the same colours."""
     curves = [Curve(np.array([WALL_M, WALL_M]), np.array(end), "wall") for end in wall_pieces(doors, END_M)]
     for color, (_, each) in enumerate(ways, 1):
         moves = np.hypot(*(each.place - each.place[-1]).T) > 0.01

@@ -193,7 +193,7 @@ def _triangle(tang: float, goal: tuple[float, float]) -> Job:
 
 
 def _free(spacing: float, radius: float) -> Job:
-    """Three where nothing else is."""
+    """Three without obstacles."""
     return _job(50.0, (0.0, 0.0), _leader(None), _slots(spacing), boxes=[], radius=radius)
 
 
@@ -203,7 +203,7 @@ def _leader(goal: tuple[float, float] | None, **field: object) -> dict[str, Any]
 
 
 def _slots(spacing: float) -> list[tuple[float, float]]:
-    """Of the followers in an equilateral triangle, right and left behind."""
+    """Right and left behind in an equilateral triangle."""
     return [(-math.sqrt(0.75) * spacing, side * 0.5 * spacing) for side in (-1, 1)]
 
 
@@ -270,6 +270,5 @@ def _above(title: str, curves: Sequence[Curve], x_limits: tuple[float, float] | 
 
 
 def _split(values: Sequence[Any], counts: Sequence[int]) -> list[list[Any]]:
-    """The values as lists of these lengths."""
     remaining = iter(values)
     return [[next(remaining) for _ in range(count)] for count in counts]

@@ -132,7 +132,7 @@ def _clearance(track: Array) -> Array:
 
 
 def _between(track: Array, west: float, east: float) -> Array:
-    """The part of a track that is drawn."""
+    """The drawn part of a track."""
     return track[(track[:, 0] >= west) & (track[:, 0] <= east)]
 
 
@@ -153,7 +153,7 @@ def _from_above(tracks: Mapping[Case, Array], level: int) -> Panel:
 
 
 def _fast(tracks: Mapping[Case, Array]) -> Panel:
-    """Speed by distance, until it is nearest."""
+    """Speed by distance, up to the closest point."""
     lines = []
     for (stepped, level, speed), track in tracks.items():
         if stepped:
@@ -166,7 +166,6 @@ def _fast(tracks: Mapping[Case, Array]) -> Panel:
 
 
 def _near(least: Mapping[Case, float]) -> Panel:
-    """Least clearance by speed."""
     lines: list[Curve] = []
     for level, expected in ((1, ALONE), (2, LIMITED)):
         lines.append(Curve(np.array(SPEEDS), np.array(expected), f"{NAMES[level]}, expected", level, "hollow"))

@@ -107,7 +107,7 @@ def _column_rows(links: Mapping[str, Array]) -> list[Row]:
 
 
 def _peak(way: str, delay_s: float) -> tuple[float, float]:
-    """Where the gain of a hop is largest, rad/s, and how large."""
+    """Frequency, rad/s, and value of the largest gain of a hop."""
     omega = np.linspace(0.01, 5.0, 5000)
     gain = closed_forms.hop_gain(omega, K1, LAG_S, delay_s, way)
     return float(omega[gain.argmax()]), float(gain.max())

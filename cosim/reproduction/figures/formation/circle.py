@@ -100,7 +100,6 @@ def fig_26(runner: Runner) -> Figure:
 
 
 def _panels(track: Tracks, *, log: bool = True) -> list[Panel]:
-    """The tracks from above, and the errors."""
     paths = [Curve(track.pose[:, i, 0], track.pose[:, i, 1], name, i, "pose") for i, name in enumerate(NAMES)]
     errors = [Curve(track.time_s, track.error[:, i], name, i + 1) for i, name in enumerate(NAMES[1:])]
     return [
@@ -116,7 +115,7 @@ def _radius(track: Tracks) -> Array:
 
 
 def _rho(track: Tracks) -> Array:
-    """Distance of the followers to their leader at the end, m."""
+    """Final distance of the followers to their leader, m."""
     return np.asarray(np.hypot(*(track.pose[-1, 1:, :2] - track.pose[-1, :1, :2]).T))
 
 

@@ -124,7 +124,7 @@ def growth(y: Array, step: int) -> float:
 
 
 def _mode(graph: str, number: int, duration_s: float, period_s: float, delay_s: float = 0.0, **agent: object) -> Job:
-    """A run that starts in an eigenvector of the Laplacian; it gives how much of that is left, (ticks + 1,)."""
+    """A run that starts in an eigenvector of the Laplacian; gives the remaining amplitude, (ticks + 1,)."""
     vector = np.linalg.eigh(laplacian(graph))[1][:, number]
     scenario = {
         "name": "consensus",

@@ -133,7 +133,7 @@ def _predictions(lead: LeaderTrack, estimator: str, oldest: int) -> Array:
 
 
 def _left(estimator: str, age: float) -> float:
-    """Which share of the speeds an estimator believes in after ``age`` ticks."""
+    """Share of the speeds that an estimator uses after ``age`` ticks."""
     ends = math.inf if estimator == "hold" else AFTER if estimator == "plan" else HORIZON
     return min(1.0, max(0.0, 1.0 - (age - ends) / FADE))
 

@@ -82,7 +82,7 @@ def recognition(runner: Runner, frames: int = FRAMES) -> Figure:
 
 
 def _joined(parts: Sequence[Sequence[Tally]]) -> list[Tally]:
-    """By stages, what was tallied in parts."""
+    """Merged tallies, by stage."""
     return [together(each) for each in zip(*parts, strict=True)]
 
 
@@ -116,7 +116,7 @@ def _errors(tallies: list[Tally]) -> Panel:
 
 
 def _example(height_m: float, number: int) -> Panel:
-    """A picture with what is in it and what was found."""
+    """A picture with its targets and the detections."""
     frame = made_up(height_m, number)
     detector = Detector([target()])
     detections = detector.detect(frame.image, height_m, frame.seen.focal_px)
@@ -128,7 +128,7 @@ def _example(height_m: float, number: int) -> Panel:
 
 
 def _photo() -> Panel:
-    """What a camera of the platform sees of a town, and what was recognised."""
+    """A picture of a town from the platform's camera, and the detections."""
     with tempfile.TemporaryDirectory() as folder:
         snapshots = Snapshots(town(Path(folder), 20.0, TOWNS[-1])).take(*PHOTO)
     boxes = [

@@ -49,7 +49,7 @@ def fig_46(runner: Runner, frames: int = FRAMES) -> Figure:
 
 
 def _ranks(height_m: float, numbers: Sequence[int]) -> Array:
-    """Of pictures: the place of the target in the list of peaks, from 1, by so many hues; infinite: it is not in it."""
+    """Rank of the target in the list of peaks, from 1, (pictures, numbers of hues); inf if it is not in it."""
     ranks = np.full((len(numbers), len(HUES)), np.inf)
     for row, number in enumerate(numbers):
         frame = made_up(height_m, number)
@@ -62,7 +62,7 @@ def _ranks(height_m: float, numbers: Sequence[int]) -> Array:
 
 
 def _maps() -> list[Panel]:
-    """A picture, and the score of all its places, by one colour and by four."""
+    """A picture, and the scores of all places by one and by four colours."""
     height_m, number = SHOWN
     frame = made_up(height_m, number)
     (truth,) = frame.seen.truths
@@ -79,7 +79,7 @@ def _maps() -> list[Panel]:
 
 
 def _enlarged(score: Array, shape: Sequence[int]) -> Array:
-    """A map as large as the picture: white 0, black all of the target's colours."""
+    """A score map in the size of the picture: white 0, black all of the target's colours."""
     rows, columns = ((np.arange(n) * m // n) for n, m in zip(shape, score.shape, strict=True))
     grey = 255 - score[np.ix_(rows, columns)]
     return np.repeat(grey[:, :, None], 3, axis=2)
@@ -184,7 +184,7 @@ def _likenesses() -> Panel:
 
 
 def _moved(title: str, by: str, amounts: Sequence[int], scores: Sequence[inspection.Scores], named: Mapping[str, str]) -> Panel:
-    """Scores of a target alone, by how far it is turned or shifted; ``named`` says which scores."""
+    """Scores of a single target by rotation or shift; ``named`` selects the scores."""
     x = np.array(amounts, float)
     curves = [
         Curve(x, np.array([getattr(each, name) for each in scores]), label, 1 + i)
@@ -213,5 +213,5 @@ def _angles(judgements: Sequence[PlaceScores], errors: Array) -> list[Panel]:
 
 
 def _by_height(runner: Runner, work: Callable[[float, Sequence[int]], T], frames: int) -> list[T]:
-    """What is made of the pictures of each height."""
+    """Answers for the pictures of each height."""
     return runner([partial(work, height, range(frames)) for height in HEIGHTS])
