@@ -242,7 +242,8 @@ def _plain(command: Velocity | Waypoint) -> tuple[Velocity | Waypoint, float]:
         x, y, z, rate = float(x), float(y), float(z), float(rate)
         return Velocity(linear=(x, y, z), yaw_rate=rate), x + y + z + rate
     x, y, z = map(float, command.position)
-    yaw, speed = (None if each is None else float(each) for each in (command.yaw, command.speed))
+    yaw = None if command.yaw is None else float(command.yaw)
+    speed = None if command.speed is None else float(command.speed)
     return Waypoint(position=(x, y, z), yaw=yaw, speed=speed), x + y + z + (yaw or 0.0) + (speed or 0.0)
 
 

@@ -57,7 +57,7 @@ class AlgorithmRunner:
         self.algorithms, self.guard = dict(algorithms), guard
         self.acceleration, self.yaw_acceleration = acceleration, yaw_acceleration
         each = {id(agent): agent for agent in self.algorithms.values()}.values()
-        self._agents = [*(a for a in each if not isinstance(a, Avoidance)), *(a for a in each if isinstance(a, Avoidance))]
+        self._agents = sorted(each, key=lambda agent: isinstance(agent, Avoidance))  # tasks first, in their order
         self.notes: dict[str, float | str | bool] = {}
         self.said: dict[str, dict[str, float | str | bool]] = {}  # what the agents noted at the last tick, by their first names
         self.shown: list[Shown] = []  # what they showed
@@ -65,9 +65,12 @@ class AlgorithmRunner:
     @property
     def sensors(self) -> tuple[str, ...] | None:
         """Sensors of all algorithms; None: all sensors."""
-        sensors = [() if self.guard is None else self.guard.sensors, *(agent.sensors for agent in self._agents)]
-        named = [each for each in sensors if each is not None]
-        return tuple(dict.fromkeys(name for each in named for name in each)) if len(named) == len(sensors) else None
+        names = dict.fromkeys(() if self.guard is None else self.guard.sensors)
+        for agent in self._agents:
+            if agent.sensors is None:
+                return None
+            names.update(dict.fromkeys(agent.sensors))
+        return tuple(names)
 
     def start(self, info: VehicleInfo) -> None:
         """Start all algorithms."""

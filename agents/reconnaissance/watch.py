@@ -87,7 +87,8 @@ class Watch:
             self._detector = Detector(targets)
         except ScenarioError as error:
             raise ScenarioError(error.problem, key=f"{key}.targets") from error
-        self._smallest_m, self._largest_m = (ends(each.size_m for each in targets) for ends in (min, max))
+        sizes_m = [each.size_m for each in targets]
+        self._smallest_m, self._largest_m = min(sizes_m), max(sizes_m)
 
     def start(self, info: VehicleInfo) -> None:
         """Check the camera.

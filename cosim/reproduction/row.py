@@ -32,7 +32,9 @@ class Row:
     def tolerance_used(self) -> float:
         """``|measured - expected|`` over the tolerance, at most 1 if the row is ok; infinite or NaN if it cannot be."""
         difference = abs(self.measured - self.expected)
-        return difference / self.tolerance if self.tolerance else (math.inf if difference else 0.0)
+        if self.tolerance:
+            return difference / self.tolerance
+        return math.inf if difference else 0.0
 
     @property
     def plain(self) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vcmvsp
-from tests.support.validation.fleets import K1, LEFT_BEHIND, NEVER_LOST, RIGHT_BEHIND, T, V, errors, fleet, lossy
+from tests.support.validation.fleets import K1, LEFT_BEHIND, RIGHT_BEHIND, UNLIMITED, T, V, errors, fleet, lossy
 
 FOLLOWERS = 30
 FROM_S = 20.0
@@ -28,7 +28,7 @@ def test_loss_on_a_straight_line(p: float) -> None:
     mean |z| = v (d + T p/(1-p)),  var = v^2 (k1 T)^2/(1-alpha^2) T^2 p/(1-p)^2 (1+alpha p)/(1-alpha p),
     mean age at ticks = d + T p/(1-p),  over continuous time d' + T (1+p)/(2 (1-p)) with the delay d' of a message itself.
     """
-    agents = {"estimator": "hold", **NEVER_LOST}
+    agents = {"estimator": "hold", **UNLIMITED}
     scenario = fleet(300.0, [RIGHT_BEHIND, LEFT_BEHIND] * (FOLLOWERS // 2), path="straight", radio=lossy(p), agents=agents)
     result = vcmvsp.run(scenario, set={"record.period_s": 0.5, "metrics.from_s": FROM_S}, mcap=False)
     alpha, d = 1 - K1 * T, T

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 import vcmvsp
 from tests.support.step_responses import Floats
-from tests.support.validation.fleets import LEFT, errors, fleet, lossy
+from tests.support.validation.fleets import ASIDE, errors, fleet, lossy
 from vcmvsp.cosim.reproduction.figures.formation import loss_integration as plain
 from vcmvsp.cosim.reproduction.figures.formation.delay import DELAYS_S
 from vcmvsp.cosim.reproduction.figures.formation.delay import REFERENCE as DELAY
@@ -98,7 +98,7 @@ def integrated(
     oldest = max(table.shape[1] for table in tables) - 1
     table = np.stack([np.pad(each, ((0, 0), (0, oldest + 1 - each.shape[1]), (0, 0)), "edge") for each in tables])
     which, everyone = np.array([kinds.index(each) for each in crew]), np.arange(count)
-    side = np.where(everyone % 2, -LEFT, LEFT)
+    side = np.where(everyone % 2, -ASIDE, ASIDE)
     pose = np.stack([np.full(count, -AHEAD), -side, np.zeros(count)], axis=-1)
     newest, speeds, square = np.full(count, -1), np.zeros((count, 2)), np.zeros(count)
     for tick in range(ticks):
@@ -300,7 +300,7 @@ def test_the_error_at_a_delay(path: str, delay_s: float) -> None:
     if delay_s <= 0.5:
         assert of["dr"] <= 0.6 * of["hold"]
     v, w = plain.leader(path).speeds[FROM:TICKS].T  # what is kept moves on at v + L' w in that time
-    assert of["hold"] == pytest.approx(delay_s * math.sqrt((v**2 + (LEFT * w) ** 2).mean()), rel=0.1)
+    assert of["hold"] == pytest.approx(delay_s * math.sqrt((v**2 + (ASIDE * w) ** 2).mean()), rel=0.1)
 
 
 @pytest.mark.parametrize(("p", "delay_s"), TOGETHER)

@@ -9,11 +9,11 @@ import vcmvsp
 from tests.support.step_responses import overshoot, servo_step, settling_s
 from tests.support.validation.fleets import (
     AHEAD,
+    ASIDE,
     K1,
-    LEFT,
     LEFT_BEHIND,
-    NEVER_LOST,
     RIGHT_BEHIND,
+    UNLIMITED,
     R,
     T,
     V,
@@ -38,7 +38,7 @@ def test_the_standard_triangle_on_a_circle() -> None:
     rho = np.hypot(*(moved[-1, 1:, :2] - moved[-1, 0, :2]).T)
     step = moved[-1, 1:, :2] - moved[-2, 1:, :2]
     speed = np.hypot(*step.T) / (T * np.sinc(W * T / 2 / np.pi))  # from the chord that was driven in one period
-    sides = np.array([LEFT, -LEFT])
+    sides = np.array([ASIDE, -ASIDE])
     assert result.metrics["formation"]["final_m"] < 1e-6
     assert np.abs(errors(result)[1][-1]).max() < 1e-6
     assert radius == pytest.approx([2.34521, 1.22474], abs=1e-5)
@@ -147,7 +147,7 @@ def test_wheels_and_bodies_do_what_was_commanded() -> None:
 
 def test_the_platform_adds_nothing_to_the_law() -> None:
     """A start away from the slot decays by (1 - k1 T) a period, to the last digits: no delay and no sample is lost between."""
-    result = vcmvsp.run(fleet(10.0, [{"pose": (-1.5, 0.0, 0.0), **NEVER_LOST}], path="straight"), mcap=False)
+    result = vcmvsp.run(fleet(10.0, [{"pose": (-1.5, 0.0, 0.0), **UNLIMITED}], path="straight"), mcap=False)
     times, z = errors(result)
     heard = 0.5 + V * T  # the first report is acted upon at the second tick
     assert z[1:, 0, 0] == pytest.approx(heard * (1 - K1 * T) ** np.arange(len(times) - 1), abs=1e-12)

@@ -10,7 +10,7 @@ from scipy.special import lambertw
 
 import vcmvsp
 from tests.support.step_responses import growth, overshoot
-from tests.support.validation.fleets import AHEAD, K1, NEVER_LOST, Floats, R, T, V, W, errors, fleet, lossy
+from tests.support.validation.fleets import AHEAD, K1, UNLIMITED, Floats, R, T, V, W, errors, fleet, lossy
 
 START = 0.5  # m behind the slot
 FINE = 0.01  # s: a period that is short against the delays
@@ -19,7 +19,7 @@ LATE = 0.3  # s of latency, thirty such periods
 
 def alone(k1: float, latency_s: float, duration_s: float, *, period_s: float = FINE) -> tuple[Floats, Floats]:
     """A follower behind its slot at a leader that stands, its loop closed late: times and z1."""
-    scenario = fleet(duration_s, [{"pose": (-1.0 - START, 0.0, 0.0), "k1": k1, **NEVER_LOST}], path="straight", radio=lossy())
+    scenario = fleet(duration_s, [{"pose": (-1.0 - START, 0.0, 0.0), "k1": k1, **UNLIMITED}], path="straight", radio=lossy())
     settings = {
         "vehicle.car1.agent.speed": 0.0,
         "vehicle.car2.agent.latency_s": latency_s,
@@ -35,7 +35,7 @@ def test_late_reports_shift_the_follower_and_never_destabilise_it(delay_s: float
     """Lag v d, reached as exp(-k t) whatever the delay; with k d up to 8, five times what the loop itself could bear."""
     radio = lossy(delay_s=delay_s)
     times, z = errors(
-        vcmvsp.run(fleet(delay_s + 25.0, [NEVER_LOST], path="straight", radio=radio, agents={"estimator": "hold"}), mcap=False)
+        vcmvsp.run(fleet(delay_s + 25.0, [UNLIMITED], path="straight", radio=radio, agents={"estimator": "hold"}), mcap=False)
     )
     assert z[-1, 0, 0] == pytest.approx(V * delay_s, rel=1e-6)
     heard = z[times >= delay_s + 0.05, 0, 0] - V * delay_s
@@ -45,7 +45,7 @@ def test_late_reports_shift_the_follower_and_never_destabilise_it(delay_s: float
 def test_late_reports_on_a_circle_shift_the_follower_along_its_arc() -> None:
     """|z| = 2 R sin(w d / 2) behind a leader on the circle, settled at an age of 5 s as well as at 1 s."""
     for delay_s in (1.0, 5.0):
-        scenario = fleet(60.0 + delay_s, [NEVER_LOST], radio=lossy(delay_s=delay_s), agents={"estimator": "hold"})
+        scenario = fleet(60.0 + delay_s, [UNLIMITED], radio=lossy(delay_s=delay_s), agents={"estimator": "hold"})
         _, z = errors(vcmvsp.run(scenario, mcap=False))
         assert np.hypot(*z[-1, 0]) == pytest.approx(2.0 * R * math.sin(0.5 * W * delay_s), rel=1e-4)
 
@@ -77,7 +77,7 @@ def test_a_slow_agent_bounds_the_gain_across(period_s: float, bound: float) -> N
     assert bound == pytest.approx(2.0 / period_s - V / AHEAD, rel=1e-4)
     for factor, grows in ((0.95, False), (1.05, True)):
         pose = (-AHEAD, -0.5 + 1e-4, 0.0)
-        follower = {"bearing_deg": 30.0, "pose": pose, "k2": factor * bound, "k1": 0.5, **NEVER_LOST}
+        follower = {"bearing_deg": 30.0, "pose": pose, "k2": factor * bound, "k1": 0.5, **UNLIMITED}
         scenario = fleet(41 * period_s, [follower], path="straight", radio=lossy())
         _, z = errors(vcmvsp.run(scenario, set={"agents.period_s": period_s, "record.period_s": period_s}, mcap=False))
         aside = np.abs(z[:, 0, 1])
@@ -117,7 +117,7 @@ def test_each_of_three_knobs_moves_its_own_number_only(delay_s: float, latency_s
 
     The leader decides at 10 Hz throughout; latency and period are those of the follower's agent.
     """
-    follower = {"pose": (-1.0 - START, 0.0, 0.0), "k1": K, "estimator": "hold", **NEVER_LOST}
+    follower = {"pose": (-1.0 - START, 0.0, 0.0), "k1": K, "estimator": "hold", **UNLIMITED}
     scenario = fleet(90.0, [follower], path="straight", radio=lossy(delay_s=delay_s))
     settings = {"vehicle.car2.agent.latency_s": latency_s, "vehicle.car2.agent.period_s": period_s}
     _, z = errors(vcmvsp.run(scenario, set=settings, mcap=False))

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import vcmvsp
+from tests.support.cosim.command_line import contents
 from tests.support.netsim.gateway_context import free_ports
-from tests.support.validation.fleets import files
 from vcmvsp.agents.formation import LeaderFollower, Trajectory
 from vcmvsp.cosim.runs.result import Result
 
@@ -40,13 +40,13 @@ def reference(tmp_path_factory: pytest.TempPathFactory, figures: None) -> dict[s
     """What the run leaves when all agents run in this process."""
     folder = tmp_path_factory.mktemp("reference")
     vcmvsp.run("formation-circle", set=SHORT, out=folder)
-    left = files(folder)
+    left = contents(folder)
     assert set(left) == NAMES
     return left
 
 
 def assert_same(folder: Path, reference: dict[str, bytes]) -> None:
-    left = files(folder)
+    left = contents(folder)
     assert set(left) == set(reference)
     assert [name for name in reference if left[name] != reference[name]] == []
 
@@ -60,7 +60,7 @@ def test_twice_in_one_process_and_saved_later(reference: dict[str, bytes], tmp_p
 
 
 def test_another_seed_is_another_run(reference: dict[str, bytes], tmp_path: Path) -> None:
-    left = files(vcmvsp.run("formation-circle", set=SHORT, seed=2).save(tmp_path / "seed2"))
+    left = contents(vcmvsp.run("formation-circle", set=SHORT, seed=2).save(tmp_path / "seed2"))
     differing = {name for name in reference if left[name] != reference[name]}
     assert differing >= NAMES - {"trajectory.png"}
 
@@ -111,7 +111,7 @@ def test_with_latency_below_and_above_the_period(
     settings = {**SHORT, "physics.kind": "kinematic", "agents.latency_s": latency_s, "agents.processes": 2}
     for where in ("inprocess", "encoded", "process"):
         vcmvsp.run("formation-circle", set=settings, agents=where, out=tmp_path / where)  # type: ignore[arg-type]
-    here = files(tmp_path / "inprocess")
+    here = contents(tmp_path / "inprocess")
     assert here["states.parquet"] != reference["states.parquet"]
     assert_same(tmp_path / "encoded", here)
     assert_same(tmp_path / "process", here)
@@ -121,7 +121,7 @@ def test_agents_as_objects(reference: dict[str, bytes], tmp_path: Path) -> None:
     """Built here with the same parameters, they do what the scenario's would do; they may be mixed with these."""
     leader, follower = Trajectory("circle", 0.3, 0.15), LeaderFollower("car1", 1.0, 30.0)
     vcmvsp.run("formation-circle", set=SHORT, agents={"car1": leader, "car2": follower}, out=tmp_path / "out")
-    left = files(tmp_path / "out")
+    left = contents(tmp_path / "out")
     assert {name for name in NAMES if left[name] != reference[name]} <= {"scenario.toml", "report.html"}
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 import vcmvsp
-from tests.support.validation.fleets import files
+from tests.support.cosim.command_line import contents
 from vcmvsp import Agent, Observation, Radio, Scan, Velocity
 from vcmvsp.physics.sensors.camera import Camera
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
@@ -51,11 +51,11 @@ class Looker(Agent):
 
 def test_the_same_bytes_wherever_those_who_look_run(tmp_path: Path) -> None:
     recorded = {**ROOM, "record": {"sensors": ["scan", "cam"]}}
-    here = files(vcmvsp.run(recorded, out=tmp_path / "here").folder or tmp_path)
-    away = files(vcmvsp.run(recorded, agents="process", out=tmp_path / "away").folder or tmp_path)
+    here = contents(vcmvsp.run(recorded, out=tmp_path / "here").folder or tmp_path)
+    away = contents(vcmvsp.run(recorded, agents="process", out=tmp_path / "away").folder or tmp_path)
     assert [name for name in here if here[name] != away[name]] == []
     again = vcmvsp.run(tmp_path / "here" / "scenario.toml", out=tmp_path / "again")
-    assert files(tmp_path / "again")["metrics.json"] == here["metrics.json"]
+    assert contents(tmp_path / "again")["metrics.json"] == here["metrics.json"]
     assert again.metrics["radio"]["frames"] > 0
 
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import vcmvsp
-from tests.support.validation.fleets import LEFT, NEVER_LOST, Floats, R, T, V, W, errors, fleet, lossy
+from tests.support.validation.fleets import ASIDE, UNLIMITED, Floats, R, T, V, W, errors, fleet, lossy
 
 START = 0.5  # m behind the slot
 
 
 def late_loop(k: float, latency_s: float, duration_s: float) -> tuple[Floats, Floats]:
     """A leader at rest and a follower behind its slot whose commands take effect ``latency_s`` later: times and z1."""
-    follower = {"pose": (-1.0 - START, 0.0, 0.0), "k1": k, **NEVER_LOST}
+    follower = {"pose": (-1.0 - START, 0.0, 0.0), "k1": k, **UNLIMITED}
     scenario = fleet(duration_s, [follower], path="straight", radio={"preset": "ideal"})
     settings = {"vehicle.car1.agent.speed": 0.0, "vehicle.car2.agent.latency_s": latency_s}
     times, z = errors(vcmvsp.run(scenario, set=settings, mcap=False))
@@ -55,7 +55,7 @@ def test_hold_on_a_circle_lags_by_the_chord_of_the_age(delay_s: float) -> None:
         fleet(60.0, radio=lossy(delay_s=delay_s), agents={"estimator": "hold"}, metrics={"from_s": 40.0}), mcap=False
     )
     _, z = errors(result)
-    expected = [2 * (R + left) * math.sin(W * age / 2) for left in (LEFT, -LEFT)]
+    expected = [2 * (R + left) * math.sin(W * age / 2) for left in (ASIDE, -ASIDE)]
     assert np.hypot(*z[-1].T) == pytest.approx(expected, rel=1e-4)
     assert result.metrics["radio"]["age_s"]["mean"] == pytest.approx(age, abs=1e-9)
     assert result.metrics["radio"]["age_s"]["max"] == pytest.approx(age, abs=1e-9)
@@ -72,6 +72,6 @@ def test_hold_on_a_line_lags_by_speed_times_age(delay_s: float) -> None:
 def test_dead_reckoning_leaves_nothing_on_lines_and_circles(path: str, probability: float, delay_s: float) -> None:
     """Whatever the loss and the delay: the leader's speeds are constant."""
     result = vcmvsp.run(
-        fleet(70.0, path=path, radio=lossy(probability, delay_s, 0.02 if delay_s else 0.0), agents=NEVER_LOST), mcap=False
+        fleet(70.0, path=path, radio=lossy(probability, delay_s, 0.02 if delay_s else 0.0), agents=UNLIMITED), mcap=False
     )
     assert result.metrics["formation"]["final_m"] < 1e-6

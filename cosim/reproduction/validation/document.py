@@ -1,9 +1,11 @@
 """Files of a validation: head figures as Markdown, all rows as CSV and JSON. None of them contains a time of writing."""
 
+import math
 import platform
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from vcmvsp.cosim.reproduction.row import COLUMNS, write_csv
 from vcmvsp.cosim.reproduction.validation import CHECKS
@@ -48,34 +50,27 @@ def write(outcomes: Sequence[Outcome], folder: Path) -> list[Path]:
 
 def as_json(outcomes: Sequence[Outcome]) -> str:
     """All checks with their rows, by the schema ``vcmvsp.validation/1``."""
-    checks = [
-        {
-            "name": each.check.name,
-            "area": each.check.area,
-            "title": each.check.title,
-            "source": each.check.source,
-            "reduced": each.check.reduced,
-            "ok": each.ok,
-            "problem": each.problem,
-            "rows": [row.plain for row in each.rows],
-        }
-        for each in outcomes
-    ]
+    checks: list[dict[str, Any]] = []
+    for each in outcomes:
+        about = {name: getattr(each.check, name) for name in ("name", "area", "title", "source", "reduced")}
+        checks.append({**about, "ok": each.ok, "problem": each.problem, "rows": [row.plain for row in each.rows]})
     return to_json({"schema": SCHEMA, "made_with": _made_with(), "ok": all(each.ok for each in outcomes), "checks": checks})
 
 
 def as_markdown(outcomes: Sequence[Outcome]) -> str:
     """The head figures of all checks, a line each."""
     off = failures(outcomes)
-    only = "" if len(outcomes) == len(CHECKS) else "".join(f" --only {each.check.name}" for each in outcomes)
+    only = "".join(f" --only {each.check.name}" for each in outcomes)
+    rows = sum(len(each.rows) for each in outcomes)
+    seconds = sum(each.check.seconds for each in outcomes)
     head = HEAD.format(
         checks=len(outcomes),
         all_checks=len(CHECKS),
-        rows=sum(len(each.rows) for each in outcomes),
+        rows=rows,
         verdict=f"{len(off)} off" if off else "all hold",
         made_with=", ".join(_made_with()),
-        minutes=max(1.0, sum(each.check.seconds for each in outcomes) / 60.0),
-        only=only,
+        minutes=max(1.0, seconds / 60.0),
+        only=only if len(outcomes) < len(CHECKS) else "",
     )
     return head + "".join(map(head_line, outcomes))
 
@@ -84,9 +79,10 @@ def head_line(outcome: Outcome) -> str:
     """The line of a check in the table of VALIDATION.md."""
     check = outcome.check
     title = f"{check.title} Reduced: {check.reduced}." if check.reduced else check.title
-    used = f"{max(row.tolerance_used for row in outcome.rows):.2g}" if outcome.rows else "-"
+    used = max((row.tolerance_used for row in outcome.rows), default=math.inf)
     off = f"**{len(outcome.missed)}**" if outcome.missed else "0"
-    cells = [f"`{check.name}`", title, check.source, str(len(outcome.rows)), used, off if outcome.rows else "**broke off**"]
+    verdict = off if outcome.rows else "**broke off**"
+    cells = [f"`{check.name}`", title, check.source, str(len(outcome.rows)), f"{used:.2g}", verdict]
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import vcmvsp
-from tests.support.validation.fleets import K1, LEFT_BEHIND, NEVER_LOST, RIGHT_BEHIND, T, V, fleet, lossy
+from tests.support.validation.fleets import K1, LEFT_BEHIND, RIGHT_BEHIND, UNLIMITED, T, V, fleet, lossy
 from vcmvsp.cosim.terminal.progress import summary
 
 
@@ -28,7 +28,7 @@ def test_age_over_all_time_and_its_peaks() -> None:
     which no follower loses all ten reports, else it has parts.
     """
     p, d, followers, from_s, end_s = 0.7, 0.03, 30, 20.0, 100.0
-    scenario = fleet(end_s, [RIGHT_BEHIND, LEFT_BEHIND] * (followers // 2), radio=lossy(p, d), agents=NEVER_LOST)
+    scenario = fleet(end_s, [RIGHT_BEHIND, LEFT_BEHIND] * (followers // 2), radio=lossy(p, d), agents=UNLIMITED)
     metrics = vcmvsp.run(scenario, set={"record.period_s": 1.0, "metrics.from_s": from_s}, mcap=False).metrics
     k = np.arange(1, 2000)
     interval, chance = T * k, (1 - p) * p ** (k - 1)
@@ -51,7 +51,7 @@ def test_age_over_all_time_and_its_peaks() -> None:
 @pytest.mark.parametrize(("k1", "start"), [(0.8, 0.5), (2.0, 0.5), (12.0, 0.3)])
 def test_response_of_a_kinematic_follower(k1: float, start: float) -> None:
     """z grows by v T until the first report is acted upon, then by 1 - k1 T a period."""
-    follower = {"pose": (-1.0 - start, 0.0, 0.0), "k1": k1, **NEVER_LOST}
+    follower = {"pose": (-1.0 - start, 0.0, 0.0), "k1": k1, **UNLIMITED}
     metrics = vcmvsp.run(fleet(20.0, [follower], path="straight", radio={"preset": "ideal"}), mcap=False).metrics
     z = np.array([start, *((start + V * T) * (1 - k1 * T) ** np.arange(200))])
     falling = z[: np.argmax(np.abs(z) < 0.05 * start)]
@@ -79,7 +79,7 @@ def test_keys_do_not_depend_on_chance() -> None:
 
 
 def test_k1_is_the_rate_where_the_period_is_short() -> None:
-    follower = {"pose": (-1.5, 0.0, 0.0), **NEVER_LOST}
+    follower = {"pose": (-1.5, 0.0, 0.0), **UNLIMITED}
     scenario = fleet(10.0, [follower], path="straight", radio={"preset": "ideal"}, agents={"period_s": 0.01})
     rate = vcmvsp.run(scenario, set={"record.period_s": 0.05}, mcap=False).metrics["formation"]["convergence_1_s"]
     assert rate == pytest.approx(K1, rel=0.01)
@@ -91,7 +91,7 @@ def test_errors_of_a_chain_add_up_in_its_shape() -> None:
     The ages are T: car2 is 1.03 m behind car1, car3 as far behind car2; both ends are 0.03 m farther from the middle than they
     should be. What is printed of a chain says so.
     """
-    behind = {"estimator": "hold", "bearing_deg": 0.0, "handle": 0.5, "broadcast": True, **NEVER_LOST}
+    behind = {"estimator": "hold", "bearing_deg": 0.0, "handle": 0.5, "broadcast": True, **UNLIMITED}
     chain = [behind, {**behind, "leader": "car2", "pose": (-2.0, 0.0, 0.0)}]
     scenario = fleet(60.0, chain, path="straight", radio={"preset": "ideal"}, metrics={"from_s": 50.0})
     result = vcmvsp.run(scenario, mcap=False)

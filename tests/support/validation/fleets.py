@@ -1,11 +1,10 @@
-"""Scenarios of a leader and its followers, and what became of them: true poses and errors as arrays.
+"""Scenarios of a leader and its followers (those of the figures), and their true poses and errors as arrays.
 
-The scenarios are those of the figures. The errors are worked out here, apart from them and from the platform's metrics.
+Errors are computed here, independent of the metrics of the platform.
 """
 
 from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,16 +12,14 @@ from numpy.typing import NDArray
 
 import vcmvsp
 from tests.support.agents.agent_loop import formation_error
-from tests.support.cosim.command_line import contents
 from vcmvsp.cosim.reproduction.figures import scenarios
 from vcmvsp.cosim.reproduction.figures.scenarios import AHEAD, ASIDE, K1, LEFT_BEHIND, RIGHT_BEHIND, UNLIMITED, R, T, V, W
 
-__all__ = ["AHEAD", "K1", "LEFT", "LEFT_BEHIND", "NEVER_LOST", "RIGHT_BEHIND", "R", "T", "V", "W", "fleet", "lossy"]
+__all__ = ["AHEAD", "ASIDE", "K1", "LEFT_BEHIND", "RIGHT_BEHIND", "UNLIMITED", "R", "T", "V", "W", "fleet", "lossy"]
 
 Floats = NDArray[np.float64]
 Table = Mapping[str, Any]
 
-LEFT, NEVER_LOST = ASIDE, UNLIMITED
 fleet = partial(scenarios.fleet, seed=1)
 
 
@@ -51,8 +48,3 @@ def errors(result: vcmvsp.Result) -> tuple[Floats, Floats]:
     followers = [f"car{number}" for number in range(2, moved.shape[1] + 1)]
     z = [formation_error(moved[:, 0], moved[:, column], follows[name]) for column, name in enumerate(followers, 1)]
     return times, np.stack(z, axis=1)
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    """Everything that a run left and that must not differ between equal runs."""
-    return contents(folder)
