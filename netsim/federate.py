@@ -10,9 +10,9 @@ from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Reception, Seconds, States
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.datagrams import Carried, received
+from vcmvsp.netsim.channel.datagrams import TrafficLog, received
 from vcmvsp.netsim.channel.replayed import RecordedChannel
-from vcmvsp.netsim.routing.network import Network
+from vcmvsp.netsim.routing.network import RoutingNetwork
 from vcmvsp.netsim.routing.router import Routing
 
 MANY = 1_000_000  # frames
@@ -82,10 +82,10 @@ class RadioFederate:
         self._seed = run.seed
         self._handover: dict[str, np.random.Generator] = {}
         self._handed_ns: dict[str, int] = {}
-        self._network: Network | None = None
+        self._network: RoutingNetwork | None = None
         if self._routing is not None:
             router, kind = self._routing.open(run.vehicles, run.seed), type(self._routing).__name__
-            self._network = Network(router, kind, run.vehicles, run.seed, self._put)
+            self._network = RoutingNetwork(router, kind, run.vehicles, run.seed, self._put)
             return self._network.next_ns()
         return None
 
@@ -110,7 +110,7 @@ class RadioFederate:
         due = self._channel.next_ns()
         return Step(self._events(reports, now_ns), None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
 
-    def _step_routed(self, network: Network, now_ns: int, inbox: Sequence[Event], reports: list[FrameReport]) -> Step:
+    def _step_routed(self, network: RoutingNetwork, now_ns: int, inbox: Sequence[Event], reports: list[FrameReport]) -> Step:
         """The same where messages become packets that go from vehicle to vehicle."""
         sent = list(self._sent(inbox, now_ns))
         network.note(reports, now_ns + bool(sent))  # what arrives when others send, is too late for the agents of this instant
@@ -223,7 +223,7 @@ class RadioFederate:
         """What became of frames, and what agents hear; first of datagrams, all in one event."""
         if not reports:
             return []
-        carried, heard, events = Carried(), list[Event](), list[Event]()
+        carried, heard, events = TrafficLog(), list[Event](), list[Event]()
         for report in reports:
             message, datagram = self._open.pop(report.frame)
             if datagram is None:

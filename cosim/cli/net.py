@@ -15,7 +15,7 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.assembly.parts.networks import Network
+    from vcmvsp.cosim.assembly.parts.networks import RunNetwork
 
 RunName = Annotated[str | None, typer.Option("--run", metavar="NAME", help="Whose network, if there are several.")]
 NEEDS = "networks of namespaces need {}: start it as root (sudo), or in a container with --privileged"
@@ -163,7 +163,7 @@ def _check_rights() -> None:
         raise UsageError(NEEDS.format(lacks))
 
 
-def _chosen(run: str | None) -> "Network":
+def _chosen(run: str | None) -> "RunNetwork":
     """The network of this run, which is alive; of the only one without a name."""
     from vcmvsp.cosim.assembly.parts import networks
 
@@ -177,7 +177,7 @@ def _chosen(run: str | None) -> "Network":
     raise UsageError(f"--run {run}: there is no such run; there are {names}" if run else f"say whose: --run is one of {names}")
 
 
-def _lines(network: "Network") -> Iterator[str]:
+def _lines(network: "RunNetwork") -> Iterator[str]:
     state = f"alive, process {network.pid}" if network.alive else "killed; clear it away with 'vcmvsp net down'"
     yield f"{network.run}: {state}"
     cells = [(each.vehicle, *each.addresses) for each in network.spaces]

@@ -151,7 +151,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "udp": "vcmvsp.netsim.bridge.gateways.udp.gateway:Udp",
         "wss": "vcmvsp.netsim.bridge.gateways.wss.gateway:Wss",
         "ip": "vcmvsp.netsim.bridge.gateways.ip.gateway:Ip",
-        "zenoh": "vcmvsp.netsim.bridge.gateways.zenoh:ZenohDoor",
+        "zenoh": "vcmvsp.netsim.bridge.gateways.zenoh:ZenohGateway",
     },
     "routing": {
         "flooding": "vcmvsp.netsim.routing.flooding:Flooding",

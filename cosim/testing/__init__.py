@@ -192,10 +192,10 @@ def _check_drawn(layer: Any, verb: str) -> None:
 
 
 def _frame(rx: Array, receivers: tuple[str, ...]) -> "Frame":
-    from vcmvsp.cosim.assembly.parts.radio import Frame, Links, Paths
+    from vcmvsp.cosim.assembly.parts.radio import Frame, Paths, SenderLinks
 
     paths = Paths.between(np.zeros(3), rx)
-    links = Links(1, "sender", receivers)
+    links = SenderLinks(1, "sender", receivers)
     return Frame(0, 0, SECOND // 1000, 60, paths, -60.0 - paths.distance_m / 10.0, links)
 
 

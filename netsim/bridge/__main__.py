@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from vcmvsp.cosim.processes.local_link import Link
-from vcmvsp.netsim.bridge.process.bridge_process import Process
+from vcmvsp.netsim.bridge.process.bridge_process import BridgeProcess
 from vcmvsp.netsim.bridge.process.messages import WARY
 from vcmvsp.netsim.bridge.process.pacer import new_loop
 
@@ -18,7 +18,7 @@ NICE = -5  # where the system allows it: datagrams leave at their time while the
 
 
 def main() -> int:
-    """The exit code."""
+    """Serve until the run ends; returns the exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         os.nice(NICE)
@@ -27,11 +27,11 @@ def main() -> int:
         most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     gc.collect()
-    gc.freeze()  # what was made until now stays: nobody need look through it for garbage
+    gc.freeze()  # objects created so far are permanent: exclude them from collections
     loop = new_loop()
     try:
         return loop.run_until_complete(
-            Process(Link(socket.socket(fileno=int(sys.argv[1]))), loop, wary=WARY in sys.argv).serve()
+            BridgeProcess(Link(socket.socket(fileno=int(sys.argv[1]))), loop, wary=WARY in sys.argv).serve()
         )
     finally:
         loop.close()
@@ -40,4 +40,4 @@ def main() -> int:
 if __name__ == "__main__":
     code = main()
     sys.stderr.flush()
-    os._exit(code)  # a thread of a door must not keep the process
+    os._exit(code)  # a thread of a gateway must not keep the process

@@ -1,4 +1,4 @@
-"""What agents say, told apart from what programs say: agents hear both under one key, and programs have the latter anyway."""
+"""Separates messages of agents from datagrams of programs: both are receptions under one key."""
 
 from collections import Counter
 
@@ -8,34 +8,34 @@ from vcmvsp.netsim.bridge.process import messages
 
 
 class Echoes:
-    """Datagrams on their way to agents, who hear them as bytes; all times in the run's."""
+    """Datagrams of programs on their way to agents; times of the run."""
 
     def __init__(self, vehicles: tuple[str, ...]) -> None:
         self._vehicles = vehicles
-        self._said: dict[int, tuple[str, bytes]] = {}  # by number: by whom, and what
-        self._coming: Counter[tuple[str, int, str, bytes]] = Counter()  # receiver, when, sender, what
+        self._sent: dict[int, tuple[str, bytes]] = {}  # by number: sender, payload
+        self._coming: Counter[tuple[str, int, str, bytes]] = Counter()  # receiver, time, sender, payload
 
-    def said(self, came: messages.Came) -> None:
-        """These were given to the radio, with their bytes."""
-        for number, sender, payload in zip(came.number.tolist(), came.sender.tolist(), came.payloads, strict=True):
-            self._said[number] = self._vehicles[sender], payload
+    def sent(self, batch: messages.NewDatagrams) -> None:
+        """Note datagrams that enter the radio."""
+        for number, sender, payload in zip(batch.number.tolist(), batch.sender.tolist(), batch.payloads, strict=True):
+            self._sent[number] = self._vehicles[sender], payload
 
     def decided(self, traffic: Traffic) -> None:
-        """These will be heard."""
+        """Note their deliveries."""
         rows = zip(traffic.number.tolist(), traffic.receiver.tolist(), traffic.arrival_ns.tolist(), strict=True)
         for number, receiver, received_ns in rows:
-            sender, payload = self._said[number]
-            if payload:  # nobody hears nothing
+            sender, payload = self._sent[number]
+            if payload:  # an empty payload causes no reception
                 self._coming[self._vehicles[receiver], received_ns, sender, payload] += 1
         for number in traffic.settled.tolist():
-            del self._said[number]
+            del self._sent[number]
 
-    def by_agent(self, vehicle: str, heard: Reception) -> bytes | None:
-        """What an agent said, as programs are given it; None: this is what a program said."""
-        body = heard.message.body
+    def agent_payload(self, vehicle: str, reception: Reception) -> bytes | None:
+        """Payload for programs if an agent sent the message; None for a datagram of a program."""
+        body = reception.message.body
         if not isinstance(body, bytes):
             return encode(body)
-        echo = vehicle, heard.received_ns, heard.message.sender, body
+        echo = vehicle, reception.received_ns, reception.message.sender, body
         if echo not in self._coming:
             return body
         self._coming[echo] -= 1

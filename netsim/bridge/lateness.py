@@ -1,4 +1,4 @@
-"""When datagrams were to be delivered, and when they were: what a run with a bridge can be held to."""
+"""Lateness of deliveries on the wall clock, and the table of all deliveries of a run with a bridge."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -15,22 +15,18 @@ NEVER = -1
 
 
 class Columns:
-    """Columns of numbers to which rows are added, a block at a time.
-
-    Args:
-        names: of the columns.
-    """
+    """Integer columns that grow by blocks of rows."""
 
     def __init__(self, *names: str) -> None:
         self._columns = {name: np.full(1024, NEVER, np.int64) for name in names}
         self.rows = 0
 
     def __getitem__(self, name: str) -> Array:
-        """The rows of a column, to be read and written."""
+        """The rows of a column, writable."""
         return self._columns[name][: self.rows]
 
     def reach(self, rows: int) -> None:
-        """Have at least so many rows; `NEVER` stands in those that were only made room for."""
+        """Grow to at least ``rows`` rows, filled with `NEVER`."""
         for name, values in self._columns.items():
             if rows > len(values):
                 more = np.full(max(rows, 2 * len(values)) - len(values), NEVER, np.int64)
@@ -38,7 +34,7 @@ class Columns:
         self.rows = max(self.rows, rows)
 
     def add(self, **blocks: Array) -> None:
-        """Add n rows below, (n,) of each column; `NEVER` stands in those that are not given."""
+        """Append n rows, (n,) of each column; other columns get `NEVER`."""
         first = self.rows
         self.reach(first + len(next(iter(blocks.values()))))
         for name, block in blocks.items():
@@ -46,38 +42,34 @@ class Columns:
 
 
 class Lateness:
-    """Of all deliveries of a run.
-
-    Args:
-        vehicles: of the run.
-    """
+    """Datagrams and deliveries of a run."""
 
     def __init__(self, vehicles: tuple[str, ...]) -> None:
         self._vehicles = vehicles
-        self._sent = Columns("door", "sender", "sent_ns", "meant", "settled")  # by number of the datagram
-        self._due = Columns("number", "frame", "receiver", "received_ns", "wanted", "late")  # by delivery
+        self._sent = Columns("gateway", "sender", "sent_ns", "receivers", "settled")  # by number of the datagram
+        self._due = Columns("number", "frame", "receiver", "received_ns", "due_ns", "late")  # by number of the delivery
         self._taken = 0
 
-    def sent(self, number: Array, door: Array, sender: Array, to: Array, sent_ns: Array) -> None:
-        """Datagrams that were given to the radio, (n,) each: for the row ``to``, or all; ``sent_ns`` in the run's time."""
+    def sent(self, number: Array, gateway: Array, sender: Array, to: Array, sent_ns: Array) -> None:
+        """Add datagrams, (n,) each, to the row ``to`` or to all; ``sent_ns`` is a time of the run."""
         self._taken += len(number)
         self._sent.reach(int(number.max()) + 1)
-        meant = np.where(to == BROADCAST, len(self._vehicles) - 1, 1)
-        for name, values in (("door", door), ("sender", sender), ("sent_ns", sent_ns), ("meant", meant)):
+        receivers = np.where(to == BROADCAST, len(self._vehicles) - 1, 1)
+        for name, values in (("gateway", gateway), ("sender", sender), ("sent_ns", sent_ns), ("receivers", receivers)):
             self._sent[name][number] = values
 
     def due(self, traffic: Traffic, at_ns: Array) -> None:
-        """What arrives, and when that is on the monotonic clock, (n,) ns; what is settled."""
-        came = {"number": traffic.number, "frame": traffic.frame, "receiver": traffic.receiver}
-        self._due.add(**came, received_ns=traffic.arrival_ns, wanted=at_ns)
+        """Add deliveries with their times on the monotonic clock, (n,) ns, and mark settled datagrams."""
+        columns = {"number": traffic.number, "frame": traffic.frame, "receiver": traffic.receiver}
+        self._due.add(**columns, received_ns=traffic.arrival_ns, due_ns=at_ns)
         self._sent["settled"][traffic.settled] = 1
 
-    def went(self, row: Array, at_ns: Array) -> None:
-        """When deliveries, of these places among all, left: (n,) ns on the monotonic clock."""
-        self._due["late"][row] = at_ns - self._due["wanted"][row]
+    def delivered(self, row: Array, at_ns: Array) -> None:
+        """Set the times at which deliveries (n,) were made, (n,) ns on the monotonic clock."""
+        self._due["late"][row] = at_ns - self._due["due_ns"][row]
 
     def summary(self, counts: dict[str, dict[str, int]]) -> dict[str, Any]:
-        """How late deliveries were, s, and how many of what there were; None where there were none."""
+        """Percentiles of lateness, s, and numbers of datagrams; None without deliveries."""
         late_s = self._due["late"][self._due["late"] != NEVER] / SECOND_NS
         p50, p99, most = np.quantile(late_s, [0.5, 0.99, 1.0]).tolist() if len(late_s) else (None, None, None)
         return {
@@ -92,21 +84,21 @@ class Lateness:
         }
 
     def _lost(self) -> int:
-        """Vehicles that did not receive a datagram that was meant for them, summed up over datagrams that are settled."""
+        """Pairs of settled datagram and receiver without a delivery."""
         settled = self._sent["settled"] != NEVER
         number, receiver = self._due["number"], self._due["receiver"]
-        arrived = np.unique((number * len(self._vehicles) + receiver)[settled[number]])  # some come twice
-        return int(self._sent["meant"][settled].sum()) - len(arrived)
+        arrived = np.unique((number * len(self._vehicles) + receiver)[settled[number]])  # copies count once
+        return int(self._sent["receivers"][settled].sum()) - len(arrived)
 
-    def table(self, doors: tuple[str, ...]) -> "pa.Table":
-        """A row per delivery, in the order in which the run decided; times in the run's, ``late_s`` on the wall clock."""
+    def table(self, gateways: tuple[str, ...]) -> "pa.Table":
+        """A row for each delivery, in the order of the run's decisions; times of the run, ``late_s`` of the wall clock."""
         import pyarrow as pa
 
         number, vehicles = self._due["number"], self._vehicles
         columns = {
             "number": pa.array(number),
             "frame": pa.array(self._due["frame"]),
-            "door": _names(doors, self._sent["door"][number]),
+            "door": _names(gateways, self._sent["gateway"][number]),
             "sender": _names(vehicles, self._sent["sender"][number]),
             "receiver": _names(vehicles, self._due["receiver"]),
             "came_ns": pa.array(self._sent["sent_ns"][number]),
@@ -117,7 +109,7 @@ class Lateness:
 
 
 def _names(names: tuple[str, ...], codes: Array) -> Any:
-    """A column of names, by their places."""
+    """A dictionary column from ``codes``, (n,) places in ``names``."""
     import pyarrow as pa
 
     return pa.DictionaryArray.from_arrays(pa.array(codes, pa.int32()), pa.array(names, pa.string()))

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.rng import stream
-from vcmvsp.netsim.calibration.measurement_log import Links
+from vcmvsp.netsim.calibration.measurement_log import MeasuredLinks
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.walls import Sightline
 
 
-def sample(links: Links, most: int) -> NDArray[np.intp]:
+def sample(links: MeasuredLinks, most: int) -> NDArray[np.intp]:
     """Numbers of at most so many rows: half of them spread evenly over the log, and the nearest neighbour of each.
 
     Spread rows tell of the mean, near ones of correlation and fading (P. Diggle, S. Lophaven, Bayesian geostatistical design,
@@ -31,7 +31,7 @@ def sample(links: Links, most: int) -> NDArray[np.intp]:
     return np.union1d(spread, np.where(near[:, 0] == spread, near[:, 1], near[:, 0]))
 
 
-def crossings(links: Links, sightline: Sightline) -> tuple[Floats, list[str]]:
+def crossings(links: MeasuredLinks, sightline: Sightline) -> tuple[Floats, list[str]]:
     """How many walls of each material each row crosses, (n, m), and the materials, of walls that are crossed at all."""
     crossed = np.zeros((len(links.a), len(sightline.materials)))
     start, group = np.unique(links.a, axis=0, return_inverse=True)
@@ -43,14 +43,14 @@ def crossings(links: Links, sightline: Sightline) -> tuple[Floats, list[str]]:
     return crossed @ of, found
 
 
-def design_of(links: Links, reference_distance_m: float, sightline: Sightline | None) -> tuple[Floats, list[str]]:
+def design_of(links: MeasuredLinks, reference_distance_m: float, sightline: Sightline | None) -> tuple[Floats, list[str]]:
     """What the level at the reference distance, the exponent and each material's loss are multiplied with, (n, 2 + m)."""
     ratio = np.maximum(links.distance_m, reference_distance_m) / reference_distance_m
     walls, materials = (np.zeros((len(ratio), 0)), []) if sightline is None else crossings(links, sightline)
     return np.column_stack([np.ones(len(ratio)), -10.0 * np.log10(ratio), -walls]), materials
 
 
-def require_told(links: Links, design: Floats, materials: Sequence[str]) -> None:
+def require_told(links: MeasuredLinks, design: Floats, materials: Sequence[str]) -> None:
     """Refuse rows that leave a coefficient of the mean open.
 
     Args:

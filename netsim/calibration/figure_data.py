@@ -7,7 +7,7 @@ import numpy as np
 
 from vcmvsp.netsim.calibration.covariance import moved_m
 from vcmvsp.netsim.calibration.design_matrix import design_of, sample
-from vcmvsp.netsim.calibration.measurement_log import Links
+from vcmvsp.netsim.calibration.measurement_log import MeasuredLinks
 from vcmvsp.netsim.calibration.result import Calibration
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.walls import Sightline
@@ -34,7 +34,7 @@ class FigureData(NamedTuple):
     correlation_distance_m: float | None
 
 
-def figure_data(links: Links, calibration: Calibration, sightline: Sightline | None) -> FigureData:
+def figure_data(links: MeasuredLinks, calibration: Calibration, sightline: Sightline | None) -> FigureData:
     """Measured levels without their walls, fitted line, measured and fitted correlation."""
     shown = links.only(sample(links, _ROWS))
     design, materials = design_of(shown, calibration.reference_distance_m, sightline)
@@ -67,7 +67,7 @@ def figure_data(links: Links, calibration: Calibration, sightline: Sightline | N
     )
 
 
-def _correlogram(links: Links, residual: Floats, far_m: float) -> tuple[Floats, Floats]:
+def _correlogram(links: MeasuredLinks, residual: Floats, far_m: float) -> tuple[Floats, Floats]:
     """Correlation of the residuals of received rows by how far the ends moved, both (k,)."""
     rows = np.flatnonzero(~links.lost)
     received = links.only(rows)

@@ -17,13 +17,13 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.netsim.calibration.covariance import CORRELATED, INDEPENDENT, WITH_FADING, Survey, spreads
 from vcmvsp.netsim.calibration.design_matrix import design_of, require_told, sample
 from vcmvsp.netsim.calibration.figure_data import figure_data
-from vcmvsp.netsim.calibration.likelihood import Fitted, aic_of, climb, log_likelihood, maximise, restricted
-from vcmvsp.netsim.calibration.measurement_log import Links, read_links
-from vcmvsp.netsim.calibration.result import Calibration, Estimate
+from vcmvsp.netsim.calibration.likelihood import FittedModel, aic_of, climb, log_likelihood, maximise, restricted
+from vcmvsp.netsim.calibration.measurement_log import MeasuredLinks, read_links
+from vcmvsp.netsim.calibration.result import Calibration, ParameterEstimate
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.walls import Sightline
 
-__all__ = ["Calibration", "Estimate", "Links", "calibrate_file", "figure_data", "fit", "read_links"]
+__all__ = ["Calibration", "MeasuredLinks", "ParameterEstimate", "calibrate_file", "figure_data", "fit", "read_links"]
 
 MOST_ROWS = 1000  # that are fitted: the work grows with the third power
 MODELS = {INDEPENDENT: "independent", CORRELATED: "correlated", WITH_FADING: "correlated, fading"}
@@ -32,7 +32,7 @@ _SCOUTS = 300  # rows that the search for a start looks at
 
 
 def fit(
-    links: Links,
+    links: MeasuredLinks,
     *,
     tx_power_dbm: float = 0.0,
     reference_distance_m: float = 1.0,
@@ -95,7 +95,7 @@ def fit(
 
     errors, naive_errors = np.sqrt(np.diagonal(best.coefficients_spread)), np.sqrt(np.diagonal(naive.coefficients_spread))
     rows = zip(best.coefficients.tolist(), errors.tolist(), naive_errors.tolist(), best.freedom.tolist(), strict=True)
-    level, exponent, *walls = [Estimate.of_mean(*row) for row in rows]
+    level, exponent, *walls = [ParameterEstimate.of_mean(*row) for row in rows]
     spacing_m = float(np.median(survey.nearest_m))
     shadowing, reach, fading = _variation(best, spacing_m)
     margin = design @ best.coefficients - sensitivity_dbm
@@ -128,7 +128,7 @@ def calibrate_file(
     reference_distance_m: float = 1.0,
     sensitivity_dbm: float | None = None,
     sightline: Sightline | None = None,
-) -> tuple[Links, Calibration]:
+) -> tuple[MeasuredLinks, Calibration]:
     """The rows of a log file and their `fit`; errors name the file."""
     links = read_links(path)
     try:
@@ -144,7 +144,7 @@ def calibrate_file(
     return links, calibration
 
 
-def _models(survey: Survey, scouts: Survey) -> dict[int, Fitted]:
+def _models(survey: Survey, scouts: Survey) -> dict[int, FittedModel]:
     """The models of the variation, by their number of parameters; where to begin is sought with few rows, the scouts."""
     independent = maximise(survey, np.array([np.mean(survey.limits[0])]))
     scale = independent.parameters[0]
@@ -155,7 +155,7 @@ def _models(survey: Survey, scouts: Survey) -> dict[int, Fitted]:
     return {INDEPENDENT: independent, CORRELATED: correlated, WITH_FADING: fading}
 
 
-def _choose(models: dict[int, Fitted], nearest_m: Floats) -> int:
+def _choose(models: dict[int, FittedModel], nearest_m: Floats) -> int:
     """Which model: correlated if that has the less AIC; with fading, if the rows allow telling it, whether much or little.
 
     They do if a quarter of them have a neighbour within the correlation distance. A test whether there is any would give
@@ -166,7 +166,7 @@ def _choose(models: dict[int, Fitted], nearest_m: Floats) -> int:
     return order if models[order].aic < models[INDEPENDENT].aic else INDEPENDENT
 
 
-def _without(survey: Survey, columns: Sequence[int], best: Fitted) -> float:
+def _without(survey: Survey, columns: Sequence[int], best: FittedModel) -> float:
     """AIC of the model ``best`` without these columns of the mean."""
     fewer = replace(survey, design=np.delete(survey.design, list(columns), axis=1))
     parameters = climb(fewer, best.parameters)
@@ -174,14 +174,18 @@ def _without(survey: Survey, columns: Sequence[int], best: Fitted) -> float:
     return aic_of(len(parameters) + len(coefficients), log_likelihood(fewer, parameters, coefficients))
 
 
-def _variation(best: Fitted, spacing_m: float) -> tuple[Estimate | None, Estimate | None, Estimate | None]:
+def _variation(
+    best: FittedModel, spacing_m: float
+) -> tuple[ParameterEstimate | None, ParameterEstimate | None, ParameterEstimate | None]:
     """Shadowing, its correlation distance, and fading."""
     logs, slopes = spreads(best.parameters)
     errors = [_error(slope, best.parameters_spread) for slope in slopes]
-    spread = [Estimate.positive(math.exp(log), error) for log, error in zip(logs.tolist(), errors, strict=True)]
+    spread = [ParameterEstimate.positive(math.exp(log), error) for log, error in zip(logs.tolist(), errors, strict=True)]
     if len(best.parameters) == INDEPENDENT:  # which is it? At one place, what differs is not the place
         return (None, None, spread[0]) if spacing_m == 0.0 else (spread[0], None, None)
-    reach = Estimate.positive(math.exp(best.parameters[1]), _error(np.eye(len(best.parameters))[1], best.parameters_spread))
+    reach = ParameterEstimate.positive(
+        math.exp(best.parameters[1]), _error(np.eye(len(best.parameters))[1], best.parameters_spread)
+    )
     return spread[0], reach, spread[1] if len(best.parameters) == WITH_FADING else None
 
 

@@ -29,7 +29,7 @@ _SWEEPS = 300
 _FAINT = 1e-10  # least precision of a site, in units of the prior's
 
 
-class Point(NamedTuple):
+class LikelihoodPoint(NamedTuple):
     """The restricted likelihood at given parameters, and what follows for the mean."""
 
     log_likelihood: float
@@ -38,7 +38,7 @@ class Point(NamedTuple):
     spread: Floats  # covariance of beta at these parameters, (p, p)
 
 
-class Fitted(NamedTuple):
+class FittedModel(NamedTuple):
     """The most likely parameters. What the rows do not tell has an infinite variance."""
 
     parameters: Floats  # (k,)
@@ -59,7 +59,7 @@ def aic_of(numbers: int, log_likelihood: float) -> float:
     return 2.0 * (numbers - log_likelihood)
 
 
-def maximise(survey: Survey, start: Floats) -> Fitted:
+def maximise(survey: Survey, start: Floats) -> FittedModel:
     """The most likely parameters, sought from ``start``, (k,); their number says which model."""
     best = climb(survey, start)
     limits = np.array(survey.limits[: len(best)])
@@ -83,7 +83,7 @@ def maximise(survey: Survey, start: Floats) -> Fitted:
     unsure = np.einsum("kp,kl,lp->p", swing[told], spread[np.ix_(told, told)], swing[told])  # variance of the variance
     freedom = 2.0 / np.maximum(unsure / np.diagonal(point.spread) ** 2, 2e-9)
     likelihood = log_likelihood(survey, best, point.coefficients)
-    return Fitted(best, spread, point.coefficients, point.spread + carried, freedom, likelihood)
+    return FittedModel(best, spread, point.coefficients, point.spread + carried, freedom, likelihood)
 
 
 def climb(survey: Survey, start: Floats) -> Floats:
@@ -100,7 +100,7 @@ def climb(survey: Survey, start: Floats) -> Floats:
     return best
 
 
-def restricted(survey: Survey, parameters: Floats) -> Point:
+def restricted(survey: Survey, parameters: Floats) -> LikelihoodPoint:
     """The restricted likelihood at parameters (k,), with beta integrated out over all values."""
     from scipy.linalg.lapack import dpotri
 
@@ -129,7 +129,7 @@ def restricted(survey: Survey, parameters: Floats) -> Point:
         off = (parameters[2] - _LOGIT) / _LOGIT_SIGMA
         likelihood -= 0.5 * off**2
         gradient[2] -= off / _LOGIT_SIGMA
-    return Point(float(likelihood), gradient, beta, spread_of_beta)
+    return LikelihoodPoint(float(likelihood), gradient, beta, spread_of_beta)
 
 
 def log_likelihood(survey: Survey, parameters: Floats, coefficients: Floats) -> float:

@@ -17,7 +17,7 @@ COLUMNS = ("time", "ax", "ay", "az", "bx", "by", "bz", "rssi_dbm")
 RECEIVED = {"1": True, "true": True, "0": False, "false": False}  # the optional column ``received``
 
 
-class Links(msgspec.Struct, frozen=True):
+class MeasuredLinks(msgspec.Struct, frozen=True):
     """n frames, sent or received between the points a and b."""
 
     time_s: Floats  # (n,) in any order
@@ -36,12 +36,12 @@ class Links(msgspec.Struct, frozen=True):
         distance: Floats = np.sqrt(((self.a - self.b) ** 2).sum(axis=1))
         return distance
 
-    def only(self, rows: NDArray[np.intp]) -> "Links":
+    def only(self, rows: NDArray[np.intp]) -> "MeasuredLinks":
         """Some of the rows, by their numbers (m,)."""
-        return Links(self.time_s[rows], self.a[rows], self.b[rows], self.level_dbm[rows])
+        return MeasuredLinks(self.time_s[rows], self.a[rows], self.b[rows], self.level_dbm[rows])
 
 
-def read_links(path: Path) -> Links:
+def read_links(path: Path) -> MeasuredLinks:
     """Read a CSV file with the columns time, ax, ay, az, bx, by, bz, rssi_dbm and perhaps received: s, m and dBm.
 
     Others may stand beside them, in any order. A row is lost where ``received`` is 0 or false; without that column, where
@@ -60,7 +60,7 @@ def read_links(path: Path) -> Links:
     table = np.fromiter(itertools.chain.from_iterable(_rows(path, header, lines)), np.float64).reshape(-1, len(COLUMNS))
     if not len(table):
         raise UsageError(f"{path}: no rows under the header")
-    return Links(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7])
+    return MeasuredLinks(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7])
 
 
 def _rows(path: Path, header: list[str], lines: Iterable[tuple[int, list[str]]]) -> Iterator[list[float]]:

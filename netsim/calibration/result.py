@@ -10,7 +10,7 @@ _DB = 10.0 / math.log(10.0)
 _NAKAGAMI = (0.1, 1000.0)  # shapes that `netsim.propagation.fading.Nakagami` takes
 
 
-class Estimate(msgspec.Struct, frozen=True):
+class ParameterEstimate(msgspec.Struct, frozen=True):
     """A number and how well it is known."""
 
     value: float
@@ -43,12 +43,16 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     ``level = level_dbm - 10 exponent log10(max(d, reference_distance_m) / reference_distance_m) - walls - shadowing - fading``
     """
 
-    level_dbm: Estimate  # Pd0, at the reference distance
-    exponent: Estimate
-    walls_db: dict[str, Estimate]  # per wall, by material
-    shadowing_db: Estimate | None  # standard deviation; None: the level varies, but as much at one place as between places
-    correlation_distance_m: Estimate | None  # None: rows are independent, as near as they are
-    fading_db: Estimate | None  # standard deviation at one place, error of measurement included; None: not told from shadowing
+    level_dbm: ParameterEstimate  # Pd0, at the reference distance
+    exponent: ParameterEstimate
+    walls_db: dict[str, ParameterEstimate]  # per wall, by material
+    shadowing_db: (
+        ParameterEstimate | None
+    )  # standard deviation; None: the level varies, but as much at one place as between places
+    correlation_distance_m: ParameterEstimate | None  # None: rows are independent, as near as they are
+    fading_db: (
+        ParameterEstimate | None
+    )  # standard deviation at one place, error of measurement included; None: not told from shadowing
     tx_power_dbm: float
     reference_distance_m: float
     sensitivity_dbm: float | None  # None: no row was lost
@@ -133,7 +137,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
         return "\n".join(lines)
 
 
-def _line(name: str, unit: str, estimate: Estimate | None) -> str:
+def _line(name: str, unit: str, estimate: ParameterEstimate | None) -> str:
     if estimate is None:
         return f"{name:<22}  none found"
     text = f"{name:<22} {estimate.value:8.2f} {unit:<3}  [{estimate.low:.2f}, {estimate.high:.2f}]"

@@ -10,9 +10,9 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from vcmvsp.cosim.rng import link_uniform
-from vcmvsp.netsim.channel.mean_budget import Mean
+from vcmvsp.netsim.channel.mean_budget import MeanBudget
 from vcmvsp.netsim.channel.reception import TOO_WEAK, WORDS
-from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys, Links
+from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys, SenderLinks
 from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
@@ -32,7 +32,7 @@ class BulkMedium(Protocol):
         """What is decided: number, start_ns, end_ns (m,), fate (m, n), least SINR (m, n)."""
 
 
-class Counted(NamedTuple):
+class BroadcastCounts(NamedTuple):
     """What became of m broadcasts."""
 
     number: Ints  # (m,)
@@ -51,7 +51,9 @@ class Bulk:
         weakness: what would make its frames too weak, (n - 1,) each.
     """
 
-    def __init__(self, medium: BulkMedium, links: Sequence[Links], means: Sequence[Mean], weakness: Sequence[Codes]) -> None:
+    def __init__(
+        self, medium: BulkMedium, links: Sequence[SenderLinks], means: Sequence[MeanBudget], weakness: Sequence[Codes]
+    ) -> None:
         count = len(links)
         others = ~np.eye(count, dtype=np.bool_)
         self._medium, self._power_mw = medium, np.stack([mean.power_mw for mean in means])
@@ -71,7 +73,7 @@ class Bulk:
         patience[np.arange(len(sender)), sender] = 0.0
         self._medium.offer_many(time_ns, sender, size_bytes, self._power_mw, patience, numbers)
 
-    def advance(self, until_ns: int) -> Counted:
+    def advance(self, until_ns: int) -> BroadcastCounts:
         """What is decided up to a time."""
         number, _, end_ns, fate, _ = self._medium.advance_arrays(until_ns)
         sender = self._sender[number]
@@ -79,7 +81,7 @@ class Bulk:
         code[np.arange(len(sender)), sender] = _OWN
         found = np.bincount(code.ravel(), minlength=len(WORDS))[: len(WORDS)].tolist()
         losses = {word: many for word, many in zip(WORDS[1:], found[1:], strict=True) if many}
-        return Counted(number, end_ns, (code == 0).sum(axis=1), losses)
+        return BroadcastCounts(number, end_ns, (code == 0).sum(axis=1), losses)
 
     def _own_numbers(self, sender: Ints) -> Keys:
         """The number of each frame among those of its sender."""

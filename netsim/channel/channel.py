@@ -17,16 +17,16 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import FrameReport, Message
 from vcmvsp.netsim.channel.bulk import Bulk, BulkMedium
 from vcmvsp.netsim.channel.contention import Contention
-from vcmvsp.netsim.channel.frames import Chorus, Sender, Sent
-from vcmvsp.netsim.channel.link_budget import AT_ONCE, Budgets, Hearing
+from vcmvsp.netsim.channel.frames import FrameBatch, SentFrame, Transmitter
+from vcmvsp.netsim.channel.link_budget import AT_ONCE, Budgets, ReceiverModel
 from vcmvsp.netsim.channel.reception import OnAir, Outcomes
-from vcmvsp.netsim.channel.runtime_changes import Operated
-from vcmvsp.netsim.channel.rx_power import Levels, all_endured, endured
+from vcmvsp.netsim.channel.runtime_changes import RuntimeChanges
+from vcmvsp.netsim.channel.rx_power import RxPower, all_endured, endured
 from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.jammer import Jammer
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
-from vcmvsp.netsim.interfaces.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy, unless_nothing
+from vcmvsp.netsim.interfaces.layers import Delay, Fading, Floats, Loss, PathLoss, Phy, SenderLinks, unless_nothing
 from vcmvsp.netsim.interfaces.medium import Hastened
 from vcmvsp.netsim.interfaces.radio import Radio
 from vcmvsp.netsim.mac.ideal import Ideal, Mac, needs
@@ -66,10 +66,10 @@ class Channel:
             raise ScenarioError(problem, key="mac.kind")
         layers = unless_nothing(walls), unless_nothing(shadowing)
         self.budgets = Budgets(path_loss, *layers, phy, own, least.sensitivity_dbm)
-        self.hearing = Hearing(phy, least.preamble_snr_db)
+        self.hearing = ReceiverModel(phy, least.preamble_snr_db)
         self.fading, self._script, self._trace, self._jammer, self._delivery = fading, script, trace, jammer, delivery
-        self._levels = Levels(fading, script, trace)
-        self.operated = Operated(loss=loss, delay=delay)
+        self._levels = RxPower(fading, script, trace)
+        self.operated = RuntimeChanges(loss=loss, delay=delay)
         self.start(seed=0)
 
     def start(self, seed: int) -> None:
@@ -78,7 +78,7 @@ class Channel:
         self._frames = 0
         self._expected: int | None = None
         self._names: tuple[str, ...] = ()
-        self._senders: dict[str, Sender] = {}
+        self._senders: dict[str, Transmitter] = {}
         self._contention: Contention | None = None
         self.budgets.start()
         self.operated.start()
@@ -121,7 +121,7 @@ class Channel:
         sender = self._sender(message.sender)
         air_ns = self._air_time_ns(message.size_bytes)
         mean, meant = self.budgets.mean(sender.links, names, position), sender.meant(message.to)
-        sent = Sent(self._frames, sender, sender.frames, message, meant, sent_ns, air_ns, mean, mean.level_dbm)
+        sent = SentFrame(self._frames, sender, sender.frames, message, meant, sent_ns, air_ns, mean, mean.level_dbm)
         sender.frames += 1
         self._frames += 1
         if self._contention is not None:
@@ -156,7 +156,7 @@ class Channel:
         heard = self.hearing.hear_together(every, [message.size_bytes for message in messages])
         ends = [max(sent_ns, sender.free_ns) + air for sender, air in zip(senders, air_ns, strict=True)]
         numbers = [sender.frames for sender in senders]
-        chorus = Chorus(self._frames, sent_ns, senders, list(messages), numbers, air_ns, ends, every, heard)
+        chorus = FrameBatch(self._frames, sent_ns, senders, list(messages), numbers, air_ns, ends, every, heard)
         reports = self._outcomes.reports(chorus, all_endured(chorus))
         self._frames += len(messages)
         for sender, end_ns in zip(senders, ends, strict=True):
@@ -166,7 +166,7 @@ class Channel:
 
     def skip(self, sender: str) -> int:
         """Count a frame of which somebody else says what becomes of it, and give its number; it is never on the air here."""
-        self._senders.setdefault(sender, Sender()).frames += 1
+        self._senders.setdefault(sender, Transmitter()).frames += 1
         self._frames += 1
         return self._frames - 1
 
@@ -219,7 +219,7 @@ class Channel:
         self._outcomes = self._behind()
 
     def change(self, key: str, value: float) -> None:
-        """Give a number of a layer (`Operated.numbers`) another value, for all frames whose fate is still open."""
+        """Give a number of a layer (`RuntimeChanges.numbers`) another value, for all frames whose fate is still open."""
         self.operated.change(key, value)
         self._outcomes = self._behind()
 
@@ -238,7 +238,7 @@ class Channel:
         if self._contention is not None and self._contention.waiting:
             raise ValueError(f"the vehicles changed while frames were under way: {', '.join(names)}")
         self._names = names
-        medium = self.mac.open(self.phy, len(names), Links(self._seed, "", names).keys, self.hearing.noise_mw)
+        medium = self.mac.open(self.phy, len(names), SenderLinks(self._seed, "", names).keys, self.hearing.noise_mw)
         if medium is not None and self._expected is not None:
             medium.expect(self._expected)
         self._contention = None
@@ -247,14 +247,14 @@ class Channel:
         if self._delivery is not None:
             self._delivery.open(len(names))
 
-    def _sender(self, name: str) -> Sender:
+    def _sender(self, name: str) -> Transmitter:
         found = self._senders.get(name)
         if found is None:
-            found = self._senders[name] = Sender()
+            found = self._senders[name] = Transmitter()
         if found.names is not self._names:
             if name not in self._names:
                 raise ValueError(f"{name} sends, but its position is unknown; known: {', '.join(self._names) or 'none'}")
-            found.meet(Links(self._seed, name, tuple(each for each in self._names if each != name)), self._names)
+            found.meet(SenderLinks(self._seed, name, tuple(each for each in self._names if each != name)), self._names)
         return found
 
     def _air_time_ns(self, size_bytes: int) -> int:
@@ -263,7 +263,7 @@ class Channel:
             raise ValueError(f"{type(self.phy).__name__}.air_time_ns({size_bytes}) is {air_ns}: must be at least 1 ns")
         return air_ns
 
-    def _report(self, sent: Sent, air: OnAir) -> FrameReport:
+    def _report(self, sent: SentFrame, air: OnAir) -> FrameReport:
         interference_mw = None
         if self._jammer is not None and air.start_ns >= 0:
             mean, gain_dbi = sent.mean, self.budgets.gain_dbi(sent.sender.links.receivers)

@@ -4,11 +4,11 @@ from heapq import heappop, heappush
 
 import numpy as np
 
-from vcmvsp.netsim.channel.frames import Sender, Sent
-from vcmvsp.netsim.channel.link_budget import Budgets, Hearing
+from vcmvsp.netsim.channel.frames import SentFrame, Transmitter
+from vcmvsp.netsim.channel.link_budget import Budgets, ReceiverModel
 from vcmvsp.netsim.channel.mean_budget import at_all
 from vcmvsp.netsim.channel.reception import OnAir
-from vcmvsp.netsim.channel.rx_power import Levels
+from vcmvsp.netsim.channel.rx_power import RxPower
 from vcmvsp.netsim.interfaces.layers import Floats, sealed
 from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT
 from vcmvsp.netsim.interfaces.medium import Decided, Levelled, Medium, Offered, Powered
@@ -25,9 +25,11 @@ class Contention:
         levels: of single attempts.
     """
 
-    def __init__(self, medium: Medium, names: tuple[str, ...], budgets: Budgets, hearing: Hearing, levels: Levels) -> None:
+    def __init__(
+        self, medium: Medium, names: tuple[str, ...], budgets: Budgets, hearing: ReceiverModel, levels: RxPower
+    ) -> None:
         self.medium, self._budgets, self._hearing, self._levels = medium, budgets, hearing, levels
-        self.waiting: dict[int, Sent] = {}  # by frame
+        self.waiting: dict[int, SentFrame] = {}  # by frame
         self._coming: list[tuple[int, int, Offered]] = []  # heap of (time, frame): those of them on their way to the radio
         self._answers: dict[int, Floats] = {}  # by frame: levels of who acknowledges it, until it is offered
         self._levelled = medium if isinstance(medium, Levelled) else None
@@ -36,7 +38,7 @@ class Contention:
         if isinstance(medium, Powered):
             medium.power_mw[:] = 10.0 ** (budgets.tx_power_dbm(names) / 10.0)
 
-    def offer(self, sent: Sent, arrival_ns: int, answerer: Sender | None) -> None:
+    def offer(self, sent: SentFrame, arrival_ns: int, answerer: Transmitter | None) -> None:
         """Hand over a frame.
 
         Args:
@@ -67,7 +69,7 @@ class Contention:
         offered = Offered(sent.frame, arrival_ns, row, to, size, priority, power_mw, patience, renew, faded)
         heappush(self._coming, (arrival_ns, sent.frame, offered))
 
-    def advance(self, until_ns: int) -> list[tuple[Sent, OnAir]]:
+    def advance(self, until_ns: int) -> list[tuple[SentFrame, OnAir]]:
         """The frames whose fate on the air is decided up to ``until_ns``, and that fate."""
         if not self.waiting:
             return []
@@ -89,7 +91,7 @@ class Contention:
         due = self.medium.next_ns()
         return min(times if due is None else [*times, due])
 
-    def _settled(self, decided: Decided) -> tuple[Sent, OnAir]:
+    def _settled(self, decided: Decided) -> tuple[SentFrame, OnAir]:
         sent = self.waiting.pop(decided.number)
         if decided.attempts and sent.tries:  # there may have been another one since, because the acknowledgement was lost
             sent.level_dbm, sent.fading_db = sent.tries[decided.attempts - 1]

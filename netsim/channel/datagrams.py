@@ -8,7 +8,7 @@ from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import FrameReport, Traffic, frozen
 
 
-class Carried:
+class TrafficLog:
     """What became known of datagrams since it was told last."""
 
     def __init__(self) -> None:

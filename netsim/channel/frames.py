@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcmvsp.cosim.types import Message
-from vcmvsp.netsim.channel.mean_budget import Heard, Mean, Together
-from vcmvsp.netsim.interfaces.layers import Draw, Floats, Frame, Links
+from vcmvsp.netsim.channel.mean_budget import BatchBudget, MeanBudget, ReceivedSignal
+from vcmvsp.netsim.interfaces.layers import Draw, Floats, Frame, SenderLinks
 from vcmvsp.netsim.interfaces.link_draws import LinkDraws, Make
 
 
-class Sender:
+class Transmitter:
     """What a transmitter remembers from frame to frame."""
 
-    links: Links
+    links: SenderLinks
     draws: LinkDraws
     row: int  # among the vehicles
     others: NDArray[np.intp]  # rows of the others
@@ -25,7 +25,7 @@ class Sender:
         self.frames = 0  # sent so far: the number that its draws go by, whatever others send
         self.free_ns = 0  # when its last frame was decided
 
-    def meet(self, links: Links, names: tuple[str, ...]) -> None:
+    def meet(self, links: SenderLinks, names: tuple[str, ...]) -> None:
         """From now on it has these links, to all other vehicles."""
         self.links, self.names, self.row = links, names, names.index(links.sender)
         self.others = np.delete(np.arange(len(names)), self.row)
@@ -41,17 +41,17 @@ class Sender:
         return slice(place, place + 1)
 
 
-class Sent(msgspec.Struct):
+class SentFrame(msgspec.Struct):
     """A message on its way."""
 
     frame: int  # its number in the channel
-    sender: Sender
+    sender: Transmitter
     number: int  # its number among those of its sender
     message: Message
     meant: slice  # for which receivers
     sent_ns: int  # handed to the radio
     air_ns: int
-    mean: Mean
+    mean: MeanBudget
     level_dbm: Floats  # (n,) at all receivers, of the last attempt to send it
     fading_db: Floats | None = None
     attempts: int = 1  # so far
@@ -67,18 +67,18 @@ class Sent(msgspec.Struct):
         return lambda: self.sender.draws.uniform(self.number, slot)
 
 
-class Chorus(msgspec.Struct):
+class FrameBatch(msgspec.Struct):
     """Broadcasts of k vehicles at one instant, of which none has to do with another."""
 
     first: int  # the number of the first of them in the channel
     sent_ns: int
-    senders: list[Sender]
+    senders: list[Transmitter]
     messages: list[Message]
     numbers: list[int]  # of these among those of their senders
     air_ns: list[int]
     end_ns: list[int]  # on the air
-    every: Together
-    heard: Heard  # (k, n)
+    every: BatchBudget
+    heard: ReceivedSignal  # (k, n)
 
     def made(self, slot: int, make: Make) -> NDArray[Any]:
         """What ``make`` makes of the draws of one layer, (k, n)."""

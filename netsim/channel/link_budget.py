@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.types import frozen
-from vcmvsp.netsim.channel.mean_budget import Heard, Mean, Together
-from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints, Links, PathLoss, Paths, Phy, distances, sealed
+from vcmvsp.netsim.channel.mean_budget import BatchBudget, MeanBudget, ReceivedSignal
+from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints, PathLoss, Paths, Phy, SenderLinks, distances, sealed
 from vcmvsp.netsim.interfaces.medium import Codes
 from vcmvsp.netsim.interfaces.radio import AT_POSITION, Radio
 from vcmvsp.netsim.phy.error_rate import ErrorRate
@@ -54,11 +54,11 @@ class Budgets:
         self._stand_at = b""  # the same, to see whether anybody has moved since
         self._antennas = np.zeros((0, 3))
         self._raised = np.zeros((0, 3))  # antennas above their vehicles' positions, (n, 3) m
-        self._fixed: dict[str, tuple[Links, Floats, Floats]] = {}  # by sender: power and sensitivity of its links
-        self._means: dict[str, Mean] = {}
-        self._every: Together | None = None  # those worked out together last, here
+        self._fixed: dict[str, tuple[SenderLinks, Floats, Floats]] = {}  # by sender: power and sensitivity of its links
+        self._means: dict[str, MeanBudget] = {}
+        self._every: BatchBudget | None = None  # those worked out together last, here
 
-    def mean(self, links: Links, names: tuple[str, ...], position: Floats, *, bodies: bool = True) -> Mean:
+    def mean(self, links: SenderLinks, names: tuple[str, ...], position: Floats, *, bodies: bool = True) -> MeanBudget:
         """The budget of the links from one sender.
 
         Args:
@@ -79,14 +79,14 @@ class Budgets:
             found = self._means[links.sender] = self._work_out(links, paths, row, bodies=bodies and self._blocking)
         return found
 
-    def together(self, senders: list[Links], names: tuple[str, ...], position: Floats) -> Together:
+    def together(self, senders: list[SenderLinks], names: tuple[str, ...], position: Floats) -> BatchBudget:
         """The budgets of the links from several radios, the same numbers as of each for itself; for a chain `by_distance`."""
         self._move(names, position, senders[0].seed)
         if self._every is None or self._every.senders != senders:
             self._every = self._work_out_together(senders)
         return self._every
 
-    def _move(self, names: tuple[str, ...], position: Floats, seed: int) -> dict[str, Mean]:
+    def _move(self, names: tuple[str, ...], position: Floats, seed: int) -> dict[str, MeanBudget]:
         """Have everybody there; what was known of those who sent while they were elsewhere."""
         same = names is self._names
         if same and position is self._position:
@@ -102,7 +102,7 @@ class Budgets:
         self._antennas = position + self._raised
         return before
 
-    def _work_out_together(self, senders: list[Links]) -> Together:
+    def _work_out_together(self, senders: list[SenderLinks]) -> BatchBudget:
         power_dbm, sensitivity_dbm = (np.stack(each) for each in zip(*map(self._fixed_of, senders), strict=True))
         rows = np.array([self._names.index(links.sender) for links in senders])
         apart = np.arange(len(self._names)) != rows[:, None]
@@ -111,7 +111,7 @@ class Budgets:
         distance_m = sealed(distances(tx[:, None], rx))
         path_loss: Any = self.path_loss
         path_loss_db = sealed(path_loss.loss_db(distance_m))
-        return Together(
+        return BatchBudget(
             senders=senders,
             rows=rows,
             apart=apart,
@@ -125,7 +125,7 @@ class Budgets:
             level_dbm=sealed(power_dbm - path_loss_db),
         )
 
-    def _work_out(self, links: Links, paths: Paths, row: int, *, bodies: bool) -> Mean:
+    def _work_out(self, links: SenderLinks, paths: Paths, row: int, *, bodies: bool) -> MeanBudget:
         power_dbm, sensitivity_dbm = self._fixed_of(links)
         path_loss_db = self.path_loss.loss_db(paths)
         walls = materials = wall_loss_db = shadowing_db = None
@@ -146,7 +146,7 @@ class Budgets:
             shadowing_db = self._shadowing.loss_db(paths)
             loss_db = loss_db + shadowing_db
         level_dbm = power_dbm - loss_db
-        return Mean(
+        return MeanBudget(
             row=row,
             antennas=self._antennas,
             paths=paths,
@@ -160,20 +160,20 @@ class Budgets:
             level_dbm=sealed(level_dbm),
         )
 
-    def _fixed_of(self, links: Links) -> tuple[Floats, Floats]:
+    def _fixed_of(self, links: SenderLinks) -> tuple[Floats, Floats]:
         """Power and sensitivity of the links of a sender, (n,) dBm each."""
         fixed = self._fixed.get(links.sender)
         if fixed is None or fixed[0] is not links:
             fixed = self._fixed[links.sender] = (links, self._power_dbm(links), self.sensitivity_dbm(links.receivers))
         return fixed[1:]
 
-    def _power_dbm(self, links: Links) -> Floats:
+    def _power_dbm(self, links: SenderLinks) -> Floats:
         """Transmitted, with both antennas, (n,)."""
         own_dbm = float(self.tx_power_dbm((links.sender,))[0]) + self._of(links.sender).antenna_gain_dbi
         power_dbm: Floats = own_dbm + self.gain_dbi(links.receivers)
         return power_dbm
 
-    def here(self, links: Links) -> Mean:
+    def here(self, links: SenderLinks) -> MeanBudget:
         """The budget of the links from a radio, with everybody where they were last."""
         assert self._position is not None  # noqa: S101  known since `mean`
         return self.mean(links, self._names, self._position)
@@ -222,7 +222,7 @@ def _by_distance(level: Floats, least: Floats) -> Codes:
     return why
 
 
-class Hearing:
+class ReceiverModel:
     """What receivers make of a level."""
 
     def __init__(self, phy: Phy, preamble_db: float) -> None:
@@ -231,7 +231,7 @@ class Hearing:
         self.noise_mw = 10.0 ** (self.noise_dbm / 10.0)
         self.errors: ErrorRate | None = getattr(phy, "errors", None)
 
-    def hear(self, mean: Mean, level_dbm: Floats, size_bytes: int) -> Heard:
+    def hear(self, mean: MeanBudget, level_dbm: Floats, size_bytes: int) -> ReceivedSignal:
         """How a frame arrives that has ``level_dbm`` (n,), where nobody else sends."""
         if level_dbm is not mean.level_dbm:
             return self._hear(level_dbm, mean.sensitivity_dbm, size_bytes)
@@ -243,7 +243,7 @@ class Hearing:
                 mean.heard[size_bytes] = self.hear_together(every, [size_bytes]).of(which)
         return mean.heard[size_bytes]
 
-    def hear_together(self, every: Together, sizes: Sequence[int]) -> Heard:
+    def hear_together(self, every: BatchBudget, sizes: Sequence[int]) -> ReceivedSignal:
         """The same of frames of several radios, (k, n), at their mean levels; of this size all, or of these sizes."""
         some = sizes[0]
         if self.errors is not None and any(size != some for size in sizes):
@@ -251,15 +251,15 @@ class Hearing:
             snr_db, detected, hazard = (
                 np.stack([getattr(each, name) for each in here]) for name in ("snr_db", "detected", "hazard")
             )
-            return Heard(snr_db, detected, hazard)
+            return ReceivedSignal(snr_db, detected, hazard)
         if some not in every.heard:
             every.heard[some] = self._hear(every.level_dbm, every.sensitivity_dbm, some)
         return every.heard[some]
 
-    def _hear(self, level_dbm: Floats, sensitivity_dbm: Floats, size_bytes: int) -> Heard:
+    def _hear(self, level_dbm: Floats, sensitivity_dbm: Floats, size_bytes: int) -> ReceivedSignal:
         snr_db = self.over_noise(level_dbm)
         detected = (level_dbm >= sensitivity_dbm) & self.noticed(snr_db)
-        return Heard(snr_db, detected, None if self.errors is None else self.errors.frame_hazard(snr_db, size_bytes))
+        return ReceivedSignal(snr_db, detected, None if self.errors is None else self.errors.frame_hazard(snr_db, size_bytes))
 
     def over_noise(self, level_dbm: Floats) -> Floats:
         """Signal to noise ratio at some levels, (n,) dB."""
@@ -270,7 +270,7 @@ class Hearing:
         stands_out: Bools = sinr_db >= self.preamble_db
         return stands_out
 
-    def weakness(self, mean: Mean) -> Codes:
+    def weakness(self, mean: MeanBudget) -> Codes:
         """Of a signal that is too weak, what made it so: the first of distance, walls, shadowing that did; else fading."""
         if mean.weakness is None:
             if mean.together is None:
@@ -280,7 +280,7 @@ class Hearing:
                 mean.weakness = self.weakness_together(every)[which]
         return mean.weakness
 
-    def weakness_together(self, every: Together) -> Codes:
+    def weakness_together(self, every: BatchBudget) -> Codes:
         """The same of the signals of several radios, (k, n)."""
         if every.weakness is None:
             every.weakness = _by_distance(every.level_dbm, self._least_dbm(every.sensitivity_dbm))
@@ -291,7 +291,7 @@ class Hearing:
         least_dbm: Floats = np.maximum(sensitivity_dbm, self.noise_dbm + self.preamble_db)
         return least_dbm
 
-    def _weakness(self, mean: Mean) -> Codes:
+    def _weakness(self, mean: MeanBudget) -> Codes:
         least, level = self._least_dbm(mean.sensitivity_dbm), mean.power_dbm - mean.path_loss_db
         why = _by_distance(level, least)
         for loss_db, name in ((mean.wall_loss_db, WALLS), (mean.shadowing_db, SHADOWING)):

@@ -7,14 +7,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints, Links, Paths, sealed
+from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints, Paths, SenderLinks, sealed
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
 _RECEIVED, _UNDETECTED = np.uint8(Fate.RECEIVED), np.uint8(Fate.UNDETECTED)
 _SURE = 2.0**-54  # a hazard that no draw is below, but for 0
 
 
-class Mean(msgspec.Struct, dict=True):
+class MeanBudget(msgspec.Struct, dict=True):
     """The mean budget of the links from one radio to n others, (n,) each."""
 
     row: int  # of the radio among all
@@ -28,10 +28,12 @@ class Mean(msgspec.Struct, dict=True):
     materials: tuple[str, ...] | None = None  # of the walls that are crossed, e.g. "2 brick, 1 wood"
     wall_loss_db: Floats | None = None
     shadowing_db: Floats | None = None
-    heard: dict[int, "Heard"] = msgspec.field(default_factory=dict)  # of sizes, at this level: filled by `Hearing`
-    parts: dict[int | None, "Told"] = msgspec.field(default_factory=dict)  # by the first who is meant: filled by `told`
+    heard: dict[int, "ReceivedSignal"] = msgspec.field(default_factory=dict)  # of sizes, at this level: filled by `Hearing`
+    parts: dict[int | None, "ReportColumns"] = msgspec.field(
+        default_factory=dict
+    )  # by the first who is meant: filled by `told`
     weakness: Codes | None = None  # what would make frames too weak: the same
-    together: "tuple[Together, int] | None" = None  # with whose it was worked out, and which of them it is
+    together: "tuple[BatchBudget, int] | None" = None  # with whose it was worked out, and which of them it is
 
     @cached_property
     def power_mw(self) -> Floats:
@@ -42,7 +44,7 @@ class Mean(msgspec.Struct, dict=True):
             return here
         return sealed(at_all(10.0 ** (self.level_dbm / 10.0), self.row))
 
-    def told(self, receivers: tuple[str, ...], to: slice) -> "Told":
+    def told(self, receivers: tuple[str, ...], to: slice) -> "ReportColumns":
         """What reports of frames tell of it: of one receiver, or of all."""
         found = self.parts.get(to.start)
         if found is None:
@@ -50,14 +52,14 @@ class Mean(msgspec.Struct, dict=True):
             parts += [self.walls, self.materials, self.wall_loss_db, self.shadowing_db]
             if to.start is not None:
                 parts = [None if part is None else part[to] for part in parts]
-            found = self.parts[to.start] = Told(*parts)
+            found = self.parts[to.start] = ReportColumns(*parts)
         return found
 
 
-class Together(msgspec.Struct, dict=True):
-    """Budgets of the links from each of k radios to all n others, by distance alone, worked out at once; see `Mean`."""
+class BatchBudget(msgspec.Struct, dict=True):
+    """Budgets of the links from each of k radios to all n others, by distance alone, worked out at once; see `MeanBudget`."""
 
-    senders: list[Links]
+    senders: list[SenderLinks]
     rows: NDArray[np.intp]  # (k,) of these radios among all
     apart: Bools  # (k, n + 1): a radio is another one
     antennas: Floats
@@ -68,19 +70,19 @@ class Together(msgspec.Struct, dict=True):
     sensitivity_dbm: Floats  # (k, n)
     path_loss_db: Floats  # (k, n)
     level_dbm: Floats  # (k, n)
-    heard: dict[int, "Heard"] = msgspec.field(default_factory=dict)  # see `Mean`, (k, n)
+    heard: dict[int, "ReceivedSignal"] = msgspec.field(default_factory=dict)  # see `MeanBudget`, (k, n)
     weakness: Codes | None = None  # the same
 
     @cached_property
     def power_mw(self) -> Floats:
-        """See `Mean`, (k, n + 1)."""
+        """See `MeanBudget`, (k, n + 1)."""
         everywhere = np.zeros(self.apart.shape)
         everywhere[self.apart] = (10.0 ** (self.level_dbm / 10.0)).ravel()
         return sealed(everywhere)
 
-    def mean(self, which: int) -> Mean:
+    def mean(self, which: int) -> MeanBudget:
         """The budget of one of them."""
-        return Mean(
+        return MeanBudget(
             row=int(self.rows[which]),
             antennas=self.antennas,
             paths=Paths(self.tx[which], self.rx[which], self.distance_m[which], self.senders[which].seed),
@@ -92,8 +94,8 @@ class Together(msgspec.Struct, dict=True):
         )
 
 
-class Told(msgspec.Struct, frozen=True):
-    """The part of a mean budget that concerns those for whom a frame is meant; fields as of `Mean`."""
+class ReportColumns(msgspec.Struct, frozen=True):
+    """The part of a mean budget that concerns those for whom a frame is meant; fields as of `MeanBudget`."""
 
     receivers: tuple[str, ...]
     distance_m: Floats
@@ -105,7 +107,7 @@ class Told(msgspec.Struct, frozen=True):
     shadowing_db: Floats | None
 
 
-class Heard(msgspec.Struct, frozen=True, dict=True):
+class ReceivedSignal(msgspec.Struct, frozen=True, dict=True):
     """How a frame that nobody else disturbs reaches n receivers, (n,) each."""
 
     snr_db: Floats
@@ -127,9 +129,9 @@ class Heard(msgspec.Struct, frozen=True, dict=True):
         """Where it is detected and may yet be lost."""
         return np.zeros_like(self.detected) if self.hazard is None else self.detected & (self.hazard > _SURE)
 
-    def of(self, which: int) -> "Heard":
+    def of(self, which: int) -> "ReceivedSignal":
         """Of one radio of several, whose arrays are (k, n)."""
-        return Heard(self.snr_db[which], self.detected[which], None if self.hazard is None else self.hazard[which])
+        return ReceivedSignal(self.snr_db[which], self.detected[which], None if self.hazard is None else self.hazard[which])
 
 
 def at_all(values: Floats, row: int) -> Floats:

@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import FrameReport, frozen
-from vcmvsp.netsim.channel.frames import Chorus, Sent
-from vcmvsp.netsim.channel.link_budget import Hearing
+from vcmvsp.netsim.channel.frames import FrameBatch, SentFrame
+from vcmvsp.netsim.channel.link_budget import ReceiverModel
 from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
@@ -50,7 +50,7 @@ class Outcomes:
 
     def __init__(
         self,
-        hearing: Hearing,
+        hearing: ReceiverModel,
         loss: Loss | None,
         delay: Delay | None,
         script: Script | None,
@@ -84,7 +84,7 @@ class Outcomes:
         own = self._delay is not None and self._delay_ns_by is None
         return layers_do and not own and self._script is None and self._trace is None and self._delivery is None
 
-    def reports(self, chorus: Chorus, code: Codes) -> list[FrameReport]:
+    def reports(self, chorus: FrameBatch, code: Codes) -> list[FrameReport]:
         """What becomes of several broadcasts whose fate on the air is ``code``, (k, n); where it goes on `by_draws`."""
         senders, every, snr_db = chorus.senders, chorus.every, sealed(chorus.heard.snr_db)
         if np.count_nonzero(too_weak := code == _UNDETECTED):
@@ -120,7 +120,7 @@ class Outcomes:
             reports.append(report)
         return reports
 
-    def report(self, sent: Sent, air: OnAir, interference_mw: Floats | None = None) -> FrameReport:
+    def report(self, sent: SentFrame, air: OnAir, interference_mw: Floats | None = None) -> FrameReport:
         """What becomes of a frame at every receiver that it is meant for.
 
         Args:
@@ -172,14 +172,14 @@ class Outcomes:
             fading_db=_part(sent.fading_db, to),
         )
 
-    def unfinished(self, sent: Sent) -> FrameReport:
+    def unfinished(self, sent: SentFrame) -> FrameReport:
         """The report of a frame that was not decided when the run ended."""
         snr_db = self._hearing.over_noise(sent.level_dbm)
         never = OnAir(np.full(len(snr_db), Fate.EXPIRED, np.uint8), -1, sent.sent_ns, snr_db, snr_db)
         report = self.report(sent, never)
         return msgspec.structs.replace(report, outcome=(UNDER_WAY,) * len(report.outcome))
 
-    def _jam(self, sent: Sent, air: OnAir, code: Codes, interference_mw: Floats) -> tuple[Floats, Codes]:
+    def _jam(self, sent: SentFrame, air: OnAir, code: Codes, interference_mw: Floats) -> tuple[Floats, Codes]:
         """What jammers leave of the SINR, and spoil of a frame that would have been received.
 
         What they add to the hazard of noise alone meets what is left of the receiver's patience: an exponential variate has
@@ -196,7 +196,7 @@ class Outcomes:
         both_db = -10.0 * np.log10(10.0 ** (-air.sinr_db / 10.0) + share)
         return both_db, np.where(spoilt, np.uint8(_JAMMED), code)
 
-    def _lose(self, sent: Sent, frame: Frame, code: Codes) -> Codes:
+    def _lose(self, sent: SentFrame, frame: Frame, code: Codes) -> Codes:
         decided = self._told(frame, "loss") if frame.start_ns >= 0 else None  # by a trace, whatever the models say
         if decided is not None:
             code = np.where(decided, np.uint8(Fate.RECEIVED), code)
@@ -215,7 +215,7 @@ class Outcomes:
         np.putmask(every, code != 0, -1)
         return every
 
-    def _arrival(self, sent: Sent, frame: Frame, air: OnAir, to: slice) -> Ints | int:
+    def _arrival(self, sent: SentFrame, frame: Frame, air: OnAir, to: slice) -> Ints | int:
         """When the frame arrives where it is not lost, ns: at each of those for whom it is meant, or the same at all."""
         if self._delay is None and self._trace is None and self._script is None:
             return air.end_ns

@@ -12,7 +12,7 @@ from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, read_table
 from vcmvsp.cosim.types import Array, FrameReport, Message, frozen
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.runtime_changes import Operated
+from vcmvsp.netsim.channel.runtime_changes import RuntimeChanges
 from vcmvsp.netsim.interfaces.layers import Floats
 
 _LAYERS = ("walls", "wall_loss_db", "shadowing_db", "fading_db", "snr_db", "path_loss_db")
@@ -144,7 +144,7 @@ class RecordedChannel:
         return self._channel.finish()
 
     @property
-    def operated(self) -> Operated:
+    def operated(self) -> RuntimeChanges:
         """What an operator may change of the channel: it concerns the frames that are drawn."""
         return self._channel.operated
 

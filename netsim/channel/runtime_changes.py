@@ -14,7 +14,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import frozen
-from vcmvsp.netsim.impairments.script import Change, Effects, Script
+from vcmvsp.netsim.impairments.script import Effects, Script, ScriptedChange
 
 
 class Outages(Script):
@@ -34,7 +34,7 @@ class Outages(Script):
         return Effects(frozen(passes), frozen(np.zeros(len(receivers))), frozen(np.zeros(len(receivers), np.int64)))
 
 
-class Operated:
+class RuntimeChanges:
     """Layers as they are now, and the outages so far.
 
     Numbers that may change are fields of layers that are dataclasses. Their keys are those of a scenario:
@@ -63,7 +63,7 @@ class Operated:
     def cut_off(self, vehicles: Sequence[str], from_ns: int, until_ns: int) -> None:
         """Have every frame lost from and to these vehicles."""
         links = tuple(expression for name in vehicles for expression in (f"{name}/*", f"*/{name}"))
-        change = Change(from_s=from_ns / SECOND_NS, to_s=until_ns / SECOND_NS, links=links, loss=1.0)
+        change = ScriptedChange(from_s=from_ns / SECOND_NS, to_s=until_ns / SECOND_NS, links=links, loss=1.0)
         self.outages = Outages((*self.outages.changes, change))
 
     def change(self, key: str, value: float) -> None:

@@ -3,8 +3,8 @@
 import numpy as np
 
 from vcmvsp.cosim.rng import link_uniform
-from vcmvsp.netsim.channel.frames import Chorus, Sent
-from vcmvsp.netsim.channel.mean_budget import Heard
+from vcmvsp.netsim.channel.frames import FrameBatch, SentFrame
+from vcmvsp.netsim.channel.mean_budget import ReceivedSignal
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
 from vcmvsp.netsim.interfaces.layers import Fading
@@ -12,14 +12,14 @@ from vcmvsp.netsim.interfaces.link_draws import ACK_FADING_SLOT, ERROR_SLOT, FAD
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
 
-class Levels:
+class RxPower:
     """The layers that give each attempt a level of its own; None is one that does nothing."""
 
     def __init__(self, fading: Fading | None, script: Script | None, trace: Trace | None) -> None:
         self._fading, self._script, self._trace = fading, script, trace
         self.vary = any(layer is not None for layer in (fading, script, trace))  # from attempt to attempt
 
-    def set(self, sent: Sent, start_ns: int) -> None:
+    def set(self, sent: SentFrame, start_ns: int) -> None:
         """Set the level of an attempt that begins at ``start_ns``, where it is another one than the mean."""
         if not self.vary:
             return
@@ -36,7 +36,7 @@ class Levels:
             level_dbm = level_dbm + self._script.gain_db(frame, sent.draw(SCRIPT_SLOT))
         sent.level_dbm = level_dbm
 
-    def answer(self, sent: Sent, place: int, start_ns: int) -> float:
+    def answer(self, sent: SentFrame, place: int, start_ns: int) -> float:
         """Fading of an acknowledgement from the receiver at ``place`` over that of the frame, a ratio of powers.
 
         It fades as another frame at its own time: with the Doppler shift as far as the channel has changed since, else
@@ -50,7 +50,7 @@ class Levels:
         return float(10.0 ** ((gain_db[place] - sent.fading_db[place]) / 10.0))
 
 
-def endured(sent: Sent, heard: Heard) -> Codes:
+def endured(sent: SentFrame, heard: ReceivedSignal) -> Codes:
     """The fate of a frame that no other disturbs, (n,)."""
     fate, doubtful = heard.fate, heard.doubtful
     if doubtful.size and heard.hazard is not None:
@@ -60,7 +60,7 @@ def endured(sent: Sent, heard: Heard) -> Codes:
     return fate
 
 
-def all_endured(chorus: Chorus) -> Codes:
+def all_endured(chorus: FrameBatch) -> Codes:
     """The same of several frames, (k, n)."""
     fate, hazard = chorus.heard.fate, chorus.heard.hazard
     if hazard is None or not (where := chorus.heard.in_doubt.nonzero())[0].size:

@@ -18,7 +18,7 @@ from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import FrameReport, Message
 from vcmvsp.netsim.channel.bulk import Bulk
-from vcmvsp.netsim.evaluation.tally import Tally
+from vcmvsp.netsim.evaluation.tally import FrameTally
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 
 Sink = Callable[[FrameReport], None]
@@ -29,7 +29,7 @@ _LONG_AFTER_NS = 10**15  # behind the last sending, when all is decided
 _ADVANCE_EVERY = 64  # frames: what is decided meanwhile is worked off together
 
 
-class Air(Protocol):
+class TrialChannel(Protocol):
     """What a trial asks of a `netsim.channel.channel.Channel`."""
 
     def start(self, seed: int) -> None:
@@ -93,7 +93,9 @@ class Broadcasts(msgspec.Struct, frozen=True, kw_only=True):
                     yield begin_ns + phases[row], row
 
 
-def run(channel: Air, plan: Broadcasts, *, sink: Sink | None = None, progress: Progress | None = None) -> dict[str, Any]:
+def run(
+    channel: TrialChannel, plan: Broadcasts, *, sink: Sink | None = None, progress: Progress | None = None
+) -> dict[str, Any]:
     """Send everything and count what becomes of it.
 
     Args:
@@ -103,18 +105,17 @@ def run(channel: Air, plan: Broadcasts, *, sink: Sink | None = None, progress: P
         progress: called with (now, end) in ns now and then.
 
     Returns:
-        `Tally.summary`, and ``cpu_s``: CPU time of this process for it, without that of ``sink``, and without what is compiled
-        or tabulated once in a process.
+        `FrameTally.summary`, and ``cpu_s``: CPU time of the trial, without ``sink`` and without compilation.
     """
     with threadpool_limits(1):  # as in a run: sums come out the same on any number of cores
         return _run(channel, plan, sink, progress)
 
 
-def _run(channel: Air, plan: Broadcasts, sink: Sink | None, progress: Progress | None) -> dict[str, Any]:
+def _run(channel: TrialChannel, plan: Broadcasts, sink: Sink | None, progress: Progress | None) -> dict[str, Any]:
     names = plan.names
     messages = [Message(sender=name, body={}, size_bytes=plan.size_bytes) for name in names]
     _warm_up(channel, plan, messages[0])
-    tally, elsewhere_s, begun_s = Tally(), 0.0, time.process_time()
+    tally, elsewhere_s, begun_s = FrameTally(), 0.0, time.process_time()
 
     def note(reports: Sequence[FrameReport]) -> None:
         nonlocal elsewhere_s
@@ -144,7 +145,7 @@ def _run(channel: Air, plan: Broadcasts, sink: Sink | None, progress: Progress |
     return {**summary, "cpu_s": time.process_time() - begun_s - elsewhere_s}
 
 
-def _run_bulk(bulk: Bulk, plan: Broadcasts, tally: Tally, progress: Progress | None) -> None:
+def _run_bulk(bulk: Bulk, plan: Broadcasts, tally: FrameTally, progress: Progress | None) -> None:
     """The same, many frames at once."""
     sent_ns: Ints = np.zeros(0, np.int64)
     others = len(plan.position) - 1
@@ -164,7 +165,7 @@ def _run_bulk(bulk: Bulk, plan: Broadcasts, tally: Tally, progress: Progress | N
     note(plan.end_ns + _LONG_AFTER_NS)
 
 
-def _warm_up(channel: Air, plan: Broadcasts, message: Message) -> None:
+def _warm_up(channel: TrialChannel, plan: Broadcasts, message: Message) -> None:
     """Send one frame, of which nothing is left."""
     channel.start(plan.seed)
     channel.expect(plan.frames)

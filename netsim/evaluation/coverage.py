@@ -14,8 +14,8 @@ import numpy as np
 
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.mean_budget import Mean
-from vcmvsp.netsim.interfaces.layers import Floats, Frame, Links
+from vcmvsp.netsim.channel.mean_budget import MeanBudget
+from vcmvsp.netsim.interfaces.layers import Floats, Frame, SenderLinks
 
 _BLOCK = 2048  # places at a time: shadowing wants a few hundred numbers for each
 _NODES, _TURN = 233, 144  # Fibonacci numbers: points of a lattice that fills the unit square evenly
@@ -54,7 +54,7 @@ def coverage(
 def among(channel: Channel, sender: str, places: Mapping[str, Vec3], *, size_bytes: int = 100, seed: int = 0) -> Coverage:
     """The same at the other vehicles, in the order of ``places`` (m, world): each with a radio of its own."""
     names = tuple(places)
-    links = Links(seed, sender, tuple(name for name in names if name != sender))
+    links = SenderLinks(seed, sender, tuple(name for name in names if name != sender))
     mean = _mean(channel, links, names, np.array(list(places.values()), np.float64), bodies=True)
     return Coverage(mean.level_dbm, _success(channel, mean, links, size_bytes))
 
@@ -75,20 +75,22 @@ def range_m(channel: Channel, sender: str, height_m: float) -> float | None:
     return float(distance[heard[-1]]) if heard.size else 0.0
 
 
-def _mean_at(channel: Channel, sender: str, position: Floats, antennas: Floats, seed: int) -> tuple[Mean, Links]:
+def _mean_at(channel: Channel, sender: str, position: Floats, antennas: Floats, seed: int) -> tuple[MeanBudget, SenderLinks]:
     """Mean budgets at any places: to the channel, receivers are vehicles that have no radio of their own."""
-    links = Links(seed, sender, tuple(f"{sender} at {number}" for number in range(len(antennas))))  # no vehicle is called so
+    links = SenderLinks(
+        seed, sender, tuple(f"{sender} at {number}" for number in range(len(antennas)))
+    )  # no vehicle is called so
     return _mean(channel, links, (sender, *links.receivers), np.concatenate([position[None], antennas]), bodies=False), links
 
 
-def _mean(channel: Channel, links: Links, names: tuple[str, ...], position: Floats, *, bodies: bool) -> Mean:
+def _mean(channel: Channel, links: SenderLinks, names: tuple[str, ...], position: Floats, *, bodies: bool) -> MeanBudget:
     channel.budgets.start()  # nothing is left of this question, or of one before
     mean = channel.budgets.mean(links, names, position, bodies=bodies)
     channel.budgets.start()
     return mean
 
 
-def _success(channel: Channel, mean: Mean, links: Links, size_bytes: int) -> Floats:
+def _success(channel: Channel, mean: MeanBudget, links: SenderLinks, size_bytes: int) -> Floats:
     """Chance that a frame is noticed and survives the noise, (n,), averaged over the fading."""
     air_ns = channel.phy.air_time_ns(size_bytes)
     gains = _gains(channel, Frame(0, 0, air_ns, size_bytes, mean.paths, mean.level_dbm, links))

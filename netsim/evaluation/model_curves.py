@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.netsim.channel.link_budget import Hearing
+from vcmvsp.netsim.channel.link_budget import ReceiverModel
 from vcmvsp.netsim.interfaces.layers import Floats, PathLoss, Paths, Phy
 from vcmvsp.netsim.phy.dsss import DsssErrors
 from vcmvsp.netsim.phy.error_rate import ErrorRate
@@ -86,5 +86,5 @@ def mean_levels(path_loss: PathLoss, phy: Phy, distance_m: Floats) -> dict[str, 
     loss_db = path_loss.loss_db(Paths(np.array([0.0, 0.0, height]), rx, distance_m))
     rssi_dbm = phy.tx_power_dbm - loss_db
     curves: dict[str, Any] = {"distance_m": distance_m, "path_loss_db": loss_db, "rssi_dbm": rssi_dbm}
-    curves["snr_db"] = rssi_dbm - Hearing(phy, -math.inf).noise_dbm
+    curves["snr_db"] = rssi_dbm - ReceiverModel(phy, -math.inf).noise_dbm
     return {name: values.tolist() for name, values in curves.items()}

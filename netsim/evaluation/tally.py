@@ -19,7 +19,7 @@ _ZERO = (1023 << 12) - 1  # bin of 0 ns, below that of 1 ns
 _BINS = 64 << 12  # up to 2^64 ns
 
 
-class Tally:
+class FrameTally:
     """What became of frames: receptions, losses by cause, delays."""
 
     def __init__(self) -> None:

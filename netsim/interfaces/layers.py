@@ -93,7 +93,7 @@ def distance_of(paths: Paths | ArrayLike) -> Floats:
     return paths.distance_m if isinstance(paths, Paths) else np.asarray(paths, np.float64)
 
 
-class Links:
+class SenderLinks:
     """The links from one radio to n others: names, and what makes their randomness their own."""
 
     def __init__(self, seed: int, sender: str, receivers: tuple[str, ...]) -> None:
@@ -122,7 +122,7 @@ class Frame(msgspec.Struct, frozen=True):
     size_bytes: int  # payload
     paths: Paths
     rssi_dbm: Floats  # (n,) received level: the mean for layers before fading, of this frame for those behind it
-    links: Links
+    links: SenderLinks
 
     @property
     def sender(self) -> str:
@@ -136,12 +136,12 @@ class Frame(msgspec.Struct, frozen=True):
 
     @property
     def keys(self) -> Keys:
-        """See `Links.keys`."""
+        """See `SenderLinks.keys`."""
         return self.links.keys
 
     @property
     def pair_keys(self) -> Keys:
-        """See `Links.pair_keys`."""
+        """See `SenderLinks.pair_keys`."""
         return self.links.pair_keys
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcmvsp.cosim.rng import link_uniform
-from vcmvsp.netsim.interfaces.layers import Floats, Links
+from vcmvsp.netsim.interfaces.layers import Floats, SenderLinks
 
 # The draws of each layer, by frame. A number that is changed changes every recorded run: new layers take new ones.
 LOSS_SLOT = 1
@@ -39,7 +39,7 @@ _BLOCK_FRAMES = 256  # at most, so that short runs do not pay for what they neve
 class LinkDraws:
     """Draws for the links from one sender to each of n receivers."""
 
-    def __init__(self, links: Links) -> None:
+    def __init__(self, links: SenderLinks) -> None:
         self._links = links
         self._frames = max(1, min(_BLOCK_FRAMES, _BLOCK_LINKS // max(1, len(links.receivers))))
         self._blocks: dict[int, tuple[int, Floats]] = {}  # slot: number of the block, its draws (frames, n, 2)

@@ -47,10 +47,10 @@ class DistanceVector:
         """Begin a run."""
         draws = [stream(seed, f"radio/{name}/updates") for name in vehicles]
         times = seconds_to_ns(self.period_s), seconds_to_ns(self.jitter_s)
-        return Vectors(draws, *times, missed=self.missed, hop_limit=self.hop_limit)
+        return DistanceVectorRouter(draws, *times, missed=self.missed, hop_limit=self.hop_limit)
 
 
-class Told(msgspec.Struct, frozen=True):
+class RouteUpdate(msgspec.Struct, frozen=True):
     """The content of an update."""
 
     number: int  # of its sender's updates
@@ -60,10 +60,10 @@ class Told(msgspec.Struct, frozen=True):
 
 class _Neighbour(msgspec.Struct):
     heard_ns: int
-    told: Told
+    told: RouteUpdate
 
 
-class Vectors:
+class DistanceVectorRouter:
     """What all vehicles know, each by itself.
 
     Args:
@@ -96,14 +96,14 @@ class Vectors:
                 _, number, hops = found
                 routes[to] = number, hops
                 best[to] = max(best.get(to, _NOTHING), (number, -hops))
-        told = Told(self._number[row], frozenset(heard), routes)
+        told = RouteUpdate(self._number[row], frozenset(heard), routes)
         wait_ns = self._period_ns * (1.0 - SPREAD + 2.0 * SPREAD * self._draws[row].random())
         size_bytes = ENTRY_BYTES * len(routes.keys() | heard.keys())
         return Update(told, size_bytes, now_ns + max(1, int(wait_ns)))
 
     def take(self, row: int, by: int, content: Any, now_ns: int) -> None:
         """Remember what a neighbour tells, in place of what it told before."""
-        told: Told = content
+        told: RouteUpdate = content
         known = self._neighbours[row].get(by)
         if known is None or told.number > known.told.number:
             self._neighbours[row][by] = _Neighbour(now_ns, told)

@@ -19,14 +19,14 @@ from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import FrameReport, Message, Reception, Routed
-from vcmvsp.netsim.channel.datagrams import Carried, received
-from vcmvsp.netsim.routing.router import BROADCAST, HEADER_BYTES, Router, Telling
+from vcmvsp.netsim.channel.datagrams import TrafficLog, received
+from vcmvsp.netsim.routing.router import BROADCAST, HEADER_BYTES, AdvertisingRouter, Router
 
 Put = Callable[[int, Message, int], tuple[int, list[FrameReport]]]
 """Hands a frame to the channel, at a time (ns), reaching the queue so much later (ns): its number, and what is decided."""
 
 
-class Reached(msgspec.Struct, frozen=True):
+class PacketArrival(msgspec.Struct, frozen=True):
     """How a packet came to a vehicle."""
 
     hops: int
@@ -48,7 +48,7 @@ class Packet(msgspec.Struct):
     told: bool = False  # when it arrives, of a datagram to one vehicle
     under_way: bool = False  # when the run ends
     frames: list[int] = msgspec.field(default_factory=list)
-    reached: dict[int, Reached] = msgspec.field(default_factory=dict)
+    reached: dict[int, PacketArrival] = msgspec.field(default_factory=dict)
 
 
 class _Copy(msgspec.Struct, frozen=True):
@@ -76,7 +76,7 @@ class _Wait(msgspec.Struct, frozen=True):
     hops: int  # gone so far
 
 
-class Network:
+class RoutingNetwork:
     """All vehicles' network layers.
 
     Args:
@@ -89,7 +89,7 @@ class Network:
 
     def __init__(self, router: Router, kind: str, vehicles: Sequence[str], seed: int, put: Put) -> None:
         self._router, self._kind, self._names, self._put = router, kind, tuple(vehicles), put
-        self._telling = router if isinstance(router, Telling) else None
+        self._telling = router if isinstance(router, AdvertisingRouter) else None
         self._row = {name: row for row, name in enumerate(vehicles)}
         self._draws = [stream(seed, f"radio/{name}/relay") for name in vehicles]
         self._numbers = [0] * len(self._names)
@@ -98,7 +98,7 @@ class Network:
         # Heap of when it is done, when it is due, order, and what: an arrival, a wait, or of a row its update.
         self._agenda: list[tuple[int, int, int, _Arrival | _Wait | int]] = []
         self._given = 0
-        self._carried = Carried()
+        self._carried = TrafficLog()
         self._reports: list[FrameReport] = []  # these three are to be told
         self._heard: list[tuple[str, Reception]] = []
         self._routed: list[Routed] = []
@@ -189,7 +189,7 @@ class Network:
         self._less(packet)
         return reports
 
-    def _update(self, telling: Telling, row: int, now_ns: int) -> list[FrameReport]:
+    def _update(self, telling: AdvertisingRouter, row: int, now_ns: int) -> list[FrameReport]:
         update = telling.update(row, now_ns)
         if update.next_ns <= now_ns or update.size_bytes < 0:
             raise self._nonsense(f"tells {update.size_bytes} bytes of routes at {now_ns} ns, and next at {update.next_ns} ns")
@@ -222,7 +222,7 @@ class Network:
         packet = copy.packet
         if row == packet.origin or row in packet.reached:
             return []
-        packet.reached[row] = Reached(copy.hops, copy.by, arrival.received_ns)
+        packet.reached[row] = PacketArrival(copy.hops, copy.by, arrival.received_ns)
         if packet.update is not None:
             if self._telling is not None:
                 self._telling.take(row, packet.origin, packet.update, now_ns)

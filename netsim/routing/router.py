@@ -41,7 +41,7 @@ class Router(Protocol):
 
 
 @runtime_checkable
-class Telling(Router, Protocol):
+class AdvertisingRouter(Router, Protocol):
     """One whose vehicles tell each other of routes."""
 
     def first_ns(self) -> Sequence[int]:
@@ -58,7 +58,7 @@ class Routing(Protocol):
     """A kind of routing, as a scenario configures it."""
 
     def open(self, vehicles: Sequence[str], seed: int) -> Router:
-        """Begin a run; the answer may be one that is `Telling`.
+        """Begin a run; the answer may be one that is `AdvertisingRouter`.
 
         Raises:
             ScenarioError: it names a vehicle that there is not, or routes that lead nowhere.

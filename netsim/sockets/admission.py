@@ -89,7 +89,7 @@ def _answers(path: str) -> bool:
         return end.connect_ex(path) == 0
 
 
-class Gathering:
+class ProgramAdmission:
     """Waits for one program of each vehicle. Strangers that say nothing, or nonsense, disturb nobody.
 
     Args:

@@ -7,8 +7,8 @@ from vcmvsp.cosim.scenario.schema import SocketsTable
 from vcmvsp.cosim.sockets.messages import ROOM
 from vcmvsp.cosim.types import Message, Note, Reception, VehicleState
 from vcmvsp.cosim.util.polling import readable
-from vcmvsp.netsim.sockets.admission import Gathering, Listener, check_endpoint
-from vcmvsp.netsim.sockets.program import Left, Program
+from vcmvsp.netsim.sockets.admission import Listener, ProgramAdmission, check_endpoint
+from vcmvsp.netsim.sockets.program import Program, ProgramLeft
 
 LEFT, MISSED = "program", "program_missed"  # what is noted
 
@@ -61,7 +61,7 @@ class Programs:
         names, everybody = sorted(self._table.vehicles), frozenset(self._vehicles)
         listener = self._listener = Listener(self._table.listen)
         self._tell(f"waiting for the programs of {', '.join(names)} at {listener.endpoint}: cosim.sockets.connect(VEHICLE)")
-        there = Gathering(listener, names, run.scenario, self._vehicles, self._tell).wait(self._table.join_timeout_s)
+        there = ProgramAdmission(listener, names, run.scenario, self._vehicles, self._tell).wait(self._table.join_timeout_s)
         listener.close()
         for name in names:
             self._programs[name] = Program(name, everybody, there[name], self._table.deadline_s)
@@ -116,7 +116,7 @@ class Programs:
         said: list[Message] = []
         try:
             program.turn(now_ns, said)
-        except Left as left:
+        except ProgramLeft as left:
             self._part(program, left, now_ns, events)
         events.extend(Event(f"{program.vehicle}/send", now_ns, each) for each in said)
 
@@ -128,7 +128,7 @@ class Programs:
         program.noted = program.missed
         events.append(Event(f"{program.vehicle}/note", now_ns, Note(values={MISSED: float(program.missed)})))
 
-    def _part(self, program: Program, why: Left, now_ns: int, events: list[Event]) -> None:
+    def _part(self, program: Program, why: ProgramLeft, now_ns: int, events: list[Event]) -> None:
         """Go on without a program."""
         program.close()
         del self._programs[program.vehicle]

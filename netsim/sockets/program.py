@@ -13,7 +13,7 @@ MOST_CALLS = 100_000  # datagrams that it may send without letting time go on
 MOST_BYTES = 1 << 26  # of them
 
 
-class Left(Exception):
+class ProgramLeft(Exception):
     """It has gone, or was shown the door: why."""
 
 
@@ -80,23 +80,23 @@ class Program:
                 said.append(self._checked(word))
                 calls, size = calls + 1, size + len(said[-1].body)
                 if calls > MOST_CALLS or size > MOST_BYTES:
-                    raise Left("it sends without end and lets no time go on")
+                    raise ProgramLeft("it sends without end and lets no time go on")
         except WireError as error:
-            raise Left(f"it said what makes no sense: {plain(str(error))}") from None
+            raise ProgramLeft(f"it said what makes no sense: {plain(str(error))}") from None
         except TimeoutError:
             late = f"has not gone on within {self._deadline_s:g} s (sockets.deadline_s)"
             raise FederateError(f"the program of {self.vehicle}", f"{late}; it hangs, or needs more time") from None
         except OSError:
             pass  # the same as an orderly end
-        raise Left("it has ended")
+        raise ProgramLeft("it has ended")
 
-    def stirs(self) -> Left:
+    def stirs(self) -> ProgramLeft:
         """Why it is to leave that has done something while it should wait."""
         try:
             self._stream.socket.settimeout(0.0)
-            return Left("it spoke out of its turn" if self._stream.socket.recv(1) else "it has ended")
+            return ProgramLeft("it spoke out of its turn" if self._stream.socket.recv(1) else "it has ended")
         except OSError:
-            return Left("it has ended")
+            return ProgramLeft("it has ended")
 
     def farewell(self) -> None:
         """Tell it that the run is over, unless it takes nothing any more."""
@@ -111,7 +111,7 @@ class Program:
 
     def _wait(self, now_ns: int, word: Wait) -> None:
         if self._stream.frames:
-            raise Left("it spoke out of its turn")
+            raise ProgramLeft("it spoke out of its turn")
         self.wake_ns = None if word.for_ns is None else now_ns + word.for_ns
         self._hears, self._room = word.hears, ROOM - word.held
 

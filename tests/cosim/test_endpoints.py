@@ -15,7 +15,7 @@ from vcmvsp.cosim.sockets.messages import parsed
 from vcmvsp.cosim.transport.endpoints import endpoint_rules
 from vcmvsp.hardware.emulators.programs.options import PtyPort, TcpPort, UdpAddress, port_of, udp_of
 from vcmvsp.hardware.localisation.datagrams import address
-from vcmvsp.netsim.bridge.gateways.zenoh import ZenohDoor
+from vcmvsp.netsim.bridge.gateways.zenoh import ZenohGateway
 
 BOTH = pytest.mark.parametrize("between", ["/", "://"])
 HOSTS = st.sampled_from(["localhost", "10.0.0.1", "a-b.example.org", "::1", "fe80::1", ""])
@@ -47,7 +47,7 @@ def test_each_place_takes_both(between: str, tmp_path: Path) -> None:
     assert port_of("./tcp/robot") == PtyPort(Path("tcp/robot"))
     assert udp_of(f"udp{between}127.0.0.1:5000", "--ubisense") == UdpAddress("127.0.0.1", 5000)
     assert address(f"udp{between}0.0.0.0:5010") == ("0.0.0.0", 5010)
-    door = ZenohDoor(listen={"car1": f"tcp{between}127.0.0.1:7461", "car2": "tcp/127.0.0.1:7461"})
+    door = ZenohGateway(listen={"car1": f"tcp{between}127.0.0.1:7461", "car2": "tcp/127.0.0.1:7461"})
     with pytest.raises(ValueError, match=r"tcp/127\.0\.0\.1:7461 is that of two vehicles"):
         door.check(["car1", "car2"])
 

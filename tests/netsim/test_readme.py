@@ -15,7 +15,7 @@ from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.testing import check_channel
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.link_budget import Hearing
+from vcmvsp.netsim.channel.link_budget import ReceiverModel
 from vcmvsp.netsim.channel.reception import Outcomes
 from vcmvsp.netsim.channel.runtime_changes import Outages
 from vcmvsp.netsim.impairments.delay import NoDelay
@@ -69,7 +69,7 @@ def test_every_outcome_is_explained(tmp_path: Path) -> None:
     known = {UNDER_WAY, Outages.cause}
     for loss in (Bernoulli(0.5), GilbertElliott()):
         for script, fades in ((Script(), True), (Script(), False), (None, False)):
-            outcomes = Outcomes(Hearing(Dsss(), 4.0), loss, NoDelay(), script, trace, Delivery(), fades=fades)
+            outcomes = Outcomes(ReceiverModel(Dsss(), 4.0), loss, NoDelay(), script, trace, Delivery(), fades=fades)
             known |= set(outcomes._words.tolist())
     section = README.partition("## What becomes of a frame")[2].partition("\n## ")[0]
     rows = [line.split(" | ")[0] for line in section.splitlines() if line.startswith("| `")]

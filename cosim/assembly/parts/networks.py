@@ -2,14 +2,14 @@
 
 from vcmvsp.netsim.bridge.gateways.ip.caller import become, caller
 from vcmvsp.netsim.bridge.gateways.ip.namespaces import missing
-from vcmvsp.netsim.bridge.gateways.ip.run_networks import Network, check_free, clear, networks, run_inside
-from vcmvsp.netsim.bridge.process_client import Beside
+from vcmvsp.netsim.bridge.gateways.ip.run_networks import RunNetwork, check_free, clear, networks, run_inside
+from vcmvsp.netsim.bridge.process_client import BridgeClient
 
-__all__ = ["Network", "check_free", "clear", "leave_root", "missing", "networks", "run_inside"]
+__all__ = ["RunNetwork", "check_free", "clear", "leave_root", "missing", "networks", "run_inside"]
 
 
 def leave_root() -> None:
     """Be the user who called sudo, if anybody has; root's rights stay with the process that makes the interfaces."""
     if (user := caller()) is not None:
-        Beside.prepare()
+        BridgeClient.prepare()
         become(user)

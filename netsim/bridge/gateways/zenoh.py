@@ -1,8 +1,8 @@
-"""Eclipse Zenoh: what a vehicle's programs publish crosses the channel, and is published to the programs of who receives it.
+"""Eclipse Zenoh gateway: publications of a vehicle's programs cross the channel to the programs of other vehicles.
 
-Each vehicle has a session of its own to which its programs connect as clients; they hear each other there at once, as on one
-machine. No two of these sessions know each other: between vehicles there is only the radio. A publication is one frame.
-Queries, liveliness, and keys in which a part begins with ``@`` do not cross; neither do keys of the simulator's own.
+Each vehicle has a separate router session for its programs, which reach each other there directly. Between vehicles there is
+only the radio: a publication is one frame. Queries, liveliness, keys with a part that begins with ``@``, and keys of the
+simulator do not cross.
 """
 
 import asyncio
@@ -20,16 +20,26 @@ from zenoh.handlers import Callback
 
 from vcmvsp.cosim.endpoints import endpoint_of
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.transport import access_control, endpoints
+from vcmvsp.cosim.transport import access_control
+from vcmvsp.cosim.transport.endpoints import is_loopback
 from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.cosim.types import Name
 from vcmvsp.cosim.util.codec import Decoder, encode
-from vcmvsp.netsim.bridge.gateways.base import BROADCAST, HIGHEST, LARGEST, Bytes, DoorError, Hall, Port, check_names
+from vcmvsp.netsim.bridge.gateways.base import (
+    BROADCAST,
+    HIGHEST,
+    LARGEST,
+    Bytes,
+    GatewayContext,
+    GatewayError,
+    Port,
+    check_names,
+)
 
 BACKLOG = 4096  # publications of a vehicle that wait for the loop
 OWN = "vcmvsp/"
 HEARD = f"{OWN}heard/"
-"""Before the name of a vehicle: what its agent said."""
+"""Key prefix of agents' messages; the name of the sender follows."""
 
 CLIENTS: dict[str, Any] = {
     "mode": "router",
@@ -37,7 +47,7 @@ CLIENTS: dict[str, Any] = {
         "unicast": {
             "accept_timeout": access_control.ACCEPT_MS,
             "accept_pending": 1000,
-        },  # strangers who say nothing keep nobody out
+        },  # many, so that silent connections do not exclude programs
         "link": {
             "tx": {
                 "queue": {
@@ -48,15 +58,14 @@ CLIENTS: dict[str, Any] = {
         },
     },
 }
-"""For those who connect. A program that takes nothing any more holds the others up for a millisecond, once; then Zenoh drops
-what is for it, until it takes something again."""
+"""Zenoh configuration for programs. A program that stops reading delays the others by 1 ms, once; then Zenoh drops its data."""
 
 TOO_LONG = "longer than max_bytes"
-NO_ROOM = "dropped: more than the run deals with"
+NO_ROOM = "dropped: more than the run takes"
 
 
 class Publication(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What a frame carries, as MessagePack."""
+    """Content of a frame, as MessagePack."""
 
     key: str
     payload: bytes | None  # None: the key was deleted
@@ -67,17 +76,17 @@ class Publication(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_f
 _publications: Decoder[Publication] = Decoder(Publication)
 
 
-class ZenohDoor:
-    """A Zenoh router for the programs of each vehicle, who are its clients.
+class ZenohGateway:
+    """A Zenoh router for each vehicle; the vehicle's programs are its clients.
 
     Args:
         first_port: the first vehicle of the run is served at ``tcp/127.0.0.1:first_port``, the next at the port after it, ...
-        vehicles: whose programs take part; none named: all.
+        vehicles: vehicles with a router; empty: all.
         listen: other endpoints, ``tcp/HOST:PORT``, by vehicle.
-        insecure: endpoints may be reached from other machines, by anybody: there are no passwords and no encryption.
-        max_bytes: what is longer, with its key and all, is counted, not sent: a publication is one frame.
-        unicast_prefix: what is published under PREFIX/VEHICLE/ is sent to that vehicle alone, under the same key; empty:
-            everything is broadcast.
+        insecure: allow endpoints that other machines reach; there are no passwords and no encryption.
+        max_bytes: longest publication, with its key; a longer one is counted and not sent.
+        unicast_prefix: publications under PREFIX/VEHICLE/ are sent to that vehicle alone, under the same key; empty: all
+            publications are broadcast.
     """
 
     def __init__(
@@ -93,83 +102,88 @@ class ZenohDoor:
         self._max_bytes = max_bytes
         prefix = unicast_prefix.strip("/")
         self._prefix = f"{prefix}/" if prefix else ""
-        self._hall: Hall
+        self._context: GatewayContext
         self._inbox: Inbox
         self._sessions: dict[int, zenoh.Session] = {}  # by the vehicle's row
 
     def check(self, vehicles: Sequence[str]) -> None:
-        """Vehicles that there are, endpoints and keys that can be."""
+        """Check vehicles, endpoints and prefix."""
         self._endpoints(vehicles)
         if any(each in self._prefix for each in "*?#$") or "//" in self._prefix:
-            raise ValueError(f"unicast_prefix: {self._prefix!r} is no key: without *, ?, #, $ and empty parts")
+            raise ValueError(f"unicast_prefix: {self._prefix!r} is no key: it must not contain *, ?, #, $ or empty parts")
 
-    async def open(self, hall: Hall) -> Sequence[str]:
+    async def open(self, context: GatewayContext) -> Sequence[str]:
         """Listen for the programs of each vehicle."""
-        self._hall, self._inbox = hall, Inbox(hall, partial(hall.offer, self))
-        endpoints = self._endpoints(hall.vehicles)
+        self._context, self._inbox = context, Inbox(context, partial(context.offer, self))
+        endpoints = self._endpoints(context.vehicles)
         for row, endpoint in endpoints.items():
             self._sessions[row] = session = _listening(endpoint)
             take = Callback(partial(self._on_sample, row), indirect=False)
             session.declare_subscriber("**", take, allowed_origin=zenoh.Locality.REMOTE)
-        return [f"Zenoh clients of {hall.vehicles[row]} connect to {endpoint}" for row, endpoint in endpoints.items()]
+        return [f"Zenoh clients of {context.vehicles[row]} connect to {endpoint}" for row, endpoint in endpoints.items()]
 
     def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
-        """Publish it to the programs of a vehicle; what is no publication, an agent has said."""
+        """Publish to the programs of a vehicle; a payload that is no publication is an agent's message."""
         session = self._sessions.get(receiver)
         if session is None:
             return
         try:
-            said = _publications.decode(payload)
+            publication = _publications.decode(payload)
         except ValueError:
-            said = Publication(HEARD + self._hall.vehicles[sender], payload)
+            publication = Publication(HEARD + self._context.vehicles[sender], payload)
         drop, remote = zenoh.CongestionControl.DROP, zenoh.Locality.REMOTE
         try:
-            if said.payload is None:
-                session.delete(said.key, attachment=said.attachment, congestion_control=drop, allowed_destination=remote)
-            else:
-                session.put(
-                    said.key,
-                    said.payload,
-                    encoding=said.encoding or None,
-                    attachment=said.attachment,
+            if publication.payload is None:
+                session.delete(
+                    publication.key,
+                    attachment=publication.attachment,
                     congestion_control=drop,
                     allowed_destination=remote,
                 )
-        except zenoh.ZError:  # what an agent said happens to look like a publication, under a key that is none
-            self._hall.count(receiver, "not taken by Zenoh")
+            else:
+                session.put(
+                    publication.key,
+                    publication.payload,
+                    encoding=publication.encoding or None,
+                    attachment=publication.attachment,
+                    congestion_control=drop,
+                    allowed_destination=remote,
+                )
+        except zenoh.ZError:  # an agent's message that decodes as a publication with an invalid key
+            self._context.count(receiver, "not taken by Zenoh")
 
     async def close(self) -> None:
-        """Send all programs away."""
+        """Close all sessions."""
         for session in self._sessions.values():
             with contextlib.suppress(zenoh.ZError):
                 await asyncio.to_thread(session.close)  # waits for its callbacks
 
     def _endpoints(self, vehicles: Sequence[str]) -> dict[int, str]:
-        """By the rows of those who take part."""
+        """Endpoint of each vehicle with a router, by row."""
         check_names("vehicles", self._vehicles, vehicles)
         check_names("listen", self._listen, vehicles)
-        found: dict[int, str] = {}
+        endpoints: dict[int, str] = {}
         for row, name in enumerate(vehicles):
             if not self._vehicles or name in self._vehicles:
                 port = self._first_port + row
                 if name not in self._listen and port > HIGHEST:
                     raise ValueError(f"first_port = {self._first_port}: there is no port left for '{name}'")
-                found[row] = self._allowed(name, self._listen.get(name, f"tcp/127.0.0.1:{port}"))
-        if doubled := [endpoint for endpoint, often in Counter(found.values()).items() if often > 1]:
-            raise ValueError(f"listen: {doubled[0]} is that of two vehicles")
-        return found
+                endpoints[row] = self._checked(name, self._listen.get(name, f"tcp/127.0.0.1:{port}"))
+        if doubled := [endpoint for endpoint, count in Counter(endpoints.values()).items() if count > 1]:
+            raise ValueError(f"listen: {doubled[0]} is used by two vehicles")
+        return endpoints
 
-    def _allowed(self, name: str, endpoint: str) -> str:
-        found = endpoint_of(endpoint)
-        if not found or found.protocol != "tcp" or not found.host or not found.port:
-            raise ValueError(f"listen: '{endpoint}' of {name} must be tcp/HOST:PORT")
-        if not self._insecure and not endpoints.is_loopback(found.host):
-            problem = f"listen: {endpoint} of {name} lets in everybody who can reach that address"
-            raise ValueError(f"{problem}: listen at 127.0.0.1 and come through ssh -L, or add insecure = true")
-        return str(found)
+    def _checked(self, name: str, text: str) -> str:
+        endpoint = endpoint_of(text)
+        if not endpoint or endpoint.protocol != "tcp" or not endpoint.host or not endpoint.port:
+            raise ValueError(f"listen: '{text}' of {name} must be tcp/HOST:PORT")
+        if not self._insecure and not is_loopback(endpoint.host):
+            problem = f"listen: {text} of {name} accepts connections from every machine that reaches this address"
+            raise ValueError(f"{problem}: listen at 127.0.0.1 and use ssh -L, or set insecure = true")
+        return str(endpoint)
 
     def _on_sample(self, row: int, sample: zenoh.Sample) -> None:
-        """In a thread of Zenoh's."""
+        """Called in a thread of Zenoh."""
         key = str(sample.key_expr)
         if key.startswith(OWN):
             return
@@ -177,39 +191,34 @@ class ZenohDoor:
         long = len(sample.payload) > self._max_bytes
         payload = b"" if deleted or long else sample.payload.to_bytes()
         attachment = None if sample.attachment is None else sample.attachment.to_bytes()
-        said = Publication(key, None if deleted else payload, str(sample.encoding), attachment)
-        data = b"" if long else encode(said)
+        publication = Publication(key, None if deleted else payload, str(sample.encoding), attachment)
+        data = b"" if long else encode(publication)
         to = self._to(key)
         if long or len(data) > self._max_bytes:
             self._inbox.count(row, TOO_LONG)
-        elif to != row:  # else its own programs have it already
+        elif to != row:  # the vehicle's own programs have it already
             self._inbox.put(row, to, data)
 
     def _to(self, key: str) -> int:
         if self._prefix and key.startswith(self._prefix):
             name = key.removeprefix(self._prefix).partition("/")[0]
-            if name in self._hall.vehicles:
-                return self._hall.vehicles.index(name)
+            if name in self._context.vehicles:
+                return self._context.vehicles.index(name)
         return BROADCAST
 
 
 class Inbox:
-    """What comes in threads of Zenoh's, on its way to the loop; bounded.
+    """Bounded queue of datagrams from Zenoh's threads to the loop; ``offer``: see `GatewayContext.offer`."""
 
-    Args:
-        hall: of the bridge.
-        offer: hands a datagram to it: sender, to whom, payload.
-    """
-
-    def __init__(self, hall: Hall, offer: Callable[..., bool]) -> None:
-        self._hall, self._offer = hall, offer
+    def __init__(self, context: GatewayContext, offer: Callable[..., bool]) -> None:
+        self._context, self._offer = context, offer
         self._lock = threading.Lock()
         self._waiting: list[tuple[int, int, bytes, int]] = []
-        self._number: Counter[int] = Counter()  # of those that wait, by row
+        self._number: Counter[int] = Counter()  # of waiting datagrams, by row
         self._counts: Counter[tuple[int, str]] = Counter()
 
     def put(self, row: int, to: int, payload: bytes) -> None:
-        """Hand over a datagram; in any thread."""
+        """Add a datagram; thread-safe."""
         with self._lock:
             if self._number[row] >= BACKLOG:
                 self._counts[row, NO_ROOM] += 1
@@ -221,7 +230,7 @@ class Inbox:
         self._wake()
 
     def count(self, row: int, what: str) -> None:
-        """Count what was not handed over; in any thread."""
+        """Count a dropped datagram; thread-safe."""
         with self._lock:
             self._counts[row, what] += 1
             if sum(self._counts.values()) > 1:
@@ -230,7 +239,7 @@ class Inbox:
 
     def _wake(self) -> None:
         with contextlib.suppress(RuntimeError):  # the loop has ended
-            self._hall.loop.call_soon_threadsafe(self._take)
+            self._context.loop.call_soon_threadsafe(self._take)
 
     def _take(self) -> None:
         with self._lock:
@@ -240,7 +249,7 @@ class Inbox:
             if not self._offer(row, to, payload, came_ns=came_ns):
                 counts[row, NO_ROOM] += 1
         for (row, what), number in counts.items():
-            self._hall.count(row, what, number)
+            self._context.count(row, what, number)
 
 
 def _listening(endpoint: str) -> zenoh.Session:
@@ -248,4 +257,4 @@ def _listening(endpoint: str) -> zenoh.Session:
     try:
         return opened(config, access_control.LIMITS, f"cannot serve Zenoh clients at {endpoint}")
     except UsageError as problem:
-        raise DoorError(f"{problem}; end what holds it, or set first_port or listen") from problem
+        raise GatewayError(f"{problem}; end what holds it, or set first_port or listen") from problem

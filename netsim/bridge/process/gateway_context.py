@@ -1,4 +1,4 @@
-"""The `Hall` of a bridge process: what its doors hand over goes into the store, what they count and ask is kept here."""
+"""The `GatewayContext` of a bridge process: it stores datagrams and keeps counts and levels."""
 
 import asyncio
 import time
@@ -8,20 +8,19 @@ from collections.abc import Callable
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, Door
-from vcmvsp.netsim.bridge.process.datagram_store import Store
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, Gateway
+from vcmvsp.netsim.bridge.process.datagram_store import DatagramStore
 
 
-class OpenHall:
-    """See `netsim.bridge.gateways.base.Hall`.
+class BridgeContext:
+    """See `netsim.bridge.gateways.base.GatewayContext`.
 
     Args:
-        run: name of the scenario.
-        vehicles: of the run.
-        loop: that turns the doors.
-        store: where datagrams go.
-        news: called when there is a datagram that the run does not know of.
-        wanted: called when levels are asked for that nobody has told.
+        run, vehicles: of the scenario.
+        loop: runs the gateways.
+        store: takes datagrams.
+        on_datagram: called after each stored datagram.
+        on_level_request: called when a level is requested and none is known.
     """
 
     def __init__(
@@ -29,43 +28,43 @@ class OpenHall:
         run: str,
         vehicles: tuple[str, ...],
         loop: asyncio.AbstractEventLoop,
-        store: Store,
+        store: DatagramStore,
         *,
-        news: Callable[[], None],
-        wanted: Callable[[], None],
+        on_datagram: Callable[[], None],
+        on_level_request: Callable[[], None],
     ) -> None:
         self.run, self.vehicles, self.loop = run, vehicles, loop
         self.counts: dict[str, Counter[str]] = {}
-        self.counted: dict[str, None] = {}  # for whom, since whoever looks at them took them out
+        self.changed_counts: dict[str, None] = {}  # vehicles with counts that were not reported yet
         self._levels: Array | None = None
-        self._store, self._news, self._wanted = store, news, wanted
+        self._store, self._on_datagram, self._on_level_request = store, on_datagram, on_level_request
 
-    def offer(self, door: Door, sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
+    def offer(self, gateway: Gateway, sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
         """Put it into the store, if there is room."""
         rows = range(len(self.vehicles))
         if len(payload) > LARGEST or sender not in rows or to == sender or (to not in rows and to != BROADCAST):
-            raise ValueError(f"{type(door).__name__} offers {len(payload)} bytes from row {sender} to {to}")
+            raise ValueError(f"{type(gateway).__name__} offers {len(payload)} bytes from row {sender} to {to}")
         now_ns = time.monotonic_ns()
-        if not self._store.put(door, sender, to, payload, now_ns if came_ns is None else min(came_ns, now_ns)):
+        if not self._store.put(gateway, sender, to, payload, now_ns if came_ns is None else min(came_ns, now_ns)):
             return False
-        self._news()
+        self._on_datagram()
         return True
 
     def count(self, vehicle: int, what: str, by: int = 1) -> None:
         """Count it."""
         name = self.vehicles[vehicle]
         self.counts.setdefault(name, Counter())[what] += by
-        self.counted[name] = None
+        self.changed_counts[name] = None
 
     def level_dbm(self, sender: int, receiver: int) -> float:
-        """The newest that the run has told; it begins to when it is asked."""
+        """The newest level from the run, which sends levels from the first request on."""
         if self._levels is None:
-            self._wanted()
+            self._on_level_request()
             return float("nan")
         return float(self._levels[sender, receiver])
 
     def tell_levels(self, first: int, dbm: Array) -> None:
-        """Take rows of levels from ``first`` on, (k, n) dBm: of the row's radio at the column's."""
+        """Store rows of levels from row ``first`` on, (k, n) dBm: sender by row, receiver by column."""
         if self._levels is None:
             self._levels = np.full((len(self.vehicles), len(self.vehicles)), np.nan)
         self._levels[first : first + len(dbm)] = dbm

@@ -13,35 +13,35 @@ from vcmvsp.cosim.util.polling import readable
 AT_ONCE = 200  # deliveries, before others have their turn
 
 
-class Delivery(NamedTuple):
-    """To one receiver; they leave in this order."""
+class TimedDelivery(NamedTuple):
+    """Delivery to one receiver; field order is the order of deliveries."""
 
     at_ns: int  # on ``time.monotonic_ns()``
     number: int  # of the datagram
-    row: int  # which delivery it is, counted by whoever gives it
+    row: int  # number of the delivery
     receiver: int
 
 
 class Pacer:
-    """Calls ``leave`` with each delivery when its time has come; of those whose time has passed, the earliest first."""
+    """Calls ``leave`` with each delivery at its time, the earliest first."""
 
     def __init__(
         self,
         loop: asyncio.AbstractEventLoop,
-        leave: Callable[[Delivery], None],
+        leave: Callable[[TimedDelivery], None],
         now: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._loop, self._leave, self._now = loop, leave, now
-        self._heap: list[Delivery] = []
+        self._heap: list[TimedDelivery] = []
         self._timer: asyncio.Handle | None = None
         self._armed_ns = 0  # when the timer goes off
 
-    def put(self, delivery: Delivery) -> None:
-        """Add one; `arm` counts for all that were added."""
+    def put(self, delivery: TimedDelivery) -> None:
+        """Add a delivery; call `arm` afterwards, once for any number of deliveries."""
         heapq.heappush(self._heap, delivery)
 
     def arm(self) -> None:
-        """See to it that the next leaves at its time."""
+        """Set the timer to the next delivery."""
         if not self._heap or (self._timer is not None and self._armed_ns <= self._heap[0].at_ns):
             return
         if self._timer is not None:
@@ -54,7 +54,7 @@ class Pacer:
             self._timer = self._loop.call_soon(self.turn)
 
     def turn(self) -> None:
-        """Let all leave whose time has come."""
+        """Make all deliveries that are due."""
         self._timer = None
         heap, leave, now = self._heap, self._leave, self._now
         try:

@@ -18,8 +18,8 @@ import numpy as np
 
 from vcmvsp.netsim.interfaces.layers import US, Floats, Keys, Phy
 from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered
-from vcmvsp.netsim.mac.csma154.receivers import Air, Flight
-from vcmvsp.netsim.mac.csma154.sender import Doing, Radio, Rules
+from vcmvsp.netsim.mac.csma154.receivers import AirborneFrame, Csma154Air
+from vcmvsp.netsim.mac.csma154.sender import Csma154Radio, Csma154Rules, RadioState
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 
 TURNAROUND_NS = 192 * US  # aTurnaroundTime, 12 symbols
@@ -40,13 +40,13 @@ class _Kind(IntEnum):
     TOOK_OFF = 4  # begin of a frame
 
 
-class Network:
+class Csma154Medium:
     """The `netsim.interfaces.medium.Medium`: an event queue over the radios' state machines."""
 
-    def __init__(self, rules: Rules, air: Air, phy: Phy, errors: ErrorRate, keys: Keys) -> None:
+    def __init__(self, rules: Csma154Rules, air: Csma154Air, phy: Phy, errors: ErrorRate, keys: Keys) -> None:
         self._rules, self._air, self._phy, self._errors = rules, air, phy, errors
-        self._radios = [Radio(row, keys[row : row + 1], rules) for row in range(len(keys))]
-        self._events: list[tuple[int, _Kind, int, Radio, int]] = []  # heap: time, kind, running number, radio, its stamp
+        self._radios = [Csma154Radio(row, keys[row : row + 1], rules) for row in range(len(keys))]
+        self._events: list[tuple[int, _Kind, int, Csma154Radio, int]] = []  # heap: time, kind, running number, radio, its stamp
         self._offers: deque[Offered] = deque()
         self._running = 0
         self._waiting: dict[int, None] = {}  # numbers of frames, in the order in which they were offered
@@ -111,7 +111,7 @@ class Network:
             else:
                 self._unanswered(now_ns, radio)
 
-    def _schedule(self, time_ns: int, kind: _Kind, radio: Radio) -> None:
+    def _schedule(self, time_ns: int, kind: _Kind, radio: Csma154Radio) -> None:
         self._running += 1
         heapq.heappush(self._events, (time_ns, kind, self._running, radio, radio.stamp))
 
@@ -122,12 +122,12 @@ class Network:
             return
         self._running += 1
         heapq.heappush(radio.queue, (-frame.priority, self._running, frame))
-        if radio.doing is Doing.NOTHING:
+        if radio.doing is RadioState.NOTHING:
             self._next(now_ns, radio)
         elif radio.frame is None:  # it is still resting
             self._soonest[radio.row] = max(radio.ready_ns, now_ns)
 
-    def _next(self, now_ns: int, radio: Radio) -> None:
+    def _next(self, now_ns: int, radio: Csma154Radio) -> None:
         """Turn to the next frame of the queue, if there is one."""
         while radio.queue:
             frame = heapq.heappop(radio.queue)[2]
@@ -138,24 +138,24 @@ class Network:
             radio.attempts, radio.last, radio.received_ns = 0, None, -1
             self._contend(now_ns, radio)
             return
-        radio.frame, radio.doing = None, Doing.NOTHING
+        radio.frame, radio.doing = None, RadioState.NOTHING
         self._soonest.pop(radio.row, None)
 
-    def _contend(self, now_ns: int, radio: Radio) -> None:
-        radio.doing, radio.found_busy = Doing.CONTENDING, 0
+    def _contend(self, now_ns: int, radio: Csma154Radio) -> None:
+        radio.doing, radio.found_busy = RadioState.CONTENDING, 0
         radio.assessments_ns = [now_ns + after_ns for after_ns in radio.plan()]
         self._assess(radio)
 
-    def _assess(self, radio: Radio) -> None:
+    def _assess(self, radio: Csma154Radio) -> None:
         """Wait for the next of the planned assessments."""
         assessed_ns = radio.assessments_ns[radio.found_busy]
         self._soonest[radio.row] = min(assessed_ns + TURNAROUND_NS + radio.air_ns, radio.assessments_ns[-1])
         self._schedule(assessed_ns, _Kind.ASSESSED, radio)
 
-    def _assessed(self, now_ns: int, radio: Radio) -> None:
+    def _assessed(self, now_ns: int, radio: Csma154Radio) -> None:
         if not self._air.busy(radio.row):
             start_ns = now_ns + TURNAROUND_NS
-            radio.doing = Doing.SENDING
+            radio.doing = RadioState.SENDING
             self._soonest[radio.row] = start_ns + radio.air_ns
             self._air.deafen(radio.row, start_ns + radio.air_ns + TURNAROUND_NS)
             self._schedule(start_ns, _Kind.TOOK_OFF, radio)
@@ -167,13 +167,13 @@ class Network:
             self._give_up(now_ns, radio)
             self._next(now_ns, radio)
 
-    def _take_off(self, now_ns: int, radios: list[Radio]) -> None:
+    def _take_off(self, now_ns: int, radios: list[Csma154Radio]) -> None:
         for radio in radios:
             radio.flight = self._answer(now_ns, radio) if radio.answers is not None else self._attempt(now_ns, radio)
             self._schedule(radio.flight.end_ns, _Kind.LANDED, radio)
         self._air.begin(now_ns, [radio.flight for radio in radios if radio.flight is not None])
 
-    def _attempt(self, now_ns: int, radio: Radio) -> Flight:
+    def _attempt(self, now_ns: int, radio: Csma154Radio) -> AirborneFrame:
         frame = radio.frame
         assert frame is not None  # noqa: S101 -- it is at one
         power_mw, patience = (frame.power_mw, frame.patience) if radio.attempts == 0 else (None, None)
@@ -182,21 +182,21 @@ class Network:
             power_mw, patience = renewed_mw if power_mw is None else power_mw, renewed if patience is None else patience
         radio.attempts += 1
         _, bits = self._errors.payload(frame.size_bytes)
-        flight = Flight(radio.row, now_ns, now_ns + radio.air_ns, power_mw, patience, bits)
+        flight = AirborneFrame(radio.row, now_ns, now_ns + radio.air_ns, power_mw, patience, bits)
         if self._rules.acknowledge:  # paths are the same in both directions
             self._levels[radio.row] = flight.power_mw
             self._levels[:, radio.row] = flight.power_mw * (self.power_mw / self.power_mw[radio.row])
         return flight
 
-    def _answer(self, now_ns: int, radio: Radio) -> Flight:
+    def _answer(self, now_ns: int, radio: Csma154Radio) -> AirborneFrame:
         assert radio.answers is not None  # noqa: S101 -- it does answer
         sender, power_mw = self._radios[radio.answers[0]], self._levels[radio.row].copy()
         if sender.frame is not None and sender.frame.number == radio.answers[1] and sender.frame.answer is not None:
             power_mw[sender.row] *= sender.frame.answer(now_ns)
         luck = np.full(len(self._radios), sender.luck())
-        return Flight(radio.row, now_ns, now_ns + ACK_NS, power_mw, luck, ACK_BITS)
+        return AirborneFrame(radio.row, now_ns, now_ns + ACK_NS, power_mw, luck, ACK_BITS)
 
-    def _landed(self, now_ns: int, radio: Radio) -> None:
+    def _landed(self, now_ns: int, radio: Csma154Radio) -> None:
         flight = radio.flight
         assert flight is not None  # noqa: S101 -- it has been on the air
         fate = self._air.end(now_ns, flight)
@@ -214,25 +214,25 @@ class Network:
         if frame.to < 0 or not self._rules.acknowledge:
             self._finish(now_ns, radio)
             return
-        radio.doing = Doing.AWAITING
+        radio.doing = RadioState.AWAITING
         self._schedule(now_ns + ACK_WAIT_NS, _Kind.UNANSWERED, radio)
         self._soonest[radio.row] = now_ns + (TURNAROUND_NS + ACK_NS if received else ACK_WAIT_NS)
         if received:
             self._acknowledge(now_ns, self._radios[frame.to], radio)
 
-    def _finish(self, now_ns: int, radio: Radio) -> None:
+    def _finish(self, now_ns: int, radio: Csma154Radio) -> None:
         """The frame is done with: rest."""
         ifs_ns = SIFS_NS if radio.air_ns <= SHORT_NS else LIFS_NS
         self._give_up(now_ns, radio)
         self._rest(radio, now_ns + ifs_ns)
 
-    def _rest(self, radio: Radio, until_ns: int) -> None:
-        radio.doing, radio.ready_ns = Doing.RESTING, until_ns
+    def _rest(self, radio: Csma154Radio, until_ns: int) -> None:
+        radio.doing, radio.ready_ns = RadioState.RESTING, until_ns
         self._schedule(until_ns, _Kind.READY, radio)
         if radio.queue or radio.frame is not None:
             self._soonest[radio.row] = until_ns
 
-    def _ready(self, now_ns: int, radio: Radio) -> None:
+    def _ready(self, now_ns: int, radio: Csma154Radio) -> None:
         if radio.frame is None:
             self._next(now_ns, radio)
         else:
@@ -240,13 +240,13 @@ class Network:
 
     # Acknowledgements
 
-    def _acknowledge(self, now_ns: int, radio: Radio, sender: Radio) -> None:
+    def _acknowledge(self, now_ns: int, radio: Csma154Radio, sender: Csma154Radio) -> None:
         """Drop whatever the radio is at, and answer; a frame that it wants to send or waits for begins anew afterwards."""
-        if radio.doing is Doing.AWAITING and radio.attempts > self._rules.max_retries:
+        if radio.doing is RadioState.AWAITING and radio.attempts > self._rules.max_retries:
             self._give_up(now_ns, radio)
         assert sender.frame is not None  # noqa: S101 -- it has just been received
         radio.stamp += 1
-        radio.doing, radio.answers = Doing.ANSWERING, (sender.row, sender.frame.number)
+        radio.doing, radio.answers = RadioState.ANSWERING, (sender.row, sender.frame.number)
         start_ns = now_ns + TURNAROUND_NS
         self._air.deafen(radio.row, start_ns + ACK_NS + TURNAROUND_NS)
         self._schedule(start_ns, _Kind.TOOK_OFF, radio)
@@ -254,17 +254,17 @@ class Network:
         if radio.queue or radio.frame is not None:
             self._soonest[radio.row] = radio.ready_ns
 
-    def _answered(self, now_ns: int, radio: Radio, sender: Radio, number: int, *, heard: bool) -> None:
+    def _answered(self, now_ns: int, radio: Csma154Radio, sender: Csma154Radio, number: int, *, heard: bool) -> None:
         radio.answers = None
         self._rest(radio, radio.ready_ns)
-        if sender.doing is Doing.AWAITING and sender.frame is not None and sender.frame.number == number:
+        if sender.doing is RadioState.AWAITING and sender.frame is not None and sender.frame.number == number:
             if heard:
                 sender.stamp += 1
                 self._finish(now_ns, sender)
             else:
                 self._soonest[sender.row] = now_ns - ACK_NS - TURNAROUND_NS + ACK_WAIT_NS
 
-    def _unanswered(self, now_ns: int, radio: Radio) -> None:
+    def _unanswered(self, now_ns: int, radio: Csma154Radio) -> None:
         if radio.attempts <= self._rules.max_retries:
             self._contend(now_ns, radio)
         else:
@@ -273,7 +273,7 @@ class Network:
 
     # Decisions
 
-    def _give_up(self, now_ns: int, radio: Radio) -> None:
+    def _give_up(self, now_ns: int, radio: Csma154Radio) -> None:
         """The radio is done with its frame: decide it, unless it has been received, by what its last attempt has come to."""
         frame, last = radio.frame, radio.last
         assert frame is not None  # noqa: S101 -- it is at one

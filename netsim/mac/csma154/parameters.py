@@ -10,9 +10,9 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Decibels, Seconds
 from vcmvsp.netsim.interfaces.layers import Keys, Phy
 from vcmvsp.netsim.interfaces.medium import Medium
-from vcmvsp.netsim.mac.csma154.events import Network
-from vcmvsp.netsim.mac.csma154.receivers import Air
-from vcmvsp.netsim.mac.csma154.sender import Rules
+from vcmvsp.netsim.mac.csma154.events import Csma154Medium
+from vcmvsp.netsim.mac.csma154.receivers import Csma154Air
+from vcmvsp.netsim.mac.csma154.sender import Csma154Rules
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 
 Exponent = Annotated[int, msgspec.Meta(ge=0, le=16)]
@@ -76,7 +76,7 @@ class Csma154:
             raise ScenarioError(
                 f"mac csma154 is that of IEEE 802.15.4: it needs phy ieee802154, not {type(phy).__name__}", key="kind"
             )
-        air = Air(
+        air = Csma154Air(
             count,
             noise_mw,
             errors,
@@ -84,7 +84,7 @@ class Csma154:
             busy_dbm=phy.sensitivity_dbm + self.cca_above_sensitivity_db,
             forgetful=self.forget_interference,
         )
-        rules = Rules(
+        rules = Csma154Rules(
             min_be=self.min_be,
             max_be=self.max_be,
             max_backoffs=self.max_backoffs,
@@ -93,4 +93,4 @@ class Csma154:
             queue_frames=self.queue_frames,
             lifetime_ns=None if self.lifetime_s is None else seconds_to_ns(self.lifetime_s),
         )
-        return Network(rules, air, phy, errors, keys)
+        return Csma154Medium(rules, air, phy, errors, keys)

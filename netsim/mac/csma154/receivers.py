@@ -13,7 +13,7 @@ FREE = -1  # locked to no frame
 _UNNOTICED = 1e-9  # of the noise: what is weaker is no event at a receiver
 
 
-class Flight:
+class AirborneFrame:
     """One frame on the air."""
 
     def __init__(self, sender: int, start_ns: int, end_ns: int, power_mw: Floats, patience: Floats, bits: int) -> None:
@@ -29,7 +29,7 @@ class Flight:
         self.settled_ns: Ints = np.zeros(0, np.int64)  # up to here, (m,)
 
 
-class Air:
+class Csma154Air:
     """What n receivers make of the frames that are on the air.
 
     A receiver that neither sends nor turns round nor is locked to a frame locks to one that begins, if its SINR exceeds
@@ -54,7 +54,7 @@ class Air:
         self._noise_mw: Floats = np.full(count, noise_mw)
         self._errors, self._forgetful = errors, forgetful
         self._preamble_snr, self._busy_mw = 10.0 ** (preamble_snr_db / 10.0), 10.0 ** (busy_dbm / 10.0)
-        self._flights: list[Flight] = []
+        self._flights: list[AirborneFrame] = []
         self._power_mw: Floats = np.zeros(count)  # of them all, (n,)
         self._locked: Rows = np.full(count, FREE, np.intp)  # to whose frame, (n,)
         self._deaf_until_ns: Ints = np.zeros(count, np.int64)
@@ -71,7 +71,7 @@ class Air:
         """
         return bool(self._locked[radio] != FREE or self._power_mw[radio] >= self._busy_mw)
 
-    def begin(self, now_ns: int, flights: list[Flight]) -> None:
+    def begin(self, now_ns: int, flights: list[AirborneFrame]) -> None:
         """These frames, usually one, go on the air."""
         noticed = np.max([each.power_mw for each in flights], axis=0) > _UNNOTICED * self._noise_mw
         for each in self._flights:
@@ -95,7 +95,7 @@ class Air:
             sinr = each.power_mw / (self._noise_mw + (self._power_mw - each.power_mw))
             np.minimum(each.least_sinr, sinr, out=each.least_sinr)
 
-    def end(self, now_ns: int, flight: Flight) -> Codes:
+    def end(self, now_ns: int, flight: AirborneFrame) -> Codes:
         """A frame ends: its `Fate` at every radio, (n,)."""
         for each in [flight] if self._forgetful else self._flights:
             self._settle(each, now_ns, np.ones(len(each.rows), bool))
@@ -115,7 +115,7 @@ class Air:
         fate[flight.sender] = Fate.TRANSMITTING
         return fate
 
-    def _settle(self, flight: Flight, now_ns: int, where: Bools) -> None:
+    def _settle(self, flight: AirborneFrame, now_ns: int, where: Bools) -> None:
         """Count the hazard since it was last counted, at the SINR that lasted since then, at some of its receivers."""
         bits = flight.bits_per_ns * (now_ns - flight.settled_ns) * where
         if bits.any():

@@ -10,7 +10,7 @@ from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.netsim.interfaces.layers import Keys
 from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
 from vcmvsp.netsim.interfaces.medium import Codes, Offered
-from vcmvsp.netsim.mac.csma154.receivers import Flight
+from vcmvsp.netsim.mac.csma154.receivers import AirborneFrame
 
 UNIT_NS = 320_000  # aUnitBackoffPeriod, 20 symbols
 CCA_NS = 128_000  # 8 symbols
@@ -18,7 +18,7 @@ CCA_NS = 128_000  # 8 symbols
 _BLOCK = 16  # contentions planned at once
 
 
-class Rules(NamedTuple):
+class Csma154Rules(NamedTuple):
     """The parameters of `netsim.mac.csma154.parameters.Csma154` that senders go by."""
 
     min_be: int
@@ -30,7 +30,7 @@ class Rules(NamedTuple):
     lifetime_ns: int | None
 
 
-class Doing(Enum):
+class RadioState(Enum):
     """What a radio is at."""
 
     NOTHING = auto()
@@ -41,12 +41,12 @@ class Doing(Enum):
     ANSWERING = auto()  # acknowledgement and both turnarounds
 
 
-class Radio:
+class Csma154Radio:
     """One sender: its queue, the frame it is at, and how far it has come with it."""
 
-    def __init__(self, row: int, key: Keys, rules: Rules) -> None:
+    def __init__(self, row: int, key: Keys, rules: Csma154Rules) -> None:
         self.row = row
-        self.doing = Doing.NOTHING
+        self.doing = RadioState.NOTHING
         self.stamp = 0  # events of earlier stamps are cancelled
         self.queue: list[tuple[int, int, Offered]] = []  # heap: higher priorities first, then first come, first served
         self.ready_ns = 0  # end of the interframe space
@@ -55,8 +55,8 @@ class Radio:
         self.assessments_ns: list[int] = []  # ends of all that this contention may take
         self.found_busy = 0  # of these
         self.attempts = 0  # on the air
-        self.flight: Flight | None = None  # on the air
-        self.last: tuple[Flight, Codes] | None = None  # attempt, and its fate
+        self.flight: AirborneFrame | None = None  # on the air
+        self.last: tuple[AirborneFrame, Codes] | None = None  # attempt, and its fate
         self.received_ns = -1  # of a unicast frame: when it was received; of any other, when it was sent
         self.answers: tuple[int, int] | None = None  # row and frame that it acknowledges now
         self._key = key  # (1,)

@@ -9,13 +9,13 @@ twice, as in `netsim.mac.dcf.capture`.
 import numpy as np
 
 from vcmvsp.netsim.interfaces.layers import Bools
-from vcmvsp.netsim.mac.dcf.state import NOBODY, SCARCE, Rules, State
+from vcmvsp.netsim.mac.dcf.state import NOBODY, SCARCE, DcfRules, DcfState
 
 
-def sense(s: State, rules: Rules, now: int) -> None:
-    """All radios know that the medium is busy until what stands in `State.busy`: backoffs stand still, and what is due moves.
+def sense(s: DcfState, rules: DcfRules, now: int) -> None:
+    """The medium is busy until the times in `DcfState.busy`, (n,): freeze backoffs and move due times.
 
-    For whom that is not longer than they knew, nothing moves: who overslept and gets up now sends now.
+    A radio that already had a later end of the busy time is unchanged: if its access timer has expired, it sends now.
     """
     busy = s.busy
     longer = busy > s.idle_ns
@@ -28,7 +28,7 @@ def sense(s: State, rules: Rules, now: int) -> None:
     np.putmask(s.due[: len(busy)], longer, np.maximum(s.over_ns, s.wake_ns))
 
 
-def sense_loop(s: State, rules: Rules, now: int) -> None:
+def sense_loop(s: DcfState, rules: DcfRules, now: int) -> None:
     """See `sense`."""
     busy, slots, idle_ns, over_ns, due = s.busy, s.slots, s.idle_ns, s.over_ns, s.due
     for j in range(len(busy)):
@@ -39,7 +39,7 @@ def sense_loop(s: State, rules: Rules, now: int) -> None:
             due[j] = max(over_ns[j], s.wake_ns[j])
 
 
-def doze(s: State, rules: Rules, now: int) -> None:
+def doze(s: DcfState, rules: DcfRules, now: int) -> None:
     """Who woke up in vain by now lies down again, before anything else happens: `sense` makes nobody send who is asleep.
 
     In ns-3.44 a radio that wants to send looks when its backoff would be over, by what it knew when it last looked. What makes
@@ -58,7 +58,7 @@ def doze(s: State, rules: Rules, now: int) -> None:
     np.putmask(s.wake_ns, s.wake_ns <= now, woken)
 
 
-def doze_loop(s: State, rules: Rules, now: int) -> None:
+def doze_loop(s: DcfState, rules: DcfRules, now: int) -> None:
     """See `doze`."""
     wake_ns = s.wake_ns
     for j in range(len(wake_ns)):
@@ -68,7 +68,7 @@ def doze_loop(s: State, rules: Rules, now: int) -> None:
                 wake_ns[j] = expected_ns(s, rules, j, now)
 
 
-def expected_ns(s: State, rules: Rules, i: int, now: int) -> int:
+def expected_ns(s: DcfState, rules: DcfRules, i: int, now: int) -> int:
     """When the backoff of radio i will be over, by what it knows; of a frame whose header it receives it knows no length."""
     held = s.lock[i]
     if held == NOBODY:
@@ -78,31 +78,31 @@ def expected_ns(s: State, rules: Rules, i: int, now: int) -> int:
     return int(busy_ns + s.slots[i] * rules.slot_ns + rules.difs_ns)
 
 
-def defer(s: State, rules: Rules, who: Bools) -> None:
+def defer(s: DcfState, rules: DcfRules, who: Bools) -> None:
     """For some radios, (n,), that know the medium busy until now at least, EIFS has begun, or has ended early."""
     over = np.maximum(s.idle_ns, s.eifs_ns) + s.slots * rules.slot_ns + rules.difs_ns
     np.putmask(s.over_ns, who, over)
     np.putmask(s.due[: len(who)], who, np.maximum(over, s.wake_ns))
 
 
-def defer_one(s: State, rules: Rules, i: int) -> None:
+def defer_one(s: DcfState, rules: DcfRules, i: int) -> None:
     """The same for radio i."""
     s.over_ns[i] = max(s.idle_ns[i], s.eifs_ns[i]) + s.slots[i] * rules.slot_ns + rules.difs_ns
     s.due[i] = max(s.over_ns[i], s.wake_ns[i])
 
 
-def count_down(s: State, rules: Rules, i: int, now: int) -> None:
+def count_down(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """The slots of radio i that have passed; those that have begun have not."""
     s.slots[i] = min(max((s.over_ns[i] + (rules.slot_ns - 1 - now)) // rules.slot_ns, 0), s.slots[i])
 
 
-def request(s: State, rules: Rules, i: int, now: int) -> None:
+def request(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """Radio i wants to send, as soon as its backoff is over."""
     s.wake_ns[i] = expected_ns(s, rules, i, now)
     s.due[i] = s.over_ns[i]
 
 
-def draw(s: State, i: int) -> int:
+def draw(s: DcfState, i: int) -> int:
     """Place of the next draw of radio i in store."""
     place = int(s.drawn[i] - s.store[i])
     s.drawn[i] += 1
@@ -111,13 +111,13 @@ def draw(s: State, i: int) -> int:
     return place
 
 
-def back_off(s: State, rules: Rules, i: int, counting_ns: int) -> None:
+def back_off(s: DcfState, rules: DcfRules, i: int, counting_ns: int) -> None:
     """Radio i draws a new backoff, which counts from a time on, if the medium is idle."""
     s.slots[i] = int(s.backoff[i, draw(s, i)] * (s.window[i] + 1))
     wait(s, rules, i, counting_ns)
 
 
-def wait(s: State, rules: Rules, i: int, counting_ns: int) -> None:
+def wait(s: DcfState, rules: DcfRules, i: int, counting_ns: int) -> None:
     """The slots that radio i has left count from a time on, if the medium is idle."""
     begins = max(counting_ns, max(s.idle_ns[i], s.eifs_ns[i]) + rules.difs_ns)
     s.over_ns[i] = begins + s.slots[i] * rules.slot_ns

@@ -7,10 +7,10 @@ import numpy as np
 
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 from vcmvsp.netsim.interfaces.medium import Codes, Decided
-from vcmvsp.netsim.mac.dcf.state import NEVER, State
+from vcmvsp.netsim.mac.dcf.state import NEVER, DcfState
 
 
-class Batch(NamedTuple):
+class DecidedFrames(NamedTuple):
     """m frames at n radios, in the order of time; see `netsim.interfaces.medium.Decided`."""
 
     number: Ints  # (m,)
@@ -27,7 +27,7 @@ class Batch(NamedTuple):
             yield Decided(number, start_ns, end_ns, attempts, self.fate[k], self.least_sinr[k])
 
     @classmethod
-    def untold(cls, s: State, number: Ints, count: int) -> "Batch":
+    def untold(cls, s: DcfState, number: Ints, count: int) -> "DecidedFrames":
         """Of the first ``count`` in the output, whose frames have these numbers by their places, those not told before."""
         which: Any = slice(count)
         if NEVER in s.out_end[:count].tolist():
@@ -36,7 +36,7 @@ class Batch(NamedTuple):
         return cls(number[s.out_frame[which]], *(column[which].copy() for column in columns))
 
     @classmethod
-    def all_of(cls, batches: Sequence["Batch"], count: int) -> "Batch":
+    def all_of(cls, batches: Sequence["DecidedFrames"], count: int) -> "DecidedFrames":
         """One behind the other; at ``count`` radios, if there are none."""
         if len(batches) == 1:
             return batches[0]

@@ -33,14 +33,14 @@ from vcmvsp.netsim.mac.dcf.state import (
     TIMEOUT,
     TRANSMITTING,
     UNDETECTED,
-    Rules,
-    State,
+    DcfRules,
+    DcfState,
 )
 from vcmvsp.netsim.phy.error_table import between, look_up_one, places
 
 
-def put_on_air(s: State, rules: Rules, i: int, now: int, air_ns: int) -> None:
-    """Radio i starts to send; its level and patience are in `State`."""
+def put_on_air(s: DcfState, rules: DcfRules, i: int, now: int, air_ns: int) -> None:
+    """Radio i starts to send; its level and patience are in `DcfState`."""
     settle(s, rules, now)
     count = s.counts[ON_AIR]
     for at in range(count):
@@ -59,14 +59,14 @@ def put_on_air(s: State, rules: Rules, i: int, now: int, air_ns: int) -> None:
     s.counts[ON_AIR] = count + 1
 
 
-def detect(s: State, rules: Rules, i: int) -> None:
+def detect(s: DcfState, rules: DcfRules, i: int) -> None:
     """Preamble detection of radio i's frame at all radios; see `notice`."""
     s.detected[i] = True
     notice(s, rules, i)
 
 
-def take_off_air(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> None:
-    """The frame of radio i ends; in `State.busy`: the end of the busy time that its receivers then know of.
+def take_off_air(s: DcfState, rules: DcfRules, i: int, now: int, reserved_ns: int) -> None:
+    """The frame of radio i ends; in `DcfState.busy`: the end of the busy time that its receivers then know of.
 
     For radios that decoded it, that is ``reserved_ns`` at least.
     """
@@ -86,7 +86,7 @@ def take_off_air(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> 
         s.busy[i] = energy_end_at(s, rules.busy_mw if began else rules.energy_mw, i)
 
 
-def settle(s: State, rules: Rules, now: int) -> None:
+def settle(s: DcfState, rules: DcfRules, now: int) -> None:
     """Add the hazard of all frames on the air up to now, before the set of frames changes."""
     for at in range(s.counts[ON_AIR]):
         i = s.air[at]
@@ -98,7 +98,7 @@ def settle(s: State, rules: Rules, now: int) -> None:
             s.settled_ns[i] = now
 
 
-def hear_begin(s: State, rules: Rules, i: int, now: int) -> None:
+def hear_begin(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """Start of radio i's frame at all radios: free ones wait for its preamble; some receivers drop the frame that they receive.
 
     They do if the new frame captures them, or if the header of the old one could not be decoded.
@@ -122,7 +122,7 @@ def hear_begin(s: State, rules: Rules, i: int, now: int) -> None:
     level[i] = 0.0
 
 
-def hear_begin_loop(s: State, rules: Rules, i: int, now: int) -> None:
+def hear_begin_loop(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """See `hear_begin`."""
     lock, level, pending, deaf, spoiled = s.lock, s.level[i], s.pending[i], s.deaf[i], s.spoiled[i]
     hazard, least, end_ns = s.hazard[i], s.least[i], s.end_ns
@@ -144,14 +144,14 @@ def hear_begin_loop(s: State, rules: Rules, i: int, now: int) -> None:
     level[i] = 0.0
 
 
-def captures(s: State, rules: Rules, other: int, now: int) -> bool:
+def captures(s: DcfState, rules: DcfRules, other: int, now: int) -> bool:
     """Whether a frame that begins now, if strong enough, captures the receivers of radio other's frame."""
     within = now <= s.start_ns[other] + rules.detect_ns + rules.capture_ns
     return bool(rules.capture_ns > 0 and s.detected[other] and within)
 
 
-def notice(s: State, rules: Rules, i: int) -> None:
-    """Which radios detect the frame of radio i; in `State.busy`: the end of the busy time, as known now."""
+def notice(s: DcfState, rules: DcfRules, i: int) -> None:
+    """Which radios detect the frame of radio i; in `DcfState.busy`: the end of the busy time, as known now."""
     level, strongest, busy = s.level[i], s.pending[i].copy(), s.busy
     busy[:] = 0
     for at in range(s.counts[ON_AIR]):
@@ -174,7 +174,7 @@ def notice(s: State, rules: Rules, i: int) -> None:
         np.putmask(busy, missed, energy_end(s, rules.busy_mw))
 
 
-def notice_loop(s: State, rules: Rules, i: int) -> None:
+def notice_loop(s: DcfState, rules: DcfRules, i: int) -> None:
     """See `notice`."""
     lock, level, pending, sensitivity_mw = s.lock, s.level[i], s.pending[i], s.sensitivity_mw
     count, busy = s.counts[ON_AIR], s.busy
@@ -201,7 +201,7 @@ def notice_loop(s: State, rules: Rules, i: int) -> None:
             busy[j] = energy_end_at(s, rules.busy_mw, j)
 
 
-def suffer(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
+def suffer(s: DcfState, rules: DcfRules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
     """Add hazard to the frame of radio i, for parts of its header and payload, at the SINR of now; keep the least SINR."""
     sinr, least = s.level[i] / interference(s, rules, i), s.least[i]
     np.minimum(least, sinr, out=least)
@@ -219,7 +219,7 @@ def suffer(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, head
     np.putmask(s.hazard[i], receiving, hazard)
 
 
-def suffer_loop(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
+def suffer_loop(s: DcfState, rules: DcfRules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
     """See `suffer`."""
     lock, level, least, hazard, patience = s.lock, s.level[i], s.least[i], s.hazard[i], s.patience[i]
     header_table, table = s.tables[HEADER], s.tables[s.curve[i]]
@@ -237,7 +237,7 @@ def suffer_loop(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int,
             hazard[j] += payload_bits * look_up_one(table, sinr)
 
 
-def judge(s: State, rules: Rules, i: int, now: int) -> None:
+def judge(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """Say for each radio whether it received the frame of radio i, which ends now; and if not, why not."""
     fate, level, alone = s.fate[i], s.level[i], s.hazard[i] < s.patience[i]
     ok = (s.lock == i) & alone
@@ -258,7 +258,7 @@ def judge(s: State, rules: Rules, i: int, now: int) -> None:
     fate[i] = TRANSMITTING
 
 
-def judge_loop(s: State, rules: Rules, i: int, now: int) -> None:
+def judge_loop(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """See `judge`."""
     lock, level, hazard, patience, fate, deaf = s.lock, s.level[i], s.hazard[i], s.patience[i], s.fate[i], s.deaf[i]
     header_table, table = s.tables[HEADER], s.tables[s.curve[i]]
@@ -281,8 +281,8 @@ def judge_loop(s: State, rules: Rules, i: int, now: int) -> None:
     fate[i] = TRANSMITTING
 
 
-def let_go(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> None:
-    """Free the receivers of radio i's frame, which has ended; in `State.busy`: the end of the busy time.
+def let_go(s: DcfState, rules: DcfRules, i: int, now: int, reserved_ns: int) -> None:
+    """Free the receivers of radio i's frame, which has ended; in `DcfState.busy`: the end of the busy time.
 
     That is ``reserved_ns`` at least where the frame was decoded. A receiver that waits for an acknowledgement, and began to
     receive this frame before its timeout, stops waiting (IEEE 802.11-2016, 10.3.2.11), unless this was the acknowledgement.
@@ -308,7 +308,7 @@ def let_go(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> None:
         np.putmask(busy, held, np.maximum(busy, energy_end(s, rules.busy_mw)))
 
 
-def let_go_loop(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> None:
+def let_go_loop(s: DcfState, rules: DcfRules, i: int, now: int, reserved_ns: int) -> None:
     """See `let_go`."""
     lock, eifs_ns, fate, busy, others = s.lock, s.eifs_ns, s.fate[i], s.busy, s.counts[ON_AIR] > 0
     order_by_end(s)
@@ -328,7 +328,7 @@ def let_go_loop(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> N
                 busy[j] = max(busy[j], energy_end_at(s, rules.busy_mw, j))
 
 
-def interference(s: State, rules: Rules, i: int) -> Floats | float:
+def interference(s: DcfState, rules: DcfRules, i: int) -> Floats | float:
     """Noise and the power of everything but the frame of radio i, (n,) mW; a number if there is nothing else."""
     total: Floats | float = rules.noise_mw
     for at in range(s.counts[ON_AIR]):
@@ -338,7 +338,7 @@ def interference(s: State, rules: Rules, i: int) -> Floats | float:
     return total
 
 
-def interference_at(s: State, rules: Rules, i: int, j: int) -> float:
+def interference_at(s: DcfState, rules: DcfRules, i: int, j: int) -> float:
     """The same at radio j."""
     total = rules.noise_mw
     for at in range(s.counts[ON_AIR]):
@@ -348,8 +348,8 @@ def interference_at(s: State, rules: Rules, i: int, j: int) -> float:
     return total
 
 
-def order_by_end(s: State) -> None:
-    """Sort the senders on the air into `State.order`: the last to end first; of equal ends the first to start."""
+def order_by_end(s: DcfState) -> None:
+    """Sort the senders on the air into `DcfState.order`: the last to end first; of equal ends the first to start."""
     order = s.order
     for at in range(s.counts[ON_AIR]):
         i, to = s.air[at], at
@@ -359,8 +359,8 @@ def order_by_end(s: State) -> None:
         order[to] = i
 
 
-def energy_end(s: State, threshold_mw: float) -> Ints:
-    """When the sum of the powers on the air, in `State.order`, falls below the threshold, (n,) ns; 0 where it is below."""
+def energy_end(s: DcfState, threshold_mw: float) -> Ints:
+    """When the sum of the powers on the air, in `DcfState.order`, falls below the threshold, (n,) ns; 0 where it is below."""
     until = np.zeros(len(s.lock), np.int64)
     total = np.zeros(len(s.lock))
     for i in s.order[: s.counts[ON_AIR]]:
@@ -369,7 +369,7 @@ def energy_end(s: State, threshold_mw: float) -> Ints:
     return until
 
 
-def energy_end_at(s: State, threshold_mw: float, j: int) -> int:
+def energy_end_at(s: DcfState, threshold_mw: float, j: int) -> int:
     """The same at radio j."""
     total = 0.0
     for at in range(s.counts[ON_AIR]):

@@ -4,7 +4,7 @@ After ns-3.44 (``ChannelAccessManager``, ``Txop``, ``FrameExchangeManager``): a 
 end of the last busy time, stands still while the medium is busy, and is drawn anew after every transmission, whether another
 frame waits or not. A frame that finds the medium idle and no backoff left waits DIFS from then on.
 
-Written for NumPy and for compilation alike, see `netsim.mac.jit.cache`: what changes is in the arrays of a `State`.
+Written for NumPy and for compilation alike, see `netsim.mac.jit.cache`: what changes is in the arrays of a `DcfState`.
 """
 
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
@@ -33,8 +33,8 @@ from vcmvsp.netsim.mac.dcf.state import (
     TIMEOUT,
     UNICAST,
     WANTED,
-    Rules,
-    State,
+    DcfRules,
+    DcfState,
 )
 
 # Why `run` comes back.
@@ -44,7 +44,7 @@ DONE, LEVELS, DRAWS, OUTPUT = 0, 1, 2, 3
 DETECT, END, ARRIVE = 3, 4, 5
 
 
-def run(s: State, rules: Rules, until: int) -> int:
+def run(s: DcfState, rules: DcfRules, until: int) -> int:
     """Everything that happens up to and including ``until``; or as far as it can, and why it cannot go on."""
     while True:
         if s.counts[SCARCE]:
@@ -67,7 +67,7 @@ def run(s: State, rules: Rules, until: int) -> int:
             return LEVELS
 
 
-def upcoming(s: State, rules: Rules) -> tuple[int, int, int]:
+def upcoming(s: DcfState, rules: DcfRules) -> tuple[int, int, int]:
     """What happens next, to which radio (or frame, if it arrives), and when.
 
     Of what happens at the same time, ends come first, then starts, then detections, then arrivals.
@@ -92,7 +92,7 @@ def upcoming(s: State, rules: Rules) -> tuple[int, int, int]:
     return what, who, when
 
 
-def release(s: State, rules: Rules, i: int, now: int, counting_ns: int) -> None:
+def release(s: DcfState, rules: DcfRules, i: int, now: int, counting_ns: int) -> None:
     """Radio i has done with a frame, or with an attempt; its new backoff counts from a time on."""
     s.sending[i] = NOBODY
     s.due[i] = s.wake_ns[i] = NEVER
@@ -101,7 +101,7 @@ def release(s: State, rules: Rules, i: int, now: int, counting_ns: int) -> None:
         request(s, rules, i, now)
 
 
-def arrive(s: State, rules: Rules, f: int, now: int) -> None:
+def arrive(s: DcfState, rules: DcfRules, f: int, now: int) -> None:
     """A frame comes to its sender's queue; if one that waits there has expired, that one leaves it first."""
     i = s.sender[f]
     if expire(s, rules, i, now):
@@ -125,7 +125,7 @@ def arrive(s: State, rules: Rules, f: int, now: int) -> None:
 # --- sending ---
 
 
-def begin(s: State, rules: Rules, what: int, i: int, now: int) -> bool:
+def begin(s: DcfState, rules: DcfRules, what: int, i: int, now: int) -> bool:
     """What was due of radio i; False: levels are needed first."""
     if what == START:
         return start(s, rules, i, now)
@@ -136,7 +136,7 @@ def begin(s: State, rules: Rules, what: int, i: int, now: int) -> bool:
     return True
 
 
-def start(s: State, rules: Rules, i: int, now: int) -> bool:
+def start(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
     """Radio i sends its first frame; False: its levels are needed."""
     if expire(s, rules, i, now):
         if s.head[i] == NOBODY:
@@ -166,7 +166,7 @@ def start(s: State, rules: Rules, i: int, now: int) -> bool:
     return True
 
 
-def send(s: State, rules: Rules, i: int, now: int, air_ns: int) -> None:
+def send(s: DcfState, rules: DcfRules, i: int, now: int, air_ns: int) -> None:
     """Put a frame on the air, and know that it is busy."""
     count_down(s, rules, i, now)
     put_on_air(s, rules, i, now, air_ns)
@@ -175,7 +175,7 @@ def send(s: State, rules: Rules, i: int, now: int, air_ns: int) -> None:
     defer_one(s, rules, i)
 
 
-def acknowledge(s: State, rules: Rules, i: int, now: int) -> None:
+def acknowledge(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """Radio i answers a unicast frame: over the way that it came, faded anew, and elsewhere as strong as what it sent last."""
     f = s.acked[i]
     back = s.sender[f]
@@ -191,7 +191,7 @@ def acknowledge(s: State, rules: Rules, i: int, now: int) -> None:
     send(s, rules, i, now, rules.ack_air_ns)
 
 
-def finish(s: State, rules: Rules, i: int, now: int) -> None:
+def finish(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """What radio i sends ends."""
     n = len(s.lock)
     doze(s, rules, now)
@@ -230,7 +230,7 @@ def finish(s: State, rules: Rules, i: int, now: int) -> None:
     s.outcome[f] = s.fate[i, to]
 
 
-def give_up(s: State, rules: Rules, i: int, now: int) -> None:
+def give_up(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """No acknowledgement has come, unless it, or something else, is being received: then when that is over."""
     timeout = TIMEOUT * len(s.lock) + i
     settle(s, rules, now)

@@ -13,9 +13,9 @@ from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys
 from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
 from vcmvsp.netsim.interfaces.medium import Answer, Codes, Decided, Offered, Renew
 from vcmvsp.netsim.mac.dcf import events
-from vcmvsp.netsim.mac.dcf.batch import Batch
+from vcmvsp.netsim.mac.dcf.batch import DecidedFrames
 from vcmvsp.netsim.mac.dcf.events import DRAWS, LEVELS, OUTPUT
-from vcmvsp.netsim.mac.dcf.power_rows import Levels, free_numbers, take
+from vcmvsp.netsim.mac.dcf.power_rows import PowerRows, free_numbers, take
 from vcmvsp.netsim.mac.dcf.state import (
     ARRIVED,
     DECIDED,
@@ -27,8 +27,8 @@ from vcmvsp.netsim.mac.dcf.state import (
     SCARCE,
     SOONEST,
     WANTED,
-    Rules,
-    State,
+    DcfRules,
+    DcfState,
     new_state,
 )
 from vcmvsp.netsim.mac.jit.cache import Compiled, available, is_cached, is_loaded, looped
@@ -65,7 +65,7 @@ class DcfMedium:
 
     def __init__(
         self,
-        rules: Rules,
+        rules: DcfRules,
         phy: Dsss | Ofdm,
         keys: Keys,
         curves: tuple[ErrorRate, ErrorRate],
@@ -74,17 +74,17 @@ class DcfMedium:
         compile_core: bool | None = None,
     ) -> None:
         self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
-        self._run: Callable[[State, Rules, int], int] = looped(CORE, "run") if count <= FEW else events.run
+        self._run: Callable[[DcfState, DcfRules, int], int] = looped(CORE, "run") if count <= FEW else events.run
         self._done, self._faster_at = 0, LOAD_AFTER if compile_core is None and available() else None  # frames
-        self._curves = list(curves)  # of the rows of `State.tables`
+        self._curves = list(curves)  # of the rows of `DcfState.tables`
         self._state = new_state(rules, count, sensitivity_mw, np.stack([each.table for each in curves]))
         self._free = free_numbers(0, len(self._state.behind))  # places of frames
-        self._levels = Levels(self._state.levels)
+        self._levels = PowerRows(self._state.levels)
         self._number = np.zeros(len(self._state.behind), np.int64)  # of the frame at each place
         self._renew: dict[int, tuple[Renew, Answer | None]] = {}  # by their places
         self._undecided = 0
         self._sizes: dict[int, tuple[int, int, int]] = {}  # air time, bits and curve of frames
-        self._decided: list[Batch] = []  # and not yet handed out
+        self._decided: list[DecidedFrames] = []  # and not yet handed out
         self._draw()
         self._state.slots[:] = (self._state.backoff[:, 0] * (rules.cw_min + 1)).astype(np.int64)
         self._state.over_ns[:] = rules.difs_ns + self._state.slots * rules.slot_ns
@@ -177,7 +177,7 @@ class DcfMedium:
         s.outcome[places], s.least_there[places] = EXPIRED, np.nan
 
     def _row_of(self, curve: ErrorRate) -> int:
-        """Its row of `State.tables`."""
+        """Its row of `DcfState.tables`."""
         if curve not in self._curves:
             self._curves.append(curve)
             self._state = self._state._replace(tables=np.vstack((self._state.tables, curve.table)))
@@ -215,10 +215,10 @@ class DcfMedium:
 
     def advance_arrays(self, until_ns: int) -> tuple[Ints, Ints, Ints, Codes, Floats]:
         """The same, as arrays: number (m,), start_ns (m,), end_ns (m,), fate (m, n), least_sinr (m, n)."""
-        every = Batch.all_of(self._decide(until_ns), len(self._keys))
+        every = DecidedFrames.all_of(self._decide(until_ns), len(self._keys))
         return every.number, every.start_ns, every.end_ns, every.fate, every.least_sinr
 
-    def _decide(self, until_ns: int) -> list[Batch]:
+    def _decide(self, until_ns: int) -> list[DecidedFrames]:
         self._work_off(until_ns)
         decided, self._decided = self._decided, []
         return decided
@@ -259,7 +259,7 @@ class DcfMedium:
         if not count:
             return
         s.counts[DECIDED] = 0
-        batch = Batch.untold(s, self._number, count)
+        batch = DecidedFrames.untold(s, self._number, count)
         if len(batch.number):
             self._decided.append(batch)
             self._undecided -= len(batch.number)

@@ -11,7 +11,7 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Count, Decibels, Period
 from vcmvsp.netsim.interfaces.layers import US, Keys, Phy
 from vcmvsp.netsim.mac.dcf.medium import DcfMedium
-from vcmvsp.netsim.mac.dcf.state import Rules
+from vcmvsp.netsim.mac.dcf.state import DcfRules
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import Ofdm
 
@@ -80,7 +80,7 @@ class Dcf:
         sensitivity_mw = milliwatts(phy.sensitivity_dbm)
         return DcfMedium(self.rules(phy, noise_mw), phy, keys[:count], curves, sensitivity_mw, compile_core=compile_core)
 
-    def rules(self, phy: Dsss | Ofdm, noise_mw: float) -> Rules:
+    def rules(self, phy: Dsss | Ofdm, noise_mw: float) -> DcfRules:
         """Everything in nanoseconds, milliwatts and ratios."""
         standard = standard_of(phy)
         cw_min = standard.cw_min if self.cw_min is None else self.cw_min
@@ -91,7 +91,7 @@ class Dcf:
         header_end_ns = (standard.preamble_us + standard.header_us) * US
         control = ack_phy(phy, standard)
         ack_air_ns = control.air_time_ns(ACK_BYTES)
-        return Rules(
+        return DcfRules(
             slot_ns=slot_ns,
             sifs_ns=sifs_ns,
             difs_ns=sifs_ns + 2 * slot_ns,

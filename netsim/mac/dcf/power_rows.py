@@ -6,7 +6,7 @@ from vcmvsp.netsim.interfaces.layers import Floats, Ints
 from vcmvsp.netsim.mac.dcf.state import NOBODY
 
 
-class Levels:
+class PowerRows:
     """Rows of levels at n radios; ``table``, (r, n) mW, becomes another array when it grows."""
 
     def __init__(self, table: Floats) -> None:

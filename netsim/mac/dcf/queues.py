@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from vcmvsp.netsim.mac.dcf.state import DECIDED, NEVER, NOBODY, ON_AIR, Rules, State
+from vcmvsp.netsim.mac.dcf.state import DECIDED, NEVER, NOBODY, ON_AIR, DcfRules, DcfState
 
 
-def enqueue(s: State, i: int, f: int) -> None:
+def enqueue(s: DcfState, i: int, f: int) -> None:
     """Behind all frames of at least its priority."""
     before, after = s.tail[i], NOBODY
     if before != NOBODY and s.priority[before] < s.priority[f]:
@@ -15,7 +15,7 @@ def enqueue(s: State, i: int, f: int) -> None:
     insert(s, i, f, before, after)
 
 
-def insert(s: State, i: int, f: int, before: int, after: int) -> None:
+def insert(s: DcfState, i: int, f: int, before: int, after: int) -> None:
     """Between two neighbours in the queue of radio i."""
     s.behind[f] = after
     if before == NOBODY:
@@ -27,7 +27,7 @@ def insert(s: State, i: int, f: int, before: int, after: int) -> None:
     s.waiting[i] += 1
 
 
-def leave(s: State, i: int) -> int:
+def leave(s: DcfState, i: int) -> int:
     """Take the first frame out of the queue of radio i."""
     f = int(s.head[i])
     s.head[i] = s.behind[f]
@@ -37,7 +37,7 @@ def leave(s: State, i: int) -> int:
     return f
 
 
-def expire(s: State, rules: Rules, i: int, now: int) -> bool:
+def expire(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
     """Whether the first frame that waits was too old, and is gone."""
     f = s.head[i]
     if f == NOBODY or now - s.offered_ns[f] <= rules.lifetime_ns:
@@ -46,7 +46,7 @@ def expire(s: State, rules: Rules, i: int, now: int) -> bool:
     return True
 
 
-def decide(s: State, f: int, now: int, fate: int) -> None:
+def decide(s: DcfState, f: int, now: int, fate: int) -> None:
     """The fate of a frame, at all radios the same; what became of a broadcast one that was sent follows.
 
     Of one that was received before, and told so, it says that its place is free.
@@ -62,7 +62,7 @@ def decide(s: State, f: int, now: int, fate: int) -> None:
     s.out_least[k] = s.least_there[f]
 
 
-def next_decision(s: State, rules: Rules) -> int:
+def next_decision(s: DcfState, rules: DcfRules) -> int:
     """When a frame may be decided next, if nothing else comes."""
     n = len(s.lock)
     soonest = int(s.due[n + s.due[n:].argmin()])
@@ -81,7 +81,7 @@ def next_decision(s: State, rules: Rules) -> int:
     return soonest
 
 
-def next_decision_loop(s: State, rules: Rules) -> int:
+def next_decision_loop(s: DcfState, rules: DcfRules) -> int:
     """See `next_decision`."""
     n, soonest = len(s.lock), NEVER
     for at in range(s.counts[ON_AIR]):

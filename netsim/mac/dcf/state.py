@@ -15,7 +15,7 @@ FEW = 5  # radios: for up to so many, plain numbers and loops are quicker than N
 NEVER = 1 << 62
 NOBODY = -1
 
-# What happens to a radio of itself: rows of n in `State.due`, which are worked off in this order.
+# What happens to a radio of itself: rows of n in `DcfState.due`, which are worked off in this order.
 START, ANSWER, TIMEOUT = 0, 1, 2
 
 PAYLOAD_OVER_NS = 400  # behind the end of a payload, who waits for an acknowledgement knows that it was none (ns-3.44)
@@ -23,9 +23,9 @@ PAYLOAD_OVER_NS = 400  # behind the end of a payload, who waits for an acknowled
 # What a radio is sending.
 BROADCAST, UNICAST, ACK = 0, 1, 2
 
-# Numbers in `State.counts`.
-ON_AIR = 0  # senders in `State.air`
-ARRIVED, OFFERED = 1, 2  # frames of `State.arrivals` that have come to their queue, and all that have been offered
+# Numbers in `DcfState.counts`.
+ON_AIR = 0  # senders in `DcfState.air`
+ARRIVED, OFFERED = 1, 2  # frames of `DcfState.arrivals` that have come to their queue, and all that have been offered
 DECIDED = 3  # rows in the `out` arrays
 SCARCE = 4  # 1: some radio has no draw left
 WANTED = 5  # frame whose levels are asked for
@@ -33,7 +33,7 @@ SOONEST = 6  # when something happens next, as far as `run` has seen
 EIFS_OVER = 7  # when the last EIFS is over that any radio has begun
 DECISION = 8  # when a frame is decided next, as far as `run` has seen
 
-# Rows of `State.tables` that are always there; payloads have the others.
+# Rows of `DcfState.tables` that are always there; payloads have the others.
 HEADER, ACKNOWLEDGEMENT = 0, 1
 
 # Fates as plain numbers, for compiled code.
@@ -42,7 +42,7 @@ COLLISION, ERROR = int(Fate.COLLISION), int(Fate.ERROR)
 QUEUE_FULL, EXPIRED = int(Fate.QUEUE_FULL), int(Fate.EXPIRED)
 
 
-class Rules(NamedTuple):
+class DcfRules(NamedTuple):
     """Constants of a medium."""
 
     slot_ns: int
@@ -71,7 +71,7 @@ class Rules(NamedTuple):
     draws: int  # of each radio, in store
 
 
-class State(NamedTuple):
+class DcfState(NamedTuple):
     """Everything that changes. n radios, c places for frames, r rows of levels, k draws in store, o of output."""
 
     # The radios' view of the medium, (n,)
@@ -154,8 +154,8 @@ class State(NamedTuple):
 
 
 def new_state(
-    rules: Rules, count: int, sensitivity_mw: float, tables: Floats, *, frames: int = 256, output: int = 256
-) -> State:
+    rules: DcfRules, count: int, sensitivity_mw: float, tables: Floats, *, frames: int = 256, output: int = 256
+) -> DcfState:
     """Nobody sends, nothing waits; the medium has been idle since time 0."""
     n = count
 
@@ -168,7 +168,7 @@ def new_state(
     def bools(*shape: int) -> Bools:
         return np.zeros(shape, np.bool_)
 
-    return State(
+    return DcfState(
         idle_ns=ints(0),
         header_ns=ints(0),
         eifs_ns=ints(0),

@@ -180,7 +180,7 @@ def test_without_a_name_all_that_are_dead_are_cleared_away(tmp_path: Path, monke
     assert vcmvsp_command("net", "down").out == "there is nothing to clear away\n"
     leases = {name: networks.Lease(name) for name in ("alive", "dead")}
     for name, lease in leases.items():
-        lease.tell(networks.Network(run=name, pid=os.getpid(), spaces=()))
+        lease.tell(networks.RunNetwork(run=name, pid=os.getpid(), spaces=()))
     os.close(leases["dead"]._lock)  # as the end of its process does
     assert vcmvsp_command("net", "down").out == "dead: gone\n"
     assert [each.run for each in networks.networks()] == ["alive"]
@@ -288,16 +288,18 @@ CALLED_BY_SUDO = """
 import os
 from vcmvsp.cosim.assembly.parts import networks
 from vcmvsp.netsim.bridge.process import messages
-from vcmvsp.netsim.bridge.process_client import Beside
+from vcmvsp.netsim.bridge.process_client import BridgeClient
 networks.leave_root()
 print(os.getresuid() + os.getresgid(), os.getgroups())
 try:
     os.setuid(0)
 except PermissionError:
     print("for good")
-door = messages.DoorSpec(name="ip", kind={kind!r}, params={{}})
+gateway = messages.GatewaySpec(name="ip", kind={kind!r}, params={{}})
 vehicles = ("car1", "car2")
-beside = Beside.start(messages.Opening(run={run!r}, folder={folder!r}, vehicles=vehicles, doors=(door,), payloads=False))
+gateways = (gateway,)
+opening = messages.Opening(run={run!r}, folder={folder!r}, vehicles=vehicles, gateways=gateways, payloads=False)
+beside = BridgeClient.start(opening)
 try:
     print(beside.wait_ready()[0])
 except Exception as error:
@@ -331,7 +333,7 @@ def test_with_sudo_a_run_names_no_code_and_no_files_to_what_has_the_rights_of_ro
     canary = tmp_path / "canary"
     (tmp_path / "evil.py").write_text(f"open({str(canary)!r}, 'w')\nclass Door: pass\n")
     *_, problem = called_by_sudo(run, kind, tmp_path)
-    assert "only built-in doors" in problem or "can have such a name" in problem
+    assert "only built-in gateways" in problem or "can have such a name" in problem
     assert not canary.exists()
 
 

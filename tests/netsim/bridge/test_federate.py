@@ -24,20 +24,20 @@ RUN = RunInfo(scenario="test", seed=1, duration_ns=10**10, vehicles=("a", "b"))
 class Beside:
     """In the place of the process."""
 
-    unsaid = False
+    has_outbox = False
 
     def __init__(self) -> None:
         self.says: list[Any] = []
         self.heard: list[Any] = []
 
-    def go_on(self) -> None:
+    def send_outbox(self) -> None:
         pass
 
     def read(self) -> list[Any]:
         said, self.says = self.says, []
         return said
 
-    def say(self, message: Any) -> None:
+    def send(self, message: Any) -> None:
         self.heard.append(message)
 
 
@@ -60,12 +60,12 @@ def bridge_of(
     air: Any,
     clock: Clock,
     *,
-    doors: Sequence[messages.DoorSpec] = (),
+    gateways: Sequence[messages.GatewaySpec] = (),
     agents: bool = False,
     tell: Callable[[str], None] = print,
 ) -> Bridge:
     return Bridge(
-        doors,
+        gateways,
         run="test",
         folder=".",
         vehicles=vehicles,
@@ -87,13 +87,13 @@ def made(*, agents: bool = False) -> tuple[Bridge, Beside, Clock]:
     return bridge, process, clock
 
 
-def came(first: int, *rows: tuple[int, int]) -> messages.Came:
+def came(first: int, *rows: tuple[int, int]) -> messages.NewDatagrams:
     """Broadcasts: sender and when."""
     sender, came_ns = np.array(rows, np.int64).T
     n = len(rows)
-    return messages.Came(
+    return messages.NewDatagrams(
         number=np.arange(first, first + n),
-        door=np.zeros(n, np.int32),
+        gateway=np.zeros(n, np.int32),
         sender=sender.astype(np.int32),
         to=np.full(n, -1, np.int32),
         size_bytes=np.full(n, 10),
@@ -142,7 +142,7 @@ def test_at_any_speed_what_counts_is_how_late_the_run_is_on_the_wall_clock(monke
     monkeypatch.setattr(time, "monotonic_ns", lambda: wall_ns)
     process.says = [came(0, (0, wall_ns))]
     assert bridge.poll(now_ns)
-    process.unsaid = True
+    process.has_outbox = True
     step = bridge.step(now_ns, [])
     assert (len(step.events), step.next_ns) == (1, now_ns + 10 * AGAIN_NS)  # a millisecond later, there
     wall_ns += BEHIND_NS - MS  # which is ten times as much in the run's time
@@ -164,7 +164,7 @@ def test_levels_of_many_vehicles_are_told_in_pieces_that_a_message_holds() -> No
     bridge.start(RUN)
     process: Any = Beside()
     bridge._process = process
-    process.says = [messages.Asked()]
+    process.says = [messages.LevelsRequest()]
     bridge.poll(MS)
     none = np.zeros((n, 3))
     states = States(names=names, position=none, velocity=none, attitude=np.zeros((n, 4)), angular_velocity=none)
@@ -188,18 +188,18 @@ class Levels:
 def test_what_an_agent_says_that_no_datagram_holds_is_counted() -> None:
     bridge, process, _ = made(agents=True)
     process.says = [
-        messages.Counted(counts={"a": {"of the process": 1}}),
-        messages.Counted(counts={"b": {"of the process": 2}}),
+        messages.Counts(counts={"a": {"of the process": 1}}),
+        messages.Counts(counts={"b": {"of the process": 2}}),
     ]
     bridge.poll(MS)
     for size in (LARGEST, LARGEST + 1, LARGEST + 2):
         message = Message(sender="a", body=bytes(size), size_bytes=4)
         reception = Reception(message=message, rssi_dbm=0.0, sent_ns=MS, received_ns=3 * MS)
         bridge.step(3 * MS, [Event("b/heard", 3 * MS, reception)])
-    assert [len(each.payload) for each in process.heard if isinstance(each, messages.Spoken)] == [LARGEST]
+    assert [len(each.payload) for each in process.heard if isinstance(each, messages.AgentDatagram)] == [LARGEST]
     assert bridge.lateness["counts"] == {
         "a": {"of the process": 1},
-        "b": {"of the process": 2, "said by agents in more than 65535 bytes": 2},
+        "b": {"of the process": 2, "sent by agents in more than 65535 bytes": 2},
     }
 
 
@@ -220,8 +220,8 @@ def test_a_process_that_had_to_be_killed_is_told_of_and_how_to_clear_up_behind_i
 ) -> None:
     none: Any = None
     told: list[str] = []
-    doors = [messages.DoorSpec(name=kind, kind=kind, params={})]
-    bridge = bridge_of(("a", "b"), none, Clock(), doors=doors, tell=told.append)
+    gateways = [messages.GatewaySpec(name=kind, kind=kind, params={})]
+    bridge = bridge_of(("a", "b"), none, Clock(), gateways=gateways, tell=told.append)
     process: Any = Beside()
     process.killed, process.close = killed, list
     bridge._process = process
@@ -247,12 +247,12 @@ def test_what_a_program_said_is_told_from_what_an_agent_said_though_it_is_the_sa
         settled=number,
     )
     bridge.step(3 * MS, [heard, Event("radio/traffic", 3 * MS, traffic)])  # in the order of their keys
-    assert not [each for each in process.heard if isinstance(each, messages.Spoken)]
+    assert not [each for each in process.heard if isinstance(each, messages.AgentDatagram)]
     bridge.step(3 * MS, [heard])
-    (spoken,) = [each for each in process.heard if isinstance(each, messages.Spoken)]
+    (spoken,) = [each for each in process.heard if isinstance(each, messages.AgentDatagram)]
     assert (spoken.sender, spoken.receiver, spoken.payload) == (0, 1, b"same")
     bridge.step(4 * MS, [Event("b/heard", 4 * MS, msgspec.structs.replace(heard.value, received_ns=4 * MS))])
-    assert len([each for each in process.heard if isinstance(each, messages.Spoken)]) == 2
+    assert len([each for each in process.heard if isinstance(each, messages.AgentDatagram)]) == 2
 
 
 def test_nothing_enters_at_the_end() -> None:

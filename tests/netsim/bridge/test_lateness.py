@@ -39,7 +39,7 @@ def test_deliveries_are_told_with_what_carried_them_and_how_late_they_were() -> 
     lateness.sent(ints(1), ints(0), ints(1), ints(-1), ints(150))
     lateness.due(traffic((2, 1, 1_200, 41), (0, 0, 1_100, 40), settled=(0, 2)), ints(5_000_000, 6_000_000))
     lateness.due(traffic((1, 0, 1_300, 42), settled=(1,)), ints(9_000_000))
-    lateness.went(ints(1, 0), ints(6_500_000, 8_000_000))
+    lateness.delivered(ints(1, 0), ints(6_500_000, 8_000_000))
     told = lateness.summary({"a": {"longer than max_bytes": 2}})
     assert told == {
         "datagrams": 3,

@@ -11,7 +11,7 @@ from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.processes.local_link import Link
 from vcmvsp.netsim.bridge import process_client
 from vcmvsp.netsim.bridge.process import messages
-from vcmvsp.netsim.bridge.process_client import Beside
+from vcmvsp.netsim.bridge.process_client import BridgeClient
 
 STEP_S = 7.0
 
@@ -44,7 +44,7 @@ def slow_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process_client, "time", SimpleNamespace(monotonic=lambda: next(now)))
 
 
-def silent() -> tuple[Beside, Silent]:
+def silent() -> tuple[BridgeClient, Silent]:
     def wait(timeout: float | None = None) -> int:
         if timeout is not None:
             raise subprocess.TimeoutExpired("bridge", timeout)
@@ -52,13 +52,13 @@ def silent() -> tuple[Beside, Silent]:
 
     process = SimpleNamespace(pid=1, kill=lambda: None, wait=wait)
     link = Silent()
-    opening = messages.Opening(run="run", folder=".", vehicles=("a",), doors=(), payloads=False)
-    return Beside(cast("Any", process), cast("Link", link), opening), link
+    opening = messages.Opening(run="run", folder=".", vehicles=("a",), gateways=(), payloads=False)
+    return BridgeClient(cast("Any", process), cast("Link", link), opening), link
 
 
 def test_doors_that_do_not_open_are_said_when_time_is_over(slow_clock: None) -> None:
     waiting, link = silent()
-    with pytest.raises(FederateError, match="its doors were not open after 60 s"):
+    with pytest.raises(FederateError, match="its gateways were not open after 60 s"):
         waiting.wait_ready()
     assert len(link.waits) == pytest.approx(process_client.READY_S / STEP_S, abs=1.0)
     assert min(link.waits) > 0.0

@@ -1,4 +1,4 @@
-"""The example of the README works as it stands there, and so does its door of one's own."""
+"""The example of the README works as it stands there, and so does its gateway of one's own."""
 
 import asyncio
 import json
@@ -18,7 +18,7 @@ from tests.support.netsim.bridge_runs import BridgeRun, running
 from tests.support.netsim.gateway_context import TestHall, free_ports
 from tests.support.paths import ROOT
 from vcmvsp.cosim.config import builtin_kinds
-from vcmvsp.netsim.bridge.gateways.base import Door
+from vcmvsp.netsim.bridge.gateways.base import Gateway
 
 HOME = ROOT / "netsim" / "bridge"
 README = (HOME / "README.md").read_text(encoding="utf-8")
@@ -97,13 +97,13 @@ def test_the_door_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "heard.txt"
 
     async def trial() -> list[str]:
-        door: Door = space["RollCall"](out=str(path))
-        hall = TestHall(("a", "b", "c"))
-        door.check(hall.vehicles)
-        (line,) = await door.open(hall)
+        gateway: Gateway = space["RollCall"](out=str(path))
+        context = TestHall(("a", "b", "c"))
+        gateway.check(context.vehicles)
+        (line,) = await gateway.open(context)
         assert str(path) in line
         await asyncio.sleep(0.01)  # by then, all that was due before has been delivered
-        await door.close()
+        await gateway.close()
         return path.read_text().splitlines()
 
     assert sorted(asyncio.run(trial())) == [f"{x} heard {y}" for x in "abc" for y in "abc" if x != y]

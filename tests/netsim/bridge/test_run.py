@@ -22,7 +22,7 @@ from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event, Prompted, Releasable, RunInfo, Slot, Step
 from vcmvsp.cosim.types import Message, Reception
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.netsim.bridge.process.messages import DoorSpec
+from vcmvsp.netsim.bridge.process.messages import GatewaySpec
 
 MS = 1_000_000
 
@@ -173,7 +173,7 @@ def test_when_the_run_is_killed_the_process_ends_and_ports_are_free() -> None:
     script = textwrap.dedent(f"""
         from tests.support.netsim.bridge_runs import BridgeRun
         from vcmvsp.netsim.bridge.process.messages import DoorSpec
-        run = BridgeRun("a", "b", doors=[DoorSpec(name="udp", kind="udp", params={{"first_port": {first}}})])
+        run = BridgeRun("a", "b", gateways=[DoorSpec(name="udp", kind="udp", params={{"first_port": {first}}})])
         run.go()
         print(run.bridge._process.pid, flush=True)
     """)
@@ -200,7 +200,7 @@ def test_ports_in_use_end_the_run_before_it_begins_and_leave_no_process() -> Non
     run = BridgeRun("a", "b")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(run.port(1, BROADCAST))
-        with pytest.raises(FederateError, match=rf"bridge: bridge.udp: port {run.port(1, 0)[1]} of 127.0.0.1 cannot be had"):
+        with pytest.raises(FederateError, match=rf"bridge: bridge.udp: port {run.port(1, 0)[1]} of 127.0.0.1 cannot be opened"):
             run.go()
     assert run.bridge._process is not None
     assert run.bridge._process._process.returncode is not None
@@ -282,15 +282,15 @@ def test_levels_are_told_while_a_door_asks(tmp_path: Path) -> None:
                 def __init__(self, out: str) -> None:
                     self.out = Path(out)
 
-                async def open(self, hall):
-                    hall.loop.call_later(0.05, self.turn, hall)
+                async def open(self, context):
+                    context.loop.call_later(0.05, self.turn, context)
                     return []
 
-                def turn(self, hall):
-                    level = hall.level_dbm(2, 1)
+                def turn(self, context):
+                    level = context.level_dbm(2, 1)
                     self.out.write_text(str(level))
                     if level != level:
-                        hall.loop.call_later(0.02, self.turn, hall)
+                        context.loop.call_later(0.02, self.turn, context)
 
                 def deliver(self, sender, receiver, payload):
                     pass
@@ -300,8 +300,8 @@ def test_levels_are_told_while_a_door_asks(tmp_path: Path) -> None:
         """)
     )
     out = tmp_path / "level"
-    door = DoorSpec(name="probe", kind="probe.py:Probe", params={"out": str(out)})
-    run = BridgeRun("a", "b", "c", doors=[door], folder=str(tmp_path))
+    gateway = GatewaySpec(name="probe", kind="probe.py:Probe", params={"out": str(out)})
+    run = BridgeRun("a", "b", "c", gateways=[gateway], folder=str(tmp_path))
     with running(run):
         wait_for(lambda: out.exists() and out.read_text() == "-21.0")
 
@@ -397,7 +397,7 @@ STUCK = """
 import time
 
 class Stuck:
-    async def open(self, hall):
+    async def open(self, context):
         return []
 
     def deliver(self, sender, receiver, payload):
@@ -411,8 +411,8 @@ class Stuck:
 def test_that_the_process_had_to_be_killed_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vcmvsp.netsim.bridge.process_client.CLOSE_S", 0.1)
     (tmp_path / "stuck.py").write_text(STUCK)
-    door = DoorSpec(name="stuck", kind="stuck.py:Stuck", params={})
-    run = BridgeRun("a", "b", doors=[door], folder=str(tmp_path), seconds=0.2)
+    gateway = GatewaySpec(name="stuck", kind="stuck.py:Stuck", params={})
+    run = BridgeRun("a", "b", gateways=[gateway], folder=str(tmp_path), seconds=0.2)
     run.go()
     run.join()
     process = run.bridge._process

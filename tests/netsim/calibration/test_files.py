@@ -13,8 +13,8 @@ from vcmvsp.cosim.cli.calibrate import write_calibration
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.netsim.calibration.design_matrix import sample
-from vcmvsp.netsim.calibration.fit import Calibration, Links, calibrate_file, figure_data, read_links
-from vcmvsp.netsim.calibration.result import Estimate
+from vcmvsp.netsim.calibration.fit import Calibration, MeasuredLinks, calibrate_file, figure_data, read_links
+from vcmvsp.netsim.calibration.result import ParameterEstimate
 from vcmvsp.netsim.propagation.fading import Nakagami
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 from vcmvsp.netsim.propagation.shadowing import Shadowing
@@ -25,7 +25,7 @@ from vcmvsp.physics.line_of_sight.sightline import Sightline
 def test_a_long_log_is_sampled_evenly_and_in_neighbours() -> None:
     way = tour(20_000)
     base = np.zeros_like(way)
-    log = Links(np.zeros(20_000), base, way, np.zeros(20_000))
+    log = MeasuredLinks(np.zeros(20_000), base, way, np.zeros(20_000))
     rows = sample(log, 400)
     assert 300 < len(rows) <= 400
     assert np.diff(rows).max() <= 2 * 20_000 / 200
@@ -35,12 +35,12 @@ def test_a_long_log_is_sampled_evenly_and_in_neighbours() -> None:
 
 def calibrated(**changes: Any) -> Calibration:
     known: dict[str, Any] = {
-        "level_dbm": Estimate.of_mean(-42.0, 1.0, 1.0),
-        "exponent": Estimate.of_mean(2.7, 0.1, 0.1),
-        "walls_db": {"brick": Estimate.of_mean(5.0, 1.0, 1.0), "glass": Estimate.of_mean(-0.5, 1.0, 1.0)},
-        "shadowing_db": Estimate.positive(4.0, 0.1),
-        "correlation_distance_m": Estimate.positive(8.0, 0.1),
-        "fading_db": Estimate.positive(5.57, 0.1),
+        "level_dbm": ParameterEstimate.of_mean(-42.0, 1.0, 1.0),
+        "exponent": ParameterEstimate.of_mean(2.7, 0.1, 0.1),
+        "walls_db": {"brick": ParameterEstimate.of_mean(5.0, 1.0, 1.0), "glass": ParameterEstimate.of_mean(-0.5, 1.0, 1.0)},
+        "shadowing_db": ParameterEstimate.positive(4.0, 0.1),
+        "correlation_distance_m": ParameterEstimate.positive(8.0, 0.1),
+        "fading_db": ParameterEstimate.positive(5.57, 0.1),
         "tx_power_dbm": 16.0,
         "reference_distance_m": 2.0,
         "sensitivity_dbm": -90.0,
@@ -84,7 +84,7 @@ def test_what_was_not_found_is_not_in_the_table() -> None:
     independent = calibrated(correlation_distance_m=None)
     assert independent.table()["shadowing"]["correlation_distance_m"] == pytest.approx(1.0)
     with pytest.raises(ValueError, match="levels rise with distance"):
-        calibrated(exponent=Estimate.of_mean(-0.2, 0.1, 0.1)).table()
+        calibrated(exponent=ParameterEstimate.of_mean(-0.2, 0.1, 0.1)).table()
 
 
 HEADER = "time,ax,ay,az,bx,by,bz,rssi_dbm"

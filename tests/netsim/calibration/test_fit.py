@@ -8,7 +8,7 @@ import pytest
 from tests.support.netsim.links import Line
 from tests.support.netsim.measured_links import BOXES, links, mean_of, normal_score, points, shadows, tour
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.netsim.calibration.fit import Links, fit
+from vcmvsp.netsim.calibration.fit import MeasuredLinks, fit
 from vcmvsp.netsim.propagation.shadowing import Shadowing
 from vcmvsp.netsim.propagation.walls import FixedWalls
 from vcmvsp.physics.line_of_sight.sightline import Sightline
@@ -163,7 +163,7 @@ def test_walls_that_nothing_was_heard_through_are_named() -> None:
     behind = np.array([sightline.crossings(a[i], b[i : i + 1])[0][0, 0] for i in range(60)])
     level = np.where(behind, np.nan, mean_of(a, b) + rng.normal(0.0, 3.0, 60))
     with pytest.raises(UsageError, match="walls of concrete are crossed by lost rows only"):
-        fit(Links(np.arange(60.0), a, b, level), sightline=sightline)
+        fit(MeasuredLinks(np.arange(60.0), a, b, level), sightline=sightline)
     through = np.flatnonzero(behind)
     with pytest.raises(UsageError, match="cannot be told apart"):
-        fit(Links(np.arange(60.0), a, b, mean_of(a, b)).only(through), sightline=sightline)
+        fit(MeasuredLinks(np.arange(60.0), a, b, mean_of(a, b)).only(through), sightline=sightline)

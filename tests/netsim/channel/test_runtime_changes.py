@@ -18,7 +18,7 @@ from vcmvsp.cosim.types import Changed, FrameReport, Message, Outage, Probabilit
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.channel.replayed import RecordedChannel
-from vcmvsp.netsim.channel.runtime_changes import Operated
+from vcmvsp.netsim.channel.runtime_changes import RuntimeChanges
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.netsim.impairments.delay import FixedDelay, GammaDelay, NoDelay, UniformDelay
 from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
@@ -89,7 +89,7 @@ def fates(radio: RadioFederate, told: Sequence[Event], cuts: Sequence[int] = (),
 
 @given(cuts=st.lists(st.sets(st.sampled_from(NAMES), min_size=1), max_size=3), sender=st.sampled_from(NAMES))
 def test_outages_do_what_a_script_with_the_same_changes_does(cuts: list[set[str]], sender: str) -> None:
-    operated = Operated()
+    operated = RuntimeChanges()
     for who in cuts:
         operated.cut_off(sorted(who), 0, MS)
     outages, receivers = operated.outages, tuple(each for each in NAMES if each != sender)

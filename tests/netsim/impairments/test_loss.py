@@ -9,7 +9,7 @@ from vcmvsp.cosim.types import Message
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
 from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
-from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, Links
+from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, SenderLinks
 from vcmvsp.netsim.interfaces.link_draws import DELAY_SLOT, LOSS_SLOT, LinkDraws
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import NoPathLoss
@@ -68,7 +68,7 @@ def test_runs_of_losses_are_geometric(uniforms: np.ndarray) -> None:
 def test_blocks_change_no_draw(receivers: int) -> None:
     """Any order of frames and slots gives what the generator gives for each frame alone."""
     names = tuple(f"car{i}" for i in range(receivers))
-    draws = LinkDraws(Links(3, "leader", names))
+    draws = LinkDraws(SenderLinks(3, "leader", names))
     keys = np.array([key64(3, f"radio/leader/{name}") for name in names], np.uint64)
     for frame in (0, 1, 63, 64, 65, 2, 1_000_003, 64, 0):
         for slot in (DELAY_SLOT, LOSS_SLOT):
@@ -81,7 +81,7 @@ def test_blocks_change_no_draw(receivers: int) -> None:
 
 def test_what_goes_by_draws_alone_is_the_same_of_many_frames_at_once() -> None:
     """As frame by frame, in any order, for whichever layer has the slot by now."""
-    draws = LinkDraws(Links(3, "leader", ("a", "b", "c")))
+    draws = LinkDraws(SenderLinks(3, "leader", ("a", "b", "c")))
     frame = make_frame(3)
     for number in (0, 1, 255, 256, 2):
         for loss in (Bernoulli(0.3), Bernoulli(0.9)):

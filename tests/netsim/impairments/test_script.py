@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.impairments.script import Change, Script
-from vcmvsp.netsim.interfaces.layers import Frame, Links, Paths
+from vcmvsp.netsim.impairments.script import Script, ScriptedChange
+from vcmvsp.netsim.interfaces.layers import Frame, Paths, SenderLinks
 
 CARS = ("car1", "car2", "car3", "base")
 MS = 1_000_000
@@ -21,7 +21,7 @@ def frame(sender: str = "car1", *receivers: str, at_ns: int = 15 * 10**9, wait_n
     """A frame of 1 ms that begins at ``at_ns``, sent ``wait_ns`` before."""
     names = receivers or tuple(name for name in CARS if name != sender)
     nowhere = Paths.between(np.zeros(3), np.zeros((len(names), 3)))
-    return Frame(at_ns - wait_ns, at_ns, at_ns + MS, 100, nowhere, np.zeros(len(names)), Links(1, sender, names))
+    return Frame(at_ns - wait_ns, at_ns, at_ns + MS, 100, nowhere, np.zeros(len(names)), SenderLinks(1, sender, names))
 
 
 def half() -> Any:
@@ -39,7 +39,7 @@ def struck(script: Script, sent: Frame) -> list[str]:
 )
 def test_from_then_till_then_for_frames_that_touch_it(at_s: float, touches: bool) -> None:
     """The frame is 1 ms long; the change is [10 s, 20 s)."""
-    script = Script((Change(from_s=10.0, to_s=20.0, loss=1.0, attenuation_db=6.0, delay_s=0.25),))
+    script = Script((ScriptedChange(from_s=10.0, to_s=20.0, loss=1.0, attenuation_db=6.0, delay_s=0.25),))
     sent = frame(at_ns=round(at_s * 1e9), wait_ns=3 * MS)
     assert script.lost(sent, half).tolist() == [touches] * 3
     assert script.gain_db(sent, half).tolist() == [-6.0 * touches] * 3
@@ -47,7 +47,7 @@ def test_from_then_till_then_for_frames_that_touch_it(at_s: float, touches: bool
 
 
 def test_without_an_end_it_lasts() -> None:
-    script = Script((Change(from_s=10.0, loss=1.0),))
+    script = Script((ScriptedChange(from_s=10.0, loss=1.0),))
     assert [len(struck(script, frame(at_ns=t * 10**9))) for t in (9, 10, 10**9)] == [0, 3, 3]
 
 
@@ -66,20 +66,24 @@ def test_without_an_end_it_lasts() -> None:
     ],
 )
 def test_links_by_key_expressions(links: tuple[str, ...], sender: str, expected: list[str]) -> None:
-    assert struck(Script((Change(from_s=0.0, links=links, loss=1.0),)), frame(sender)) == expected
+    assert struck(Script((ScriptedChange(from_s=0.0, links=links, loss=1.0),)), frame(sender)) == expected
 
 
 def test_links_that_nobody_has_are_told() -> None:
     links = ("car1/*", "nobody/*", "car2/car2", "**", "*/base", "car1/car9", "nobody/*")
-    assert Script((Change(from_s=0.0, links=links, loss=1.0),)).unmatched(CARS) == ["nobody/*", "car2/car2", "car1/car9"]
+    assert Script((ScriptedChange(from_s=0.0, links=links, loss=1.0),)).unmatched(CARS) == [
+        "nobody/*",
+        "car2/car2",
+        "car1/car9",
+    ]
 
 
 def test_losses_of_several_are_independent_and_the_rest_adds_up() -> None:
     """1 - 0.7 x 0.5 of what both concern."""
     script = Script(
         (
-            Change(from_s=0.0, to_s=9.0, loss=0.3, attenuation_db=3.0, delay_s=0.1),
-            Change(from_s=0.0, to_s=9.0, links=("car1/car2",), loss=0.5, attenuation_db=-10.0, delay_s=0.2),
+            ScriptedChange(from_s=0.0, to_s=9.0, loss=0.3, attenuation_db=3.0, delay_s=0.1),
+            ScriptedChange(from_s=0.0, to_s=9.0, links=("car1/car2",), loss=0.5, attenuation_db=-10.0, delay_s=0.2),
         )
     )
     sent, rng = frame("car1", "car2", "car3", at_ns=5 * 10**9), np.random.default_rng(1)
@@ -91,7 +95,7 @@ def test_losses_of_several_are_independent_and_the_rest_adds_up() -> None:
 
 def test_no_draw_changes_what_is_total_or_absent() -> None:
     sent, most = frame("car1", "car2", "car3"), 1.0 - 2.0**-53
-    total = Script((Change(from_s=0.0, links=("car1/car2",), loss=1.0), Change(from_s=0.0, loss=0.0)))
+    total = Script((ScriptedChange(from_s=0.0, links=("car1/car2",), loss=1.0), ScriptedChange(from_s=0.0, loss=0.0)))
     for draw in (0.0, 0.5, most):
         assert total.lost(sent, lambda draw=draw: np.full((2, 2), draw)).tolist() == [True, False]  # type: ignore[misc]
 
@@ -103,10 +107,12 @@ spans = st.lists(st.tuples(st.integers(0, 12), st.one_of(st.none(), st.integers(
 def test_present_is_what_overlaps(found: list[tuple[int, int | None]], start: int, air: int) -> None:
     """Against the definition, in whole ns: change k weakens by 2^k dB, so that the sum tells which are present."""
     changes = tuple(
-        Change(from_s=begin / 1e9, to_s=None if length is None else (begin + length) / 1e9, attenuation_db=2.0**k)
+        ScriptedChange(from_s=begin / 1e9, to_s=None if length is None else (begin + length) / 1e9, attenuation_db=2.0**k)
         for k, (begin, length) in enumerate(found)
     )
-    sent = Frame(0, start, start + air, 9, Paths.between(np.zeros(3), np.zeros((1, 3))), np.zeros(1), Links(1, "a", ("b",)))
+    sent = Frame(
+        0, start, start + air, 9, Paths.between(np.zeros(3), np.zeros((1, 3))), np.zeros(1), SenderLinks(1, "a", ("b",))
+    )
     overlapping = (
         2.0**k for k, (begin, length) in enumerate(found) if begin < start + air and (length is None or begin + length > start)
     )
@@ -115,7 +121,10 @@ def test_present_is_what_overlaps(found: list[tuple[int, int | None]], start: in
 
 def test_answers_do_not_depend_on_what_was_asked_before() -> None:
     """Nor can what is answered be changed."""
-    changes = (Change(from_s=1.0, to_s=2.0, loss=0.4), Change(from_s=1.5, to_s=3.0, links=("*/car2",), attenuation_db=4.0))
+    changes = (
+        ScriptedChange(from_s=1.0, to_s=2.0, loss=0.4),
+        ScriptedChange(from_s=1.5, to_s=3.0, links=("*/car2",), attenuation_db=4.0),
+    )
     frames = [frame(sender, at_ns=t * MS) for t in range(900, 3200, 50) for sender in CARS]
     used = Script(changes)
     there = [used.gain_db(each, half).tolist() for each in frames]

@@ -15,7 +15,7 @@ from pyarrow import parquet
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.impairments.trace import Trace
-from vcmvsp.netsim.interfaces.layers import Frame, Links, Paths
+from vcmvsp.netsim.interfaces.layers import Frame, Paths, SenderLinks
 
 MS = 1_000_000
 NOISE = -94.0
@@ -32,7 +32,7 @@ def frame(at_s: float, sender: str = "car1", receivers: Sequence[str] = ("car2",
     """A frame of 1 ms that begins then, sent 2 ms before."""
     start, count = round(at_s * 1e9), len(receivers)
     nowhere = Paths.between(np.zeros(3), np.zeros((count, 3)))
-    return Frame(start - 2 * MS, start, start + MS, 100, nowhere, np.zeros(count), Links(1, sender, tuple(receivers)))
+    return Frame(start - 2 * MS, start, start + MS, 100, nowhere, np.zeros(count), SenderLinks(1, sender, tuple(receivers)))
 
 
 def written(folder: Path, text: str = ROWS, name: str = "links.csv") -> str:

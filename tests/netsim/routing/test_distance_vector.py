@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import shortest_path
 
 from tests.support.netsim.routing_runs import HOP_NS, line, run, says
 from vcmvsp.cosim.rng import stream
-from vcmvsp.netsim.routing.distance_vector import ENTRY_BYTES, SPREAD, DistanceVector, Vectors
+from vcmvsp.netsim.routing.distance_vector import ENTRY_BYTES, SPREAD, DistanceVector, DistanceVectorRouter
 from vcmvsp.netsim.routing.router import HEADER_BYTES, Update
 
 PERIOD_NS = 1_000_000_000
@@ -19,9 +19,9 @@ Graph = NDArray[np.bool_]
 Lost = Callable[[int, int], bool]
 
 
-def vectors(count: int, seed: int = 1, missed: int = 3, hop_limit: int = 50) -> Vectors:
+def vectors(count: int, seed: int = 1, missed: int = 3, hop_limit: int = 50) -> DistanceVectorRouter:
     draws = [stream(seed, f"{row}") for row in range(count)]
-    return Vectors(draws, PERIOD_NS, 0, missed=missed, hop_limit=hop_limit)
+    return DistanceVectorRouter(draws, PERIOD_NS, 0, missed=missed, hop_limit=hop_limit)
 
 
 class Neighbourhood:

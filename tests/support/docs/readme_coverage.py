@@ -148,7 +148,7 @@ SHOWN = {
     ("agents/README.md", "u_i = kappa sum_j"): "an equation",
     ("agents/README.md", "th_f) (p_l + Rot(th_l) c"): "equations",
     ("netsim/README.md", "queue of the sender -> access"): "a drawing",
-    ("netsim/bridge/README.md", "program -> door -> store"): "a drawing",
+    ("netsim/bridge/README.md", "program -> gateway -> store"): "a drawing",
     ("netsim/sockets/README.md", "program --sendto--> turn"): "a drawing",
 }
 """By page, and words in a block that is neither a scenario nor for a shell: the test that uses it, or what it is."""

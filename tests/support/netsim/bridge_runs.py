@@ -16,7 +16,7 @@ from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.types import Array, Datagrams, FrameReport, States, Traffic
 from vcmvsp.netsim.bridge.federate import Bridge
-from vcmvsp.netsim.bridge.process.messages import DoorSpec
+from vcmvsp.netsim.bridge.process.messages import GatewaySpec
 from vcmvsp.netsim.federate import RadioFederate
 
 BROADCAST, RECEIVE = 0, 99  # of a vehicle's block of ports
@@ -64,7 +64,7 @@ class BridgeRun:
     def __init__(
         self,
         *vehicles: str,
-        doors: Sequence[DoorSpec] | None = None,
+        gateways: Sequence[GatewaySpec] | None = None,
         seconds: float = 60.0,
         agents: Sequence[Federate] = (),
         hear: bool = False,
@@ -75,9 +75,9 @@ class BridgeRun:
         preset: str = "ideal",
         **channel: Any,
     ) -> None:
-        self.first_port = free_ports(100 * len(vehicles)) if doors is None else 0
+        self.first_port = free_ports(100 * len(vehicles)) if gateways is None else 0
         params = {"first_port": self.first_port, **(udp or {})}
-        doors = [DoorSpec(name="udp", kind="udp", params=params)] if doors is None else doors
+        gateways = [GatewaySpec(name="udp", kind="udp", params=params)] if gateways is None else gateways
         self.told: list[str] = []
         self.logged: list[tuple[str, int, Any]] = []
         self.sent: list[tuple[int, Datagrams]] = []
@@ -89,7 +89,7 @@ class BridgeRun:
         air = Air(make_channel(preset, vehicles=vehicles, **channel))
         clock = clock or WallClock()
         self.bridge = Bridge(
-            doors,
+            gateways,
             run="test",
             folder=folder,
             vehicles=vehicles,
@@ -110,7 +110,7 @@ class BridgeRun:
         self.logged.append((key, time_ns, value))
 
     def go(self, before: Callable[[], object] = lambda: None) -> None:
-        """Open all doors, do what is to be done ``before`` time 0, and begin."""
+        """Open all gateways, do what is to be done ``before`` time 0, and begin."""
         try:
             self.kernel.start()
             before()

@@ -11,7 +11,7 @@ from vcmvsp.cosim.assembly import radio
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.types import FrameReport, Message
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.interfaces.layers import Frame, Links, Paths
+from vcmvsp.netsim.interfaces.layers import Frame, Paths, SenderLinks
 from vcmvsp.physics.world.solids import Box
 
 
@@ -47,4 +47,4 @@ def one(reports: list[FrameReport]) -> FrameReport:
 def make_frame(*shape: int) -> Frame:
     """A frame with a level array of the given shape, for asking a layer directly."""
     nowhere: NDArray[np.float64] = np.zeros((1, 3))
-    return Frame(0, 0, 1_000_000, 100, Paths.between(nowhere[0], nowhere), np.zeros(shape), Links(1, "car0", ("car1",)))
+    return Frame(0, 0, 1_000_000, 100, Paths.between(nowhere[0], nowhere), np.zeros(shape), SenderLinks(1, "car0", ("car1",)))

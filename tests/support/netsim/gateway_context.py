@@ -1,4 +1,4 @@
-"""Doors without a run: a hall that carries what it is offered after a set delay, and what tests of doors need beside it."""
+"""Gateways without a run: a context that delivers datagrams after a set delay."""
 
 import asyncio
 import dataclasses
@@ -8,14 +8,14 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 
-from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, Door
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, Gateway
 
 PATIENCE_S = 60.0  # for what must happen, on a machine that may be held up
 
 
 @dataclasses.dataclass(frozen=True)
 class Offered:
-    """What a door handed over."""
+    """What a gateway handed over."""
 
     sender: int
     to: int
@@ -24,7 +24,7 @@ class Offered:
 
 
 class TestHall:
-    """A `netsim.bridge.gateways.base.Hall` without a run; to be made on the running loop.
+    """A `netsim.bridge.gateways.base.GatewayContext` without a run; to be made on the running loop.
 
     Args:
         vehicles: names of the run's vehicles.
@@ -56,7 +56,7 @@ class TestHall:
         self._delay_s, self._hears = delay_s, hears
         self._thread = threading.get_ident()
 
-    def offer(self, door: Door, sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
+    def offer(self, gateway: Gateway, sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
         self._on_the_loop()
         rows = range(len(self.vehicles))
         assert type(payload) is bytes
@@ -69,8 +69,8 @@ class TestHall:
         self.offered.append(Offered(sender, to, payload, time.monotonic_ns() if came_ns is None else came_ns))
         for receiver in [row for row in rows if row != sender] if to == BROADCAST else [to]:
             if self._hears(sender, receiver, place):
-                self.loop.call_later(self._delay_s, door.deliver, sender, receiver, payload)
-            elif to != BROADCAST and (lost := getattr(door, "lost", None)):
+                self.loop.call_later(self._delay_s, gateway.deliver, sender, receiver, payload)
+            elif to != BROADCAST and (lost := getattr(gateway, "lost", None)):
                 self.loop.call_later(self._delay_s, lost, sender, receiver, payload)
         return True
 

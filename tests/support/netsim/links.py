@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.netsim.interfaces.layers import Frame, Keys, Links, Paths
+from vcmvsp.netsim.interfaces.layers import Frame, Keys, Paths, SenderLinks
 
 
 class Line:
@@ -20,12 +20,12 @@ class Line:
 
 def linked_frame(sender: str, *receivers: str, at_s: float = 0.0, seed: int = 1, air_ns: int = 1_000_000) -> Frame:
     start = round(at_s * 1e9)
-    return _frame(Links(seed, sender, receivers), start, start + air_ns)
+    return _frame(SenderLinks(seed, sender, receivers), start, start + air_ns)
 
 
 def many_frame(count: int, at_ns: int = 0, seed: int = 1) -> Frame:
     """A frame with as many receivers, whose keys are merely different."""
-    links = Links(seed, "a", ("b",) * count)
+    links = SenderLinks(seed, "a", ("b",) * count)
     vars(links).update(keys=many_keys(count, seed), pair_keys=many_keys(count, seed))
     return _frame(links, at_ns, at_ns + 1)
 
@@ -45,6 +45,6 @@ def each_alone(paths: Paths) -> Sequence[Paths]:
     return [Line.between(paths.tx, receiver[None], paths.seed) for receiver in paths.rx]
 
 
-def _frame(links: Links, start_ns: int, end_ns: int) -> Frame:
+def _frame(links: SenderLinks, start_ns: int, end_ns: int) -> Frame:
     count = len(links.receivers)
     return Frame(start_ns, start_ns, end_ns, 100, Line.between(np.zeros(3), np.zeros((count, 3))), np.zeros(count), links)

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from tests.support.netsim.links import Line
-from vcmvsp.netsim.calibration.fit import Links
-from vcmvsp.netsim.calibration.result import Estimate
+from vcmvsp.netsim.calibration.fit import MeasuredLinks
+from vcmvsp.netsim.calibration.result import ParameterEstimate
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 from vcmvsp.netsim.propagation.shadowing import Shadowing
@@ -32,8 +32,8 @@ def tour(count: int, side_m: float = 60.0) -> Floats:
     return np.column_stack([x, 10.0 * lane, np.ones(count)])
 
 
-def links(a: Floats, b: Floats, level: Floats, sensitivity_dbm: float = -math.inf) -> Links:
-    return Links(0.1 * np.arange(len(a), dtype=np.float64), a, b, np.where(level < sensitivity_dbm, np.nan, level))
+def links(a: Floats, b: Floats, level: Floats, sensitivity_dbm: float = -math.inf) -> MeasuredLinks:
+    return MeasuredLinks(0.1 * np.arange(len(a), dtype=np.float64), a, b, np.where(level < sensitivity_dbm, np.nan, level))
 
 
 def mean_of(a: Floats, b: Floats, level_dbm: float = -40.0, exponent: float = 3.0) -> Floats:
@@ -44,7 +44,7 @@ def shadows(a: Floats, b: Floats, seed: int, layer: Shadowing) -> Floats:
     return np.concatenate([layer.loss_db(Line.between(a[i], b[i : i + 1], seed)) for i in range(len(a))])
 
 
-def normal_score(found: Estimate | None, truth: float) -> float:
+def normal_score(found: ParameterEstimate | None, truth: float) -> float:
     """How many standard errors from the truth; of what is positive, by its logarithm."""
     assert found is not None
     if found.naive_error is None:

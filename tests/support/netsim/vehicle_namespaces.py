@@ -1,4 +1,4 @@
-"""Namespaces of vehicles in tests: an open door on the loop, and sockets and commands inside."""
+"""Namespaces of vehicles in tests: an open gateway on the loop, and sockets and commands inside."""
 
 import asyncio
 import contextlib
@@ -14,13 +14,13 @@ RUN = f"test{os.getpid()}"
 
 
 @contextlib.asynccontextmanager
-async def opened(door: Ip, hall: TestHall) -> AsyncIterator[list[str]]:
-    """What the door says to the user; it is closed, whatever happens."""
-    door.check(hall.vehicles)
+async def opened(gateway: Ip, context: TestHall) -> AsyncIterator[list[str]]:
+    """What the gateway says to the user; it is closed, whatever happens."""
+    gateway.check(context.vehicles)
     try:
-        yield list(await door.open(hall))
+        yield list(await gateway.open(context))
     finally:
-        await door.close()
+        await gateway.close()
 
 
 def space(vehicle: str, run: str = RUN) -> str:

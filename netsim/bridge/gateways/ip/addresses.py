@@ -13,7 +13,7 @@ from vcmvsp.netsim.bridge.gateways.base import BROADCAST
 NO_ADDRESS = "no such address"
 NO_IP = "not an IP packet"
 MEMBERSHIP = "reports to multicast routers, kept off the air"
-"""Why a packet goes to nobody, in words for `Hall.count`."""
+"""Why a packet goes to nobody, in words for `GatewayContext.count`."""
 
 HEADER4, HEADER6 = 20, 40  # bytes at least
 LEAST_MTU6 = 1280  # RFC 8200, section 5: on a link with less, there is no IPv6
@@ -57,7 +57,7 @@ def address_in(network: Network, row: int) -> Address:
 
 
 @dataclass(frozen=True)
-class Routed:
+class RoutedNetwork:
     """Addresses behind a vehicle."""
 
     network: Network
@@ -84,7 +84,7 @@ class Directory:
         self._rows = {address_in(network, row).packed: row for network in networks for row in rows}
         shared = {network.broadcast_address.packed for network in networks if network.version == 4}
         self._broadcasts = shared | {b"\xff\xff\xff\xff"}
-        behind = [Routed(network, row) for row, each in routed.items() for network in each]
+        behind = [RoutedNetwork(network, row) for row, each in routed.items() for network in each]
         self._routed = sorted(behind, key=lambda each: -each.network.prefixlen)
 
     def goes_to(self, sender: int, packet: bytes) -> int | str:

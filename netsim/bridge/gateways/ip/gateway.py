@@ -1,7 +1,7 @@
 """IP: each vehicle is a machine of its own, and whatever runs on it speaks over its radio, unchanged.
 
 A vehicle has a network namespace of Linux with one TUN interface, `interfaces.RADIO`: what the kernel sends there comes to this
-door as an IP packet, and what the radio receives is written there. One hop on the air is one hop of IP.
+gateway as an IP packet, and what the radio receives is written there. One hop on the air is one hop of IP.
 """
 
 import asyncio
@@ -13,7 +13,7 @@ from typing import Annotated
 
 import msgspec
 
-from vcmvsp.netsim.bridge.gateways.base import LARGEST, DoorError, Hall, check_names
+from vcmvsp.netsim.bridge.gateways.base import LARGEST, GatewayContext, GatewayError, check_names
 from vcmvsp.netsim.bridge.gateways.ip import interfaces, namespaces, run_networks
 from vcmvsp.netsim.bridge.gateways.ip.addresses import LEAST_MTU6, Directory, Network, address_in, is_ip, network_of
 from vcmvsp.netsim.bridge.gateways.ip.run_networks import Space
@@ -91,40 +91,40 @@ class Ip:
                 raise ValueError(f"routes: {network} has addresses in common with {same[0]}")
             taken.append(network)
 
-    async def open(self, hall: Hall) -> Sequence[str]:
+    async def open(self, context: GatewayContext) -> Sequence[str]:
         """Make the namespaces, and read what is sent in them."""
-        self._hall = hall
+        self._context = context
         if lacks := namespaces.missing():
-            raise DoorError(f"networks of namespaces need {lacks}: start the run as root (sudo)")
-        rows = [row for row, name in enumerate(hall.vehicles) if not self._chosen or name in self._chosen]
-        routed = {row: self._routes[name] for row, name in enumerate(hall.vehicles) if name in self._routes}
+            raise GatewayError(f"networks of namespaces need {lacks}: start the run as root (sudo)")
+        rows = [row for row, name in enumerate(context.vehicles) if not self._chosen or name in self._chosen]
+        routed = {row: self._routes[name] for row, name in enumerate(context.vehicles) if name in self._routes}
         self._directory = Directory(self._networks, rows, routed)
         spaces = {row: self._space(row) for row in rows}
         try:
-            self._lease = run_networks.Lease(hall.run)
+            self._lease = run_networks.Lease(context.run)
             pid = os.getpid()
-            network = run_networks.Network(
-                run=hall.run, pid=pid, started=run_networks.started(pid), spaces=tuple(spaces.values())
+            network = run_networks.RunNetwork(
+                run=context.run, pid=pid, started=run_networks.started(pid), spaces=tuple(spaces.values())
             )
             self._lease.tell(network)
             for row, space in spaces.items():
                 self._make(row, space)
                 await asyncio.sleep(0)
-        except run_networks.Taken as error:
-            raise DoorError(str(error)) from None
+        except run_networks.NetworkInUse as error:
+            raise GatewayError(str(error)) from None
         except OSError as error:
-            raise DoorError(f"the network of {hall.run} cannot be made: {error}") from error
+            raise GatewayError(f"the network of {context.run} cannot be made: {error}") from error
         self._count_dropped()
         return self._lines(list(spaces.values()))
 
     def _space(self, row: int) -> Space:
-        hall = self._hall
-        name = hall.vehicles[row]
+        context = self._context
+        name = context.vehicles[row]
         port = None
         if behind := self._routes.get(name):
-            port = interfaces.port_of(hall.run, name, behind, [*self._networks, *self._beyond(name)])
+            port = interfaces.port_of(context.run, name, behind, [*self._networks, *self._beyond(name)])
         addresses = tuple(str(address_in(each, row)) for each in self._networks)
-        return Space(vehicle=name, namespace=f"vcmvsp-{hall.run}-{name}", addresses=addresses, port=port)
+        return Space(vehicle=name, namespace=f"vcmvsp-{context.run}-{name}", addresses=addresses, port=port)
 
     def _beyond(self, vehicle: str) -> list[Network]:
         """The networks behind the other vehicles."""
@@ -143,7 +143,7 @@ class Ip:
             raise
         if (port := space.port) is not None:
             namespaces.in_thread(lambda: interfaces.open_port(port, space.namespace))
-        self._hall.loop.add_reader(packets, self._read, self._radios[row])
+        self._context.loop.add_reader(packets, self._read, self._radios[row])
 
     def _lines(self, spaces: Sequence[Space]) -> list[str]:
         lines = [f"{each.vehicle}  {'  '.join(each.addresses)}" for each in spaces[:SHOWN]]
@@ -162,15 +162,15 @@ class Ip:
             except BlockingIOError:
                 return
             except OSError:  # the interface was taken away from under us; nothing is sent any more
-                self._hall.loop.remove_reader(radio.packets)
+                self._context.loop.remove_reader(radio.packets)
                 return
             to = self._directory.goes_to(radio.row, packet)
             if isinstance(to, str):
-                self._hall.count(radio.row, to)
-            elif not self._hall.offer(self, radio.row, to, packet):
+                self._context.count(radio.row, to)
+            elif not self._context.offer(self, radio.row, to, packet):
                 radio.waiting = to, packet
-                self._hall.loop.remove_reader(radio.packets)
-                self._hall.loop.call_later(PAUSE_S, self._go_on, radio)
+                self._context.loop.remove_reader(radio.packets)
+                self._context.loop.call_later(PAUSE_S, self._go_on, radio)
                 return
 
     def _go_on(self, radio: _Radio) -> None:
@@ -178,20 +178,20 @@ class Ip:
         if radio.waiting is None or radio.row not in self._radios:
             return
         to, packet = radio.waiting
-        if self._hall.offer(self, radio.row, to, packet):
+        if self._context.offer(self, radio.row, to, packet):
             radio.waiting = None
-            self._hall.loop.add_reader(radio.packets, self._read, radio)
+            self._context.loop.add_reader(radio.packets, self._read, radio)
         else:
-            self._hall.loop.call_later(PAUSE_S, self._go_on, radio)
+            self._context.loop.call_later(PAUSE_S, self._go_on, radio)
 
     def _count_dropped(self) -> None:
         """Have it known what the kernel had no room for: it is no loss of the radio's."""
         for radio in self._radios.values():
             dropped = interfaces.dropped(radio.statistics)
             if dropped > radio.dropped:
-                self._hall.count(radio.row, NO_ROOM, dropped - radio.dropped)
+                self._context.count(radio.row, NO_ROOM, dropped - radio.dropped)
                 radio.dropped = dropped
-        self._counting = self._hall.loop.call_later(COUNTING_S, self._count_dropped)
+        self._counting = self._context.loop.call_later(COUNTING_S, self._count_dropped)
 
     def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
         """Have the kernel of a vehicle receive a packet; who has no interface, hears nothing."""
@@ -201,7 +201,7 @@ class Ip:
         try:
             os.write(radio.packets, payload)
         except OSError:
-            self._hall.count(receiver, NOT_TAKEN)
+            self._context.count(receiver, NOT_TAKEN)
 
     async def close(self) -> None:
         """Take the namespaces away, with whatever was made for them."""
@@ -209,7 +209,7 @@ class Ip:
             self._counting.cancel()
         radios, self._radios = list(self._radios.values()), {}
         for radio in radios:
-            self._hall.loop.remove_reader(radio.packets)
+            self._context.loop.remove_reader(radio.packets)
             os.close(radio.statistics)
         run_networks.close_all(radio.packets for radio in radios)
         if self._lease is not None:

@@ -43,7 +43,7 @@ class Space(Value, frozen=True, kw_only=True):
     port: Port | None = None
 
 
-class Network(Value, frozen=True, kw_only=True):
+class RunNetwork(Value, frozen=True, kw_only=True):
     """The network of a run."""
 
     run: str
@@ -57,11 +57,11 @@ class Network(Value, frozen=True, kw_only=True):
         return next((each for each in self.spaces if each.vehicle == vehicle), None)
 
 
-class Taken(OSError):
+class NetworkInUse(OSError):
     """Somebody else has what is wanted; the words are for the user."""
 
 
-class RunAlive(Taken):
+class RunAlive(NetworkInUse):
     """A run of this name is alive."""
 
     def __init__(self, run: str, pid: int) -> None:
@@ -70,7 +70,7 @@ class RunAlive(Taken):
         super().__init__(f"{who}: end it, or give this one another name (--set name=...)")
 
 
-class NameTaken(Taken):
+class NameTaken(NetworkInUse):
     """Somebody else has made something of this name."""
 
     def __init__(self, what: str, name: str, delete: str) -> None:
@@ -94,7 +94,7 @@ class Lease:
             os.close(self._lock)
             raise
 
-    def tell(self, network: Network) -> None:
+    def tell(self, network: RunNetwork) -> None:
         """Say what the network is to consist of; and have its names known inside.
 
         Raises:
@@ -124,7 +124,7 @@ class Lease:
             os.close(self._lock)
 
 
-def networks() -> list[Network]:
+def networks() -> list[RunNetwork]:
     """Those of all runs on this machine, also of those that were killed."""
     folders = sorted(FOLDER.iterdir()) if FOLDER.is_dir() else []
     return [known for each in folders if (known := _known(each)) is not None]
@@ -151,7 +151,7 @@ def clear(run: str, *, force: bool = False) -> None:
     Lease(run).end()
 
 
-def run_inside(network: Network, space: Space, command: Sequence[str]) -> NoReturn:
+def run_inside(network: RunNetwork, space: Space, command: Sequence[str]) -> NoReturn:
     """Become a program in a vehicle's namespace, where the names of all vehicles are known, of the user who called sudo.
 
     Raises:
@@ -181,7 +181,7 @@ def started(pid: int) -> int:
     return int(about.rpartition(")")[2].split()[19])
 
 
-def _tell_to_end(network: Network) -> None:
+def _tell_to_end(network: RunNetwork) -> None:
     """Tell the process that carries a network's packets to end, and no other that has its number by now."""
     with contextlib.suppress(ProcessLookupError):
         process = os.pidfd_open(network.pid)
@@ -194,21 +194,21 @@ def _tell_to_end(network: Network) -> None:
             os.close(process)
 
 
-def _check_routes(network: Network) -> None:
+def _check_routes(network: RunNetwork) -> None:
     """Refuse what another run has already: the host could not tell by whose radio a packet is to go."""
     others = [each for each in networks() if each.alive and each.run != network.run]
     for run, vehicle, port in ((each.run, space.vehicle, space.port) for each in others for space in each.spaces):
         for own in (each.port for each in network.spaces):
             if own is not None and port is not None and (same := interfaces.in_common(own, port)):
                 has = f"{same} goes through {vehicle} of the run {run} on this machine"
-                raise Taken(f"routes: what comes {has}: end that run, or give this one another network")
+                raise NetworkInUse(f"routes: what comes {has}: end that run, or give this one another network")
 
 
-def _known(folder: Path) -> Network | None:
+def _known(folder: Path) -> RunNetwork | None:
     """What a folder tells; None: it is nobody's any more."""
-    about = Network(run=folder.name, pid=0, spaces=())  # it is about to be told, or was taken away
+    about = RunNetwork(run=folder.name, pid=0, spaces=())  # it is about to be told, or was taken away
     with contextlib.suppress(FileNotFoundError, ValueError):
-        about = read_json((folder / _ABOUT).read_bytes(), Network)
+        about = read_json((folder / _ABOUT).read_bytes(), RunNetwork)
     try:
         lock = os.open(folder / _LOCK, os.O_RDONLY)
     except (FileNotFoundError, NotADirectoryError):

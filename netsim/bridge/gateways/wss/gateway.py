@@ -1,8 +1,8 @@
-"""USARSim's Wireless Simulation Server, served from the run's channel: programs written for it work as they are.
+"""USARSim's Wireless Simulation Server (WSS) on the run's channel: programs written for it work unchanged.
 
-Each robot opens a control connection and gives its name, that of a vehicle, and the ports on which it listens. It asks there at
-which port of ours it reaches another robot; what it connects to that port is relayed. A link is there while the mean level is
-not below the cutoff; when it falls below, connections are closed, and new ones are refused.
+Each robot opens a control connection, on which it registers the name of a vehicle and the ports on which it listens. It requests
+the port through which it reaches another robot; connections to that port are relayed. Two robots have a link while the mean
+level is at least the cutoff; otherwise their connections are closed and new ones are rejected.
 """
 
 import asyncio
@@ -17,24 +17,24 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from vcmvsp.netsim.bridge.gateways.base import HIGHEST, LARGEST, DoorError, Hall, Port, address, check_listen
-from vcmvsp.netsim.bridge.gateways.wss.messages import LONGEST_LINE, Message, compose, error, parse, strength
-from vcmvsp.netsim.bridge.gateways.wss.relay import HEADER, MOST_RELAYS, Gate, Pair, Relay
+from vcmvsp.netsim.bridge.gateways.base import HIGHEST, LARGEST, GatewayContext, GatewayError, Port, address, check_listen
+from vcmvsp.netsim.bridge.gateways.wss.messages import LONGEST_LINE, WssMessage, compose, error, parse, strength
+from vcmvsp.netsim.bridge.gateways.wss.relay import HEADER, MOST_RELAYS, Pair, Relay, RelayPort
 
-LOOK_S = 0.1  # between two looks at the levels
+LOOK_S = 0.1  # period of the link checks
 TRIED = 100  # ports, in search of a free one
-MOST_GUESTS = 64  # control connections that have not said yet whose they are; the oldest makes room
+MOST_GUESTS = 64  # control connections without a registered robot; the oldest is closed
 
 FirstPort = Annotated[int, msgspec.Meta(ge=0, le=HIGHEST)]
 ChunkBytes = Annotated[int, msgspec.Meta(gt=HEADER.size, le=LARGEST)]
 
 
 @dataclass(frozen=True)
-class Robot:
-    """A vehicle whose program has a control connection."""
+class RobotClient:
+    """A vehicle with a control connection."""
 
     row: int
-    host: str  # from where it came, and where it is called
+    host: str  # address of its program
     ports: tuple[int, ...]
 
 
@@ -42,12 +42,12 @@ class Wss:
     """Robots that speak USARSim's WSS protocol.
 
     Args:
-        listen: address of this machine on which robots are served.
-        insecure: ``listen`` may be reached from other machines, by anybody: the protocol knows no passwords and no encryption.
+        listen: address of this machine for control connections and relays.
+        insecure: allow a ``listen`` address that other machines reach; the protocol has no passwords and no encryption.
         port: of the control connections.
         cutoff_dbm: the mean level below which there is no link.
-        first_port: of those on which robots reach each other, which follow one another; 0: any that are free.
-        chunk_bytes: longest payload of a frame: 8 bytes that number it, and about as many of a connection as a TCP segment has.
+        first_port: first port of relays; 0: any free ports.
+        chunk_bytes: longest payload of a frame: a header of 8 bytes and the data of about one TCP segment.
     """
 
     def __init__(
@@ -61,35 +61,35 @@ class Wss:
     ) -> None:
         self._address, self._insecure, self._port, self._cutoff_dbm = address("listen", listen), insecure, port, cutoff_dbm
         self._first_port, self._chunk_bytes = first_port, chunk_bytes
-        self._hall: Hall
-        self._robots: dict[int, Robot] = {}  # by row
-        self._gates: dict[Pair, Gate] = {}
+        self._context: GatewayContext
+        self._robots: dict[int, RobotClient] = {}  # by row
+        self._gates: dict[Pair, RelayPort] = {}
         self._relays: dict[int, tuple[Relay, asyncio.Task[None]]] = {}
-        self._relay_number = secrets.randbits(32)  # so that what agents say is not taken for a chunk
+        self._relay_number = secrets.randbits(32)  # random, so that agents' messages are not taken for chunks
         self._guests: dict[asyncio.StreamWriter, None] = {}  # oldest first
         self._tasks: set[asyncio.Task[None]] = set()
         self._server: asyncio.Server | None = None
 
     def check(self, vehicles: Sequence[str]) -> None:
-        """Any vehicles will do; sockets for everybody only if they are wanted."""
+        """Check the address."""
         tunnel = "ssh -L for port and those from first_port on, -R for a robot's own"
-        check_listen(self._address, insecure=self._insecure, instead=f"listen at 127.0.0.1 and come through {tunnel}")
+        check_listen(self._address, insecure=self._insecure, instead=f"listen at 127.0.0.1 and use {tunnel}")
 
-    async def open(self, hall: Hall) -> Sequence[str]:
+    async def open(self, context: GatewayContext) -> Sequence[str]:
         """Serve robots."""
-        self._hall = hall
+        self._context = context
         try:
             server = await asyncio.start_server(self._on_control, self._address, self._port, limit=LONGEST_LINE)
         except OSError as problem:
             why = f"cannot serve robots at {self._address} port {self._port}: {problem.strerror}"
-            raise DoorError(f"{why}; end what holds it, or set port") from problem
+            raise GatewayError(f"{why}; end what holds it, or set port") from problem
         self._server = server
-        self._tasks.add(hall.loop.create_task(self._look_on()))
-        hall.level_dbm(0, 0)  # levels are told to those who have asked, and the first robot wants them at once
+        self._tasks.add(context.loop.create_task(self._look_on()))
+        context.level_dbm(0, 0)  # first request, so that levels are known when the first robot needs them
         return [f"robots dial {self._address} port {self._port}, as USARSim's WSS; no link below {self._cutoff_dbm:g} dBm"]
 
     def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
-        """A chunk has arrived; whatever else the vehicle's radio received is not for robots."""
+        """Pass a chunk to its relay; other payloads are not for robots."""
         if len(payload) >= HEADER.size:
             number, place = HEADER.unpack_from(payload)
             if relay := self._relay(number, sender, receiver):
@@ -99,11 +99,11 @@ class Wss:
         """A chunk has been lost."""
         number, place = HEADER.unpack_from(payload)
         if relay := self._relay(number, sender, receiver):
-            self._hall.count(sender, "chunks of connections sent again")
+            self._context.count(sender, "chunks of connections sent again")
             relay.lost(sender, place)
 
     async def close(self) -> None:
-        """Send everybody away."""
+        """Close all connections."""
         tasks = [*self._tasks, *(task for _, task in self._relays.values())]
         for task in tasks:
             task.cancel()
@@ -116,7 +116,7 @@ class Wss:
     # --- the control connection ---------------------------------------------------------------------------------------------
 
     def _on_control(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = self._hall.loop.create_task(self._serve(reader, writer))
+        task = self._context.loop.create_task(self._serve(reader, writer))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
@@ -139,7 +139,7 @@ class Wss:
                     else:
                         answer = self._answer(message, robot)
                     writer.write(answer)
-                    await writer.drain()  # who does not read, is not read
+                    await writer.drain()  # no further request from a robot that does not read
         except asyncio.LimitOverrunError:
             writer.write(error("Line.Too.Long"))
         finally:
@@ -150,8 +150,8 @@ class Wss:
                 del self._robots[robot.row]
                 self._look()
 
-    def _greet(self, message: Message | None, host: str) -> tuple[Robot | None, bytes]:
-        """Who it is, once it has said so, and what to answer."""
+    def _greet(self, message: WssMessage | None, host: str) -> tuple[RobotClient | None, bytes]:
+        """Handle a message before registration: the registered robot, if any, and the answer."""
         if message is None:
             return None, error("Message.Not.Understood")
         if message.kind != "INIT":
@@ -168,16 +168,16 @@ class Wss:
             reason = "Robot.Already.Exists"
         if reason or row is None or ports is None:
             return None, error(reason)
-        robot = self._robots[row] = Robot(row, host, ports)
+        robot = self._robots[row] = RobotClient(row, host, ports)
         for pair in [each for each in self._gates if each.called == row and each.port not in ports]:
             self._gates.pop(pair).close()
         self._look()
         return robot, compose("INITREPLY", Status="OK")
 
-    def _answer(self, message: Message | None, robot: Robot) -> bytes:
+    def _answer(self, message: WssMessage | None, robot: RobotClient) -> bytes:
         if message is None:
             return error("Message.Not.Understood")
-        answers: dict[str, Callable[[Message, Robot], bytes]] = {
+        answers: dict[str, Callable[[WssMessage, RobotClient], bytes]] = {
             "GETSS": self._on_getss,
             "DNS": self._on_dns,
             "REVERSEDNS": self._on_reversedns,
@@ -186,17 +186,17 @@ class Wss:
             return error("Method.Unknown.Or.Can.INIT.only.once")
         return answers[message.kind](message, robot)
 
-    def _on_getss(self, message: Message, robot: Robot) -> bytes:
+    def _on_getss(self, message: WssMessage, robot: RobotClient) -> bytes:
         name = message.robot()
         if not name:
             return error("Robot.Name.Must.Not.Be.Empty")
         row = self._row(name)
         if row is None or row not in self._robots:
-            return compose("SS", Robot=name, Strength="NaN")
+            return compose("SS", RobotClient=name, Strength="NaN")
         level_dbm = float("inf") if row == robot.row else self._level_dbm(robot.row, row)
-        return compose("SS", Robot=name, Strength=strength(level_dbm))
+        return compose("SS", RobotClient=name, Strength=strength(level_dbm))
 
-    def _on_dns(self, message: Message, robot: Robot) -> bytes:
+    def _on_dns(self, message: WssMessage, robot: RobotClient) -> bytes:
         name = message.robot()
         if "Port" in message.fields and message.port() is None:
             return error("Port.Must.Be.Integer")
@@ -205,30 +205,30 @@ class Wss:
         row = self._row(name)
         called = self._robots.get(-1 if row is None else row)
         if called is None or called is robot:
-            return compose("DNSREPLY", Robot=name, Port=-1, Error="NoSuchRobot")
+            return compose("DNSREPLY", RobotClient=name, Port=-1, Error="NoSuchRobot")
         port = message.port() or called.ports[0]
         if port not in called.ports:
-            return compose("DNSREPLY", Robot=name, Port=-1, Error="RobotDoesNotListenOnThisPort")
+            return compose("DNSREPLY", RobotClient=name, Port=-1, Error="RobotDoesNotListenOnThisPort")
         gate = self._gate(Pair(robot.row, called.row, port))
-        return error("Could.Not.Allocate.Port") if gate is None else compose("DNSREPLY", Robot=name, Port=gate.port)
+        return error("Could.Not.Allocate.Port") if gate is None else compose("DNSREPLY", RobotClient=name, Port=gate.port)
 
-    def _on_reversedns(self, message: Message, robot: Robot) -> bytes:
+    def _on_reversedns(self, message: WssMessage, robot: RobotClient) -> bytes:
         port = message.port()
         if port is None:
             return error("Port.Must.Be.Integer")
         for relay, _ in self._relays.values():
             if relay.origin == port and relay.pair.called == robot.row:
-                return compose("REVERSEDNSREPLY", Port=port, Robot=self._hall.vehicles[relay.pair.caller])
+                return compose("REVERSEDNSREPLY", Port=port, RobotClient=self._context.vehicles[relay.pair.caller])
         return compose("REVERSEDNSREPLY", Port=port, Error="UnknownOrIllegalPort")
 
     # --- links --------------------------------------------------------------------------------------------------------------
 
     def _row(self, name: str) -> int | None:
-        return self._hall.vehicles.index(name) if name in self._hall.vehicles else None
+        return self._context.vehicles.index(name) if name in self._context.vehicles else None
 
     def _level_dbm(self, one: int, other: int) -> float:
-        """Of the weaker direction, which decides: TCP needs both."""
-        return float(np.minimum(self._hall.level_dbm(one, other), self._hall.level_dbm(other, one)))  # NaN if either is
+        """Level of the weaker direction: TCP needs both."""
+        return float(np.minimum(self._context.level_dbm(one, other), self._context.level_dbm(other, one)))  # NaN if either is
 
     def _linked(self, pair: Pair) -> bool:
         return self._level_dbm(pair.caller, pair.called) >= self._cutoff_dbm
@@ -239,20 +239,20 @@ class Wss:
             await asyncio.sleep(LOOK_S)
 
     def _look(self) -> None:
-        """Close what is out of range or whose robot has left, and open what is back."""
+        """Open and close relay ports, and close connections, by the levels and the robots of now."""
         for pair, gate in self._gates.items():
             gate.let(pair.caller in self._robots and pair.called in self._robots and self._linked(pair))
         for relay, task in self._relays.values():
             if not self._linked(relay.pair) and not task.cancelling():
-                self._hall.count(relay.pair.caller, "connections closed, out of range")
+                self._context.count(relay.pair.caller, "connections closed, out of range")
                 task.cancel()
 
-    def _gate(self, pair: Pair) -> Gate | None:
-        """The port of ours for a pair, once it has been asked for the same for good; None: none is left."""
+    def _gate(self, pair: Pair) -> RelayPort | None:
+        """The relay port of a pair, opened at the first request; None: no free port."""
         gate = self._gates.get(pair)
         for port in [] if gate else self._free_ports():
             with contextlib.suppress(OSError):
-                gate = Gate(self._hall.loop, self._address, port, lambda near, host: self._on_call(pair, near, host))
+                gate = RelayPort(self._context.loop, self._address, port, lambda near, host: self._on_call(pair, near, host))
                 self._gates[pair] = gate
                 break
         self._look()
@@ -265,15 +265,15 @@ class Wss:
         return itertools.islice((port for port in range(self._first_port, HIGHEST + 1) if port not in held), TRIED)
 
     def _on_call(self, pair: Pair, near: socket.socket, host: str) -> None:
-        """A robot, or somebody who is none, has connected to one of the ports."""
+        """Relay a connection to a relay port if it comes from the robot of the pair; else close it."""
         caller, called = self._robots.get(pair.caller), self._robots.get(pair.called)
         busy = sum(relay.pair == pair for relay, _ in self._relays.values()) >= MOST_RELAYS
         if caller is None or called is None or busy or host != caller.host:
             near.close()
             return
         self._relay_number = number = (self._relay_number + 1) % 2**32
-        relay = Relay(self._hall, self, pair, number, self._chunk_bytes)
-        task = self._hall.loop.create_task(relay.run(near, called.host))
+        relay = Relay(self._context, self, pair, number, self._chunk_bytes)
+        task = self._context.loop.create_task(relay.run(near, called.host))
         self._relays[number] = relay, task
 
         def over(_: object) -> None:
@@ -288,7 +288,7 @@ class Wss:
 
 
 def _notice_death(control: socket.socket) -> None:
-    """Find out within half a minute that a robot's machine is gone, so that its name is free for the next."""
+    """Detect within half a minute that a robot's machine is gone: its name becomes free again."""
     control.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for option, value in ((socket.TCP_KEEPIDLE, 10), (socket.TCP_KEEPINTVL, 5), (socket.TCP_KEEPCNT, 3)):
         control.setsockopt(socket.IPPROTO_TCP, option, value)

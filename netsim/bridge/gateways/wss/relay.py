@@ -1,4 +1,4 @@
-"""Ports on which one robot reaches another, and the connections that are relayed there."""
+"""Relay ports, through which one robot reaches another, and relayed connections."""
 
 import asyncio
 import contextlib
@@ -8,13 +8,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from vcmvsp.netsim.bridge.gateways.base import Door, Hall
-from vcmvsp.netsim.bridge.gateways.wss.stream import Stream
+from vcmvsp.netsim.bridge.gateways.base import Gateway, GatewayContext
+from vcmvsp.netsim.bridge.gateways.wss.stream import RelayStream
 
-HEADER = struct.Struct(">II")  # connection, number of the chunk: what the frame carries beside its bytes
+HEADER = struct.Struct(">II")  # of a frame: number of the connection, number of the chunk
 MOST_RELAYS = 32  # through one port at a time
 ACCEPTED_AT_ONCE = 16
-CONNECT_S = 5.0  # within which the robot that is called takes the connection
+CONNECT_S = 5.0  # timeout of the connection to the other robot
 
 
 Called = Callable[[socket.socket, str], None]
@@ -22,23 +22,23 @@ Called = Callable[[socket.socket, str], None]
 
 
 class Pair(NamedTuple):
-    """Who may use a port of ours, and where it leads."""
+    """User and destination of a relay port."""
 
-    caller: int  # row of the vehicle
-    called: int  # likewise
-    port: int  # on which the robot that is called listens
+    caller: int  # row of the vehicle that connects
+    called: int  # row of the vehicle at the other end
+    port: int  # on which the called robot listens
 
 
-class Gate:
-    """A port that is held from its first request on, and listens only while the link is there: else connects are refused.
+class RelayPort:
+    """A port that is reserved from its first request on and listens only while the link is up.
 
     Args:
-        address: of ours.
-        port: 0: any that is free.
-        called: takes over those who connect.
+        address: of this machine.
+        port: 0: any free port.
+        called: takes accepted connections.
 
     Raises:
-        OSError: the port cannot be had.
+        OSError: the port is not available.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, address: str, port: int, called: Called) -> None:
@@ -54,7 +54,7 @@ class Gate:
         self.port: int = self._holder.getsockname()[1]
 
     def let(self, listening: bool) -> None:
-        """Listen, or not."""
+        """Start or stop to listen."""
         if listening and self._listener is None:
             self._listen()
         elif not listening and self._listener is not None:
@@ -63,19 +63,19 @@ class Gate:
             self._listener = None
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         self.let(False)
         self._holder.close()
 
     def _listen(self) -> None:
-        """Beside the holder: two sockets may have one port as long as only one of them listens."""
+        """Listen with a second socket: two sockets may share a port if only one of them listens."""
         address = self._holder.getsockname()
         listener = _tcp(address[0])
         try:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.bind(address)
             listener.listen()
-        except OSError:  # out of sockets: tried again when it is asked next
+        except OSError:  # out of descriptors: the next `let` tries again
             listener.close()
         else:
             self._listener = listener
@@ -87,38 +87,31 @@ class Gate:
                 near, address = listener.accept()
                 self._called(near, address[0])
         except BlockingIOError:
-            pass  # that were all
-        except OSError:  # out of sockets: until it is asked next, who calls is refused
+            pass
+        except OSError:  # out of descriptors: connections are refused until the next `let`
             self.let(False)
 
 
 class Relay:
-    """A connection of two robots.
+    """A relayed connection; ``number``: of the connection, in its frames; ``chunk_bytes``: longest payload of a frame."""
 
-    Args:
-        door: whose it is.
-        pair: who called whom.
-        number: that its frames bear.
-        chunk_bytes: of a frame's payload, at most.
-    """
-
-    def __init__(self, hall: Hall, door: Door, pair: Pair, number: int, chunk_bytes: int) -> None:
+    def __init__(self, context: GatewayContext, gateway: Gateway, pair: Pair, number: int, chunk_bytes: int) -> None:
         self.pair, self.number = pair, number
-        self.origin: int | None = None  # the port of ours from which the robot that is called sees it come
-        self._hall, self._door = hall, door
+        self.origin: int | None = None  # local port of the connection to the called robot
+        self._context, self._gateway = context, gateway
         room = chunk_bytes - HEADER.size
         ends = (pair.caller, pair.called), (pair.called, pair.caller)
-        self._streams = {sender: Stream(hall.loop, partial(self._offer, sender, to), room) for sender, to in ends}
+        self._streams = {sender: RelayStream(context.loop, partial(self._offer, sender, to), room) for sender, to in ends}
 
     async def run(self, near: socket.socket, host: str) -> None:
-        """Call the other robot and carry what both say, until they have said it all or one of them breaks off."""
+        """Connect to the other robot and relay both directions, until both have ended or one has failed."""
         far = _tcp(host)
         with near, far, contextlib.suppress(OSError):
             near.setblocking(False)
             far.bind(("::" if far.family == socket.AF_INET6 else "0.0.0.0", 0))  # noqa: S104 - to call from
             self.origin = far.getsockname()[1]
             async with asyncio.timeout(CONNECT_S):
-                await self._hall.loop.sock_connect(far, (host, self.pair.port))
+                await self._context.loop.sock_connect(far, (host, self.pair.port))
             await self._carry(near, far)
 
     async def _carry(self, near: socket.socket, far: socket.socket) -> None:
@@ -141,10 +134,10 @@ class Relay:
         self._streams[sender].lost(number)
 
     def _offer(self, sender: int, to: int, number: int, chunk: bytes) -> bool:
-        return self._hall.offer(self._door, sender, to, HEADER.pack(self.number, number) + chunk)
+        return self._context.offer(self._gateway, sender, to, HEADER.pack(self.number, number) + chunk)
 
 
 def _tcp(address: str) -> socket.socket:
-    made = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_STREAM)
-    made.setblocking(False)
-    return made
+    end = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_STREAM)
+    end.setblocking(False)
+    return end

@@ -1,4 +1,4 @@
-"""The door for IP: programs in two or three namespaces, and between them a hall that carries what it is offered."""
+"""The gateway for IP: programs in two or three namespaces, and between them a context that carries what it is offered."""
 
 import asyncio
 import errno
@@ -22,7 +22,7 @@ from tests.support.netsim.vehicle_namespaces import RUN, called, heard, left_ove
 from tests.support.paths import ROOT
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.bridge.gateways.base import BROADCAST, DoorError
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, GatewayError
 from vcmvsp.netsim.bridge.gateways.ip import interfaces, namespaces, run_networks
 from vcmvsp.netsim.bridge.gateways.ip.addresses import MEMBERSHIP, NO_ADDRESS
 from vcmvsp.netsim.bridge.gateways.ip.gateway import NO_ROOM, Ip
@@ -35,13 +35,13 @@ CARS = ("car1", "car2", "car3")
 @pytest.mark.parametrize(("first", "second", "header"), [("10.77.0.1", "10.77.0.2", 28), ("fd77::1", "fd77::2", 48)])
 def test_a_datagram_reaches_the_vehicle_that_has_its_address_and_no_other(first: str, second: str, header: int) -> None:
     async def body() -> None:
-        hall = TestHall(CARS, run=RUN)
-        async with opened(Ip(), hall):
+        context = TestHall(CARS, run=RUN)
+        async with opened(Ip(), context):
             with udp("car1", first) as sender, udp("car2", second, 9000) as listener:
                 sender.sendto(b"x" * 100, (second, 9000))
                 assert await heard(listener) == (b"x" * 100, first)
-        assert [(each.sender, each.to, len(each.payload)) for each in hall.offered] == [(0, 1, 100 + header)]
-        assert not hall.counts
+        assert [(each.sender, each.to, len(each.payload)) for each in context.offered] == [(0, 1, 100 + header)]
+        assert not context.counts
 
     asyncio.run(body())
 
@@ -49,14 +49,14 @@ def test_a_datagram_reaches_the_vehicle_that_has_its_address_and_no_other(first:
 @pytest.mark.parametrize("to", ["10.77.255.255", "255.255.255.255"])
 def test_a_broadcast_is_a_broadcast_by_radio(to: str) -> None:
     async def body() -> None:
-        hall = TestHall(CARS, run=RUN)
-        async with opened(Ip(), hall):
+        context = TestHall(CARS, run=RUN)
+        async with opened(Ip(), context):
             with udp("car2", "10.77.0.2") as sender, udp("car1", "", 9000) as one, udp("car3", "", 9000) as other:
                 sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
                 sender.sendto(b"all", (to, 9000))
                 for listener in (one, other):
                     assert await heard(listener) == (b"all", "10.77.0.2")
-        assert [(each.sender, each.to) for each in hall.offered] == [(1, BROADCAST)]
+        assert [(each.sender, each.to) for each in context.offered] == [(1, BROADCAST)]
 
     asyncio.run(body())
 
@@ -64,8 +64,8 @@ def test_a_broadcast_is_a_broadcast_by_radio(to: str) -> None:
 @pytest.mark.parametrize(("group", "own"), [("239.255.0.1", "10.77.0.1"), ("ff05::77", "fd77::1")])
 def test_a_multicast_reaches_who_has_joined_and_memberships_cost_no_air_time(group: str, own: str) -> None:
     async def body() -> None:
-        hall = TestHall(CARS, run=RUN)
-        async with opened(Ip(), hall):
+        context = TestHall(CARS, run=RUN)
+        async with opened(Ip(), context):
             anywhere = "::" if ":" in group else "0.0.0.0"
             with udp("car1", own) as sender, udp("car3", anywhere, 9000) as joined, udp("car2", anywhere, 9000) as not_joined:
                 if ":" in group:
@@ -73,25 +73,25 @@ def test_a_multicast_reaches_who_has_joined_and_memberships_cost_no_air_time(gro
                     joined.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, member)
                 else:
                     joined.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + bytes(4))
-                await until(lambda: MEMBERSHIP in hall.counts.get("car3", {}))
+                await until(lambda: MEMBERSHIP in context.counts.get("car3", {}))
                 sender.sendto(b"group", (group, 9000))
                 assert await heard(joined) == (b"group", own)
                 with pytest.raises(TimeoutError):
                     await heard(not_joined, 0.05)
-        assert [(each.sender, each.to) for each in hall.offered] == [(0, BROADCAST)]
+        assert [(each.sender, each.to) for each in context.offered] == [(0, BROADCAST)]
 
     asyncio.run(body())
 
 
 def test_what_nobody_has_the_address_of_is_counted_and_not_sent() -> None:
     async def body() -> None:
-        hall = TestHall(CARS, run=RUN)
-        async with opened(Ip(vehicles=("car1", "car2")), hall):
+        context = TestHall(CARS, run=RUN)
+        async with opened(Ip(vehicles=("car1", "car2")), context):
             with udp("car1", "10.77.0.1") as sender:
                 for nobody in ("10.77.0.3", "10.77.9.9"):  # the third vehicle has no interface
                     sender.sendto(b"hello?", (nobody, 9000))
-                await until(lambda: hall.counts.get("car1", {}).get(NO_ADDRESS) == 2)
-        assert not hall.offered
+                await until(lambda: context.counts.get("car1", {}).get(NO_ADDRESS) == 2)
+        assert not context.offered
 
     asyncio.run(body())
 
@@ -100,11 +100,11 @@ def test_who_only_looks_on_sends_nothing() -> None:
     """No address is sought, no router called, no neighbour asked: the air is free for the programs."""
 
     async def body() -> None:
-        hall = TestHall(CARS, run=RUN)
-        async with opened(Ip(), hall):
+        context = TestHall(CARS, run=RUN)
+        async with opened(Ip(), context):
             await asyncio.sleep(1.2)
-        assert not hall.offered
-        assert not hall.counts
+        assert not context.offered
+        assert not context.counts
 
     asyncio.run(body())
 
@@ -120,7 +120,7 @@ def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
         return float(found[1]) if found else float("inf")
 
     async def body() -> None:
-        hall = TestHall(CARS[:2], run=RUN, delay_s=0.02, hears=lambda sender, receiver, place: (place * 7) % 10 >= 3)
+        context = TestHall(CARS[:2], run=RUN, delay_s=0.02, hears=lambda sender, receiver, place: (place * 7) % 10 >= 3)
         in_time: set[int] = set()
 
         class Noted(Ip):
@@ -129,12 +129,12 @@ def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
             def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
                 super().deliver(sender, receiver, payload)
                 self._read(self._radios[0])  # all that it has asked by now
-                if sender == 1 and sum(each.sender == 0 for each in hall.offered) < 40:
+                if sender == 1 and sum(each.sender == 0 for each in context.offered) < 40:
                     in_time.add(number(payload))
 
-        async with opened(Noted(), hall):
+        async with opened(Noted(), context):
             _, out = await called("car1", "ping", "-n", "-c", "40", "-i", "0.01", "-W", "5", to)
-            offered = list(hall.offered)
+            offered = list(context.offered)
             quickest_ms, until_s = least_ms(out), time.monotonic() + 20.0
             while quickest_ms >= 80.0 and time.monotonic() < until_s:  # if we were held up all the time, others are quicker
                 _, more = await called("car1", "ping", "-n", "-c", "10", "-i", "0.01", "-W", "5", to)
@@ -153,13 +153,13 @@ def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
 
 def test_a_long_datagram_is_split_by_the_kernel_as_mtu_bytes_says() -> None:
     async def body() -> None:
-        hall = TestHall(CARS, run=RUN)
-        async with opened(Ip(mtu_bytes=127), hall) as lines:
+        context = TestHall(CARS, run=RUN)
+        async with opened(Ip(mtu_bytes=127), context) as lines:
             with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
                 sender.sendto(bytes(1000), ("10.77.0.2", 9000))
                 assert await heard(listener) == (bytes(1000), "10.77.0.1")
-        assert len(hall.offered) == 10  # 1008 bytes with the header of UDP, at most 104 of them in a packet (RFC 791)
-        assert max(len(each.payload) for each in hall.offered) == 124
+        assert len(context.offered) == 10  # 1008 bytes with the header of UDP, at most 104 of them in a packet (RFC 791)
+        assert max(len(each.payload) for each in context.offered) == 124
         assert not any("fd77" in line for line in lines)  # IPv6 needs 1280 bytes
 
     asyncio.run(body())
@@ -167,32 +167,32 @@ def test_a_long_datagram_is_split_by_the_kernel_as_mtu_bytes_says() -> None:
 
 def test_without_room_packets_wait_in_the_kernel_and_more_than_its_queue_holds_is_counted() -> None:
     async def body() -> None:
-        hall = TestHall(CARS, run=RUN)
-        async with opened(Ip(), hall):
+        context = TestHall(CARS, run=RUN)
+        async with opened(Ip(), context):
             with udp("car1", "10.77.0.1") as sender:
-                hall.room = False
+                context.room = False
                 for number in range(2 * interfaces.QUEUE):
                     sender.sendto(struct.pack(">I", number), ("10.77.0.2", 9000))
                     await asyncio.sleep(0)
-                await until(lambda: NO_ROOM in hall.counts.get("car1", {}))
-                assert not hall.offered
-                hall.room = True
-                await until(lambda: len(sent(hall)) + hall.counts["car1"][NO_ROOM] == 2 * interfaces.QUEUE)
-        numbers = [struct.unpack(">I", each[28:])[0] for each in sent(hall)]
+                await until(lambda: NO_ROOM in context.counts.get("car1", {}))
+                assert not context.offered
+                context.room = True
+                await until(lambda: len(sent(context)) + context.counts["car1"][NO_ROOM] == 2 * interfaces.QUEUE)
+        numbers = [struct.unpack(">I", each[28:])[0] for each in sent(context)]
         assert interfaces.QUEUE <= len(numbers) <= interfaces.QUEUE + 2
         assert numbers == list(range(len(numbers)))  # in order, and the first of them: who comes late finds no room
 
-    def sent(hall: TestHall) -> list[bytes]:
-        return [each.payload for each in hall.offered if each.sender == 0]
+    def sent(context: TestHall) -> list[bytes]:
+        return [each.payload for each in context.offered if each.sender == 0]
 
     asyncio.run(body())
 
 
 def test_what_is_no_packet_of_ip_is_no_harm() -> None:
     async def body() -> None:
-        hall = TestHall(CARS, run=RUN)
-        door = Ip()
-        async with opened(door, hall):
+        context = TestHall(CARS, run=RUN)
+        gateway = Ip()
+        async with opened(gateway, context):
             with udp("car2", "10.77.0.2", 9000) as listener, udp("car1", "10.77.0.1") as sender:
                 for said in (
                     b"",
@@ -202,7 +202,7 @@ def test_what_is_no_packet_of_ip_is_no_harm() -> None:
                     b"\x45" + bytes(40),
                     bytes(65535),
                 ):
-                    door.deliver(0, 1, said)
+                    gateway.deliver(0, 1, said)
                 sender.sendto(b"after it", ("10.77.0.2", 9000))
                 assert await heard(listener) == (b"after it", "10.77.0.1")
 
@@ -214,10 +214,10 @@ def test_real_machines_join_through_a_vehicle() -> None:
     """A namespace plays a robot with cables: it stands behind car1, through the host, as a machine in the lab would."""
 
     async def body() -> None:
-        hall = TestHall(CARS, run=RUN, delay_s=0.01)
+        context = TestHall(CARS, run=RUN, delay_s=0.01)
         robot, cable = f"{RUN}-robot", f"v{os.getpid()}"
         ip = f"ip -n {robot}"
-        async with opened(Ip(routes={"car1": ("192.168.213.0/24", "fd05:213::/64")}), hall) as lines:
+        async with opened(Ip(routes={"car1": ("192.168.213.0/24", "fd05:213::/64")}), context) as lines:
             assert any("behind car1: 192.168.213.0/24" in line for line in lines)
             try:
                 namespaces.create(robot)
@@ -229,11 +229,11 @@ def test_real_machines_join_through_a_vehicle() -> None:
                 for _ in range(3):  # one at a time: after the last of many, ping waits for no longer than two have taken
                     code, out = await called("car2", "ping", "-n", "-c", "1", "-W", "30", "192.168.213.10")
                     assert (code, "1 received" in out) == (0, True), out
-                assert [(each.sender, each.to) for each in hall.offered] == 3 * [(1, 0), (0, 1)]
+                assert [(each.sender, each.to) for each in context.offered] == 3 * [(1, 0), (0, 1)]
                 for _ in range(3):
                     out = await asyncio.to_thread(_sh, f"ip netns exec {robot} ping -n -c 1 -W 30 10.77.0.3")
                     assert "1 received" in out
-                assert [(each.sender, each.to) for each in hall.offered[6:]] == 3 * [(0, 2), (2, 0)]
+                assert [(each.sender, each.to) for each in context.offered[6:]] == 3 * [(0, 2), (2, 0)]
             finally:
                 namespaces.remove(robot)
                 subprocess.run(["ip", "link", "del", cable], check=False, capture_output=True)
@@ -264,9 +264,9 @@ def test_real_machines_join_through_a_vehicle() -> None:
 )
 def test_what_cannot_be_is_refused_before_anything_is_made(params: dict[str, Any], problem: str) -> None:
     def checked() -> None:
-        door = binding.call(Ip, params, key="bridge.ip")
+        gateway = binding.call(Ip, params, key="bridge.ip")
         try:
-            door.check(CARS)
+            gateway.check(CARS)
         except ValueError as error:  # as the run says it
             raise ScenarioError(str(error), key="bridge.ip") from error
 
@@ -291,9 +291,9 @@ def test_closed_is_gone() -> None:
 
 def test_two_runs_of_one_name_are_told_so_and_the_first_goes_on() -> None:
     async def body() -> None:
-        hall = TestHall(CARS[:2], run=RUN)
-        async with opened(Ip(), hall):
-            with pytest.raises(DoorError, match=rf"a run named {RUN} has its network on this machine"):
+        context = TestHall(CARS[:2], run=RUN)
+        async with opened(Ip(), context):
+            with pytest.raises(GatewayError, match=rf"a run named {RUN} has its network on this machine"):
                 async with opened(Ip(), TestHall(CARS[:2], run=RUN)):
                     pass
             with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
@@ -307,7 +307,7 @@ def test_a_namespace_of_somebody_else_is_not_touched() -> None:
     async def body() -> None:
         namespaces.create(space("car2"))
         try:
-            with pytest.raises(DoorError, match=f"there is a network namespace {space('car2')}, made by somebody else"):
+            with pytest.raises(GatewayError, match=f"there is a network namespace {space('car2')}, made by somebody else"):
                 async with opened(Ip(), TestHall(CARS, run=RUN)):
                     pass
             assert (namespaces.NAMES / space("car2")).exists()
@@ -323,7 +323,7 @@ def test_an_interface_of_somebody_else_is_not_touched() -> None:
         theirs = interfaces.port_of(RUN, "car1", (), ()).interface
         _sh(f"ip link add {theirs} type veth peer name r{os.getpid()}")
         try:
-            with pytest.raises(DoorError, match=f"there is a network interface {theirs}, .*: ip link delete {theirs}"):
+            with pytest.raises(GatewayError, match=f"there is a network interface {theirs}, .*: ip link delete {theirs}"):
                 async with opened(Ip(routes={"car1": ("192.168.213.0/24",)}), TestHall(CARS, run=RUN)):
                     pass
             assert theirs in _sh("ip link")
@@ -340,7 +340,7 @@ def test_a_kernel_without_time_is_not_taken_for_a_run_of_the_same_name(monkeypat
 
     async def body() -> None:
         monkeypatch.setattr(interfaces, "open_radio", busy)
-        with pytest.raises(DoorError, match=f"the network of {RUN} cannot be made: .*temporarily unavailable"):
+        with pytest.raises(GatewayError, match=f"the network of {RUN} cannot be made: .*temporarily unavailable"):
             async with opened(Ip(), TestHall(CARS, run=RUN)):
                 pass
         assert not left_over(CARS)
@@ -355,7 +355,7 @@ def test_what_comes_from_a_network_goes_through_one_run() -> None:
         other = f"{RUN}other"
         async with opened(Ip(routes={"car2": ("192.168.213.0/24",)}), TestHall(CARS, run=RUN)):
             part_of_it = {"car1": ("192.168.213.64/26",)}
-            with pytest.raises(DoorError) as refused:
+            with pytest.raises(GatewayError) as refused:
                 async with opened(Ip(routes=part_of_it), TestHall(CARS, run=other)):
                     pass
             assert f"from 192.168.213.64/26 to 10.77.0.0/16 goes through car2 of the run {RUN} on this machine" in str(
@@ -374,9 +374,9 @@ def test_interfaces_of_many_vehicles_are_closed_at_once(monkeypatch: pytest.Monk
     """The kernel takes 20 ms for each, and a bridge that takes long is killed."""
 
     async def body() -> None:
-        door, both, close = Ip(), threading.Barrier(2), os.close
-        async with opened(door, TestHall(CARS[:2], run=RUN)):
-            radios = {each.packets for each in door._radios.values()}
+        gateway, both, close = Ip(), threading.Barrier(2), os.close
+        async with opened(gateway, TestHall(CARS[:2], run=RUN)):
+            radios = {each.packets for each in gateway._radios.values()}
 
             def close_together(descriptor: int) -> None:
                 if descriptor in radios:
@@ -409,7 +409,7 @@ def test_nobody_else_can_have_the_lock_and_everybody_can_read_names(folder: Path
     usual = os.umask(0o077)
     try:
         lease = run_networks.Lease(RUN)
-        lease.tell(run_networks.Network(run=RUN, pid=os.getpid(), spaces=()))
+        lease.tell(run_networks.RunNetwork(run=RUN, pid=os.getpid(), spaces=()))
     finally:
         os.umask(usual)
     found = {each.name: oct(each.stat().st_mode & 0o777) for each in (folder.parent, folder, *folder.iterdir())}
@@ -432,7 +432,7 @@ def test_force_ends_the_process_of_the_run_and_not_another_that_has_its_number(f
         try:
             started = run_networks.started(process.pid) - (not own)
             lease = run_networks.Lease(RUN)
-            lease.tell(run_networks.Network(run=RUN, pid=process.pid, started=started, spaces=()))
+            lease.tell(run_networks.RunNetwork(run=RUN, pid=process.pid, started=started, spaces=()))
             if own:
                 run_networks.clear(RUN, force=True)
                 assert process.wait(PATIENCE_S) == -signal.SIGTERM
@@ -452,8 +452,8 @@ from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip
 from tests.support.netsim.gateway_context import TestHall
 
 async def body():
-    door = Ip(routes={{"car1": ("192.168.214.0/24",)}})
-    await door.open(TestHall(("car1", "car2"), run={run!r}))
+    gateway = Ip(routes={{"car1": ("192.168.214.0/24",)}})
+    await gateway.open(TestHall(("car1", "car2"), run={run!r}))
     print("open", flush=True)
     await asyncio.sleep(60)
 

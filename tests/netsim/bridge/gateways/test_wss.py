@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, until
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.bridge.gateways.base import BROADCAST, DoorError
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, GatewayError
 from vcmvsp.netsim.bridge.gateways.wss.gateway import MOST_GUESTS, Wss
 from vcmvsp.netsim.bridge.gateways.wss.messages import LONGEST_LINE, parse
-from vcmvsp.netsim.bridge.gateways.wss.stream import WINDOW, Stream, Window
+from vcmvsp.netsim.bridge.gateways.wss.stream import WINDOW, RelayStream, Window
 
 CARS = "car1", "car2", "car3"
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
@@ -64,16 +64,16 @@ def _narrow(host: str, port: int) -> socket.socket:
 
 
 class World:
-    """A door, its hall, and robots."""
+    """A gateway, its context, and robots."""
 
-    def __init__(self, hall: TestHall, door: Wss, port: int) -> None:
-        self.hall, self.door, self.port = hall, door, port
+    def __init__(self, context: TestHall, gateway: Wss, port: int) -> None:
+        self.context, self.gateway, self.port = context, gateway, port
         self._open: list[asyncio.StreamWriter | asyncio.Server] = []
 
     def levels(self, dbm: float) -> None:
         for one in range(len(CARS)):
             for other in range(len(CARS)):
-                self.hall.levels[one, other] = dbm
+                self.context.levels[one, other] = dbm
 
     async def robot(self, name: str = "", ports: str = "10") -> Robot:
         robot = await Robot.dial(self.port)
@@ -105,19 +105,19 @@ class World:
 async def served(
     *, delay_s: float = 0.0, hears: Callable[[int, int, int], bool] = lambda *_: True, first_port: int = 0
 ) -> AsyncIterator[World]:
-    """A door that serves, all in range of all."""
-    hall = TestHall(CARS, delay_s=delay_s, hears=hears)
-    door = Wss(port=free_ports(1, socket.SOCK_STREAM), first_port=first_port)
-    world = World(hall, door, door._port)
+    """A gateway that serves, all in range of all."""
+    context = TestHall(CARS, delay_s=delay_s, hears=hears)
+    gateway = Wss(port=free_ports(1, socket.SOCK_STREAM), first_port=first_port)
+    world = World(context, gateway, gateway._port)
     world.levels(-50.0)
     trouble: list[object] = []
-    hall.loop.set_exception_handler(lambda _, context: trouble.append(context))  # would end the bridge
-    await door.open(hall)
+    context.loop.set_exception_handler(lambda _, context: trouble.append(context))  # would end the bridge
+    await gateway.open(context)
     try:
         yield world
     finally:
         world.close()
-        await door.close()
+        await gateway.close()
         await asyncio.sleep(0)  # sockets are let go of in the next turn
         assert not trouble
 
@@ -145,7 +145,7 @@ async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> No
 def test_what_the_manual_says_of_the_control_connection() -> None:
     async def told() -> None:
         async with served() as world:
-            world.hall.levels[0, 1] = -61.23456789  # the way back is stronger
+            world.context.levels[0, 1] = -61.23456789  # the way back is stronger
             car1, car2 = await world.robot("car1", "2001,2002"), await world.robot("car2", "3001")
             assert await car1.ask("GETSS {Robot car2}") == "SS {Robot car2} {Strength -61.2346}"
             assert await car2.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -61.2346}"
@@ -257,14 +257,14 @@ def test_a_megabyte_each_way_is_whole_after_a_lossy_link() -> None:
             writer.write(sent)
             writer.write_eof()
             heard = await asyncio.wait_for(reader.read(), PATIENCE_S)
-            await until(lambda: not world.door._relays)
-            return heard, world.hall
+            await until(lambda: not world.gateway._relays)
+            return heard, world.context
 
-    heard, hall = asyncio.run(back())
+    heard, context = asyncio.run(back())
     assert heard == sent
-    assert {(each.sender, each.to) for each in hall.offered} == {(0, 1), (1, 0)}
-    assert max(len(each.payload) for each in hall.offered) == 1400
-    assert sum(each["chunks of connections sent again"] for each in hall.counts.values()) > 30
+    assert {(each.sender, each.to) for each in context.offered} == {(0, 1), (1, 0)}
+    assert max(len(each.payload) for each in context.offered) == 1400
+    assert sum(each["chunks of connections sent again"] for each in context.counts.values()) > 30
 
 
 @settings(max_examples=40, deadline=None)
@@ -282,7 +282,7 @@ def test_chunks_come_out_in_order_whatever_is_lost_doubled_or_overtakes(size: in
             air.extend([(number, chunk)] * room)
             return room
 
-        stream = Stream(loop, offer, 20)
+        stream = RelayStream(loop, offer, 20)
         (ours, source), (sink, theirs) = socket.socketpair(), socket.socketpair()
         with ours, source, sink, theirs:
             for each in (source, sink):
@@ -357,18 +357,18 @@ def test_out_of_range_connections_are_closed_and_new_ones_refused_until_it_is_ba
             reader, writer = await world.connect(port)
             writer.write(b"hello")
             assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
-            world.hall.levels[1, 0] = -93.001  # one direction is enough
+            world.context.levels[1, 0] = -93.001  # one direction is enough
             with contextlib.suppress(ConnectionResetError):
                 assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
             assert await refused(port)
             assert await car1.port_to("car2") == port  # is told all the same
             assert await refused(port)
-            world.hall.levels[1, 0] = -93.0
+            world.context.levels[1, 0] = -93.0
             assert await car1.port_to("car2") == port
             reader, writer = await world.connect(port)
             writer.write(b"again")
             assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"again"
-            assert world.hall.counts["car1"]["connections closed, out of range"] == 1
+            assert world.context.counts["car1"]["connections closed, out of range"] == 1
             world.levels(float("nan"))
             with contextlib.suppress(ConnectionResetError):
                 assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
@@ -383,7 +383,7 @@ def test_a_robot_that_leaves_is_called_no_more_and_its_name_is_free() -> None:
             port = await car1.port_to("car2")
             reader, writer = await world.connect(port)
             car2.leave()
-            await until(lambda: 1 not in world.door._robots)
+            await until(lambda: 1 not in world.gateway._robots)
             assert await refused(port)
             writer.write(b"still here")  # what is connected goes on
             assert await asyncio.wait_for(reader.readexactly(10), PATIENCE_S) == b"still here"
@@ -424,11 +424,11 @@ def test_a_slow_reader_holds_the_sender_back() -> None:
             writer.write(bytes(12_000_000))
             writer.write_eof()
             before = -1
-            while before != len(world.hall.offered):  # until nothing goes any more
-                before = len(world.hall.offered)
+            while before != len(world.context.offered):  # until nothing goes any more
+                before = len(world.context.offered)
                 await asyncio.sleep(0.2)
-            assert sum(len(each.payload) for each in world.hall.offered) < 9_000_000
-            relay, _ = next(iter(world.door._relays.values()))
+            assert sum(len(each.payload) for each in world.context.offered) < 9_000_000
+            relay, _ = next(iter(world.gateway._relays.values()))
             stream = relay._streams[0]
             assert len(stream._under_way) + stream._in_order.qsize() <= WINDOW
             reads.set()
@@ -442,10 +442,10 @@ def test_chunks_wait_while_the_bridge_has_no_room() -> None:
         async with served() as world:
             car1, _ = await world.robot("car1"), await world.listening("car2", echo)
             reader, writer = await world.connect(await car1.port_to("car2"))
-            world.hall.room = False
+            world.context.room = False
             writer.write(b"patience")
             await asyncio.sleep(0.05)
-            world.hall.room = True
+            world.context.room = True
             assert await asyncio.wait_for(reader.readexactly(8), PATIENCE_S) == b"patience"
 
     asyncio.run(tried())
@@ -456,11 +456,11 @@ def test_what_is_no_chunk_harms_nobody() -> None:
         async with served() as world:
             car1, _ = await world.robot("car1"), await world.listening("car2", echo)
             reader, writer = await world.connect(await car1.port_to("car2"))
-            await until(lambda: bool(world.door._relays))
-            header = next(iter(world.door._relays)).to_bytes(4, "big")
+            await until(lambda: bool(world.gateway._relays))
+            header = next(iter(world.gateway._relays)).to_bytes(4, "big")
             for payload in (b"", b"an agent spoke", header + bytes(4), header + b"\xff" * 10):
-                world.door.deliver(0, 1, payload)
-                world.door.deliver(2, 1, payload)
+                world.gateway.deliver(0, 1, payload)
+                world.gateway.deliver(2, 1, payload)
             writer.write(b"hello")
             assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
 
@@ -479,7 +479,7 @@ def test_lines_without_end_and_crowds_leave_others_alone() -> None:
             with contextlib.suppress(ConnectionResetError):
                 assert await endless.hear() == "ERROR {Reason Line.Too.Long}"
             crowd = [await world.robot() for _ in range(300)]
-            assert len(world.door._guests) <= MOST_GUESTS + 1
+            assert len(world.gateway._guests) <= MOST_GUESTS + 1
             crowd[-1].writer.write(random.Random(4).randbytes(3000))
             port = await car1.port_to("car2")
             for _ in range(100):
@@ -525,8 +525,8 @@ def test_a_port_in_use_is_said() -> None:
     async def tried() -> None:
         async with served() as world:
             second = Wss(port=world.port)
-            with pytest.raises(DoorError, match=f"port {world.port}.*in use"):
-                await second.open(world.hall)
+            with pytest.raises(GatewayError, match=f"port {world.port}.*in use"):
+                await second.open(world.context)
             await second.close()
 
     asyncio.run(tried())
@@ -540,7 +540,9 @@ def test_an_address_must_be_one() -> None:
 @pytest.mark.parametrize("listen", ["0.0.0.0", "::", "192.168.0.3"])
 def test_other_machines_are_let_in_only_if_that_is_wanted(listen: str) -> None:
     Wss(listen=listen, insecure=True).check(CARS)
-    with pytest.raises(ValueError, match=f"listen: {listen} lets in everybody .* ssh -L .*, or add insecure = true"):
+    with pytest.raises(
+        ValueError, match=f"listen: {listen} accepts connections from every machine .* ssh -L .*, or set insecure = true"
+    ):
         Wss(listen=listen).check(CARS)
 
 
@@ -551,6 +553,6 @@ def test_nothing_is_broadcast() -> None:
             reader, writer = await world.connect(await car1.port_to("car2"))
             writer.write(b"hello")
             await asyncio.wait_for(reader.readexactly(5), PATIENCE_S)
-            return world.hall
+            return world.context
 
     assert all(each.to != BROADCAST for each in asyncio.run(tried()).offered)

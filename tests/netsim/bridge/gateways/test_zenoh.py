@@ -17,8 +17,8 @@ from zenoh.handlers import Callback
 
 from tests.support.netsim.gateway_context import TestHall, free_ports, until
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, DoorError
-from vcmvsp.netsim.bridge.gateways.zenoh import BACKLOG, HEARD, NO_ROOM, TOO_LONG, Inbox, Publication, ZenohDoor
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, GatewayError
+from vcmvsp.netsim.bridge.gateways.zenoh import BACKLOG, HEARD, NO_ROOM, TOO_LONG, Inbox, Publication, ZenohGateway
 
 CARS = "car1", "car2", "car3"
 READY, LAST = "test/ready", "test/last"
@@ -26,7 +26,7 @@ Heard = tuple[str, bytes | None]
 
 
 class Program:
-    """A client of a vehicle's door, that hears everything."""
+    """A client of a vehicle's gateway, that hears everything."""
 
     def __init__(self, port: int) -> None:
         config = {
@@ -62,10 +62,10 @@ class Program:
 
 
 class World:
-    """A door, its hall, and programs."""
+    """A gateway, its context, and programs."""
 
-    def __init__(self, hall: TestHall, door: ZenohDoor, port: int) -> None:
-        self.hall, self.door, self.port = hall, door, port
+    def __init__(self, context: TestHall, gateway: ZenohGateway, port: int) -> None:
+        self.context, self.gateway, self.port = context, gateway, port
         self.programs: list[Program] = []
 
     async def program(self, vehicle: str) -> Program:
@@ -75,27 +75,27 @@ class World:
         self.programs.append(program)
         ready = encode(Publication(READY, b""))
         while not program.samples:
-            self.door.deliver((row + 1) % len(CARS), row, ready)
+            self.gateway.deliver((row + 1) % len(CARS), row, ready)
             await asyncio.sleep(0.005)
         return program
 
 
 @contextlib.asynccontextmanager
 async def served(*, hears: Callable[[int, int, int], bool] = lambda *_: True, **params: Any) -> AsyncIterator[World]:
-    hall = TestHall(CARS, hears=hears)
+    context = TestHall(CARS, hears=hears)
     port = free_ports(len(CARS), socket.SOCK_STREAM)
-    door = ZenohDoor(first_port=port, **params)
-    door.check(CARS)
+    gateway = ZenohGateway(first_port=port, **params)
+    gateway.check(CARS)
     trouble: list[object] = []
-    hall.loop.set_exception_handler(lambda _, context: trouble.append(context))  # would end the bridge
-    await door.open(hall)
-    world = World(hall, door, port)
+    context.loop.set_exception_handler(lambda _, context: trouble.append(context))  # would end the bridge
+    await gateway.open(context)
+    world = World(context, gateway, port)
     try:
         yield world
     finally:
         for program in world.programs:
             program.session.close()  # type: ignore[no-untyped-call]
-        await door.close()
+        await gateway.close()
         assert not trouble
 
 
@@ -121,7 +121,7 @@ def test_what_is_published_crosses_with_all_that_belongs_to_it_and_comes_once() 
                 assert str(sample.encoding) == "application/cdr;geometry_msgs/Pose"
                 assert sample.attachment is not None
                 assert sample.attachment.to_bytes() == b"7"
-            assert [(each.sender, each.to) for each in world.hall.offered] == [(0, BROADCAST)] * 5
+            assert [(each.sender, each.to) for each in world.context.offered] == [(0, BROADCAST)] * 5
 
     asyncio.run(tried())
 
@@ -156,7 +156,7 @@ def test_answers_go_back_and_nothing_goes_round() -> None:
             programs[0].put(LAST, "")
             await until(lambda: all(each.heard_last() for each in programs))
             assert [len(each.heard) for each in programs] == [4] * 3
-            assert len(world.hall.offered) == 4
+            assert len(world.context.offered) == 4
 
     asyncio.run(tried())
 
@@ -173,7 +173,7 @@ def test_what_is_for_one_vehicle_goes_to_it_alone() -> None:
             await until(car3.heard_last)
             assert car2.heard == [("to/car2/go", b"1"), ("to/nobody", b"3"), (LAST, b"")]
             assert car3.heard == [("to/nobody", b"3"), (LAST, b"")]
-            assert [each.to for each in world.hall.offered] == [1, BROADCAST, BROADCAST]
+            assert [each.to for each in world.context.offered] == [1, BROADCAST, BROADCAST]
 
     asyncio.run(tried())
 
@@ -189,7 +189,7 @@ def test_what_is_too_long_or_the_simulators_own_stays() -> None:
             car1.put(LAST, bytes(900))
             await until(car2.heard_last)
             assert [key for key, _ in car2.heard] == [LAST]
-            await until(lambda: world.hall.counts == {"car1": {TOO_LONG: 2}})
+            await until(lambda: world.context.counts == {"car1": {TOO_LONG: 2}})
 
     asyncio.run(tried())
 
@@ -200,25 +200,25 @@ def test_what_an_agent_says_is_heard_under_its_name() -> None:
             car2 = await world.program("car2")
             sayings = [b"any bytes", b"", b"\x81\xa1x\x01", b"\x92\xa2//\xc4\x00"]  # the last is a publication under no key
             for said in sayings:
-                world.door.deliver(0, 1, said)
-            world.door.deliver(0, 1, encode(Publication(LAST, b"")))
+                world.gateway.deliver(0, 1, said)
+            world.gateway.deliver(0, 1, encode(Publication(LAST, b"")))
             await until(car2.heard_last)
             assert car2.heard == [*((HEARD + "car1", said) for said in sayings[:3]), (LAST, b"")]
-            assert world.hall.counts == {"car2": {"not taken by Zenoh": 1}}
+            assert world.context.counts == {"car2": {"not taken by Zenoh": 1}}
 
     asyncio.run(tried())
 
 
 def test_some_vehicles_take_part_at_endpoints_of_their_own() -> None:
     async def tried() -> list[str]:
-        hall = TestHall(CARS)
+        context = TestHall(CARS)
         port = free_ports(4, socket.SOCK_STREAM)
-        door = ZenohDoor(port, vehicles=("car1", "car3"), listen={"car3": f"tcp/127.0.0.1:{port + 3}"})
+        gateway = ZenohGateway(port, vehicles=("car1", "car3"), listen={"car3": f"tcp/127.0.0.1:{port + 3}"})
         try:
-            lines = await door.open(hall)
-            door.deliver(0, 1, encode(Publication("k", b"")))  # takes no part
+            lines = await gateway.open(context)
+            gateway.deliver(0, 1, encode(Publication("k", b"")))  # takes no part
         finally:
-            await door.close()
+            await gateway.close()
         return [line.replace(str(port), "P").replace(str(port + 3), "P+3") for line in lines]
 
     lines = asyncio.run(tried())
@@ -246,25 +246,25 @@ def test_three_hundred_strangers_keep_nobody_out() -> None:
 
 def test_what_comes_too_fast_is_counted_and_what_goes_on_is_in_order() -> None:
     async def tried() -> None:
-        hall = TestHall(CARS)
+        context = TestHall(CARS)
         taken: list[tuple[int, bytes, int]] = []
 
         def offer(row: int, _: int, payload: bytes, *, came_ns: int) -> bool:
             taken.append((row, payload, came_ns))
             return payload != b"no room"
 
-        inbox = Inbox(hall, offer)
+        inbox = Inbox(context, offer)
         for number in range(BACKLOG + 10):
             inbox.put(0, BROADCAST, str(number).encode())
         inbox.put(1, BROADCAST, b"another's")
         inbox.put(1, BROADCAST, b"no room")
         inbox.count(1, TOO_LONG)
-        await until(lambda: bool(hall.counts))
-        assert hall.counts == {"car1": {NO_ROOM: 10}, "car2": {NO_ROOM: 1, TOO_LONG: 1}}
+        await until(lambda: bool(context.counts))
+        assert context.counts == {"car1": {NO_ROOM: 10}, "car2": {NO_ROOM: 1, TOO_LONG: 1}}
         assert [payload for row, payload, _ in taken if row == 0] == [b"%d" % number for number in range(BACKLOG)]
         assert [came_ns for *_, came_ns in taken] == sorted(came_ns for *_, came_ns in taken)
         inbox.count(2, TOO_LONG)  # alone
-        await until(lambda: "car3" in hall.counts)
+        await until(lambda: "car3" in context.counts)
 
     asyncio.run(tried())
 
@@ -282,9 +282,9 @@ def test_whatever_is_received_nothing_breaks(payload: bytes) -> None:
         def delete(self, key: str, **_: object) -> None:
             said.append(key)
 
-    door = ZenohDoor()
-    door._hall, door._sessions = TestHallStub(), {0: Session()}  # type: ignore[assignment, dict-item]
-    door.deliver(1, 0, payload)
+    gateway = ZenohGateway()
+    gateway._context, gateway._sessions = TestHallStub(), {0: Session()}  # type: ignore[assignment, dict-item]
+    gateway.deliver(1, 0, payload)
     assert len(said) == 1
 
 
@@ -301,7 +301,7 @@ class TestHallStub:
         ({"listen": {"car1": "udp/127.0.0.1:1"}}, "must be tcp/HOST:PORT"),
         ({"listen": {"car1": "tcp/127.0.0.1:0"}}, "must be tcp/HOST:PORT"),
         ({"listen": {"car1": "tcp/127.0.0.1:65536"}}, "must be tcp/HOST:PORT"),
-        ({"listen": {"car1": "tcp/127.0.0.1:7461"}}, "tcp/127.0.0.1:7461 is that of two vehicles"),
+        ({"listen": {"car1": "tcp/127.0.0.1:7461"}}, "tcp/127.0.0.1:7461 is used by two vehicles"),
         ({"listen": {"car1": "tcp/0.0.0.0:7460"}}, "insecure = true"),
         ({"listen": {"car1": "tcp/[::]:7460"}}, "insecure = true"),
         ({"first_port": 65_534}, "first_port = 65534: there is no port left for 'car3'"),
@@ -309,19 +309,19 @@ class TestHallStub:
 )
 def test_what_cannot_be_is_said(params: Mapping[str, Any], problem: str) -> None:
     with pytest.raises(ValueError, match=problem.replace("[", r"\[")):
-        ZenohDoor(**params).check(CARS)
+        ZenohGateway(**params).check(CARS)
 
 
 def test_other_machines_may_come_where_the_user_says_so() -> None:
-    ZenohDoor(listen={"car1": "tcp/0.0.0.0:7460"}, insecure=True).check(CARS)
+    ZenohGateway(listen={"car1": "tcp/0.0.0.0:7460"}, insecure=True).check(CARS)
 
 
 def test_a_port_in_use_is_said() -> None:
     async def tried() -> None:
         async with served() as world:
-            second = ZenohDoor(first_port=world.port)
-            with pytest.raises(DoorError, match=f"cannot serve Zenoh clients at tcp/127.0.0.1:{world.port}"):
-                await second.open(world.hall)
+            second = ZenohGateway(first_port=world.port)
+            with pytest.raises(GatewayError, match=f"cannot serve Zenoh clients at tcp/127.0.0.1:{world.port}"):
+                await second.open(world.context)
             await second.close()
 
     asyncio.run(tried())
@@ -336,6 +336,6 @@ def test_the_largest_publication_is_a_frame_of_the_largest_size() -> None:
             car1.put(LAST, bytes(LARGEST - beside))
             await until(car2.heard_last)
             assert [len(payload or b"") for _, payload in car2.heard] == [LARGEST - beside]
-            assert len(world.hall.offered[0].payload) == LARGEST
+            assert len(world.context.offered[0].payload) == LARGEST
 
     asyncio.run(tried())

@@ -3,20 +3,20 @@ from hypothesis import strategies as st
 
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST
 from vcmvsp.netsim.bridge.process import datagram_store as stores
-from vcmvsp.netsim.bridge.process.datagram_store import BATCH, BATCH_BYTES, BATCH_OF_ONE, MOST, MOST_BYTES, Store
+from vcmvsp.netsim.bridge.process.datagram_store import BATCH, BATCH_BYTES, BATCH_OF_ONE, MOST, MOST_BYTES, DatagramStore
 
 
-def put(store: Store, sender: int = 0, size: int = 10, to: int = BROADCAST, came_ns: int = 0) -> bool:
+def put(store: DatagramStore, sender: int = 0, size: int = 10, to: int = BROADCAST, came_ns: int = 0) -> bool:
     return store.put(None, sender, to, bytes(size), came_ns)
 
 
-def finish(store: Store, numbers: list[int]) -> None:
+def finish(store: DatagramStore, numbers: list[int]) -> None:
     for number in numbers:
         store.settle(number)
 
 
 def test_a_vehicle_has_room_for_so_many_and_others_have_theirs() -> None:
-    store = Store(2)
+    store = DatagramStore(2)
     assert sum(put(store) for _ in range(MOST + 10)) == MOST
     assert put(store, sender=1)
     finish(store, store.batch()[:1])
@@ -25,14 +25,14 @@ def test_a_vehicle_has_room_for_so_many_and_others_have_theirs() -> None:
 
 
 def test_a_vehicle_has_room_for_so_many_bytes() -> None:
-    store = Store(1)
+    store = DatagramStore(1)
     most = MOST_BYTES // 65_535
     assert sum(put(store, size=65_535) for _ in range(most + 10)) == most
     assert put(store, size=10)
 
 
 def test_what_is_not_settled_or_has_not_left_counts_as_held() -> None:
-    store = Store(1)
+    store = DatagramStore(1)
     for _ in range(MOST):
         put(store)
     (first, second, *_) = store.batch()
@@ -49,7 +49,7 @@ def test_what_is_not_settled_or_has_not_left_counts_as_held() -> None:
 
 
 def test_all_have_a_part_in_a_batch_and_nobody_more_than_so_much() -> None:
-    store = Store(20)
+    store = DatagramStore(20)
     for sender in range(20):
         for _ in range(2 if sender == 7 else 300):
             put(store, sender)
@@ -64,7 +64,7 @@ def test_all_have_a_part_in_a_batch_and_nobody_more_than_so_much() -> None:
 
 
 def test_where_bytes_go_along_a_batch_is_short_unless_one_datagram_is_long() -> None:
-    store = Store(3, payloads=True)
+    store = DatagramStore(3, payloads=True)
     for sender in (0, 1, 2):
         for _ in range(300):
             put(store, sender, size=1472)
@@ -74,7 +74,7 @@ def test_where_bytes_go_along_a_batch_is_short_unless_one_datagram_is_long() -> 
         assert 1 < len(numbers) <= BATCH_BYTES // 1472
         seen |= {store[number].sender for number in numbers}
     assert seen == {0, 1, 2}
-    store = Store(1, payloads=True)
+    store = DatagramStore(1, payloads=True)
     put(store, size=65_535)
     put(store, size=65_535)
     assert len(store.batch()) == 1
@@ -82,7 +82,7 @@ def test_where_bytes_go_along_a_batch_is_short_unless_one_datagram_is_long() -> 
 
 
 def test_one_that_was_meant_for_one_vehicle_and_arrives_nowhere_is_told() -> None:
-    store = Store(3)
+    store = DatagramStore(3)
     put(store, to=1)
     put(store, to=2)
     put(store)
@@ -96,7 +96,7 @@ def test_one_that_was_meant_for_one_vehicle_and_arrives_nowhere_is_told() -> Non
 
 
 def test_what_agents_say_takes_no_room_of_a_vehicles_programs() -> None:
-    store = Store(1)
+    store = DatagramStore(1)
     numbers = [store.speak(0, b"said") for _ in range(MOST + 1)]
     assert put(store)
     assert max(numbers) < min(store.batch())
@@ -108,7 +108,7 @@ def test_what_agents_say_takes_no_room_of_a_vehicles_programs() -> None:
 @given(st.data())
 def test_nothing_is_lost_doubled_or_out_of_its_senders_order(data: st.DataObject) -> None:
     vehicles = data.draw(st.integers(1, 5))
-    store = Store(vehicles, payloads=data.draw(st.booleans()))
+    store = DatagramStore(vehicles, payloads=data.draw(st.booleans()))
     offered: list[list[int]] = [[] for _ in range(vehicles)]
     taken: list[list[int]] = [[] for _ in range(vehicles)]
     offers = st.lists(st.tuples(st.integers(0, vehicles - 1), st.integers(0, 40_000), st.integers(0, 1000)), max_size=60)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.netsim.bridge.process.pacer import Delivery, Pacer, new_loop
+from vcmvsp.netsim.bridge.process.pacer import Pacer, TimedDelivery, new_loop
 
 
 class Turning:
@@ -47,12 +47,12 @@ steps = st.lists(
 
 @given(steps)
 def test_all_leave_once_never_early_and_those_that_are_due_together_in_order(given_: list) -> None:  # type: ignore[type-arg]
-    loop, left = Turning(), list[Delivery]()
+    loop, left = Turning(), list[TimedDelivery]()
     pacer = Pacer(loop, left.append, lambda: loop.now_ns)  # type: ignore[arg-type]
-    added: list[Delivery] = []
+    added: list[TimedDelivery] = []
     for deliveries, pause_ns in [*given_, ([], 2000)]:
         for after_ns, number in deliveries:
-            added.append(Delivery(after_ns, number, len(added), 0))
+            added.append(TimedDelivery(after_ns, number, len(added), 0))
             pacer.put(added[-1])
         pacer.arm()
         before = len(left)
@@ -65,14 +65,14 @@ def test_all_leave_once_never_early_and_those_that_are_due_together_in_order(giv
 def test_one_whose_door_fails_holds_up_none_of_the_others() -> None:
     loop, left = Turning(), list[int]()
 
-    def leave(delivery: Delivery) -> None:
+    def leave(delivery: TimedDelivery) -> None:
         left.append(delivery.row)
         if delivery.row == 1:
             raise RuntimeError("no luck")
 
     pacer = Pacer(loop, leave, lambda: loop.now_ns)  # type: ignore[arg-type]
     for row in range(3):
-        pacer.put(Delivery(10 * row, 0, row, 0))
+        pacer.put(TimedDelivery(10 * row, 0, row, 0))
     pacer.arm()
     loop.turn_until(9)
     with pytest.raises(RuntimeError, match="no luck"):
@@ -82,12 +82,12 @@ def test_one_whose_door_fails_holds_up_none_of_the_others() -> None:
 
 
 def test_many_that_are_late_leave_in_order_and_others_have_their_turn() -> None:
-    async def trial() -> tuple[list[Delivery], int]:
-        left: list[Delivery] = []
+    async def trial() -> tuple[list[TimedDelivery], int]:
+        left: list[TimedDelivery] = []
         loop = asyncio.get_running_loop()
         pacer = Pacer(loop, left.append)
         for row in reversed(range(1000)):
-            pacer.put(Delivery(row, row, row, 0))
+            pacer.put(TimedDelivery(row, row, row, 0))
         pacer.arm()
         await asyncio.sleep(0)
         await asyncio.sleep(0)

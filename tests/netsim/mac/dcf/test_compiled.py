@@ -8,7 +8,7 @@ import pytest
 from tests.support.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, mixed, open_air, periodic, run, square
 from vcmvsp.netsim.mac.dcf import backoff, capture, events, queues
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
-from vcmvsp.netsim.mac.dcf.state import State
+from vcmvsp.netsim.mac.dcf.state import DcfState
 from vcmvsp.netsim.mac.jit import cache
 
 TWICE = (capture, backoff, queues, events)  # what is written as vectors and as loops
@@ -35,7 +35,7 @@ def test_loops_leave_the_same_bits_everywhere_as_vectors(monkeypatch: pytest.Mon
         assert bits(loops._state) == bits(vectors._state)
 
 
-def bits(state: State) -> dict[str, bytes]:
+def bits(state: DcfState) -> dict[str, bytes]:
     passed_on = {"busy", "order"}  # to the caller, not to the next event
     return {name: value.tobytes() for name, value in state._asdict().items() if name not in passed_on}
 

@@ -12,7 +12,7 @@ from tests.support.netsim.dcf_runs import MS, PHYS, UNTIL, US, bytes_of, frame, 
 from vcmvsp.netsim.interfaces.medium import Decided, Fate
 from vcmvsp.netsim.mac.dcf import events
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
-from vcmvsp.netsim.mac.dcf.state import Rules, State
+from vcmvsp.netsim.mac.dcf.state import DcfRules, DcfState
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import Ofdm
 
@@ -58,7 +58,7 @@ def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch, seed: int) -> Non
     times: list[int] = []
     upcoming = events.upcoming
 
-    def watched(s: State, rules: Rules) -> tuple[int, int, int]:
+    def watched(s: DcfState, rules: DcfRules) -> tuple[int, int, int]:
         what, who, now = upcoming(s, rules)
         times.append(now)
         return what, who, now
