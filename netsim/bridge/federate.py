@@ -183,10 +183,7 @@ class Bridge:
             for event in events:
                 self._log(event.key, event.time_ns, event.value)
             process.send(messages.taken_over(self._taken))
-        if self._levels_due and self._states is not None:
-            self._levels_at_ns = time.monotonic_ns() + LEVELS_NS
-            for each in messages.levels_in_chunks(self._air.levels_dbm(self._states)):
-                process.send(each)
+        self._send_levels(process)
         return Step(events, self._next(process, now_ns))
 
     def release(self) -> None:
@@ -224,6 +221,12 @@ class Bridge:
         if not now_ns < self._again_ns <= again_ns:  # else the earlier wake time stays: each one costs a step of the kernel
             self._again_ns = again_ns
         return self._again_ns
+
+    def _send_levels(self, process: BridgeClient) -> None:
+        if self._levels_due and self._states is not None:
+            self._levels_at_ns = time.monotonic_ns() + LEVELS_NS
+            for each in messages.levels_in_chunks(self._air.levels_dbm(self._states)):
+                process.send(each)
 
     def _receive(self, received: Sequence[messages.Up]) -> None:
         for message in received:

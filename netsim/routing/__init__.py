@@ -1,5 +1,5 @@
-"""The network layer, between messages and frames: messages reach those whom their sender's radio does not reach, over others.
+"""The network layer, between messages and frames: multi-hop delivery of messages.
 
-Start reading at `netsim.routing.network`. What a kind of routing decides, and how one of your own looks, is in
-`netsim.routing.router`. Nothing of links: whether a frame arrives is up to `netsim.channel`.
+Start reading at `netsim.routing.network`; the protocol of routing kinds is in `netsim.routing.router`. Nothing of links:
+whether a frame arrives is decided in `netsim.channel`.
 """

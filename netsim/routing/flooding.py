@@ -10,16 +10,16 @@ from vcmvsp.netsim.routing.router import BROADCAST, HopLimit, Router
 
 @dataclass(frozen=True)
 class Flooding:
-    """Every vehicle that hears a message for the first time sends it again, once, until it has gone ``hop_limit`` hops.
+    """Every vehicle forwards the first copy of a message that it receives, once, up to ``hop_limit`` hops.
 
-    Messages to one vehicle go the same way; it does not pass them on. It needs no tables and finds every way there is, at the
-    price of a frame per vehicle and message. Those who heard the same frame would all answer it at the same instant, so each
-    waits a random time first. The first copy that a vehicle hears may thus have come the longer way, and be at its limit there:
-    whom all ways can reach, they do reach where ``hop_limit`` is the number of vehicles less one, or more.
+    Unicast messages are flooded, too; their destination does not forward them. Flooding needs no tables and finds every route,
+    at the cost of a frame for each vehicle and message. Receivers of one frame would forward it at the same instant, so each
+    waits a random time first. The first copy may thus have come over the longer route, and be at its limit: every reachable
+    vehicle is reached for certain only with a ``hop_limit`` of the number of vehicles less one, or more.
     """
 
-    hop_limit: HopLimit = 8  # transmissions from the origin to whom it reaches, at most
-    jitter_s: Seconds = 0.01  # a message waits so long at most before it is passed on, uniform
+    hop_limit: HopLimit = 8  # longest route
+    jitter_s: Seconds = 0.01  # largest delay before a message is forwarded, uniform
 
     def open(self, vehicles: Sequence[str], seed: int) -> Router:
         """Begin a run."""

@@ -1,11 +1,10 @@
-"""The network layer of a run: messages in, frames out; frames that arrive in, receptions and more frames out.
+"""The network layer of a run: messages become frames; received frames become receptions and further frames.
 
-A message of an agent or a program becomes a packet. Its origin sends the first frame; who receives a frame of a packet for the
-first time takes it, if it is meant, and sends one more frame if the router says so: at once to the next hop, a broadcast after
-a random wait. Whatever comes again is dropped. What is remembered of a packet is forgotten when no frame and no wait of it is
-open any more, so there is never more in memory than is under way.
+A message of an agent or a program becomes a packet. Its origin sends the first frame. A vehicle that receives the first copy
+delivers it, if it is a destination, and forwards it by the router: at once to the next hop, a broadcast after a random delay.
+Later copies are dropped. The state of a packet is deleted with its last open frame and delay.
 
-Each hop is a frame like any other: it contends, collides, is lost, delayed and recorded under the name of who sends it.
+Each hop is a frame like any other, recorded under the name of the vehicle that sends it.
 """
 
 import heapq
@@ -23,11 +22,11 @@ from vcmvsp.netsim.channel.datagrams import TrafficLog, received
 from vcmvsp.netsim.routing.router import BROADCAST, HEADER_BYTES, AdvertisingRouter, Router
 
 Put = Callable[[int, Message, int], tuple[int, list[FrameReport]]]
-"""Hands a frame to the channel, at a time (ns), reaching the queue so much later (ns): its number, and what is decided."""
+"""Hands a frame to the channel: time (ns), frame, handover delay (ns) -> number of the frame, reports of decided frames."""
 
 
 class PacketArrival(msgspec.Struct, frozen=True):
-    """How a packet came to a vehicle."""
+    """The first arrival of a packet at a vehicle."""
 
     hops: int
     via: int
@@ -38,26 +37,26 @@ class Packet(msgspec.Struct):
     """A message under way."""
 
     origin: int
-    number: int  # among those of its origin
+    number: int  # of the origin's packets
     to: int  # `BROADCAST`: all
     message: Message
     sent_ns: int
-    datagram: int | None = None  # its number, of one that a program has sent
-    update: object = None  # of routes: its content
-    open: int = 0  # frames, arrivals and waits
-    told: bool = False  # when it arrives, of a datagram to one vehicle
-    under_way: bool = False  # when the run ends
+    datagram: int | None = None  # number of a program's datagram
+    update: object = None  # content of a route update
+    open: int = 0  # frames, arrivals and delays
+    arrival_reported: bool = False  # of a unicast datagram
+    under_way: bool = False  # at the end of the run
     frames: list[int] = msgspec.field(default_factory=list)
     reached: dict[int, PacketArrival] = msgspec.field(default_factory=dict)
 
 
 class _Copy(msgspec.Struct, frozen=True):
-    """A frame on the air, and how many hops its packet has gone when it arrives."""
+    """A frame of a packet."""
 
     packet: Packet
     by: int
-    via: int  # to whom; `BROADCAST`: all
-    hops: int
+    via: int  # destination of the frame, or `BROADCAST`
+    hops: int  # with this frame
 
 
 class _Arrival(msgspec.Struct, frozen=True):
@@ -69,23 +68,15 @@ class _Arrival(msgspec.Struct, frozen=True):
 
 
 class _Wait(msgspec.Struct, frozen=True):
-    """A broadcast that is passed on later."""
+    """A broadcast before it is forwarded."""
 
     packet: Packet
     by: int
-    hops: int  # gone so far
+    hops: int  # so far
 
 
 class RoutingNetwork:
-    """All vehicles' network layers.
-
-    Args:
-        router: says whom packets are handed to.
-        kind: what that is called, for errors.
-        vehicles: names; rows are places in it.
-        seed: of the run.
-        put: hands a frame to the channel.
-    """
+    """The network layer of all vehicles; ``kind``: name of the router in error messages; ``put``: see `Put`."""
 
     def __init__(self, router: Router, kind: str, vehicles: Sequence[str], seed: int, put: Put) -> None:
         self._router, self._kind, self._names, self._put = router, kind, tuple(vehicles), put
@@ -93,29 +84,29 @@ class RoutingNetwork:
         self._row = {name: row for row, name in enumerate(vehicles)}
         self._draws = [stream(seed, f"radio/{name}/relay") for name in vehicles]
         self._numbers = [0] * len(self._names)
-        self._copies: dict[int, _Copy] = {}  # by frame: those whose fate is open
-        self._packets: dict[tuple[int, int], Packet] = {}  # in the order in which they were sent: those under way
-        # Heap of when it is done, when it is due, order, and what: an arrival, a wait, or of a row its update.
+        self._copies: dict[int, _Copy] = {}  # by frame: not decided yet
+        self._packets: dict[tuple[int, int], Packet] = {}  # under way, in the order of sending
+        # Heap of: time of processing, due time, order, and an arrival, a delay, or the row of an update.
         self._agenda: list[tuple[int, int, int, _Arrival | _Wait | int]] = []
-        self._given = 0
-        self._carried = TrafficLog()
-        self._reports: list[FrameReport] = []  # these three are to be told
-        self._heard: list[tuple[str, Reception]] = []
+        self._order = 0
+        self._traffic = TrafficLog()
+        self._reports: list[FrameReport] = []  # these three wait for `events`
+        self._receptions: list[tuple[str, Reception]] = []
         self._routed: list[Routed] = []
         for row, first_ns in enumerate(() if self._telling is None else self._telling.first_ns()):
             self._plan(first_ns, row)
 
     def next_ns(self) -> int | None:
-        """When there is something to do next."""
+        """Time of the next arrival, delay or update."""
         return self._agenda[0][0] if self._agenda else None
 
     def send(self, sent_ns: int, message: Message, *, handover_ns: int = 0, datagram: int | None = None) -> list[FrameReport]:
-        """A vehicle has a message: the reports of its first frame, if that is decided already."""
+        """Send a message; returns the report of its first frame if that is decided already."""
         to = BROADCAST if message.to is None else self._row[message.to]
         return self._originate(self._row[message.sender], to, message, sent_ns, handover_ns, datagram=datagram)
 
     def note(self, reports: Sequence[FrameReport], earliest_ns: int) -> None:
-        """Take what became of frames; arrivals of the past are dealt with at ``earliest_ns``."""
+        """Take reports of frames; past arrivals are processed at ``earliest_ns``."""
         for report in reports:
             copy = self._copies.pop(report.frame)
             packet = copy.packet
@@ -123,47 +114,47 @@ class RoutingNetwork:
             if packet.datagram is None:
                 self._reports.append(report)
             else:
-                self._carried.report(report, packet.datagram)
+                self._traffic.report(report, packet.datagram)
             for receiver, rssi_dbm, at_ns in received(report):
                 packet.open += 1
                 row = self._row[receiver]
                 self._plan(at_ns, _Arrival(copy, report.frame, row, rssi_dbm, at_ns), earliest_ns)
-                if copy.via == row == packet.to:  # there is but one way to it: nothing will come earlier
-                    self._tell_program(packet, row, at_ns, report.frame)
-            self._less(packet)
+                if copy.via == row == packet.to:  # unicast has one route: no earlier arrival is possible
+                    self._report_arrival(packet, row, at_ns, report.frame)
+            self._close_one(packet)
 
     def go_on(self, now_ns: int) -> list[FrameReport]:
-        """Do what is due: the reports of frames that were sent, as far as they are decided."""
+        """Process everything that is due; returns the reports of sent frames that are decided."""
         reports: list[FrameReport] = []
         while self._agenda and self._agenda[0][0] <= now_ns:
             *_, what = heapq.heappop(self._agenda)
             if isinstance(what, _Arrival):
                 reports += self._arrive(what, now_ns)
-                self._less(what.copy.packet)
+                self._close_one(what.copy.packet)
             elif isinstance(what, _Wait):
                 reports += self._transmit(what.packet, what.by, BROADCAST, what.hops, now_ns)
-                self._less(what.packet)
+                self._close_one(what.packet)
             elif self._telling is not None:
                 reports += self._update(self._telling, what, now_ns)
         return reports
 
     def finish(self) -> None:
-        """The run is over: tell of what is under way as far as it came."""
+        """End the run: report the packets under way."""
         for packet in self._packets.values():
             packet.under_way = True
-            self._tell(packet)
+            self._report_packet(packet)
 
     def events(self, now_ns: int) -> list[Event]:
-        """What there is to tell since it was asked last."""
+        """Events since the last call."""
         events = [Event("radio/frame", now_ns, report) for report in self._reports]
-        events += [Event(f"{name}/heard", now_ns, reception) for name, reception in self._heard]
+        events += [Event(f"{name}/heard", now_ns, reception) for name, reception in self._receptions]
         events += [Event("radio/routed", now_ns, routed) for routed in self._routed]
-        self._reports, self._heard, self._routed = [], [], []
-        return [*events, *self._carried.events(now_ns)]
+        self._reports, self._receptions, self._routed = [], [], []
+        return [*events, *self._traffic.events(now_ns)]
 
     def _plan(self, at_ns: int, what: _Arrival | _Wait | int, earliest_ns: int = 0) -> None:
-        heapq.heappush(self._agenda, (max(at_ns, earliest_ns), at_ns, self._given, what))
-        self._given += 1
+        heapq.heappush(self._agenda, (max(at_ns, earliest_ns), at_ns, self._order, what))
+        self._order += 1
 
     # --- packets --------------------------------------------------------------------------------------------------------------
 
@@ -186,26 +177,28 @@ class RoutingNetwork:
         via = BROADCAST if to == BROADCAST else self._router.next_hop(origin, to, sent_ns)
         if via is not None:
             reports = self._transmit(packet, origin, via, 0, sent_ns, handover_ns)
-        self._less(packet)
+        self._close_one(packet)
         return reports
 
     def _update(self, telling: AdvertisingRouter, row: int, now_ns: int) -> list[FrameReport]:
         update = telling.update(row, now_ns)
         if update.next_ns <= now_ns or update.size_bytes < 0:
-            raise self._nonsense(f"tells {update.size_bytes} bytes of routes at {now_ns} ns, and next at {update.next_ns} ns")
+            raise self._nonsense(
+                f"returned an update of {update.size_bytes} bytes at {now_ns} ns, the next at {update.next_ns} ns"
+            )
         self._plan(update.next_ns, row)
         message = Message(sender=self._names[row], body=b"", size_bytes=update.size_bytes)
         return self._originate(row, BROADCAST, message, now_ns, update=update.content)
 
     def _transmit(self, packet: Packet, by: int, via: int, hops: int, now_ns: int, handover_ns: int = 0) -> list[FrameReport]:
-        """Send one frame of a packet that has come so far."""
+        """Send a frame of a packet that has gone ``hops`` hops."""
         if not isinstance(via, Integral) or via not in range(BROADCAST, len(self._names)) or via == by:
-            wanted = f"the row of another of {len(self._names)} vehicles, {BROADCAST} (a broadcast) or None"
-            raise self._nonsense(f"has {self._names[by]} hand a message to {via!r}, which is not {wanted}")
+            allowed = f"the row of another of {len(self._names)} vehicles, {BROADCAST} (a broadcast) or None"
+            raise self._nonsense(f"returned {via!r} as the next hop of {self._names[by]}, which is not {allowed}")
         message = packet.message
         frame = Message(
             sender=self._names[by],
-            body=b"",  # nobody looks into frames
+            body=b"",  # frames carry no body, `Packet` does
             size_bytes=message.size_bytes + HEADER_BYTES,
             to=None if via == BROADCAST else self._names[via],
             priority=message.priority,
@@ -217,7 +210,7 @@ class RoutingNetwork:
         return reports
 
     def _arrive(self, arrival: _Arrival, now_ns: int) -> list[FrameReport]:
-        """A vehicle has received a frame: take the packet, pass it on, or drop it."""
+        """Handle a received frame: deliver the packet, forward it, or drop it."""
         copy, row = arrival.copy, arrival.at
         packet = copy.packet
         if row == packet.origin or row in packet.reached:
@@ -247,29 +240,29 @@ class RoutingNetwork:
     def _deliver(self, packet: Packet, arrival: _Arrival) -> None:
         message = packet.message
         if packet.datagram is not None:
-            self._tell_program(packet, arrival.at, arrival.received_ns, arrival.frame)
+            self._report_arrival(packet, arrival.at, arrival.received_ns, arrival.frame)
             if not message.body:
                 return
-        heard = Reception(message=message, rssi_dbm=arrival.rssi_dbm, sent_ns=packet.sent_ns, received_ns=arrival.received_ns)
-        self._heard.append((self._names[arrival.at], heard))
+        times = {"sent_ns": packet.sent_ns, "received_ns": arrival.received_ns}
+        self._receptions.append((self._names[arrival.at], Reception(message=message, rssi_dbm=arrival.rssi_dbm, **times)))
 
-    def _tell_program(self, packet: Packet, receiver: int, at_ns: int, frame: int) -> None:
-        """When a datagram arrives: of one to a single vehicle as soon as that is known of its last frame."""
-        if packet.datagram is not None and not packet.told:
-            self._carried.arrive(packet.datagram, receiver, at_ns, frame)
-            packet.told = packet.to != BROADCAST
+    def _report_arrival(self, packet: Packet, receiver: int, at_ns: int, frame: int) -> None:
+        """Report the arrival of a datagram; of a unicast one once, as soon as its last frame is decided."""
+        if packet.datagram is not None and not packet.arrival_reported:
+            self._traffic.arrive(packet.datagram, receiver, at_ns, frame)
+            packet.arrival_reported = packet.to != BROADCAST
 
-    def _less(self, packet: Packet) -> None:
-        """Something of a packet is over; with the last of it, so is the packet."""
+    def _close_one(self, packet: Packet) -> None:
+        """Close one open frame, arrival or delay of a packet; with the last one, the packet."""
         packet.open -= 1
         if not packet.open:
             del self._packets[packet.origin, packet.number]
-            self._tell(packet)
+            self._report_packet(packet)
 
-    def _tell(self, packet: Packet) -> None:
+    def _report_packet(self, packet: Packet) -> None:
         names, reached = self._names, packet.reached.values()
         if packet.datagram is not None:
-            self._carried.settle(packet.datagram)
+            self._traffic.settle(packet.datagram)
         self._routed.append(
             Routed(
                 origin=names[packet.origin],

@@ -1,7 +1,7 @@
-"""What a kind of routing is: whom a message is handed to next, who passes a broadcast on, and what vehicles tell of routes.
+"""Protocol of routing kinds: next hops, forwarding of broadcasts, route updates.
 
-A kind is a frozen dataclass whose fields are the keys of ``[routing]``; for each run it opens a router, which knows vehicles by
-their rows. A router answers for each vehicle from what that vehicle can know: its own tables, and what it has heard.
+A kind is a frozen dataclass with the keys of ``[routing]`` as fields; for each run it opens a router. Vehicles are rows. A
+router decides for a vehicle from the information of that vehicle alone: its tables and the updates that it has received.
 """
 
 from collections.abc import Sequence
@@ -10,56 +10,56 @@ from typing import Annotated, Any, Protocol, runtime_checkable
 import msgspec
 
 BROADCAST = -1
-"""In place of the row of a vehicle: everybody in reach."""
+"""Instead of the row of a vehicle: all vehicles in range."""
 
 HEADER_BYTES = 8
-"""What routing adds to the payload of each frame: what the packet is (1), how many hops it may still go (1), its origin (2),
-its destination (2), and its number among those of its origin (2). The next hop stands in the frame's own header already."""
+"""Routing header of each frame: type (1), remaining hops (1), origin (2), destination (2), number of the packet (2). The next
+hop is in the frame's own header."""
 
 HopLimit = Annotated[int, msgspec.Meta(ge=1, le=255)]
 
 
 class Update(msgspec.Struct, frozen=True):
-    """What a vehicle tells its neighbours of routes."""
+    """A route update of a vehicle."""
 
-    content: Any  # for `Router.take` of those who hear it
-    size_bytes: int  # behind the header
-    next_ns: int  # when it tells again; later than now
+    content: Any  # for `AdvertisingRouter.take`
+    size_bytes: int  # after the header
+    next_ns: int  # time of the next update; later than now
 
 
 class Router(Protocol):
     """The routing of a run."""
 
     hop_limit: int
-    jitter_ns: int  # the longest that a broadcast waits before it is passed on
+    jitter_ns: int  # largest delay before a broadcast is forwarded
 
     def next_hop(self, row: int, to: int, now_ns: int) -> int | None:
-        """To whom a vehicle hands a message to ``to``: a neighbour, `BROADCAST`, or None where it knows no route."""
+        """Next hop of a message to ``to``: a neighbour, `BROADCAST`, or None without a route."""
 
     def relays(self, row: int, by: int) -> bool:
-        """Whether a vehicle passes a broadcast on that it heard first from ``by``."""
+        """Whether a vehicle forwards a broadcast of which ``by`` sent the first copy."""
 
 
 @runtime_checkable
 class AdvertisingRouter(Router, Protocol):
-    """One whose vehicles tell each other of routes."""
+    """A router with route updates."""
 
     def first_ns(self) -> Sequence[int]:
-        """When each vehicle first tells of routes."""
+        """Time of the first update of each vehicle."""
 
     def update(self, row: int, now_ns: int) -> Update:
-        """What a vehicle tells now."""
+        """The update that a vehicle sends now."""
 
     def take(self, row: int, by: int, content: Any, now_ns: int) -> None:
-        """A vehicle hears an update of another."""
+        """A vehicle receives an update of another."""
 
 
 class Routing(Protocol):
     """A kind of routing, as a scenario configures it."""
 
     def open(self, vehicles: Sequence[str], seed: int) -> Router:
-        """Begin a run; the answer may be one that is `AdvertisingRouter`.
+        """The router of a run, perhaps an `AdvertisingRouter`.
 
         Raises:
-            ScenarioError: it names a vehicle that there is not, or routes that lead nowhere.
+            ScenarioError: an unknown vehicle, or a route that never reaches its destination.
         """

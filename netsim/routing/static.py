@@ -1,4 +1,4 @@
-"""Static routes: a table that somebody has written down."""
+"""Static routing by a table of the scenario."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,21 +15,20 @@ from vcmvsp.netsim.routing.router import HopLimit, Router
 
 @dataclass(frozen=True)
 class Static:
-    """Messages to one vehicle go by a table; what the table says nothing of goes straight to its destination.
+    """Unicast messages follow a table of next hops; without an entry they go directly to the destination.
 
-    A broadcast is for whoever hears it, but only vehicles along these routes pass it on, once each, and of them only those that
-    have another neighbour on a route than the one they heard it from.
+    A broadcast is forwarded once by each vehicle on these routes that has another neighbour on a route than the sender.
 
     Args:
-        chain: vehicles in a row: each hands what is not for itself to the one beside it, in the direction of the destination.
-        next_hop: to whom a vehicle hands a message, by destination, ``{ car1 = { car4 = "car2" } }``; wins over ``chain``;
-            None: all go by the chain.
-        hop_limit: transmissions from the origin to whom it reaches, at most.
-        jitter_s: a broadcast waits so long at most before it is passed on, uniform.
+        chain: vehicles in a row: each forwards messages to the neighbour in the direction of the destination.
+        next_hop: next hop by vehicle and destination, ``{ car1 = { car4 = "car2" } }``; has priority over ``chain``; None: the
+            chain alone.
+        hop_limit: longest route.
+        jitter_s: largest delay before a broadcast is forwarded, uniform.
     """
 
     chain: tuple[str, ...] = ()
-    next_hop: Mapping[str, Any] | None = None  # of tables: each is checked by itself, so that an error names it
+    next_hop: Mapping[str, Any] | None = None  # of tables, checked one by one, so that an error names the table
     hop_limit: HopLimit = 8
     jitter_s: Seconds = 0.01
 
@@ -58,9 +57,10 @@ class Static:
                 if path[-1] in path[:-1] or len(path) - 1 > self.hop_limit:
                     raise self._leads_nowhere(vehicles, path, to)
             edges.update(pairwise(path))
-        neighbours = [
-            frozenset(b for a, b in edges if a == place) | {a for a, b in edges if b == place} for place in row.values()
-        ]
+        neighbours: list[set[int]] = [set() for _ in vehicles]
+        for a, b in edges:
+            neighbours[a].add(b)
+            neighbours[b].add(a)
         return _Tables(table, neighbours, self.hop_limit, seconds_to_ns(self.jitter_s))
 
     def _of_chain(self, row: Mapping[str, int]) -> dict[tuple[int, int], int]:
@@ -72,20 +72,21 @@ class Static:
         if len(self.chain) == 1:
             raise ScenarioError("must have at least two vehicles", key="routing.chain")
         rows = [row[name] for name in self.chain]
-        places = range(len(rows))
-        return {(rows[i], rows[j]): rows[i + (1 if j > i else -1)] for i in places for j in places if i != j}
+        forward = {(rows[i], to): rows[i + 1] for i in range(len(rows)) for to in rows[i + 1 :]}
+        backward = {(rows[i], to): rows[i - 1] for i in range(len(rows)) for to in rows[:i]}
+        return forward | backward
 
     def _of_table(self, row: Mapping[str, int]) -> dict[tuple[int, int], int]:
-        found = {}
+        table = {}
         for source, hops in (self.next_hop or {}).items():
             for to, via in hops.items():
                 for name in (source, to, via):
                     if name not in row:
                         raise ScenarioError(unknown("vehicle", name, row), key=f"routing.next_hop.{source}")
                 if source in (to, via):
-                    raise ScenarioError(f"{source} hands nothing to itself", key=f"routing.next_hop.{source}.{to}")
-                found[row[source], row[to]] = row[via]
-        return found
+                    raise ScenarioError(f"{source} cannot be its own next hop", key=f"routing.next_hop.{source}.{to}")
+                table[row[source], row[to]] = row[via]
+        return table
 
     def _leads_nowhere(self, vehicles: Sequence[str], path: Sequence[int], to: int) -> ScenarioError:
         source = vehicles[path[0]]
@@ -101,7 +102,7 @@ class Static:
 
 class _Tables:
     def __init__(
-        self, table: Mapping[tuple[int, int], int], neighbours: Sequence[frozenset[int]], hop_limit: int, jitter_ns: int
+        self, table: Mapping[tuple[int, int], int], neighbours: Sequence[set[int]], hop_limit: int, jitter_ns: int
     ) -> None:
         self.hop_limit, self.jitter_ns = hop_limit, jitter_ns
         self._table, self._neighbours = table, neighbours

@@ -52,7 +52,7 @@ def test_the_middle_of_a_chain_is_heard_at_both_ends() -> None:
         ({"next_hop": {"car1": 3}}, "routing.next_hop.car1", "must be a table, not 3"),
         ({"next_hop": {"car1": {"car4": 3}}}, "routing.next_hop.car1.car4", "must be a string, not 3"),
         ({"next_hop": {"car1": {"car4": "cra2"}}}, "routing.next_hop.car1", "did you mean 'car2'?"),
-        ({"next_hop": {"car1": {"car4": "car1"}}}, "routing.next_hop.car1.car4", "car1 hands nothing to itself"),
+        ({"next_hop": {"car1": {"car4": "car1"}}}, "routing.next_hop.car1.car4", "car1 cannot be its own next hop"),
         (
             {"next_hop": {"car1": {"car4": "car2"}, "car2": {"car4": "car1"}}},
             "routing.next_hop.car1.car4",

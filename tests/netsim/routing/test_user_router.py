@@ -49,7 +49,7 @@ def test_an_answer_that_makes_no_sense_is_an_error_with_the_name_of_the_kind(via
     with pytest.raises(FederateError) as caught:
         run(Mine(via), line(3), says("car1", 0, to="car3"))
     wanted = "which is not the row of another of 3 vehicles, -1 (a broadcast) or None"
-    assert str(caught.value) == f"routing Mine: has car1 hand a message to {via!r}, {wanted}"
+    assert str(caught.value) == f"routing Mine: returned {via!r} as the next hop of car1, {wanted}"
 
 
 @dataclass(frozen=True)
@@ -89,5 +89,5 @@ def test_one_that_tells_is_asked_when_it_wants() -> None:
 
 @pytest.mark.parametrize(("size_bytes", "period_ns"), [(-1, MS), (10, 0), (10, -MS)])
 def test_an_update_of_the_past_or_of_less_than_nothing_is_an_error(size_bytes: int, period_ns: int) -> None:
-    with pytest.raises(FederateError, match=rf"^routing Chatty: tells {size_bytes} bytes of routes at 5000000 ns, and next at"):
+    with pytest.raises(FederateError, match=rf"^routing Chatty: returned an update of {size_bytes} bytes at 5000000 ns, the next at"):
         run(Chatty(size_bytes, period_ns), line(2))

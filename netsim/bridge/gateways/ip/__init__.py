@@ -1,1 +1,1 @@
-"""Vehicles as network namespaces of Linux. Only `interfaces` speaks netlink."""
+"""Vehicles as network namespaces of Linux. Only `interfaces` uses netlink."""

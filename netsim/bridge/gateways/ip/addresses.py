@@ -1,7 +1,4 @@
-"""The addresses of a network of vehicles, and where an IP packet goes that one of them sends.
-
-Only the destination is looked at. Whatever a program puts into a packet, the answer is a vehicle, all of them, or why nobody.
-"""
+"""Addresses of a network of vehicles, and the destination vehicle of an IP packet, by its destination address alone."""
 
 import ipaddress
 from collections.abc import Mapping, Sequence
@@ -13,28 +10,23 @@ from vcmvsp.netsim.bridge.gateways.base import BROADCAST
 NO_ADDRESS = "no such address"
 NO_IP = "not an IP packet"
 MEMBERSHIP = "reports to multicast routers, kept off the air"
-"""Why a packet goes to nobody, in words for `GatewayContext.count`."""
+"""Reasons to drop a packet, for `GatewayContext.count`."""
 
 HEADER4, HEADER6 = 20, 40  # bytes at least
-LEAST_MTU6 = 1280  # RFC 8200, section 5: on a link with less, there is no IPv6
+LEAST_MTU6 = 1280  # RFC 8200, section 5: no IPv6 on a link with less
 
 _IGMP, _HOP_BY_HOP, _ICMP6 = 2, 0, 58  # protocol numbers
-_TO_ROUTERS = frozenset((130, 131, 132, 133, 143))  # ICMPv6: listeners asked and reported (RFC 2710, 3810), router solicitation
+_TO_ROUTERS = frozenset((130, 131, 132, 133, 143))  # ICMPv6: listener queries and reports (RFC 2710, 3810), router solicitation
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 
 def network_of(text: str, key: str, version: int | None = None) -> Network:
-    """Read ``10.77.0.0/16``.
-
-    Args:
-        text: what a scenario says.
-        key: where.
-        version: of IP; None: either.
+    """Parse a network of private addresses, e.g. ``10.77.0.0/16``, of this version of IP (None: either).
 
     Raises:
-        ScenarioError: it is no network, or none that vehicles could have.
+        ScenarioError: the text under ``key`` is no network, or a reserved one.
     """
     problem = ""
     try:
@@ -45,26 +37,26 @@ def network_of(text: str, key: str, version: int | None = None) -> Network:
     if version not in (None, network.version):
         problem = f"{text} is a network of IPv{network.version}, not of IPv{version}"
     elif network.is_multicast or network.is_loopback or network.is_link_local or network.is_unspecified:
-        problem = f"{text} is kept for other purposes; private ones are in 10.0.0.0/8, 192.168.0.0/16 and fd00::/8"
+        problem = f"{text} is reserved; private networks are in 10.0.0.0/8, 192.168.0.0/16 and fd00::/8"
     if problem:
         raise ScenarioError(problem, key=key)
     return network
 
 
 def address_in(network: Network, row: int) -> Address:
-    """The address of the vehicle in this row: the network's first after its own, and so on."""
+    """The address of the vehicle in this row; row 0 has the first host address."""
     return network[row + 1]
 
 
 @dataclass(frozen=True)
 class RoutedNetwork:
-    """Addresses behind a vehicle."""
+    """A network behind a vehicle."""
 
     network: Network
     row: int  # of the vehicle
 
     def holds(self, address: bytes) -> bool:
-        """Whether an address, in the bytes of a packet, is one of them."""
+        """Whether the network contains a packed address."""
         bits = self.network.max_prefixlen
         if bits != 8 * len(address):
             return False
@@ -72,12 +64,12 @@ class RoutedNetwork:
 
 
 class Directory:
-    """Who has which address.
+    """Vehicle of each address.
 
     Args:
-        networks: those that the vehicles share.
-        rows: of the vehicles that take part.
-        routed: networks behind vehicles, by row. The narrowest that holds an address counts.
+        networks: shared by the vehicles.
+        rows: vehicles with an interface.
+        routed: networks behind vehicles, by row; the narrowest network that contains an address counts.
     """
 
     def __init__(self, networks: Sequence[Network], rows: Sequence[int], routed: Mapping[int, Sequence[Network]]) -> None:
@@ -88,10 +80,10 @@ class Directory:
         self._routed = sorted(behind, key=lambda each: -each.network.prefixlen)
 
     def goes_to(self, sender: int, packet: bytes) -> int | str:
-        """The row of the vehicle that a packet is meant for, `BROADCAST`, or why it is sent to nobody.
+        """The row of the destination vehicle, `BROADCAST`, or the reason to drop the packet.
 
-        Reports of who listens to which multicast group, and calls for routers, are for multicast routers alone. The kernel
-        sends them by itself, and the air is too scarce for what nobody listens to.
+        Multicast membership reports and router solicitations, which the kernel sends by itself, are dropped: there are no
+        multicast routers.
         """
         if not is_ip(packet):
             return NO_IP
@@ -113,13 +105,13 @@ class Directory:
 
 
 def is_ip(packet: bytes) -> bool:
-    """Whether it begins as a packet of IP does."""
+    """Whether the bytes begin with a complete IP header."""
     version = packet[0] >> 4 if packet else 0
     return (version == 4 and len(packet) >= HEADER4) or (version == 6 and len(packet) >= HEADER6)
 
 
 def _icmp6_type(packet: bytes) -> int:
-    """The type of a message of ICMPv6, also behind hop-by-hop options; -1: it is none, or cut short."""
+    """Type of an ICMPv6 message, also after hop-by-hop options; -1: not ICMPv6, or truncated."""
     kind, start = packet[6], HEADER6
     if kind == _HOP_BY_HOP and len(packet) >= HEADER6 + 2:
         kind, start = packet[HEADER6], HEADER6 + 8 * (packet[HEADER6 + 1] + 1)

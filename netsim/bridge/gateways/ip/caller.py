@@ -1,14 +1,14 @@
-"""The user behind ``sudo``: root's rights are for making interfaces, not for scenarios and programs."""
+"""The user that called ``sudo``: scenarios and programs run with this user's rights."""
 
 import os
 import pwd
 
 
 def caller() -> pwd.struct_passwd | None:
-    """Who has called sudo; None: nobody has, or root itself.
+    """The user that called sudo; None: not run by sudo, or by root.
 
     Raises:
-        KeyError: this machine knows no such user.
+        KeyError: no such user on this machine.
     """
     number = os.environ.get("SUDO_UID", "")
     behind = os.geteuid() == 0 and number.isdecimal() and int(number) != 0
@@ -16,7 +16,7 @@ def caller() -> pwd.struct_passwd | None:
 
 
 def become(user: pwd.struct_passwd) -> None:
-    """Have this process, and what it starts, be this user's for good."""
+    """Give up root's rights: run this process and its children as this user."""
     os.initgroups(user.pw_name, user.pw_gid)
     os.setresgid(user.pw_gid, user.pw_gid, user.pw_gid)
     os.setresuid(user.pw_uid, user.pw_uid, user.pw_uid)

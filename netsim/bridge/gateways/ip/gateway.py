@@ -1,7 +1,7 @@
-"""IP: each vehicle is a machine of its own, and whatever runs on it speaks over its radio, unchanged.
+"""IP gateway: each vehicle is a network namespace of Linux; unchanged programs in it communicate over its radio.
 
-A vehicle has a network namespace of Linux with one TUN interface, `interfaces.RADIO`: what the kernel sends there comes to this
-gateway as an IP packet, and what the radio receives is written there. One hop on the air is one hop of IP.
+A namespace has one TUN interface, `interfaces.RADIO`: the gateway reads the kernel's IP packets there, and writes received
+packets there. One hop on the air is one hop of IP.
 """
 
 import asyncio
@@ -19,9 +19,9 @@ from vcmvsp.netsim.bridge.gateways.ip.addresses import LEAST_MTU6, Directory, Ne
 from vcmvsp.netsim.bridge.gateways.ip.run_networks import Space
 
 BATCH = 64  # packets of one vehicle before others have their turn
-PAUSE_S = 0.002  # without room in the run; meanwhile they wait in the kernel's queue, which has an end
-COUNTING_S = 1.0  # between two looks at what that queue had no room for
-SHOWN = 12  # vehicles whose addresses are said at once
+PAUSE_S = 0.002  # without reading when the run has no room; packets wait in the kernel's bounded queue
+COUNTING_S = 1.0  # period at which drops of that queue are counted
+SHOWN = 12  # vehicles in the list of addresses
 
 NOT_TAKEN = "not taken by the kernel"
 NO_ROOM = f"no room in the queue of {interfaces.RADIO}"
@@ -31,27 +31,27 @@ Mtu = Annotated[int, msgspec.Meta(ge=68, le=LARGEST)]  # RFC 791: every link car
 
 @dataclass
 class _Radio:
-    """The interface of a vehicle, seen from here."""
+    """The radio interface of a vehicle."""
 
     row: int
     packets: int  # descriptor
     statistics: int  # descriptor
-    waiting: tuple[int, bytes] | None = None  # read, but there was no room for it
+    waiting: tuple[int, bytes] | None = None  # packet without room in the run
     dropped: int = 0  # by the kernel
 
 
 class Ip:
-    """Programs of a vehicle are on a machine of their own: ``vcmvsp net exec car1 -- ping car2``.
+    """A network namespace for each vehicle: ``vcmvsp net exec car1 -- ping car2``.
 
-    The i-th vehicle of the scenario has the i-th address of both networks. A packet to an address of a vehicle is sent to it
-    alone; one to a multicast group or to the broadcast address, to all who hear it.
+    The i-th vehicle of the scenario has the i-th address of both networks. Packets to an address of a vehicle are unicast;
+    packets to a multicast group or to the broadcast address are broadcast.
 
     Args:
-        network: of all vehicles, IPv4.
-        network6: likewise, IPv6; there is none with an ``mtu_bytes`` of less than 1280.
-        mtu_bytes: longest packet; programs and kernel split what is longer.
+        network: IPv4 network of all vehicles.
+        network6: IPv6 network of all vehicles; none if ``mtu_bytes`` is less than 1280.
+        mtu_bytes: longest packet; programs and kernel fragment longer ones.
         routes: networks of real machines behind vehicles: ``{ car1 = ["192.168.5.0/24"] }``.
-        vehicles: those that have an interface; none named: all.
+        vehicles: vehicles with an interface; empty: all.
     """
 
     only_one = True  # namespaces and addresses of a run are one network
@@ -73,7 +73,7 @@ class Ip:
         self._counting: asyncio.TimerHandle | None = None
 
     def check(self, vehicles: Sequence[str]) -> None:
-        """Refuse names that there are not, networks that are too small, and addresses that two would have."""
+        """Check names, sizes of networks, and overlaps."""
         check_names("vehicles", self._chosen, vehicles)
         check_names("routes", self._routes, self._chosen or vehicles, "vehicle with an interface")
         for network, key in zip(self._networks, ("network", "network6"), strict=False):
@@ -82,17 +82,17 @@ class Ip:
         self._check_routes()
 
     def _check_routes(self) -> None:
-        taken = list(self._networks)
-        versions = {each.version for each in taken}
+        used = list(self._networks)
+        versions = {each.version for each in used}
         for network in (each for behind in self._routes.values() for each in behind):
             if network.version not in versions:
                 raise ValueError(f"routes: {network} needs IPv6, and mtu_bytes of {LEAST_MTU6} or more")
-            if same := [each for each in taken if each.version == network.version and each.overlaps(network)]:
+            if same := [each for each in used if each.version == network.version and each.overlaps(network)]:
                 raise ValueError(f"routes: {network} has addresses in common with {same[0]}")
-            taken.append(network)
+            used.append(network)
 
     async def open(self, context: GatewayContext) -> Sequence[str]:
-        """Make the namespaces, and read what is sent in them."""
+        """Create the namespaces and read their packets."""
         self._context = context
         if lacks := namespaces.missing():
             raise GatewayError(f"networks of namespaces need {lacks}: start the run as root (sudo)")
@@ -113,7 +113,7 @@ class Ip:
         except run_networks.NetworkInUse as error:
             raise GatewayError(str(error)) from None
         except OSError as error:
-            raise GatewayError(f"the network of {context.run} cannot be made: {error}") from error
+            raise GatewayError(f"the network of {context.run} cannot be created: {error}") from error
         self._count_dropped()
         return self._lines(list(spaces.values()))
 
@@ -131,7 +131,7 @@ class Ip:
         return [network for name, behind in self._routes.items() if name != vehicle for network in behind]
 
     def _make(self, row: int, space: Space) -> None:
-        """A namespace and what is in it."""
+        """Create a namespace and its interfaces."""
         with_bits = [(address, each.prefixlen) for address, each in zip(space.addresses, self._networks, strict=True)]
         beyond = self._beyond(space.vehicle)
         namespaces.create(space.namespace)
@@ -155,13 +155,13 @@ class Ip:
         return [*lines, f"on a vehicle's machine: vcmvsp net exec {here} -- ping {there}"]
 
     def _read(self, radio: _Radio) -> None:
-        """Hand over what a vehicle's kernel sends, as long as there is room."""
+        """Offer a vehicle's packets to the run, as long as there is room."""
         for _ in range(BATCH):
             try:
                 packet = os.read(radio.packets, LARGEST)
             except BlockingIOError:
                 return
-            except OSError:  # the interface was taken away from under us; nothing is sent any more
+            except OSError:  # the interface was removed
                 self._context.loop.remove_reader(radio.packets)
                 return
             to = self._directory.goes_to(radio.row, packet)
@@ -174,7 +174,7 @@ class Ip:
                 return
 
     def _go_on(self, radio: _Radio) -> None:
-        """Try again to hand over what there was no room for."""
+        """Offer the waiting packet again; read on when there is room."""
         if radio.waiting is None or radio.row not in self._radios:
             return
         to, packet = radio.waiting
@@ -185,7 +185,7 @@ class Ip:
             self._context.loop.call_later(PAUSE_S, self._go_on, radio)
 
     def _count_dropped(self) -> None:
-        """Have it known what the kernel had no room for: it is no loss of the radio's."""
+        """Count packets that the kernel's queue dropped, periodically."""
         for radio in self._radios.values():
             dropped = interfaces.dropped(radio.statistics)
             if dropped > radio.dropped:
@@ -194,9 +194,9 @@ class Ip:
         self._counting = self._context.loop.call_later(COUNTING_S, self._count_dropped)
 
     def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
-        """Have the kernel of a vehicle receive a packet; who has no interface, hears nothing."""
+        """Write a packet to the interface of a vehicle, if it has one."""
         radio = self._radios.get(receiver)
-        if radio is None or not is_ip(payload):  # what agents say to each other is not for programs here
+        if radio is None or not is_ip(payload):  # agents' messages are no IP packets
             return
         try:
             os.write(radio.packets, payload)
@@ -204,7 +204,7 @@ class Ip:
             self._context.count(receiver, NOT_TAKEN)
 
     async def close(self) -> None:
-        """Take the namespaces away, with whatever was made for them."""
+        """Remove the namespaces and their interfaces."""
         if self._counting is not None:
             self._counting.cancel()
         radios, self._radios = list(self._radios.values()), {}
@@ -214,5 +214,5 @@ class Ip:
         run_networks.close_all(radio.packets for radio in radios)
         if self._lease is not None:
             lease, self._lease = self._lease, None
-            with contextlib.suppress(FileNotFoundError):  # somebody was quicker: vcmvsp net down --force
+            with contextlib.suppress(FileNotFoundError):  # removed by vcmvsp net down --force
                 lease.end()

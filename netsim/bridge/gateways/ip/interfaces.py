@@ -1,4 +1,4 @@
-"""The interfaces of a vehicle's namespace: the radio, whose packets come to us, and the port behind which real machines are."""
+"""Interfaces of a vehicle's namespace: the radio (TUN), and the port (veth) to a network of real machines."""
 
 import contextlib
 import errno
@@ -20,12 +20,12 @@ from vcmvsp.netsim.bridge.gateways.ip import namespaces
 from vcmvsp.netsim.bridge.gateways.ip.addresses import Network
 
 RADIO = "radio0"
-PORT = "port0"  # in the namespace; on the host's side it has a name of its own
-QUEUE = 500  # packets that wait in the kernel until they are read
+PORT = "port0"  # in the namespace; the host's end has another name
+QUEUE = 500  # packets that wait in the kernel
 
 _SET_INTERFACE = 0x400454CA  # TUNSETIFF, linux/if_tun.h
 _TUN_WITHOUT_HEADER = 0x0001 | 0x1000  # IFF_TUN | IFF_NO_PI
-_NO_DUPLICATES_SOUGHT = 0x02  # IFA_F_NODAD: the addresses are ours to give, and of use at once
+_NO_DUPLICATES_SOUGHT = 0x02  # IFA_F_NODAD: no duplicate address detection, usable at once
 _BROADCAST_ROUTE, _ON_LINK = 3, 253  # RTN_BROADCAST, RT_SCOPE_LINK
 _RULE_PRIORITY = 7700  # before the main table's
 _HOST_SIDE, _INSIDE = "fe80::1", "fe80::2"  # of a port
@@ -35,29 +35,28 @@ _QUIET = {"accept_ra": "0", "router_solicitations": "0", "addr_gen_mode": "1", "
 class Port(msgspec.Struct, frozen=True, kw_only=True):
     """A cable between a vehicle's namespace and the host.
 
-    Neither end needs an address of IPv4: each is reached at the other's of IPv6 (RFC 8950), which holds on its cable alone and
-    so is never somebody else's already.
+    Neither end needs an IPv4 address: routes go to link-local IPv6 addresses (RFC 8950), which cannot conflict.
     """
 
     interface: str  # the end on the host's side
-    table: int  # of the host's routes to the other vehicles, for who comes from behind this one
+    table: int  # routing table of the host for packets from the machines behind this vehicle
     behind: tuple[str, ...]  # networks of the machines there
     others: tuple[str, ...]  # networks to which the radio leads
 
 
 def port_of(run: str, vehicle: str, behind: Iterable[Network], others: Iterable[Network]) -> Port:
-    """A port with a name and a number that no other vehicle's has: names of interfaces are of 15 characters at most."""
+    """A port with a unique name and number: names of interfaces have at most 15 characters."""
     number = zlib.crc32(f"{run}/{vehicle}".encode())
     there, beyond = tuple(map(str, behind)), tuple(map(str, others))
     return Port(interface=f"vcmvsp-{number:08x}", table=number | 1 << 31, behind=there, others=beyond)
 
 
 def open_radio(addresses: Sequence[tuple[str, int]], beyond: Iterable[Network], mtu_bytes: int) -> int:
-    """Make the radio's interface in this thread's namespace; the answer is what its packets are read from and written to.
+    """Create the radio's interface in this thread's namespace; returns the descriptor of its packets.
 
     Args:
-        addresses: of the vehicle, each with the bits of its network.
-        beyond: further networks to which the radio leads.
+        addresses: of the vehicle, each with the prefix length of its network.
+        beyond: further networks reached through the radio.
         mtu_bytes: longest packet.
     """
     _sysctl("ipv6", ("all", "default"), _QUIET)
@@ -82,7 +81,7 @@ def open_radio(addresses: Sequence[tuple[str, int]], beyond: Iterable[Network], 
 
 
 def open_port(port: Port, namespace: str) -> None:
-    """Lay a cable from the host to a vehicle's namespace; either end passes on what is for the other side."""
+    """Connect the host to a vehicle's namespace by a veth pair that forwards packets both ways."""
     with (namespaces.NAMES / namespace).open() as there, _netlink() as links:
         links.link("add", ifname=port.interface, kind="veth", peer={"ifname": PORT, "net_ns_fd": there.fileno()})
         here = links.link_lookup(ifname=port.interface)[0]
@@ -109,34 +108,32 @@ def _open_inside(port: Port) -> None:
 
 
 def close_port(port: Port) -> None:
-    """Take away what a port has left on the host, as far as it is there."""
+    """Remove the rules and the interface of a port from the host, as far as they exist."""
     with _netlink() as links:
         for rule in _rules(port):
             _unless_gone(functools.partial(links.rule, "del", **rule))
-        if found := links.link_lookup(ifname=port.interface):
-            _unless_gone(lambda: links.link("del", index=found[0]))
+        _delete(links, port.interface)
 
 
 def drop_radio() -> None:
-    """Take the radio's interface out of this thread's namespace, if it is there."""
+    """Remove the radio's interface from this thread's namespace, if it exists."""
     with _netlink() as links:
-        if found := links.link_lookup(ifname=RADIO):
-            _unless_gone(lambda: links.link("del", index=found[0]))
+        _delete(links, RADIO)
 
 
 def statistics() -> int:
-    """Open what `dropped` reads: the counts of this thread's namespace, which can then be read from anywhere."""
+    """Descriptor of the interface counters of this thread's namespace, for `dropped` in any thread."""
     return os.open("/proc/thread-self/net/dev", os.O_RDONLY | os.O_CLOEXEC)
 
 
 def dropped(descriptor: int) -> int:
-    """How many packets the radio's queue in the kernel had no room for, so far."""
+    """Packets that the radio's queue in the kernel has dropped so far."""
     lines = os.pread(descriptor, 1 << 16, 0).decode("ascii").splitlines()
     return next((int(line.partition(":")[2].split()[11]) for line in lines if line.lstrip().startswith(f"{RADIO}:")), 0)
 
 
 def in_common(one: Port, other: Port) -> str:
-    """What the host would send through either of two vehicles: networks from and to which; empty: nothing."""
+    """Source and destination networks that the host would route through either of two vehicles; empty: none."""
     for (source, target), (source2, target2) in itertools.product(_pairs(one), _pairs(other)):
         if _overlap(source, source2) and _overlap(target, target2):
             return f"from {source} to {target}"
@@ -148,13 +145,13 @@ def _overlap(one: Network, other: Network) -> bool:
 
 
 def _pairs(port: Port) -> list[tuple[Network, Network]]:
-    """From and to where what a port is for goes."""
+    """Source and destination networks of the packets of a port."""
     behind, others = map(ipaddress.ip_network, port.behind), list(map(ipaddress.ip_network, port.others))
     return [(source, target) for source in behind for target in others if source.version == target.version]
 
 
 def _rules(port: Port) -> list[dict[str, Any]]:
-    """What has the host send packets from behind a vehicle through that vehicle's radio, and not through another's."""
+    """Routing rules of the host: packets from the machines behind a vehicle go through that vehicle's radio."""
     return [
         {
             "table": port.table,
@@ -170,7 +167,7 @@ def _rules(port: Port) -> list[dict[str, Any]]:
 
 
 def _via(network: Network, neighbour: str) -> dict[str, Any]:
-    """Whom a route goes to: a neighbour with an address of IPv6, whatever the packet's is."""
+    """Next hop of a route: a neighbour's IPv6 address, also for IPv4 packets."""
     if network.version == 4:
         return {"family": socket.AF_INET, "via": {"family": socket.AF_INET6, "addr": neighbour}}
     return {"family": socket.AF_INET6, "gateway": neighbour}
@@ -185,7 +182,7 @@ def _family(network: Network) -> int:
 
 
 def _sysctl(protocol: str, interfaces: Iterable[str], settings: dict[str, str]) -> None:
-    """Set what a container may not let us set, without which it goes on, as a rule; what is needed all the same fails later."""
+    """Apply settings; errors are ignored: containers may forbid them, and most runs do not need them."""
     for interface in interfaces:
         for name, value in settings.items():
             with contextlib.suppress(OSError):
@@ -194,7 +191,7 @@ def _sysctl(protocol: str, interfaces: Iterable[str], settings: dict[str, str]) 
 
 @contextlib.contextmanager
 def _netlink() -> Iterator[Any]:
-    """A line to the kernel's network, for threads without an asyncio loop; it says no with an `OSError`, as other calls do."""
+    """A netlink connection for threads without an asyncio loop; its errors become `OSError`."""
     from pyroute2 import IPRoute
     from pyroute2.netlink.exceptions import NetlinkError
 
@@ -203,6 +200,11 @@ def _netlink() -> Iterator[Any]:
             yield links
     except NetlinkError as error:
         raise OSError(error.code, f"{os.strerror(error.code)} ({error})") from error
+
+
+def _delete(links: Any, interface: str) -> None:
+    if indices := links.link_lookup(ifname=interface):
+        _unless_gone(lambda: links.link("del", index=indices[0]))
 
 
 def _unless_gone(remove: Callable[[], object]) -> None:

@@ -1,14 +1,13 @@
-"""Network namespaces of Linux: a network of its own for whoever is put inside.
+"""Network namespaces of Linux, with names as ``ip netns`` gives them: a file each in `NAMES`.
 
-They have names as ``ip netns`` gives them, a file each in `NAMES`, and live as long as the file or anybody in them. A thread is
-in a namespace by itself: what is to be done inside one is done by a thread that ends there.
+A namespace is a property of a thread: work inside one is done by a thread that ends there.
 """
 
 import contextlib
 import ctypes
 import os
-import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
@@ -24,7 +23,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def missing() -> str:
-    """What this process lacks to make namespaces with a network of programs in them; empty: nothing."""
+    """Capabilities and files that this process needs for namespaces and lacks; empty: none."""
     try:
         lines = Path("/proc/self/status").read_text("ascii").splitlines()
     except OSError:
@@ -39,13 +38,13 @@ def missing() -> str:
 
 
 def create(name: str) -> None:
-    """Make a namespace.
+    """Create a namespace.
 
     Raises:
-        OSError: there is one of this name (`FileExistsError`), or no right to make one.
+        OSError: it exists (`FileExistsError`), or this process lacks the rights.
     """
     NAMES.mkdir(parents=True, exist_ok=True)
-    if _mount(None, NAMES, _SHARED | _RECURSIVE):  # so that others see what is made, also in mount namespaces of their own
+    if _mount(None, NAMES, _SHARED | _RECURSIVE):  # so that processes in other mount namespaces see new files
         _call(_mount(NAMES, NAMES, _BIND | _RECURSIVE), NAMES)
         _call(_mount(None, NAMES, _SHARED | _RECURSIVE), NAMES)
     path = NAMES / name
@@ -63,7 +62,7 @@ def create(name: str) -> None:
 
 
 def remove(name: str) -> bool:
-    """Take a namespace's name away; it ends with whoever is still inside. Whether there was one."""
+    """Remove a namespace's name; returns whether it existed. The namespace ends with its last process."""
     path = NAMES / name
     if not path.exists():
         return False
@@ -73,7 +72,7 @@ def remove(name: str) -> bool:
 
 
 def inside(name: str, work: Callable[[], T]) -> T:
-    """Do something in a namespace, and return or raise what it returns or raises."""
+    """Call ``work`` in a namespace; returns its result or raises its error."""
 
     def enter_first() -> T:
         enter(name)
@@ -83,7 +82,7 @@ def inside(name: str, work: Callable[[], T]) -> T:
 
 
 def enter(name: str) -> None:
-    """Have the calling thread, and what it starts, be in a namespace from now on."""
+    """Move the calling thread, and its children, into a namespace."""
     path = NAMES / name
     descriptor = os.open(path, os.O_RDONLY)
     try:
@@ -93,22 +92,22 @@ def enter(name: str) -> None:
 
 
 def cover(files: dict[Path, Path]) -> None:
-    """Have this process, and what it starts, see other files in the place of some, and ``/sys`` as of its own network.
+    """Mount other files over some, and ``/sys`` of the own network, for this process and its children only.
 
     Args:
-        files: what is covered -> what is seen there. Nobody else sees it.
+        files: covered path -> path of the replacement.
     """
     _call(_libc.unshare(_NEW_MOUNTS), Path("/"))
     _call(_mount(None, Path("/"), _SLAVE | _RECURSIVE), Path("/"))
-    with contextlib.suppress(OSError):  # in a container it may be forbidden, and few programs look there
+    with contextlib.suppress(OSError):  # containers may forbid it, and few programs read it
         _call(_libc.mount(b"sysfs", b"/sys", b"sysfs", 0, None), Path("/sys"))
-    for covered, seen in files.items():
-        _call(_mount(seen, covered, _BIND), covered)
+    for covered, replacement in files.items():
+        _call(_mount(replacement, covered, _BIND), covered)
 
 
 def _mount(source: Path | None, target: Path, flags: int) -> int:
-    said = b"none" if source is None else os.fsencode(source)
-    status: int = _libc.mount(said, os.fsencode(target), b"none", flags, None)
+    name = b"none" if source is None else os.fsencode(source)
+    status: int = _libc.mount(name, os.fsencode(target), b"none", flags, None)
     return status
 
 
@@ -119,19 +118,6 @@ def _call(status: int, path: Path) -> None:
 
 
 def in_thread(work: Callable[[], T]) -> T:
-    """Do something in a thread of its own, and return or raise what it returns or raises."""
-    results: list[T] = []
-    errors: list[BaseException] = []
-
-    def body() -> None:
-        try:
-            results.append(work())
-        except BaseException as error:
-            errors.append(error)
-
-    thread = threading.Thread(target=body)
-    thread.start()
-    thread.join()
-    if errors:
-        raise errors[0]
-    return results[0]
+    """Call ``work`` in a new thread, which ends afterwards; returns its result or raises its error."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(work).result()

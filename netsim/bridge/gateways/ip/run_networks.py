@@ -1,7 +1,7 @@
-"""Which runs have a network on this machine: a folder for each, which says what it consists of before any of it is made.
+"""Networks of runs on this machine: a folder for each, with a description that is written before the network is created.
 
-Its process holds a lock in the folder, which goes when the process does, however it ends. So whoever comes later can tell a run
-that is alive from one that was killed, and clear away what that one has left.
+The process of a run holds a lock in the folder as long as it lives. So a later process can tell a killed run from one that is
+alive, and remove its network.
 """
 
 import contextlib
@@ -28,8 +28,8 @@ from vcmvsp.netsim.bridge.gateways.ip.interfaces import Port
 FOLDER = Path("/run/vcmvsp-net")
 HOSTS = Path("/etc/hosts")
 
-AT_ONCE = 32  # vehicles; the kernel takes 20 ms to let go of an interface, of one as of many
-LOOKED_S, PAUSE_S = 0.1, 0.002  # others have the lock for a moment, to look; between two attempts
+AT_ONCE = 32  # threads; the kernel takes 20 ms to remove one interface or many
+LOOKED_S, PAUSE_S = 0.1, 0.002  # timeout for the lock, which other processes take briefly to look; between two attempts
 
 _LOCK, _ABOUT, _NAMES = "lock", "network.json", "hosts"
 
@@ -48,41 +48,41 @@ class RunNetwork(Value, frozen=True, kw_only=True):
 
     run: str
     pid: int  # of the process that carries its packets
-    started: int = 0  # when that did, as `started` tells: another process may have its number by now
+    started: int = 0  # start time of the process, see `started`: its number may belong to another process by now
     spaces: tuple[Space, ...]
     alive: bool = True
 
     def space(self, vehicle: str) -> Space | None:
-        """That of a vehicle, if it has one."""
+        """The namespace of a vehicle, if it has one."""
         return next((each for each in self.spaces if each.vehicle == vehicle), None)
 
 
 class NetworkInUse(OSError):
-    """Somebody else has what is wanted; the words are for the user."""
+    """A name or a network is in use; the message is for the user."""
 
 
 class RunAlive(NetworkInUse):
     """A run of this name is alive."""
 
     def __init__(self, run: str, pid: int) -> None:
-        which = f" (process {pid})" if pid else ""  # it has yet to say
-        who = f"a run named {run} has its network on this machine{which}"
-        super().__init__(f"{who}: end it, or give this one another name (--set name=...)")
+        which = f" (process {pid})" if pid else ""
+        problem = f"a run named {run} has its network on this machine{which}"
+        super().__init__(f"{problem}: end it, or give this one another name (--set name=...)")
 
 
 class NameTaken(NetworkInUse):
-    """Somebody else has made something of this name."""
+    """A namespace or interface of this name exists."""
 
     def __init__(self, what: str, name: str, delete: str) -> None:
-        super().__init__(f"there is a {what} {name}, made by somebody else; if nobody needs it: {delete} {name}")
+        super().__init__(f"a {what} {name} exists already; if it is not needed: {delete} {name}")
 
 
 class Lease:
-    """A run's right to its network; whoever has it has cleared away what was there before.
+    """Lock on the network of a run; removes a former network of the same name.
 
     Raises:
-        RunAlive: another process has it.
-        OSError: no right to write there.
+        RunAlive: another process holds it.
+        OSError: no permission to write.
     """
 
     def __init__(self, run: str) -> None:
@@ -95,10 +95,10 @@ class Lease:
             raise
 
     def tell(self, network: RunNetwork) -> None:
-        """Say what the network is to consist of; and have its names known inside.
+        """Write the description of the network and its host names.
 
         Raises:
-            NameTaken: somebody else has made a namespace or an interface of such a name.
+            NameTaken: a namespace or interface of this name exists.
             Taken: the networks behind its vehicles are behind those of another run.
         """
         present = {name for _, name in socket.if_nameindex()}
@@ -113,10 +113,10 @@ class Lease:
         (self._folder / _NAMES).chmod(0o644)  # for programs of all users
         (self._folder / f"{_ABOUT}.new").write_bytes(msgspec.json.encode(network))
         (self._folder / f"{_ABOUT}.new").replace(self._folder / _ABOUT)
-        _check_routes(network)  # now that others who begin at this moment know of it
+        _check_routes(network)  # after writing: of two runs that start together, at least one sees the other
 
     def end(self) -> None:
-        """Take the network away, and give back the right to it."""
+        """Remove the network and release the lock."""
         try:
             _clear(self._folder)
             shutil.rmtree(self._folder)
@@ -125,54 +125,54 @@ class Lease:
 
 
 def networks() -> list[RunNetwork]:
-    """Those of all runs on this machine, also of those that were killed."""
+    """Networks of all runs on this machine, also of killed ones."""
     folders = sorted(FOLDER.iterdir()) if FOLDER.is_dir() else []
-    return [known for each in folders if (known := _known(each)) is not None]
+    return [network for each in folders if (network := _network_in(each)) is not None]
 
 
 def check_free(run: str) -> None:
-    """Refuse, with `RunAlive`, the name of a run that has a network and is alive."""
-    if (known := _known(FOLDER / run)) is not None and known.alive:
-        raise RunAlive(run, known.pid)
+    """Raise `RunAlive` if a run of this name is alive and has a network."""
+    if (network := _network_in(FOLDER / run)) is not None and network.alive:
+        raise RunAlive(run, network.pid)
 
 
 def clear(run: str, *, force: bool = False) -> None:
-    """Clear away what a killed run has left; with ``force``, also what one has that is alive: its process is told to end.
+    """Remove the network of a killed run; with ``force`` also of one that is alive, after SIGTERM to its process.
 
     Raises:
-        RunAlive: it is alive.
-        OSError: no right to do so, or its process is not the one that has its number.
+        RunAlive: the run is alive.
+        OSError: no permission, or its process number belongs to another process.
     """
     folder = FOLDER / run
-    if force and (known := _known(folder)) is not None and known.alive and known.pid:
-        _tell_to_end(known)
+    if force and (network := _network_in(folder)) is not None and network.alive and network.pid:
+        _terminate(network)
         _clear(folder)
         return
     Lease(run).end()
 
 
 def run_inside(network: RunNetwork, space: Space, command: Sequence[str]) -> NoReturn:
-    """Become a program in a vehicle's namespace, where the names of all vehicles are known, of the user who called sudo.
+    """Replace this process by a program in a vehicle's namespace, run by the user that called sudo.
 
     Raises:
-        FileNotFoundError: there is no such program.
-        OSError: it cannot be run, or no right to go inside.
+        FileNotFoundError: no such program.
+        OSError: it cannot be run, or no permission to enter the namespace.
     """
     namespaces.enter(space.namespace)
     names = FOLDER / network.run / _NAMES
     namespaces.cover({HOSTS: names} if HOSTS.exists() else {})
     if (user := caller()) is not None:
         become(user)
-    for number in (signal.SIGPIPE, signal.SIGXFSZ):  # Python has them ignored, and programs inherit that
+    for number in (signal.SIGPIPE, signal.SIGXFSZ):  # Python ignores them, and programs would inherit that
         signal.signal(number, signal.SIG_DFL)
-    os.execvp(command[0], list(command))  # noqa: S606  no shell is wanted
+    os.execvp(command[0], list(command))  # noqa: S606  no shell on purpose
 
 
 def started(pid: int) -> int:
-    """When a process did, in ticks since the machine did: with its number, this is no other's.
+    """Start time of a process in clock ticks since boot; unique together with its number.
 
     Raises:
-        ProcessLookupError: there is no such process.
+        ProcessLookupError: no such process.
     """
     try:
         about = Path(f"/proc/{pid}/stat").read_text("ascii", "replace")
@@ -181,8 +181,8 @@ def started(pid: int) -> int:
     return int(about.rpartition(")")[2].split()[19])
 
 
-def _tell_to_end(network: RunNetwork) -> None:
-    """Tell the process that carries a network's packets to end, and no other that has its number by now."""
+def _terminate(network: RunNetwork) -> None:
+    """Send SIGTERM to the process of a network, but never to another process with the same number."""
     with contextlib.suppress(ProcessLookupError):
         process = os.pidfd_open(network.pid)
         try:
@@ -195,7 +195,7 @@ def _tell_to_end(network: RunNetwork) -> None:
 
 
 def _check_routes(network: RunNetwork) -> None:
-    """Refuse what another run has already: the host could not tell by whose radio a packet is to go."""
+    """Raise `NetworkInUse` for routes of another run: the host could not choose the radio of a packet."""
     others = [each for each in networks() if each.alive and each.run != network.run]
     for run, vehicle, port in ((each.run, space.vehicle, space.port) for each in others for space in each.spaces):
         for own in (each.port for each in network.spaces):
@@ -204,9 +204,9 @@ def _check_routes(network: RunNetwork) -> None:
                 raise NetworkInUse(f"routes: what comes {has}: end that run, or give this one another network")
 
 
-def _known(folder: Path) -> RunNetwork | None:
-    """What a folder tells; None: it is nobody's any more."""
-    about = RunNetwork(run=folder.name, pid=0, spaces=())  # it is about to be told, or was taken away
+def _network_in(folder: Path) -> RunNetwork | None:
+    """The network described in a folder; None: no run has it any more."""
+    about = RunNetwork(run=folder.name, pid=0, spaces=())  # not written yet, or removed
     with contextlib.suppress(FileNotFoundError, ValueError):
         about = read_json((folder / _ABOUT).read_bytes(), RunNetwork)
     try:
@@ -223,7 +223,7 @@ def _known(folder: Path) -> RunNetwork | None:
 
 
 def _locked(folder: Path) -> int:
-    """Lock a folder that is there, and stays so."""
+    """Create and lock a folder; returns the descriptor of the lock."""
     until = time.monotonic() + LOOKED_S
     while True:
         try:
@@ -231,15 +231,15 @@ def _locked(folder: Path) -> int:
                 return lock
         except BlockingIOError:
             if time.monotonic() >= until:
-                known = _known(folder)
-                raise RunAlive(folder.name, known.pid if known is not None else 0) from None
+                network = _network_in(folder)
+                raise RunAlive(folder.name, 0 if network is None else network.pid) from None
             time.sleep(PAUSE_S)
 
 
 def _lock(folder: Path) -> int | None:
-    """Lock a folder; None: it was cleared away at the same time. A `BlockingIOError` says that somebody has it.
+    """Lock a folder; None: it was removed at the same time. Raises `BlockingIOError` if it is locked.
 
-    The lock is for nobody else to have, and what there is to read is for all, whatever this process keeps to itself otherwise.
+    Only this user may lock it; all users may read the folder.
     """
     with contextlib.suppress(FileNotFoundError):
         for each in (folder.parent, folder):
@@ -259,7 +259,7 @@ def _lock(folder: Path) -> int | None:
 
 
 def _is(descriptor: int, path: Path) -> bool:
-    """Whether a path still leads to this open file."""
+    """Whether a path still refers to this open file."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.stat())
     except FileNotFoundError:
@@ -267,16 +267,16 @@ def _is(descriptor: int, path: Path) -> bool:
 
 
 def close_all(descriptors: Iterable[int]) -> None:
-    """Close what many interfaces are read from, which takes them away, as many at once as the kernel is slow with each."""
+    """Close descriptors of interfaces, which removes these; in parallel, as the kernel is slow with each."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
         list(pool.map(os.close, descriptors))
 
 
 def _clear(folder: Path) -> None:
-    """Take away all that a network consists of, as far as it is there; ends quietly however often it is done."""
-    known = _known(folder)
+    """Remove all parts of a network that exist."""
+    network = _network_in(folder)
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        list(pool.map(_clear_space, known.spaces if known is not None else ()))
+        list(pool.map(_clear_space, () if network is None else network.spaces))
     (folder / _ABOUT).unlink(missing_ok=True)
 
 
@@ -284,6 +284,6 @@ def _clear_space(space: Space) -> None:
     if (port := space.port) is not None:
         namespaces.in_thread(functools.partial(interfaces.close_port, port))
     if (namespaces.NAMES / space.namespace).exists():
-        with contextlib.suppress(OSError):  # the file is there, but not bound to a namespace: we died between the two
+        with contextlib.suppress(OSError):  # the file exists without a namespace: the run died between creating the two
             namespaces.inside(space.namespace, interfaces.drop_radio)
         namespaces.remove(space.namespace)

@@ -1,8 +1,8 @@
 """USARSim's Wireless Simulation Server (WSS) on the run's channel: programs written for it work unchanged.
 
-Each robot opens a control connection, on which it registers the name of a vehicle and the ports on which it listens. It requests
-the port through which it reaches another robot; connections to that port are relayed. Two robots have a link while the mean
-level is at least the cutoff; otherwise their connections are closed and new ones are rejected.
+Each robot opens a control connection, on which it registers the name of a vehicle and the ports on which it listens. It
+requests the port through which it reaches another robot; connections to that port are relayed. Two robots have a link while
+the mean level is at least the cutoff; otherwise their connections are closed and new ones are rejected.
 """
 
 import asyncio
@@ -192,9 +192,9 @@ class Wss:
             return error("Robot.Name.Must.Not.Be.Empty")
         row = self._row(name)
         if row is None or row not in self._robots:
-            return compose("SS", RobotClient=name, Strength="NaN")
+            return compose("SS", Robot=name, Strength="NaN")
         level_dbm = float("inf") if row == robot.row else self._level_dbm(robot.row, row)
-        return compose("SS", RobotClient=name, Strength=strength(level_dbm))
+        return compose("SS", Robot=name, Strength=strength(level_dbm))
 
     def _on_dns(self, message: WssMessage, robot: RobotClient) -> bytes:
         name = message.robot()
@@ -205,12 +205,12 @@ class Wss:
         row = self._row(name)
         called = self._robots.get(-1 if row is None else row)
         if called is None or called is robot:
-            return compose("DNSREPLY", RobotClient=name, Port=-1, Error="NoSuchRobot")
+            return compose("DNSREPLY", Robot=name, Port=-1, Error="NoSuchRobot")
         port = message.port() or called.ports[0]
         if port not in called.ports:
-            return compose("DNSREPLY", RobotClient=name, Port=-1, Error="RobotDoesNotListenOnThisPort")
+            return compose("DNSREPLY", Robot=name, Port=-1, Error="RobotDoesNotListenOnThisPort")
         gate = self._gate(Pair(robot.row, called.row, port))
-        return error("Could.Not.Allocate.Port") if gate is None else compose("DNSREPLY", RobotClient=name, Port=gate.port)
+        return error("Could.Not.Allocate.Port") if gate is None else compose("DNSREPLY", Robot=name, Port=gate.port)
 
     def _on_reversedns(self, message: WssMessage, robot: RobotClient) -> bytes:
         port = message.port()
@@ -218,7 +218,7 @@ class Wss:
             return error("Port.Must.Be.Integer")
         for relay, _ in self._relays.values():
             if relay.origin == port and relay.pair.called == robot.row:
-                return compose("REVERSEDNSREPLY", Port=port, RobotClient=self._context.vehicles[relay.pair.caller])
+                return compose("REVERSEDNSREPLY", Port=port, Robot=self._context.vehicles[relay.pair.caller])
         return compose("REVERSEDNSREPLY", Port=port, Error="UnknownOrIllegalPort")
 
     # --- links --------------------------------------------------------------------------------------------------------------

@@ -307,7 +307,7 @@ def test_a_namespace_of_somebody_else_is_not_touched() -> None:
     async def body() -> None:
         namespaces.create(space("car2"))
         try:
-            with pytest.raises(GatewayError, match=f"there is a network namespace {space('car2')}, made by somebody else"):
+            with pytest.raises(GatewayError, match=f"a network namespace {space('car2')} exists already"):
                 async with opened(Ip(), TestHall(CARS, run=RUN)):
                     pass
             assert (namespaces.NAMES / space("car2")).exists()
@@ -340,7 +340,7 @@ def test_a_kernel_without_time_is_not_taken_for_a_run_of_the_same_name(monkeypat
 
     async def body() -> None:
         monkeypatch.setattr(interfaces, "open_radio", busy)
-        with pytest.raises(GatewayError, match=f"the network of {RUN} cannot be made: .*temporarily unavailable"):
+        with pytest.raises(GatewayError, match=f"the network of {RUN} cannot be created: .*temporarily unavailable"):
             async with opened(Ip(), TestHall(CARS, run=RUN)):
                 pass
         assert not left_over(CARS)

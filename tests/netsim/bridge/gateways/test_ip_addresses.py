@@ -101,9 +101,9 @@ def test_vehicles_have_addresses_of_their_own(network: Network, row: int) -> Non
         ("nowhere", 4, "write ADDRESS/BITS"),
         ("fd77::/64", 4, "of IPv6, not of IPv4"),
         ("10.77.0.0/16", 6, "of IPv4, not of IPv6"),
-        ("127.0.0.0/8", 4, "kept for other purposes"),
-        ("224.0.0.0/8", 4, "kept for other purposes"),
-        ("fe80::/64", 6, "kept for other purposes"),
+        ("127.0.0.0/8", 4, "is reserved"),
+        ("224.0.0.0/8", 4, "is reserved"),
+        ("fe80::/64", 6, "is reserved"),
     ],
 )
 def test_what_is_no_network_of_vehicles_is_refused(text: str, version: int, problem: str) -> None:

@@ -272,7 +272,7 @@ def test_a_port_that_somebody_has_is_named(started: list[BridgeClient]) -> None:
 
 def test_a_kind_that_there_is_not_is_named(started: list[BridgeClient]) -> None:
     started.append(process := BridgeClient.start(opening(messages.GatewaySpec(name="udp", kind="udb", params={}))))
-    with pytest.raises(FederateError, match=r"bridge.udp.kind: unknown gateway kind 'udb'; did you mean 'udp'\?"):
+    with pytest.raises(FederateError, match=r"bridge.udp.kind: unknown door kind 'udb'; did you mean 'udp'\?"):
         process.wait_ready()
 
 
@@ -347,7 +347,7 @@ def test_one_that_does_not_read_holds_up_nobody_and_is_ended(started: list[Bridg
     os.kill(process.pid, signal.SIGSTOP)
     said = messages.AgentDatagram(sender=0, receiver=1, at_ns=0, payload=bytes(60_000))
     with pytest.raises(FederateError, match=rf"bridge: its process \(pid {process.pid}\) does not read any more"):
-        deque(map(process.say, itertools.repeat(said)), 0)
+        deque(map(process.send, itertools.repeat(said)), 0)
     assert process.has_outbox
     process._process.kill()
     process.close()
