@@ -1,4 +1,4 @@
-"""The radio in the simulation: positions and sent messages in, receptions and frame reports out."""
+"""The federate `radio`: takes positions and messages, gives receptions and frame reports."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -16,8 +16,8 @@ from vcmvsp.netsim.routing.network import RoutingNetwork
 from vcmvsp.netsim.routing.router import Routing
 
 MANY = 1_000_000  # frames
-TELLING = 20  # the same: how many are to come goes by how soon the first ones came
-Post = tuple[int, Message, int, int | None]  # see `RadioFederate._sent`
+FORECAST_AT = 20  # frames: their rate is the forecast for the rest of the run
+Post = tuple[int, Message, int, int | None]  # see `RadioFederate._posts`
 _ORDERS = (Outage, Changed)  # of an operator
 
 
@@ -27,28 +27,25 @@ class RadioFederate:
     ====================  =========  ===============================================================================
     key                   direction  value
     ====================  =========  ===============================================================================
-    ``world/states``      in         `States`: where everybody is; the newest counts
+    ``world/states``      in         `States`: positions of the vehicles; the newest counts
     ``<vehicle>/send``    in         `Message`: enters the channel at the event's time
-    ``bridge/sent``       in         `Datagrams` of programs outside, each at its own time, which may have passed by a little
-    ``operator/outage``   in         `Outage`: frames whose fate is open at the event's time are lost, as far as it concerns
-                                     them
-    ``operator/changed``  in         `Changed`: a number of a layer, for all frames whose fate is open then
-    ``radio/frame``       out        `FrameReport`: what became of a frame, as soon as that is known: at its sending where
-                                     nobody contends for the air, or a recording tells it (`netsim.channel.replayed`), else when
-                                     it ends; at the end of the run for the rest
-    ``radio/traffic``     out        `Traffic`: the same of datagrams, all that is known at an instant together
-    ``radio/routed``      out        `Routed`: how a message came to whom, once it is under way no more; with routing alone
-    ``<vehicle>/heard``   out        `Reception`, at the time at which it arrives
+    ``bridge/sent``       in         `Datagrams` of external programs, each at its own time, which may be shortly past
+    ``operator/outage``   in         `Outage`: its vehicles lose all frames that are not decided at the event's time
+    ``operator/changed``  in         `Changed`: a number of a layer, for all frames that are not decided then
+    ``radio/frame``       out        `FrameReport` of a frame when it is decided: when it is sent, without contention or in a
+                                     replay (`netsim.channel.replayed`), else when it ends, or at the end of the run
+    ``radio/traffic``     out        `Traffic`: the same for all datagrams that are decided at an instant
+    ``radio/routed``      out        `Routed`: route of a message, at its end; with routing only
+    ``<vehicle>/heard``   out        `Reception`, at the time of arrival
     ====================  =========  ===============================================================================
 
-    Agents that act at the same instant hand their messages over at the same nanosecond, which no two computers do: radios that
-    contend for the air would then all find it free, and collide. So, where several vehicles send at one instant, a message
-    takes up to ``handover_s`` to reach the queue of its radio, uniformly distributed, in the order of its sender.
+    Agents that act at the same instant send in the same nanosecond, unlike real computers: contending radios would all find
+    the medium idle and collide. So, if several vehicles send at one instant, a message takes up to ``handover_s`` to reach the
+    queue of its radio, uniformly distributed, in order for each sender.
 
-    With routing a message may need several frames, each handed over by the vehicle that had the one before (`netsim.routing`).
+    With routing a message may need several frames, sent by the vehicles on its route (`netsim.routing`).
 
-    It is stepped with the senders, and once more for every frame that ends on a contended air, or that is passed on: nothing is
-    polled.
+    The federate is stepped with the senders, and when a frame ends on a contended medium or is forwarded; it never polls.
     """
 
     name = "radio"
@@ -63,25 +60,25 @@ class RadioFederate:
         channel: Channel | RecordedChannel,
         handover_s: Seconds = 0.002,
         router: Routing | None = None,
-        programs: bool = False,  # outside, that may send any number of frames
+        programs: bool = False,  # external programs may send any number of frames
     ) -> None:
         self._channel, self._routing, self._programs = channel, router, programs
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
 
     def start(self, run: RunInfo) -> int | None:
-        """Begin with an idle channel; nothing to do until a message is sent."""
+        """Start with an idle channel."""
         self._channel.start(run.seed)
-        if run.paced:  # nothing that takes a second may come in between
+        if run.paced:  # no compilation during the run, which takes seconds
             self._channel.expect(MANY if self._programs else 0)
         self._end_ns, self._vehicles = run.duration_ns, run.vehicles
         self._row = {name: row for row, name in enumerate(run.vehicles)}
-        self._heard = {name: f"{name}/heard" for name in run.vehicles}  # keys of events
+        self._reception_keys = {name: f"{name}/heard" for name in run.vehicles}
         self._states: States | None = None
-        self._open: dict[int, tuple[Message, int | None]] = {}  # by frame, until it is decided; of a datagram its number
+        self._open: dict[int, tuple[Message, int | None]] = {}  # by undecided frame: message, number of the datagram
         self._frames = 0  # so far
         self._seed = run.seed
         self._handover: dict[str, np.random.Generator] = {}
-        self._handed_ns: dict[str, int] = {}
+        self._in_queue_ns: dict[str, int] = {}  # by sender: arrival of the last message at the queue
         self._network: RoutingNetwork | None = None
         if self._routing is not None:
             router, kind = self._routing.open(run.vehicles, run.seed), type(self._routing).__name__
@@ -90,32 +87,32 @@ class RadioFederate:
         return None
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        """Report what is decided by now, and hand over what was sent, in that order."""
-        reports = self._obey(inbox)
-        reports += self._channel.advance(now_ns)  # what happens by itself comes before what is sent at the same time
+        """Report frames that are decided by now, then send new messages."""
+        reports = self._apply_orders(inbox)
+        reports += self._channel.advance(now_ns)  # events of the medium precede messages of the same instant
         for event in inbox:
             if isinstance(event.value, States):
                 self._states = event.value
         if self._network is not None:
             return self._step_routed(self._network, now_ns, inbox, reports)
-        sent = list(self._sent(inbox, now_ns))
-        together = self._put_all(now_ns, sent) if len(sent) > 1 else None
-        reports += together or ()
-        for sent_ns, message, handover_ns, datagram in sent if together is None else ():
+        posts = list(self._posts(inbox, now_ns))
+        batch = self._put_all(now_ns, posts) if len(posts) > 1 else None
+        reports += batch or ()
+        for sent_ns, message, handover_ns, datagram in posts if batch is None else ():
             frame, decided = self._put(sent_ns, message, handover_ns)
             self._open[frame] = message, datagram
             reports += decided
-        if sent or now_ns == self._end_ns:
+        if posts or now_ns == self._end_ns:
             reports += self._decided(now_ns)
         due = self._channel.next_ns()
         return Step(self._events(reports, now_ns), None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
 
     def _step_routed(self, network: RoutingNetwork, now_ns: int, inbox: Sequence[Event], reports: list[FrameReport]) -> Step:
-        """The same where messages become packets that go from vehicle to vehicle."""
-        sent = list(self._sent(inbox, now_ns))
-        network.note(reports, now_ns + bool(sent))  # what arrives when others send, is too late for the agents of this instant
+        """`step` with routing."""
+        posts = list(self._posts(inbox, now_ns))
+        network.note(reports, now_ns + bool(posts))  # later, if agents of this instant have acted already
         reports = network.go_on(now_ns)
-        for sent_ns, message, handover_ns, datagram in sent:
+        for sent_ns, message, handover_ns, datagram in posts:
             reports += network.send(sent_ns, message, handover_ns=handover_ns, datagram=datagram)
         reports += self._decided(now_ns)
         network.note(reports, now_ns + 1)
@@ -124,34 +121,34 @@ class RadioFederate:
         due = [each for each in (self._channel.next_ns(), network.next_ns()) if each is not None]
         return Step(network.events(now_ns), None if not due or now_ns == self._end_ns else min(*due, self._end_ns))
 
-    def _put_all(self, now_ns: int, sent: Sequence[Post]) -> list[FrameReport] | None:
-        """Hand over all messages of this instant, and hear what becomes of them; None: it has to be one by one."""
-        if self._states is None or any(post[0] != now_ns or post[2] for post in sent):
+    def _put_all(self, now_ns: int, posts: Sequence[Post]) -> list[FrameReport] | None:
+        """Send all messages of this instant in one batch; None: no batch is possible."""
+        if self._states is None or any(post[0] != now_ns or post[2] for post in posts):
             return None
         names, position = self._states.names, self._states.position
-        reports = self._channel.send_all(now_ns, [post[1] for post in sent], names, position)
-        for number, (_, message, _, datagram) in enumerate(sent if reports else (), self._frames):
+        reports = self._channel.send_all(now_ns, [post[1] for post in posts], names, position)
+        for number, (_, message, _, datagram) in enumerate(posts if reports else (), self._frames):
             self._open[number] = message, datagram
         self._frames += len(reports or ())
         return reports
 
     def _put(self, sent_ns: int, frame: Message, handover_ns: int) -> tuple[int, list[FrameReport]]:
-        """Hand a frame to the channel: its number, and what is decided of it."""
+        """Hand a frame to the channel; returns its number and the reports of decided frames."""
         if self._states is None:
             raise ValueError(f"{frame.sender} sends before any position is known (world/states)")
         self._frames += 1
-        if self._frames == TELLING and sent_ns > 0:
-            self._channel.foresee(TELLING * (self._end_ns - sent_ns) // sent_ns)
+        if self._frames == FORECAST_AT and sent_ns > 0:
+            self._channel.foresee(FORECAST_AT * (self._end_ns - sent_ns) // sent_ns)
         names, position = self._states.names, self._states.position
         return self._frames - 1, self._channel.send(sent_ns, frame, names, position, handover_ns=handover_ns)
 
     def _decided(self, now_ns: int) -> list[FrameReport]:
-        """What is decided of frames by now; at the end of the run, all that are left."""
+        """Reports of frames that are decided by now; at the end of the run, of all frames."""
         reports = self._channel.advance(now_ns)
         return reports + self._channel.finish() if now_ns == self._end_ns else reports
 
     def levels_dbm(self, states: States) -> Array:
-        """The mean level of each vehicle's radio, by row, at each other's, by column, (n, n) dBm; NaN at itself."""
+        """Mean levels, (n, n) dBm: sender by row, receiver by column, NaN at the sender."""
         return self._channel.levels_dbm(states.names, states.position)
 
     def close(self) -> None:
@@ -159,24 +156,19 @@ class RadioFederate:
         self._channel.close()
 
     def adjustable(self) -> dict[str, float]:
-        """The keys that an operator may change while the run goes on, and what they are now: ``radio.loss.probability``."""
+        """Keys that may change during the run, with their values: ``radio.loss.probability``."""
         return self._channel.operated.numbers()
 
     def check_change(self, key: str, value: float, earlier: Sequence[tuple[str, float]] = ()) -> None:
-        """Refuse a change that cannot be made; changes nothing.
-
-        Args:
-            key: as in `adjustable`.
-            value: what it is to be.
-            earlier: changes that are made before it.
+        """Check a change of a key of `adjustable` after ``earlier`` changes, without making it.
 
         Raises:
-            ValueError: there is no such key, or it cannot be this.
+            ValueError: unknown key, or invalid value.
         """
         self._channel.operated.check(key, value, earlier)
 
-    def _obey(self, inbox: Sequence[Event]) -> list[FrameReport]:
-        """Do what the operator wants, each at its own time: the reports of frames that were decided before."""
+    def _apply_orders(self, inbox: Sequence[Event]) -> list[FrameReport]:
+        """Apply the operator's orders at their times; returns the reports of frames that were decided before."""
         reports: list[FrameReport] = []
         for event in inbox:
             value = event.value
@@ -188,16 +180,16 @@ class RadioFederate:
                 self._channel.change(value.key, value.value)
         return reports
 
-    def _sent(self, inbox: Sequence[Event], now_ns: int) -> Iterator[Post]:
-        """What is sent: time (ns), message, how much later it reaches the queue of its radio (ns); of a datagram its number."""
+    def _posts(self, inbox: Sequence[Event], now_ns: int) -> Iterator[Post]:
+        """New messages: time (ns), message, delay until it reaches the queue of its radio (ns), number of the datagram."""
         alone = len({event.value.sender for event in inbox if isinstance(event.value, Message)}) == 1
         for event in inbox:
             if isinstance(event.value, Message):
-                at_ns = self._handed_over(event.value.sender, event.time_ns, alone=alone)
+                at_ns = self._queue_arrival_ns(event.value.sender, event.time_ns, alone=alone)
                 yield event.time_ns, event.value, at_ns - event.time_ns, None
             elif isinstance(event.value, Datagrams):
                 for number, sent_ns, message in self._from_programs(event.value):
-                    late_ns = max(0, now_ns - sent_ns) if self._channel.contends else 0  # the air of the past is taken
+                    late_ns = max(0, now_ns - sent_ns) if self._channel.contends else 0  # no sending in the past
                     yield sent_ns, message, late_ns, number
 
     def _from_programs(self, datagrams: Datagrams) -> Iterator[tuple[int, int, Message]]:
@@ -208,39 +200,39 @@ class RadioFederate:
             message = Message(sender=vehicles[sender], body=payload, size_bytes=size, to=None if to < 0 else vehicles[to])
             yield number, sent_ns, message
 
-    def _handed_over(self, sender: str, sent_ns: int, *, alone: bool) -> int:
-        """When a message reaches the queue of its radio."""
+    def _queue_arrival_ns(self, sender: str, sent_ns: int, *, alone: bool) -> int:
+        """Time at which a message reaches the queue of its radio."""
         if not self._handover_ns:
             return sent_ns
         if sender not in self._handover:
             self._handover[sender] = stream(self._seed, f"radio/{sender}/handover")
         wait_ns = int(self._handover[sender].random() * self._handover_ns)
         at_ns = sent_ns if alone else sent_ns + wait_ns
-        self._handed_ns[sender] = max(at_ns, self._handed_ns.get(sender, 0))
-        return self._handed_ns[sender]
+        self._in_queue_ns[sender] = max(at_ns, self._in_queue_ns.get(sender, 0))
+        return self._in_queue_ns[sender]
 
     def _events(self, reports: Sequence[FrameReport], now_ns: int) -> list[Event]:
-        """What became of frames, and what agents hear; first of datagrams, all in one event."""
+        """Events of decided frames: first one for all datagrams, then receptions and reports."""
         if not reports:
             return []
-        carried, heard, events = TrafficLog(), list[Event](), list[Event]()
+        traffic, receptions, events = TrafficLog(), list[Event](), list[Event]()
         for report in reports:
             message, datagram = self._open.pop(report.frame)
             if datagram is None:
                 events.append(Event("radio/frame", now_ns, report))
                 events += self._receptions(message, report, 0)
                 continue
-            carried.report(report, datagram)
-            carried.settle(datagram)
+            traffic.report(report, datagram)
+            traffic.settle(datagram)
             for receiver, _, at_ns in received(report):
-                carried.arrive(datagram, self._row[receiver], at_ns, report.frame)
+                traffic.arrive(datagram, self._row[receiver], at_ns, report.frame)
             if message.body:
-                heard += self._receptions(message, report, now_ns + 1)
-        return [*carried.events(now_ns), *heard, *events]
+                receptions += self._receptions(message, report, now_ns + 1)
+        return [*traffic.events(now_ns), *receptions, *events]
 
     def _receptions(self, message: Message, report: FrameReport, least_ns: int) -> list[Event]:
-        """What agents hear of a frame, not before ``least_ns``."""
-        keys, sent_ns = self._heard, report.sent_ns
+        """Receptions of a frame, not before ``least_ns``."""
+        keys, sent_ns = self._reception_keys, report.sent_ns
         return [
             Event(
                 keys[receiver],

@@ -1,12 +1,13 @@
-"""The channel: from a message that is handed over to what becomes of it at every receiver.
+"""The channel: from a message to its outcome at every receiver.
 
 ::
 
     queue -> access (mac) -> time on the air (phy) -> level (path loss, walls, shadowing, fading) -> SINR, packet errors (phy)
           -> jammers, losses, delays -> received, or lost with a cause
 
-With the mac ``ideal`` the fate of a frame is known when it is sent. With one that contends for the air it is known when the
-frame ends, after whatever else was sent meanwhile: `Channel.next_ns` says when that will be.
+With the mac ``ideal`` the outcome of a frame is known when it is sent. With contention it is known when the frame ends:
+`Channel.next_ns` is the time of the next one. Frames pass the stages behind the medium in batches; a single frame is a batch of
+one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,9 +20,10 @@ from vcmvsp.netsim.channel.bulk import Bulk, BulkMedium
 from vcmvsp.netsim.channel.contention import Contention
 from vcmvsp.netsim.channel.frames import FrameBatch, SentFrame, Transmitter
 from vcmvsp.netsim.channel.link_budget import AT_ONCE, Budgets, ReceiverModel
-from vcmvsp.netsim.channel.reception import OnAir, Outcomes
+from vcmvsp.netsim.channel.mean_budget import MeanBudget, ReceivedSignal
+from vcmvsp.netsim.channel.reception import Outcomes
 from vcmvsp.netsim.channel.runtime_changes import RuntimeChanges
-from vcmvsp.netsim.channel.rx_power import RxPower, all_endured, endured
+from vcmvsp.netsim.channel.rx_power import RxPower, decode
 from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.jammer import Jammer
 from vcmvsp.netsim.impairments.script import Script
@@ -36,9 +38,9 @@ class Channel:
     """All links between all vehicles.
 
     Args:
-        path_loss, walls, shadowing, fading, phy, mac, script, trace, jammer, loss, delay, delivery: the layers; None is a
-            layer that does nothing.
-        radios: what vehicles have of their own; the antenna of one that is not named is at its position.
+        path_loss, walls, shadowing, fading, phy, mac, script, trace, jammer, loss, delay, delivery: the layers; None: no such
+            layer.
+        radios: by vehicle; without an entry the antenna is at the position of the vehicle.
     """
 
     def __init__(
@@ -62,7 +64,7 @@ class Channel:
         least = needs(self.mac, phy)
         own = dict(radios or {})
         if least.sensitivity_dbm == -np.inf and any(radio.sensitivity_dbm is not None for radio in own.values()):
-            problem = f"{type(self.mac).__name__} notices frames by their SINR: a vehicle's sensitivity_dbm says nothing"
+            problem = f"{type(self.mac).__name__} detects frames by their SINR: a vehicle's sensitivity_dbm has no effect"
             raise ScenarioError(problem, key="mac.kind")
         layers = unless_nothing(walls), unless_nothing(shadowing)
         self.budgets = Budgets(path_loss, *layers, phy, own, least.sensitivity_dbm)
@@ -73,7 +75,7 @@ class Channel:
         self.start(seed=0)
 
     def start(self, seed: int) -> None:
-        """Forget all frames and draw from ``seed`` from now on."""
+        """Start a run: no frames, draws from ``seed``."""
         self._seed = seed
         self._frames = 0
         self._expected: int | None = None
@@ -86,18 +88,18 @@ class Channel:
 
     @property
     def contends(self) -> bool:
-        """Whether radios share the air, so that a frame's fate is known only when it ends."""
+        """Whether radios contend for the medium, so that outcomes are known only when frames end."""
         return not isinstance(self.mac, Ideal)
 
     def expect(self, frames: int) -> None:
-        """About so many frames will be sent: what pays for many only is made ready, now, or never. Changes no result."""
+        """Hint of the number of frames; decides now whether to compile. Changes no result."""
         self._expected = frames
         medium = self.mac.open(self.phy, 2, np.zeros(2, np.uint64), self.hearing.noise_mw)  # none of the run's
         if medium is not None:
             medium.expect(frames)
 
     def foresee(self, frames: int) -> None:
-        """By the look of it so many more frames will be sent. Changes no result."""
+        """Hint of the number of further frames. Changes no result."""
         if self._contention is not None and isinstance(self._contention.medium, Hastened):
             self._contention.medium.foresee(frames)
 
@@ -108,70 +110,65 @@ class Channel:
 
         Args:
             sent_ns: now; must not decrease from call to call.
-            message: what is sent, by whom, to whom.
-            names: the vehicles, in the order in which receivers are reported.
-            position: where they are, (len(names), 3) m, world; they are taken to stay there until the frame has arrived.
-                The same array object means the same places.
-            handover_ns: how much later it reaches the queue of its radio.
+            message: with sender and destination.
+            names: all vehicles, in the order of the receivers in reports.
+            position: of the vehicles, (len(names), 3) m, world, until the frame has arrived. The same array object means the
+                same positions.
+            handover_ns: delay until the frame reaches the queue of its radio.
 
         Returns:
-            The report of this frame, if its fate is known already.
+            The report of this frame, if it is decided already.
         """
         self._meet_if_new(names)
-        sender = self._sender(message.sender)
-        air_ns = self._air_time_ns(message.size_bytes)
-        mean, meant = self.budgets.mean(sender.links, names, position), sender.meant(message.to)
-        sent = SentFrame(self._frames, sender, sender.frames, message, meant, sent_ns, air_ns, mean, mean.level_dbm)
-        sender.frames += 1
-        self._frames += 1
+        links = self._sender(message.sender).links
+        sent = self._frame(sent_ns, message, self.budgets.mean(links, names, position))
         if self._contention is not None:
-            answerer = None if message.to is None else self._sender(message.to)
-            self._contention.offer(sent, sent_ns + handover_ns, answerer)
+            acknowledger = None if message.to is None else self._sender(message.to)
+            self._contention.offer(sent, sent_ns + handover_ns, acknowledger)
             return []
-        start_ns = max(sent_ns + handover_ns, sender.free_ns)
+        start_ns = max(sent_ns + handover_ns, sent.sender.free_ns)
         self._levels.set(sent, start_ns)
-        heard = self.hearing.hear(mean, sent.level_dbm, message.size_bytes)
-        end_ns = start_ns + air_ns
-        return [self._report(sent, OnAir(endured(sent, heard), start_ns, end_ns, heard.snr_db, heard.snr_db))]
+        return self._send_now([sent], [start_ns], self.hearing.hear(sent.mean, sent.level_dbm, message.size_bytes).batch)
 
     def send_all(
         self, sent_ns: int, messages: Sequence[Message], names: tuple[str, ...], position: Floats
     ) -> list[FrameReport] | None:
-        """Hand over one message each of several vehicles: what `send` says of one after the other, in much less time.
+        """Hand over one message each of several vehicles in one batch, with the same result as `send` one by one.
 
         Returns:
-            The reports of the frames; None if they have to be sent one by one: where radios share the air, a layer has a say
-            in single frames, or a message is for one vehicle alone.
+            The reports of the frames; None if no batch is possible: radios contend, levels change from frame to frame or do not
+            depend on distance alone, or a vehicle sends twice.
         """
         self._meet_if_new(names)
-        alone = self._contention is None and not self._levels.vary and self._jammer is None
-        if not (alone and self.budgets.by_distance and self._outcomes.by_draws):
-            return None
+        plain = self._contention is None and not self._levels.vary and self._jammer is None and self.budgets.by_distance
         different = len({message.sender for message in messages}) == len(messages) <= AT_ONCE / len(names)
-        if not different or any(message.to is not None for message in messages):
+        if not plain or not different:
             return None
-        senders = [self._sender(message.sender) for message in messages]
-        air_ns = [self._air_time_ns(message.size_bytes) for message in messages]
-        every = self.budgets.together([sender.links for sender in senders], names, position)
-        heard = self.hearing.hear_together(every, [message.size_bytes for message in messages])
-        ends = [max(sent_ns, sender.free_ns) + air for sender, air in zip(senders, air_ns, strict=True)]
-        numbers = [sender.frames for sender in senders]
-        chorus = FrameBatch(self._frames, sent_ns, senders, list(messages), numbers, air_ns, ends, every, heard)
-        reports = self._outcomes.reports(chorus, all_endured(chorus))
-        self._frames += len(messages)
-        for sender, end_ns in zip(senders, ends, strict=True):
-            sender.frames += 1
-            sender.free_ns = end_ns
-        return reports
+        means = self.budgets.means([self._sender(message.sender).links for message in messages], names, position)
+        signal = self.hearing.hear_batch(means, [message.size_bytes for message in messages])
+        frames = [self._frame(sent_ns, message, mean) for message, mean in zip(messages, means, strict=True)]
+        return self._send_now(frames, [max(sent_ns, sent.sender.free_ns) for sent in frames], signal)
+
+    def _frame(self, sent_ns: int, message: Message, mean: MeanBudget) -> SentFrame:
+        sender, air_ns = self._sender(message.sender), self._air_time_ns(message.size_bytes)
+        to, number, frame = sender.destination(message.to), sender.frames, self._frames
+        sender.frames += 1
+        self._frames += 1
+        return SentFrame(frame, sender, number, message, to, sent_ns, air_ns, mean, mean.level_dbm)
+
+    def _send_now(self, frames: list[SentFrame], start_ns: list[int], signal: ReceivedSignal) -> list[FrameReport]:
+        """Send frames without contention; ``signal``: (k, n)."""
+        end_ns = [start + sent.air_ns for start, sent in zip(start_ns, frames, strict=True)]
+        return self._reports(FrameBatch(frames, decode(frames, signal), start_ns, end_ns, signal.snr_db, signal.snr_db))
 
     def skip(self, sender: str) -> int:
-        """Count a frame of which somebody else says what becomes of it, and give its number; it is never on the air here."""
+        """Count a frame that is decided elsewhere and never on the air here; returns its number."""
         self._senders.setdefault(sender, Transmitter()).frames += 1
         self._frames += 1
         return self._frames - 1
 
     def bulk(self, names: tuple[str, ...], position: Floats) -> Bulk | None:
-        """For many broadcasts of vehicles that stand still; None if layers have a say in single frames."""
+        """Batched broadcasts of vehicles at rest; None if a layer acts on single frames."""
         if self._frames:
             raise ValueError("frames have been sent one by one: start anew")
         self._meet(names)
@@ -184,23 +181,23 @@ class Channel:
         return Bulk(medium, links, means, [self.hearing.weakness(mean) for mean in means])
 
     def advance(self, until_ns: int) -> list[FrameReport]:
-        """Report all frames whose fate is decided up to ``until_ns``."""
+        """Reports of all frames that are decided up to ``until_ns``."""
         if self._contention is None:
             return []
-        return [self._report(sent, air) for sent, air in self._contention.advance(until_ns)]
+        return [report for batch in self._contention.advance(until_ns) for report in self._reports(batch)]
 
     def next_ns(self) -> int | None:
-        """Before this no frame is decided, as long as nothing else is sent; None: none is waiting."""
+        """Earliest time of the next decision if no other frame is sent; None: no frame waits."""
         return None if self._contention is None else self._contention.next_ns()
 
     def finish(self) -> list[FrameReport]:
-        """Report the frames that were handed over and are not decided yet, as under way."""
+        """Reports of the frames that are not decided yet, as under way."""
         waiting = () if self._contention is None else self._contention.waiting.values()
         self._contention, self._names = None, ()
         return [self._outcomes.unfinished(sent) for sent in waiting]
 
     def levels_dbm(self, names: tuple[str, ...], position: Floats) -> Floats:
-        """The mean level of each radio, by row, at each other, by column, (n, n) dBm; NaN at itself. Arguments as of `send`."""
+        """Mean levels, (n, n) dBm: sender by row, receiver by column, NaN at the sender. Arguments: see `send`."""
         self._meet_if_new(names)
         levels = np.full((len(names), len(names)), np.nan)
         for sender in map(self._sender, names):
@@ -213,18 +210,18 @@ class Channel:
     def cut_off(self, vehicles: Sequence[str], from_ns: int, until_ns: int) -> None:
         """Lose every frame from and to these vehicles that is on the air at any time of ``[from_ns, until_ns)``.
 
-        Frames whose fate is decided already are none of them, and all fare on the air as they would.
+        Frames that are decided already are not changed, nor is the medium.
         """
         self.operated.cut_off(vehicles, from_ns, until_ns)
         self._outcomes = self._behind()
 
     def change(self, key: str, value: float) -> None:
-        """Give a number of a layer (`RuntimeChanges.numbers`) another value, for all frames whose fate is still open."""
+        """Change a number of a layer (`RuntimeChanges.numbers`), for all frames that are not decided yet."""
         self.operated.change(key, value)
         self._outcomes = self._behind()
 
     def _behind(self) -> Outcomes:
-        """What is behind reception, as it is now."""
+        """The stages behind the receiver, with the layers of now."""
         now = self.operated.layers
         loss, delay, outages = map(unless_nothing, (now["loss"], now["delay"], self.operated.outages))
         layers = loss, delay, self._script, self._trace, self._delivery
@@ -263,15 +260,22 @@ class Channel:
             raise ValueError(f"{type(self.phy).__name__}.air_time_ns({size_bytes}) is {air_ns}: must be at least 1 ns")
         return air_ns
 
-    def _report(self, sent: SentFrame, air: OnAir) -> FrameReport:
-        interference_mw = None
-        if self._jammer is not None and air.start_ns >= 0:
-            mean, gain_dbi = sent.mean, self.budgets.gain_dbi(sent.sender.links.receivers)
-            interference_mw = self._jammer.interference_mw(
-                air.start_ns,
-                air.end_ns,
-                mean.paths.rx,
-                lambda tx, rx: self.budgets.loss_db(tx, rx) - gain_dbi,
-                lambda name: mean.antennas[self._names.index(name)],
-            )
-        return self._outcomes.report(sent, air, interference_mw)
+    def _reports(self, batch: FrameBatch) -> list[FrameReport]:
+        if self._jammer is not None:
+            rows = [self._interference_mw(self._jammer, batch, k) for k in range(len(batch.frames))]
+            batch.interference_mw = np.stack(rows)
+        return self._outcomes.reports(batch)
+
+    def _interference_mw(self, jammer: Jammer, batch: FrameBatch, k: int) -> Floats:
+        """Interference of jammers at the receivers of frame k, (n,) mW; 0 if the frame was never sent."""
+        mean, receivers = batch.frames[k].mean, batch.frames[k].sender.links.receivers
+        if batch.start_ns[k] < 0:
+            return np.zeros(len(receivers))
+        gain_dbi = self.budgets.gain_dbi(receivers)
+        return jammer.interference_mw(
+            batch.start_ns[k],
+            batch.end_ns[k],
+            mean.paths.rx,
+            lambda tx, rx: self.budgets.loss_db(tx, rx) - gain_dbi,
+            lambda name: mean.antennas[self._names.index(name)],
+        )

@@ -1,13 +1,12 @@
-"""Frames that contend for an air that radios share, from their handing over until it is known what became of them there."""
+"""Frames on a contended medium, from the sender's queue until the medium has decided them."""
 
 from heapq import heappop, heappush
 
 import numpy as np
 
-from vcmvsp.netsim.channel.frames import SentFrame, Transmitter
+from vcmvsp.netsim.channel.frames import FrameBatch, SentFrame, Transmitter
 from vcmvsp.netsim.channel.link_budget import Budgets, ReceiverModel
 from vcmvsp.netsim.channel.mean_budget import at_all
-from vcmvsp.netsim.channel.reception import OnAir
 from vcmvsp.netsim.channel.rx_power import RxPower
 from vcmvsp.netsim.interfaces.layers import Floats, sealed
 from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT
@@ -15,23 +14,15 @@ from vcmvsp.netsim.interfaces.medium import Decided, Levelled, Medium, Offered, 
 
 
 class Contention:
-    """The frames that are under way on one medium.
-
-    Args:
-        medium: what decides who may send when.
-        names: of its radios.
-        budgets: of their links.
-        hearing: of their receivers.
-        levels: of single attempts.
-    """
+    """The frames under way on one medium; ``levels``: of single attempts."""
 
     def __init__(
         self, medium: Medium, names: tuple[str, ...], budgets: Budgets, hearing: ReceiverModel, levels: RxPower
     ) -> None:
         self.medium, self._budgets, self._hearing, self._levels = medium, budgets, hearing, levels
         self.waiting: dict[int, SentFrame] = {}  # by frame
-        self._coming: list[tuple[int, int, Offered]] = []  # heap of (time, frame): those of them on their way to the radio
-        self._answers: dict[int, Floats] = {}  # by frame: levels of who acknowledges it, until it is offered
+        self._coming: list[tuple[int, int, Offered]] = []  # heap by time and frame: on their way to the queue
+        self._answers: dict[int, Floats] = {}  # by frame, until it is offered: levels of its acknowledgement
         self._levelled = medium if isinstance(medium, Levelled) else None
         if self._levelled is not None:
             self._levelled.sensitivity_mw[:] = 10.0 ** (budgets.sensitivity_dbm(names) / 10.0)
@@ -39,13 +30,7 @@ class Contention:
             medium.power_mw[:] = 10.0 ** (budgets.tx_power_dbm(names) / 10.0)
 
     def offer(self, sent: SentFrame, arrival_ns: int, answerer: Transmitter | None) -> None:
-        """Hand over a frame.
-
-        Args:
-            sent: it.
-            arrival_ns: when it reaches the queue of its radio.
-            answerer: who will acknowledge it, if anybody, from where it is now.
-        """
+        """Hand over a frame that reaches its queue at ``arrival_ns``; ``answerer``: sender of the acknowledgement."""
         row = sent.sender.row
 
         def renew(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
@@ -58,7 +43,7 @@ class Contention:
             return at_all(10.0 ** (sent.level_dbm / 10.0), row), patience
 
         def answer(start_ns: int) -> float:
-            return self._levels.answer(sent, sent.meant.start, start_ns)
+            return self._levels.answer(sent, sent.destination.start, start_ns)
 
         power_mw, patience = (None, None) if self._levels.vary else renew(0, 0)
         if answerer is not None and self._levelled is not None:
@@ -69,14 +54,14 @@ class Contention:
         offered = Offered(sent.frame, arrival_ns, row, to, size, priority, power_mw, patience, renew, faded)
         heappush(self._coming, (arrival_ns, sent.frame, offered))
 
-    def advance(self, until_ns: int) -> list[tuple[SentFrame, OnAir]]:
-        """The frames whose fate on the air is decided up to ``until_ns``, and that fate."""
+    def advance(self, until_ns: int) -> list[FrameBatch]:
+        """Frames that the medium decides up to ``until_ns``, one by one."""
         if not self.waiting:
             return []
         decided: list[Decided] = []
         while self._coming and self._coming[0][0] <= until_ns:
             offered = heappop(self._coming)[2]
-            if offered.to >= 0 and self._levelled is not None:  # not before its time: others may be answering still
+            if offered.to >= 0 and self._levelled is not None:  # not earlier: an earlier acknowledgement may be on the air
                 decided += self.medium.advance(offered.time_ns)
                 self._levelled.levels[offered.to] = self._answers.pop(offered.number)
             self.medium.offer(offered)
@@ -84,16 +69,16 @@ class Contention:
         return [self._settled(each) for each in decided]
 
     def next_ns(self) -> int | None:
-        """Before this no frame is decided, as long as nothing else is sent; None: none is waiting."""
+        """Earliest time of the next decision if no other frame is sent; None: no frame waits."""
         if not self.waiting:
             return None
-        times = [arrival_ns for arrival_ns, _, _ in self._coming[:1]]  # where it may find no room
+        times = [arrival_ns for arrival_ns, _, _ in self._coming[:1]]  # at which the queue may be full
         due = self.medium.next_ns()
         return min(times if due is None else [*times, due])
 
-    def _settled(self, decided: Decided) -> tuple[SentFrame, OnAir]:
+    def _settled(self, decided: Decided) -> FrameBatch:
         sent = self.waiting.pop(decided.number)
-        if decided.attempts and sent.tries:  # there may have been another one since, because the acknowledgement was lost
+        if decided.attempts and sent.tries:  # a later attempt is possible if the acknowledgement was lost
             sent.level_dbm, sent.fading_db = sent.tries[decided.attempts - 1]
         others = sent.sender.others
         snr_db = sinr_db = self._hearing.over_noise(sent.level_dbm)
@@ -101,4 +86,6 @@ class Contention:
             least_sinr = decided.least_sinr[others]
             least_sinr[least_sinr <= 0.0] = np.nan  # no ratio at a radio that was sending itself
             sinr_db = sealed(10.0 * np.log10(least_sinr))
-        return sent, OnAir(decided.fate[others], decided.start_ns, decided.end_ns, snr_db, sinr_db)
+        snr_row = snr_db[None]
+        sinr_row = snr_row if sinr_db is snr_db else sinr_db[None]
+        return FrameBatch([sent], decided.fate[others][None], [decided.start_ns], [decided.end_ns], snr_row, sinr_row)

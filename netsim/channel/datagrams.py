@@ -1,4 +1,4 @@
-"""What there is to tell of frames: who received one, and what became of the datagrams of programs."""
+"""Receptions of a frame, and the `Traffic` events of programs' datagrams."""
 
 from collections.abc import Iterator
 
@@ -9,26 +9,26 @@ from vcmvsp.cosim.types import FrameReport, Traffic, frozen
 
 
 class TrafficLog:
-    """What became known of datagrams since it was told last."""
+    """Reports, arrivals and settled datagrams since the last event."""
 
     def __init__(self) -> None:
         self._clear()
 
     def report(self, report: FrameReport, datagram: int) -> None:
-        """A frame that carried one."""
+        """Add the report of a frame with a datagram."""
         self._reports.append(report)
         self._carries.append(datagram)
 
     def arrive(self, datagram: int, receiver: int, at_ns: int, frame: int) -> None:
-        """One arrives at the vehicle of this row, by this frame."""
+        """Add an arrival of a datagram at the vehicle of this row."""
         self._arrivals.append((datagram, receiver, at_ns, frame))
 
     def settle(self, datagram: int) -> None:
-        """Nothing is to come of one any more."""
+        """Add a datagram without further arrivals."""
         self._settled.append(datagram)
 
     def events(self, now_ns: int) -> Iterator[Event]:
-        """One for all of them, if there is anything to tell; then it is told."""
+        """One event with everything since the last one, if there is anything."""
         if not (self._reports or self._arrivals or self._settled):
             return
         columns = np.array(self._arrivals, np.int64).reshape(-1, 4).T
@@ -52,7 +52,7 @@ class TrafficLog:
 
 
 def received(report: FrameReport) -> Iterator[tuple[str, float, int]]:
-    """Who received a frame, at which level, and when; who received it twice, twice."""
+    """Receiver, level (dBm) and time (ns) of each reception of a frame, copies included."""
     for arrival_ns in (report.received_ns,) if report.copy_ns is None else (report.received_ns, report.copy_ns):
         for arrived in zip(report.receivers, report.rssi_dbm.tolist(), arrival_ns.tolist(), strict=True):
             if arrived[2] >= 0:

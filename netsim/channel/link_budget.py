@@ -56,7 +56,6 @@ class Budgets:
         self._raised = np.zeros((0, 3))  # antennas above their vehicles' positions, (n, 3) m
         self._fixed: dict[str, tuple[SenderLinks, Floats, Floats]] = {}  # by sender: power and sensitivity of its links
         self._means: dict[str, MeanBudget] = {}
-        self._every: BatchBudget | None = None  # those worked out together last, here
 
     def mean(self, links: SenderLinks, names: tuple[str, ...], position: Floats, *, bodies: bool = True) -> MeanBudget:
         """The budget of the links from one sender.
@@ -69,22 +68,23 @@ class Budgets:
         """
         before = self._move(names, position, links.seed)
         if self.by_distance and links.sender in before and 1 < len(before) <= AT_ONCE / len(names):
-            every = self._work_out_together([self._fixed[sender][0] for sender in before])  # they will do so again
-            self._means = {each.sender: every.mean(k) for k, each in enumerate(every.senders)}
-        found = self._means.get(links.sender)
-        if found is None:
+            self._compute_batch([self._fixed[sender][0] for sender in before])  # they will probably send again
+        mean = self._means.get(links.sender)
+        if mean is None:
             row = names.index(links.sender)
             others = np.concatenate([self._antennas[:row], self._antennas[row + 1 :]])
             paths = Paths.between(self._antennas[row], others, links.seed)
-            found = self._means[links.sender] = self._work_out(links, paths, row, bodies=bodies and self._blocking)
-        return found
+            mean = self._means[links.sender] = self._compute(links, paths, row, bodies=bodies and self._blocking)
+        return mean
 
-    def together(self, senders: list[SenderLinks], names: tuple[str, ...], position: Floats) -> BatchBudget:
-        """The budgets of the links from several radios, the same numbers as of each for itself; for a chain `by_distance`."""
+    def means(self, senders: Sequence[SenderLinks], names: tuple[str, ...], position: Floats) -> list[MeanBudget]:
+        """The budgets of several radios, computed in one batch; for path losses `by_distance`."""
         self._move(names, position, senders[0].seed)
-        if self._every is None or self._every.senders != senders:
-            self._every = self._work_out_together(senders)
-        return self._every
+        means = [self._means.get(links.sender) for links in senders]
+        batches = {id(mean.together[0]) if mean is not None and mean.together is not None else None for mean in means}
+        if None in batches or len(batches) > 1:
+            self._compute_batch(list(senders))
+        return [self._means[links.sender] for links in senders]
 
     def _move(self, names: tuple[str, ...], position: Floats, seed: int) -> dict[str, MeanBudget]:
         """Have everybody there; what was known of those who sent while they were elsewhere."""
@@ -98,11 +98,11 @@ class Budgets:
         before = self._means if same else {}
         if not same:
             self._raised = np.array([(0.0, 0.0, self._of(name).antenna_height_m) for name in names])
-        self._position, self._names, self._seed, self._means, self._every = position, names, seed, {}, None
+        self._position, self._names, self._seed, self._means = position, names, seed, {}
         self._antennas = position + self._raised
         return before
 
-    def _work_out_together(self, senders: list[SenderLinks]) -> BatchBudget:
+    def _compute_batch(self, senders: list[SenderLinks]) -> None:
         power_dbm, sensitivity_dbm = (np.stack(each) for each in zip(*map(self._fixed_of, senders), strict=True))
         rows = np.array([self._names.index(links.sender) for links in senders])
         apart = np.arange(len(self._names)) != rows[:, None]
@@ -111,7 +111,7 @@ class Budgets:
         distance_m = sealed(distances(tx[:, None], rx))
         path_loss: Any = self.path_loss
         path_loss_db = sealed(path_loss.loss_db(distance_m))
-        return BatchBudget(
+        batch = BatchBudget(
             senders=senders,
             rows=rows,
             apart=apart,
@@ -124,8 +124,9 @@ class Budgets:
             path_loss_db=path_loss_db,
             level_dbm=sealed(power_dbm - path_loss_db),
         )
+        self._means |= {links.sender: batch.mean(k) for k, links in enumerate(senders)}
 
-    def _work_out(self, links: SenderLinks, paths: Paths, row: int, *, bodies: bool) -> MeanBudget:
+    def _compute(self, links: SenderLinks, paths: Paths, row: int, *, bodies: bool) -> MeanBudget:
         power_dbm, sensitivity_dbm = self._fixed_of(links)
         path_loss_db = self.path_loss.loss_db(paths)
         walls = materials = wall_loss_db = shadowing_db = None
@@ -240,21 +241,24 @@ class ReceiverModel:
                 mean.heard[size_bytes] = self._hear(level_dbm, mean.sensitivity_dbm, size_bytes)
             else:
                 every, which = mean.together
-                mean.heard[size_bytes] = self.hear_together(every, [size_bytes]).of(which)
+                mean.heard[size_bytes] = self._hear_every(every, size_bytes).rows(which)
         return mean.heard[size_bytes]
 
-    def hear_together(self, every: BatchBudget, sizes: Sequence[int]) -> ReceivedSignal:
-        """The same of frames of several radios, (k, n), at their mean levels; of this size all, or of these sizes."""
-        some = sizes[0]
-        if self.errors is not None and any(size != some for size in sizes):
-            here = [self.hear_together(every, [size]).of(k) for k, size in enumerate(sizes)]
-            snr_db, detected, hazard = (
-                np.stack([getattr(each, name) for each in here]) for name in ("snr_db", "detected", "hazard")
-            )
-            return ReceivedSignal(snr_db, detected, hazard)
-        if some not in every.heard:
-            every.heard[some] = self._hear(every.level_dbm, every.sensitivity_dbm, some)
-        return every.heard[some]
+    def hear_batch(self, means: Sequence[MeanBudget], sizes: Sequence[int]) -> ReceivedSignal:
+        """Signals of k frames at their mean levels, (k, n); the budgets are from `Budgets.means`."""
+        if self.errors is not None and any(size != sizes[0] for size in sizes):
+            rows = [self.hear(mean, mean.level_dbm, size) for mean, size in zip(means, sizes, strict=True)]
+            columns = [np.stack([getattr(row, name) for row in rows]) for name in ("snr_db", "detected", "hazard")]
+            return ReceivedSignal(*columns)
+        every, which = means[0].together, [mean.together[1] for mean in means if mean.together is not None]
+        assert every is not None  # noqa: S101  by `Budgets.means`
+        signal = self._hear_every(every[0], sizes[0])
+        return signal if which == list(range(len(every[0].senders))) else signal.rows(which)
+
+    def _hear_every(self, every: BatchBudget, size_bytes: int) -> ReceivedSignal:
+        if size_bytes not in every.heard:
+            every.heard[size_bytes] = self._hear(every.level_dbm, every.sensitivity_dbm, size_bytes)
+        return every.heard[size_bytes]
 
     def _hear(self, level_dbm: Floats, sensitivity_dbm: Floats, size_bytes: int) -> ReceivedSignal:
         snr_db = self.over_noise(level_dbm)
@@ -277,14 +281,14 @@ class ReceiverModel:
                 mean.weakness = self._weakness(mean)
             else:
                 every, which = mean.together
-                mean.weakness = self.weakness_together(every)[which]
+                if every.weakness is None:
+                    every.weakness = _by_distance(every.level_dbm, self._least_dbm(every.sensitivity_dbm))
+                mean.weakness = every.weakness[which]
         return mean.weakness
 
-    def weakness_together(self, every: BatchBudget) -> Codes:
-        """The same of the signals of several radios, (k, n)."""
-        if every.weakness is None:
-            every.weakness = _by_distance(every.level_dbm, self._least_dbm(every.sensitivity_dbm))
-        return every.weakness
+    def weaknesses(self, means: Sequence[MeanBudget]) -> Codes:
+        """`weakness` of k budgets, (k, n)."""
+        return np.stack([self.weakness(mean) for mean in means])
 
     def _least_dbm(self, sensitivity_dbm: Floats) -> Floats:
         """The weakest level that is noticed where nobody else sends."""

@@ -1,4 +1,4 @@
-"""The mean link budget of one radio's links, and what receivers make of frames at some level."""
+"""Mean link budgets of radios, and signals without interference."""
 
 from functools import cached_property
 from typing import Any
@@ -24,16 +24,16 @@ class MeanBudget(msgspec.Struct, dict=True):
     sensitivity_dbm: Floats
     path_loss_db: Floats
     level_dbm: Floats
-    walls: Ints | None = None  # how many are crossed; None: there are none in the chain
+    walls: Ints | None = None  # number of walls crossed; None: no walls in the channel
     materials: tuple[str, ...] | None = None  # of the walls that are crossed, e.g. "2 brick, 1 wood"
     wall_loss_db: Floats | None = None
     shadowing_db: Floats | None = None
     heard: dict[int, "ReceivedSignal"] = msgspec.field(default_factory=dict)  # of sizes, at this level: filled by `Hearing`
     parts: dict[int | None, "ReportColumns"] = msgspec.field(
         default_factory=dict
-    )  # by the first who is meant: filled by `told`
-    weakness: Codes | None = None  # what would make frames too weak: the same
-    together: "tuple[BatchBudget, int] | None" = None  # with whose it was worked out, and which of them it is
+    )  # by place of the first receiver: filled by `report_columns`
+    weakness: Codes | None = None  # cause of a signal that is too weak: the same
+    together: "tuple[BatchBudget, int] | None" = None  # batch in which it was computed, and its row there
 
     @cached_property
     def power_mw(self) -> Floats:
@@ -44,24 +44,24 @@ class MeanBudget(msgspec.Struct, dict=True):
             return here
         return sealed(at_all(10.0 ** (self.level_dbm / 10.0), self.row))
 
-    def told(self, receivers: tuple[str, ...], to: slice) -> "ReportColumns":
-        """What reports of frames tell of it: of one receiver, or of all."""
-        found = self.parts.get(to.start)
-        if found is None:
+    def report_columns(self, receivers: tuple[str, ...], to: slice) -> "ReportColumns":
+        """Columns of frame reports for one receiver, or for all."""
+        columns = self.parts.get(to.start)
+        if columns is None:
             parts: list[Any] = [receivers, self.paths.distance_m, self.level_dbm, self.path_loss_db]
             parts += [self.walls, self.materials, self.wall_loss_db, self.shadowing_db]
             if to.start is not None:
                 parts = [None if part is None else part[to] for part in parts]
-            found = self.parts[to.start] = ReportColumns(*parts)
-        return found
+            columns = self.parts[to.start] = ReportColumns(*parts)
+        return columns
 
 
 class BatchBudget(msgspec.Struct, dict=True):
-    """Budgets of the links from each of k radios to all n others, by distance alone, worked out at once; see `MeanBudget`."""
+    """Budgets from each of k radios to all n others, which depend on distance alone; see `MeanBudget`."""
 
     senders: list[SenderLinks]
     rows: NDArray[np.intp]  # (k,) of these radios among all
-    apart: Bools  # (k, n + 1): a radio is another one
+    apart: Bools  # (k, n + 1): False at the sender itself
     antennas: Floats
     tx: Floats  # (k, 3) m, world
     rx: Floats  # (k, n, 3) m, world
@@ -81,7 +81,7 @@ class BatchBudget(msgspec.Struct, dict=True):
         return sealed(everywhere)
 
     def mean(self, which: int) -> MeanBudget:
-        """The budget of one of them."""
+        """The budget of one radio."""
         return MeanBudget(
             row=int(self.rows[which]),
             antennas=self.antennas,
@@ -95,7 +95,7 @@ class BatchBudget(msgspec.Struct, dict=True):
 
 
 class ReportColumns(msgspec.Struct, frozen=True):
-    """The part of a mean budget that concerns those for whom a frame is meant; fields as of `MeanBudget`."""
+    """Part of a mean budget at the receivers of a frame; fields: see `MeanBudget`."""
 
     receivers: tuple[str, ...]
     distance_m: Floats
@@ -108,7 +108,7 @@ class ReportColumns(msgspec.Struct, frozen=True):
 
 
 class ReceivedSignal(msgspec.Struct, frozen=True, dict=True):
-    """How a frame that nobody else disturbs reaches n receivers, (n,) each."""
+    """Signal of a frame without interference at n receivers, (n,) each; of a batch (k, n)."""
 
     snr_db: Floats
     detected: Bools
@@ -116,26 +116,28 @@ class ReceivedSignal(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def fate(self) -> Codes:
-        """Its fate, but for the packet errors of those who are in doubt."""
+        """Fate before packet errors."""
         return sealed(np.where(self.detected, _RECEIVED, _UNDETECTED))
 
     @cached_property
-    def doubtful(self) -> NDArray[np.intp]:
-        """Who detects it and may yet lose it."""
-        return self.in_doubt.nonzero()[0]
+    def doubtful(self) -> tuple[NDArray[np.intp], ...]:
+        """Indices at which a frame is detected and may yet be lost, one array for each dimension."""
+        if self.hazard is None:
+            return (np.zeros(0, np.intp),) * self.detected.ndim
+        return (self.detected & (self.hazard > _SURE)).nonzero()
 
-    @property
-    def in_doubt(self) -> Bools:
-        """Where it is detected and may yet be lost."""
-        return np.zeros_like(self.detected) if self.hazard is None else self.detected & (self.hazard > _SURE)
+    @cached_property
+    def batch(self) -> "ReceivedSignal":
+        """The same signal as a batch of one, (1, n)."""
+        return ReceivedSignal(self.snr_db[None], self.detected[None], None if self.hazard is None else self.hazard[None])
 
-    def of(self, which: int) -> "ReceivedSignal":
-        """Of one radio of several, whose arrays are (k, n)."""
+    def rows(self, which: int | list[int]) -> "ReceivedSignal":
+        """One row of a batch, (n,), or several, (k, n)."""
         return ReceivedSignal(self.snr_db[which], self.detected[which], None if self.hazard is None else self.hazard[which])
 
 
 def at_all(values: Floats, row: int) -> Floats:
-    """Values of all but one, with a zero for that one."""
+    """Insert a zero at a row."""
     everywhere = np.zeros(len(values) + 1)  # np.insert and np.delete take ten times as long
     everywhere[:row] = values[:row]
     everywhere[row + 1 :] = values[row:]

@@ -1,4 +1,6 @@
-"""From what a radio receives to what arrives: jammers, losses, delays, and the report of it all."""
+"""Stages behind the receiver, over batches of frames: weak signals, jammers, losses, delays, delivery; and reports."""
+
+from collections.abc import Callable, Sequence
 
 import msgspec
 import numpy as np
@@ -11,7 +13,7 @@ from vcmvsp.netsim.channel.link_budget import ReceiverModel
 from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
-from vcmvsp.netsim.interfaces.layers import Bools, Delay, Floats, Frame, Ints, Loss, T, sealed
+from vcmvsp.netsim.interfaces.layers import Bools, Delay, Draw, Floats, Frame, Ints, Loss, T, sealed
 from vcmvsp.netsim.interfaces.link_draws import DELAY_SLOT, DELIVERY_SLOT, JAMMER_SLOT, LOSS_SLOT, SCRIPT_SLOT, TRACE_SLOT, Make
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
@@ -32,21 +34,11 @@ TOO_WEAK = np.uint8(len(_FATES))  # code of the first of them
 _UNDETECTED = int(Fate.UNDETECTED)  # an enumeration's members are slow to look up
 _JAMMED = len(_FATES) + len(_WEAKNESSES)
 WORDS = (*_FATES.values(), *_WEAKNESSES, JAMMED)
-"""What codes mean: `Fate`, then why a frame was too weak."""
-
-
-class OnAir(msgspec.Struct, frozen=True):
-    """What became of a frame on the air."""
-
-    fate: Codes  # (n,) `Fate` at all receivers
-    start_ns: int  # of the last attempt; -1: it was never sent
-    end_ns: int  # of that attempt, or when it was given up
-    snr_db: Floats  # (n,) there
-    sinr_db: Floats  # (n,) the least while it was on the air
+"""Outcomes by code: `Fate`, then causes of weak signals."""
 
 
 class Outcomes:
-    """Everything behind the receiver."""
+    """The stages behind the receiver."""
 
     def __init__(
         self,
@@ -61,191 +53,167 @@ class Outcomes:
         outages: Script | None = None,
     ) -> None:
         self._hearing, self._delay, self._script, self._trace, self._delivery = hearing, delay, script, trace, delivery
-        losses: list[tuple[Loss | None, int]] = [(outages, SCRIPT_SLOT)]  # first: they decide before all others
+        losses: list[tuple[Loss | None, int]] = [(outages, SCRIPT_SLOT)]  # first: an outage has priority
         losses += [(loss, LOSS_SLOT), (script, SCRIPT_SLOT), (trace, TRACE_SLOT)]
         self._losses = [(layer, _by_draws(layer, "lost"), slot) for layer, slot in losses if layer is not None]
         self._delay_ns_by: Make | None = _by_draws(delay, "delay_ns")
+        asks = any(lost_by is None for _, lost_by, _ in self._losses) or (delay is not None and self._delay_ns_by is None)
+        self._needs_frames = asks or script is not None or trace is not None  # as arguments of layers
         causes = [layer.cause for layer, _, _ in self._losses]
         causes += [] if delivery is None else [delivery.cause]
         words = [*WORDS, *causes]
-        if not fades:  # what is weaker than its mean level is so by one of these
+        if not fades:  # without fading, only these lower the level of a single frame
             words[words.index("fading")] = "trace" if script is None else "script"
         self._words = np.array(words, object)  # taken from by array, not in a loop
 
     @property
     def plain(self) -> bool:
-        """Whether everything arrives that a radio receives, when the frame ends."""
+        """Whether every received frame arrives when it ends."""
         return not self._losses and self._delay is None and self._trace is None and self._delivery is None
 
-    @property
-    def by_draws(self) -> bool:
-        """Whether what becomes of a frame behind the receiver goes by its draws alone."""
-        layers_do = all(lost_by is not None for _, lost_by, _ in self._losses)
-        own = self._delay is not None and self._delay_ns_by is None
-        return layers_do and not own and self._script is None and self._trace is None and self._delivery is None
+    def reports(self, batch: FrameBatch) -> list[FrameReport]:
+        """Apply all stages behind the receiver to a batch.
 
-    def reports(self, chorus: FrameBatch, code: Codes) -> list[FrameReport]:
-        """What becomes of several broadcasts whose fate on the air is ``code``, (k, n); where it goes on `by_draws`."""
-        senders, every, snr_db = chorus.senders, chorus.every, sealed(chorus.heard.snr_db)
-        if np.count_nonzero(too_weak := code == _UNDETECTED):
-            code = np.where(too_weak, TOO_WEAK + self._hearing.weakness_together(every), code)
-        for index, (_, lost_by, slot) in enumerate(self._losses):
-            assert lost_by is not None  # noqa: S101  see by_draws
-            code = np.where((code == 0) & chorus.made(slot, lost_by), np.uint8(_JAMMED + 1 + index), code)
-        arrival: Ints = np.array(chorus.end_ns)[:, None]
-        if self._delay_ns_by is not None:
-            arrival = np.maximum(chorus.sent_ns + chorus.made(DELAY_SLOT, self._delay_ns_by), arrival)
-        arrival = sealed(np.where(code == 0, arrival, -1))
-        words = self._words[code].tolist()
-        reports: list[FrameReport] = []
-        rows = zip(every.distance_m, every.level_dbm, arrival, words, snr_db, every.path_loss_db, strict=True)
-        for k, (distance_m, level_dbm, received_ns, outcome, over_noise_db, path_loss_db) in enumerate(rows):
-            sender, message, air_ns = senders[k], chorus.messages[k], chorus.air_ns[k]
-            report = FrameReport(
-                frame=chorus.first + k,
-                sender=message.sender,
-                sent_ns=chorus.sent_ns,
-                size_bytes=message.size_bytes,
-                receivers=sender.links.receivers,
-                distance_m=distance_m,
-                rssi_dbm=level_dbm,
-                received_ns=received_ns,
-                outcome=tuple(outcome),
-                air_time_ns=air_ns,
-                queue_ns=chorus.end_ns[k] - air_ns - chorus.sent_ns,
-                snr_db=over_noise_db,
-                sinr_db=over_noise_db,
-                path_loss_db=path_loss_db,
-            )
-            reports.append(report)
-        return reports
-
-    def report(self, sent: SentFrame, air: OnAir, interference_mw: Floats | None = None) -> FrameReport:
-        """What becomes of a frame at every receiver that it is meant for.
-
-        Args:
-            sent: the frame.
-            air: what became of it at all receivers.
-            interference_mw: of jammers, (n,); None: there are none, or it was never sent.
+        Each stage changes "received" into one cause of loss, never the reverse: the first cause is reported. Only a trace
+        replaces the losses of the models before it.
         """
-        sender, mean, to, on_air = sent.sender, sent.mean, sent.meant, air.start_ns >= 0
-        frame = sent.frame_at(air.start_ns, air.end_ns, sent.level_dbm)
-        code, sinr_db = air.fate, air.sinr_db
-        if np.count_nonzero(code) and np.count_nonzero(too_weak := code == _UNDETECTED):
-            code = np.where(too_weak, TOO_WEAK + self._hearing.weakness(mean), code)
-        if interference_mw is not None:
-            sinr_db, code = self._jam(sent, air, code, interference_mw)
-        if self._losses:
-            code = self._lose(sent, frame, code)
-        code = code[to]
-        arrival = sealed(self._arrivals(code, self._arrival(sent, frame, air, to)))
-        copy_ns = None
+        layer_frames: list[Frame] = []
+        if self._needs_frames:
+            times = zip(batch.frames, batch.start_ns, batch.end_ns, strict=True)
+            layer_frames = [sent.frame_at(start_ns, end_ns, sent.level_dbm) for sent, start_ns, end_ns in times]
+        code, sinr_db = self._jam(batch, self._name_weak_signals(batch))
+        code = self._lose(batch, layer_frames, code)
+        arrival_ns = sealed(np.where(code == 0, self._arrival_ns(batch, layer_frames), -1))
+        return [self._report(batch, k, code[k], arrival_ns[k], sinr_db) for k in range(len(batch.frames))]
+
+    def unfinished(self, sent: SentFrame) -> FrameReport:
+        """Report of a frame that was not decided at the end of the run."""
+        snr_db = self._hearing.over_noise(sent.level_dbm)[None]
+        expired = np.full(snr_db.shape, Fate.EXPIRED, np.uint8)
+        (report,) = self.reports(FrameBatch([sent], expired, [-1], [sent.sent_ns], snr_db, snr_db))
+        return msgspec.structs.replace(report, outcome=(UNDER_WAY,) * len(report.outcome))
+
+    def _name_weak_signals(self, batch: FrameBatch) -> Codes:
+        """Replace "undetected" by the cause of the weak signal, (k, n)."""
+        too_weak = batch.fate == _UNDETECTED
+        if not np.count_nonzero(too_weak):
+            return batch.fate
+        return np.where(too_weak, TOO_WEAK + self._hearing.weaknesses([sent.mean for sent in batch.frames]), batch.fate)
+
+    def _jam(self, batch: FrameBatch, code: Codes) -> tuple[Codes, Floats]:
+        """Apply jammers: codes and SINR, (k, n) each.
+
+        The hazard that they add to that of noise alone is compared with the remaining patience of the receiver, which is again
+        an exponential variate, as these have no memory.
+        """
+        if batch.interference_mw is None:
+            return code, batch.sinr_db
+        level_dbm = np.stack([sent.level_dbm for sent in batch.frames])
+        sinr_db = level_dbm - 10.0 * np.log10(self._hearing.noise_mw + batch.interference_mw)
+        jammed = ~self._hearing.noticed(sinr_db)
+        if (errors := self._hearing.errors) is not None:
+            for k, sent in enumerate(batch.frames):
+                size = sent.message.size_bytes
+                added = errors.frame_hazard(sinr_db[k], size) - errors.frame_hazard(batch.snr_db[k], size)
+                jammed[k] |= sent.sender.draws.patience(sent.number, JAMMER_SLOT) <= added
+        jammed &= (batch.interference_mw > 0.0) & (code == 0)
+        ratio = batch.interference_mw / np.maximum(10.0 ** (level_dbm / 10.0), 1e-300)
+        total_db = -10.0 * np.log10(10.0 ** (-batch.sinr_db / 10.0) + ratio)
+        on_air = np.array(batch.start_ns)[:, None] >= 0
+        return np.where(jammed & on_air, np.uint8(_JAMMED), code), np.where(on_air, total_db, batch.sinr_db)
+
+    def _lose(self, batch: FrameBatch, layer_frames: Sequence[Frame], code: Codes) -> Codes:
+        """Apply the loss layers, (k, n)."""
+        traced = self._traced(layer_frames, "loss")
+        if traced is not None:
+            traced &= np.array(batch.start_ns)[:, None] >= 0
+            code = np.where(traced, np.uint8(Fate.RECEIVED), code)
+        for index, (layer, lost_by, slot) in enumerate(self._losses):
+            lost = _answers(batch, layer_frames, layer.lost, lost_by, slot)
+            if traced is not None and slot == LOSS_SLOT:
+                lost = lost & ~traced
+            if np.count_nonzero(lost):
+                code = np.where((code == 0) & lost, np.uint8(_JAMMED + 1 + index), code)
+        return code
+
+    def _arrival_ns(self, batch: FrameBatch, layer_frames: Sequence[Frame]) -> Ints:
+        """Time of arrival if a frame is not lost, (k, n) or (k, 1) ns."""
+        end_ns: Ints = np.array(batch.end_ns)[:, None]
+        if self._delay is None and self._trace is None and self._script is None:
+            return end_ns
+        sent_ns: Ints = np.array([sent.sent_ns for sent in batch.frames])[:, None]
+        delay_ns: Ints = np.zeros_like(end_ns)
+        if self._delay is not None:
+            delay_ns = _answers(batch, layer_frames, self._delay.delay_ns, self._delay_ns_by, DELAY_SLOT)
+        traced = self._traced(layer_frames, "delay_s")
+        if traced is not None and self._trace is not None:
+            delay_ns = np.where(traced, _answers(batch, layer_frames, self._trace.delay_ns, None, DELAY_SLOT), delay_ns)
+        arrival_ns: Ints = np.maximum(sent_ns + delay_ns, end_ns)
+        if self._script is None:
+            return arrival_ns
+        return arrival_ns + _answers(batch, layer_frames, self._script.delay_ns, None, DELAY_SLOT) - (end_ns - sent_ns)
+
+    def _traced(self, layer_frames: Sequence[Frame], quantity: str) -> Bools | None:
+        """Links for which a trace has this quantity, (k, n); None: no trace has it."""
+        if self._trace is None or quantity not in self._trace.columns:
+            return None
+        return np.stack([self._trace.traced(frame) for frame in layer_frames])
+
+    def _report(self, batch: FrameBatch, k: int, code: Codes, arrival_ns: Ints, sinr_db: Floats) -> FrameReport:
+        """Report of frame k at its receivers, after delivery."""
+        sent, start_ns, end_ns = batch.frames[k], batch.start_ns[k], batch.end_ns[k]
+        sender, mean, to, on_air = sent.sender, sent.mean, sent.destination, start_ns >= 0
+        code, arrival_ns, copy_ns = code[to], arrival_ns[to], None
         if self._delivery is not None:
-            draw, rows = sent.draw(DELIVERY_SLOT), sender.others[to]
-            arrival, copy_ns = self._delivery.deliver(sender.row, rows, arrival, sent.message.size_bytes, lambda: draw()[to])
-            code = np.where((code == 0) & (arrival < 0), np.uint8(len(self._words) - 1), code)
-        of_mean, snr_db = mean.told(sender.links.receivers, to), frozen(air.snr_db[to])
-        head_ns = max(sent.sent_ns, sender.free_ns)  # when it became the sender's first
+            draw, rows, size = sent.draw(DELIVERY_SLOT), sender.others[to], sent.message.size_bytes
+            arrival_ns, copy_ns = self._delivery.deliver(sender.row, rows, arrival_ns, size, lambda: draw()[to])
+            code = np.where((code == 0) & (arrival_ns < 0), np.uint8(len(self._words) - 1), code)
+        columns, snr_db = mean.report_columns(sender.links.receivers, to), frozen(batch.snr_db[k][to])
+        head_ns = max(sent.sent_ns, sender.free_ns)  # time at which it became the first of its sender's queue
         if on_air:
-            sender.free_ns = max(sender.free_ns, air.end_ns)
+            sender.free_ns = max(sender.free_ns, end_ns)
         return FrameReport(
             frame=sent.frame,
             sender=sender.links.sender,
             sent_ns=sent.sent_ns,
             size_bytes=sent.message.size_bytes,
-            receivers=of_mean.receivers,
-            distance_m=of_mean.distance_m,
-            rssi_dbm=of_mean.level_dbm if sent.level_dbm is mean.level_dbm else frozen(sent.level_dbm[to]),
-            received_ns=frozen(arrival),
+            receivers=columns.receivers,
+            distance_m=columns.distance_m,
+            rssi_dbm=columns.level_dbm if sent.level_dbm is mean.level_dbm else frozen(sent.level_dbm[to]),
+            received_ns=frozen(arrival_ns),
             copy_ns=None if copy_ns is None else frozen(copy_ns),
             outcome=tuple(self._words[code].tolist()) if np.count_nonzero(code) else (RECEIVED,) * len(code),
             air_time_ns=sent.air_ns if on_air else 0,
-            queue_ns=max(0, (head_ns if on_air else air.end_ns) - sent.sent_ns),
-            access_ns=max(0, air.start_ns - head_ns) if on_air else 0,
+            queue_ns=max(0, (head_ns if on_air else end_ns) - sent.sent_ns),
+            access_ns=max(0, start_ns - head_ns) if on_air else 0,
             snr_db=snr_db,
-            sinr_db=snr_db if sinr_db is air.snr_db else frozen(sinr_db[to]),
-            path_loss_db=of_mean.path_loss_db,
-            walls=of_mean.walls,
-            wall_materials=of_mean.materials,
-            wall_loss_db=of_mean.wall_loss_db,
-            shadowing_db=of_mean.shadowing_db,
-            fading_db=_part(sent.fading_db, to),
+            sinr_db=snr_db if sinr_db is batch.snr_db else frozen(sinr_db[k][to]),
+            path_loss_db=columns.path_loss_db,
+            walls=columns.walls,
+            wall_materials=columns.materials,
+            wall_loss_db=columns.wall_loss_db,
+            shadowing_db=columns.shadowing_db,
+            fading_db=None if sent.fading_db is None else frozen(sent.fading_db[to]),
         )
 
-    def unfinished(self, sent: SentFrame) -> FrameReport:
-        """The report of a frame that was not decided when the run ended."""
-        snr_db = self._hearing.over_noise(sent.level_dbm)
-        never = OnAir(np.full(len(snr_db), Fate.EXPIRED, np.uint8), -1, sent.sent_ns, snr_db, snr_db)
-        report = self.report(sent, never)
-        return msgspec.structs.replace(report, outcome=(UNDER_WAY,) * len(report.outcome))
 
-    def _jam(self, sent: SentFrame, air: OnAir, code: Codes, interference_mw: Floats) -> tuple[Floats, Codes]:
-        """What jammers leave of the SINR, and spoil of a frame that would have been received.
-
-        What they add to the hazard of noise alone meets what is left of the receiver's patience: an exponential variate has
-        no memory, so that this is another one.
-        """
-        sinr_db = sent.level_dbm - 10.0 * np.log10(self._hearing.noise_mw + interference_mw)
-        spoilt = ~self._hearing.noticed(sinr_db)
-        if self._hearing.errors is not None:
-            size = sent.message.size_bytes
-            more = self._hearing.errors.frame_hazard(sinr_db, size) - self._hearing.errors.frame_hazard(air.snr_db, size)
-            spoilt |= sent.sender.draws.patience(sent.number, JAMMER_SLOT) <= more
-        spoilt &= (interference_mw > 0.0) & (code == 0)
-        share = interference_mw / np.maximum(10.0 ** (sent.level_dbm / 10.0), 1e-300)
-        both_db = -10.0 * np.log10(10.0 ** (-air.sinr_db / 10.0) + share)
-        return both_db, np.where(spoilt, np.uint8(_JAMMED), code)
-
-    def _lose(self, sent: SentFrame, frame: Frame, code: Codes) -> Codes:
-        decided = self._told(frame, "loss") if frame.start_ns >= 0 else None  # by a trace, whatever the models say
-        if decided is not None:
-            code = np.where(decided, np.uint8(Fate.RECEIVED), code)
-        for index, (layer, lost_by, slot) in enumerate(self._losses):
-            lost = layer.lost(frame, sent.draw(slot)) if lost_by is None else sent.sender.draws.made(sent.number, slot, lost_by)
-            if decided is not None and slot == LOSS_SLOT:
-                lost = lost & ~decided
-            if np.count_nonzero(lost):
-                lost, code = (code == 0) & lost, code.copy()
-                code[lost] = _JAMMED + 1 + index
-        return code
-
-    def _arrivals(self, code: Codes, arrival: Ints | int) -> Ints:
-        """The same at all for whom it is meant; -1 where it is lost."""
-        every = arrival if isinstance(arrival, np.ndarray) else np.full(len(code), arrival)
-        np.putmask(every, code != 0, -1)
-        return every
-
-    def _arrival(self, sent: SentFrame, frame: Frame, air: OnAir, to: slice) -> Ints | int:
-        """When the frame arrives where it is not lost, ns: at each of those for whom it is meant, or the same at all."""
-        if self._delay is None and self._trace is None and self._script is None:
-            return air.end_ns
-        draw = sent.draw(DELAY_SLOT)
-        delay_ns: Ints | int
-        if self._delay_ns_by is not None:
-            delay_ns = sent.sender.draws.made(sent.number, DELAY_SLOT, self._delay_ns_by)
-        else:
-            delay_ns = 0 if self._delay is None else self._delay.delay_ns(frame, draw)
-        told = self._told(frame, "delay_s")
-        if told is not None and self._trace is not None:
-            delay_ns = np.where(told, self._trace.delay_ns(frame, draw), delay_ns)
-        arrival: Ints = np.maximum(sent.sent_ns + delay_ns, air.end_ns)
-        if self._script is not None:
-            arrival = arrival + self._script.delay_ns(frame, draw) - (frame.end_ns - frame.sent_ns)
-        return arrival if arrival.ndim == 0 else arrival[to]
-
-    def _told(self, frame: Frame, quantity: str) -> Bools | None:
-        """For which receivers a trace has this quantity."""
-        if self._trace is None or quantity not in self._trace.columns:
-            return None
-        return self._trace.traced(frame)
+def _answers(
+    batch: FrameBatch,
+    layer_frames: Sequence[Frame],
+    verb: Callable[[Frame, Draw], NDArray[T]],
+    by_draws: Make | None,
+    slot: int,
+) -> NDArray[T]:
+    """Answers of a layer for each frame, (k, n): from its draws alone if possible."""
+    if by_draws is not None:
+        rows = [sent.sender.draws.made(sent.number, slot, by_draws) for sent in batch.frames]
+    else:
+        rows = [verb(frame, sent.draw(slot)) for frame, sent in zip(layer_frames, batch.frames, strict=True)]
+    return rows[0][None] if len(rows) == 1 else np.stack(rows)
 
 
 def _by_draws(layer: object, verb: str) -> Make | None:
-    """What a layer answers for many frames at once; None: nothing, or a class derived from the one that does has the verb."""
+    """Method ``VERB_by`` of a layer, for many frames at once; None if its class overrides ``VERB`` alone."""
     own = vars(type(layer))
-    made: Make | None = getattr(layer, f"{verb}_by") if verb in own and f"{verb}_by" in own else None
-    return made
-
-
-def _part(values: NDArray[T] | None, to: slice) -> NDArray[T] | None:
-    return None if values is None else frozen(values[to])
+    method: Make | None = getattr(layer, f"{verb}_by") if verb in own and f"{verb}_by" in own else None
+    return method

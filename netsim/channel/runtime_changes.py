@@ -1,7 +1,6 @@
-"""What an operator changes of a channel while a run goes on: numbers of its layers, and who is cut off for a while.
+"""Changes of a channel during a run: numbers of its layers, and outages of vehicles.
 
-A layer answers from its parameters and the draws of a frame alone. So one that is built anew with another number goes on from
-there as if it had had that number all the time; nothing is drawn twice, and no other frame is drawn differently.
+A layer depends on its parameters and the draws of a frame alone: a layer that is rebuilt with another number changes no draw.
 """
 
 import dataclasses
@@ -18,34 +17,26 @@ from vcmvsp.netsim.impairments.script import Effects, Script, ScriptedChange
 
 
 class Outages(Script):
-    """Changes that lose every frame from and to some vehicles: a script that is written while the run goes on."""
+    """A script that grows during the run: changes that lose every frame from and to some vehicles."""
 
     cause: ClassVar[str] = "outage"
 
     @property
     def nothing(self) -> bool:
-        """Whether there was none yet."""
+        """Whether there was no outage yet."""
         return not self.changes
 
     def _together(self, present: tuple[int, ...], sender: str, receivers: tuple[str, ...]) -> Effects:
-        """As of any script, but quicker: a hundred vehicles that are cut off together have ten thousand links."""
+        """See `Script._together`; faster for many vehicles, which have the square of links."""
         cut_off = {name for k in present for links in self.changes[k].links for name in links.split("/")}
         passes = np.array([not (sender in cut_off or receiver in cut_off) for receiver in receivers], float)
         return Effects(frozen(passes), frozen(np.zeros(len(receivers))), frozen(np.zeros(len(receivers), np.int64)))
 
 
 class RuntimeChanges:
-    """Layers as they are now, and the outages so far.
+    """The current layers, and the outages so far.
 
-    Numbers that may change are fields of layers that are dataclasses. Their keys are those of a scenario:
-    ``radio.loss.probability``.
-
-    Args:
-        layers: by their names, as the run begins.
-
-    Attributes:
-        layers: as they are now.
-        outages: all so far.
+    Numeric fields of layers that are dataclasses may change; their keys are those of the scenario: ``radio.loss.probability``.
     """
 
     def __init__(self, **layers: Any) -> None:
@@ -53,34 +44,37 @@ class RuntimeChanges:
         self.start()
 
     def start(self) -> None:
-        """Begin anew: nobody has done anything."""
+        """Undo all changes and outages."""
         self.layers, self.outages = self._first, Outages()
 
     def numbers(self) -> dict[str, float]:
-        """The numbers that may change, and what they are now."""
-        return {f"radio.{name}.{key}": value for name, layer in self.layers.items() for key, value in _numbers(layer).items()}
+        """Keys and values of the numbers that may change."""
+        numbers: dict[str, float] = {}
+        for name, layer in self.layers.items():
+            numbers |= {f"radio.{name}.{key}": value for key, value in _numbers(layer).items()}
+        return numbers
 
     def cut_off(self, vehicles: Sequence[str], from_ns: int, until_ns: int) -> None:
-        """Have every frame lost from and to these vehicles."""
+        """Lose every frame from and to these vehicles."""
         links = tuple(expression for name in vehicles for expression in (f"{name}/*", f"*/{name}"))
         change = ScriptedChange(from_s=from_ns / SECOND_NS, to_s=until_ns / SECOND_NS, links=links, loss=1.0)
         self.outages = Outages((*self.outages.changes, change))
 
     def change(self, key: str, value: float) -> None:
-        """Give a number another value; see `changed`."""
+        """Change a number; see `changed`."""
         self.layers = self.changed(self.layers, key, value)
 
     def check(self, key: str, value: float, earlier: Sequence[tuple[str, float]] = ()) -> None:
-        """Refuse a change that cannot be made, after those that come before it; see `changed`."""
+        """Check a change after earlier ones without making it; see `changed`."""
         layers = self.layers
         for before in (*earlier, (key, value)):
             layers = self.changed(layers, *before)
 
     def changed(self, layers: Mapping[str, Any], key: str, value: float) -> dict[str, Any]:
-        """The layers with one number of one of them changed.
+        """The layers with one number changed.
 
         Raises:
-            ValueError: there is no such number, or it cannot be this one.
+            ValueError: unknown key, or invalid value.
         """
         if key not in self.numbers():
             raise ValueError(f"{key} cannot change during a run; what can: {', '.join(self.numbers()) or 'nothing'}")
@@ -96,8 +90,8 @@ class RuntimeChanges:
 
 
 def _numbers(layer: object) -> dict[str, float]:
-    """The parameters of a layer that are numbers."""
+    """Numeric parameters of a layer."""
     if not dataclasses.is_dataclass(layer):
         return {}
-    found = {each.name: getattr(layer, each.name) for each in dataclasses.fields(layer) if each.init}
-    return {name: value for name, value in found.items() if type(value) in (int, float)}
+    parameters = {each.name: getattr(layer, each.name) for each in dataclasses.fields(layer) if each.init}
+    return {name: value for name, value in parameters.items() if type(value) in (int, float)}

@@ -1,9 +1,11 @@
-"""At which level an attempt to send a frame reaches each receiver, and what that alone makes of it."""
+"""Received level of each attempt to send a frame, and decoding without interference."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from vcmvsp.cosim.rng import link_uniform
-from vcmvsp.netsim.channel.frames import FrameBatch, SentFrame
+from vcmvsp.netsim.channel.frames import SentFrame
 from vcmvsp.netsim.channel.mean_budget import ReceivedSignal
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
@@ -13,14 +15,14 @@ from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
 
 class RxPower:
-    """The layers that give each attempt a level of its own; None is one that does nothing."""
+    """The layers that change the level of each attempt; None: no such layer."""
 
     def __init__(self, fading: Fading | None, script: Script | None, trace: Trace | None) -> None:
         self._fading, self._script, self._trace = fading, script, trace
-        self.vary = any(layer is not None for layer in (fading, script, trace))  # from attempt to attempt
+        self.vary = any(layer is not None for layer in (fading, script, trace))  # whether levels change from attempt to attempt
 
     def set(self, sent: SentFrame, start_ns: int) -> None:
-        """Set the level of an attempt that begins at ``start_ns``, where it is another one than the mean."""
+        """Set the level of an attempt that starts at ``start_ns``."""
         if not self.vary:
             return
         frame = sent.frame_at(start_ns, start_ns + sent.air_ns, sent.mean.level_dbm)
@@ -39,8 +41,7 @@ class RxPower:
     def answer(self, sent: SentFrame, place: int, start_ns: int) -> float:
         """Fading of an acknowledgement from the receiver at ``place`` over that of the frame, a ratio of powers.
 
-        It fades as another frame at its own time: with the Doppler shift as far as the channel has changed since, else
-        independently. A traced level holds for both.
+        It fades as a frame of its own time: correlated with a Doppler shift, else independent. A traced level holds for both.
         """
         frame = sent.frame_at(start_ns, start_ns + sent.air_ns, sent.mean.level_dbm)
         is_traced = self._trace is not None and not np.isnan(self._trace.level_dbm(frame)[place])
@@ -50,24 +51,15 @@ class RxPower:
         return float(10.0 ** ((gain_db[place] - sent.fading_db[place]) / 10.0))
 
 
-def endured(sent: SentFrame, heard: ReceivedSignal) -> Codes:
-    """The fate of a frame that no other disturbs, (n,)."""
-    fate, doubtful = heard.fate, heard.doubtful
-    if doubtful.size and heard.hazard is not None:
-        uniform = sent.sender.draws.some(sent.number, ERROR_SLOT, doubtful)[:, 0]
-        fate = fate.copy()
-        fate[doubtful[-np.log1p(-uniform) <= heard.hazard[doubtful]]] = Fate.ERROR
-    return fate
-
-
-def all_endured(chorus: FrameBatch) -> Codes:
-    """The same of several frames, (k, n)."""
-    fate, hazard = chorus.heard.fate, chorus.heard.hazard
-    if hazard is None or not (where := chorus.heard.in_doubt.nonzero())[0].size:
-        return fate
-    keys = np.stack([sender.links.keys for sender in chorus.senders])[where]
-    uniform = link_uniform(keys, np.array(chorus.numbers, np.uint64)[where[0]], ERROR_SLOT)[:, 0]
-    lost = -np.log1p(-uniform) <= hazard[where]
-    fate = fate.copy()
-    fate[where[0][lost], where[1][lost]] = Fate.ERROR
+def decode(frames: Sequence[SentFrame], signal: ReceivedSignal) -> Codes:
+    """Fate of k frames without interference, (k, n); ``signal``: (k, n)."""
+    rows, places = signal.doubtful
+    if not rows.size or signal.hazard is None:
+        return signal.fate
+    keys = np.stack([sent.sender.links.keys for sent in frames])[rows, places]
+    numbers = np.array([sent.number for sent in frames], np.uint64)[rows]
+    patience = -np.log1p(-link_uniform(keys, numbers, ERROR_SLOT)[:, 0])
+    lost = patience <= signal.hazard[rows, places]
+    fate = signal.fate.copy()
+    fate[rows[lost], places[lost]] = Fate.ERROR
     return fate

@@ -1,14 +1,14 @@
-"""A trial of the channel alone: radios that stand still and broadcast periodically.
+"""A trial of the channel alone: radios at rest broadcast periodically.
 
-The frames of a radio are one period apart, the first one at a random instant of the first period. Frames are sent at
-``0 <= t < duration``; the channel then goes on until the fate of all of them is known. What happens is a pure function of
-channel, places, period, size and seed; the first instant of a radio goes by the seed and its name alone.
+The first frame of a radio is at a random instant of the first period, by seed and name of the radio. Frames are sent at
+``0 <= t < duration``; the trial ends when all are decided. The result is a pure function of channel, positions, period, size
+and seed.
 """
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from itertools import count, islice
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,41 +18,20 @@ from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import FrameReport, Message
 from vcmvsp.netsim.channel.bulk import Bulk
+from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.evaluation.tally import FrameTally
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 
 Sink = Callable[[FrameReport], None]
 Progress = Callable[[int, int], None]
 
-_BULK = 512  # frames that are handed over together where no reports are wanted
-_LONG_AFTER_NS = 10**15  # behind the last sending, when all is decided
-_ADVANCE_EVERY = 64  # frames: what is decided meanwhile is worked off together
-
-
-class TrialChannel(Protocol):
-    """What a trial asks of a `netsim.channel.channel.Channel`."""
-
-    def start(self, seed: int) -> None:
-        """Forget all frames."""
-
-    def send(self, sent_ns: int, message: Message, names: tuple[str, ...], position: Floats) -> list[FrameReport]:
-        """Hand over one message of one of the n vehicles at ``position``, (n, 3) m; what is decided by that."""
-
-    def advance(self, until_ns: int) -> list[FrameReport]:
-        """What is decided up to a time."""
-
-    def next_ns(self) -> int | None:
-        """When something will be decided next."""
-
-    def expect(self, frames: int) -> None:
-        """About so many frames will be sent."""
-
-    def bulk(self, names: tuple[str, ...], position: Floats) -> Bulk | None:
-        """For many frames at once of vehicles at ``position``, (n, 3) m; None if that is not possible."""
+_BULK = 512  # frames in a batch without reports
+_LONG_AFTER_NS = 10**15  # after the last sending: all frames are decided
+_ADVANCE_EVERY = 64  # frames between two advances of the channel
 
 
 class Broadcasts(msgspec.Struct, frozen=True, kw_only=True):
-    """Who broadcasts, where, and how often. The radios are called v0, v1, ..."""
+    """Positions, rate and size of the broadcasts; the radios are v0, v1, ..."""
 
     position: Floats  # (n, 3) m, world: of the antennas
     rate_hz: float
@@ -76,7 +55,7 @@ class Broadcasts(msgspec.Struct, frozen=True, kw_only=True):
         return int(len(self.position) * self.rate_hz * self.duration_s)
 
     def phases_ns(self) -> list[int]:
-        """When each radio sends its first frame: uniform in the period."""
+        """Time of the first frame of each radio, uniform in the period."""
         period_ns = float(Ticks.rate(self.rate_hz).period)
         return [int(period_ns * stream(self.seed, f"radio/{name}/phase").random()) for name in self.names]
 
@@ -93,16 +72,14 @@ class Broadcasts(msgspec.Struct, frozen=True, kw_only=True):
                     yield begin_ns + phases[row], row
 
 
-def run(
-    channel: TrialChannel, plan: Broadcasts, *, sink: Sink | None = None, progress: Progress | None = None
-) -> dict[str, Any]:
-    """Send everything and count what becomes of it.
+def run(channel: Channel, plan: Broadcasts, *, sink: Sink | None = None, progress: Progress | None = None) -> dict[str, Any]:
+    """Run a trial and count the outcomes.
 
     Args:
-        channel: it is started with the plan's seed.
-        plan: what is sent.
-        sink: is given every report, in the order in which frames are decided.
-        progress: called with (now, end) in ns now and then.
+        channel: started with the plan's seed.
+        plan: the broadcasts.
+        sink: takes every report, in the order of decisions.
+        progress: called with (now, end) in ns.
 
     Returns:
         `FrameTally.summary`, and ``cpu_s``: CPU time of the trial, without ``sink`` and without compilation.
@@ -111,7 +88,7 @@ def run(
         return _run(channel, plan, sink, progress)
 
 
-def _run(channel: TrialChannel, plan: Broadcasts, sink: Sink | None, progress: Progress | None) -> dict[str, Any]:
+def _run(channel: Channel, plan: Broadcasts, sink: Sink | None, progress: Progress | None) -> dict[str, Any]:
     names = plan.names
     messages = [Message(sender=name, body={}, size_bytes=plan.size_bytes) for name in names]
     _warm_up(channel, plan, messages[0])
@@ -146,13 +123,13 @@ def _run(channel: TrialChannel, plan: Broadcasts, sink: Sink | None, progress: P
 
 
 def _run_bulk(bulk: Bulk, plan: Broadcasts, tally: FrameTally, progress: Progress | None) -> None:
-    """The same, many frames at once."""
+    """Run a trial in batches, without reports."""
     sent_ns: Ints = np.zeros(0, np.int64)
     others = len(plan.position) - 1
 
     def note(until_ns: int) -> None:
         done = bulk.advance(until_ns)
-        tally.add_many(done.end_ns - sent_ns[done.number], done.received, others * len(done.number), done.losses)
+        tally.add_many(done.end_ns - sent_ns[done.number], done.receptions, others * len(done.number), done.losses)
         if progress is not None:
             progress(min(until_ns, plan.end_ns), plan.end_ns)
 
@@ -165,8 +142,8 @@ def _run_bulk(bulk: Bulk, plan: Broadcasts, tally: FrameTally, progress: Progres
     note(plan.end_ns + _LONG_AFTER_NS)
 
 
-def _warm_up(channel: TrialChannel, plan: Broadcasts, message: Message) -> None:
-    """Send one frame, of which nothing is left."""
+def _warm_up(channel: Channel, plan: Broadcasts, message: Message) -> None:
+    """Send one frame, so that compilation and tables are not part of ``cpu_s``."""
     channel.start(plan.seed)
     channel.expect(plan.frames)
     channel.send(0, message, plan.names, plan.position)

@@ -1,4 +1,4 @@
-"""The seams of the channel: what each layer is given, and the questions it answers.
+"""Protocols of the layers of the channel: methods, arguments, answers.
 
 ==========================  ==================================  ================================================================
 layer                       verb                                question
@@ -24,16 +24,16 @@ delivery                    ``open(count)``,                    when does what w
                             received_ns, size_bytes, draw)``
 ==========================  ==================================  ================================================================
 
-A jammer is given ``loss_db(at, rx)``, the mean loss from a point (3,) to receivers (n, 3), (n,) dB, and ``where(name)``, the
-place of a vehicle. ``loss``, ``script``, ``trace`` and ``delivery`` have a ``cause`` too: what recordings say of what they
-lose. A trace says in ``columns`` which of ``snr_db``, ``rssi_dbm``, ``loss`` and ``delay_s`` it has. A trace or jammer that
-has vehicles' names tells them by ``names()``, a script by ``unmatched(vehicles)`` its key expressions that match no link.
+A jammer gets ``loss_db(at, rx)``, the mean loss from a point (3,) to receivers (n, 3), (n,) dB, and ``where(name)``, the
+position of a vehicle. ``loss``, ``script``, ``trace`` and ``delivery`` have a ``cause``: the outcome in recordings of frames
+that they lose. ``columns`` of a trace names its quantities: ``snr_db``, ``rssi_dbm``, ``loss``, ``delay_s``. ``names()`` of a
+trace or jammer returns the vehicles that it names, ``unmatched(vehicles)`` of a script its key expressions that match no link.
 
-A layer is any object with the verb: no base class. It answers for all receivers at once, each receiver's answer depends on
-that receiver alone, and the same arguments give the same answer: a layer that needs chance takes it from ``draw``, or from
-the keys of the links. One whose attribute ``nothing`` is true, as that of a loss of probability 0, is not asked at all. A loss
-or a delay that goes by its draws alone may have a method ``lost_by(draws)`` or ``delay_ns_by(draws)`` too: it is asked that
-instead, of many frames at once, draws (..., n, 2).
+A layer is any object with the method: no base class. It answers for all receivers at once; each answer depends on that
+receiver alone, and equal arguments give equal answers: random numbers come from ``draw``, or from the keys of the links. A
+layer with a true attribute ``nothing``, such as a loss of probability 0, is skipped. A loss or delay that depends on its draws
+alone may have a method ``lost_by(draws)`` or ``delay_ns_by(draws)``, called instead for many frames at once, draws
+(..., n, 2).
 """
 
 from collections.abc import Callable
@@ -57,11 +57,11 @@ US = 1_000  # ns
 T = TypeVar("T", bound=np.generic)
 
 Draw = Callable[[], Floats]
-"""Two independent uniforms in [0, 1) per receiver, shape (n, 2): this layer's own for this frame, equal at every call."""
+"""Two independent uniforms in [0, 1) for each receiver, (n, 2), of this layer and frame; equal at every call."""
 
 
 def sealed(fresh: NDArray[T]) -> NDArray[T]:
-    """An array that nobody else has, read-only from now on: `cosim.types.frozen` without the copy."""
+    """Make a new array read-only: `cosim.types.frozen` without the copy."""
     fresh.setflags(write=False)
     return fresh
 
@@ -94,7 +94,7 @@ def distance_of(paths: Paths | ArrayLike) -> Floats:
 
 
 class SenderLinks:
-    """The links from one radio to n others: names, and what makes their randomness their own."""
+    """The links from one radio to n others, with their random keys."""
 
     def __init__(self, seed: int, sender: str, receivers: tuple[str, ...]) -> None:
         self.seed, self.sender, self.receivers = seed, sender, receivers
@@ -116,9 +116,9 @@ class SenderLinks:
 class Frame(msgspec.Struct, frozen=True):
     """One frame as it reaches n receivers."""
 
-    sent_ns: int  # handed to the radio
-    start_ns: int  # begins on the air
-    end_ns: int  # ends on the air
+    sent_ns: int  # time of sending, before the queue
+    start_ns: int  # on the air
+    end_ns: int  # on the air
     size_bytes: int  # payload
     paths: Paths
     rssi_dbm: Floats  # (n,) received level: the mean for layers before fading, of this frame for those behind it
@@ -126,12 +126,12 @@ class Frame(msgspec.Struct, frozen=True):
 
     @property
     def sender(self) -> str:
-        """Who sends it."""
+        """The vehicle that sends it."""
         return self.links.sender
 
     @property
     def receivers(self) -> tuple[str, ...]:
-        """The n radios that may hear it."""
+        """The n other radios."""
         return self.links.receivers
 
     @property
@@ -154,10 +154,10 @@ def unless_nothing(layer: L | None) -> L | None:
 
 
 class PathLoss(Protocol):
-    """What distance, or whatever lies between, takes from a signal.
+    """Attenuation by distance or obstacles.
 
-    One whose attribute ``by_distance`` is true goes by nothing but ``paths.distance_m``, and may be given such distances,
-    of any shape, in place of the paths.
+    With a true attribute ``by_distance`` it depends on ``paths.distance_m`` alone, and accepts distances of any shape instead
+    of the paths.
     """
 
     def loss_db(self, paths: Paths) -> Floats:
@@ -165,7 +165,7 @@ class PathLoss(Protocol):
 
 
 class Fading(Protocol):
-    """What is between the mean level and the level of one frame."""
+    """Difference between the level of one frame and the mean level."""
 
     def gain_db(self, frame: Frame, draw: Draw) -> Floats:
         """Power gain at each receiver, (n,) dB, to be added to the level: finite, and 1 on average as a ratio."""
@@ -174,8 +174,8 @@ class Fading(Protocol):
 class Phy(Protocol):
     """A radio standard at one bit rate.
 
-    It may also say ``noise_dbm`` (default: thermal noise in 20 MHz and 7 dB), ``errors`` (a `netsim.phy.error_rate.ErrorRate`;
-    default: none) and ``preamble_snr_db``, below which a frame is not noticed (default: any SNR will do).
+    Optional attributes: ``noise_dbm`` (default: thermal noise in 20 MHz and 7 dB), ``errors`` (a
+    `netsim.phy.error_rate.ErrorRate`; default: none) and ``preamble_snr_db``, the detection threshold (default: none).
     """
 
     @property
@@ -191,18 +191,18 @@ class Phy(Protocol):
 
 
 class Loss(Protocol):
-    """What is lost although the radio has received it."""
+    """Losses of received frames."""
 
     @property
     def cause(self) -> str:
-        """What the recording says of such a frame."""
+        """Outcome of such frames in recordings."""
 
     def lost(self, frame: Frame, draw: Draw) -> Bools:
         """Which receivers lose the frame, (n,)."""
 
 
 class Delay(Protocol):
-    """What makes a frame late beyond its time on the air."""
+    """Delay beyond the time on the air."""
 
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
-        """Earliest reception, counted from the sending, (n,) ns; before the frame's end it means: at its end."""
+        """Earliest reception after sending, (n,) ns; no frame arrives before its end."""

@@ -1,7 +1,7 @@
-"""The random numbers of one transmitter's links, made in blocks.
+"""Random numbers of one transmitter's links, drawn in blocks.
 
-Each number is a pure function of seed, link, frame and layer (`cosim.rng.link_uniform`). The generator costs some hundred NumPy
-calls however little is asked of it, so a block of frames is drawn at once; blocks change no number.
+Each number is a pure function of seed, link, frame and layer (`cosim.rng.link_uniform`). One call of the generator costs some
+hundred NumPy calls, so it draws a block of frames at once; the size of blocks changes no number.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ BURST_SLOT = 17  # bursts: what changes a link, and when
 BACKOFF_SLOT = 18  # of a radio: its backoffs
 
 Make = Callable[[Floats], NDArray[Any]]
-"""Of draws (..., n, 2) something that depends on them alone, (..., n)."""
+"""Function of draws (..., n, 2) alone, (..., n)."""
 
 _BLOCK_LINKS = 4096  # links x frames in a block: 64 KiB, where the cost per number has become flat
 _BLOCK_FRAMES = 256  # at most, so that short runs do not pay for what they never use
@@ -43,7 +43,7 @@ class LinkDraws:
         self._links = links
         self._frames = max(1, min(_BLOCK_FRAMES, _BLOCK_LINKS // max(1, len(links.receivers))))
         self._blocks: dict[int, tuple[int, Floats]] = {}  # slot: number of the block, its draws (frames, n, 2)
-        self._made: dict[int, tuple[int, Make, NDArray[Any]]] = {}  # slot: number of the block, what was made of it by whom
+        self._made: dict[int, tuple[int, Make, NDArray[Any]]] = {}  # slot: number of the block, function, its result
 
     def uniform(self, frame: int, slot: int) -> Floats:
         """Two uniforms in [0, 1) for each receiver, (n, 2), of the sender's own frame number ``frame``."""
@@ -56,13 +56,13 @@ class LinkDraws:
         return self.made(frame, slot, _exponential)
 
     def made(self, frame: int, slot: int, make: Make) -> NDArray[Any]:
-        """What ``make`` makes of the draws of a frame, (n,): of those of a whole block at once, (frames, n, 2)."""
+        """Result of ``make`` for the draws of a frame, (n,), computed for a whole block at once, (frames, n, 2)."""
         number, index = divmod(frame, self._frames)
         cached = self._made.get(slot)
         if cached is None or cached[0] != number or cached[1] != make:
             cached = self._made[slot] = (number, make, make(self._block(number, slot)))
-        made: NDArray[Any] = cached[2][index]
-        return made
+        row: NDArray[Any] = cached[2][index]
+        return row
 
     def _block(self, number: int, slot: int) -> Floats:
         cached = self._blocks.get(slot)

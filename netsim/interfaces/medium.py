@@ -1,9 +1,8 @@
-"""The seam to contention: radios that share the air, simulated event by event.
+"""Protocol of contended media, simulated event by event.
 
-A frame is offered to its sender's queue, waits there, contends for the air, is sent (a unicast one perhaps several times), and
-is then decided: which radios received it, and what kept it from the others. Frames are offered at times that never decrease;
-`Medium.advance` works off what happens up to a time, that time included, in order: what happens of itself before what is
-offered at the same nanosecond. So it makes no difference in how many steps a medium is advanced.
+A frame is offered to its sender's queue, waits there, contends, is sent (a unicast one perhaps several times) and is then
+decided: its `Fate` at every radio. Frames are offered at times that never decrease. `Medium.advance` processes all events up to a time,
+inclusive, in order; events of the medium precede offers of the same nanosecond. So the number of steps has no effect.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,89 +25,89 @@ Answer = Callable[[int], float]
 
 
 class Fate(IntEnum):
-    """What became of a frame at one radio."""
+    """Outcome of a frame on the medium at one radio."""
 
     RECEIVED = 0
-    UNDETECTED = 1  # too weak to be noticed, whatever else is on the air
-    TRANSMITTING = 2  # the receiver was sending itself
-    COLLISION = 3  # it would have been received, had nothing else been on the air
-    ERROR = 4  # noise alone would have been enough to spoil it
+    UNDETECTED = 1  # too weak even without interference
+    TRANSMITTING = 2  # the receiver was sending
+    COLLISION = 3  # received without interference
+    ERROR = 4  # lost by noise alone
     QUEUE_FULL = 5  # never sent
     EXPIRED = 6  # never sent: waited longer than its lifetime
-    BUSY_CHANNEL = 7  # never sent: the air was never found free
+    BUSY_CHANNEL = 7  # never sent: the medium was always busy
 
 
 class Offered(msgspec.Struct, frozen=True):
     """One frame, handed to its sender's queue."""
 
     number: int  # names the frame in `Decided`
-    time_ns: int  # when it is handed over
-    sender: int  # row of the radio that sends it
-    to: int  # row of the radio it is meant for; -1: broadcast
+    time_ns: int  # of the offer
+    sender: int  # row of the radio
+    to: int  # row of the destination; -1: broadcast
     size_bytes: int  # payload
-    priority: int  # a frame of a higher one overtakes those that wait
-    power_mw: Floats | None  # (n,) its level at every radio, when nothing fades from attempt to attempt; else None
+    priority: int  # a frame overtakes waiting frames of lower priority
+    power_mw: Floats | None  # (n,) its level at every radio; None: changes from attempt to attempt
     patience: Floats | None  # (n,) exponential variates -log(1 - u): the frame survives while its hazard is less than this
-    renew: Renew  # gives both for an attempt, where they are None or it is a retry
-    answer: Answer | None = None  # of an attempt that was renewed; None: the acknowledgement fades as the frame does
+    renew: Renew  # gives both for a retry, or if they are None
+    answer: Answer | None = None  # fading of the acknowledgement; None: it fades as the frame does
 
 
 class Decided(msgspec.Struct, frozen=True):
-    """What became of a frame.
+    """Decision of a frame.
 
-    A unicast frame is decided when it is received, even if its sender does not hear the acknowledgement and tries again; or
-    when it is given up.
+    A unicast frame is decided at its first reception, even if the acknowledgement is lost and the sender retries, or when it is
+    given up.
     """
 
     number: int
-    start_ns: int  # began on the air (its last attempt); -1: never
-    end_ns: int  # was decided: end of that attempt, or when it was given up
+    start_ns: int  # of the last attempt; -1: never sent
+    end_ns: int  # of that attempt, or the time at which it was given up
     attempts: int
-    fate: Codes  # (n,) `Fate`; of a unicast frame at the row it is meant for
-    least_sinr: Floats  # (n,) ratio of powers, the least while it was on the air (its last attempt)
+    fate: Codes  # (n,) `Fate`; of a unicast frame valid at its destination
+    least_sinr: Floats  # (n,) minimum ratio of powers during the last attempt
 
 
 @runtime_checkable
 class Levelled(Protocol):
-    """A medium that lets levels be set which no frame tells."""
+    """A medium with settable levels of acknowledgements and sensitivities."""
 
     @property
     def levels(self) -> Floats:
-        """Of acknowledgements, (n, n) mW: how strong each radio (row) is at each other (column)."""
+        """Levels of acknowledgements, (n, n) mW: sender by row, receiver by column."""
 
     @property
     def sensitivity_mw(self) -> Floats:
-        """The weakest level that each radio notices, (n,)."""
+        """The weakest level that each radio detects, (n,)."""
 
 
 @runtime_checkable
 class Powered(Protocol):
-    """A medium whose radios answer at the level of what they received, each with a power of its own."""
+    """A medium that scales levels of acknowledgements by the power of each radio."""
 
     @property
     def power_mw(self) -> Floats:
-        """Transmitted by each radio, (n,) mW; only their ratios count."""
+        """Transmitted power of each radio, (n,) mW; only the ratios count."""
 
 
 @runtime_checkable
 class Hastened(Protocol):
-    """A medium that is quicker once it has been made ready for many frames."""
+    """A medium that can load compiled code during a run."""
 
     def foresee(self, frames: int) -> None:
-        """So many more frames will be offered, as it looks: what pays, and is at hand, is made ready. Changes no result."""
+        """Hint of the number of further frames: loads compiled code if that pays. Changes no result."""
 
 
 class Medium(Protocol):
-    """The air that n radios share."""
+    """The shared medium of n radios."""
 
     def expect(self, frames: int) -> None:
-        """About so many frames will be offered: what pays for many only is made ready now, or never. Changes no result."""
+        """Hint of the expected number of frames; decides now whether to compile. Changes no result."""
 
     def offer(self, frame: Offered) -> None:
         """Hand over a frame; nothing happens yet."""
 
     def advance(self, until_ns: int) -> Sequence[Decided]:
-        """Everything that is decided up to ``until_ns``, in the order of its time."""
+        """All decisions up to ``until_ns``, in order of time."""
 
     def next_ns(self) -> int | None:
-        """When a frame will be decided next, as long as no other is offered; None: no frame is in a queue or on the air."""
+        """Earliest time of the next decision if no other frame is offered; None: no frame is in a queue or on the air."""

@@ -1,4 +1,4 @@
-"""Medium access: who may send when."""
+"""Protocol of medium access, and ideal access without contention."""
 
 import math
 from dataclasses import dataclass
@@ -12,18 +12,18 @@ class Mac(Protocol):
     """A rule of medium access."""
 
     def open(self, phy: Phy, count: int, keys: Keys, noise_mw: float) -> Medium | None:
-        """The air for ``count`` radios whose random keys are (count,); None: nobody waits for anybody else."""
+        """The medium of ``count`` radios with random keys (count,); None: no contention."""
 
 
 class Needs(NamedTuple):
-    """What a frame needs to be noticed."""
+    """Detection thresholds of a frame."""
 
     sensitivity_dbm: float
     preamble_snr_db: float
 
 
 def needs(mac: Mac, phy: Phy) -> Needs:
-    """What radios of this phy and mac need; a mac with ``needs_snr_db`` goes by the SINR alone, not by the sensitivity."""
+    """Detection thresholds of this phy and mac; a mac with ``needs_snr_db`` uses the SINR alone, not the sensitivity."""
     own: float | None = getattr(mac, "needs_snr_db", None)
     if own is not None:
         return Needs(-math.inf, own)
@@ -32,11 +32,11 @@ def needs(mac: Mac, phy: Phy) -> Needs:
 
 @dataclass(frozen=True)
 class Ideal:
-    """Every radio has the air for itself: its frames wait for its own earlier ones, and for nothing else.
+    """No contention: frames wait for earlier frames of the same radio only.
 
-    No contention, no collisions, no interframe spaces; a radio hears while it sends. The queue has no end.
+    No collisions, no interframe spaces; radios receive while they send. The queue is unbounded.
     """
 
     def open(self, phy: Phy, count: int, keys: Keys, noise_mw: float) -> Medium | None:
-        """None: there is nothing to share."""
+        """None: no contention."""
         return None

@@ -168,7 +168,7 @@ def test_what_compiled_code_pays_for_is_seen_from_how_soon_the_first_frames_come
     fates: list[list[tuple[str, ...]]] = []
     code_is_had(monkeypatch, lambda: loaded_at.append(len(fates[-1])))
     monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.is_cached", lambda *_: True)
-    monkeypatch.setattr("vcmvsp.netsim.federate.TELLING", 5)
+    monkeypatch.setattr("vcmvsp.netsim.federate.FORECAST_AT", 5)
     for duration_s in (seconds, 1):
         radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3}))
         radio.start(msgspec.structs.replace(RUN, duration_ns=duration_s * SECOND_NS))

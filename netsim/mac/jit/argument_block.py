@@ -1,6 +1,6 @@
-"""Named arrays and numbers that compiled code takes as one pointer.
+"""Named arrays and numbers as one pointer for compiled code.
 
-A block is a row of 8-byte words, for every field of a named tuple its value, or, of an array, where its data are and its shape.
+A block is a row of 8-byte words: for each field of a named tuple its value, or address and shape of an array.
 """
 
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 WORD = 8  # bytes
 
 Layout = tuple[tuple[str, str, int], ...]
-"""Of the fields of a block: name, NumPy's word for the type of its numbers, and its dimensions; 0: a single number."""
+"""For each field of a block: name, NumPy type string, number of dimensions; 0: a single number."""
 
 
 class Block:

@@ -1,9 +1,8 @@
-"""Functions compiled to machine code, where numba is installed; else as they are.
+"""Compilation of functions to machine code, if numba is installed, with a cache on disk.
 
-The functions are written in the part of NumPy that numba compiles, and do the same operations in the same order either way:
-what they compute is the same to the last bit. `VCMVSP_COMPILED=0` in the environment turns compilation off.
-
-Compiled code is kept in the user's cache folder, under a digest of all that it depends on: after a change it is compiled anew.
+The functions use the part of NumPy that numba compiles, with the same operations in the same order either way: results are
+equal to the last bit. `VCMVSP_COMPILED=0` in the environment turns compilation off. The cache is in the user's cache folder;
+file names are digests of everything that the code depends on.
 """
 
 import contextlib
@@ -22,7 +21,7 @@ from typing import Any
 from vcmvsp.netsim.mac.jit.argument_block import Block, Layout
 
 _MAKERS = tuple(str(Path(__file__).with_name(name)) for name in ("compiler.py", "loader.py"))
-_DIGEST_BYTES = 16  # in front of kept code: that of the code
+_DIGEST_BYTES = 16  # of the code, at the beginning of a cache file
 _functions: dict[tuple[tuple[str, ...], str, Layout, Layout], Callable[[int, int, int], int]] = {}  # that are loaded
 
 
@@ -32,13 +31,13 @@ def available() -> bool:
 
 
 class Compiled:
-    """A function of two named tuples of arrays and numbers, and of a number, compiled with all that it calls.
+    """A compiled function of two named tuples of arrays and numbers, and of a number.
 
     Args:
-        names: modules whose functions call each other, each those of modules before it; no others. A function ``f`` is compiled
-            from ``f_loop`` where its module has that too. They allocate no arrays.
-        entry: name of the function, in the last of them.
-        first, second: what it will be called with, or others of the same fields.
+        names: modules of the functions, which call only functions of earlier ones. ``f_loop`` is compiled instead of ``f`` if
+            the module has both. They allocate no arrays.
+        entry: name of the function, in the last module.
+        first, second: arguments, or others with the same fields.
     """
 
     def __init__(self, names: tuple[str, ...], entry: str, first: Any, second: Any) -> None:
@@ -46,7 +45,7 @@ class Compiled:
         self._function = _shared(names, entry, self._first.layout, self._second.layout)
 
     def __call__(self, first: Any, second: Any, number: int) -> int:
-        """Call it. Of tuples that are those of the call before nothing is copied."""
+        """Call the function; tuples of the previous call are not converted again."""
         if first is not self._first.fields:
             self._first = Block(first)
         if second is not self._second.fields:
@@ -55,12 +54,12 @@ class Compiled:
 
 
 def is_cached(names: tuple[str, ...], entry: str, first: Any, second: Any) -> bool:
-    """Whether the function that `Compiled` gives for these arguments is in the cache folder: it loads in no time."""
+    """Whether the function of `Compiled` for these arguments is in the cache folder."""
     return _read_code(_path(names, entry, Block(first).layout, Block(second).layout)) is not None
 
 
 def is_loaded(names: tuple[str, ...], entry: str, first: Any, second: Any) -> bool:
-    """Whether this process has already loaded the function that `Compiled` gives for these arguments."""
+    """Whether this process has loaded the function of `Compiled` for these arguments."""
     return (names, entry, Block(first).layout, Block(second).layout) in _functions
 
 
@@ -85,12 +84,12 @@ def _function(names: tuple[str, ...], entry: str, first: Layout, second: Layout)
 
 @cache
 def looped(names: tuple[str, ...], entry: str) -> Callable[..., int]:
-    """The function of the same loops that `Compiled` compiles, as they are: for arrays of a few numbers quicker than NumPy."""
+    """The loops of `Compiled` in plain Python, faster than NumPy for arrays of a few numbers."""
     return _linked([_copy_of(name, "looped") for name in names], entry, lambda source: source)
 
 
 def _linked(modules: list[ModuleType], entry: str, make: Callable[[FunctionType], Any]) -> Callable[..., int]:
-    """The function, where all functions of the modules call what is made of their loops."""
+    """The entry function after replacing all functions of the modules by ``make`` of their loops."""
     done: dict[str, object] = {}
     for module in modules:
         for name, value in list(vars(module).items()):
@@ -103,7 +102,7 @@ def _linked(modules: list[ModuleType], entry: str, make: Callable[[FunctionType]
 
 
 def _copy_of(name: str, purpose: str) -> ModuleType:
-    """Another copy of a module, under a name of its own."""
+    """A second instance of a module, under another name."""
     original = importlib.import_module(name)
     spec = importlib.util.spec_from_file_location(f"{name}__{purpose}", str(original.__file__))
     if spec is None or spec.loader is None:
@@ -118,7 +117,7 @@ def _copy_of(name: str, purpose: str) -> ModuleType:
 
 
 def _path(names: tuple[str, ...], entry: str, first: Layout, second: Layout) -> Path:
-    """Its file, named by a digest of the sources, the numbers that they import, compiler and computer."""
+    """Cache file, named by a digest of sources, imported numbers, compiler and processor."""
     digest = hashlib.blake2b(digest_size=16)
     modules = [importlib.import_module(name) for name in names]
     for module in modules:
@@ -132,7 +131,7 @@ def _path(names: tuple[str, ...], entry: str, first: Layout, second: Layout) -> 
 
 
 def _read_code(path: Path) -> bytes | None:
-    """The code in a file; None if there is none, or not all of it."""
+    """The code in a file; None if it is missing or damaged."""
     try:
         content = path.read_bytes()
     except OSError:
@@ -142,7 +141,7 @@ def _read_code(path: Path) -> bytes | None:
 
 
 def _write_code(path: Path, code: bytes) -> None:
-    """Write code to a file, if possible; other processes see all of it or nothing."""
+    """Write a file atomically, if possible."""
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:

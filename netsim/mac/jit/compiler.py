@@ -1,8 +1,7 @@
-"""Machine code is made, by numba.
+"""Compilation by numba.
 
-Numba passes a named tuple of arrays field by field: every call of every function moves hundreds of words, and the compiler
-has to see through all of them. Here a `netsim.mac.jit.argument_block.Block` is a type of numba's, one pointer: ``block.field``
-in compiled code reads the words behind it.
+Numba passes a named tuple of arrays field by field: every call moves hundreds of words. Here a
+`netsim.mac.jit.argument_block.Block` is a type of numba, one pointer: ``block.field`` in compiled code reads its words.
 """
 
 # numba is only partly typed.
@@ -24,7 +23,7 @@ from numba.np.arrayobj import make_array, populate_array
 from vcmvsp.netsim.mac.jit.argument_block import WORD, Layout
 from vcmvsp.netsim.mac.jit.loader import ENTRY, host
 
-# Nothing is allocated, and Python calls none of it, so that the code needs nothing that numba has at hand.
+# The code allocates nothing and is not called by Python, so it needs no runtime of numba.
 OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "_nrt": False,
@@ -34,12 +33,12 @@ OPTIONS: dict[str, Any] = {
 
 
 def compiled(source: Callable[..., Any]) -> Any:
-    """A function that others call which are compiled."""
+    """A function for calls from compiled functions."""
     return numba.njit(**OPTIONS)(source)
 
 
 def machine_code(function: Any, first: Layout, second: Layout) -> bytes:
-    """A function that is `compiled`, of two blocks and an integer that gives an integer, for this computer, as `ENTRY`."""
+    """Machine code of a `compiled` function (block, block, integer) -> integer for this processor, as `ENTRY`."""
     function.compile((BlockType(first), BlockType(second), types.int64))
     (signature,) = function.signatures
     text = function.inspect_llvm(signature).replace(function.overloads[signature].fndesc.llvm_func_name, ENTRY)
@@ -98,4 +97,4 @@ def _field(context: Any, builder: Any, kind: BlockType, block: Any, name: str) -
     array = make_array(field)(context, builder)
     data = word(0, context.get_data_type(field.dtype).as_pointer())
     populate_array(array, data=data, shape=shape, strides=strides, itemsize=item, meminfo=None)
-    return array._getvalue()  # noqa: SLF001 -- so it is meant
+    return array._getvalue()  # noqa: SLF001 -- the interface of numba

@@ -1,4 +1,4 @@
-"""Machine code is loaded, without the compiler that made it, which takes many times as long to load itself."""
+"""Loads machine code with llvmlite alone: importing numba takes many times longer."""
 
 import ctypes
 from typing import Any

@@ -59,7 +59,6 @@ def _one_by_one(channel: Channel, now_ns: int, messages: list[Message], places: 
         ({"mac": {"kind": "dcf"}}, None),  # they share the air
         ({"fading": {"kind": "rayleigh"}}, None),  # each frame has a level of its own
         ({"shadowing": {"sigma_db": 4.0}}, None),  # distance is not all
-        ({}, "car1"),
     ],
 )
 def test_what_has_to_be_sent_one_by_one_is_refused_and_leaves_no_trace(tables: dict[str, Any], to: str | None) -> None:

@@ -89,5 +89,7 @@ def test_one_that_tells_is_asked_when_it_wants() -> None:
 
 @pytest.mark.parametrize(("size_bytes", "period_ns"), [(-1, MS), (10, 0), (10, -MS)])
 def test_an_update_of_the_past_or_of_less_than_nothing_is_an_error(size_bytes: int, period_ns: int) -> None:
-    with pytest.raises(FederateError, match=rf"^routing Chatty: returned an update of {size_bytes} bytes at 5000000 ns, the next at"):
+    with pytest.raises(
+        FederateError, match=rf"^routing Chatty: returned an update of {size_bytes} bytes at 5000000 ns, the next at"
+    ):
         run(Chatty(size_bytes, period_ns), line(2))

@@ -100,8 +100,8 @@ class BridgeRun:
             log=self.log,
             connect=connect,
         )
-        self._went = self.bridge._late.went
-        self.bridge._late.went = self._on_went  # type: ignore[method-assign]
+        self._delivered = self.bridge._late.delivered
+        self.bridge._late.delivered = self._on_delivered  # type: ignore[method-assign]
         info = RunInfo(scenario="test", seed=1, duration_ns=round(seconds * SECOND_NS), vehicles=vehicles, paced=True)
         self.kernel = Kernel(info, [Standing(), air, self.bridge, *agents], clock=clock)
 
@@ -148,8 +148,8 @@ class BridgeRun:
         else:
             self.events.append(event)
 
-    def _on_went(self, row: Array, at_ns: Array) -> None:
-        self._went(row, at_ns)
+    def _on_delivered(self, row: Array, at_ns: Array) -> None:
+        self._delivered(row, at_ns)
         self.left += len(row)
 
     def port(self, vehicle: int, offset: int) -> tuple[str, int]:

@@ -323,7 +323,7 @@ def test_an_interface_of_somebody_else_is_not_touched() -> None:
         theirs = interfaces.port_of(RUN, "car1", (), ()).interface
         _sh(f"ip link add {theirs} type veth peer name r{os.getpid()}")
         try:
-            with pytest.raises(GatewayError, match=f"there is a network interface {theirs}, .*: ip link delete {theirs}"):
+            with pytest.raises(GatewayError, match=f"a network interface {theirs} exists already; .*: ip link delete {theirs}"):
                 async with opened(Ip(routes={"car1": ("192.168.213.0/24",)}), TestHall(CARS, run=RUN)):
                     pass
             assert theirs in _sh("ip link")
