@@ -1,8 +1,7 @@
-"""Coverage: how strong one radio's signal is at many places, and how many of its frames would arrive there.
+"""Coverage: mean level and success probability of one radio's frames at many positions.
 
-A receiver is thought to stand at each place. The mean level is the channel's own (path loss, walls, and the shadowing that
-this seed has there); the chance of success is averaged over the fading. Nobody else sends: contention, jammers, scripts,
-traces, and the losses and delays behind the radio have no part in it.
+The mean level is that of the channel (path loss, walls, and the shadowing of this seed); the success probability is averaged
+over the fading. Contention, jammers, scripts, traces, losses and delays are left out.
 """
 
 import dataclasses
@@ -23,22 +22,22 @@ _FARTHEST_M = 1e4  # nothing is looked for beyond
 
 
 class Coverage(msgspec.Struct, frozen=True):
-    """What n places hear of one transmitter."""
+    """Reception from one transmitter at n positions."""
 
     level_dbm: Floats  # (n,) mean over the fading
-    success: Floats  # (n,) chance that a frame arrives
+    success: Floats  # (n,) probability that a frame arrives
 
 
 def coverage(
     channel: Channel, sender: str, position: Floats, antennas: Floats, *, size_bytes: int = 100, seed: int = 0
 ) -> Coverage:
-    """How the frames of one vehicle arrive at receivers that stand at many places, with no other vehicle in the way.
+    """Coverage of one vehicle without other vehicles in the way.
 
     Args:
-        channel: as a run has it.
-        sender: the vehicle, whose own radio counts.
-        position: where it is, (3,) m, world; its antenna is above it.
-        antennas: where those of the receivers are, (n, 3) m, world; they have no gain, and the phy's sensitivity.
+        channel: of a run.
+        sender: the vehicle, with its own radio.
+        position: of the vehicle, (3,) m, world.
+        antennas: of the receivers, (n, 3) m, world, without gain and with the phy's sensitivity.
         size_bytes: payload of a frame.
         seed: of the run.
     """
@@ -52,7 +51,7 @@ def coverage(
 
 
 def among(channel: Channel, sender: str, places: Mapping[str, Vec3], *, size_bytes: int = 100, seed: int = 0) -> Coverage:
-    """The same at the other vehicles, in the order of ``places`` (m, world): each with a radio of its own."""
+    """Coverage of one vehicle at the other vehicles, with their own radios, in the order of ``places`` (m, world)."""
     names = tuple(places)
     links = SenderLinks(seed, sender, tuple(name for name in names if name != sender))
     mean = _mean(channel, links, names, np.array(list(places.values()), np.float64), bodies=True)
@@ -60,23 +59,23 @@ def among(channel: Channel, sender: str, places: Mapping[str, Vec3], *, size_byt
 
 
 def floor_dbm(channel: Channel) -> float:
-    """The weakest level that is noticed where nobody else sends: the phy's sensitivity, or what the preamble needs."""
+    """Detection threshold without interference: the phy's sensitivity or the preamble threshold."""
     return max(channel.budgets.least_dbm, channel.hearing.noise_dbm + channel.hearing.preamble_db)
 
 
 def range_m(channel: Channel, sender: str, height_m: float) -> float | None:
-    """How far the sender is noticed by path loss alone, within 1.2 %; None: farther than 10 km."""
+    """Detection range by path loss alone, within 1.2 %; None: more than 10 km."""
     distance = np.geomspace(0.1, _FARTHEST_M, 1000)
     antennas = np.stack([distance, 0.0 * distance, 0.0 * distance + height_m], axis=-1)
     mean, _ = _mean_at(channel, sender, np.zeros(3), antennas, 0)
-    heard = np.flatnonzero(mean.power_dbm - mean.path_loss_db >= floor_dbm(channel))
-    if heard.size and heard[-1] == len(distance) - 1:
+    detected = np.flatnonzero(mean.power_dbm - mean.path_loss_db >= floor_dbm(channel))
+    if detected.size and detected[-1] == len(distance) - 1:
         return None
-    return float(distance[heard[-1]]) if heard.size else 0.0
+    return float(distance[detected[-1]]) if detected.size else 0.0
 
 
 def _mean_at(channel: Channel, sender: str, position: Floats, antennas: Floats, seed: int) -> tuple[MeanBudget, SenderLinks]:
-    """Mean budgets at any places: to the channel, receivers are vehicles that have no radio of their own."""
+    """Mean budgets at any positions: the receivers are vehicles without their own radio."""
     links = SenderLinks(
         seed, sender, tuple(f"{sender} at {number}" for number in range(len(antennas)))
     )  # no vehicle is called so
@@ -84,21 +83,21 @@ def _mean_at(channel: Channel, sender: str, position: Floats, antennas: Floats, 
 
 
 def _mean(channel: Channel, links: SenderLinks, names: tuple[str, ...], position: Floats, *, bodies: bool) -> MeanBudget:
-    channel.budgets.start()  # nothing is left of this question, or of one before
+    channel.budgets.start()  # no cached budgets
     mean = channel.budgets.mean(links, names, position, bodies=bodies)
     channel.budgets.start()
     return mean
 
 
 def _success(channel: Channel, mean: MeanBudget, links: SenderLinks, size_bytes: int) -> Floats:
-    """Chance that a frame is noticed and survives the noise, (n,), averaged over the fading."""
+    """Probability that a frame is detected and survives the noise, (n,), averaged over the fading."""
     air_ns = channel.phy.air_time_ns(size_bytes)
     gains = _gains(channel, Frame(0, 0, air_ns, size_bytes, mean.paths, mean.level_dbm, links))
     success = np.zeros(len(mean.level_dbm))
     for gain_db in gains:
-        heard = channel.hearing.hear(mean, mean.level_dbm + gain_db, size_bytes)
-        survives = 1.0 if heard.hazard is None else np.exp(-heard.hazard)
-        success += np.where(heard.detected, survives, 0.0)
+        signal = channel.hearing.hear(mean, mean.level_dbm + gain_db, size_bytes)
+        survives = 1.0 if signal.hazard is None else np.exp(-signal.hazard)
+        success += np.where(signal.detected, survives, 0.0)
     return success / len(gains)
 
 

@@ -1,4 +1,4 @@
-"""Counts and delays of frames, reckoned as they come: however many there are, little is kept."""
+"""Running counts and delays of frames, in bounded memory."""
 
 from collections import Counter
 from typing import Any
@@ -20,7 +20,7 @@ _BINS = 64 << 12  # up to 2^64 ns
 
 
 class FrameTally:
-    """What became of frames: receptions, losses by cause, delays."""
+    """Receptions, losses by cause, and delays of frames."""
 
     def __init__(self) -> None:
         self.frames = self.receivers = self.receptions = 0

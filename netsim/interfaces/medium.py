@@ -1,8 +1,8 @@
 """Protocol of contended media, simulated event by event.
 
 A frame is offered to its sender's queue, waits there, contends, is sent (a unicast one perhaps several times) and is then
-decided: its `Fate` at every radio. Frames are offered at times that never decrease. `Medium.advance` processes all events up to a time,
-inclusive, in order; events of the medium precede offers of the same nanosecond. So the number of steps has no effect.
+decided: its `Fate` at every radio. Frames are offered at times that never decrease. `Medium.advance` processes all events up to
+a time, inclusive, in order; events of the medium precede offers of the same nanosecond. So the number of steps has no effect.
 """
 
 from collections.abc import Callable, Sequence

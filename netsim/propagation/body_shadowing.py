@@ -1,4 +1,4 @@
-"""Vehicles as obstacles: what the bodies of others take from a link that passes through them."""
+"""Attenuation by the bodies of vehicles between sender and receiver."""
 
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ class Bodies(NamedTuple):
 
 
 def through(bodies: Bodies, sender: int, antennas: Floats) -> tuple[Floats, Ints]:
-    """What the bodies of third vehicles take from the links of one sender.
+    """Attenuation of the links of one sender by the bodies of third vehicles.
 
     Args:
         bodies: one for each vehicle.
@@ -30,7 +30,7 @@ def through(bodies: Bodies, sender: int, antennas: Floats) -> tuple[Floats, Ints
         Loss in dB and number of bodies on the straight line to each other vehicle, (m - 1,) each, in the order of the rows.
     """
     crossed = _crossed(bodies, antennas[sender], antennas)
-    np.fill_diagonal(crossed, val=False)  # nobody stands in its own way
+    np.fill_diagonal(crossed, val=False)  # no vehicle blocks its own links
     crossed[:, sender] = False
     crossed = np.delete(crossed, sender, axis=0) & (bodies.loss_db > 0.0)
     return np.where(crossed, bodies.loss_db, 0.0).sum(axis=1), crossed.sum(axis=1)

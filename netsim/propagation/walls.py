@@ -1,4 +1,4 @@
-"""Walls: what the signal loses in the obstacles on its straight way."""
+"""Attenuation by walls on the straight line."""
 
 import math
 from abc import ABC, abstractmethod
@@ -27,7 +27,7 @@ _DARK_DB = 300.0  # a loss that nothing survives, finite
 
 
 class Sightline(Protocol):
-    """What stands between points, as the physics knows it: m obstacles of a material and a thickness each."""
+    """The m obstacles of the physical world, each with a material and a thickness."""
 
     @property
     def materials(self) -> tuple[str, ...]:
@@ -38,14 +38,14 @@ class Sightline(Protocol):
         """The shortest edge of each obstacle, (m,)."""
 
     def crossings(self, tx: Floats, rx: Floats) -> tuple[Bools, Floats]:
-        """Which obstacles the straight lines from ``tx`` (3,) to ``rx`` (n, 3) pass through, (n, m), and how far, (n, m) m.
+        """Obstacles on the straight lines from ``tx`` (3,) to ``rx`` (n, 3), (n, m), and the lengths inside, (n, m) m.
 
-        The same from both ends, and for each receiver whoever else is asked about.
+        Equal in both directions; each receiver's row is independent of the others.
         """
 
 
 class Through(NamedTuple):
-    """What lies on n paths."""
+    """Walls on n paths."""
 
     loss_db: Floats  # (n,)
     walls: Ints  # (n,) how many
@@ -53,7 +53,7 @@ class Through(NamedTuple):
 
 
 class _Walls(ABC):
-    """Obstacles that each take a loss of their own from what passes through them."""
+    """Obstacles, each with its own loss."""
 
     sightline: Sightline
     cap_db: float
@@ -65,18 +65,18 @@ class _Walls(ABC):
 
     @property
     def nothing(self) -> bool:
-        """Whether nothing stands in the way anywhere."""
+        """Whether there are no obstacles."""
         return not self.sightline.materials
 
     @cached_property
     def _by_kind(self) -> tuple[list[str], Floats]:
-        """The materials there are, k of them, and which each obstacle is of, (m, k): 1 or 0."""
-        kinds = sorted(set(self.sightline.materials))
-        return kinds, np.array([[material == kind for kind in kinds] for material in self.sightline.materials], np.float64)
+        """The k materials, and the material of each obstacle as a one-hot row, (m, k)."""
+        kinds, index = np.unique(self.sightline.materials, return_inverse=True)
+        return kinds.tolist(), np.eye(len(kinds))[index]
 
     @cached_property
-    def _words(self) -> dict[tuple[int, ...], str]:
-        """What was said so far of so many obstacles of each material."""
+    def _texts(self) -> dict[tuple[int, ...], str]:
+        """Cache: text of numbers of obstacles, by material."""
         return {}
 
     def loss_db(self, paths: Paths) -> Floats:
@@ -84,7 +84,7 @@ class _Walls(ABC):
         return self.through(paths).loss_db
 
     def through(self, paths: Paths) -> Through:
-        """What lies between, on each path."""
+        """Loss, number and materials of the walls on each path."""
         count = len(paths.distance_m)
         if self.nothing:
             return Through(np.zeros(count), np.zeros(count, np.int64), ("",) * count)
@@ -92,12 +92,12 @@ class _Walls(ABC):
         loss = np.minimum(np.where(crossed, self._walls_db, 0.0).sum(axis=-1), self.cap_db)
         kinds, of_kind = self._by_kind
         each = (crossed.astype(np.float64) @ of_kind).astype(np.int64)  # products of integers take many times as long
-        words = self._words
-        found = [tuple(row) for row in each.tolist()]
-        for row in found:
-            if row not in words:
-                words[row] = ", ".join(f"{n} {kind}" for n, kind in zip(row, kinds, strict=True) if n)
-        return Through(loss, each.sum(axis=-1), tuple(map(words.__getitem__, found)))
+        texts = self._texts
+        rows = [tuple(row) for row in each.tolist()]
+        for row in rows:
+            if row not in texts:
+                texts[row] = ", ".join(f"{n} {kind}" for n, kind in zip(row, kinds, strict=True) if n)
+        return Through(loss, each.sum(axis=-1), tuple(map(texts.__getitem__, rows)))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""How programs come into a run: a socket that only this machine reaches, and the wait for one program of each vehicle."""
+"""Admission of programs to a run: a local socket, and the wait for one program of each vehicle."""
 
 import contextlib
 import errno
@@ -15,15 +15,15 @@ from vcmvsp.cosim.sockets.messages import MOST_UP, PIECE, VERSION, Hello, Refuse
 from vcmvsp.cosim.transport.endpoints import is_loopback
 from vcmvsp.cosim.util.text import LONGEST_NAME, plain
 
-MOST_STRANGERS = 64  # who have connected and not said who they are
-GREETING_S = 5.0  # within which they must
-MOST_TOLD = 20  # refusals
+MOST_STRANGERS = 64  # connections without a `Hello` message
+GREETING_S = 5.0  # timeout of the `Hello` message
+MOST_TOLD = 20  # reported refusals
 
 Tell = Callable[[str], None]
 
 
 def check_endpoint(endpoint: str) -> None:
-    """Refuse what is no endpoint, or one that others can reach, with a `ValueError`."""
+    """Raise a `ValueError` for an invalid endpoint, or one that other machines reach."""
     where = parsed(endpoint)
     if isinstance(where, tuple) and not is_loopback(where[0]):
         port = where[1]
@@ -33,10 +33,7 @@ def check_endpoint(endpoint: str) -> None:
 
 
 class Listener:
-    """Listens at an endpoint, until it is closed.
-
-    Attributes:
-        endpoint: where it really listens: a port 0 has become one that is free.
+    """A listening socket; ``endpoint``: its endpoint, with a real port instead of port 0.
 
     Raises:
         ScenarioError: it cannot listen there.
@@ -55,13 +52,13 @@ class Listener:
                 self.socket = socket.create_server((host, port), family=family, backlog=MOST_STRANGERS)
                 self.endpoint = f"{endpoint.rpartition(':')[0]}:{self.socket.getsockname()[1]}"
         except OSError as error:
-            taken = "another run may have it: " if error.errno == errno.EADDRINUSE else ""
-            problem = f"cannot listen on {endpoint}: {error.strerror or error}; {taken}give another endpoint"
+            in_use = "another run may have it: " if error.errno == errno.EADDRINUSE else ""
+            problem = f"cannot listen on {endpoint}: {error.strerror or error}; {in_use}give another endpoint"
             raise ScenarioError(problem, key="sockets.listen") from error
         self.socket.setblocking(False)
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop to listen."""
         self.socket.close()
         if self._path is not None:
             self._path.unlink(missing_ok=True)
@@ -69,14 +66,14 @@ class Listener:
 
 
 def _listening_here(path: str) -> socket.socket:
-    """A socket that only this user reaches, in place of one that nobody listens on any more."""
+    """A Unix socket for this user only; replaces a stale one."""
     end = socket.socket(socket.AF_UNIX)
     try:
         with contextlib.suppress(FileNotFoundError):
             if stat.S_ISSOCK(Path(path).stat().st_mode) and not _answers(path):
                 Path(path).unlink()
         end.bind(path)
-        Path(path).chmod(0o600)  # nobody can connect before it listens
+        Path(path).chmod(0o600)  # before `listen`, so that no other user can connect
         end.listen(MOST_STRANGERS)
     except BaseException:
         end.close()
@@ -90,40 +87,39 @@ def _answers(path: str) -> bool:
 
 
 class ProgramAdmission:
-    """Waits for one program of each vehicle. Strangers that say nothing, or nonsense, disturb nobody.
+    """Waits for one program of each vehicle in ``expected``; silent or invalid connections are dismissed.
 
     Args:
-        listener: where they come.
-        wanted: names of the vehicles.
-        run: name of the scenario.
-        vehicles: all of the run.
+        listener: accepts connections.
+        expected: vehicles with a program.
+        run, vehicles: of the scenario.
         tell: takes lines for the user.
     """
 
-    def __init__(self, listener: Listener, wanted: Sequence[str], run: str, vehicles: Sequence[str], tell: Tell) -> None:
-        self._listener, self._wanted, self._tell = listener, tuple(wanted), tell
+    def __init__(self, listener: Listener, expected: Sequence[str], run: str, vehicles: Sequence[str], tell: Tell) -> None:
+        self._listener, self._expected, self._tell = listener, tuple(expected), tell
         self._welcome = Welcome(run, tuple(vehicles))
-        self._strangers: dict[Stream, float] = {}  # until when they may say who they are, oldest first
+        self._strangers: dict[Stream, float] = {}  # deadlines of their `Hello`, oldest first
         self._there: dict[str, Stream] = {}
         self._told: set[str] = set()
         self._selector = selectors.DefaultSelector()
 
     def wait(self, timeout_s: float) -> dict[str, Stream]:
-        """The programs, by vehicle, when all are there.
+        """The connections of all programs, by vehicle.
 
         Raises:
-            FederateError: some have not come in time.
+            FederateError: a program is missing after the timeout.
         """
         until = time.monotonic() + timeout_s
         self._selector.register(self._listener.socket, selectors.EVENT_READ)
         try:
             while missing := self._missing():
-                left = until - time.monotonic()
-                if left <= 0.0:
+                remaining_s = until - time.monotonic()
+                if remaining_s <= 0.0:
                     late = f"no program has come for {missing} within {timeout_s:g} s (sockets.join_timeout_s)"
                     advice = f"start one for each: cosim.sockets.connect(VEHICLE, '{self._listener.endpoint}')"
                     raise FederateError("sockets", f"{late}; {advice}")
-                for key, _ in self._selector.select(min(left, GREETING_S)):
+                for key, _ in self._selector.select(min(remaining_s, GREETING_S)):
                     if key.data is None:
                         self._accept()
                     else:
@@ -137,7 +133,7 @@ class ProgramAdmission:
                 stream.socket.close()
 
     def _missing(self) -> str:
-        return ", ".join(each for each in self._wanted if each not in self._there)
+        return ", ".join(each for each in self._expected if each not in self._there)
 
     def _accept(self) -> None:
         try:
@@ -181,14 +177,14 @@ class ProgramAdmission:
             self._answer(stream, word)
 
     def _lose(self, stream: Stream) -> None:
-        """A program has ended, or spoken, before the run has begun."""
+        """Remove a program that has ended, or sent a message, before the start of the run."""
         (vehicle,) = [name for name, each in self._there.items() if each is stream]
         del self._there[vehicle]
         self._dismiss(stream)
         self._tell(f"the program of {vehicle} has left; waiting for another")
 
     def _answer(self, stream: Stream, word: Up) -> None:
-        """Welcome who has said who it is, or refuse it."""
+        """Admit or refuse a program."""
         why = self._refusal(word)
         with contextlib.suppress(OSError):
             stream.send(self._welcome if why is None else Refused(why))
@@ -204,8 +200,8 @@ class ProgramAdmission:
             return "it does not say who it is"
         if word.version != VERSION:
             return f"it speaks version {word.version} of the protocol, the run {VERSION}: install the same vcmvsp for both"
-        if word.vehicle not in self._wanted:
-            why = unknown("vehicle", plain(word.vehicle, LONGEST_NAME), self._wanted) + " (sockets.vehicles)"
+        if word.vehicle not in self._expected:
+            why = unknown("vehicle", plain(word.vehicle, LONGEST_NAME), self._expected) + " (sockets.vehicles)"
         elif word.vehicle in self._there:
             why = f"{word.vehicle} has a program already"
         else:

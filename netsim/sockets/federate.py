@@ -1,4 +1,4 @@
-"""Programs in the time of the run: each goes on in its turn, and the run with it; nothing depends on how long that takes."""
+"""Programs in the time of the run: each runs in its turn, while the run waits; results do not depend on wall-clock time."""
 
 from collections.abc import Callable, Sequence
 
@@ -10,33 +10,33 @@ from vcmvsp.cosim.util.polling import readable
 from vcmvsp.netsim.sockets.admission import Listener, ProgramAdmission, check_endpoint
 from vcmvsp.netsim.sockets.program import Program, ProgramLeft
 
-LEFT, MISSED = "program", "program_missed"  # what is noted
+LEFT, MISSED = "program", "program_missed"  # keys of notes
 
 
 class Programs:
-    """The federate of all programs that keep the run's own time.
+    """The federate of all programs in the time of the run.
 
     ========================  =========  ============================================================================
     key                       direction  value
     ========================  =========  ============================================================================
-    ``<vehicle>/heard``       in         `Reception`: wakes the program, if it waits for it; one of bytes is handed to it
-    ``<vehicle>/estimate``    in         `VehicleState`: where it takes itself to be; the newest counts
-    ``<vehicle>/send``        out        `Message` of bytes, at the instant at which the program says it
-    ``<vehicle>/note``        out        `Note`: ``program`` = "left: why"; ``program_missed``: for how many datagrams there was
-                                         no room so far, as soon as there is none for one more
+    ``<vehicle>/heard``       in         `Reception`: wakes a program that waits for it; bytes are passed to the program
+    ``<vehicle>/estimate``    in         `VehicleState`: the vehicle's own estimate; the newest counts
+    ``<vehicle>/send``        out        `Message` of bytes, at the instant at which the program sends it
+    ``<vehicle>/note``        out        `Note`: ``program`` = "left: why"; ``program_missed``: datagrams dropped so far because
+                                         the program did not read
     ========================  =========  ============================================================================
 
-    Programs whose time has come at one instant go on one after another, in the order of their vehicles' names, each until it
-    waits again. So whatever they do, alone or with one another, is the same on any machine.
+    Programs that are due at one instant run one after another, in the order of the vehicles' names, each until it waits again.
+    So their behaviour is equal on any machine.
 
     Args:
         table: ``[sockets]``.
         vehicles: all of the run.
         tell: takes lines for the user.
-        connect: wait for programs; else nothing is opened, which serves to check the scenario.
+        connect: False: open nothing; for the check of a scenario.
 
     Raises:
-        ValueError: ``listen`` is no endpoint, or one that other machines can reach.
+        ValueError: ``listen`` is an invalid endpoint, or one that other machines reach.
     """
 
     name = "sockets"
@@ -51,11 +51,11 @@ class Programs:
         self.latest: tuple[str, ...] = tuple(f"{each}/estimate" for each in names)
         self.wakes: tuple[str, ...] = self.reads
         self._listener: Listener | None = None
-        self._programs: dict[str, Program] = {}  # of those that are there, in the order of their turns
-        self._stirred: set[int] = set()  # descriptors of those that do something while they should wait
+        self._programs: dict[str, Program] = {}  # in the order of their turns
+        self._stirred: set[int] = set()  # descriptors of programs that are active out of turn
 
     def start(self, run: RunInfo) -> int | None:
-        """Wait until all programs are there."""
+        """Wait for all programs."""
         if not self._connect:
             return None
         names, everybody = sorted(self._table.vehicles), frozenset(self._vehicles)
@@ -74,7 +74,7 @@ class Programs:
         return bool(self._stirred)
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        """Hand out what was heard, and give their turns to those whose time has come."""
+        """Pass receptions to programs, and run the programs that are due."""
         for event in inbox:
             self._take(event)
         events: list[Event] = []
@@ -90,7 +90,7 @@ class Programs:
         return Step(events, min(due, default=None))
 
     def release(self) -> None:
-        """Tell all programs that the run is over."""
+        """Send the end of the run to all programs."""
         for program in self._programs.values():
             program.farewell()
 
@@ -112,13 +112,13 @@ class Programs:
             program.hear(value.message.body, value.message.sender)
 
     def _turn(self, program: Program, now_ns: int, events: list[Event]) -> None:
-        """Let a program go on, and say what comes of it."""
-        said: list[Message] = []
+        """Run a program until it waits again."""
+        messages: list[Message] = []
         try:
-            program.turn(now_ns, said)
-        except ProgramLeft as left:
-            self._part(program, left, now_ns, events)
-        events.extend(Event(f"{program.vehicle}/send", now_ns, each) for each in said)
+            program.turn(now_ns, messages)
+        except ProgramLeft as reason:
+            self._part(program, reason, now_ns, events)
+        events.extend(Event(f"{program.vehicle}/send", now_ns, each) for each in messages)
 
     def _note_missed(self, program: Program, now_ns: int, events: list[Event]) -> None:
         if not program.noted:
@@ -129,7 +129,7 @@ class Programs:
         events.append(Event(f"{program.vehicle}/note", now_ns, Note(values={MISSED: float(program.missed)})))
 
     def _part(self, program: Program, why: ProgramLeft, now_ns: int, events: list[Event]) -> None:
-        """Go on without a program."""
+        """Remove a program."""
         program.close()
         del self._programs[program.vehicle]
         self._tell(f"the program of {program.vehicle} has left at {now_ns / 1e9:.3f} s ({why}): it sends no more")

@@ -1,4 +1,4 @@
-"""One program as the run sees it: when it goes on, what it says in its turn, and what waits for it."""
+"""The run's side of one program: wake time, turns, and waiting datagrams."""
 
 import contextlib
 import socket
@@ -9,28 +9,28 @@ from vcmvsp.cosim.sockets.messages import EACH, ROOM, Go, Over, Send, Stream, Up
 from vcmvsp.cosim.types import Message, Vec3
 from vcmvsp.cosim.util.text import plain
 
-MOST_CALLS = 100_000  # datagrams that it may send without letting time go on
-MOST_BYTES = 1 << 26  # of them
+MOST_CALLS = 100_000  # datagrams in one turn
+MOST_BYTES = 1 << 26  # in one turn
 
 
 class ProgramLeft(Exception):
-    """It has gone, or was shown the door: why."""
+    """A program has ended or was dismissed; the message is the reason."""
 
 
 class Program:
     """The program of a vehicle.
 
     Attributes:
-        wake_ns: when it goes on at the latest; None: only when something is heard.
-        missed: datagrams for which there was no room, because it took none.
+        wake_ns: time of the next turn at the latest; None: at the next reception only.
+        missed: datagrams dropped because the program did not read.
         noted: how many of them were noted.
-        position: where its vehicle takes itself to be, m, world.
+        position: estimate of its vehicle, m, world.
 
     Args:
-        vehicle: whose it is.
+        vehicle: of the program.
         vehicles: all of the run.
-        stream: the connection to it.
-        deadline_s: wall-clock time within which it must say something in its turn.
+        stream: the connection.
+        deadline_s: wall-clock timeout of each message in its turn.
     """
 
     def __init__(self, vehicle: str, vehicles: frozenset[str], stream: Stream, deadline_s: float | None) -> None:
@@ -39,8 +39,8 @@ class Program:
         self.wake_ns: int | None = 0
         self.missed = self.noted = 0
         self.position: Vec3 | None = None
-        self._hears = False
-        self._heard: deque[tuple[bytes, str]] = deque()
+        self._wakes_on_reception = False
+        self._received: deque[tuple[bytes, str]] = deque()
         self._room = ROOM
         stream.socket.settimeout(deadline_s)
 
@@ -49,36 +49,36 @@ class Program:
         return self._stream.socket.fileno()
 
     def hear(self, payload: bytes, sender: str) -> None:
-        """Keep a datagram for its next turn, as far as there is room."""
+        """Store a datagram for the next turn, if there is room."""
         size = len(payload) + EACH
         if size > self._room:
             self.missed += 1
         else:
-            self._heard.append((payload, sender))
+            self._received.append((payload, sender))
             self._room -= size
 
     def is_due(self, now_ns: int) -> bool:
-        """Whether it goes on now."""
-        return self.wake_ns == now_ns or (self._hears and bool(self._heard))
+        """Whether its turn is now."""
+        return self.wake_ns == now_ns or (self._wakes_on_reception and bool(self._received))
 
-    def turn(self, now_ns: int, said: list[Message]) -> None:
-        """Let it go on until it waits again; what its vehicle sends is added to ``said``.
+    def turn(self, now_ns: int, messages: list[Message]) -> None:
+        """Run it until it waits again; appends its messages to ``messages``.
 
         Raises:
-            Left: it goes on no more.
-            FederateError: it has said nothing for too long.
+            ProgramLeft: it has ended.
+            FederateError: its deadline has passed.
         """
         calls, size = 0, 0
         try:
-            self._stream.send(Go(now_ns, self.position, list(self._heard)))
-            self._heard.clear()
+            self._stream.send(Go(now_ns, self.position, list(self._received)))
+            self._received.clear()
             while (message := self._stream.receive()) is not None:
                 word = up(message)
                 if isinstance(word, Wait):
                     self._wait(now_ns, word)
                     return
-                said.append(self._checked(word))
-                calls, size = calls + 1, size + len(said[-1].body)
+                messages.append(self._checked(word))
+                calls, size = calls + 1, size + len(messages[-1].body)
                 if calls > MOST_CALLS or size > MOST_BYTES:
                     raise ProgramLeft("it sends without end and lets no time go on")
         except WireError as error:
@@ -91,7 +91,7 @@ class Program:
         raise ProgramLeft("it has ended")
 
     def stirs(self) -> ProgramLeft:
-        """Why it is to leave that has done something while it should wait."""
+        """Reason to dismiss a program that is active out of turn."""
         try:
             self._stream.socket.settimeout(0.0)
             return ProgramLeft("it spoke out of its turn" if self._stream.socket.recv(1) else "it has ended")
@@ -99,7 +99,7 @@ class Program:
             return ProgramLeft("it has ended")
 
     def farewell(self) -> None:
-        """Tell it that the run is over, unless it takes nothing any more."""
+        """Send the end of the run, unless the program does not read."""
         with contextlib.suppress(OSError):
             self._stream.socket.settimeout(0.0)
             self._stream.send(Over())
@@ -113,7 +113,7 @@ class Program:
         if self._stream.frames:
             raise ProgramLeft("it spoke out of its turn")
         self.wake_ns = None if word.for_ns is None else now_ns + word.for_ns
-        self._hears, self._room = word.hears, ROOM - word.held
+        self._wakes_on_reception, self._room = word.hears, ROOM - word.held
 
     def _checked(self, word: Up) -> Message:
         if not isinstance(word, Send):

@@ -1,4 +1,4 @@
-"""Backoffs: when a radio that wants to send may, for what it knows of the medium.
+"""Backoffs: access times of the radios by their carrier sense.
 
 A backoff counts whole slots from DIFS behind the end of the last busy time (IEEE 802.11-2016, 10.3.4.3); behind a payload that
 could not be decoded, from EIFS. A radio keeps how many slots were left when it last learnt of a longer busy time, and when the
@@ -40,11 +40,11 @@ def sense_loop(s: DcfState, rules: DcfRules, now: int) -> None:
 
 
 def doze(s: DcfState, rules: DcfRules, now: int) -> None:
-    """Who woke up in vain by now lies down again, before anything else happens: `sense` makes nobody send who is asleep.
+    """Re-arm the access timers that expired while the medium was busy, before any other event.
 
-    In ns-3.44 a radio that wants to send looks when its backoff would be over, by what it knew when it last looked. What makes
-    it wait longer it finds out then; but nothing wakes it earlier. So where EIFS ends early, because a payload begins to be
-    received, it oversleeps if it had been told of the EIFS already, and then sends at once. By the standard it would be up.
+    In ns-3.44 the access timer is set to the end of the backoff by the state of the medium at that time. A longer busy time
+    re-arms it at its expiry, but nothing shortens it: if EIFS ends early, because a payload begins to be received, the radio
+    sends late, at the expiry of the timer. By the standard it would send earlier.
     """
     if s.wake_ns[s.wake_ns.argmin()] > now:
         return
@@ -69,7 +69,7 @@ def doze_loop(s: DcfState, rules: DcfRules, now: int) -> None:
 
 
 def expected_ns(s: DcfState, rules: DcfRules, i: int, now: int) -> int:
-    """When the backoff of radio i will be over, by what it knows; of a frame whose header it receives it knows no length."""
+    """End of the backoff of radio i by its carrier sense; the length of a frame is unknown until its header is received."""
     held = s.lock[i]
     if held == NOBODY:
         return int(s.over_ns[i])
@@ -79,7 +79,7 @@ def expected_ns(s: DcfState, rules: DcfRules, i: int, now: int) -> int:
 
 
 def defer(s: DcfState, rules: DcfRules, who: Bools) -> None:
-    """For some radios, (n,), that know the medium busy until now at least, EIFS has begun, or has ended early."""
+    """Start or end EIFS for some radios, (n,), whose medium is busy until now at least."""
     over = np.maximum(s.idle_ns, s.eifs_ns) + s.slots * rules.slot_ns + rules.difs_ns
     np.putmask(s.over_ns, who, over)
     np.putmask(s.due[: len(who)], who, np.maximum(over, s.wake_ns))
@@ -97,7 +97,7 @@ def count_down(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
 
 
 def request(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """Radio i wants to send, as soon as its backoff is over."""
+    """Radio i has a frame to send: set its access timer to the end of the backoff."""
     s.wake_ns[i] = expected_ns(s, rules, i, now)
     s.due[i] = s.over_ns[i]
 

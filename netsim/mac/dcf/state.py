@@ -1,7 +1,7 @@
-"""What the radios of a contention domain know and do at a moment: arrays that compiled code can work on.
+"""State of all radios of a contention domain: arrays for NumPy and for compiled code.
 
-Radios are rows 0..n-1. Times are integer nanoseconds. A radio sends one frame at a time, so what is on the air is named by who
-sends it: row i of an (n, n) array is what concerns the frame that i is sending, or sent last, at each of the n radios.
+Radios are rows 0..n-1. Times are integer nanoseconds. A radio sends one frame at a time, so frames on the air are named by
+their senders: row i of an (n, n) array is about the frame that i is sending, or sent last, at each of the n radios.
 """
 
 from typing import NamedTuple
@@ -15,10 +15,10 @@ FEW = 5  # radios: for up to so many, plain numbers and loops are quicker than N
 NEVER = 1 << 62
 NOBODY = -1
 
-# What happens to a radio of itself: rows of n in `DcfState.due`, which are worked off in this order.
+# Timed events of a radio: rows of n in `DcfState.due`, processed in this order.
 START, ANSWER, TIMEOUT = 0, 1, 2
 
-PAYLOAD_OVER_NS = 400  # behind the end of a payload, who waits for an acknowledgement knows that it was none (ns-3.44)
+PAYLOAD_OVER_NS = 400  # after the end of a payload that was no acknowledgement, its timeout ends (ns-3.44)
 
 # What a radio is sending.
 BROADCAST, UNICAST, ACK = 0, 1, 2
@@ -84,7 +84,7 @@ class DcfState(NamedTuple):
     # Their contention, (n,)
     slots: Ints  # of its backoff that were left when it last learnt that the medium is busy for longer
     over_ns: Ints  # when the last of them is over, for what it knows
-    wake_ns: Ints  # when it looks next whether it may send; NEVER: it does not want to
+    wake_ns: Ints  # access timer: next check whether it may send; NEVER: nothing to send
     window: Ints  # contention window: a backoff is one of 0..window
     failures: Ints  # attempts since the last acknowledgement
     drawn: Ints  # draws used
