@@ -13,7 +13,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import frozen
-from vcmvsp.netsim.impairments.script import Effects, Script, ScriptedChange
+from vcmvsp.netsim.impairments.script import Change, Effects, Script
 
 
 class Outages(Script):
@@ -57,7 +57,7 @@ class RuntimeChanges:
     def cut_off(self, vehicles: Sequence[str], from_ns: int, until_ns: int) -> None:
         """Lose every frame from and to these vehicles."""
         links = tuple(expression for name in vehicles for expression in (f"{name}/*", f"*/{name}"))
-        change = ScriptedChange(from_s=from_ns / SECOND_NS, to_s=until_ns / SECOND_NS, links=links, loss=1.0)
+        change = Change(from_s=from_ns / SECOND_NS, to_s=until_ns / SECOND_NS, links=links, loss=1.0)
         self.outages = Outages((*self.outages.changes, change))
 
     def change(self, key: str, value: float) -> None:

@@ -21,7 +21,7 @@ LossDb = Callable[[Floats, Floats], Floats]
 """Mean loss from a point (3,) m to points (n, 3) m: (n,) dB."""
 
 
-class JammerSource(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Emitter(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One jammer: it stands somewhere, rides on a vehicle, or moves by itself.
 
     Args:
@@ -67,7 +67,7 @@ class Jammer:
     of. A vehicle moves its source along; a source on the receiver's own vehicle is as near as the path loss allows.
     """
 
-    sources: tuple[JammerSource, ...] = ()  # the jammers
+    sources: tuple[Emitter, ...] = ()  # the jammers
 
     def interference_mw(
         self, start_ns: int, end_ns: int, rx: Floats, loss_db: LossDb, where: Callable[[str], Floats]
@@ -102,7 +102,7 @@ class Jammer:
 class _Ready:
     """A source, in whole nanoseconds."""
 
-    def __init__(self, source: JammerSource) -> None:
+    def __init__(self, source: Emitter) -> None:
         self.source = source
         self._from_ns = seconds_to_ns(source.from_s)
         self._to_ns = None if source.to_s is None else seconds_to_ns(source.to_s)

@@ -15,7 +15,7 @@ from vcmvsp.cosim.util.key_expressions import matches
 from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Ints
 
 
-class ScriptedChange(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Change(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Some links are different for some time.
 
     Args:
@@ -58,7 +58,7 @@ class Script:
     has matches nothing (see `unmatched`).
     """
 
-    changes: tuple[ScriptedChange, ...] = ()  # what is different, when, on which links
+    changes: tuple[Change, ...] = ()  # what is different, when, on which links
     cause: ClassVar[str] = "scripted outage"
 
     def gain_db(self, frame: Frame, draw: Draw) -> Floats:

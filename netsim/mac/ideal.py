@@ -1,4 +1,4 @@
-"""Protocol of medium access, and ideal access without contention."""
+"""Medium access: its protocol, and ideal access without contention."""
 
 import math
 from dataclasses import dataclass

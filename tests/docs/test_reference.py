@@ -18,8 +18,8 @@ from vcmvsp.cosim.assembly.parts.vehicles import Positioning
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.reference import describe, markdown
 from vcmvsp.cosim.scenario import expand, loader, schema
-from vcmvsp.netsim.impairments.jammer import JammerSource
-from vcmvsp.netsim.impairments.script import ScriptedChange
+from vcmvsp.netsim.impairments.jammer import Emitter
+from vcmvsp.netsim.impairments.script import Change
 from vcmvsp.netsim.propagation.walls import ITU_MATERIALS
 from vcmvsp.physics.sensors.noise import Noise
 from vcmvsp.physics.world.floor import GroundPicture, Mark
@@ -154,8 +154,8 @@ def test_every_kind_is_documented_with_all_its_parameters(group: str, kind: str)
         ("Formations, and when their members report", "gap", Gap),
         ("Formations, and when their members report", "vfh", Vfh),
         ("Formations, and when their members report", "dynamic_window", DynamicWindow),
-        ("`[radio.script]`", "change", ScriptedChange),
-        ("`[radio.jammer]`", "source", JammerSource),
+        ("`[radio.script]`", "change", Change),
+        ("`[radio.jammer]`", "source", Emitter),
     ],
 )
 def test_what_lists_and_vehicles_hold_is_documented(heading: str, item: str, target: Any) -> None:

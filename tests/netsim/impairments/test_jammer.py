@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.impairments.jammer import Jammer, JammerSource
+from vcmvsp.netsim.impairments.jammer import Emitter, Jammer
 from vcmvsp.netsim.interfaces.layers import Floats, Paths
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 
@@ -23,33 +23,33 @@ def loss_db(tx: Floats, rx: Floats) -> Floats:
     return SQUARE.loss_db(Paths.between(tx, rx))
 
 
-def heard(*sources: JammerSource, at_ns: int = 0, air_ns: int = MS, cars: Mapping[str, Any] | None = None) -> list[float]:
+def heard(*sources: Emitter, at_ns: int = 0, air_ns: int = MS, cars: Mapping[str, Any] | None = None) -> list[float]:
     found = Jammer(sources).interference_mw(at_ns, at_ns + air_ns, RX, loss_db, lambda name: np.array((cars or {})[name]))
     assert found.shape == (3,)
     powers: list[float] = found.tolist()
     return powers
 
 
-def on(source: JammerSource, at_ns: int, air_ns: int) -> bool:
+def on(source: Emitter, at_ns: int, air_ns: int) -> bool:
     return heard(source, at_ns=at_ns, air_ns=air_ns)[0] > 0.0
 
 
 def test_power_less_loss() -> None:
     """20 dBm less 60, 80 and 100 dB at 10, 100 and 1000 m: -40, -60, -80 dBm."""
-    assert heard(JammerSource(power_dbm=20.0, position=(0.0, 0.0, 0.0))) == pytest.approx([1e-4, 1e-6, 1e-8], rel=1e-12)
+    assert heard(Emitter(power_dbm=20.0, position=(0.0, 0.0, 0.0))) == pytest.approx([1e-4, 1e-6, 1e-8], rel=1e-12)
 
 
 def test_powers_add_and_nothing_is_nothing() -> None:
-    one, two = JammerSource(power_dbm=20.0, position=(3.0, 0.0, 0.0)), JammerSource(power_dbm=-7.0, position=(0.0, 90.0, 5.0))
+    one, two = Emitter(power_dbm=20.0, position=(3.0, 0.0, 0.0)), Emitter(power_dbm=-7.0, position=(0.0, 90.0, 5.0))
     assert heard(one, two) == pytest.approx(np.add(heard(one), heard(two)), rel=1e-12)
     assert heard() == [0.0, 0.0, 0.0]
 
 
 def test_a_vehicle_carries_it() -> None:
-    riding = JammerSource(power_dbm=20.0, vehicle="car4")
+    riding = Emitter(power_dbm=20.0, vehicle="car4")
     for place in ((1.0, 2.0, 3.0), (-40.0, 7.0, 0.0)):
-        assert heard(riding, cars={"car4": place}) == heard(JammerSource(power_dbm=20.0, position=place))
-    assert Jammer((riding, JammerSource(power_dbm=1.0, vehicle="car2"), riding)).names() == ("car4", "car2")
+        assert heard(riding, cars={"car4": place}) == heard(Emitter(power_dbm=20.0, position=place))
+    assert Jammer((riding, Emitter(power_dbm=1.0, vehicle="car2"), riding)).names() == ("car4", "car2")
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_a_vehicle_carries_it() -> None:
 )
 def test_it_moves_along_its_path(t_s: float, place: tuple[float, float, float]) -> None:
     path = ((10.0, 0.0, 0.0, 0.0), (15.0, 20.0, 0.0, 0.0), (20.0, 20.0, 10.0, -2.0))
-    moving, standing = JammerSource(power_dbm=20.0, path=path), JammerSource(power_dbm=20.0, position=place)
+    moving, standing = Emitter(power_dbm=20.0, path=path), Emitter(power_dbm=20.0, position=place)
     assert heard(moving, at_ns=round(t_s * 1e9)) == pytest.approx(heard(standing), rel=1e-9)
 
 
@@ -75,22 +75,18 @@ def test_it_moves_along_its_path(t_s: float, place: tuple[float, float, float]) 
     [(999 * MS, False), (999 * MS + 1, True), (1500 * MS, True), (2000 * MS - 1, True), (2000 * MS, False)],
 )
 def test_from_then_till_then_for_frames_that_touch_it(at_ns: int, touches: bool) -> None:
-    assert on(JammerSource(power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=1.0, to_s=2.0), at_ns, MS) is touches
+    assert on(Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=1.0, to_s=2.0), at_ns, MS) is touches
 
 
 def test_pulses_by_hand() -> None:
     """On in [5, 7) and [15, 17) ms; over before the third pulse."""
-    source = JammerSource(power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=0.005, to_s=0.025, duty=0.2, period_s=0.01)
+    source = Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=0.005, to_s=0.025, duty=0.2, period_s=0.01)
     found = [t for t in range(30) if on(source, t * MS, MS)]
     assert found == [5, 6, 15, 16]
     assert [on(source, 7 * MS, air) for air in (8 * MS, 8 * MS + 1)] == [False, True]
-    cut = JammerSource(
-        power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=0.005, to_s=0.016, duty=0.2, period_s=0.01
-    )  # inside a pulse
+    cut = Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=0.005, to_s=0.016, duty=0.2, period_s=0.01)  # inside a pulse
     assert [on(cut, 16 * MS + t, MS) for t in (-1, 0)] == [True, False]
-    assert heard(source, at_ns=6 * MS) == heard(
-        JammerSource(power_dbm=0.0, position=(0.0, 0.0, 0.0))
-    )  # not less for its pauses
+    assert heard(source, at_ns=6 * MS) == heard(Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0)))  # not less for its pauses
 
 
 @given(
@@ -103,7 +99,7 @@ def test_pulses_by_hand() -> None:
 )
 def test_on_is_when_any_nanosecond_is(begin: int, length: int, start: int, air: int, period: int, duty: float) -> None:
     """Against every pulse that there is, in whole ns."""
-    source = JammerSource(
+    source = Emitter(
         power_dbm=0.0,
         position=(0.0, 0.0, 0.0),
         from_s=begin / 1e9,
@@ -118,7 +114,7 @@ def test_on_is_when_any_nanosecond_is(begin: int, length: int, start: int, air: 
 
 def test_a_period_that_is_no_whole_number_does_not_drift() -> None:
     """1000.5 ns: pulse 2 000 000 begins at 2.001 s to the nanosecond."""
-    source = JammerSource(power_dbm=0.0, position=(0.0, 0.0, 0.0), duty=0.5, period_s=1.0005e-6)
+    source = Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), duty=0.5, period_s=1.0005e-6)
     assert [on(source, 2_001_000_000 + t, 1) for t in (-1, 0)] == [False, True]
 
 

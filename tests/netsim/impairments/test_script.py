@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.impairments.script import Script, ScriptedChange
+from vcmvsp.netsim.impairments.script import Change, Script
 from vcmvsp.netsim.interfaces.layers import Frame, Paths, SenderLinks
 
 CARS = ("car1", "car2", "car3", "base")
@@ -39,7 +39,7 @@ def struck(script: Script, sent: Frame) -> list[str]:
 )
 def test_from_then_till_then_for_frames_that_touch_it(at_s: float, touches: bool) -> None:
     """The frame is 1 ms long; the change is [10 s, 20 s)."""
-    script = Script((ScriptedChange(from_s=10.0, to_s=20.0, loss=1.0, attenuation_db=6.0, delay_s=0.25),))
+    script = Script((Change(from_s=10.0, to_s=20.0, loss=1.0, attenuation_db=6.0, delay_s=0.25),))
     sent = frame(at_ns=round(at_s * 1e9), wait_ns=3 * MS)
     assert script.lost(sent, half).tolist() == [touches] * 3
     assert script.gain_db(sent, half).tolist() == [-6.0 * touches] * 3
@@ -47,7 +47,7 @@ def test_from_then_till_then_for_frames_that_touch_it(at_s: float, touches: bool
 
 
 def test_without_an_end_it_lasts() -> None:
-    script = Script((ScriptedChange(from_s=10.0, loss=1.0),))
+    script = Script((Change(from_s=10.0, loss=1.0),))
     assert [len(struck(script, frame(at_ns=t * 10**9))) for t in (9, 10, 10**9)] == [0, 3, 3]
 
 
@@ -66,12 +66,12 @@ def test_without_an_end_it_lasts() -> None:
     ],
 )
 def test_links_by_key_expressions(links: tuple[str, ...], sender: str, expected: list[str]) -> None:
-    assert struck(Script((ScriptedChange(from_s=0.0, links=links, loss=1.0),)), frame(sender)) == expected
+    assert struck(Script((Change(from_s=0.0, links=links, loss=1.0),)), frame(sender)) == expected
 
 
 def test_links_that_nobody_has_are_told() -> None:
     links = ("car1/*", "nobody/*", "car2/car2", "**", "*/base", "car1/car9", "nobody/*")
-    assert Script((ScriptedChange(from_s=0.0, links=links, loss=1.0),)).unmatched(CARS) == [
+    assert Script((Change(from_s=0.0, links=links, loss=1.0),)).unmatched(CARS) == [
         "nobody/*",
         "car2/car2",
         "car1/car9",
@@ -82,8 +82,8 @@ def test_losses_of_several_are_independent_and_the_rest_adds_up() -> None:
     """1 - 0.7 x 0.5 of what both concern."""
     script = Script(
         (
-            ScriptedChange(from_s=0.0, to_s=9.0, loss=0.3, attenuation_db=3.0, delay_s=0.1),
-            ScriptedChange(from_s=0.0, to_s=9.0, links=("car1/car2",), loss=0.5, attenuation_db=-10.0, delay_s=0.2),
+            Change(from_s=0.0, to_s=9.0, loss=0.3, attenuation_db=3.0, delay_s=0.1),
+            Change(from_s=0.0, to_s=9.0, links=("car1/car2",), loss=0.5, attenuation_db=-10.0, delay_s=0.2),
         )
     )
     sent, rng = frame("car1", "car2", "car3", at_ns=5 * 10**9), np.random.default_rng(1)
@@ -95,7 +95,7 @@ def test_losses_of_several_are_independent_and_the_rest_adds_up() -> None:
 
 def test_no_draw_changes_what_is_total_or_absent() -> None:
     sent, most = frame("car1", "car2", "car3"), 1.0 - 2.0**-53
-    total = Script((ScriptedChange(from_s=0.0, links=("car1/car2",), loss=1.0), ScriptedChange(from_s=0.0, loss=0.0)))
+    total = Script((Change(from_s=0.0, links=("car1/car2",), loss=1.0), Change(from_s=0.0, loss=0.0)))
     for draw in (0.0, 0.5, most):
         assert total.lost(sent, lambda draw=draw: np.full((2, 2), draw)).tolist() == [True, False]  # type: ignore[misc]
 
@@ -107,7 +107,7 @@ spans = st.lists(st.tuples(st.integers(0, 12), st.one_of(st.none(), st.integers(
 def test_present_is_what_overlaps(found: list[tuple[int, int | None]], start: int, air: int) -> None:
     """Against the definition, in whole ns: change k weakens by 2^k dB, so that the sum tells which are present."""
     changes = tuple(
-        ScriptedChange(from_s=begin / 1e9, to_s=None if length is None else (begin + length) / 1e9, attenuation_db=2.0**k)
+        Change(from_s=begin / 1e9, to_s=None if length is None else (begin + length) / 1e9, attenuation_db=2.0**k)
         for k, (begin, length) in enumerate(found)
     )
     sent = Frame(
@@ -122,8 +122,8 @@ def test_present_is_what_overlaps(found: list[tuple[int, int | None]], start: in
 def test_answers_do_not_depend_on_what_was_asked_before() -> None:
     """Nor can what is answered be changed."""
     changes = (
-        ScriptedChange(from_s=1.0, to_s=2.0, loss=0.4),
-        ScriptedChange(from_s=1.5, to_s=3.0, links=("*/car2",), attenuation_db=4.0),
+        Change(from_s=1.0, to_s=2.0, loss=0.4),
+        Change(from_s=1.5, to_s=3.0, links=("*/car2",), attenuation_db=4.0),
     )
     frames = [frame(sender, at_ns=t * MS) for t in range(900, 3200, 50) for sender in CARS]
     used = Script(changes)
