@@ -124,7 +124,7 @@ class Budgets:
             path_loss_db=path_loss_db,
             level_dbm=sealed(power_dbm - path_loss_db),
         )
-        self._means |= {links.sender: batch.mean(k) for k, links in enumerate(senders)}
+        self._means |= {links.sender: mean for links, mean in zip(senders, batch.means(), strict=True)}
 
     def _compute(self, links: SenderLinks, paths: Paths, row: int, *, bodies: bool) -> MeanBudget:
         power_dbm, sensitivity_dbm = self._fixed_of(links)

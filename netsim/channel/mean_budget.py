@@ -80,18 +80,14 @@ class BatchBudget(msgspec.Struct, dict=True):
         everywhere[self.apart] = (10.0 ** (self.level_dbm / 10.0)).ravel()
         return sealed(everywhere)
 
-    def mean(self, which: int) -> MeanBudget:
-        """The budget of one radio."""
-        return MeanBudget(
-            row=int(self.rows[which]),
-            antennas=self.antennas,
-            paths=Paths(self.tx[which], self.rx[which], self.distance_m[which], self.senders[which].seed),
-            power_dbm=self.power_dbm[which],
-            sensitivity_dbm=self.sensitivity_dbm[which],
-            path_loss_db=self.path_loss_db[which],
-            level_dbm=self.level_dbm[which],
-            together=(self, which),
-        )
+    def means(self) -> list[MeanBudget]:
+        """The budget of each radio."""
+        columns = (self.rows.tolist(), self.tx, self.rx, self.distance_m)
+        levels = (self.power_dbm, self.sensitivity_dbm, self.path_loss_db, self.level_dbm)
+        seed, means = self.senders[0].seed, list[MeanBudget]()
+        for k, (row, tx, rx, distance_m, *of_row) in enumerate(zip(*columns, *levels, strict=True)):
+            means.append(MeanBudget(row, self.antennas, Paths(tx, rx, distance_m, seed), *of_row, together=(self, k)))
+        return means
 
 
 class ReportColumns(msgspec.Struct, frozen=True):
