@@ -85,8 +85,11 @@ class BatchBudget(msgspec.Struct, dict=True):
         columns = (self.rows.tolist(), self.tx, self.rx, self.distance_m)
         levels = (self.power_dbm, self.sensitivity_dbm, self.path_loss_db, self.level_dbm)
         seed, means = self.senders[0].seed, list[MeanBudget]()
-        for k, (row, tx, rx, distance_m, *of_row) in enumerate(zip(*columns, *levels, strict=True)):
-            means.append(MeanBudget(row, self.antennas, Paths(tx, rx, distance_m, seed), *of_row, together=(self, k)))
+        rows = zip(*columns, *levels, strict=True)
+        for k, (row, tx, rx, distance_m, power_dbm, sensitivity_dbm, path_loss_db, level_dbm) in enumerate(rows):
+            of_row = power_dbm, sensitivity_dbm, path_loss_db, level_dbm
+            paths, together = Paths(tx, rx, distance_m, seed), (self, k)
+            means.append(MeanBudget(row, self.antennas, paths, *of_row, together=together))
         return means
 
 
