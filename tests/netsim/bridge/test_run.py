@@ -172,8 +172,8 @@ def test_when_the_run_is_killed_the_process_ends_and_ports_are_free() -> None:
     first = free_ports(200)
     script = textwrap.dedent(f"""
         from tests.support.netsim.bridge_runs import BridgeRun
-        from vcmvsp.netsim.bridge.process.messages import DoorSpec
-        run = BridgeRun("a", "b", gateways=[DoorSpec(name="udp", kind="udp", params={{"first_port": {first}}})])
+        from vcmvsp.netsim.bridge.process.messages import GatewaySpec
+        run = BridgeRun("a", "b", gateways=[GatewaySpec(name="udp", kind="udp", params={{"first_port": {first}}})])
         run.go()
         print(run.bridge._process.pid, flush=True)
     """)
