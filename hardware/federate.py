@@ -28,7 +28,7 @@ from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, Log, Needed, RunInfo, Slot, Step
 from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.cosim.types import Array, Follows, Halted, Outage, States, VehicleState
-from vcmvsp.hardware.real_vehicle import Seat
+from vcmvsp.hardware.real_vehicle import VehicleProxy
 from vcmvsp.hardware.stations import Connections
 
 HEARTBEAT = Ticks.every(0.05)
@@ -70,7 +70,7 @@ class Hardware:
         self.names = tuple(each.name for each in vehicles)
         self.reads = self.wakes = (*(f"{name}/command" for name in self.names), "operator/halted")
         self._clock, self._radius_m, self._log = clock, radius_m, log
-        self._seats = {each.name: Seat(each, clock) for each in vehicles}
+        self._seats = {each.name: VehicleProxy(each, clock) for each in vehicles}
         self._run, self._tell, self._connect = run, tell, connect
         self._connections: Connections | None = None
         self._world: tuple[int, States] | None = None  # and when that was

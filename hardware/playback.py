@@ -44,7 +44,7 @@ class Playback:
         self, names: tuple[str, ...], inputs: Sequence[Input], *, tell: Callable[[str], None] = lambda _: None
     ) -> None:
         self.names, self._tell = names, tell
-        self._tracks = {name: _Track() for name in names}
+        self._tracks = {name: _Trajectory() for name in names}
         self._recorded: list[Event] = []
         self._end_ns = 0
         for key, time_ns, value in inputs:
@@ -96,7 +96,7 @@ class Playback:
         return last
 
 
-class _Track:
+class _Trajectory:
     """Where one vehicle was."""
 
     def __init__(self) -> None:

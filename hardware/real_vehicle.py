@@ -4,7 +4,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -28,7 +27,8 @@ from vcmvsp.cosim.types import (
     Waypoint,
 )
 from vcmvsp.hardware.drivers.base import DriverError, Notice
-from vcmvsp.hardware.station.messages import OPERATOR_STOP, Order, Report
+from vcmvsp.hardware.station.messages import OPERATOR_STOP, StationOrder, StationReport
+from vcmvsp.hardware.station.process_client import Station
 
 LOST = "its robot is lost"
 HALTED = "operator's halt"
@@ -37,17 +37,7 @@ KEPT_NS = 2 * SECOND_NS  # of reports: a run that is later than this on the wall
 SILENT_NS = SECOND_NS  # a station that says nothing for so long hangs: it has something to say 50 times a second
 
 
-class Station(Protocol):
-    """What a seat asks of `hardware.station.process_client.Station`."""
-
-    def order(self, order: Order) -> bool:
-        """Send an order, without waiting; whether it went."""
-
-    def reports(self) -> list[Report]:
-        """All that have come since the last call; raises what has become of the station."""
-
-
-class Seat:
+class VehicleProxy:
     """Turns reports into events and commands into orders.
 
     Args:
@@ -65,8 +55,8 @@ class Seat:
         x, y, yaw = vehicle.start
         place = (x, y, vehicle.height_m)
         self._still = VehicleState(position=place, attitude=quaternion_from_yaw(yaw))
-        self._history: deque[Report] = deque()  # oldest first
-        self._fresh: list[Report] = []  # heard since the last publication
+        self._history: deque[StationReport] = deque()  # oldest first
+        self._fresh: list[StationReport] = []  # heard since the last publication
         self._command: tuple[Velocity | None, int, int] = (None, 0, 0)  # given when: by the monotonic clock, by the run's
         self._orders, self._shown = 0, (0, self._still)
         self._asked = (-1, self._still)
@@ -90,7 +80,7 @@ class Seat:
         if self.halted and command is not None:
             command = Velocity()  # as old as that of the agent, who must be heard all the same
         self.station.order(
-            Order(
+            StationOrder(
                 number=self._orders,
                 sent_ns=time.monotonic_ns(),
                 command=command,
@@ -140,8 +130,8 @@ class Seat:
         self.lost, self.station = error, None
         now_ns = time.monotonic_ns()
         notice = Notice(time_ns=now_ns, what="lost", cause=str(error))
-        last = self._history[-1] if self._history else Report(number=0, time_ns=now_ns)
-        told = Report(number=last.number, time_ns=now_ns, state=self._rested(now_ns), causes=(LOST,), notices=(notice,))
+        last = self._history[-1] if self._history else StationReport(number=0, time_ns=now_ns)
+        told = StationReport(number=last.number, time_ns=now_ns, state=self._rested(now_ns), causes=(LOST,), notices=(notice,))
         self._fresh.append(told)
         self._history.append(told)
 
@@ -162,7 +152,7 @@ class Seat:
             return self._still
         return ahead(report.state, at_ns - report.time_ns, flies=self.vehicle.flies)
 
-    def _report(self, now_ns: int) -> Report | None:
+    def _report(self, now_ns: int) -> StationReport | None:
         """The newest that there was at an instant: a run that is late has heard more by now."""
         at_ns = self._clock.monotonic_ns(now_ns)
         return next((each for each in reversed(self._history) if each.time_ns <= at_ns), None)
@@ -189,13 +179,13 @@ class Seat:
         fresh, self._fresh = self._fresh, []
         return self._incidents(now_ns, fresh)
 
-    def _incidents(self, now_ns: int, fresh: Sequence[Report]) -> Iterator[Event]:
+    def _incidents(self, now_ns: int, fresh: Sequence[StationReport]) -> Iterator[Event]:
         for notice in (each for report in fresh for each in report.notices):
             happened_ns = self._clock.logical_ns(notice.time_ns)
             incident = Incident(what=notice.what, cause=notice.cause, happened_ns=happened_ns)
             yield Event(f"{self.vehicle.name}/incident", now_ns, incident)
 
-    def _odometry(self, report: Report, now_ns: int) -> Odometry:
+    def _odometry(self, report: StationReport, now_ns: int) -> Odometry:
         """The newest, gone on with to this instant."""
         told = report.odometry
         assert told is not None  # noqa: S101  asked for before
@@ -203,7 +193,7 @@ class Seat:
         seconds = max(0, min(since_ns, LONGEST_NS)) / SECOND_NS
         return Odometry(pose=arc(told.pose, told.v, told.w, seconds), v=told.v, w=told.w)
 
-    def _readings(self, now_ns: int, fresh: Sequence[Report]) -> Iterator[Event]:
+    def _readings(self, now_ns: int, fresh: Sequence[StationReport]) -> Iterator[Event]:
         """Positions and ranges that are new. What was measured before the run began is no part of it."""
         name, logical_ns = self.vehicle.name, self._clock.logical_ns
         for report in fresh:
@@ -214,7 +204,7 @@ class Seat:
         if ranges:
             yield Event(f"{name}/sonar", now_ns, Measured(time_ns=now_ns, values=dict(sorted(ranges.items(), key=_number))))
 
-    def _status(self, now_ns: int, newest: Report | None, fresh: Sequence[Report]) -> RealStatus:
+    def _status(self, now_ns: int, newest: StationReport | None, fresh: Sequence[StationReport]) -> RealStatus:
         if newest is None:
             return RealStatus(link=0, age_s=None)
         sigma_m = None

@@ -9,7 +9,7 @@ import msgspec
 from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.hardware.emulators.programs.in_run import EMULATED, Emulated
 from vcmvsp.hardware.safety import Polygon
-from vcmvsp.hardware.station.messages import Mission, Part, Safety
+from vcmvsp.hardware.station.messages import PartSpec, Safety, StationMission
 from vcmvsp.hardware.station.process_client import CLOSE_S, READY_S, Station, StationError
 from vcmvsp.hardware.station.safety_factory import guard
 
@@ -97,18 +97,18 @@ def check_safety(vehicle: RealVehicle) -> None:
         raise ValueError(f"{where}: it would stand there; start it inside, or make safety.fence wider")
 
 
-def mission(vehicle: RealVehicle, run: str, period_s: float = 0.0) -> Mission:
+def mission(vehicle: RealVehicle, run: str, period_s: float = 0.0) -> StationMission:
     """What the station of a vehicle is told, whose agent decides every ``period_s``."""
     localisation = None
     if vehicle.localisation is not None:
-        localisation = Part(group="localisation", kind=vehicle.localisation, params=vehicle.localisation_params)
+        localisation = PartSpec(group="localisation", kind=vehicle.localisation, params=vehicle.localisation_params)
     limits = {name: value for name, value in msgspec.structs.asdict(vehicle.safety).items() if value is not None}
     limits = {"command_s": max(COMMAND_S, 2.5 * period_s), **limits}
-    return Mission(
+    return StationMission(
         run=run,
         vehicle=vehicle.name,
         folder=vehicle.folder,
-        driver=Part(group="driver", kind=vehicle.driver, params=vehicle.driver_params),
+        driver=PartSpec(group="driver", kind=vehicle.driver, params=vehicle.driver_params),
         localisation=localisation,
         fusion=vehicle.fusion,
         start=vehicle.start,

@@ -13,7 +13,7 @@ import typer
 from vcmvsp.cosim.cli.options import AsJson, DialInsecurely, KeysOfVehicle, pose_of, say
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.assembly.parts.stations import Answer
+    from vcmvsp.cosim.assembly.parts.stations import StationAnswer
 
 NOBODY = "no robot is driven on this machine by you"
 
@@ -110,7 +110,7 @@ def operator_command(
         raise SystemExit(1)
 
 
-def stopped(vehicles: Sequence[str]) -> "tuple[list[Answer], list[str]]":
+def stopped(vehicles: Sequence[str]) -> "tuple[list[StationAnswer], list[str]]":
     """Stop them (none named: all); what each answered, and what there was none of."""
     from vcmvsp.cosim.assembly.parts.stations import LONGEST_NAME, Caller
 
@@ -122,7 +122,7 @@ def stopped(vehicles: Sequence[str]) -> "tuple[list[Answer], list[str]]":
     return answers, missing if vehicles or asked else ["any"]
 
 
-def line(answer: "Answer") -> str:
+def line(answer: "StationAnswer") -> str:
     """What a station said, for people."""
     match answer.state:
         case "silent":

@@ -5,7 +5,7 @@ Positioning servers, robots and autopilots stamp what they measure with clocks o
 - `ForeignClock`, for those that only talk. A message stamped s that arrives at a says ``a - s = offset + delay``, and of many
   delays the least is nearest to the least that is possible (the minimum filter of clock synchronisation by one-way delays,
   as in Moon, Skelly, Towsley 1999, "Estimation and removal of clock skew from network delay measurements", INFOCOM).
-- `Exchange`, for those that echo. Four times give offset and round trip, and the exchange with the least round trip is the
+- `EchoClock`, for those that echo. Four times give offset and round trip, and the exchange with the least round trip is the
   best [RFC 5905, clauses 8 and 10].
 
 Offsets are what is added to the other's time to get ours. All is pure: times are arguments, whole ns.
@@ -116,7 +116,7 @@ class ForeignClock:
         return (self._bounds[0][1] + self._drift * now_ns) // _PARTS
 
 
-class Estimate(NamedTuple):
+class OffsetEstimate(NamedTuple):
     """What an exchange says."""
 
     offset_ns: int
@@ -124,7 +124,7 @@ class Estimate(NamedTuple):
     at_ns: int  # when the answer came
 
 
-class Exchange:
+class EchoClock:
     """A clock that answers: offsets from exchanges of four times each, the best of the newest ``window``.
 
     An offset is wrong by at most half the round trip, however unequal the two ways are, and later by what the clock may have
@@ -137,7 +137,7 @@ class Exchange:
 
     def __init__(self, *, window: int = 8, drift_ppm: NonNegative = 100.0) -> None:
         self._drift = round(drift_ppm * 1000.0)
-        self._kept: deque[Estimate] = deque(maxlen=window)
+        self._kept: deque[OffsetEstimate] = deque(maxlen=window)
         self.jumps = self.refused = 0
 
     def add(self, sent_ns: int, heard_there_ns: int, answered_there_ns: int, received_ns: int) -> None:
@@ -148,18 +148,18 @@ class Exchange:
             self.refused += 1
             return
         offset = (sent_ns - heard_there_ns + received_ns - answered_there_ns) // 2
-        new = Estimate(offset, (max(round_trip, 0) + 1) // 2 + 1 + drifted, received_ns)  # both divisions round
+        new = OffsetEstimate(offset, (max(round_trip, 0) + 1) // 2 + 1 + drifted, received_ns)  # both divisions round
         if self._kept and self._contradicts(new):
             self.jumps += 1
             self._kept.clear()
         self._kept.append(new)
 
-    def best(self, now_ns: int) -> Estimate | None:
+    def best(self, now_ns: int) -> OffsetEstimate | None:
         """The estimate with the least possible error now; None: there was no exchange yet."""
         aged = (each._replace(error_ns=each.error_ns + self._drifted(now_ns - each.at_ns)) for each in self._kept)
         return min(aged, key=lambda each: each.error_ns, default=None)
 
-    def _contradicts(self, new: Estimate) -> bool:
+    def _contradicts(self, new: OffsetEstimate) -> bool:
         known = self.best(new.at_ns)
         return known is not None and abs(new.offset_ns - known.offset_ns) > new.error_ns + known.error_ns
 

@@ -27,7 +27,15 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.estimation import heading_alignment
-from vcmvsp.cosim.estimation.kalman_filter import Motion, Noise, Seen, corrected, grown, innovation, moved
+from vcmvsp.cosim.estimation.kalman_filter import (
+    MeasuredPosition,
+    OdometryMotion,
+    OdometryNoise,
+    corrected,
+    grown,
+    innovation,
+    moved,
+)
 from vcmvsp.cosim.types import Array, Count, NonNegative, Positive, Probability, Vec3, frozen
 
 Outcome = Literal["accepted", "gated", "collected", "restarted", "late"]
@@ -45,7 +53,7 @@ class Verdict(msgspec.Struct, frozen=True):
         return self.outcome in ("accepted", "collected", "restarted")
 
 
-class Pose(msgspec.Struct, frozen=True, kw_only=True):
+class FusedPose(msgspec.Struct, frozen=True, kw_only=True):
     """The estimate at an instant."""
 
     time_ns: int
@@ -66,7 +74,7 @@ class Pose(msgspec.Struct, frozen=True, kw_only=True):
     restarts: int  # times that the estimate was given up for what the positions said
 
 
-class _Belief(msgspec.Struct, frozen=True):
+class _FilterState(msgspec.Struct, frozen=True):
     """All that the filter knows at an instant."""
 
     mean: Array | None  # (6,); None while the heading is unknown
@@ -78,7 +86,7 @@ class _Belief(msgspec.Struct, frozen=True):
     restarts: int = 0
 
 
-class _Told(msgspec.Struct, frozen=True):
+class _OdometryInterval(msgspec.Struct, frozen=True):
     """Odometry from ``start_ns`` to the time of its node."""
 
     start_ns: int
@@ -86,17 +94,17 @@ class _Told(msgspec.Struct, frozen=True):
     turn_rad: float
 
 
-class _Node(msgspec.Struct, eq=False):
+class _LogEntry(msgspec.Struct, eq=False):
     """An instant of the log, and the belief after it."""
 
     time_ns: int
-    belief: _Belief
-    what: _Told | Seen | None = None
+    belief: _FilterState
+    what: _OdometryInterval | MeasuredPosition | None = None
 
     def key(self) -> tuple[float, ...]:
         """Order of the log: it must not depend on the order of arrival, not even at equal times."""
         seen = self.what
-        return (self.time_ns, 1, seen.x, seen.y) if isinstance(seen, Seen) else (self.time_ns, 0, 0.0, 0.0)
+        return (self.time_ns, 1, seen.x, seen.y) if isinstance(seen, MeasuredPosition) else (self.time_ns, 0, 0.0, 0.0)
 
 
 class Fusion:
@@ -120,7 +128,7 @@ class Fusion:
     def __init__(
         self,
         *,
-        noise: Noise | None = None,
+        noise: OdometryNoise | None = None,
         start: Vec3 | None = None,
         start_sigma_m: Positive = 0.05,
         start_sigma_rad: Positive = 0.05,
@@ -133,15 +141,15 @@ class Fusion:
         coast_s: NonNegative = 0.5,
         history_s: Positive = 2.0,
     ) -> None:
-        self._noise = noise or Noise()
+        self._noise = noise or OdometryNoise()
         self._prior = np.diag([0.0, 0.0, 0.0, scale_sigma**2, veer_sigma**2, bias_sigma**2])
         self._gate, self._restart_after, self._heading_sigma = gate, max(restart_after, 2), heading_sigma_rad
         self._coast_ns, self._history_ns = seconds_to_ns(coast_s), seconds_to_ns(history_s)
         self._bound = heading_alignment.chi2_quantile(gate, 2)
         covariance = self._prior + np.diag([start_sigma_m**2, start_sigma_m**2, start_sigma_rad**2, 0.0, 0.0, 0.0])
         mean = None if start is None else np.array([*start, 0.0, 0.0, 0.0])
-        self._begin = _Belief(mean, covariance)
-        self._nodes: list[_Node] = []
+        self._begin = _FilterState(mean, covariance)
+        self._nodes: list[_LogEntry] = []
         self._told_ns: int | None = None  # until when odometry has told
         self._waiting = (0.0, 0.0)  # motion told without time having gone on
         self._speed = (0.0, 0.0)  # m/s and rad/s, as told last
@@ -155,16 +163,16 @@ class Fusion:
         _check(distance_m, turn_rad)
         if self._told_ns is None:
             self._told_ns = time_ns
-            self._insert(_Node(time_ns, self._begin))
+            self._insert(_LogEntry(time_ns, self._begin))
             return
         distance_m, turn_rad = distance_m + self._waiting[0], turn_rad + self._waiting[1]
         if time_ns <= self._told_ns:
             self._waiting = (distance_m, turn_rad)
             return
-        told, self._waiting = _Told(self._told_ns, distance_m, turn_rad), (0.0, 0.0)
+        told, self._waiting = _OdometryInterval(self._told_ns, distance_m, turn_rad), (0.0, 0.0)
         seconds = (time_ns - self._told_ns) / SECOND_NS
         self._speed, self._told_ns = (distance_m / seconds, turn_rad / seconds), time_ns
-        self._insert(_Node(time_ns, self._begin, told))
+        self._insert(_LogEntry(time_ns, self._begin, told))
 
     def twist(self, time_ns: int, v: float, w: float) -> None:
         """The robot has gone at v (m/s) and w (rad/s) since the last call."""
@@ -176,9 +184,9 @@ class Fusion:
         _check(x, y, sigma_m)
         if sigma_m <= 0.0:
             raise ValueError(f"a position's sigma_m must be positive, not {sigma_m}")
-        return self._insert(_Node(time_ns, self._begin, Seen(x, y, sigma_m)))
+        return self._insert(_LogEntry(time_ns, self._begin, MeasuredPosition(x, y, sigma_m)))
 
-    def estimate(self, now_ns: int) -> Pose | None:
+    def estimate(self, now_ns: int) -> FusedPose | None:
         """The pose at an instant of the log, or after it; None while nothing is known, or before the log."""
         index = bisect.bisect_right(self._nodes, now_ns, key=lambda node: node.time_ns) - 1
         if index < 0:
@@ -195,7 +203,7 @@ class Fusion:
         x, y, heading, scale, veer, bias = mean.tolist()
         told_ns = self._told_ns
         holds = told_ns is not None and now_ns - told_ns <= self._coast_ns
-        return Pose(
+        return FusedPose(
             time_ns=now_ns,
             x=x,
             y=y,
@@ -214,22 +222,22 @@ class Fusion:
             restarts=belief.restarts,
         )
 
-    def _insert(self, node: _Node) -> Verdict:
+    def _insert(self, node: _LogEntry) -> Verdict:
         """Put a node where it belongs, run the filter again from there, and forget what is older than the log."""
         nodes = self._nodes
         if not nodes:
-            nodes.append(_Node(node.time_ns, self._begin))
+            nodes.append(_LogEntry(node.time_ns, self._begin))
         if node.time_ns < nodes[0].time_ns:
             self.late += 1
             return Verdict("late")
-        bisect.insort_right(nodes, node, lo=1, key=_Node.key)
-        since_ns = node.what.start_ns if isinstance(node.what, _Told) else node.time_ns
+        bisect.insort_right(nodes, node, lo=1, key=_LogEntry.key)
+        since_ns = node.what.start_ns if isinstance(node.what, _OdometryInterval) else node.time_ns
         first = bisect.bisect_right(nodes, since_ns, lo=1, key=lambda each: each.time_ns)
         verdict = Verdict("late")
         for index in range(min(first, nodes.index(node)), len(nodes)):
             each = nodes[index]
             belief, what = self._moved(nodes[index - 1].belief, index - 1, each.time_ns), each.what
-            if isinstance(what, Seen):
+            if isinstance(what, MeasuredPosition):
                 belief, said = self._told_position(belief, each.time_ns, what)
                 verdict = said if each is node else verdict
             each.belief = belief
@@ -237,7 +245,7 @@ class Fusion:
         del nodes[: max(oldest, 0)]
         return verdict
 
-    def _moved(self, belief: _Belief, index: int, until_ns: int) -> _Belief:
+    def _moved(self, belief: _FilterState, index: int, until_ns: int) -> _FilterState:
         """The belief after node ``index``, moved on to a time before the next node, or after the last."""
         since_ns = self._nodes[index].time_ns
         if until_ns == since_ns:
@@ -249,20 +257,20 @@ class Fusion:
         mean, jacobian, added = moved(belief.mean, motion, self._noise)
         return msgspec.structs.replace(belief, mean=mean, covariance=grown(belief.covariance, jacobian, added), items=items)
 
-    def _motion(self, index: int, since_ns: int, until_ns: int) -> Motion:
+    def _motion(self, index: int, since_ns: int, until_ns: int) -> OdometryMotion:
         """What odometry tells of this time, else the last speeds as long as they hold."""
         seconds = (until_ns - since_ns) / SECOND_NS
         for node in self._nodes[index + 1 :]:
-            if isinstance(told := node.what, _Told):
+            if isinstance(told := node.what, _OdometryInterval):
                 if told.start_ns > since_ns:
                     break
                 share = (until_ns - since_ns) / (node.time_ns - told.start_ns)
-                return Motion(told.distance_m * share, told.turn_rad * share, seconds)
+                return OdometryMotion(told.distance_m * share, told.turn_rad * share, seconds)
         told_ns = until_ns if self._told_ns is None else self._told_ns
         held = max(min(until_ns, told_ns + self._coast_ns) - max(since_ns, told_ns), 0) / SECOND_NS
-        return Motion(self._speed[0] * held, self._speed[1] * held, seconds, told=False)
+        return OdometryMotion(self._speed[0] * held, self._speed[1] * held, seconds, told=False)
 
-    def _told_position(self, belief: _Belief, time_ns: int, seen: Seen) -> tuple[_Belief, Verdict]:
+    def _told_position(self, belief: _FilterState, time_ns: int, seen: MeasuredPosition) -> tuple[_FilterState, Verdict]:
         """The belief after a position."""
         items = heading_alignment.trimmed((*belief.items, seen))
         if belief.mean is None:
@@ -279,11 +287,11 @@ class Fusion:
         if heading_alignment.count(items) == self._restart_after:
             fit = heading_alignment.fitted(items, self._prior, self._noise)
             if fit.fits(self._gate):
-                fresh = _Belief(None, self._prior, (), None, belief.accepted, belief.gated, belief.restarts + 1)
+                fresh = _FilterState(None, self._prior, (), None, belief.accepted, belief.gated, belief.restarts + 1)
                 return self._collected(fresh, time_ns, items), Verdict("restarted", nis)
         return msgspec.structs.replace(belief, items=items, gated=belief.gated + 1), Verdict("gated", nis)
 
-    def _collected(self, belief: _Belief, time_ns: int, items: heading_alignment.Items) -> _Belief:
+    def _collected(self, belief: _FilterState, time_ns: int, items: heading_alignment.Items) -> _FilterState:
         """The belief after one more position with the heading unknown: perhaps it is known now."""
         count = belief.accepted + 1
         start = heading_alignment.aligned(items, self._prior, self._noise, self._heading_sigma, self._gate)

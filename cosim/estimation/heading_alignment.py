@@ -12,7 +12,17 @@ import msgspec
 import numpy as np
 from scipy.special import gammaincinv
 
-from vcmvsp.cosim.estimation.kalman_filter import HEADING, SIZE, Motion, Noise, Seen, corrected, grown, innovation, moved
+from vcmvsp.cosim.estimation.kalman_filter import (
+    HEADING,
+    SIZE,
+    MeasuredPosition,
+    OdometryMotion,
+    OdometryNoise,
+    corrected,
+    grown,
+    innovation,
+    moved,
+)
 from vcmvsp.cosim.types import Array
 
 UNKNOWN = math.pi**2 / 3.0  # rad^2, variance of a direction of which nothing is known
@@ -20,10 +30,10 @@ LEAST = 4  # positions; three are needed, one more lets them contradict each oth
 MOST = 40  # positions that are kept
 LONGEST = 2000  # items that are kept
 
-Items = tuple[Motion | Seen, ...]  # in order of time; the first is a position
+Items = tuple[OdometryMotion | MeasuredPosition, ...]  # in order of time; the first is a position
 
 
-class Start(msgspec.Struct, frozen=True):
+class AlignedStart(msgspec.Struct, frozen=True):
     """Where the robot is after the items."""
 
     mean: Array  # (6,)
@@ -43,15 +53,15 @@ def chi2_quantile(probability: float, degrees: int) -> float:
 
 def trimmed(items: Items, most: int = MOST) -> Items:
     """The items from the last ``most`` positions on."""
-    places = [index for index, item in enumerate(items) if isinstance(item, Seen)]
+    places = [index for index, item in enumerate(items) if isinstance(item, MeasuredPosition)]
     return items[places[-most] :] if 0 < most < len(places) else items
 
 
-def extended(items: Items, motion: Motion) -> Items:
+def extended(items: Items, motion: OdometryMotion) -> Items:
     """The items and a motion; of a list that grows too long, the oldest positions and their motions are forgotten."""
     last = items[-1]
-    if isinstance(last, Motion) and last.told == motion.told and _rests(last) and _rests(motion):
-        return (*items[:-1], Motion(0.0, 0.0, last.seconds + motion.seconds, motion.told))
+    if isinstance(last, OdometryMotion) and last.told == motion.told and _rests(last) and _rests(motion):
+        return (*items[:-1], OdometryMotion(0.0, 0.0, last.seconds + motion.seconds, motion.told))
     if len(items) < LONGEST:
         return (*items, motion)
     left = trimmed(items, count(items) - 1)
@@ -60,10 +70,10 @@ def extended(items: Items, motion: Motion) -> Items:
 
 def count(items: Items) -> int:
     """How many positions there are."""
-    return sum(isinstance(item, Seen) for item in items)
+    return sum(isinstance(item, MeasuredPosition) for item in items)
 
 
-def aligned(items: Items, prior: Array, noise: Noise, sigma_rad: float, gate: float) -> Start | None:
+def aligned(items: Items, prior: Array, noise: OdometryNoise, sigma_rad: float, gate: float) -> AlignedStart | None:
     """The start, once the path is long enough to tell the heading to ``sigma_rad``, and the positions agree.
 
     Where they do not, up to a quarter of them is left out: each time the one without which the others fit best.
@@ -82,7 +92,7 @@ def aligned(items: Items, prior: Array, noise: Noise, sigma_rad: float, gate: fl
     return None
 
 
-def fitted(items: Items, prior: Array, noise: Noise, heading: float | None = None) -> Start:
+def fitted(items: Items, prior: Array, noise: OdometryNoise, heading: float | None = None) -> AlignedStart:
     """The least-squares start: a Kalman pass over the differences from the path that sets out with ``heading``.
 
     ``prior`` has the variances of scale, veer and bias in its diagonal.
@@ -97,27 +107,27 @@ def fitted(items: Items, prior: Array, noise: Noise, heading: float | None = Non
     covariance[2, 2] = UNKNOWN
     difference, chi2 = np.zeros(SIZE), 0.0
     for item in items[1:]:
-        if isinstance(item, Motion):
+        if isinstance(item, OdometryMotion):
             nominal, jacobian, added = moved(nominal, item, noise)
             difference, covariance = jacobian @ difference, grown(covariance, jacobian, added)
         else:
             residual, inverse, length2 = innovation(nominal + difference, covariance, item)
             gain, covariance = corrected(covariance, inverse, item)
             difference, chi2 = difference + gain @ residual, chi2 + length2
-    return Start(nominal + difference, covariance, chi2, len(seen))
+    return AlignedStart(nominal + difference, covariance, chi2, len(seen))
 
 
-def rough(items: Items, prior: Array, noise: Noise) -> tuple[Array, Array]:
+def rough(items: Items, prior: Array, noise: OdometryNoise) -> tuple[Array, Array]:
     """Mean and covariance while the heading is unknown: the last position, and a way from it in some direction."""
-    last = max(index for index, item in enumerate(items) if isinstance(item, Seen))
+    last = max(index for index, item in enumerate(items) if isinstance(item, MeasuredPosition))
     seen, since = items[last], items[last:]
-    assert isinstance(seen, Seen)  # noqa: S101
+    assert isinstance(seen, MeasuredPosition)  # noqa: S101
     mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
     mean[:2] = seen.x, seen.y
     covariance[0, 0] = covariance[1, 1] = seen.sigma_m**2
     end = np.zeros(SIZE)
     for item in since[1:]:
-        assert isinstance(item, Motion)  # noqa: S101
+        assert isinstance(item, OdometryMotion)  # noqa: S101
         end, jacobian, added = moved(end, item, noise)
         covariance = grown(covariance, jacobian, added)
     spread = 0.5 * float(end[0] ** 2 + end[1] ** 2)  # variance of each coordinate of a vector of random direction
@@ -129,12 +139,12 @@ def rough(items: Items, prior: Array, noise: Noise) -> tuple[Array, Array]:
     return mean, covariance
 
 
-def _path(items: Items) -> tuple[Array, list[Seen]]:
+def _path(items: Items) -> tuple[Array, list[MeasuredPosition]]:
     """Where odometry puts each position, (n, 2) m, were the first at the origin with heading 0; and the positions."""
-    at, noise = np.zeros(SIZE), Noise()
+    at, noise = np.zeros(SIZE), OdometryNoise()
     places, seen = [], []
     for item in items:
-        if isinstance(item, Motion):
+        if isinstance(item, OdometryMotion):
             at, _, _ = moved(at, item, noise)
         else:
             places.append(at[:2])
@@ -142,7 +152,7 @@ def _path(items: Items) -> tuple[Array, list[Seen]]:
     return np.array(places), seen
 
 
-def _rotation(path: Array, seen: Sequence[Seen]) -> tuple[float, float, float]:
+def _rotation(path: Array, seen: Sequence[MeasuredPosition]) -> tuple[float, float, float]:
     """Heading that lays the path on the positions, its standard deviation, and the weighted squared residual.
 
     Centred paths u and positions z with weights w = 1 / sigma^2: the heading is the argument of the sum of
@@ -159,7 +169,7 @@ def _rotation(path: Array, seen: Sequence[Seen]) -> tuple[float, float, float]:
     return math.atan2(product.imag, product.real), spread**-0.5 if spread > 0.0 else math.inf, residual
 
 
-def _rests(motion: Motion) -> bool:
+def _rests(motion: OdometryMotion) -> bool:
     return motion.distance_m == 0.0 and motion.turn_rad == 0.0
 
 
@@ -169,10 +179,10 @@ def _one_less(indices: list[int]) -> list[list[int]]:
 
 def _without(items: Items, dropped: list[int]) -> Items:
     """The items without some of the positions, from the first position that is left on."""
-    kept: list[Motion | Seen] = []
+    kept: list[OdometryMotion | MeasuredPosition] = []
     number = -1
     for item in items:
-        if isinstance(item, Seen):
+        if isinstance(item, MeasuredPosition):
             number += 1
             if number in dropped:
                 continue

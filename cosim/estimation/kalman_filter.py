@@ -16,7 +16,7 @@ SIZE = 6
 HEADING = 2
 
 
-class Motion(msgspec.Struct, frozen=True):
+class OdometryMotion(msgspec.Struct, frozen=True):
     """What odometry says of a stretch of time, or what is supposed where it has said nothing (yet)."""
 
     distance_m: float  # along the path, negative backwards
@@ -25,7 +25,7 @@ class Motion(msgspec.Struct, frozen=True):
     told: bool = True
 
 
-class Seen(msgspec.Struct, frozen=True):
+class MeasuredPosition(msgspec.Struct, frozen=True):
     """A position that was measured."""
 
     x: float  # m
@@ -33,7 +33,7 @@ class Seen(msgspec.Struct, frozen=True):
     sigma_m: float  # standard deviation of each
 
 
-class Noise(msgspec.Struct, frozen=True, kw_only=True):
+class OdometryNoise(msgspec.Struct, frozen=True, kw_only=True):
     """How far odometry is to be trusted: random walks, so that variances grow with the path and add up however it is cut.
 
     The defaults are of the size that Borenstein and Feng 1996 ("Measurement and correction of systematic odometry errors in
@@ -49,7 +49,7 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True):
     untold_rad: NonNegative = 0.3  # rad per sqrt(s) while odometry is silent
 
 
-def moved(mean: Array, motion: Motion, noise: Noise) -> tuple[Array, Array, Array]:
+def moved(mean: Array, motion: OdometryMotion, noise: OdometryNoise) -> tuple[Array, Array, Array]:
     """The mean (6,) after a motion along an arc, its Jacobian (6, 6), and the covariance (6, 6) that the motion adds.
 
     The chord of an arc of length d and angle a is ``d sin(a/2) / (a/2)``, in the direction ``heading + a/2``.
@@ -83,7 +83,7 @@ def grown(covariance: Array, jacobian: Array, added: Array) -> Array:
     return symmetric(jacobian @ covariance @ jacobian.T + added)
 
 
-def innovation(mean: Array, covariance: Array, seen: Seen) -> tuple[Array, Array, float]:
+def innovation(mean: Array, covariance: Array, seen: MeasuredPosition) -> tuple[Array, Array, float]:
     """Seen minus expected (2,), the inverse of its covariance (2, 2), and its squared Mahalanobis length (chi-square, 2)."""
     xx, xy, yy = covariance[0, 0] + seen.sigma_m**2, covariance[0, 1], covariance[1, 1] + seen.sigma_m**2
     inverse = np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy * xy)
@@ -91,7 +91,7 @@ def innovation(mean: Array, covariance: Array, seen: Seen) -> tuple[Array, Array
     return difference, inverse, float(difference @ inverse @ difference)
 
 
-def corrected(covariance: Array, inverse: Array, seen: Seen) -> tuple[Array, Array]:
+def corrected(covariance: Array, inverse: Array, seen: MeasuredPosition) -> tuple[Array, Array]:
     """The gain (6, 2), and the covariance after a position, in Joseph's form: it stays positive whatever is rounded."""
     gain = covariance[:, :2] @ inverse
     kept = np.eye(SIZE)

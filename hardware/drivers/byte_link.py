@@ -42,7 +42,7 @@ _ADVICE = {
 }
 
 
-class Line(Protocol):
+class ByteLink(Protocol):
     """Bytes in both directions. `read` and `write` raise `LinkLost` when the other side is gone."""
 
     def fileno(self) -> int:
@@ -58,7 +58,7 @@ class Line(Protocol):
         """Free the port. Never raises."""
 
 
-def open_line(url: str, baud: int) -> Line:
+def open_line(url: str, baud: int) -> ByteLink:
     """Open ``/dev/ttyUSB0``, the path of a pseudo-terminal, or ``socket://host:port``; a serial port for this process alone.
 
     ``tcp`` is the same as ``socket``, and ``/`` as ``://``.
@@ -67,13 +67,13 @@ def open_line(url: str, baud: int) -> Line:
         PortError: it cannot be opened.
     """
     if with_slash(url).startswith(("socket/", "tcp/")):
-        return _Tcp(url)
+        return _TcpLink(url)
     if "://" in url:
         raise PortError(url, "this kind of port is not known", "give a serial port such as /dev/ttyUSB0, or socket://host:port")
-    return _Serial(url, baud)
+    return _SerialLink(url, baud)
 
 
-class _Serial:
+class _SerialLink:
     """A serial port, 8N1, or a pseudo-terminal. pyserial opens it; its own reading and writing fail above 1023 open files."""
 
     def __init__(self, path: str, baud: int) -> None:
@@ -121,7 +121,7 @@ class _Serial:
             return  # it was unplugged
 
 
-class _Tcp:
+class _TcpLink:
     """A TCP connection, as simulators of robots and servers of serial ports offer."""
 
     def __init__(self, url: str) -> None:

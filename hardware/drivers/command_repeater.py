@@ -12,7 +12,7 @@ NOT_YET = "no command yet"
 V = TypeVar("V")
 
 
-class Pace(Generic[V]):
+class CommandRepeater(Generic[V]):
     """The newest command, and when it has to be said.
 
     Args:

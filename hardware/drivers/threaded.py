@@ -1,14 +1,13 @@
 """What drivers with a thread of their own share: from opening to closing, the newest sample, notices, what ended the thread.
 
-All that the thread shares with the caller is behind one lock, which nobody holds while waiting. `Threaded` says nothing of how
-the thread talks to the robot; `Wired` is for those that own something to select on, and look for it again when it was lost.
+All that the thread shares with the caller is behind one lock, which nobody holds while waiting. `ThreadedDriver` says nothing of how
+the thread talks to the robot; `ReconnectingDriver` is for those that own something to select on, and look for it again when it was lost.
 """
 
 import os
 import threading
 import time
 from collections import deque
-from typing import Protocol
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import words_of
@@ -20,7 +19,7 @@ NOTICES = 1000  # kept for somebody who asks
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 4.0  # before one attempt to connect again and the next: doubled each time
 
 
-class Threaded:
+class ThreadedDriver:
     """The caller's side of a thread that talks to a robot; a subclass says what the thread does (`_work`), and adds `write`.
 
     Args:
@@ -149,23 +148,16 @@ class Threaded:
             self._notices.append(Notice(time_ns=time.monotonic_ns(), what=what, cause=cause))
 
 
-class HasFile(Protocol):
-    """Something to select on."""
-
-    def fileno(self) -> int:
-        """Its number."""
-
-
-class Closing(Exception):
+class ClosedByCaller(Exception):
     """The caller wants the thread to end."""
 
 
-class Wired(Threaded):
+class ReconnectingDriver(ThreadedDriver):
     """A driver whose thread waits for bytes and for the caller at once, and connects again to a robot that it has lost.
 
     Args:
         device: for messages, as are the following.
-        open_deadline_s: as of `Threaded`.
+        open_deadline_s: as of `ThreadedDriver`.
         close_deadline_s: likewise.
         connect_s: to find the robot and to have it ready.
         silence_s: without a word from it, it counts as lost.
@@ -201,7 +193,7 @@ class Wired(Threaded):
         """Something other than the caller ends the thread: `_failure`."""
 
     def _say_goodbye(self) -> None:
-        """Leave the robot in order; waiting does not raise `Closing` any more once `_leaving` is set."""
+        """Leave the robot in order; waiting does not raise `ClosedByCaller` any more once `_leaving` is set."""
         raise NotImplementedError
 
     def _hang_up(self) -> None:
@@ -229,7 +221,7 @@ class Wired(Threaded):
     def _run(self) -> None:
         try:
             self._work()
-        except Closing:
+        except ClosedByCaller:
             if not self._ready.is_set():
                 self._failure = HandshakeError(self.device, "it was closed while it was being connected", "open it again")
             self._say_goodbye()
@@ -272,9 +264,9 @@ class Wired(Threaded):
         happened = f"{lost.happened}, and it was not back within {self._reconnect_s:g} s ({last})"
         raise LinkLost(self.device, happened, lost.advice)
 
-    def _wait(self, line: HasFile, until_ns: int) -> bool:
+    def _wait(self, descriptor: int, until_ns: int) -> bool:
         """Wait for bytes, for the caller, or until this time; whether there are bytes."""
-        return line.fileno() in self._select([line.fileno()], until_ns)
+        return descriptor in self._select([descriptor], until_ns)
 
     def _pause(self, until_ns: int) -> None:
         while time.monotonic_ns() < until_ns:
@@ -286,5 +278,5 @@ class Wired(Threaded):
         if self._woken in ready:
             os.read(self._woken, 4096)
         if self._closing.is_set() and not self._leaving:
-            raise Closing
+            raise ClosedByCaller
         return ready

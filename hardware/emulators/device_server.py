@@ -20,7 +20,7 @@ _CLOSE_S = 5.0  # the thread ends within one sleep
 _READ = 65_535  # bytes
 
 
-class Serving(ABC):
+class DeviceServer(ABC):
     """Something that is served at a port by a thread of its own, which begins at once; a context manager, which closes it.
 
     Args:
@@ -87,14 +87,14 @@ class Serving(ABC):
         return self._wake_read in readable(waits_on, pause_ns / SECOND_NS)
 
 
-class Tcp:
-    """A TCP port for one client at a time; the next one is heard when the last has hung up."""
+class TcpListener:
+    """A TCP port for one client at a time; the next one is accepted after the last has closed its connection."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, scheme: str, host: str, port: int) -> None:
         self._listener = socket.create_server((host, port), backlog=1)
         self._listener.setblocking(False)
         self._client: socket.socket | None = None
-        self.port: int = self._listener.getsockname()[1]
+        self.url = f"{scheme}{host}:{self._listener.getsockname()[1]}"
 
     def waits_on(self) -> int:
         """The descriptor that becomes readable when there is something to `read`."""
@@ -129,6 +129,9 @@ class Tcp:
         except OSError:
             self._hang_up()
             return 0
+
+    def baud(self) -> None:
+        """A TCP connection has no baud rate."""
 
     def _hang_up(self) -> None:
         if self._client is not None:

@@ -1,4 +1,4 @@
-"""Datagrams that somebody sends to this machine, as a `hardware.drivers.byte_link.Line`: each read is one of them."""
+"""Datagrams that somebody sends to this machine, as a `hardware.drivers.byte_link.ByteLink`: each read is one of them."""
 
 import errno
 import socket

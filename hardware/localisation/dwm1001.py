@@ -46,35 +46,6 @@ def encode(located: Located, index: int | None = None) -> bytes:
     return f"POS,{who}{body}{'' if index is None else ',x00'}\r\n".encode()
 
 
-class Reader:
-    """Reads the stream of a port, however it is split; counts broken lines and lines about other things."""
-
-    def __init__(self) -> None:
-        self.bad_lines = self.other_lines = 0
-        self._rest = b""
-
-    def feed(self, chunk: bytes) -> list[Located]:
-        """What the lines say that are whole now, in order."""
-        *lines, self._rest = (self._rest + chunk).replace(b"\r", b"\n").split(b"\n")
-        if len(self._rest) > LONGEST_BYTES:
-            self._rest = b""
-            self.bad_lines += 1
-        found = []
-        for line in lines:
-            if not line:
-                continue
-            try:
-                located = decode(line.decode("ascii"))
-            except ValueError:  # of which a UnicodeDecodeError is one
-                self.bad_lines += 1
-                continue
-            if located is None:
-                self.other_lines += 1
-            else:
-                found.append(located)
-        return found
-
-
 class Waker:
     """Says what to write to the port so that positions come. ``lep`` is a toggle: a module that talks is left alone.
 

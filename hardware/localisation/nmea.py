@@ -12,13 +12,14 @@ import pynmea2  # type: ignore[import-untyped]
 
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.hardware.localisation import Located
+from vcmvsp.hardware.localisation.readers import LineReader
 
 LONGEST_BYTES = 256  # of a line; the standard allows 82
 KNOT = 1852.0 / 3600.0  # m/s
 _UNREADABLE = (pynmea2.ParseError, ValueError, TypeError, AttributeError, ArithmeticError, LookupError)  # of any field
 
 
-class Reader:
+class NmeaReader(LineReader):
     """Reads the stream of a port, however it is split; counts what it cannot read (bad check sums among it).
 
     Args:
@@ -29,39 +30,25 @@ class Reader:
     """
 
     def __init__(self, plane: TangentPlane, range_sigma_m: float = 4.0) -> None:
+        super().__init__(self._read, LONGEST_BYTES)
         self.plane, self.range_sigma_m = plane, range_sigma_m
-        self.bad_lines = self.other_lines = 0
-        self._rest = b""
         self._date: dt.datetime | None = None  # of the last RMC
         self._has_gga = False
 
-    def feed(self, chunk: bytes) -> list[Located]:
-        """What the sentences say that are whole now, in order."""
-        *lines, self._rest = (self._rest + chunk).split(b"\n")
-        if len(self._rest) > LONGEST_BYTES:
-            self._rest = b""
-            self.bad_lines += 1
-        return [located for line in lines if (located := self._read(line.strip())) is not None]
-
-    def _read(self, line: bytes) -> Located | None:
-        """What one line says; None if that is nothing, or nothing that can be read."""
-        if not line:
-            return None
+    def _read(self, line: str) -> Located | None:
         try:
-            sentence = pynmea2.parse(line[max(line.rfind(b"$"), 0) :].decode("ascii"), check=True)
-            kind = getattr(sentence, "sentence_type", "")
-            if kind == "GGA":
-                return self._gga(sentence)
-            if kind == "RMC":
-                return self._rmc(sentence)
-            if kind == "VTG":
-                return _vtg(sentence)
+            sentence = pynmea2.parse(line[max(line.rfind("$"), 0) :], check=True)
+            match getattr(sentence, "sentence_type", ""):
+                case "GGA":
+                    return self._gga(sentence)
+                case "RMC":
+                    return self._rmc(sentence)
+                case "VTG":
+                    return _vtg(sentence)
         except pynmea2.nmea.SentenceTypeError:
-            pass  # whole, and of a kind that pynmea2 does not know
-        except _UNREADABLE:
-            self.bad_lines += 1
-            return None
-        self.other_lines += 1
+            return None  # a valid sentence of a kind that pynmea2 does not support
+        except _UNREADABLE as error:
+            raise ValueError("invalid NMEA sentence") from error
         return None
 
     def _gga(self, said: Any) -> Located:

@@ -8,16 +8,17 @@ from collections.abc import Callable
 
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import LinkLost, PortError
-from vcmvsp.hardware.drivers.byte_link import Line
-from vcmvsp.hardware.localisation.source import Reads, Source, Words, as_failure
-from vcmvsp.hardware.localisation.world_transform import Placing
+from vcmvsp.hardware.drivers.byte_link import ByteLink
+from vcmvsp.hardware.localisation.readers import DatagramReader, LineReader
+from vcmvsp.hardware.localisation.source import Advice, PositionSource, as_failure
+from vcmvsp.hardware.localisation.world_transform import WorldTransform
 
 RETRY_S = 0.5
 TICK_S = 0.1  # between looks at what to say
 CLOSE_S = 5.0  # opening a TCP connection takes 2 s at most
 
 
-class PortSource(Source):
+class PortSource(PositionSource):
     """Hears a line, and speaks to it.
 
     Args:
@@ -28,11 +29,11 @@ class PortSource(Source):
     def __init__(
         self,
         device: str,
-        reader: Reads,
-        placing: Placing,
-        words: Words,
+        reader: DatagramReader | LineReader,
+        placing: WorldTransform,
+        words: Advice,
         *,
-        open_line: Callable[[], Line],
+        open_line: Callable[[], ByteLink],
         say: Callable[[int], bytes] = lambda _: b"",
     ) -> None:
         super().__init__(device, reader, placing, words)
@@ -62,7 +63,7 @@ class PortSource(Source):
             os.close(self._wake_read)
             os.close(self._wake_write)
 
-    def _run(self, line: Line | None) -> None:
+    def _run(self, line: ByteLink | None) -> None:
         try:
             while True:
                 if line is None:
@@ -85,7 +86,7 @@ class PortSource(Source):
             if line is not None:
                 line.close()
 
-    def _woken(self, seconds: float, line: Line | None = None) -> bool:
+    def _woken(self, seconds: float, line: ByteLink | None = None) -> bool:
         """Hear and speak, for at most so long; whether to stop."""
         ready = readable([self._wake_read] if line is None else [self._wake_read, line.fileno()], seconds)
         if self._wake_read in ready:

@@ -20,15 +20,16 @@ from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.cosim.types import NonNegative, Positive, Vec3
 from vcmvsp.hardware.drivers.base import PortError
 from vcmvsp.hardware.localisation import Located
-from vcmvsp.hardware.localisation.source import Source, Words
-from vcmvsp.hardware.localisation.world_transform import AT_REST, Placing, Posed
+from vcmvsp.hardware.localisation.readers import DatagramReader
+from vcmvsp.hardware.localisation.source import Advice, PositionSource
+from vcmvsp.hardware.localisation.world_transform import AT_REST, LocatedPose, WorldTransform
 
 LARGEST_BYTES = 4096
 _CONNECT_MS = 2000
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a link that broke
 
 
-class _Said(msgspec.Struct, kw_only=True):
+class _PoseMessage(msgspec.Struct, kw_only=True):
     x: float
     y: float
     t: float | None = None
@@ -38,31 +39,27 @@ class _Said(msgspec.Struct, kw_only=True):
     sigma_yaw: NonNegative | None = None
 
 
-_decoder = msgspec.json.Decoder(_Said)  # JSON has neither NaN nor infinity
+_decoder = msgspec.json.Decoder(_PoseMessage)  # JSON has neither NaN nor infinity
 
 
-class Reader:
-    """Reads messages, and counts those that it cannot read."""
+class PoseReader(DatagramReader):
+    """Decodes messages; ``sigma_rad`` is the standard deviation of a yaw without ``sigma_yaw``."""
 
     def __init__(self, sigma_rad: float) -> None:
-        self._sigma_rad, self.bad_messages = sigma_rad, 0
+        super().__init__(self._read)
+        self._sigma_rad = sigma_rad
 
-    def feed(self, chunk: bytes) -> list[Located]:
-        """What one message says: a list of one, or of none if it cannot be read."""
-        try:
-            if len(chunk) > LARGEST_BYTES:
-                raise ValueError("a pose has some hundred bytes")
-            said = _decoder.decode(chunk)
-            source_ns = None if said.t is None else round(said.t * SECOND_NS)
-        except (ValueError, OverflowError, RecursionError):  # msgspec's errors are of the first kind, but for what is nested
-            self.bad_messages += 1
-            return []
-        sigma_rad = self._sigma_rad if said.sigma_yaw is None else said.sigma_yaw
-        position = (said.x, said.y, said.z)
-        return [Posed(position=position, yaw=said.yaw, sigma_rad=sigma_rad, sigma_m=said.sigma, source_ns=source_ns)]
+    def _read(self, chunk: bytes) -> Located:
+        if len(chunk) > LARGEST_BYTES:
+            raise ValueError(f"a pose has at most {LARGEST_BYTES} bytes")
+        pose = _decoder.decode(chunk)
+        source_ns = None if pose.t is None else round(pose.t * SECOND_NS)
+        sigma_rad = self._sigma_rad if pose.sigma_yaw is None else pose.sigma_yaw
+        position = (pose.x, pose.y, pose.z)
+        return LocatedPose(position=position, yaw=pose.yaw, sigma_rad=sigma_rad, sigma_m=pose.sigma, source_ns=source_ns)
 
 
-class ExternalPose(Source):
+class ExternalPose(PositionSource):
     """Poses from anybody who publishes JSON over Eclipse Zenoh: a bridge from motion capture, another localisation.
 
     A link that breaks is mended by Zenoh.
@@ -94,12 +91,12 @@ class ExternalPose(Source):
             self._key = zenoh.KeyExpr(key)
         except zenoh.ZError:
             raise ValueError(f"a key is made of words and slashes, such as mocap/car1, not '{key}'") from None
-        words = Words(
+        words = Advice(
             f"does a bridge publish poses under {key} at {endpoint}?",
             f'what comes under {key} are no poses: write {{"t": s, "x": m, "y": m}}, with "z", "yaw", "sigma" where known',
         )
-        placing = Placing(sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
-        super().__init__(f"{key} at {endpoint}", Reader(sigma_rad), placing, words)
+        placing = WorldTransform(sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
+        super().__init__(f"{key} at {endpoint}", PoseReader(sigma_rad), placing, words)
         self._endpoint, self._mode = with_slash(endpoint), mode
         self._session: zenoh.Session | None = None
 

@@ -1,20 +1,20 @@
 """What all sources of positions have in common: readings wait until they are asked for, and silence is told with its cause.
 
-Whoever hears something (a thread, or Zenoh's) gives it to `Source.take` at once, so that it is stamped when it arrives and
+Whoever hears something (a thread, or Zenoh's) gives it to `PositionSource.take` at once, so that it is stamped when it arrives and
 not when somebody asks.
 """
 
 import threading
 import time
 from collections import deque
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import words_of
 from vcmvsp.cosim.types import Fix
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, Notice
-from vcmvsp.hardware.localisation import Located
-from vcmvsp.hardware.localisation.world_transform import FARTHEST_M, OLDEST_S, Placing
+from vcmvsp.hardware.localisation.readers import DatagramReader, LineReader
+from vcmvsp.hardware.localisation.world_transform import FARTHEST_M, OLDEST_S, WorldTransform
 
 PATIENCE_S = 5.0  # without a position before somebody is told
 CENSUS_S = 1.0  # of listening, before it is believed that there is one tag only
@@ -22,24 +22,17 @@ _MOST_WAITING = 1000  # readings, of a caller that does not ask
 _MOST_TAGS = 8  # that a message lists
 
 
-class Words(NamedTuple):
+class Advice(NamedTuple):
     """How a source says what it misses."""
 
     nothing: str  # what to look at when nothing comes
     unreadable: str  # what it means that something comes that cannot be read
 
 
-class Reads(Protocol):
-    """A reader of the part: it counts what it cannot read and never raises."""
-
-    def feed(self, chunk: bytes) -> list[Located]:
-        """What is said in what came."""
-
-
-class Source:
+class PositionSource:
     """A source of positions without its port: see `hardware.localisation.systems.Localisation`."""
 
-    def __init__(self, device: str, reader: Reads, placing: Placing, words: Words) -> None:
+    def __init__(self, device: str, reader: DatagramReader | LineReader, placing: WorldTransform, words: Advice) -> None:
         self.device = device
         self._reader, self._placing, self._words = reader, placing, words
         self._lock = threading.Lock()

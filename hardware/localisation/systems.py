@@ -15,12 +15,13 @@ from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.cosim.transport.endpoints import check_interfaces
 from vcmvsp.cosim.types import Fix, NonNegative, Positive, Vec3
 from vcmvsp.hardware.drivers.base import Notice
-from vcmvsp.hardware.drivers.byte_link import Line, open_line
+from vcmvsp.hardware.drivers.byte_link import ByteLink, open_line
 from vcmvsp.hardware.localisation import dwm1001, nmea, ubisense
 from vcmvsp.hardware.localisation.datagrams import Datagrams, address
 from vcmvsp.hardware.localisation.port_source import PortSource
-from vcmvsp.hardware.localisation.source import Words
-from vcmvsp.hardware.localisation.world_transform import AT_REST, Placing
+from vcmvsp.hardware.localisation.readers import DatagramReader, LineReader
+from vcmvsp.hardware.localisation.source import Advice
+from vcmvsp.hardware.localisation.world_transform import AT_REST, WorldTransform
 
 Baud = Annotated[int, msgspec.Meta(ge=50, le=4_000_000)]
 Latitude = Annotated[float, msgspec.Meta(ge=-90, le=90)]  # deg
@@ -79,17 +80,17 @@ class Ubisense(PortSource):
         turn_rad: float = 0.0,
     ) -> None:
         check_interfaces(address(listen)[0], insecure=insecure)
-        words = Words(
+        words = Advice(
             f"does the location engine send datagrams to {listen}, and is the tag awake?",
             "datagrams come but none are Ubisense's: does something else send to this port?",
         )
-        placing = Placing(
+        placing = WorldTransform(
             tag=_hexadecimal(tag), sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad, normal=_hexadecimal
         )
         self._url = listen
-        super().__init__(listen, ubisense.Reader(), placing, words, open_line=self._bound)
+        super().__init__(listen, DatagramReader(ubisense.decode), placing, words, open_line=self._bound)
 
-    def _bound(self) -> Line:
+    def _bound(self) -> ByteLink:
         line = Datagrams(self._url)
         self.device = line.url
         return line
@@ -119,17 +120,19 @@ class Dwm1001(PortSource):
         offset: Vec3 = AT_REST,
         turn_rad: float = 0.0,
     ) -> None:
-        words = Words(
+        words = Advice(
             "is the module on, and is this its port?", "bytes come but none are lines of a DWM1001: wrong port or baud rate?"
         )
-        placing = Placing(tag=tag, sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
+        placing = WorldTransform(tag=tag, sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
         self._waker = dwm1001.Waker()
 
-        def opened() -> Line:
+        def opened() -> ByteLink:
             self._waker = dwm1001.Waker()  # who was unplugged has forgotten all
             return open_line(port, baud)
 
-        super().__init__(port, dwm1001.Reader(), placing, words, open_line=opened, say=self._asked)
+        super().__init__(
+            port, LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES), placing, words, open_line=opened, say=self._asked
+        )
 
     def take(self, chunk: bytes, arrived_ns: int) -> bool:
         """Something came; a module that tells positions need not be asked."""
@@ -166,9 +169,9 @@ class Nmea(PortSource):
         range_sigma_m: Positive = 4.0,
         latency_s: NonNegative = 0.2,
     ) -> None:
-        words = Words("is the receiver on, and is this its port?", "bytes come but none are NMEA: wrong baud rate?")
-        reader = nmea.Reader(TangentPlane(latitude_deg, longitude_deg, height_m), range_sigma_m)
-        placing = Placing(sigma_m=range_sigma_m, latency_s=latency_s)
+        words = Advice("is the receiver on, and is this its port?", "bytes come but none are NMEA: wrong baud rate?")
+        reader = nmea.NmeaReader(TangentPlane(latitude_deg, longitude_deg, height_m), range_sigma_m)
+        placing = WorldTransform(sigma_m=range_sigma_m, latency_s=latency_s)
         super().__init__(port, reader, placing, words, open_line=lambda: open_line(port, baud))
 
 

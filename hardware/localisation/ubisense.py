@@ -59,18 +59,3 @@ def encode(located: Located, order: ByteOrder = "<") -> bytes:
     variance = (located.sigma_m or 0.0) ** 2
     tag = int(located.tag or "0", 16)
     return struct.pack(order + _FIELDS, *MAGIC, tag, flags, x, y, z, variance, located.source_ns or 0)
-
-
-class Reader:
-    """Reads datagrams, and counts those that it cannot read."""
-
-    def __init__(self) -> None:
-        self.bad_datagrams = 0
-
-    def feed(self, chunk: bytes) -> list[Located]:
-        """What one datagram says: a list of one, or of none if it cannot be read."""
-        try:
-            return [decode(chunk)]
-        except ValueError:
-            self.bad_datagrams += 1
-            return []

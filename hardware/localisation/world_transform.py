@@ -16,14 +16,14 @@ LEAST_SIGMA_M = LEAST_SIGMA_RAD = 1e-3  # nothing is more certain than that
 AT_REST: Vec3 = (0.0, 0.0, 0.0)
 
 
-class Posed(Located, frozen=True, kw_only=True):
+class LocatedPose(Located, frozen=True, kw_only=True):
     """An answer of a system that tells headings as well."""
 
     yaw: float | None = None  # rad
     sigma_rad: float = 0.0  # standard deviation of the yaw; not positive: it is not known, nor is the yaw
 
 
-class Placing:
+class WorldTransform:
     """Makes readings of one tag.
 
     Args:
@@ -85,11 +85,11 @@ class Placing:
         if time_ns < arrived_ns - seconds_to_ns(OLDEST_S):
             self.old += 1
             return None
-        yaw, sigma_rad = self._heading(located) if isinstance(located, Posed) else (None, 0.0)
+        yaw, sigma_rad = self._heading(located) if isinstance(located, LocatedPose) else (None, 0.0)
         sigma_m = max(sigma_m or self._sigma_m, LEAST_SIGMA_M)
         return Fix(time_ns=time_ns, position=placed, yaw=yaw, sigma_m=sigma_m, sigma_rad=sigma_rad)
 
-    def _heading(self, posed: Posed) -> tuple[float | None, float]:
+    def _heading(self, posed: LocatedPose) -> tuple[float | None, float]:
         """Yaw in the world and its standard deviation, if it tells more than that it is an angle."""
         if posed.yaw is None or not math.isfinite(posed.yaw) or not 0.0 < posed.sigma_rad <= math.pi:
             return None, 0.0

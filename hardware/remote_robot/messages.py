@@ -20,7 +20,7 @@ DEADMAN_S = COMMAND_TIMEOUT_S
 NOTICES_AT_ONCE = 20  # in one message; more wait until these have been heard
 
 
-class Hello(Value, frozen=True, kw_only=True):
+class RobotHello(Value, frozen=True, kw_only=True):
     """The program aboard a robot asks to be driven."""
 
     protocol: int
@@ -32,7 +32,7 @@ class Hello(Value, frozen=True, kw_only=True):
     close_s: float = 0.0  # ... and to close
 
 
-class Welcome(Value, frozen=True, kw_only=True):
+class RobotWelcome(Value, frozen=True, kw_only=True):
     """The answer."""
 
     refused: str = ""  # why it is not driven
@@ -41,12 +41,12 @@ class Welcome(Value, frozen=True, kw_only=True):
     start: Vec3 = (0.0, 0.0, 0.0)  # where it stands: x m, y m, yaw rad
 
 
-class Down(Value, frozen=True, kw_only=True):
+class RobotOrder(Value, frozen=True, kw_only=True):
     """To the robot."""
 
     number: int  # counts from 1
     sent_ns: int
-    yours_ns: int = 0  # `Up.said_ns` of the newest that was heard; 0: none
+    yours_ns: int = 0  # `RobotStatus.said_ns` of the newest that was heard; 0: none
     noticed: int = 0  # notices that were heard so far
     velocity: Velocity | None = None  # None: stand
     stop: str = NOT_YET  # why it stands
@@ -62,11 +62,11 @@ class Failure(Value, frozen=True, kw_only=True):
     advice: str
 
 
-class Up(Value, frozen=True, kw_only=True):
+class RobotStatus(Value, frozen=True, kw_only=True):
     """From the robot."""
 
     said_ns: int
-    heard: int = 0  # number of the newest `Down` that was acted upon
+    heard: int = 0  # number of the newest `RobotOrder` that was acted upon
     yours_ns: int = 0  # its ``sent_ns``
     heard_ns: int = 0  # when it came
     state: Literal["closed", "opening", "open"] = "closed"  # of the robot's own driver
@@ -78,7 +78,7 @@ class Up(Value, frozen=True, kw_only=True):
     left: bool = False  # it was told that the run is over, and has closed its driver
 
 
-hellos: Decoder[Hello] = Decoder(Hello)
-welcomes: Decoder[Welcome] = Decoder(Welcome)
-downs: Decoder[Down] = Decoder(Down)
-ups: Decoder[Up] = Decoder(Up)
+hellos: Decoder[RobotHello] = Decoder(RobotHello)
+welcomes: Decoder[RobotWelcome] = Decoder(RobotWelcome)
+downs: Decoder[RobotOrder] = Decoder(RobotOrder)
+ups: Decoder[RobotStatus] = Decoder(RobotStatus)

@@ -15,9 +15,9 @@
 
 from vcmvsp.hardware.safety.aerial_supervisor import AerialParameters, AerialSupervisor
 from vcmvsp.hardware.safety.control_step import Decision, Parameters
-from vcmvsp.hardware.safety.deadman import Cause, Deadman, Heard, TimeOuts
+from vcmvsp.hardware.safety.deadman import Cause, Deadman, LastReceived, TimeOuts
 from vcmvsp.hardware.safety.geofence import Polygon
-from vcmvsp.hardware.safety.ground_supervisor import Supervisor
+from vcmvsp.hardware.safety.ground_supervisor import GroundSupervisor
 from vcmvsp.hardware.safety.limits import Limits, clamp
 from vcmvsp.hardware.safety.separation import Others
 
@@ -27,12 +27,12 @@ __all__ = [
     "Cause",
     "Deadman",
     "Decision",
-    "Heard",
+    "GroundSupervisor",
+    "LastReceived",
     "Limits",
     "Others",
     "Parameters",
     "Polygon",
-    "Supervisor",
     "TimeOuts",
     "clamp",
 ]

@@ -20,7 +20,7 @@ A stop in the air is zero velocity: the autopilot holds its place. Motors are ne
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -28,15 +28,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.cosim.types import Positive, Velocity
+from vcmvsp.cosim.types import Positive, VehicleState, Velocity
 from vcmvsp.hardware.safety.braking import TOLERANCE_M, fastest, stops_within
-from vcmvsp.hardware.safety.control_step import Decision, Parameters, Rounds, unusable
-from vcmvsp.hardware.safety.deadman import Cause, Heard
+from vcmvsp.hardware.safety.control_step import Parameters, Pose, Supervisor
+from vcmvsp.hardware.safety.deadman import Cause
 from vcmvsp.hardware.safety.limits import Limits, clamp
-from vcmvsp.hardware.safety.obstacle_distance import Around, Floats
+from vcmvsp.hardware.safety.obstacle_distance import Floats, Obstacles
 from vcmvsp.hardware.safety.separation import Others
 
-Pose = tuple[float, float, float, float]  # x, y, z m, yaw rad; world
 Plane = tuple[float, float]  # m/s, east and north
 
 _HALVINGS = 12  # of a horizontal velocity that does not fit
@@ -65,69 +64,63 @@ class AerialParameters(Parameters, frozen=True, kw_only=True):
             raise ValueError(f"floor_m must be below ceiling_m, both finite, not {self.floor_m} and {self.ceiling_m}")
 
 
-class AerialSupervisor:
-    """Stands last before a vehicle that flies. It knows no clock: time is an argument.
+class AerialSupervisor(Supervisor):
+    """Safety of a vehicle that flies.
 
     ``last`` is the newest safe command, in the world; the vehicle is assumed to be no faster than that.
     """
 
     def __init__(self, parameters: AerialParameters) -> None:
+        super().__init__(parameters)
         self._p = parameters
-        self._rounds = Rounds(parameters)
         self._upright = msgspec.structs.replace(parameters.limits, speed_mps=parameters.climb_mps)
-        self._placed = any(each is not None for each in (parameters.fence, parameters.floor_m, parameters.ceiling_m))
+        self._needs_pose = any(each is not None for each in (parameters.fence, parameters.floor_m, parameters.ceiling_m))
         self.last = (0.0, 0.0, 0.0, 0.0)  # x, y, z m/s, yaw rad/s
 
-    def step(self, now_ns: int, command: Velocity | None, pose: Pose | None, others: Others | None, heard: Heard) -> Decision:
-        """Decide what is sent at ``now_ns``.
+    @staticmethod
+    def pose(state: VehicleState) -> Pose:
+        """Position x, y, z m and yaw rad."""
+        return (*state.position, state.yaw)
 
-        Args:
-            now_ns: of a clock that does not go back; of the same clock as the times in ``heard``.
-            command: the newest one, however old it is; in the world frame.
-            pose: x, y, z m and yaw rad in the world; None: not known.
-            others: vehicles to keep away from, with their heights; None: there are none.
-            heard: when each that must be heard was heard last.
-        """
-        dt, stops = self._rounds.begin(now_ns, heard, unusable(command, pose, others, self._placed))
-        slowed: tuple[Cause, ...] = ()
-        if stops:
-            vz, w = clamp(0.0, 0.0, self.last[2:], dt, self._upright)
-            self.last = (*_ramp((0.0, 0.0), self.last[:2], dt, self._p.limits), vz, w)
-        else:
-            assert command is not None  # noqa: S101  else it would be among the causes
-            self.last, slowed = self._safe(command, pose, others, dt)
-        return self._rounds.decide(Velocity(linear=self.last[:3], yaw_rate=self.last[3]), stops, slowed)
+    def _brake(self, dt: float) -> None:
+        vz, w = clamp(0.0, 0.0, self.last[2:], dt, self._upright)
+        self.last = (*_ramp((0.0, 0.0), self.last[:2], dt, self._p.limits), vz, w)
 
-    def _safe(self, command: Velocity, pose: Pose | None, others: Others | None, dt: float) -> tuple[Pose, tuple[Cause, ...]]:
-        """The command within limits, fence and distances, and which of them changed it."""
+    def _velocity(self) -> Velocity:
+        return Velocity(linear=self.last[:3], yaw_rate=self.last[3])
+
+    def _make_safe(self, command: Velocity, pose: Pose | None, others: Others | None, dt: float) -> tuple[Cause, ...]:
         p, (x, y, z) = self._p, command.linear
         target = _within(x, y, p.limits.speed_mps)
         vz, w = clamp(z, command.yaw_rate, self.last[2:], dt, self._upright)
         across = _ramp(target, self.last[:2], dt, p.limits)
         causes = [] if (*across, vz, w) == (x, y, z, command.yaw_rate) else [Cause.LIMITS]
-        if pose is None:
-            return (*across, vz, w), tuple(causes)
-        arounds: list[tuple[Cause, Around]] = []
-        if p.fence is not None:
-            arounds.append((Cause.GEOFENCE, p.fence.around(pose[0], pose[1], p.radius_m + p.fence_margin_m)))
-        levels: list[_Level] = []
-        if others is not None and len(others.position):
-            levels = self._levels(pose[2], others)
-            beside = np.setdiff1d(np.arange(len(others.position)), [each.row for each in levels if each.clear])
-            arounds.append((Cause.SEPARATION, self._around(pose, others, beside)))
-        across, slowed = self._slow_down(target, across, dt, arounds)
+        if pose is not None:
+            obstacles: list[tuple[Cause, Obstacles]] = []
+            if p.fence is not None:
+                obstacles.append((Cause.GEOFENCE, p.fence.around(pose[0], pose[1], p.radius_m + p.fence_margin_m)))
+            levels: list[_Level] = []
+            if others is not None and len(others.position):
+                levels = self._levels(pose[2], others)
+                clear = [each.row for each in levels if each.clear]
+                beside = np.setdiff1d(np.arange(len(others.position)), clear)
+                obstacles.append((Cause.SEPARATION, self._around(pose, others, beside)))
+            across, slowed = self._slow_down(target, across, dt, obstacles)
+            vz, stopped = self._bounded(vz, dt, pose, across, levels, others)
+            causes += dict.fromkeys((*slowed, *stopped))
+        self.last = (*across, vz, w)
+        return tuple(causes)
 
-        def in_the_way(level: _Level) -> bool:
-            assert others is not None  # noqa: S101
-            one = self._around(pose, others, np.array([level.row]))
-            # Who is clear of it in no way, by rounding or a false pose, may not come nearer in any way.
-            return one.clearance <= 0.0 or (level.clear and not self._fits(across, one))
+    def _blocks(self, level: _Level, across: Plane, pose: Pose, others: Others) -> bool:
+        """Whether a vehicle above or below limits the vertical speed at this horizontal velocity.
 
-        vz, stopped = self._bounded(vz, dt, pose, levels, in_the_way)
-        return (*across, vz, w), (*causes, *dict.fromkeys((*slowed, *stopped)))
+        One that is clear in no way, because of rounding or a wrong pose, must not come nearer in any way.
+        """
+        one = self._around(pose, others, np.array([level.row]))
+        return one.clearance <= 0.0 or (level.clear and not self._fits(across, one))
 
     def _slow_down(
-        self, target: Plane, wanted: Plane, dt: float, arounds: Sequence[tuple[Cause, Around]]
+        self, target: Plane, wanted: Plane, dt: float, arounds: Sequence[tuple[Cause, Obstacles]]
     ) -> tuple[Plane, list[Cause]]:
         """The horizontal velocity towards as much of the target as lets the vehicle stop in time, by halving."""
         causes = [cause for cause, around in arounds if not self._fits(wanted, around)]
@@ -143,7 +136,7 @@ class AerialSupervisor:
                 beyond = share
         return best, causes
 
-    def _fits(self, velocity: Plane, around: Around) -> bool:
+    def _fits(self, velocity: Plane, around: Obstacles) -> bool:
         """Whether the vehicle, told this horizontal velocity now, can stop before it touches anything."""
         hold, decel = self._p.reaction_s, self._p.limits.stop_mps2
         before = self.last[:2]
@@ -156,7 +149,7 @@ class AerialSupervisor:
             return v <= around.speed
         return bool((needs <= around.free(*_cone(before, velocity))).all())
 
-    def _around(self, pose: Pose, others: Others, rows: NDArray[np.intp]) -> Around:
+    def _around(self, pose: Pose, others: Others, rows: NDArray[np.intp]) -> Obstacles:
         """Some of the others, seen from above."""
         some = Others(others.position[rows], others.velocity[rows], others.radius[rows])
         return some.around(pose[0], pose[1], self._p.radius_m + self._p.separation_m)
@@ -174,9 +167,9 @@ class AerialSupervisor:
         return found
 
     def _bounded(
-        self, vz: float, dt: float, pose: Pose, levels: list[_Level], in_the_way: Callable[[_Level], bool]
+        self, vz: float, dt: float, pose: Pose, across: Plane, levels: Sequence[_Level], others: Others | None
     ) -> tuple[float, list[Cause]]:
-        """The vertical speed that lets the vehicle stop in time, and what slowed it."""
+        """The vertical speed that lets the vehicle stop in time, and the causes of its reduction."""
         last, p = self.last[2], self._p
         up = vz > 0.0 or last > 0.0  # the limits let it stand before it turns back
         speed, causes = abs(vz), []
@@ -188,7 +181,10 @@ class AerialSupervisor:
         if edge is not None and (fits := most(edge - pose[2] if up else pose[2] - edge, 0.0)) < speed:
             speed, causes = fits, [Cause.GEOFENCE]
         for each in levels:
-            if each.above == up and (fits := most(each.room, each.closing)) < speed and in_the_way(each):
+            if each.above == up and (fits := most(each.room, each.closing)) < speed:
+                assert others is not None  # noqa: S101  levels come from them
+                if not self._blocks(each, across, pose, others):
+                    continue
                 speed = fits
                 causes.append(Cause.SEPARATION)
         speed = max(speed, abs(clamp(0.0, 0.0, (last, 0.0), dt, self._upright)[0]))

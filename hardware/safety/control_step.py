@@ -1,19 +1,22 @@
-"""What supervisors on the ground and in the air share: parameters, and how a step begins and ends."""
+"""Control step of a safety supervisor: time-outs and invalid input stop the vehicle, else its command is made safe."""
 
 import math
+from abc import ABC, abstractmethod
 
 import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.types import NonNegative, Positive, Velocity
-from vcmvsp.hardware.safety.deadman import LATCHED, Cause, Deadman, Heard, TimeOuts
+from vcmvsp.cosim.types import NonNegative, Positive, VehicleState, Velocity
+from vcmvsp.hardware.safety.deadman import LATCHED, Cause, Deadman, LastReceived, TimeOuts
 from vcmvsp.hardware.safety.geofence import Polygon
 from vcmvsp.hardware.safety.limits import Limits
 from vcmvsp.hardware.safety.separation import Others
 
+Pose = tuple[float, ...]  # on the ground x, y m, yaw rad; in the air x, y, z m, yaw rad; world
+
 
 class Parameters(msgspec.Struct, frozen=True, kw_only=True):
-    """What a supervisor keeps to; lengths in m, times in s."""
+    """Parameters of a supervisor; lengths in m, times in s."""
 
     limits: Limits  # in the air, speed counts horizontally, accelerations count horizontally and vertically each
     radius_m: NonNegative  # of a circle around the body, about the centre that its pose tells
@@ -26,47 +29,76 @@ class Parameters(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Decision(msgspec.Struct, frozen=True, kw_only=True):
-    """What to send, and why it is not what was asked for."""
+    """Command to send, and the causes of its difference from the requested one."""
 
     command: Velocity
     causes: tuple[Cause, ...] = ()  # all that act now
-    began: tuple[Cause, ...] = ()  # those that did not act at the step before: what is worth recording
+    began: tuple[Cause, ...] = ()  # not active at the step before
     stop: bool = False  # the robot must stop; one with a deceleration of its own may be told zero at once
 
 
-class Rounds:
-    """The time, the deadman and the causes of a supervisor."""
+class Supervisor(ABC):
+    """Last check of the commands of one vehicle. It has no clock: time is an argument."""
 
     def __init__(self, parameters: Parameters) -> None:
         self._deadman, self._reaction_s = Deadman(parameters.time_outs, parameters.latched), parameters.reaction_s
+        self._needs_pose = parameters.fence is not None
         self._last_ns: int | None = None
         self._causes: tuple[Cause, ...] = ()
 
-    def begin(self, now_ns: int, heard: Heard, unusable: list[Cause]) -> tuple[float, list[Cause]]:
-        """For how many seconds a command may have acted by now, and what stops the robot."""
+    def step(
+        self, now_ns: int, command: Velocity | None, pose: Pose | None, others: Others | None, received: LastReceived
+    ) -> Decision:
+        """Decide what is sent at ``now_ns``.
+
+        Args:
+            now_ns: monotonic time, of the same clock as the times in ``received``.
+            command: newest command, of any age.
+            pose: result of `pose`; None: unknown.
+            others: vehicles to keep away from; None: there are none.
+            received: time of the newest message of each monitored source.
+        """
         elapsed_ns = 0 if self._last_ns is None else now_ns - self._last_ns
         self._last_ns = now_ns
-        stops = list(self._deadman.check(now_ns, heard))
-        stops += [cause for cause in unusable if cause not in stops]
-        # Whoever was late may not jump in speed, and where time went back it still has to brake.
-        return min(elapsed_ns / SECOND_NS, self._reaction_s) if elapsed_ns >= 0 else self._reaction_s, stops
-
-    def decide(self, command: Velocity, stops: list[Cause], slowed: tuple[Cause, ...]) -> Decision:
-        """The decision of this step."""
+        stops = list(self._deadman.check(now_ns, received))
+        stops += [cause for cause in self._invalid(command, pose, others) if cause not in stops]
+        # A late step must not jump in speed; after a clock that went back the vehicle still has to brake.
+        dt = min(elapsed_ns / SECOND_NS, self._reaction_s) if elapsed_ns >= 0 else self._reaction_s
+        slowed: tuple[Cause, ...] = ()
+        if stops or command is None:
+            self._brake(dt)
+        else:
+            slowed = self._make_safe(command, pose, others, dt)
         causes = (*stops, *slowed)
         began = tuple(cause for cause in causes if cause not in self._causes)
         self._causes = causes
-        return Decision(command=command, causes=causes, began=began, stop=bool(stops))
+        return Decision(command=self._velocity(), causes=causes, began=began, stop=bool(stops))
 
+    @staticmethod
+    @abstractmethod
+    def pose(state: VehicleState) -> Pose:
+        """Pose of a state, as `step` takes it."""
 
-def unusable(command: Velocity | None, pose: tuple[float, ...] | None, others: Others | None, placed: bool) -> list[Cause]:
-    """What is missing, or is not a number, of what a decision needs; ``placed``: it must know where the vehicle is."""
-    causes = []
-    if command is None:
-        causes.append(Cause.COMMAND)
-    if pose is None and (placed or others is not None):
-        causes.append(Cause.POSITIONING)
-    numbers = (*(() if command is None else (*command.linear, command.yaw_rate)), *(pose or ()))
-    if not all(map(math.isfinite, numbers)) or (others is not None and not others.finite()):
-        causes.append(Cause.NOT_FINITE)
-    return causes
+    @abstractmethod
+    def _brake(self, dt: float) -> None:
+        """Reduce the last command as fast as the vehicle can brake within ``dt`` s."""
+
+    @abstractmethod
+    def _make_safe(self, command: Velocity, pose: Pose | None, others: Others | None, dt: float) -> tuple[Cause, ...]:
+        """Take the command within limits, fence and distances; the causes that changed it."""
+
+    @abstractmethod
+    def _velocity(self) -> Velocity:
+        """The last safe command."""
+
+    def _invalid(self, command: Velocity | None, pose: Pose | None, others: Others | None) -> list[Cause]:
+        """Causes to stop because an input is missing or not finite."""
+        causes = []
+        if command is None:
+            causes.append(Cause.COMMAND)
+        if pose is None and (self._needs_pose or others is not None):
+            causes.append(Cause.POSITIONING)
+        numbers = (*(() if command is None else (*command.linear, command.yaw_rate)), *(pose or ()))
+        if not all(map(math.isfinite, numbers)) or (others is not None and not others.finite()):
+            causes.append(Cause.NOT_FINITE)
+        return causes

@@ -31,7 +31,7 @@ class TimeOuts(msgspec.Struct, frozen=True, kw_only=True):
     clock_s: float | None = 0.5  # from one step to the next
 
 
-class Heard(msgspec.Struct, frozen=True, kw_only=True):
+class LastReceived(msgspec.Struct, frozen=True, kw_only=True):
     """When each was heard last, ns on the clock of the steps; None: never."""
 
     operator_ns: int | None = None
@@ -66,7 +66,7 @@ class Deadman:
         self._may_latch, self._held = latched, set[Cause]()
         self._last_ns: int | None = None
 
-    def check(self, now_ns: int, heard: Heard) -> tuple[Cause, ...]:
+    def check(self, now_ns: int, heard: LastReceived) -> tuple[Cause, ...]:
         """What stops the robot now, in the order of `Cause`; to be asked at every step."""
         causes = set[Cause]()
         if self._last_ns is not None and Cause.CLOCK in self._limits_ns:
@@ -79,7 +79,7 @@ class Deadman:
         causes |= lost | self._held
         return tuple(cause for cause in Cause if cause in causes)
 
-    def _silent(self, now_ns: int, heard: Heard, causes: set[Cause]) -> set[Cause]:
+    def _silent(self, now_ns: int, heard: LastReceived, causes: set[Cause]) -> set[Cause]:
         """Add to ``causes`` what was lost or is from the future; return what was never heard."""
         never = set[Cause]()
         times = (heard.operator_ns, heard.command_ns, heard.positioning_ns, heard.federation_ns)

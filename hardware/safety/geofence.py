@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.hardware.safety.obstacle_distance import Around, Floats, Stadiums, toward
+from vcmvsp.hardware.safety.obstacle_distance import Floats, Obstacles, Stadiums, toward
 
 RETURN_MPS = 0.1  # of who is outside: nothing is known of what is there
 
@@ -38,7 +38,7 @@ class Polygon:
         rise = np.where(spans, by - ay, 1.0)
         return bool(np.count_nonzero(spans & (x < ax + (y - ay) * (bx - ax) / rise)) % 2)
 
-    def around(self, x: float, y: float, margin: float) -> Around:
+    def around(self, x: float, y: float, margin: float) -> Obstacles:
         """The fence as it is seen from (x, y) by a robot whose centre must stay ``margin`` m away from it."""
         if not self.contains(x, y):
             return _Outside(self, x, y)
@@ -66,7 +66,7 @@ class _Outside:
         self._back = fence.way_back(x, y)
 
     def free(self, lo: float, hi: float) -> Floats:
-        """See `Around`: all, if every heading leads back."""
+        """See `Obstacles`: all, if every heading leads back."""
         half = 0.5 * (hi - lo)
         # the least cosine between "back" and the cone is minus the greatest one between "away" and the cone
         least = -toward(self._back + math.pi - 0.5 * (lo + hi), half) if half < math.pi else -1.0

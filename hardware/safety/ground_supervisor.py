@@ -1,77 +1,65 @@
-"""All of safety, once a control period: what goes in may be anything, what comes out may be sent to the robot."""
+"""Safety supervisor of a robot with two driven wheels."""
 
 import math
 from collections.abc import Callable, Sequence
 
-from vcmvsp.cosim.types import Vec3, Velocity
+from vcmvsp.cosim.types import Vec3, VehicleState, Velocity
 from vcmvsp.hardware.safety.braking import fastest, stops_within, swept
-from vcmvsp.hardware.safety.control_step import Decision, Parameters, Rounds, unusable
-from vcmvsp.hardware.safety.deadman import Cause, Heard
+from vcmvsp.hardware.safety.control_step import Parameters, Pose, Supervisor
+from vcmvsp.hardware.safety.deadman import Cause
 from vcmvsp.hardware.safety.limits import Limits, clamp, slowest
-from vcmvsp.hardware.safety.obstacle_distance import Around
+from vcmvsp.hardware.safety.obstacle_distance import Obstacles
 from vcmvsp.hardware.safety.separation import Others
 
-_HALVINGS = 12  # of the yaw rate, where the one that was asked for does not fit
+_HALVINGS = 12  # bisection steps of the yaw rate
 
 
-class Supervisor:
-    """Stands last before a robot with two driven wheels. It knows no clock: time is an argument.
+class GroundSupervisor(Supervisor):
+    """Safety of a robot with two driven wheels.
 
-    In this order: whoever must be heard and is not, stops the robot at its stop deceleration. Else the command is held to
-    the limits, then slowed down (never turned round) as fence and others demand. Turning on the spot is always allowed: the
-    robot is a circle. ``last`` is the newest safe command; the robot is assumed to be no faster than that.
+    A source that is silent for too long stops the robot at its stop deceleration. Otherwise the command is limited, then
+    slowed down (never reversed) for fence and other vehicles. Turning on the spot is always allowed: the robot is a circle.
+    ``last`` is the newest safe command; the robot is assumed to be no faster than that.
     """
 
     def __init__(self, parameters: Parameters) -> None:
+        super().__init__(parameters)
         self._p = parameters
-        self._rounds = Rounds(parameters)
         self.last = (0.0, 0.0)  # m/s, rad/s
 
-    def step(self, now_ns: int, command: Velocity | None, pose: Vec3 | None, others: Others | None, heard: Heard) -> Decision:
-        """Decide what is sent at ``now_ns``.
+    @staticmethod
+    def pose(state: VehicleState) -> Vec3:
+        """Position x, y m and yaw rad."""
+        return state.position[0], state.position[1], state.yaw
 
-        Args:
-            now_ns: of a clock that does not go back; of the same clock as the times in ``heard``.
-            command: the newest one, however old it is; forward speed and yaw rate count.
-            pose: x m, y m, yaw rad in the world; None: not known.
-            others: vehicles to keep away from; None: there are none.
-            heard: when each that must be heard was heard last.
-        """
-        problems = unusable(command, pose, others, self._p.fence is not None)
-        dt, stops = self._rounds.begin(now_ns, heard, problems)
-        slowed: tuple[Cause, ...] = ()
-        if stops:
-            self.last = slowest(self.last, dt, self._p.limits)
-        else:
-            assert command is not None  # noqa: S101  else it would be among the causes
-            self.last, slowed = self._safe(command, pose, others, dt)
-        sent = Velocity(linear=(self.last[0], 0.0, 0.0), yaw_rate=self.last[1])
-        return self._rounds.decide(sent, stops, slowed)
+    def _brake(self, dt: float) -> None:
+        self.last = slowest(self.last, dt, self._p.limits)
 
-    def _safe(
-        self, command: Velocity, pose: Vec3 | None, others: Others | None, dt: float
-    ) -> tuple[tuple[float, float], tuple[Cause, ...]]:
-        """The command within limits, fence and distances, and which of them changed it."""
-        p, asked = self._p, (command.linear[0], command.yaw_rate)
-        safe = clamp(*asked, self.last, dt, p.limits)
-        causes = [] if safe == asked else [Cause.LIMITS]
-        if pose is None:
-            return safe, tuple(causes)
-        x, y, yaw = pose
-        arounds: list[tuple[Cause, Around]] = []
-        if p.fence is not None:
-            arounds.append((Cause.GEOFENCE, p.fence.around(x, y, p.radius_m + p.fence_margin_m)))
-        if others is not None and len(others.position):
-            arounds.append((Cause.SEPARATION, others.around(x, y, p.radius_m + p.separation_m)))
-        safe, slowed = slow_down(safe, self.last, yaw, arounds, dt=dt, hold=p.reaction_s, limits=p.limits)
-        return safe, (*causes, *slowed)
+    def _velocity(self) -> Velocity:
+        return Velocity(linear=(self.last[0], 0.0, 0.0), yaw_rate=self.last[1])
+
+    def _make_safe(self, command: Velocity, pose: Pose | None, others: Others | None, dt: float) -> tuple[Cause, ...]:
+        p, requested = self._p, (command.linear[0], command.yaw_rate)
+        safe = clamp(*requested, self.last, dt, p.limits)
+        causes = [] if safe == requested else [Cause.LIMITS]
+        if pose is not None:
+            x, y, yaw = pose
+            obstacles: list[tuple[Cause, Obstacles]] = []
+            if p.fence is not None:
+                obstacles.append((Cause.GEOFENCE, p.fence.around(x, y, p.radius_m + p.fence_margin_m)))
+            if others is not None and len(others.position):
+                obstacles.append((Cause.SEPARATION, others.around(x, y, p.radius_m + p.separation_m)))
+            safe, slowed = slow_down(safe, self.last, yaw, obstacles, dt=dt, hold=p.reaction_s, limits=p.limits)
+            causes += slowed
+        self.last = safe
+        return tuple(causes)
 
 
 def slow_down(
     command: tuple[float, float],
     last: tuple[float, float],
     yaw: float,
-    arounds: Sequence[tuple[Cause, Around]],
+    arounds: Sequence[tuple[Cause, Obstacles]],
     *,
     dt: float,
     hold: float,
@@ -98,7 +86,7 @@ def slow_down(
     way = 1.0 if v > 0.0 or last_v > 0.0 else -1.0  # the limits let it stand before it turns back
     facing = yaw if way > 0.0 else yaw + math.pi
 
-    def room(around: Around, rate: float) -> list[float]:
+    def room(around: Obstacles, rate: float) -> list[float]:
         left = swept(max(rate, 0.0), max(last_w, 0.0), hold, limits.yaw_stop_radps2)
         right = swept(max(-rate, 0.0), max(-last_w, 0.0), hold, limits.yaw_stop_radps2)
         free: list[float] = around.free(facing - right, facing + left).tolist()

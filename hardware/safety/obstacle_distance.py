@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 _ROUNDING = 1e-9  # m, or a cosine: driving along a wall is not driving at it
 
 
-class Around(Protocol):
+class Obstacles(Protocol):
     """What is around a robot at one place: n things that it must not touch."""
 
     clearance: float  # m to the nearest of them in any direction; may be less than is true
@@ -61,7 +61,7 @@ class Stadiums:
         self.clearance = float(self._gap.min(initial=math.inf))
 
     def free(self, lo: float, hi: float) -> Floats:
-        """See `Around`."""
+        """See `Obstacles`."""
         half = 0.5 * (hi - lo)
         if half >= 0.5 * math.pi:  # any direction
             return self._gap

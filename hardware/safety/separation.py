@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.hardware.safety.obstacle_distance import Around, Stadiums
+from vcmvsp.hardware.safety.obstacle_distance import Obstacles, Stadiums
 
 
 class Others(msgspec.Struct, frozen=True):
@@ -18,7 +18,7 @@ class Others(msgspec.Struct, frozen=True):
         """Whether all of it is numbers."""
         return all(bool(np.isfinite(each).all()) for each in (self.position, self.velocity, self.radius))
 
-    def around(self, x: float, y: float, margin: float) -> Around:
+    def around(self, x: float, y: float, margin: float) -> Obstacles:
         """The others as they are seen from (x, y) by a robot whose centre keeps ``margin`` m away from their bodies.
 
         Each counts with the speed at which it comes nearer; none is credited with going away.

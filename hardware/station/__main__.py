@@ -24,9 +24,17 @@ from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import Driver, DriverError
 from vcmvsp.hardware.drivers.call_timeout import within
-from vcmvsp.hardware.station.controller import Onboard
-from vcmvsp.hardware.station.emergency_stop import Answer, Ear
-from vcmvsp.hardware.station.messages import OPERATOR_STOP, Mission, Order, Part, Report, missions, orders
+from vcmvsp.hardware.station.controller import StationController
+from vcmvsp.hardware.station.emergency_stop import StationAnswer, StopListener
+from vcmvsp.hardware.station.messages import (
+    OPERATOR_STOP,
+    PartSpec,
+    StationMission,
+    StationOrder,
+    StationReport,
+    missions,
+    orders,
+)
 
 if TYPE_CHECKING:
     from vcmvsp.hardware.localisation.systems import Localisation
@@ -40,16 +48,16 @@ NICE = -5  # where the system allows it
 FAILED = 3  # exit code
 
 
-class Serving:
-    """What the process does with its `Onboard`."""
+class StationProcess:
+    """What the process does with its `StationController`."""
 
     def __init__(self, link: Link) -> None:
         self._link = link
-        self._onboard: Onboard | None = None
-        self._ear: Ear | None = None
+        self._onboard: StationController | None = None
+        self._ear: StopListener | None = None
         self._driver: Driver | None = None
         self._localisation: Localisation | None = None
-        self._order: tuple[Order, int] | None = None  # the newest that no turn has seen, and when it came
+        self._order: tuple[StationOrder, int] | None = None  # the newest that no turn has seen, and when it came
         self._ending = ""  # why there will be no more turns
         self._leaves = False  # the run has asked for it
         self._early = ""  # why it was told to stop before it was open
@@ -83,7 +91,7 @@ class Serving:
 
     # The beginning
 
-    def _mission(self) -> Mission:
+    def _mission(self) -> StationMission:
         self._link.wait(MISSION_S)
         messages = self._link.receive()
         if not messages:
@@ -94,15 +102,15 @@ class Serving:
             self._obey(message)
         return mission
 
-    def _open(self, mission: Mission) -> None:
+    def _open(self, mission: StationMission) -> None:
         vehicle = self._vehicle
-        self._ear = Ear(vehicle)
+        self._ear = StopListener(vehicle)
         localisation: Localisation | None = None
         with within(OPEN_S, vehicle, "building its driver", self._given_up):
             driver: Driver = _built(mission.driver, mission)
             if mission.localisation is not None:
                 localisation = _built(mission.localisation, mission)
-            onboard = Onboard(mission, driver, localisation, time.monotonic_ns)
+            onboard = StationController(mission, driver, localisation, time.monotonic_ns)
         self._driver = driver
         with within(driver.open_deadline_s + GRACE_S, driver.device, "opening it", self._given_up):
             driver.open(mission.start)
@@ -124,7 +132,7 @@ class Serving:
 
     # Turning
 
-    def _turn(self, mission: Mission) -> None:
+    def _turn(self, mission: StationMission) -> None:
         """Turn after turn, until there is a reason not to."""
         onboard = self._onboard
         assert onboard is not None  # noqa: S101  it is open
@@ -200,7 +208,7 @@ class Serving:
                 continue
             cause = self._early if self._onboard is None else self._onboard.halted
             state: Literal["stopped", "driving"] = "stopped" if cause else "driving"
-            ear.answer(address, Answer(vehicle=self._vehicle, run=self._run, pid=os.getpid(), state=state, cause=cause))
+            ear.answer(address, StationAnswer(vehicle=self._vehicle, run=self._run, pid=os.getpid(), state=state, cause=cause))
         return ""
 
     # The end
@@ -225,14 +233,14 @@ class Serving:
             self._ear.close()
         return problems
 
-    def _last_words(self, failed: str, advice: str) -> Report:
+    def _last_words(self, failed: str, advice: str) -> StationReport:
         now_ns = time.monotonic_ns()
         if self._onboard is None:
-            return Report(number=1, time_ns=now_ns, failed=failed, advice=advice)
+            return StationReport(number=1, time_ns=now_ns, failed=failed, advice=advice)
         return self._onboard.last_words(now_ns, failed, advice)
 
 
-def _built(part: Part, mission: Mission) -> Any:
+def _built(part: PartSpec, mission: StationMission) -> Any:
     """What a scenario names, with its parameters; one that asks for them is told vehicle and folder."""
     folder = Path(mission.folder)
     with registry.looking_in(folder):
@@ -251,6 +259,6 @@ def _settle() -> None:
 
 
 if __name__ == "__main__":
-    code = Serving(Link(socket.socket(fileno=int(sys.argv[1])))).serve()
+    code = StationProcess(Link(socket.socket(fileno=int(sys.argv[1])))).serve()
     sys.stderr.flush()
     os._exit(code)  # a driver's thread that hangs must not keep the process

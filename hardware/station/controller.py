@@ -10,9 +10,9 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import ORIGIN, Fix, Odometry, Vec3, VehicleState, Velocity
 from vcmvsp.hardware.drivers.base import Driver, Notice, Sample
-from vcmvsp.hardware.safety import Cause, Decision, Heard
-from vcmvsp.hardware.station.estimator import DriverEstimator, Estimate, StateEstimator
-from vcmvsp.hardware.station.messages import Mission, Order, Report
+from vcmvsp.hardware.safety import Cause, Decision, LastReceived
+from vcmvsp.hardware.station.estimator import DriverEstimator, StateEstimate, StateEstimator
+from vcmvsp.hardware.station.messages import StationMission, StationOrder, StationReport
 from vcmvsp.hardware.station.safety_factory import SLOWING, guard, others_at
 
 if TYPE_CHECKING:  # it brings all kinds of readers with it
@@ -25,7 +25,7 @@ CREEPS = 0.05  # m/s: slower than that, a robot may stand for lack of force
 KEPT = 200  # notices and fixes, while the run does not take them
 
 
-class Onboard:
+class StationController:
     """What a station does; it knows no clock, no process and no run.
 
     Args:
@@ -38,10 +38,12 @@ class Onboard:
         halted: why the robot stands until the station ends; empty: it does not.
     """
 
-    def __init__(self, mission: Mission, driver: Driver, localisation: "Localisation | None", now: Callable[[], int]) -> None:
+    def __init__(
+        self, mission: StationMission, driver: Driver, localisation: "Localisation | None", now: Callable[[], int]
+    ) -> None:
         self._mission, self._driver, self._localisation, self._now = mission, driver, localisation, now
         self._where, self._guard = estimator_of(mission), guard(mission)
-        self._order, self._order_heard_ns = Order(number=0, sent_ns=0), 0
+        self._order, self._order_heard_ns = StationOrder(number=0, sent_ns=0), 0
         self._operator_ns: int | None = None
         self._sample: Sample | None = None
         self._jumps = self._turns = 0
@@ -81,7 +83,9 @@ class Onboard:
 
     # One turn
 
-    def turn(self, now_ns: int, order: Order | None = None, *, heard_ns: int | None = None, late_s: float = 0.0) -> Report:
+    def turn(
+        self, now_ns: int, order: StationOrder | None = None, *, heard_ns: int | None = None, late_s: float = 0.0
+    ) -> StationReport:
         """Do everything once.
 
         Args:
@@ -102,7 +106,7 @@ class Onboard:
         report = self._report(now_ns, here)
         return msgspec.structs.replace(report, sent=sent, causes=causes, late_s=late_s)
 
-    def last_words(self, now_ns: int, failed: str = "", advice: str = "") -> Report:
+    def last_words(self, now_ns: int, failed: str = "", advice: str = "") -> StationReport:
         """The last report, of what happened when the driver was closed, too."""
         self._notices += [each for each in self._gathered() if (each.what, each.cause) != ("stopped", self.halted)]
         self._turns += 1
@@ -114,7 +118,7 @@ class Onboard:
         """The last report has gone: what happened until then need not be said again."""
         self._notices, self._fixes, self._sonar = [], [], {}
 
-    def _take(self, order: Order, heard_ns: int) -> None:
+    def _take(self, order: StationOrder, heard_ns: int) -> None:
         if order.others is not None and (order.others.ndim != 2 or order.others.shape[1] != 7):
             raise ValueError(f"others must be rows of 7 numbers, not of shape {order.others.shape}")
         self._order, self._order_heard_ns = order, heard_ns
@@ -134,7 +138,7 @@ class Onboard:
                 self._fixes.append(fix)
         self._notices += self._gathered()
 
-    def _look_for_jumps(self, here: Estimate | None) -> None:
+    def _look_for_jumps(self, here: StateEstimate | None) -> None:
         """Fixes that agree with each other and not with odometry: a small jump is believed, a large one stops the robot.
 
         A robot that was carried off, and a positioning system that has gone astray, look the same from here: in the second
@@ -165,12 +169,13 @@ class Onboard:
             self._stuck = now_ns - self._pushed_ns > STUCK_S * SECOND_NS
         return self._stuck
 
-    def _decide(self, now_ns: int, here: Estimate | None) -> tuple[Velocity, tuple[str, ...]]:
+    def _decide(self, now_ns: int, here: StateEstimate | None) -> tuple[Velocity, tuple[str, ...]]:
         """Tell the robot; what it was told, and why that is not what was wanted."""
         order, heard = self._order, self._heard(now_ns, here)
         command = Velocity() if self.halted else order.command  # so that the guard slows down with the robot
         others = others_at(order.others, (now_ns - self._order_heard_ns) / SECOND_NS)
-        decision = self._guard.step(now_ns, command, None if here is None else here.state, others, heard)
+        pose = None if here is None else self._guard.pose(here.state)
+        decision = self._guard.step(now_ns, command, pose, others, heard)
         causes = tuple(each.value for each in decision.causes)
         if not self.halted and not self._mission.flies and self._is_stuck(now_ns, order.command):
             if self._sent:
@@ -202,7 +207,7 @@ class Onboard:
         self._released = True
         return decision.causes
 
-    def _heard(self, now_ns: int, here: Estimate | None) -> Heard:
+    def _heard(self, now_ns: int, here: StateEstimate | None) -> LastReceived:
         """Who was heard when; of a command, its age at the run is added to the time since it came.
 
         For what of that age is the lateness of the run, the agent cannot help: the robot goes on within its limits for as long
@@ -217,7 +222,7 @@ class Onboard:
             late_ns = max(0, age_ns - max(0, own_ns))
             self._late_s = late_ns / SECOND_NS
             command_ns = now_ns - age_ns + min(late_ns, round((self._mission.safety.federation_s or 0.0) * SECOND_NS))
-        return Heard(
+        return LastReceived(
             operator_ns=None if self._operator_ns is None else min(self._operator_ns, now_ns),
             command_ns=command_ns,
             positioning_ns=None if here is None else here.seen_ns,
@@ -263,10 +268,10 @@ class Onboard:
             case _:
                 return cause.value
 
-    def _report(self, now_ns: int, here: Estimate | None) -> Report:
+    def _report(self, now_ns: int, here: StateEstimate | None) -> StationReport:
         order, sample = self._order, self._sample
         del self._notices[:-KEPT], self._fixes[:-KEPT]
-        report = Report(
+        report = StationReport(
             number=self._turns,
             time_ns=now_ns,
             order=order.number,
@@ -299,7 +304,7 @@ def _finite_odometry(odometry: Odometry) -> bool:
     return bool(np.isfinite([*odometry.pose, odometry.v, odometry.w]).all())
 
 
-def estimator_of(mission: Mission) -> StateEstimator:
+def estimator_of(mission: StationMission) -> StateEstimator:
     """Estimator of a mission: fused for a robot on the ground with localisation, else as the driver reports."""
     if mission.localisation is not None and not mission.flies:
         from vcmvsp.hardware.station.fused_estimator import FusedEstimator  # SciPy takes half a second to load

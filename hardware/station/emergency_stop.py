@@ -2,7 +2,7 @@
 
 Each station listens on a Unix datagram socket of its own, ``<pid>-<vehicle>.sock``, in a folder that belongs to its user
 alone. A datagram is a verb: ``stop``, ``who`` (both are answered) or ``alive``, the operator's heartbeat, which is not. The
-answer is an `Answer` in JSON, to the address from which the question came.
+answer is an `StationAnswer` in JSON, to the address from which the question came.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ ANSWER_S = 2.0
 _FILE = re.compile(r"(\d+)-([A-Za-z0-9_-]+)\.sock")
 
 
-class Answer(msgspec.Struct, frozen=True, kw_only=True):
+class StationAnswer(msgspec.Struct, frozen=True, kw_only=True):
     """What a station says of itself."""
 
     vehicle: str
@@ -38,7 +38,7 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     cause: str = ""  # why it is stopped
 
 
-class Found(NamedTuple):
+class StationSocket(NamedTuple):
     """A station's socket."""
 
     path: str
@@ -63,7 +63,7 @@ def _ours(folder: Path) -> bool:
     return stat.S_ISDIR(about.st_mode) and about.st_uid == os.getuid() and not about.st_mode & 0o077
 
 
-class Ear:
+class StopListener:
     """The station's side: a socket, and who has said what.
 
     Raises:
@@ -99,7 +99,7 @@ class Ear:
                     heard.append((data.decode(), address))
         return heard
 
-    def answer(self, address: str | bytes | None, answer: Answer) -> None:
+    def answer(self, address: str | bytes | None, answer: StationAnswer) -> None:
         """Tell who asked; never raises, and never waits."""
         if address:
             with contextlib.suppress(OSError):
@@ -111,7 +111,7 @@ class Ear:
         self._path.unlink(missing_ok=True)
 
 
-class Caller:
+class StopCaller:
     """Speaks to stations; a context manager."""
 
     def __init__(self) -> None:
@@ -125,7 +125,7 @@ class Caller:
     def __exit__(self, *_: object) -> None:
         self._socket.close()
 
-    def say(self, verb: Verb, vehicles: Sequence[str] = ()) -> list[Found]:
+    def say(self, verb: Verb, vehicles: Sequence[str] = ()) -> list[StationSocket]:
         """Say it to the stations of these vehicles (none given: of all); which there are.
 
         What stations that were killed have left behind is removed.
@@ -135,7 +135,7 @@ class Caller:
             for path in sorted(folder.iterdir()):
                 name = _FILE.fullmatch(path.name)
                 if name and (not names or name[2] in names) and self._say_to(path, verb):
-                    there.append(Found(str(path), int(name[1]), name[2]))
+                    there.append(StationSocket(str(path), int(name[1]), name[2]))
         return there
 
     def _say_to(self, path: Path, verb: Verb) -> bool:
@@ -149,9 +149,9 @@ class Caller:
             return True
         return True
 
-    def answers(self, asked: list[Found], wait_s: float = ANSWER_S) -> list[Answer]:
+    def answers(self, asked: list[StationSocket], wait_s: float = ANSWER_S) -> list[StationAnswer]:
         """The answers, in the order of ``asked``; `silent` or `ended` of those that gave none."""
-        said: dict[str, Answer] = {}
+        said: dict[str, StationAnswer] = {}
         until = time.monotonic() + wait_s
         open_ = {each.path for each in asked}
         while open_ and (left_s := until - time.monotonic()) > 0.0:
@@ -159,11 +159,11 @@ class Caller:
                 data, path = self._socket.recvfrom(LONGEST)
                 if path in open_:
                     with contextlib.suppress(ValueError):
-                        said[path] = msgspec.json.decode(data, type=Answer)
+                        said[path] = msgspec.json.decode(data, type=StationAnswer)
             open_ = {path for path in open_ if path not in said and Path(path).exists()}
         return [said.get(each.path) or _unsaid(each) for each in asked]
 
 
-def _unsaid(found: Found) -> Answer:
+def _unsaid(found: StationSocket) -> StationAnswer:
     state: Literal["silent", "ended"] = "silent" if Path(found.path).exists() else "ended"
-    return Answer(vehicle=found.vehicle, run="", pid=found.pid, state=state)
+    return StationAnswer(vehicle=found.vehicle, run="", pid=found.pid, state=state)

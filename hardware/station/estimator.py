@@ -12,7 +12,7 @@ from vcmvsp.cosim.types import Array, Fix, VehicleState
 from vcmvsp.hardware.drivers.base import Sample
 
 
-class Estimate(msgspec.Struct, frozen=True, kw_only=True):
+class StateEstimate(msgspec.Struct, frozen=True, kw_only=True):
     """The state at an instant."""
 
     state: VehicleState
@@ -38,7 +38,7 @@ class StateEstimator(Protocol):
     def fix(self, fix: Fix) -> None:
         """What the positioning system said."""
 
-    def at(self, now_ns: int) -> Estimate | None:
+    def at(self, now_ns: int) -> StateEstimate | None:
         """The state now; None: not known."""
 
 
@@ -57,11 +57,11 @@ class DriverEstimator:
     def fix(self, fix: Fix) -> None:
         """The robot knows where it is."""
 
-    def at(self, now_ns: int) -> Estimate | None:
+    def at(self, now_ns: int) -> StateEstimate | None:
         """Extrapolated to now."""
         last = self._last
         if last is None or (last.state is None and self._flies):
             return None
         seen_ns = min(last.measured_ns, now_ns)
         state = last.state or planar(last.odometry.pose, last.odometry.v, last.odometry.w, self._height_m)
-        return Estimate(state=ahead(state, now_ns - seen_ns, flies=self._flies), seen_ns=seen_ns)
+        return StateEstimate(state=ahead(state, now_ns - seen_ns, flies=self._flies), seen_ns=seen_ns)

@@ -10,7 +10,7 @@ from vcmvsp.cosim.estimation.fusion import Fusion
 from vcmvsp.cosim.frames import travelled, wrap
 from vcmvsp.cosim.types import Fix, Vec3
 from vcmvsp.hardware.drivers.base import Sample
-from vcmvsp.hardware.station.estimator import Estimate
+from vcmvsp.hardware.station.estimator import StateEstimate
 
 
 class FusedEstimator:
@@ -61,7 +61,7 @@ class FusedEstimator:
         if math.isfinite(x) and math.isfinite(y) and 0.0 < fix.sigma_m < math.inf:
             self._fusion.fix(fix.time_ns, x, y, fix.sigma_m)
 
-    def at(self, now_ns: int) -> Estimate | None:
+    def at(self, now_ns: int) -> StateEstimate | None:
         """The fused pose; not known before the first sample."""
         pose = self._fusion.estimate(now_ns)
         if pose is None or self._last is None or self._broken:
@@ -75,7 +75,7 @@ class FusedEstimator:
         heading = wrap(yaw + self._turned)
         known = math.isfinite(pose.age_s)
         fix_ns = now_ns - round(pose.age_s * SECOND_NS) if known else 0
-        return Estimate(
+        return StateEstimate(
             state=planar((pose.x, pose.y, heading), pose.v, pose.w, self._height_m),
             covariance=pose.covariance,
             seen_ns=min(fix_ns, odometry_ns) if known else None,  # without either, it is a guess

@@ -14,7 +14,7 @@ OPERATOR_STOP = "operator's stop"
 """Among the causes of a report: ``vcmvsp stop`` was called, and counts until the station ends."""
 
 
-class Part(Value, frozen=True, kw_only=True):
+class PartSpec(Value, frozen=True, kw_only=True):
     """Something that the station builds: a driver, or what tells where the robot is."""
 
     group: Literal["driver", "localisation"]
@@ -46,14 +46,14 @@ class Safety(Value, frozen=True, kw_only=True):
     federation_s: float | None = 0.5
 
 
-class Mission(Value, frozen=True, kw_only=True):
+class StationMission(Value, frozen=True, kw_only=True):
     """The first thing that a station is told."""
 
     run: str  # of the run, for those who look for its stations
     vehicle: str
     folder: str  # of the scenario: where a file.py:Class is
-    driver: Part
-    localisation: Part | None
+    driver: PartSpec
+    localisation: PartSpec | None
     fusion: dict[str, Any]  # parameters of `cosim.estimation.fusion.Fusion`
     start: Vec3  # x m, y m, yaw rad
     height_m: float  # above the ground: z of a robot that only moves on it
@@ -62,7 +62,7 @@ class Mission(Value, frozen=True, kw_only=True):
     rate_hz: float = 50.0
 
 
-class Order(Value, frozen=True, kw_only=True):
+class StationOrder(Value, frozen=True, kw_only=True):
     """What the run wants now. The newest counts; it is said again at least every 0.1 s, so that silence means something."""
 
     number: int  # counts from 1
@@ -75,7 +75,7 @@ class Order(Value, frozen=True, kw_only=True):
     leave: bool = False  # stop the robot, close everything, and end
 
 
-class Report(Value, frozen=True, kw_only=True):
+class StationReport(Value, frozen=True, kw_only=True):
     """How things stand at the station, at every turn."""
 
     number: int  # counts from 1
@@ -101,6 +101,6 @@ class Report(Value, frozen=True, kw_only=True):
     advice: str = ""  # what to do about it
 
 
-missions: Decoder[Mission] = Decoder(Mission)
-orders: Decoder[Order] = Decoder(Order)
-reports: Decoder[Report] = Decoder(Report)
+missions: Decoder[StationMission] = Decoder(StationMission)
+orders: Decoder[StationOrder] = Decoder(StationOrder)
+reports: Decoder[StationReport] = Decoder(StationReport)

@@ -23,7 +23,7 @@ from vcmvsp.cosim.processes.local_link import Link
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import messages
-from vcmvsp.hardware.station.messages import Mission, Order, Report
+from vcmvsp.hardware.station.messages import StationMission, StationOrder, StationReport
 
 READY_S = 60.0  # longer than a station gives its driver
 CLOSE_S = 15.0  # the same, for a robot to stand and a driver to close
@@ -43,16 +43,16 @@ class StationError(DriverError):
 class Station:
     """A process that drives one robot; see `start`."""
 
-    def __init__(self, mission: Mission, process: subprocess.Popen[bytes], end: Link) -> None:
+    def __init__(self, mission: StationMission, process: subprocess.Popen[bytes], end: Link) -> None:
         self.vehicle = mission.vehicle
         self._process, self._link = process, end
-        self._waiting: list[Report] = []  # read, but not handed over
+        self._waiting: list[StationReport] = []  # read, but not handed over
         self._failure: StationError | None = None
         self._leaving = self._is_closed = False
         self._number = 0  # of the newest order
 
     @classmethod
-    def start(cls, mission: Mission) -> "Station":
+    def start(cls, mission: StationMission) -> "Station":
         """Start the process, which connects to the robot; this does not wait for it."""
         process, here = linked("vcmvsp.hardware.station")
         here.send(encode(mission))
@@ -79,12 +79,12 @@ class Station:
         if self._failure is not None:
             raise self._failure
 
-    def order(self, order: Order) -> bool:
+    def order(self, order: StationOrder) -> bool:
         """Give an order, without waiting; whether it went: not to a station that hangs, or has gone (`reports` says so)."""
         self._number = order.number
         return not self._is_closed and self._link.send(encode(order))
 
-    def reports(self) -> list[Report]:
+    def reports(self) -> list[StationReport]:
         """What has come since the last call, oldest first, without waiting.
 
         Raises:
@@ -99,10 +99,10 @@ class Station:
     def leave(self) -> None:
         """Ask it to stop the robot and to end, without waiting; asked again by `close`, where it did not read."""
         if not self._leaving and not self._is_closed:
-            order = Order(number=self._number + 1, sent_ns=time.monotonic_ns(), leave=True)
+            order = StationOrder(number=self._number + 1, sent_ns=time.monotonic_ns(), leave=True)
             self._leaving = self._link.send(encode(order))
 
-    def close(self, until: float | None = None) -> list[Report]:
+    def close(self, until: float | None = None) -> list[StationReport]:
         """Have it end, and wait for that, at most until this ``time.monotonic()`` [now + `CLOSE_S`]; then make it end.
 
         Returns its last reports; never raises.
@@ -127,7 +127,7 @@ class Station:
             self._process.kill()
             self._process.wait()
             happened = "its station did not end by itself and was killed"
-            self._waiting.append(Report(number=0, time_ns=time.monotonic_ns(), failed=happened, advice=WATCHDOG))
+            self._waiting.append(StationReport(number=0, time_ns=time.monotonic_ns(), failed=happened, advice=WATCHDOG))
         self._link.close()
 
     def _read(self, wait_s: float) -> None:
@@ -144,12 +144,12 @@ class Station:
         if self._link.ended and self._failure is None and not self._leaving:
             self._failure = StationError(self.vehicle, f"its station {self._how_it_ended()}", WATCHDOG)
 
-    def _decoded(self, message: bytes) -> Report:
+    def _decoded(self, message: bytes) -> StationReport:
         try:
             return messages.reports.decode(message)
         except (ValueError, msgspec.MsgspecError) as error:
             happened = f"its station said something that cannot be read ({error})"
-            return Report(number=0, time_ns=time.monotonic_ns(), failed=happened, advice="report this")
+            return StationReport(number=0, time_ns=time.monotonic_ns(), failed=happened, advice="report this")
 
     def _how_it_ended(self) -> str:
         """How a process whose link has ended did so."""

@@ -28,7 +28,7 @@ from vcmvsp.cosim.terminal.progress import summary
 from vcmvsp.cosim.types import Incident, RealStatus, States, VehicleState, Velocity, frozen
 from vcmvsp.hardware.drivers.base import Notice
 from vcmvsp.hardware.federate import HEARTBEAT, KNOWN_S, Hardware
-from vcmvsp.hardware.station.messages import OPERATOR_STOP, Order, Report
+from vcmvsp.hardware.station.messages import OPERATOR_STOP, StationOrder, StationReport
 from vcmvsp.hardware.station.process_client import StationError
 from vcmvsp.hardware.stations import mission
 
@@ -42,15 +42,15 @@ class Station:
     """Says what it is told to say, and keeps what it hears."""
 
     def __init__(self) -> None:
-        self.saying: list[Report] = []
-        self.heard: list[Order] = []
+        self.saying: list[StationReport] = []
+        self.heard: list[StationOrder] = []
         self.failing: StationError | None = None
 
-    def order(self, order: Order) -> bool:
+    def order(self, order: StationOrder) -> bool:
         self.heard.append(order)
         return True
 
-    def reports(self) -> list[Report]:
+    def reports(self) -> list[StationReport]:
         if self.failing is not None and not self.saying:
             raise self.failing
         said, self.saying = self.saying, []
@@ -107,8 +107,8 @@ def world(time_ns: int, x: float, v: float) -> Event:
     return Event("world/states", time_ns, states)
 
 
-def report(number: int = 1, **more: Any) -> Report:
-    return Report(number=number, time_ns=time.monotonic_ns(), state=VehicleState(position=(0.0, 0.0, 0.0)), **more)
+def report(number: int = 1, **more: Any) -> StationReport:
+    return StationReport(number=number, time_ns=time.monotonic_ns(), state=VehicleState(position=(0.0, 0.0, 0.0)), **more)
 
 
 def test_orders_are_said_again_at_every_heartbeat_and_at_every_command() -> None:
@@ -207,7 +207,7 @@ def test_a_run_may_go_on_without_a_robot_that_stands_where_it_was_last(on_lost: 
     logged: list[tuple[str, object]] = []
     made, station = federate(on_lost=on_lost, log=lambda key, _, value: logged.append((key, value)))
     moving = VehicleState(position=(1.0, 2.0, 0.0), velocity=(0.4, 0.0, 0.0))
-    station.saying = [Report(number=1, time_ns=time.monotonic_ns(), state=moving)]
+    station.saying = [StationReport(number=1, time_ns=time.monotonic_ns(), state=moving)]
     made.step(0, ())
     station.failing = StationError("car1", "unplugged", "plug it in")
     events = {event.key: event.value for event in made.step(TENTH, ()).events}

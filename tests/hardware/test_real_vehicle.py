@@ -16,8 +16,8 @@ from vcmvsp.cosim.frames import arc, quaternion_from_yaw, wrap
 from vcmvsp.cosim.scenario.schema import RealVehicle, SafetyTable
 from vcmvsp.cosim.types import Fix, Measured, Odometry, RealStatus, VehicleState, Velocity, Waypoint
 from vcmvsp.hardware.drivers.base import Notice
-from vcmvsp.hardware.real_vehicle import Seat
-from vcmvsp.hardware.station.messages import OPERATOR_STOP, Order, Report
+from vcmvsp.hardware.real_vehicle import VehicleProxy
+from vcmvsp.hardware.station.messages import OPERATOR_STOP, StationOrder, StationReport
 
 START_NS = 1_000 * SECOND_NS  # what the monotonic clock shows at logical time 0
 speeds = st.floats(-2.0, 2.0)
@@ -27,19 +27,19 @@ class Station:
     """Says what it is told to say, and keeps what it hears."""
 
     def __init__(self) -> None:
-        self.saying: list[Report] = []
-        self.heard: list[Order] = []
+        self.saying: list[StationReport] = []
+        self.heard: list[StationOrder] = []
 
-    def order(self, order: Order) -> bool:
+    def order(self, order: StationOrder) -> bool:
         self.heard.append(order)
         return True
 
-    def reports(self) -> list[Report]:
+    def reports(self) -> list[StationReport]:
         said, self.saying = self.saying, []
         return said
 
 
-def seat(pose_source: str = "fusion", *, flies: bool = False) -> tuple[Seat, Station]:
+def seat(pose_source: str = "fusion", *, flies: bool = False) -> tuple[VehicleProxy, Station]:
     """At x = 1 m, looking north, at logical time 0."""
     clock = WallClock(now=lambda: START_NS)
     clock.start()
@@ -59,7 +59,7 @@ def seat(pose_source: str = "fusion", *, flies: bool = False) -> tuple[Seat, Sta
         positioning=None,
         seed=0,
     )
-    made, station = Seat(vehicle, clock), Station()
+    made, station = VehicleProxy(vehicle, clock), Station()
     made.station = station
     return made, station
 
@@ -73,11 +73,11 @@ def state(x: float, y: float, yaw: float, v: float = 0.0, w: float = 0.0) -> Veh
     )
 
 
-def report(at_s: float, shown: VehicleState | None, **more: object) -> Report:
-    return Report(number=1, time_ns=START_NS + round(at_s * SECOND_NS), state=shown, **more)  # type: ignore[arg-type]
+def report(at_s: float, shown: VehicleState | None, **more: object) -> StationReport:
+    return StationReport(number=1, time_ns=START_NS + round(at_s * SECOND_NS), state=shown, **more)  # type: ignore[arg-type]
 
 
-def events(made: Seat, at_s: float) -> dict[str, list[Any]]:
+def events(made: VehicleProxy, at_s: float) -> dict[str, list[Any]]:
     made.hear()
     found: dict[str, list[Any]] = {}
     for event in made.publish(round(at_s * SECOND_NS)):

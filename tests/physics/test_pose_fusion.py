@@ -13,8 +13,8 @@ from scipy.stats import chi2
 from tests.support.physics.external_vehicles import TENTH, Courses, run, spec, straight, values
 from vcmvsp.cosim.clock import Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.estimation.fusion import Fusion, Pose
-from vcmvsp.cosim.estimation.kalman_filter import Noise
+from vcmvsp.cosim.estimation.fusion import FusedPose, Fusion
+from vcmvsp.cosim.estimation.kalman_filter import OdometryNoise
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.frames import arc, travelled, wrap, yaw_of
 from vcmvsp.cosim.util.codec import encode
@@ -28,7 +28,7 @@ from vcmvsp.physics.world.world import World
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 TURNS = [(0.0, "car", 0.4, 0.2), (4.0, "car", 0.4, -0.3), (9.0, "car", 0.3, 0.5)]
 SIGMA_M = 0.15
-NONE = Noise(distance=0.0, turn=0.0, veer=0.0, time_m=0.0, time_rad=0.0)
+NONE = OdometryNoise(distance=0.0, turn=0.0, veer=0.0, time_m=0.0, time_rad=0.0)
 
 
 class Watched(Fusion):
@@ -36,9 +36,9 @@ class Watched(Fusion):
 
     def __init__(self, **parameters: Any) -> None:
         super().__init__(**parameters)
-        self.poses: list[Pose | None] = []
+        self.poses: list[FusedPose | None] = []
 
-    def estimate(self, now_ns: int) -> Pose | None:
+    def estimate(self, now_ns: int) -> FusedPose | None:
         self.poses.append(super().estimate(now_ns))
         return self.poses[-1]
 

@@ -1,6 +1,6 @@
 """The driver of Pioneer and AmigoBot robots, real or emulated, on a serial port or over TCP.
 
-One thread owns the line: it connects, reads, sends what `Steering` says, and connects again. All that it shares with the
+One thread owns the line: it connects, reads, sends the newest command, and connects again. All that it shares with the
 caller is behind one lock, which nobody holds while waiting.
 """
 
@@ -13,24 +13,27 @@ import msgspec
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.types import NonNegative, Positive, Vec3, Velocity
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.drivers.arcos.command_schedule import Mode, Steering
+from vcmvsp.hardware.drivers.arcos.command_schedule import Mode, speeds
 from vcmvsp.hardware.drivers.arcos.config_packet import warnings
 from vcmvsp.hardware.drivers.arcos.handshake import ZERO_SPEED, Handshake, Settings
-from vcmvsp.hardware.drivers.arcos.packet import Reader, command
+from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import Robot
-from vcmvsp.hardware.drivers.arcos.samples import Track
+from vcmvsp.hardware.drivers.arcos.samples import ArcosSampler
 from vcmvsp.hardware.drivers.arcos.sip import Sip, decode, is_sip
 from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, LinkLost, checked
-from vcmvsp.hardware.drivers.byte_link import OPEN_S, Line, open_line
-from vcmvsp.hardware.drivers.threaded import Wired
+from vcmvsp.hardware.drivers.byte_link import OPEN_S, ByteLink, open_line
+from vcmvsp.hardware.drivers.command_repeater import CommandRepeater
+from vcmvsp.hardware.drivers.threaded import ReconnectingDriver
 
+STILL = (0.0, 0.0)  # m/s, rad/s
+RESEND_NS = 200_000_000  # commands are not acknowledged; the robot stops after 2 s without one
 BRAKING_S = 2.0  # from 1 m/s at 0.5 m/s2: the motors are switched off when it stands, or after this
 
 Baud = Annotated[int, msgspec.Meta(ge=1200, le=921_600)]
 Kind = Literal["", "p2dx", "amigo", "amigo-sh"]
 
 
-class ArcosDriver(Wired):
+class ArcosDriver(ReconnectingDriver):
     """A robot that speaks ARCOS, P2OS, AmigOS or AmigoSH (`hardware.drivers.base.Driver`).
 
     Speeds are rounded to 1 mm/s and 1 deg/s by the protocol (``vel2``: each wheel to 20 mm/s), and limited to what the robot
@@ -92,23 +95,23 @@ class ArcosDriver(Wired):
         v, w = checked(velocity)
         with self._lock:
             self._check()
-            if self._steering is not None:
-                self._steering.command((v, w), time.monotonic_ns())
+            if self._repeater is not None:
+                self._repeater.command((v, w), time.monotonic_ns())
         self._wake()
 
     def _prepare(self, start: Vec3) -> None:
         super()._prepare(start)
-        self._track = Track(start)
-        self._line: Line | None = None
-        self._steering: Steering | None = None  # None: not connected
+        self._track = ArcosSampler(start)
+        self._line: ByteLink | None = None
+        self._repeater: CommandRepeater[tuple[float, float]] | None = None  # None: not connected
         self._motors = True
 
     def _was_read(self) -> None:
         self._track.taken()
 
     def _hold(self, cause: str) -> bool:
-        if self._steering is not None:
-            self._steering.stop(cause)
+        if self._repeater is not None:
+            self._repeater.stop(cause)
         return False
 
     # What the thread does.
@@ -122,7 +125,7 @@ class ArcosDriver(Wired):
         handshake = Handshake(device=self.device, kind=self._kind, settings=self._settings, baud=baud, give_up_s=left_s)
         line.write(handshake.start(time.monotonic_ns()))
         while not handshake.done:
-            if self._wait(line, handshake.due_ns):
+            if self._wait(line.fileno(), handshake.due_ns):
                 answer = handshake.receive(line.read(), time.monotonic_ns())
             else:
                 answer = handshake.advance(time.monotonic_ns())
@@ -132,7 +135,8 @@ class ArcosDriver(Wired):
         with self._lock:
             self.robot = handshake.robot
             self._track.connect(self.robot)
-            self._steering = Steering(self.robot, self._mode, self._timeout_s)
+            cycle_ns = seconds_to_ns(self.robot.period_s)
+            self._repeater = CommandRepeater(STILL, self._timeout_s, again_ns=RESEND_NS, least_ns=cycle_ns)
         name = handshake.name or "a robot without a name"
         self._notice("connected", f"{name}, {self.robot.name}")
         if handshake.config is not None:
@@ -149,25 +153,25 @@ class ArcosDriver(Wired):
         heard_ns = time.monotonic_ns()
         while True:
             due_ns = self._send(line)
-            if self._wait(line, min(due_ns, heard_ns + silence_ns)):
+            if self._wait(line.fileno(), min(due_ns, heard_ns + silence_ns)):
                 if self._take(self._reader.feed(line.read())):
                     heard_ns = time.monotonic_ns()
             elif time.monotonic_ns() >= heard_ns + silence_ns:
                 happened = f"nothing was heard for {self._silence_s:g} s"
                 raise LinkLost(self.device, happened, "look at the robot's battery, its cable and its radio")
 
-    def _send(self, line: Line) -> int:
+    def _send(self, line: ByteLink) -> int:
         """Send what is due; when the next is."""
         with self._lock:
-            steering = self._steering
-            assert steering is not None  # noqa: S101  it is connected
-            before = steering.stopped
-            data = steering.packets(time.monotonic_ns())
-            due_ns, stopped = steering.due_ns, steering.stopped
+            repeater, robot = self._repeater, self.robot
+            assert repeater is not None and robot is not None  # noqa: PT018, S101  it is connected
+            before = repeater.stopped
+            command = repeater.advance(time.monotonic_ns())
+            due_ns, stopped = repeater.due_ns, repeater.stopped
         if stopped != before:
             self._notice("stopped", stopped)
-        if data:
-            line.write(data)
+        if command is not None:
+            line.write(speeds(robot, *command, self._mode))
         return due_ns
 
     def _take(self, packets: list[bytes]) -> bool:
@@ -175,8 +179,8 @@ class ArcosDriver(Wired):
         sips = _sips(packets)
         for sip in sips:
             with self._lock:
-                assert self._steering is not None  # noqa: S101  it is connected
-                sample = self._sample = self._track.add(sip, time.monotonic_ns(), self._steering.stopped)
+                assert self._repeater is not None  # noqa: S101  it is connected
+                sample = self._sample = self._track.add(sip, time.monotonic_ns(), self._repeater.stopped)
             if self._motors and not sample.motors:
                 button = ": its stop button is pressed" if sample.emergency_stop else ""
                 self._notice("stopped", f"the robot has switched its motors off{button}")
@@ -185,16 +189,16 @@ class ArcosDriver(Wired):
 
     def _say_goodbye(self) -> None:
         """Zero speed, wait until the robot stands, motors off, end of the session."""
-        line, reader = self._line, Reader()
+        line, reader = self._line, PacketReader()
         if line is None:
             return
         self._leaving = True
         until_ns = time.monotonic_ns() + seconds_to_ns(BRAKING_S)
         try:
             line.write(ZERO_SPEED)
-            moving = self._steering is not None
+            moving = self._repeater is not None
             while moving and time.monotonic_ns() < until_ns:
-                if self._wait(line, until_ns):
+                if self._wait(line.fileno(), until_ns):
                     moving = not any(each.left == each.right == 0 for each in _sips(reader.feed(line.read())))
             line.write(ZERO_SPEED + command(Command.ENABLE, 0) + command(Command.CLOSE, 1))
         except LinkLost:
@@ -204,7 +208,7 @@ class ArcosDriver(Wired):
         """Free the port, with zero speed and the end of the session as the last words to whoever still listens."""
         line, self._line = self._line, None
         with self._lock:
-            self._steering = None
+            self._repeater = None
         if line is None:
             return
         if not self._closing.is_set():

@@ -13,7 +13,7 @@ from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.types import Value
 from vcmvsp.hardware.drivers.arcos.command_numbers import BAUDS, CONFIG_PACKET, SYNC0, SYNC2, Command
 from vcmvsp.hardware.drivers.arcos.config_packet import Config, decode_config
-from vcmvsp.hardware.drivers.arcos.packet import Reader, command
+from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS, Robot, robot_of
 from vcmvsp.hardware.drivers.arcos.sip import decode, is_sip
 from vcmvsp.hardware.drivers.base import HandshakeError
@@ -67,7 +67,7 @@ class Handshake:
         self.name = ""  # that the robot has been given
         self.config: Config | None = None  # what it says of itself, if it does
         self.due_ns = 0  # when `advance` wants to be called next
-        self.reader = Reader()
+        self.reader = PacketReader()
         self._device, self._kind, self._settings, self._baud, self._give_up_s = device, kind, settings, baud, give_up_s
         self._phase: _Phase = "sync"
         self._sync = SYNC0  # whose echo is awaited

@@ -77,7 +77,7 @@ def parse_command(data: bytes) -> tuple[int, int | bytes | None]:
     return number, rest
 
 
-class Reader:
+class PacketReader:
     """Finds the packets in a stream of bytes, whatever was lost, flipped or split.
 
     Reading goes from left to right. Where a header announces a packet whose checksum is right, the packet is taken and reading

@@ -14,7 +14,7 @@ DRIFT = 0.01  # by which the robot's period may differ from the nominal one
 LEAP_S = 1.0  # a step of the pose is believed up to what the greatest speed covers in the time since the last packet and this
 
 
-class Track:
+class ArcosSampler:
     """What a robot's packets say, from the pose at which it was when the first one came; over reconnections, too.
 
     Attributes:

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink  # type: ignore[import-unty
 
 from vcmvsp.cosim.types import Value
 
-__all__ = ["Encoder", "Message", "Reader", "Sender", "mavlink", "sender_of"]
+__all__ = ["Encoder", "Message", "MessageReader", "Sender", "mavlink", "sender_of"]
 
 Message = Any  # pymavlink makes a class for each kind of message
 
@@ -42,7 +42,7 @@ class Encoder:
         return sent
 
 
-class Reader:
+class MessageReader:
     """Messages out of a stream of bytes, of MAVLink 1 and 2; what has no right checksum, or is not known, is left out.
 
     After something broken the next message is looked for from the next byte on, so that nothing good is lost with it.

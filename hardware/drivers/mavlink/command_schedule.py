@@ -1,12 +1,8 @@
-"""Which velocity set-points go out and when: 20 times a second, zero when nobody commands, a stop at once.
-
-No clock and no line of its own.
-"""
+"""MAVLink set-points of a velocity."""
 
 import math
 
 from vcmvsp.cosim.types import Vec3, Velocity
-from vcmvsp.hardware.drivers.command_repeater import Pace
 from vcmvsp.hardware.drivers.mavlink.codec import Message, Sender, mavlink
 from vcmvsp.hardware.drivers.mavlink.coordinate_frames import world_flipped
 
@@ -41,10 +37,3 @@ def setpoint(to: Sender, time_ms: int, linear: Vec3, yaw_rate: float, *, on_grou
         0.0,  # yaw
         -yaw_rate,
     )
-
-
-class Steering(Pace[tuple[Vec3, float]]):
-    """The newest command (m/s, rad/s), and when its set-point goes out."""
-
-    def __init__(self, timeout_s: float) -> None:
-        super().__init__((STILL, 0.0), timeout_s, again_ns=PERIOD_NS, least_ns=PERIOD_NS)

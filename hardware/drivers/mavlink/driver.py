@@ -1,6 +1,6 @@
 """The driver of vehicles whose autopilot speaks MAVLink: multicopters, rovers and boats with PX4 or ArduPilot.
 
-One thread owns the link: it finds the vehicle (`hello`), sends what `Pilot` says, and looks for the vehicle again. All that it
+One thread owns the link: it finds the vehicle (`hello`), sends what `MavlinkSession` says, and looks for the vehicle again. All that it
 shares with the caller is behind one lock, which nobody holds while waiting.
 
 **Who is in command.** The driver arms nothing and switches no mode, unless the scenario asks for it, and then once, while it
@@ -20,14 +20,14 @@ from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.cosim.types import ORIGIN, NonNegative, Positive, Vec3, Velocity
 from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost
 from vcmvsp.hardware.drivers.byte_link import OPEN_S
-from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Reader, Sender, mavlink, sender_of
+from vcmvsp.hardware.drivers.mavlink.codec import Encoder, MessageReader, Sender, mavlink, sender_of
 from vcmvsp.hardware.drivers.mavlink.command_schedule import finite
-from vcmvsp.hardware.drivers.mavlink.link import Link, open_link
+from vcmvsp.hardware.drivers.mavlink.link import MavlinkLink, open_link
 from vcmvsp.hardware.drivers.mavlink.messages import heartbeat
-from vcmvsp.hardware.drivers.mavlink.samples import Track
-from vcmvsp.hardware.drivers.mavlink.session import Orders, Pilot
-from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer, Search
-from vcmvsp.hardware.drivers.threaded import Wired
+from vcmvsp.hardware.drivers.mavlink.samples import MavlinkSampler
+from vcmvsp.hardware.drivers.mavlink.session import MavlinkSession, SessionOptions
+from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer, VehicleSearch
+from vcmvsp.hardware.drivers.threaded import ReconnectingDriver
 
 GOODBYE_S = 4.0  # heartbeats, which show that a mode was changed, come once a second
 TAKEOFF_S = 30.0  # for a vehicle to reach its height
@@ -39,7 +39,7 @@ ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=15)]  # s: with a take-off,
 TelemetryHz = Annotated[float, msgspec.Meta(ge=1, le=400)]
 
 
-class MavlinkDriver(Wired):
+class MavlinkDriver(ReconnectingDriver):
     """A vehicle with an autopilot (`hardware.drivers.base.Driver`).
 
     Multicopters take a velocity in the world and a yaw rate; rovers and boats a forward speed and a yaw rate.
@@ -111,10 +111,10 @@ class MavlinkDriver(Wired):
         self._system_id, self._baud, self._origin, self._insecure = system_id, baud, origin, insecure
         self._kind = None if autopilot == "auto" else autopilot
         self._encode = Encoder(Sender(system=own_id, component=mavlink.MAV_COMP_ID_MISSIONPLANNER))
-        self._orders = Orders(
+        self._orders = SessionOptions(
             telemetry_hz=telemetry_hz, timeout_s=command_timeout_s, switch_mode=switch_mode, arm=arm, takeoff_m=takeoff_m
         )
-        self._pilot: Pilot | None = None  # None: not connected
+        self._pilot: MavlinkSession | None = None  # None: not connected
 
     # What the caller does.
 
@@ -129,9 +129,9 @@ class MavlinkDriver(Wired):
     def _prepare(self, start: Vec3) -> None:
         """Odometry begins at ``start``; the state in the world is the autopilot's."""
         super()._prepare(start)
-        self._track = Track(start, self._origin, self._plane)
+        self._track = MavlinkSampler(start, self._origin, self._plane)
         self.peer = None
-        self._link: Link | None = None
+        self._link: MavlinkLink | None = None
 
     def _hold(self, cause: str) -> bool:
         if self._pilot is not None:
@@ -149,8 +149,8 @@ class MavlinkDriver(Wired):
         began_ns = time.monotonic_ns()
         peer = self._find(self._link, began_ns + seconds_to_ns(within_s), within_s)
         self._link.answer(peer.source)
-        self._reader = Reader()
-        pilot = Pilot(peer, orders, self._track, time.monotonic_ns())
+        self._reader = MessageReader()
+        pilot = MavlinkSession(peer, orders, self._track, time.monotonic_ns())
         if peer.on_ground and orders.takeoff_m is not None:
             raise HandshakeError(self.device, f"{peer.name} does not fly", "leave takeoff_m out")
         with self._lock:
@@ -161,16 +161,16 @@ class MavlinkDriver(Wired):
         self._make_ready(pilot, began_ns + seconds_to_ns(within_s + more_s))
         self._ready.set()
 
-    def _find(self, link: Link, deadline_ns: int, within_s: float) -> Peer:
+    def _find(self, link: MavlinkLink, deadline_ns: int, within_s: float) -> Peer:
         """Listen, with our own heartbeat once a second: some autopilots speak only when spoken to."""
         system_id = self._system_id if self.peer is None else self.peer.sender.system  # another is none that was lost
-        search = Search(self.device, system_id, self._kind)
+        search = VehicleSearch(self.device, system_id, self._kind)
         beat_ns = 0
         while (now_ns := time.monotonic_ns()) < deadline_ns:
             if now_ns >= beat_ns:
                 beat_ns = now_ns + SECOND_NS
                 link.write(self._encode(heartbeat()))
-            if self._wait(link, min(deadline_ns, beat_ns, search.due_ns)):
+            if self._wait(link.fileno(), min(deadline_ns, beat_ns, search.due_ns)):
                 peer = search.receive(link.read(), time.monotonic_ns())
             else:
                 peer = search.decide(time.monotonic_ns())
@@ -178,7 +178,7 @@ class MavlinkDriver(Wired):
                 return peer
         raise search.failure(within_s)
 
-    def _make_ready(self, pilot: Pilot, deadline_ns: int) -> None:
+    def _make_ready(self, pilot: MavlinkSession, deadline_ns: int) -> None:
         """Until it tells its position, and is in the mode, armed and as high as was asked for."""
         while not pilot.ready:
             if pilot.interrupted:
@@ -223,7 +223,7 @@ class MavlinkDriver(Wired):
         if messages:
             link.write(self._encode(*messages))
         heard = samples = 0
-        if self._wait(link, min(due_ns, until_ns)):
+        if self._wait(link.fileno(), min(due_ns, until_ns)):
             for _, data in link.read():
                 for message in self._reader.feed(data):
                     if sender_of(message) == self._peer_sender:
@@ -235,7 +235,7 @@ class MavlinkDriver(Wired):
         self._tell(pilot)
         return heard, samples
 
-    def _tell(self, pilot: Pilot) -> None:
+    def _tell(self, pilot: MavlinkSession) -> None:
         with self._lock:
             news, pilot.news = pilot.news, []
         for what, cause in news:

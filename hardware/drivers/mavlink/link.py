@@ -10,23 +10,23 @@ from typing import Any, Protocol
 
 from vcmvsp.cosim.transport.endpoints import check_interfaces
 from vcmvsp.hardware.drivers.base import PortError
-from vcmvsp.hardware.drivers.byte_link import Line, open_line
+from vcmvsp.hardware.drivers.byte_link import ByteLink, open_line
 
 DATAGRAM = 65_535
 DATAGRAMS = 100  # read at a time
 SOURCES = 32  # that are listened to while the vehicle is looked for; a new one takes the place of the oldest
 _ADVICE = "write udpin:127.0.0.1:14540, udpout:HOST:PORT, tcp:HOST:PORT or a serial port such as /dev/ttyACM0"
 _NETWORK = re.compile(r"(udpin|udpout|tcp|socket)(?:://|:|/)(\[[0-9a-fA-F:.]+\]|[^:/\[\]]+):(\d{1,5})")
-Heard = list[tuple[str, bytes]]  # source, bytes
+Chunks = list[tuple[str, bytes]]  # source, bytes
 
 
-class Link(Protocol):
+class MavlinkLink(Protocol):
     """Bytes in both directions. `read` and `write` raise `LinkLost` when the other side is known to be gone."""
 
     def fileno(self) -> int:
         """For select."""
 
-    def read(self) -> Heard:
+    def read(self) -> Chunks:
         """What has come; call it when select says that there is something."""
 
     def answer(self, source: str) -> None:
@@ -39,7 +39,7 @@ class Link(Protocol):
         """Free the port. Never raises."""
 
 
-def open_link(address: str, baud: int, *, insecure: bool = False) -> Link:
+def open_link(address: str, baud: int, *, insecure: bool = False) -> MavlinkLink:
     """Open ``udpin:HOST:PORT`` (wait there), ``udpout:HOST:PORT`` (speak first), ``tcp:HOST:PORT`` or a serial port.
 
     ``/`` and ``://`` are the same as the first ``:``.
@@ -51,31 +51,31 @@ def open_link(address: str, baud: int, *, insecure: bool = False) -> Link:
     if match is None:
         if ":" in address or not address:
             raise PortError(address or "''", "this is no address", _ADVICE)
-        return _Stream(open_line(address, baud))
+        return _StreamLink(open_line(address, baud))
     scheme, host, port = match[1], match[2].strip("[]"), int(match[3])
     if not 0 < port < 65_536:
         raise PortError(address, f"there is no port {port}", "ports are from 1 to 65535")
     if scheme in ("tcp", "socket"):
-        return _Stream(open_line(f"socket://{match[2]}:{port}", baud))
+        return _StreamLink(open_line(f"socket://{match[2]}:{port}", baud))
     if scheme == "udpin":
         try:
             check_interfaces(host, insecure=insecure)
         except ValueError as error:
             problem, _, advice = str(error).partition(": ")
             raise PortError(address, problem, advice) from None
-    return _Udp(address, host, port, listens=scheme == "udpin")
+    return _UdpLink(address, host, port, listens=scheme == "udpin")
 
 
-class _Stream:
+class _StreamLink:
     """A serial port or a TCP connection: there is one other side."""
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: ByteLink) -> None:
         self._line = line
 
     def fileno(self) -> int:
         return self._line.fileno()
 
-    def read(self) -> Heard:
+    def read(self) -> Chunks:
         return [("", self._line.read())]
 
     def answer(self, source: str) -> None:
@@ -88,7 +88,7 @@ class _Stream:
         self._line.close()
 
 
-class _Udp:
+class _UdpLink:
     """A UDP port. One that listens speaks to nobody before `answer`; one that does not hears only whom it speaks to."""
 
     def __init__(self, address: str, host: str, port: int, *, listens: bool) -> None:
@@ -115,8 +115,8 @@ class _Udp:
     def fileno(self) -> int:
         return self._socket.fileno()
 
-    def read(self) -> Heard:
-        heard: Heard = []
+    def read(self) -> Chunks:
+        heard: Chunks = []
         for _ in range(DATAGRAMS):
             try:
                 data, where = self._socket.recvfrom(DATAGRAM)

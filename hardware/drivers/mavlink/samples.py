@@ -14,7 +14,7 @@ ATTITUDE_NS = 500_000_000  # an attitude that is older says nothing of now
 MS = 1_000_000  # ns
 
 
-class Track:
+class MavlinkSampler:
     """What the telemetry says; over reconnections, too.
 
     Args:

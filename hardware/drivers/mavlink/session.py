@@ -11,10 +11,11 @@ from typing import NamedTuple
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.types import Value, Vec3, Velocity
 from vcmvsp.hardware.drivers.base import Sample, What
+from vcmvsp.hardware.drivers.command_repeater import CommandRepeater
 from vcmvsp.hardware.drivers.mavlink import messages
 from vcmvsp.hardware.drivers.mavlink.codec import Message, mavlink
-from vcmvsp.hardware.drivers.mavlink.command_schedule import STILL, Steering, finite, setpoint
-from vcmvsp.hardware.drivers.mavlink.samples import Track
+from vcmvsp.hardware.drivers.mavlink.command_schedule import PERIOD_NS, STILL, finite, setpoint
+from vcmvsp.hardware.drivers.mavlink.samples import MavlinkSampler
 from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer
 
 ASK_NS = 500_000_000  # until something that was not done is asked for again
@@ -33,7 +34,7 @@ _RESULTS = {
 }
 
 
-class Orders(Value, frozen=True, kw_only=True):
+class SessionOptions(Value, frozen=True, kw_only=True):
     """What the vehicle is asked at the start, and at most for how long it drives without a command."""
 
     telemetry_hz: float
@@ -51,7 +52,7 @@ class _Step(NamedTuple):
     ask: Callable[[], list[Message]]
 
 
-class Pilot:
+class MavlinkSession:
     """Asks, steers and watches.
 
     Attributes:
@@ -60,11 +61,11 @@ class Pilot:
         interrupted: why it must not be made ready any more: somebody has switched it away, or stopped it.
     """
 
-    def __init__(self, peer: Peer, orders: Orders, track: Track, now_ns: int) -> None:
+    def __init__(self, peer: Peer, orders: SessionOptions, track: MavlinkSampler, now_ns: int) -> None:
         self.in_command, self.interrupted = False, ""
         self.news: list[tuple[What, str]] = []
         self._peer, self._orders, self._track = peer, orders, track
-        self._steering = Steering(orders.timeout_s)
+        self._repeater = CommandRepeater((STILL, 0.0), orders.timeout_s, again_ns=PERIOD_NS, least_ns=PERIOD_NS)
         self._boot_ns = self._now_ns = now_ns
         self._mode, self._armed, self._terminated = "", False, False
         self._landed = mavlink.MAV_LANDED_STATE_UNDEFINED
@@ -96,17 +97,17 @@ class Pilot:
         """Why it does not follow commands; empty: it does."""
         if not self.in_command:
             return f"it is in {self._mode or 'no mode that is known'}: it follows commands in {self._peer.autopilot.follows}"
-        return self._steering.stopped if self._armed else "it is not armed"
+        return self._repeater.stopped if self._armed else "it is not armed"
 
     def command(self, velocity: Velocity, now_ns: int) -> None:
         """Move like this; nothing, where somebody else is in command, or it is not armed, or is taking off."""
         finite(velocity)
         if self.in_command and self._armed and self.ready and not self._leaving:
-            self._steering.command((velocity.linear, velocity.yaw_rate), now_ns)
+            self._repeater.command((velocity.linear, velocity.yaw_rate), now_ns)
 
     def stop(self, cause: str) -> None:
         """Zero speed with the next message."""
-        self._steering.stop(cause)
+        self._repeater.stop(cause)
         self._climb_to = None
         if self._steps and self._orders.switch_mode and not self._leaving:  # else nothing is asked of it that could move it
             self.interrupted = cause
@@ -117,7 +118,7 @@ class Pilot:
         Nothing is disarmed in the air, and a vehicle that somebody else has in command is left to him.
         """
         self._leaving, self._climb_to, self._asked_ns = True, None, None
-        self._steering.stop("the driver is being closed")
+        self._repeater.stop("the driver is being closed")
         self._steps = deque()
         if self.in_command:
             holds = deque(self._peer.autopilot.holds)
@@ -145,11 +146,11 @@ class Pilot:
         if now_ns >= self._beat_ns:
             self._beat_ns = now_ns + SECOND_NS
             sent.append(messages.heartbeat())
-        before = self._steering.stopped
-        if (speeds := self._steering.advance(now_ns)) is not None:
+        before = self._repeater.stopped
+        if (speeds := self._repeater.advance(now_ns)) is not None:
             sent += self._points(*speeds)
-        if self._steering.stopped != before:
-            self.news.append(("stopped", self._steering.stopped))
+        if self._repeater.stopped != before:
+            self.news.append(("stopped", self._repeater.stopped))
         self._work_off()
         if self._steps and (self._asked_ns is None or now_ns >= self._asked_ns + ASK_NS):
             sent += self._steps[0].ask()
@@ -160,7 +161,7 @@ class Pilot:
     def due_ns(self) -> int:
         """When `advance` has something to do."""
         asks = [] if not self._steps else [0 if self._asked_ns is None else self._asked_ns + ASK_NS]
-        return min(self._beat_ns, self._steering.due_ns, *asks)
+        return min(self._beat_ns, self._repeater.due_ns, *asks)
 
     def receive(self, message: Message, now_ns: int) -> Sample | None:
         """A message of the vehicle; a sample, if it completes one."""
@@ -267,7 +268,7 @@ class Pilot:
         self._armed = armed
         follows = self._mode == autopilot.follows
         if follows and not self.in_command:
-            self._steering.stop(f"it has just been switched to {self._mode}")  # an old command is none
+            self._repeater.stop(f"it has just been switched to {self._mode}")  # an old command is none
             self.news.append(("connected", f"it is in {self._mode}: it follows commands"))
         elif self.in_command and not follows:
             self._halt(f"it was switched to {self._mode}, by its pilot or by itself: it is left to them")

@@ -16,8 +16,8 @@ from vcmvsp.hardware.drivers.mavlink.autopilots import (
     is_autopilot,
     type_name,
 )
-from vcmvsp.hardware.drivers.mavlink.codec import Message, Reader, Sender, sender_of
-from vcmvsp.hardware.drivers.mavlink.link import Heard
+from vcmvsp.hardware.drivers.mavlink.codec import Message, MessageReader, Sender, sender_of
+from vcmvsp.hardware.drivers.mavlink.link import Chunks
 
 LISTEN_S = 1.5  # after the first vehicle was heard, is there another? Heartbeats come once a second
 READERS = 32  # sources that are listened to at once
@@ -43,7 +43,7 @@ class Peer(Value, frozen=True, kw_only=True):
         return f"system {self.sender.system}: {type_name(self.vehicle_type)} with {self.autopilot.name}"
 
 
-class Search:
+class VehicleSearch:
     """Listens for the vehicle.
 
     Args:
@@ -54,17 +54,17 @@ class Search:
 
     def __init__(self, device: str, system_id: int, kind: Kind | None) -> None:
         self._device, self._system_id, self._kind = device, system_id, kind
-        self._readers: dict[str, Reader] = {}
+        self._readers: dict[str, MessageReader] = {}
         self._found: dict[tuple[Sender, str], Message] = {}  # with its last heartbeat
         self._others: dict[int, str] = {}  # systems that are no vehicle, or not the one that is meant
         self._first_ns = 0
         self._heard = 0
 
-    def receive(self, heard: Heard, now_ns: int) -> Peer | None:
+    def receive(self, heard: Chunks, now_ns: int) -> Peer | None:
         """Bytes have come; the vehicle, if that is clear now."""
         for source, data in heard:
             self._heard += len(data)
-            reader = self._readers.setdefault(source, Reader())
+            reader = self._readers.setdefault(source, MessageReader())
             if len(self._readers) > READERS:
                 del self._readers[next(iter(self._readers))]
             for message in reader.feed(data):

@@ -17,7 +17,7 @@ from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import ORIGIN, NonNegative, Positive, Rate, Vec3, Velocity
 from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost, checked
-from vcmvsp.hardware.drivers.command_repeater import NOT_YET, Pace
+from vcmvsp.hardware.drivers.command_repeater import NOT_YET, CommandRepeater
 from vcmvsp.hardware.drivers.ros2.cdr_messages import (
     ODOMETRY,
     STAMPS_END_NS,
@@ -28,10 +28,10 @@ from vcmvsp.hardware.drivers.ros2.cdr_messages import (
     decode_odometry,
     encode_twist,
 )
-from vcmvsp.hardware.drivers.ros2.node import GRAPH_S, Heard, Mode, Node, Presence
-from vcmvsp.hardware.drivers.ros2.samples import Pose, Track
+from vcmvsp.hardware.drivers.ros2.node import GRAPH_S, Mode, Node, ReceivedMessage, RobotPresence
+from vcmvsp.hardware.drivers.ros2.samples import Pose, Ros2Sampler
 from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Release, RmwZenoh, Ros2Dds, topic_of
-from vcmvsp.hardware.drivers.threaded import Threaded
+from vcmvsp.hardware.drivers.threaded import ThreadedDriver
 
 OPEN_S = 5.0  # for a session: two seconds for a host that does not answer, and room
 CLOSE_S = 2.0
@@ -51,7 +51,7 @@ class _LeftOut(Exception):
         super().__init__(why)
 
 
-class Ros2Driver(Threaded):
+class Ros2Driver(ThreadedDriver):
     """A robot that runs ROS 2 (`hardware.drivers.base.Driver`).
 
     Args:
@@ -133,10 +133,10 @@ class Ros2Driver(Threaded):
 
     def _prepare(self, start: Vec3) -> None:
         self.refused: Counter[str] = Counter()  # messages that were left out, by cause
-        self._news: queue.SimpleQueue[Heard | bool | None] = queue.SimpleQueue()
-        self._track = Track(start, self._pose, self._origin, self._max_speed)
-        self._pace = Pace(ZERO_SPEEDS, self._timeout_s, again_ns=round(SECOND_NS / self._rate_hz))
-        self._presence = Presence(self._silence_s)
+        self._news: queue.SimpleQueue[ReceivedMessage | bool | None] = queue.SimpleQueue()
+        self._track = Ros2Sampler(start, self._pose, self._origin, self._max_speed)
+        self._pace = CommandRepeater(ZERO_SPEEDS, self._timeout_s, again_ns=round(SECOND_NS / self._rate_hz))
+        self._presence = RobotPresence(self._silence_s)
         self._connected = False
         self._lost = ""  # why the robot is away
         self._spoke: bytes | None = None  # whose odometry the last connection followed
@@ -166,7 +166,7 @@ class Ros2Driver(Threaded):
             finally:
                 self._say(ZERO_SPEEDS, 0)  # whatever there is amiss with the stamps
 
-    def _hand_over(self, heard: Heard) -> None:
+    def _hand_over(self, heard: ReceivedMessage) -> None:
         """Called by Zenoh."""
         if self._news.qsize() < WAITING:
             self._news.put(heard)
@@ -190,7 +190,7 @@ class Ros2Driver(Threaded):
             if isinstance(news, bool):
                 self._listened(news, now_ns)
             self._look(now_ns)  # before another node is followed: that one has gone is to be told
-            message = self._taken(news) if isinstance(news, Heard) else None
+            message = self._taken(news) if isinstance(news, ReceivedMessage) else None
             if message is None:
                 continue
             self._look(now_ns)
@@ -223,7 +223,7 @@ class Ros2Driver(Threaded):
             with self._lock:
                 self._pace.stop(self._pace.stopped or NOT_YET)
 
-    def _taken(self, heard: Heard) -> tuple[OdometryMessage, int] | None:
+    def _taken(self, heard: ReceivedMessage) -> tuple[OdometryMessage, int] | None:
         """A message that is to be made a sample of, and its arrival; of what is left out, tell of the first for each cause."""
         try:
             return self._checked(heard), heard.arrived_ns
@@ -233,7 +233,7 @@ class Ros2Driver(Threaded):
                 self._notice("warned", f"a message on {self._odometry.topic} is left out: {left_out}")
             return None
 
-    def _checked(self, heard: Heard) -> OdometryMessage:
+    def _checked(self, heard: ReceivedMessage) -> OdometryMessage:
         if heard.type not in ("", ODOMETRY):
             raise _LeftOut("type", f"it is {heard.type}, not {ODOMETRY}")
         try:

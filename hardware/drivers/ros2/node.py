@@ -24,7 +24,7 @@ _RETRY = {"period_init_ms": 100, "period_max_ms": 1000}
 _MOST_BYTES = 65536  # an Odometry message has some 700
 
 
-class Heard(NamedTuple):
+class ReceivedMessage(NamedTuple):
     """A message as it arrived."""
 
     type: str  # empty: not told
@@ -82,7 +82,7 @@ class Node:
 
         return publish
 
-    def hear(self, what: Endpoint, heard: Callable[[Heard], None], *, whatever: bool = False) -> None:
+    def hear(self, what: Endpoint, heard: Callable[[ReceivedMessage], None], *, whatever: bool = False) -> None:
         """Hand over what is said on a topic, from Zenoh's thread; ``whatever``: of other types, too."""
 
         def took(sample: zenoh.Sample) -> None:
@@ -91,7 +91,7 @@ class Node:
             if name is None or sample.kind != zenoh.SampleKind.PUT or len(sample.payload) > _MOST_BYTES:
                 return
             origin = origin_of(sample.attachment.to_bytes()) if sample.attachment is not None else None
-            heard(Heard(name, sample.payload.to_bytes(), origin.gid if origin else None, arrived_ns))
+            heard(ReceivedMessage(name, sample.payload.to_bytes(), origin.gid if origin else None, arrived_ns))
 
         expression = self._mapping.hears(what.topic) if whatever else self._mapping.publishes(what.topic, what.type)
         self._kept.append(self._session.declare_subscriber(expression, Callback(took, indirect=False)))
@@ -114,7 +114,7 @@ class Node:
             self._session.close()  # type: ignore[no-untyped-call]
 
 
-class Presence:
+class RobotPresence:
     """Whether a robot is there: one node sends its odometry, and something listens to its commands.
 
     Args:

@@ -15,7 +15,7 @@ JUMP_S = 0.2  # a clock that was set by less makes odometry seem older for a whi
 LEAP_S = 1.0  # a step of the pose is believed up to what the greatest speed covers in the time since the last message and this
 
 
-class Track:
+class Ros2Sampler:
     """What a robot's odometry says, over reconnections, too.
 
     Args:

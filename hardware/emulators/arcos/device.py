@@ -16,9 +16,9 @@ from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.hardware.drivers.arcos import sip
 from vcmvsp.hardware.drivers.arcos.command_numbers import BAUDS, SYNC0, SYNC1, SYNC2, Command
 from vcmvsp.hardware.drivers.arcos.config_packet import Config, encode_config
-from vcmvsp.hardware.drivers.arcos.packet import Reader, frame, parse_command
+from vcmvsp.hardware.drivers.arcos.packet import PacketReader, frame, parse_command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import Robot
-from vcmvsp.hardware.emulators.arcos.motion import Motion, Pose, Wheels, relative
+from vcmvsp.hardware.emulators.arcos.motion import Pose, SetPoints, Wheels, relative
 
 TICK_NS = 5_000_000  # of the emulation: what it does at a tick depends on no other time
 GAP_NS = 200_000_000  # a packet is given up when the line is silent for so long; 200 bytes take that long at 9600 baud
@@ -57,7 +57,7 @@ class Device:
         if ping_ms <= 0 or ping_ms * 1_000_000 % TICK_NS:
             raise ValueError(f"ping_ms must be a positive multiple of {TICK_NS // 1_000_000} ms, not {ping_ms}")
         self.robot, self.name = robot, name
-        self.motion, self.reader = Motion(robot), Reader()
+        self.motion, self.reader = SetPoints(robot), PacketReader()
         self.heard: deque[tuple[int, int, int | bytes | None]] = deque(maxlen=1000)
         self.commands = self.packets = 0
         self.baud, self.battery_v = robot.baud, 12.6
@@ -122,7 +122,7 @@ class Device:
     # What moves it sees
 
     def commanded(self) -> tuple[float, float]:
-        """Forward speed (m/s) and yaw rate (rad/s) that the motors are to reach, within `Motion.accel` and so on.
+        """Forward speed (m/s) and yaw rate (rad/s) that the motors are to reach, within `SetPoints.accel` and so on.
 
         Where ``motion.emergency`` is set, they stop at once.
         """
@@ -282,7 +282,7 @@ class Device:
         """The end of a session: the robot stops, and forgets what the client has set."""
         self._stage, self.baud = 0, self.robot.baud
         self._enable(False)
-        self.motion = Motion(self.robot)
+        self.motion = SetPoints(self.robot)
 
     def _config(self) -> Config:
         robot, motion = self.robot, self.motion

@@ -17,7 +17,7 @@ def relative(pose: Pose, origin: Pose) -> Pose:
     return x, y, wrap(pose[2] - origin[2])
 
 
-class Motion:
+class SetPoints:
     """Set points of forward speed and yaw rate, from the commands for motion.
 
     A forward command (VEL, MOVE) and a turning one (RVEL, ROTATE, HEAD, DHEAD) hold side by side; VEL2, STOP and
@@ -129,7 +129,7 @@ class Wheels:
     def __init__(self, pose: Pose) -> None:
         self.pose, self.v, self.w = pose, 0.0, 0.0
 
-    def step(self, wanted: tuple[float, float], motion: Motion, dt: float) -> None:
+    def step(self, wanted: tuple[float, float], motion: SetPoints, dt: float) -> None:
         """Go on for ``dt`` seconds."""
         if motion.emergency:
             self.v = self.w = 0.0

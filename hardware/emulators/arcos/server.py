@@ -18,41 +18,19 @@ import threading
 import time
 import tty
 from pathlib import Path
-from typing import Protocol
 
 from vcmvsp.cosim.rng import stream
 from vcmvsp.hardware.drivers.arcos.command_numbers import BAUDS
 from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.arcos.serial_line import Faults, Wire
-from vcmvsp.hardware.emulators.device_server import Serving, Tcp
+from vcmvsp.hardware.emulators.device_server import DeviceServer, TcpListener
 
 TCP_PORT = 8101  # of the first simulated robot, by the custom of MobileSim and ARIA; the next ones follow
 
 _SPEEDS: dict[int, int] = {baud: getattr(termios, f"B{baud}") for baud in BAUDS}  # as terminals call them
 
 
-class Line(Protocol):
-    """A place where a client connects."""
-
-    url: str
-
-    def waits_on(self) -> int:
-        """The descriptor that becomes readable when there is something to `read`."""
-
-    def read(self) -> bytes:
-        """Bytes of the client, or none."""
-
-    def write(self, data: bytes) -> int:
-        """Send as much as goes without waiting; how many bytes went."""
-
-    def baud(self) -> int | None:
-        """The rate that the client has set; None: this line has none."""
-
-    def close(self) -> None:
-        """Unplug it."""
-
-
-class Served(Serving):
+class ArcosServer(DeviceServer):
     """A robot that is being served.
 
     Attributes:
@@ -63,7 +41,7 @@ class Served(Serving):
         misread: bytes that became noise because the client was at another baud rate, where bytes are paced.
     """
 
-    def __init__(self, device: Device, line: Line, faults: Faults, *, paced: bool) -> None:
+    def __init__(self, device: Device, line: "Pty | TcpListener", faults: Faults, *, paced: bool) -> None:
         self.device, self.lock = device, threading.Lock()
         self.unsent = self.misread = 0
         self._line, self._paced = line, paced
@@ -167,16 +145,7 @@ def _is_left(terminal: Path, own: str) -> bool:
     return terminal.parent == Path("/dev/pts") and (not terminal.exists() or str(terminal) == own)
 
 
-class _Tcp(Tcp):
-    def __init__(self, host: str, port: int) -> None:
-        super().__init__(host, port)
-        self.url = f"socket://{host}:{self.port}"
-
-    def baud(self) -> int | None:
-        return None
-
-
-def serve_pty(device: Device, *, link: Path | None = None, faults: Faults | None = None, paced: bool = False) -> Served:
+def serve_pty(device: Device, *, link: Path | None = None, faults: Faults | None = None, paced: bool = False) -> ArcosServer:
     """Serve it on a pseudo-terminal.
 
     Args:
@@ -185,11 +154,11 @@ def serve_pty(device: Device, *, link: Path | None = None, faults: Faults | None
         faults: of the line, both ways.
         paced: whether bytes take as long as the device's baud rate says, and become noise where the client has set another one.
     """
-    return Served(device, Pty(link, device.baud), faults or Faults(), paced=paced)
+    return ArcosServer(device, Pty(link, device.baud), faults or Faults(), paced=paced)
 
 
 def serve_tcp(
     device: Device, *, host: str = "127.0.0.1", port: int = 0, faults: Faults | None = None, paced: bool = False
-) -> Served:
-    """Serve it at a TCP port; 0: any that is free, see `Served.url`. `TCP_PORT` is where clients look first."""
-    return Served(device, _Tcp(host, port), faults or Faults(), paced=paced)
+) -> ArcosServer:
+    """Serve it at a TCP port; 0: any that is free, see `ArcosServer.url`. `TCP_PORT` is where clients look first."""
+    return ArcosServer(device, TcpListener("socket://", host, port), faults or Faults(), paced=paced)

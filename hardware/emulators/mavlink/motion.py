@@ -13,7 +13,7 @@ ACCEL_MPS2 = 4.0
 GRAVITY = 9.80665  # m/s2
 
 
-class Motion:
+class VehicleMotion:
     """A body that knows no forces: a quadrotor leans as far as its acceleration needs, a rover follows its nose."""
 
     def __init__(self, start: VehicleState, *, on_ground: bool) -> None:

@@ -13,13 +13,13 @@ import time
 from typing import Any
 
 from vcmvsp.cosim.endpoints import bracketed
-from vcmvsp.hardware.emulators.device_server import LOOPBACK, Serving, Tcp
+from vcmvsp.hardware.emulators.device_server import LOOPBACK, DeviceServer, TcpListener
 from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
 
 _READ = 65_535  # bytes
 
 
-class _Udp:
+class _UdpPort:
     """One datagram for each turn; it goes to a fixed place, or to whom it heard last."""
 
     _to: Any  # an address of the operating system
@@ -58,13 +58,7 @@ class _Udp:
         self._socket.close()
 
 
-class _Tcp(Tcp):
-    def __init__(self, host: str, port: int) -> None:
-        super().__init__(host, port)
-        self.url = f"tcp:{host}:{self.port}"
-
-
-class Served(Serving):
+class MavlinkServer(DeviceServer):
     """A vehicle that is being served.
 
     Attributes:
@@ -74,7 +68,7 @@ class Served(Serving):
         mute: nothing is sent any more, and nothing heard: out of reach.
     """
 
-    def __init__(self, vehicle: Vehicle, line: _Udp | _Tcp) -> None:
+    def __init__(self, vehicle: Vehicle, line: _UdpPort | TcpListener) -> None:
         self.vehicle, self.lock, self.mute = vehicle, threading.Lock(), False
         self._line = line
         self._origin_ns = time.monotonic_ns() - vehicle.now_ns
@@ -95,7 +89,7 @@ class Served(Serving):
             self._line.write(sent)
 
 
-def serve_udp(vehicle: Vehicle, *, to: tuple[str, int] | None = None) -> Served:
+def serve_udp(vehicle: Vehicle, *, to: tuple[str, int] | None = None) -> MavlinkServer:
     """Serve it over UDP.
 
     Args:
@@ -106,9 +100,9 @@ def serve_udp(vehicle: Vehicle, *, to: tuple[str, int] | None = None) -> Served:
     Raises:
         OSError: there is no such place.
     """
-    return Served(vehicle, _Udp(to))
+    return MavlinkServer(vehicle, _UdpPort(to))
 
 
-def serve_tcp(vehicle: Vehicle, *, host: str = LOOPBACK, port: int = 0) -> Served:
+def serve_tcp(vehicle: Vehicle, *, host: str = LOOPBACK, port: int = 0) -> MavlinkServer:
     """Serve it at a TCP port, as ArduPilot's simulator does at 5760; 0: any that is free."""
-    return Served(vehicle, _Tcp(host, port))
+    return MavlinkServer(vehicle, TcpListener("tcp:", host, port))

@@ -30,7 +30,7 @@ _STREAMS = {
 }
 
 
-class Now(NamedTuple):
+class TelemetryState(NamedTuple):
     """What there is to tell."""
 
     mode: str
@@ -65,7 +65,7 @@ class Telemetry:
         """When the next message is."""
         return min([self._beat_ns, *self._next_ns.values()])
 
-    def messages(self, now_ns: int, now: Now) -> list[Message]:
+    def messages(self, now_ns: int, now: TelemetryState) -> list[Message]:
         """Those that are due at a tick."""
         sent = []
         if now_ns >= self._beat_ns:
@@ -99,13 +99,13 @@ class Telemetry:
             self._period_ns.pop(name, None)
             self._next_ns.pop(name, None)
 
-    def _heartbeat(self, now: Now) -> Message:
+    def _heartbeat(self, now: TelemetryState) -> Message:
         flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if now.armed else 0)
         status = mavlink.MAV_STATE_ACTIVE if now.armed else mavlink.MAV_STATE_STANDBY
         number = self._autopilot.modes[now.mode]
         return mavlink.MAVLink_heartbeat_message(self._type, _NUMBERS[self._autopilot.kind], flags, number, status, 3)
 
-    def _told(self, name: str, now_ns: int, now: Now) -> Message:
+    def _told(self, name: str, now_ns: int, now: TelemetryState) -> Message:
         """A message of telemetry."""
         boot_ms, state = now_ns // 1_000_000, now.state
         here: Vec3 = tuple(a - b for a, b in zip(state.position, self._origin, strict=True))  # type: ignore[assignment]

@@ -16,11 +16,11 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Vec3, VehicleState, Velocity
 from vcmvsp.hardware.drivers.mavlink.autopilots import Kind, autopilot_of
-from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Message, Reader, Sender, mavlink
+from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Message, MessageReader, Sender, mavlink
 from vcmvsp.hardware.drivers.mavlink.command_schedule import STILL
 from vcmvsp.hardware.drivers.mavlink.coordinate_frames import body_flipped, world_flipped
-from vcmvsp.hardware.emulators.mavlink.motion import Motion
-from vcmvsp.hardware.emulators.mavlink.telemetry import SITE, TICK_NS, Now, Telemetry, version
+from vcmvsp.hardware.emulators.mavlink.motion import VehicleMotion
+from vcmvsp.hardware.emulators.mavlink.telemetry import SITE, TICK_NS, Telemetry, TelemetryState, version
 
 LEAD_NS = 1_000_000_000  # PX4: set-points have to come for more than this before OFFBOARD [PX4 guide, Offboard mode]
 GAP_NS = 500_000_000  # ... at more than 2 Hz
@@ -83,11 +83,11 @@ class Vehicle:
         self.state = VehicleState(
             position=start[:3] if start else origin, attitude=quaternion_from_yaw(start[3] if start else 0.0)
         )
-        self.motion = Motion(self.state, on_ground=kind == "rover") if start is not None else None
+        self.motion = VehicleMotion(self.state, on_ground=kind == "rover") if start is not None else None
         self._flies = kind != "rover"
         self._ground = ground
         self._encode = Encoder(Sender(system=system_id, component=mavlink.MAV_COMP_ID_AUTOPILOT1))
-        self._reader = Reader()
+        self._reader = MessageReader()
         self._telemetry = Telemetry(self.autopilot, self.type, origin, heartbeat_s)
         self._time_ns = 0
         self._wanted, self._wanted_yaw_rate = STILL, 0.0
@@ -113,7 +113,7 @@ class Vehicle:
             self._time_ns += TICK_NS
             self._tick()
             if self._time_ns >= self._telemetry.due_ns:
-                now = Now(self.mode, self.armed, self.landed, self.state, self._ground, self.blind)
+                now = TelemetryState(self.mode, self.armed, self.landed, self.state, self._ground, self.blind)
                 sent += self._encode(*self._telemetry.messages(self._time_ns, now))
             sent += self._say()
         return sent

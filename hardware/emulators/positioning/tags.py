@@ -1,6 +1,6 @@
 """A positioning system that is emulated: fixes of a true position with errors, as Ubisense datagrams or as a DWM1001 tag.
 
-`Tag` draws the fixes and has no clock; a `Source` gives them out in time, with a thread of its own, to an `Outlet`.
+`Tag` draws the fixes and has no clock; a `TagServer` gives them out in time, with a thread of its own, to an `Outlet`.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Probability, Rate, Seconds, Vec3
 from vcmvsp.hardware.emulators.arcos.server import Pty
-from vcmvsp.hardware.emulators.device_server import Serving
+from vcmvsp.hardware.emulators.device_server import DeviceServer
 from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
 
 Truth = Callable[[], tuple[float, float, float, float] | None]
@@ -189,7 +189,7 @@ def dwm1001_outlet(link: Path | None = None) -> Outlet:
     return _Dwm1001(link)
 
 
-class Source(Serving):
+class TagServer(DeviceServer):
     """Gives out the fixes of a tag in time.
 
     Attributes:

@@ -13,12 +13,12 @@ from vcmvsp.cosim.types import ORIGIN, Vec3
 from vcmvsp.hardware.drivers.arcos.command_numbers import BAUDS
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS, Robot
 from vcmvsp.hardware.emulators.arcos.device import Device
-from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty, serve_tcp
-from vcmvsp.hardware.emulators.device_server import Serving
+from vcmvsp.hardware.emulators.arcos.server import ArcosServer, serve_pty, serve_tcp
+from vcmvsp.hardware.emulators.device_server import DeviceServer
 from vcmvsp.hardware.emulators.positioning.tags import (
     Outlet,
-    Source,
     Tag,
+    TagServer,
     Truth,
     circling,
     dwm1001_outlet,
@@ -30,7 +30,7 @@ from vcmvsp.hardware.emulators.programs.options import RobotOptions, Tags, TcpPo
 KINDS = {"amigobot": "amigo", "p2dx": "p2dx", "amigo-sh": "amigo-sh"}
 """Robots by the names of vehicles, and the subclass that each of them tells."""
 
-Ready = Callable[[Mapping[str, Any]], None]
+Ready = Callable[[Mapping[str, Any]], object]
 
 _LOOK_S = 0.1  # how often it is looked whether the threads are alive
 
@@ -50,7 +50,7 @@ def parameters(name: str, chosen: RobotOptions) -> Robot:
     return msgspec.structs.replace(robot, **changes, **({} if chosen.watchdog else {"watchdog_s": 0.0}))
 
 
-def serve(device: Device, chosen: RobotOptions) -> Served:
+def serve(device: Device, chosen: RobotOptions) -> ArcosServer:
     """Put it at its port.
 
     Raises:
@@ -77,6 +77,16 @@ def device_of(name: str, chosen: RobotOptions, start: Vec3 | None) -> Device:
         raise UsageError(f"--ping-ms: {error}") from None
 
 
+def truth_of(device: Device) -> Truth:
+    """True position of a tag on a robot."""
+
+    def truth() -> tuple[float, float, float, float]:
+        x, y, yaw = device.pose or ORIGIN
+        return x, y, 0.0, yaw
+
+    return truth
+
+
 class Rig:
     """Everything that one emulated device consists of: a robot at its port, sources, and what they have done so far.
 
@@ -84,8 +94,8 @@ class Rig:
     """
 
     def __init__(self, ready: Ready) -> None:
-        self.served: Served | None = None
-        self.sources: dict[str, Source] = {}
+        self.served: ArcosServer | None = None
+        self.sources: dict[str, TagServer] = {}
         self._outlets: dict[str, Outlet] = {}
         self._ready = ready
         self._all = contextlib.ExitStack()
@@ -98,7 +108,7 @@ class Rig:
             outlet.close()
         self._all.close()
 
-    def serve(self, device: Device, chosen: RobotOptions) -> Served:
+    def serve(self, device: Device, chosen: RobotOptions) -> ArcosServer:
         """The robot is there from now on."""
         self.served = serve(device, chosen)
         self._all.callback(_quietly, self.served)
@@ -115,7 +125,7 @@ class Rig:
         """Let the tags speak, and say that all is there."""
         for name in [*self._outlets]:
             tag = Tag(tags.name, tags.errors, tags.seed)
-            self.sources[name] = Source(tag, truth, self._outlets.pop(name))
+            self.sources[name] = TagServer(tag, truth, self._outlets.pop(name))
             self._all.callback(_quietly, self.sources[name])
         urls = {name: each.url for name, each in self.sources.items()}
         robot = {} if self.served is None else {"url": self.served.url}
@@ -123,7 +133,7 @@ class Rig:
 
     def check(self) -> None:
         """Raise what ended a thread before its time, if anything did."""
-        threads: list[Serving] = [*self.sources.values(), *([self.served] if self.served else [])]
+        threads: list[DeviceServer] = [*self.sources.values(), *([self.served] if self.served else [])]
         for each in threads:
             alive(each.url, each.error)
 
@@ -140,7 +150,7 @@ class Rig:
         return {**said, "fixes": {name: each.told for name, each in self.sources.items()}}
 
 
-def _quietly(served: Serving) -> None:
+def _quietly(served: DeviceServer) -> None:
     """Close it; what ended its thread has been told by `Rig.check`, and unplugging goes on."""
     with contextlib.suppress(Exception):
         served.close()
@@ -175,12 +185,7 @@ def emulate(name: str, chosen: RobotOptions, ready: Ready, pose: Vec3 | None = N
         with until_interrupted():
             rig.fit(chosen.tags)
             rig.serve(device, chosen)
-
-            def truth() -> tuple[float, float, float, float]:
-                x, y, yaw = device.pose or ORIGIN
-                return x, y, 0.0, yaw
-
-            rig.start(chosen.tags, truth)
+            rig.start(chosen.tags, truth_of(device))
             wait(chosen.duration_s, rig.check)
         return rig.summary()
 

@@ -4,10 +4,7 @@ Nothing else changes: driver, localisation and safety see a pseudo-terminal and 
 where the scenario says, and wears a tag that is as good as the positioning sensor of its simulated twin.
 """
 
-import json
-import os
 import socket
-import subprocess
 import sys
 import time
 from typing import Any
@@ -15,13 +12,13 @@ from typing import Any
 import msgspec
 
 from vcmvsp.cosim.errors import ScenarioError, UsageError
-from vcmvsp.cosim.processes.child_process import BOOT
+from vcmvsp.cosim.processes.child_process import linked
+from vcmvsp.cosim.processes.local_link import Link
 from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.cosim.types import Value, Vec3
-from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.emulators.device_server import LOOPBACK
 from vcmvsp.hardware.emulators.positioning.tags import Errors
-from vcmvsp.hardware.emulators.programs.arcos import KINDS, Rig, device_of
+from vcmvsp.hardware.emulators.programs.arcos import KINDS, Rig, device_of, truth_of
 from vcmvsp.hardware.emulators.programs.options import PtyPort, RobotOptions, Tags, UdpAddress
 from vcmvsp.hardware.localisation.datagrams import address
 from vcmvsp.hardware.localisation.ubisense import tag_of
@@ -31,7 +28,7 @@ READY_S = 20.0
 SURVIVES_S = 5.0  # a robot outlives the run by so much, in which its driver, or its watchdog, stops it
 
 
-class Wanted(Value, frozen=True, kw_only=True):
+class EmulatedRobot(Value, frozen=True, kw_only=True):
     """The robot that is to be emulated."""
 
     robot: str  # "amigobot", "p2dx", ...
@@ -54,7 +51,7 @@ class Emulated:
         if vehicle.localisation == "ubisense":
             address = _free(localisation["listen"])
             localisation["listen"] = f"udp://{address[0]}:{address[1]}"
-        wanted = Wanted(
+        robot = EmulatedRobot(
             robot=_robot(vehicle.driver_params.get("robot", "")),
             pose=vehicle.start,
             ubisense=address,
@@ -62,40 +59,23 @@ class Emulated:
             errors=_errors(vehicle.positioning or {}),
             seed=vehicle.seed,
         )
-        command = [
-            sys.executable,
-            "-P",
-            "-c",
-            BOOT.format(module="vcmvsp.hardware.emulators.programs.in_run"),
-            msgspec.json.encode(wanted).decode(),
-        ]
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=sys.__stderr__, process_group=0
-        )
-        assert self._process.stdin is not None  # noqa: S101
-        self._process.stdin.write(f"{json.dumps(sys.path)}\n".encode())
-        self._process.stdin.flush()
+        self._process, self._link = linked(__name__, msgspec.json.encode(robot).decode())
         driver = {**vehicle.driver_params, "port": self._url()}
         self.reached = msgspec.structs.replace(vehicle, driver_params=driver, localisation_params=localisation)
 
     def _url(self) -> str:
-        """Where it is served: the first thing that the process says."""
-        out = self._process.stdout
-        assert out is not None  # noqa: S101
-        spoke = readable([out.fileno()], READY_S)
-        line = out.readline() if spoke else b""
-        if not line:
+        """Port of the robot: the first message of the process."""
+        self._link.wait(READY_S)
+        messages = self._link.receive()
+        if not messages:
+            late = "" if self._link.ended else f" within {READY_S:g} s"
             self.close()
-            late = "" if spoke else f" within {READY_S:g} s"
             raise UsageError(f"the emulated robot did not start{late}; look at what it says above")
-        url: str = json.loads(line)["url"]
-        return url
+        return messages[0].decode()
 
     def close(self) -> None:
-        """Unplug it."""
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
+        """End the process."""
+        self._link.close()
         self._process.kill()
         self._process.wait()
 
@@ -121,28 +101,24 @@ def _free(listen: str) -> tuple[str, int]:
         return LOOPBACK, int(probe.getsockname()[1])
 
 
-def main() -> int:
-    """The process: serve the robot until standard input closes, and a little longer."""
-    wanted = msgspec.json.decode(sys.argv[1], type=Wanted)
-    address = None if wanted.ubisense is None else UdpAddress(*wanted.ubisense)
+def main() -> None:
+    """Entry point of the process: serves the robot until the link to the run ends, and `SURVIVES_S` longer."""
+    link = Link(socket.socket(fileno=int(sys.argv[1])))
+    robot = msgspec.json.decode(sys.argv[2], type=EmulatedRobot)
+    address = None if robot.ubisense is None else UdpAddress(*robot.ubisense)
     chosen = RobotOptions(
-        port=PtyPort(), tags=Tags(ubisense=address, name=tag_of(wanted.tag), errors=wanted.errors, seed=wanted.seed)
+        port=PtyPort(), tags=Tags(ubisense=address, name=tag_of(robot.tag), errors=robot.errors, seed=robot.seed)
     )
-    device = device_of(wanted.robot, chosen, wanted.pose)
-
-    def ready(said: Any) -> None:
-        sys.stdout.write(f"{json.dumps(dict(said))}\n")
-        sys.stdout.flush()
-
-    def truth() -> tuple[float, float, float, float]:
-        x, y, yaw = device.pose or wanted.pose
-        return x, y, 0.0, yaw
-
-    with Rig(ready) as rig:
+    device = device_of(robot.robot, chosen, robot.pose)
+    with Rig(lambda ready: link.send(ready["url"].encode())) as rig:
         rig.fit(chosen.tags)
         rig.serve(device, chosen)
-        rig.start(chosen.tags, truth)
-        while os.read(0, 1):
-            pass
+        rig.start(chosen.tags, truth_of(device))
+        while not link.ended:
+            link.wait(READY_S)
+            link.receive()
         time.sleep(SURVIVES_S)
-    return 0
+
+
+if __name__ == "__main__":
+    main()

@@ -7,7 +7,7 @@ from vcmvsp.cosim.endpoints import endpoint_of
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.types import ORIGIN, Vec3
 from vcmvsp.hardware.emulators.device_server import LOOPBACK
-from vcmvsp.hardware.emulators.mavlink.server import Served, serve_tcp, serve_udp
+from vcmvsp.hardware.emulators.mavlink.server import MavlinkServer, serve_tcp, serve_udp
 from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
 from vcmvsp.hardware.emulators.programs.arcos import Ready, alive, until_interrupted, wait
 from vcmvsp.hardware.emulators.programs.options import duration_of
@@ -72,7 +72,7 @@ def emulate(
     }
 
 
-def serve(vehicle: Vehicle, port: str) -> Served:
+def serve(vehicle: Vehicle, port: str) -> MavlinkServer:
     """Put it at its port.
 
     Raises:

@@ -18,7 +18,7 @@ from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 from vcmvsp.cosim.types import Measured, Odometry, Scan, Vec3, VehicleState, Velocity
 from vcmvsp.hardware.drivers.arcos.robot_parameters import Robot
 from vcmvsp.hardware.emulators.arcos.motion import Wheels
-from vcmvsp.hardware.emulators.arcos.server import Served
+from vcmvsp.hardware.emulators.arcos.server import ArcosServer
 from vcmvsp.hardware.emulators.programs.arcos import KINDS, Ready, Rig, device_of, parameters, until_interrupted
 from vcmvsp.hardware.emulators.programs.options import RobotOptions
 
@@ -44,7 +44,7 @@ class DeviceAgent(Agent):
         truth: x, y, z in m and yaw in rad, where the vehicle truly is; None before its first tick.
     """
 
-    def __init__(self, served: Served, senses: "Senses", started: Ready, period_s: float) -> None:
+    def __init__(self, served: ArcosServer, senses: "VehicleSensors", started: Ready, period_s: float) -> None:
         self.truth: tuple[float, float, float, float] | None = None
         self.sensors = senses.names
         self._served, self._senses, self._started, self._period_s = served, senses, started, period_s
@@ -90,7 +90,7 @@ def forward(state: VehicleState) -> float:
     return rotate2(state.velocity[0], state.velocity[1], -state.yaw)[0]
 
 
-class Senses:
+class VehicleSensors:
     """Which of a vehicle's sensors stand for those of the robot, and what the robot makes of their readings."""
 
     def __init__(self, robot: Robot, fitted: Mapping[str, Mapping[str, Any]]) -> None:
@@ -174,7 +174,7 @@ def emulate(
         with until_interrupted():
             rig.fit(chosen.tags)
             served = rig.serve(device_of(name, chosen, None), chosen)
-            senses = Senses(robot, own.sensors)
+            senses = VehicleSensors(robot, own.sensors)
             agent = DeviceAgent(served, senses, lambda _: rig.start(chosen.tags, lambda: agent.truth), period_s)
             agents = {own.name: agent}
             try:

@@ -20,7 +20,7 @@ from vcmvsp.hardware.drivers.ros2.cdr_messages import (
     decode_twist,
     encode_odometry,
 )
-from vcmvsp.hardware.drivers.ros2.node import Heard, Mode, Node
+from vcmvsp.hardware.drivers.ros2.node import Mode, Node, ReceivedMessage
 from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Release, RmwZenoh, Ros2Dds, topic_of
 
 STEP_S = 0.01  # of the motion
@@ -79,7 +79,7 @@ class Ros2Robot:
         self._period_ns, self._watchdog_ns = round(SECOND_NS / odometry_hz), seconds_to_ns(watchdog_s)
         self._ahead_ns = seconds_to_ns(clock_ahead_s)
         self._wanted, self._told_ns = (0.0, 0.0), 0
-        self._news: queue.SimpleQueue[Heard | None] = queue.SimpleQueue()
+        self._news: queue.SimpleQueue[ReceivedMessage | None] = queue.SimpleQueue()
 
     def __enter__(self) -> Self:
         self._node = Node(self._endpoint, self._mode, self._mapping, (self._commands, self._odometry))
@@ -123,7 +123,7 @@ class Ros2Robot:
                 if not self.silent:
                     self._publish(encode_odometry(self.message()))
 
-    def _obey(self, heard: Heard) -> None:
+    def _obey(self, heard: ReceivedMessage) -> None:
         if heard.type not in ("", self._commands.type):
             return
         try:

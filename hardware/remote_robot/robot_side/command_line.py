@@ -1,4 +1,4 @@
-"""What ``vcmvsp robot`` is told, as text, into a driver, a certificate and a `Program`."""
+"""What ``vcmvsp robot`` is told, as text, into a driver, a certificate and a `RobotProgram`."""
 
 import signal
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.transport import endpoints, key_names
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.hardware.drivers.base import Driver
-from vcmvsp.hardware.remote_robot.robot_side.program import Program
+from vcmvsp.hardware.remote_robot.robot_side.program import RobotProgram
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
@@ -52,7 +52,7 @@ def robot(
         raise UsageError(f"--vehicle {vehicle!r}: a name has letters, digits, _ and -") from None
     bundle, foreign = _bundle(keys, vehicle, tell)
     connect = endpoints.endpoint_rules(connect, bundle, insecure=insecure, side="robot")
-    program = Program(vehicle, built(driver, params or {}), connect, bundle, pose=pose, foreign=foreign, tell=tell)
+    program = RobotProgram(vehicle, built(driver, params or {}), connect, bundle, pose=pose, foreign=foreign, tell=tell)
     before = {each: signal.signal(each, program.told_to_end) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
         program.serve()

@@ -11,7 +11,7 @@ from zenoh.handlers import Callback
 from vcmvsp.cosim.hosts.host_client import dial
 from vcmvsp.cosim.transport import key_names
 from vcmvsp.hardware.remote_robot import messages
-from vcmvsp.hardware.remote_robot.messages import Welcome
+from vcmvsp.hardware.remote_robot.messages import RobotWelcome
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
@@ -20,18 +20,18 @@ ANSWER_S = 1.0  # for the answer to a greeting
 WAITING = 256  # messages that may wait; more are left out, and said again
 
 
-class NobodyThere(Exception):
+class RunUnreachable(Exception):
     """There is no run yet; says why."""
 
 
-class Told(NamedTuple):
+class RunMessage(NamedTuple):
     """Something that the run said."""
 
     data: bytes
     arrived_ns: int
 
 
-class Dialled:
+class RunConnection:
     """A session.
 
     Args:
@@ -48,7 +48,7 @@ class Dialled:
         self._name = key_names.OPEN if bundle is None else bundle.name
         self._session = dial(endpoint, bundle, _give_up, secret="")
         self.id = str(self._session.zid())
-        self._news: queue.SimpleQueue[Told | Literal["gone"]] = queue.SimpleQueue()
+        self._news: queue.SimpleQueue[RunMessage | Literal["gone"]] = queue.SimpleQueue()
         try:
             down, up, alive = (key_names.robot_key(self._name, vehicle, self.id, each) for each in ("down", "up", "alive"))
             drop = zenoh.CongestionControl.DROP  # what is not taken is said again
@@ -63,7 +63,7 @@ class Dialled:
             self.close()
             raise
 
-    def greet(self, greeting: bytes) -> Welcome | None:
+    def greet(self, greeting: bytes) -> RobotWelcome | None:
         """The answer to a greeting; None: there is none."""
         for reply in self._session.get(key_names.greet_key(self._name), payload=greeting, timeout=ANSWER_S):
             if reply.ok is not None:
@@ -75,7 +75,7 @@ class Dialled:
         """To the run."""
         self._says.put(data)
 
-    def next(self, wait_s: float) -> Told | Literal["gone"] | None:
+    def next(self, wait_s: float) -> RunMessage | Literal["gone"] | None:
         """What the run said next, "gone" when it has ended or is out of reach, None if nothing comes within this time."""
         try:
             return self._news.get(timeout=wait_s) if wait_s > 0.0 else self._news.get_nowait()
@@ -89,7 +89,7 @@ class Dialled:
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT and "*" not in str(sample.key_expr) and self._news.qsize() < WAITING:
-            self._news.put(Told(sample.payload.to_bytes(), time.monotonic_ns()))
+            self._news.put(RunMessage(sample.payload.to_bytes(), time.monotonic_ns()))
 
     def _on_hub(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.DELETE:
@@ -98,4 +98,4 @@ class Dialled:
 
 def _give_up(why: str) -> None:
     """Called by `dial` before it waits: whoever has a robot in hand looks after it meanwhile."""
-    raise NobodyThere(why)
+    raise RunUnreachable(why)

@@ -21,9 +21,9 @@ from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import Driver, Sample
 from vcmvsp.hardware.drivers.call_timeout import within
 from vcmvsp.hardware.remote_robot import messages
-from vcmvsp.hardware.remote_robot.messages import SAY_S, Down, Hello, Up, Welcome
-from vcmvsp.hardware.remote_robot.robot_side.connection import Dialled, NobodyThere, Told
-from vcmvsp.hardware.remote_robot.robot_side.watchdog import Aboard
+from vcmvsp.hardware.remote_robot.messages import SAY_S, RobotHello, RobotOrder, RobotStatus, RobotWelcome
+from vcmvsp.hardware.remote_robot.robot_side.connection import RunConnection, RunMessage, RunUnreachable
+from vcmvsp.hardware.remote_robot.robot_side.watchdog import DriverWatchdog
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
@@ -39,7 +39,7 @@ LINGER_S = 0.5  # for the run to hear the last
 LEFT = "the run is over"
 
 
-class Program:
+class RobotProgram:
     """What ``vcmvsp robot`` does.
 
     Args:
@@ -65,7 +65,7 @@ class Program:
     ) -> None:
         self._vehicle, self._endpoint, self._bundle = vehicle, endpoint, bundle
         self._foreign, self._tell = foreign, tell
-        self._aboard = Aboard(driver, pose, tell)
+        self._aboard = DriverWatchdog(driver, pose, tell)
         self._driver = driver
         self._robot = secrets.token_hex(8)
         self._told = ""
@@ -85,8 +85,8 @@ class Program:
         try:
             while not self._ending:
                 try:
-                    dialled = Dialled(self._endpoint, self._bundle, self._vehicle)
-                except NobodyThere as nobody:
+                    dialled = RunConnection(self._endpoint, self._bundle, self._vehicle)
+                except RunUnreachable as nobody:
                     self._say_once(str(nobody))
                     if self._foreign:
                         raise UsageError(self._foreign) from None
@@ -100,7 +100,7 @@ class Program:
 
     # One run
 
-    def _visit(self, dialled: Dialled) -> None:
+    def _visit(self, dialled: RunConnection) -> None:
         """What happens while there is a link."""
         welcome = self._greeted(dialled)
         if welcome is None:
@@ -138,10 +138,10 @@ class Program:
             self._lost_ns = time.monotonic_ns()
             self._tell(f"the link to the run is lost ({ended}); the robot stands")
 
-    def _greeted(self, dialled: Dialled) -> Welcome | None:
+    def _greeted(self, dialled: RunConnection) -> RobotWelcome | None:
         """Ask until the run lets this robot in; None: it does not answer, or is gone."""
         driver = self._driver
-        hello = Hello(
+        hello = RobotHello(
             protocol=messages.PROTOCOL,
             vehicle=self._vehicle,
             robot=self._robot,
@@ -174,7 +174,7 @@ class Program:
             return f"what listens there does not answer robots: another vcmvsp version, {wrong}"
         return f"{access_control.silence(self._bundle.name)}; {wrong}"
 
-    def _given_up(self, dialled: Dialled) -> str:
+    def _given_up(self, dialled: RunConnection) -> str:
         """While the driver is opened: say that this takes time; why it is not needed any more."""
         self._say(dialled)
         while (news := dialled.next(0.0)) is not None:
@@ -185,7 +185,7 @@ class Program:
                 return "the run is over"
         return self._ending
 
-    def _drive(self, dialled: Dialled) -> str:
+    def _drive(self, dialled: RunConnection) -> str:
         """Follow the run until it leaves, its link ends, or this program is to end; why."""
         aboard = self._aboard
         heard_ns = time.monotonic_ns()
@@ -208,7 +208,7 @@ class Program:
                     self._say(dialled, sample)
         return self._ending
 
-    def _taken(self, news: "Told | str") -> Down | None:
+    def _taken(self, news: "RunMessage | str") -> RobotOrder | None:
         """A message of the run; None: it cannot be read, or is not newer than the last."""
         if isinstance(news, str):
             return None
@@ -224,11 +224,11 @@ class Program:
 
     # Talking
 
-    def _say(self, dialled: Dialled, sample: Sample | None = None, *, left: bool = False) -> None:
+    def _say(self, dialled: RunConnection, sample: Sample | None = None, *, left: bool = False) -> None:
         aboard = self._aboard
         number, sent_ns, heard_ns = self._echo
         self._said_ns = time.monotonic_ns()
-        up = Up(
+        up = RobotStatus(
             said_ns=self._said_ns,
             heard=number,
             yours_ns=sent_ns,
@@ -243,7 +243,7 @@ class Program:
         )
         dialled.say(encode(up))
 
-    def _say_last(self, dialled: Dialled, *, left: bool) -> None:
+    def _say_last(self, dialled: RunConnection, *, left: bool) -> None:
         """Until the run has heard it, and is gone."""
         until = time.monotonic() + LINGER_S
         while time.monotonic() < until and not self._ending:

@@ -18,7 +18,7 @@ from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import Driver, DriverError, HandshakeError, LinkLost, Notice, PortError, Sample
 from vcmvsp.hardware.drivers.call_timeout import within
 from vcmvsp.hardware.drivers.command_repeater import NOT_YET
-from vcmvsp.hardware.remote_robot.messages import DEADMAN_S, NOTICES_AT_ONCE, Down, Failure
+from vcmvsp.hardware.remote_robot.messages import DEADMAN_S, NOTICES_AT_ONCE, Failure, RobotOrder
 
 GRACE_S = 2.0  # beyond what a driver says of itself
 KEPT = 1000  # notices that nobody has heard yet
@@ -29,7 +29,7 @@ def _nothing() -> None:
     """Nobody is there who would want to hear."""
 
 
-class Aboard:
+class DriverWatchdog:
     """Drives the robot.
 
     Args:
@@ -81,7 +81,7 @@ class Aboard:
         self._stood = False
         self.stop("its run has just come")
 
-    def follow(self, down: Down, now_ns: int) -> None:
+    def follow(self, down: RobotOrder, now_ns: int) -> None:
         """Do what the run says; a velocity that may be too old, by our own clock, counts for nothing."""
         self._heard(down.noticed)
         if self.state != "open":
@@ -175,7 +175,7 @@ class Aboard:
         self.noticed += max(0, len(self._notices) + len(new) - KEPT)  # the oldest are pushed out
         self._notices.extend(new)
 
-    def _is_fresh(self, down: Down, now_ns: int) -> bool:
+    def _is_fresh(self, down: RobotOrder, now_ns: int) -> bool:
         """Whether this was said after something that we have said lately."""
         fresh = down.yours_ns > 0 and now_ns - down.yours_ns <= _DEADMAN_NS
         if not fresh and not self._late:

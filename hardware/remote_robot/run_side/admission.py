@@ -8,7 +8,7 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport import access_control
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.remote_robot import messages
-from vcmvsp.hardware.remote_robot.messages import Hello
+from vcmvsp.hardware.remote_robot.messages import RobotHello
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
@@ -43,7 +43,7 @@ class Admission:
             self._current = now, certificates.load(self._folder)
         return self._current[1]
 
-    def refusal(self, name: str, hello: Hello) -> str:
+    def refusal(self, name: str, hello: RobotHello) -> str:
         """Why a robot that greets so from the machine of this name is never driven here; empty: it may be."""
         if hello.protocol != messages.PROTOCOL:
             versions = f"this run speaks protocol {messages.PROTOCOL}, the robot {hello.protocol}"

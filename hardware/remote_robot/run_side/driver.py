@@ -21,10 +21,10 @@ from vcmvsp.cosim.types import NonNegative, Positive, Vec3
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, DriverError, HandshakeError, LinkLost, PortError
 from vcmvsp.hardware.remote_robot import messages
-from vcmvsp.hardware.remote_robot.messages import SAY_S, Hello, Welcome
+from vcmvsp.hardware.remote_robot.messages import SAY_S, RobotHello, RobotWelcome
 from vcmvsp.hardware.remote_robot.run_side.admission import Admission
-from vcmvsp.hardware.remote_robot.run_side.listener import Door, Gone, Knock, News, Peer
-from vcmvsp.hardware.remote_robot.run_side.session import Talking
+from vcmvsp.hardware.remote_robot.run_side.listener import LinkEnded, News, Peer, RobotGreeting, RobotListener
+from vcmvsp.hardware.remote_robot.run_side.session import RobotSession
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
@@ -33,7 +33,7 @@ START_S = 5.0  # for the session
 INVITE_S = 2.0  # before it is said that the robot is waited for
 
 
-class ZenohDriver(Talking):
+class ZenohDriver(RobotSession):
     """A robot whose own computer runs ``vcmvsp robot`` (`hardware.drivers.base.Driver`).
 
     Args:
@@ -101,7 +101,7 @@ class ZenohDriver(Talking):
     # What the thread does.
 
     def _work(self) -> None:
-        with contextlib.closing(Door(self._listen, self._authority(), self._vehicle, self._hand_over)) as door:
+        with contextlib.closing(RobotListener(self._listen, self._authority(), self._vehicle, self._hand_over)) as door:
             self._door = door
             try:
                 self._converse(time.monotonic_ns() + seconds_to_ns(self._open_s))
@@ -141,10 +141,10 @@ class ZenohDriver(Talking):
             raise HandshakeError(self.device, "it was closed while its robot was waited for", "open it again")
 
     def _take(self, news: News) -> None:
-        if isinstance(news, Knock):
+        if isinstance(news, RobotGreeting):
             self._greeted(news)
         elif news.peer == self._peer:
-            if isinstance(news, Gone):
+            if isinstance(news, LinkEnded):
                 self._let_go("the robot's program has ended, or its link broke")
             else:
                 self._heard(news)
@@ -165,28 +165,28 @@ class ZenohDriver(Talking):
 
     # Greetings
 
-    def _greeted(self, knock: Knock) -> None:
+    def _greeted(self, knock: RobotGreeting) -> None:
         """Let a robot in, or say why not."""
         try:
             hello = messages.hellos.decode(knock.said)
             peer = Peer(knock.name, hello.session)
             key_names.robot_key(peer.name, self._vehicle, peer.session, "up")
         except ValueError:
-            knock.answer(Welcome(refused="that was no greeting of a robot of this version", final=True))
+            knock.answer(RobotWelcome(refused="that was no greeting of a robot of this version", final=True))
             return
         final = self._admission.refusal(knock.name, hello)
         if refused := final or self._waits(knock.name, hello):
             self._refused = refused
             self._warn_once(f"a robot was sent away: {refused}")
-            knock.answer(Welcome(refused=refused, final=bool(final)))
+            knock.answer(RobotWelcome(refused=refused, final=bool(final)))
             return
         if self._peer is not None and self._peer != peer:
             self._let_go("the robot has dialled anew")
         if self._peer is None:
             self._follow(peer, hello)
-        knock.answer(Welcome(run=self._run_name, start=self._track.pose))
+        knock.answer(RobotWelcome(run=self._run_name, start=self._track.pose))
 
-    def _waits(self, name: str, hello: Hello) -> str:
+    def _waits(self, name: str, hello: RobotHello) -> str:
         """Why a robot that may come is not driven now; empty: it is."""
         known = self._hello
         if self._closing.is_set():

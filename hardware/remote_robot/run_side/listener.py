@@ -16,7 +16,7 @@ from vcmvsp.cosim.transport import access_control, key_names
 from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.hardware.drivers.base import PortError
-from vcmvsp.hardware.remote_robot.messages import Welcome
+from vcmvsp.hardware.remote_robot.messages import RobotWelcome
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
@@ -29,15 +29,15 @@ class Peer(NamedTuple):
     session: str
 
 
-class Knock(NamedTuple):
+class RobotGreeting(NamedTuple):
     """A robot that wants to be driven."""
 
     name: str
     said: bytes
-    answer: Callable[[Welcome], None]
+    answer: Callable[[RobotWelcome], None]
 
 
-class Heard(NamedTuple):
+class RobotMessage(NamedTuple):
     """Something that was said."""
 
     peer: Peer
@@ -45,16 +45,16 @@ class Heard(NamedTuple):
     arrived_ns: int
 
 
-class Gone(NamedTuple):
+class LinkEnded(NamedTuple):
     """A robot whose link has ended."""
 
     peer: Peer
 
 
-News = Knock | Heard | Gone
+News = RobotGreeting | RobotMessage | LinkEnded
 
 
-class Door:
+class RobotListener:
     """Listens for the robot of one vehicle.
 
     Args:
@@ -121,22 +121,22 @@ class Door:
         if speaker is None or len(said) > access_control.MAX_ROBOT:
             return
 
-        def answer(welcome: Welcome) -> None:
+        def answer(welcome: RobotWelcome) -> None:
             with contextlib.suppress(zenoh.ZError), query:  # the robot may not be there any more
                 query.reply(query.key_expr, encode(welcome))
 
-        self._take(Knock(speaker[0], said, answer))
+        self._take(RobotGreeting(speaker[0], said, answer))
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         arrived_ns = time.monotonic_ns()
         peer = self._peer(sample.key_expr)
         if peer is not None and sample.kind == zenoh.SampleKind.PUT and len(sample.payload) <= access_control.MAX_ROBOT:
-            self._take(Heard(peer, sample.payload.to_bytes(), arrived_ns))
+            self._take(RobotMessage(peer, sample.payload.to_bytes(), arrived_ns))
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         peer = self._peer(sample.key_expr)
         if peer is not None and sample.kind == zenoh.SampleKind.DELETE:
-            self._take(Gone(peer))
+            self._take(LinkEnded(peer))
 
     def _peer(self, key: zenoh.KeyExpr) -> Peer | None:
         """Who has said it; None: a key with wildcards of its own, say."""

@@ -5,18 +5,18 @@ from typing import Any
 
 import msgspec
 
-from vcmvsp.cosim.estimation.clock_offset import Exchange
+from vcmvsp.cosim.estimation.clock_offset import EchoClock
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import Notice, Sample
-from vcmvsp.hardware.remote_robot.messages import Up
+from vcmvsp.hardware.remote_robot.messages import RobotStatus
 
 WINDOW = 50  # exchanges of times that count: some two seconds
 MOST_READINGS = 64  # of sonar, in a sample
 MOST_MISSED = 1_000_000  # samples between two that came
 
 
-class Track:
+class RemoteSampler:
     """Makes samples and notices of what a robot says.
 
     Args:
@@ -29,7 +29,7 @@ class Track:
     """
 
     def __init__(self, start: Vec3) -> None:
-        self.clock = Exchange(window=WINDOW)
+        self.clock = EchoClock(window=WINDOW)
         self.pose, self.link = start, 0
         self._number = 0
         self._last: tuple[int, int, int] | None = None  # openings, link and number of the robot's newest sample
@@ -42,7 +42,7 @@ class Track:
         self.link += 1
         self._last = None
         if anew:
-            self.clock = Exchange(window=WINDOW)
+            self.clock = EchoClock(window=WINDOW)
             self._noticed = 0
 
     @property
@@ -50,12 +50,12 @@ class Track:
         """Notices of this robot that were taken."""
         return self._noticed
 
-    def hear(self, up: Up, arrived_ns: int) -> None:
+    def hear(self, up: RobotStatus, arrived_ns: int) -> None:
         """Take the times of a message."""
         if up.heard:
             self.clock.add(up.yours_ns, up.heard_ns, up.said_ns, arrived_ns)
 
-    def sample(self, up: Up, arrived_ns: int, stopped: str) -> Sample | None:
+    def sample(self, up: RobotStatus, arrived_ns: int, stopped: str) -> Sample | None:
         """The sample of a message; None: it has none, an old one, or one that is not finite, or its time is not known yet."""
         theirs, clock = up.sample, self.clock.best(arrived_ns)
         if theirs is None or clock is None or not _finite(theirs):
@@ -86,7 +86,7 @@ class Track:
         """The newest sample was read: what sonar has said until then is not new any more."""
         self._sonar.clear()
 
-    def notices(self, up: Up, arrived_ns: int) -> list[Notice]:
+    def notices(self, up: RobotStatus, arrived_ns: int) -> list[Notice]:
         """Those of a message that are new."""
         new = up.notices[max(0, self._noticed - up.noticed) :]
         self._noticed = max(self._noticed, up.noticed + len(up.notices))

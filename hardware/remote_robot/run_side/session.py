@@ -16,11 +16,11 @@ from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, PortError
 from vcmvsp.hardware.drivers.command_repeater import NOT_YET
-from vcmvsp.hardware.drivers.threaded import NOTICES, Threaded
+from vcmvsp.hardware.drivers.threaded import NOTICES, ThreadedDriver
 from vcmvsp.hardware.remote_robot import messages
-from vcmvsp.hardware.remote_robot.messages import SAY_S, Down, Failure, Hello
-from vcmvsp.hardware.remote_robot.run_side.listener import Door, Gone, Heard, Knock, News, Peer
-from vcmvsp.hardware.remote_robot.run_side.samples import Track
+from vcmvsp.hardware.remote_robot.messages import SAY_S, Failure, RobotHello, RobotOrder
+from vcmvsp.hardware.remote_robot.run_side.listener import LinkEnded, News, Peer, RobotGreeting, RobotListener, RobotMessage
+from vcmvsp.hardware.remote_robot.run_side.samples import RemoteSampler
 
 GRACE_S = 2.0  # for a robot, beyond what its driver says of itself
 LONGEST_CLOSE_S = 30.0  # whatever it says
@@ -30,8 +30,8 @@ _FAILURES = {"driver": DriverError, "port": PortError, "handshake": HandshakeErr
 _ADVICE = "look at the program 'vcmvsp robot' on the robot's computer, and at the network"
 
 
-class Talking(Threaded):
-    """A driver that talks to the robot behind its `Door`; a subclass opens the door, and decides whom it follows.
+class RobotSession(ThreadedDriver):
+    """A driver that talks to the robot behind its `RobotListener`; a subclass opens the door, and decides whom it follows.
 
     Args:
         device: for messages.
@@ -41,7 +41,7 @@ class Talking(Threaded):
         command_timeout_s: without a command, the robot is stopped.
     """
 
-    _door: Door
+    _door: RobotListener
 
     def __init__(
         self, device: str, *, vehicle: str, open_deadline_s: float, reconnect_s: float, command_timeout_s: float
@@ -65,9 +65,9 @@ class Talking(Threaded):
     def _prepare(self, start: Vec3) -> None:
         self._news: queue.SimpleQueue[News | None] = queue.SimpleQueue()
         self._woken = threading.Event()
-        self._track, self._orders = Track(start), Orders(self._timeout_s)
+        self._track, self._orders = RemoteSampler(start), CommandState(self._timeout_s)
         self._peer: Peer | None = None  # who is followed
-        self._hello: Hello | None = None  # of that, or of the one before
+        self._hello: RobotHello | None = None  # of that, or of the one before
         self._connected = False  # it stands ready
         self._lost: LinkLost | None = None
         self._lost_ns = self._heard_ns = self._yours_ns = 0
@@ -90,11 +90,11 @@ class Talking(Threaded):
 
     def _hand_over(self, news: News) -> None:
         """Called by Zenoh. What is left out of news is said again, but for a link's end, which silence shows, too."""
-        knocks = isinstance(news, Knock)
-        if isinstance(news, Gone) or self._news.qsize() < (AT_THE_DOOR if knocks else WAITING):
+        knocks = isinstance(news, RobotGreeting)
+        if isinstance(news, LinkEnded) or self._news.qsize() < (AT_THE_DOOR if knocks else WAITING):
             self._news.put(news)
 
-    def _follow(self, peer: Peer, hello: Hello) -> None:
+    def _follow(self, peer: Peer, hello: RobotHello) -> None:
         """Begin to talk to this robot."""
         self._door.follow(peer)
         same = self._hello is not None and self._hello.robot == hello.robot
@@ -117,7 +117,7 @@ class Talking(Threaded):
             noticed = self._track.noticed
         if stopped != before:
             self._notice("stopped", stopped)
-        down = Down(
+        down = RobotOrder(
             number=self._number,
             sent_ns=now_ns,
             yours_ns=self._yours_ns,
@@ -128,7 +128,7 @@ class Talking(Threaded):
         )
         self._door.say(encode(down))
 
-    def _heard(self, heard: Heard) -> None:
+    def _heard(self, heard: RobotMessage) -> None:
         """Take what the robot says."""
         try:
             up = messages.ups.decode(heard.data)
@@ -192,12 +192,12 @@ class Talking(Threaded):
                 news = self._news.get(timeout=max(0.0, (min(due_ns, until_ns) - now_ns) / SECOND_NS))
             except queue.Empty:
                 continue
-            if isinstance(news, Gone) and news.peer == self._peer:
+            if isinstance(news, LinkEnded) and news.peer == self._peer:
                 return
-            if isinstance(news, Heard) and news.peer == self._peer and self._has_closed(news):
+            if isinstance(news, RobotMessage) and news.peer == self._peer and self._has_closed(news):
                 return
 
-    def _has_closed(self, heard: Heard) -> bool:
+    def _has_closed(self, heard: RobotMessage) -> bool:
         """Whether the robot says that its driver is closed, now that it was told that the run is over."""
         try:
             up = messages.ups.decode(heard.data)
@@ -219,7 +219,7 @@ class Talking(Threaded):
             self._notice("warned", cause)
 
 
-class Orders:
+class CommandState:
     """Command for a robot: the newest velocity while it counts, else to stand; after each connection to stand first.
 
     No clock and no link of its own: time comes in, velocities come out.

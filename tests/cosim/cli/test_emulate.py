@@ -24,7 +24,7 @@ from tests.support.hardware.driver_runs import held
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
-from vcmvsp.hardware.drivers.arcos.packet import Reader, command
+from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command
 from vcmvsp.hardware.drivers.arcos.sip import is_sip
 from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.ros2.driver import Ros2Driver
@@ -230,7 +230,7 @@ def test_a_serial_tag_alone_stands(tmp_path: Path) -> None:
     with emulated("dwm1001", "--port", str(link), "--pose", "1,2,0", "--sigma-m", "0.01", "--fix-hz", "50") as command_line:
         assert command_line.line() == str(link)
         with serial.Serial(str(link), dwm1001.BAUD, timeout=0.05) as port:
-            reader, waker, found = dwm1001.Reader(), dwm1001.Waker(0.1), list[Located]()
+            reader, waker, found = dwm1001.Dwm1001Reader(), dwm1001.Waker(0.1), list[Located]()
             end = time.monotonic() + PATIENCE_S
             while len(found) < 3 and time.monotonic() < end:
                 port.write(waker.write(time.monotonic_ns()))
@@ -245,7 +245,7 @@ def test_a_client_raises_the_baud_rate_and_comes_back_at_the_new_one() -> None:
     with emulated("p2dx", "--paced") as command_line:
         url = command_line.line()
         with serial.Serial(url, 9600, timeout=0.05) as port:
-            reader = Reader()
+            reader = PacketReader()
 
             def hear(what: Callable[[bytes], bool]) -> bytes:
                 end = time.monotonic() + PATIENCE_S
@@ -264,7 +264,7 @@ def test_a_client_raises_the_baud_rate_and_comes_back_at_the_new_one() -> None:
             port.close()
             port.baudrate = 38400
             port.open()
-            reader = Reader()
+            reader = PacketReader()
             hear(is_sip)
             port.write(command(Command.CONFIG))
             hear(lambda packet: packet[:1] == b"\x20")

@@ -20,8 +20,8 @@ from tests.support.hardware.stations import Run, driven, mission
 from tests.support.paths import ROOT
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import emergency_stop
-from vcmvsp.hardware.station.emergency_stop import Caller, Ear
-from vcmvsp.hardware.station.messages import OPERATOR_STOP, Part
+from vcmvsp.hardware.station.emergency_stop import StopCaller, StopListener
+from vcmvsp.hardware.station.messages import OPERATOR_STOP, PartSpec
 from vcmvsp.hardware.station.process_client import Station
 
 FOLDERS = emergency_stop.folders
@@ -85,7 +85,7 @@ def test_one_is_stopped_and_one_that_is_not_there_is_said() -> None:
         answers = json.loads(done.stdout)
         assert [(each["vehicle"], each["state"], each["pid"]) for each in answers] == [("car2", "stopped", second.station.pid)]
         drive(first)
-        with Caller() as caller:
+        with StopCaller() as caller:
             states = {each.vehicle: each.state for each in caller.answers(caller.say("who"), PATIENCE_S)}
         assert states == {"car1": "driving", "car2": "stopped"}
 
@@ -152,11 +152,11 @@ def test_a_robot_that_is_still_being_connected_is_given_up(tmp_path: Path) -> No
         "            time.sleep(0.02)\n"
         "        super().open(start)\n"
     )
-    told = msgspec.structs.replace(mission(Part(group="driver", kind="slow.py:Slow", params={})), folder=str(tmp_path))
+    told = msgspec.structs.replace(mission(PartSpec(group="driver", kind="slow.py:Slow", params={})), folder=str(tmp_path))
     station = Station.start(told)
     try:
         end = time.monotonic() + 60.0
-        with Caller() as caller:
+        with StopCaller() as caller:
             while not caller.say("who"):
                 assert time.monotonic() < end
                 time.sleep(0.02)
@@ -201,21 +201,21 @@ def test_a_folder_of_somebody_else_is_refused(alone: Path) -> None:
     alone.mkdir(mode=0o755)
     alone.chmod(0o755)
     with pytest.raises(Exception, match=r"robot at car1: 'vcmvsp stop' could not reach it.*set XDG_RUNTIME_DIR"):
-        Ear("car1")
+        StopListener("car1")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
         stranger.bind(str(alone / "1-car1.sock"))
-        with Caller() as caller:
+        with StopCaller() as caller:
             assert caller.say("who") == []
 
 
 def test_words_that_are_no_verbs_are_not_heard(alone: Path) -> None:
-    ear = Ear("a" * 200)
+    ear = StopListener("a" * 200)
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as somebody:
             for words in (b"", b"STOP", b"stop now", b"\xff" * 4000):
                 somebody.sendto(words, str(next(alone.iterdir())))
         assert ear.hear() == []
-        with Caller() as caller:
+        with StopCaller() as caller:
             assert len(caller.say("stop", ["a" * 200])) == 1
         assert [verb for verb, _ in ear.hear()] == ["stop"]
     finally:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.estimation.clock_offset import AGREE, Exchange, ForeignClock
+from vcmvsp.cosim.estimation.clock_offset import AGREE, EchoClock, ForeignClock
 
 MS = 10**6
 SECOND = 10**9
@@ -117,7 +117,7 @@ def test_the_window_forgets() -> None:
 def test_an_exchange_errs_by_no_more_than_it_says(
     trips: list[tuple[float, ...]], offset: int, ppm: float, later: float
 ) -> None:
-    exchange, now = Exchange(drift_ppm=100.0), 0
+    exchange, now = EchoClock(drift_ppm=100.0), 0
     for gap, there, stay, back in trips:
         sent = now + round(gap * SECOND)
         heard = sent + round(there * SECOND)
@@ -134,7 +134,7 @@ def test_an_exchange_errs_by_no_more_than_it_says(
 
 
 def test_equal_ways_give_the_offset_exactly() -> None:
-    exchange = Exchange()
+    exchange = EchoClock()
     assert exchange.best(0) is None
     exchange.add(100, 5100, 5200, 300)  # 50 each way, 100 there
     best = exchange.best(300)
@@ -144,7 +144,7 @@ def test_equal_ways_give_the_offset_exactly() -> None:
 
 
 def test_an_exchange_that_contradicts_starts_anew() -> None:
-    exchange = Exchange(drift_ppm=0.0)
+    exchange = EchoClock(drift_ppm=0.0)
     exchange.add(0, SECOND, SECOND, 10 * MS)
     exchange.add(SECOND, 2 * SECOND, 2 * SECOND, SECOND + 100 * MS)  # longer, and no contradiction
     best = exchange.best(2 * SECOND)
@@ -159,7 +159,7 @@ def test_an_exchange_that_contradicts_starts_anew() -> None:
 
 
 def test_answers_before_their_questions_are_refused() -> None:
-    exchange = Exchange()
+    exchange = EchoClock()
     exchange.add(10, 5, 4, 20)
     exchange.add(10, 5, 50, 20)
     exchange.add(10, 5, 5, 9)

@@ -9,28 +9,37 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from vcmvsp.cosim.estimation.fusion import Fusion, Pose, Verdict
-from vcmvsp.cosim.estimation.kalman_filter import SIZE, Motion, Noise, Seen, corrected, grown, innovation, moved
+from vcmvsp.cosim.estimation.fusion import FusedPose, Fusion, Verdict
+from vcmvsp.cosim.estimation.kalman_filter import (
+    SIZE,
+    MeasuredPosition,
+    OdometryMotion,
+    OdometryNoise,
+    corrected,
+    grown,
+    innovation,
+    moved,
+)
 from vcmvsp.cosim.types import Array
 
 MS = 1_000_000
 S = 1000 * MS
-EXACT = Noise(distance=0.0, turn=0.0, veer=0.0, time_m=0.0, time_rad=0.0)
+EXACT = OdometryNoise(distance=0.0, turn=0.0, veer=0.0, time_m=0.0, time_rad=0.0)
 
 
 class World:
     """A robot that drives as the filter supposes: odometry at 10 Hz with its noise, positions at 5 Hz with sigma."""
 
-    def __init__(self, seed: int, sigma_m: float = 0.15, noise: Noise | None = None) -> None:
+    def __init__(self, seed: int, sigma_m: float = 0.15, noise: OdometryNoise | None = None) -> None:
         self.rng = np.random.default_rng(seed)
-        self.sigma_m, self.noise = sigma_m, noise or Noise()
+        self.sigma_m, self.noise = sigma_m, noise or OdometryNoise()
         self.truth = np.zeros(SIZE)
         self.truth[:3] = 3.0, -2.0, self.rng.uniform(-math.pi, math.pi)
         self.time_ns = 0
 
     def go(self, v: float, w: float) -> tuple[float, float]:
         """Move for 100 ms; what odometry says of it."""
-        said = Motion(0.1 * v, 0.1 * w, 0.1)
+        said = OdometryMotion(0.1 * v, 0.1 * w, 0.1)
         self.truth, _, added = moved(self.truth, said, self.noise)
         values, vectors = np.linalg.eigh(added)
         self.truth = self.truth + vectors @ (np.sqrt(np.maximum(values, 0.0)) * self.rng.standard_normal(SIZE))
@@ -50,19 +59,19 @@ class World:
             fusion.odometry(self.time_ns, distance, turn)
             yield fusion.fix(self.time_ns, *self.see(), self.sigma_m) if fixes and step % 2 == 0 else None
 
-    def error(self, pose: Pose) -> Array:
+    def error(self, pose: FusedPose) -> Array:
         error: Array = np.array([pose.x, pose.y, pose.heading]) - self.truth[:3]
         error[2] = math.remainder(error[2], math.tau)
         return error
 
 
-def _pose(fusion: Fusion, now_ns: int) -> Pose:
+def _pose(fusion: Fusion, now_ns: int) -> FusedPose:
     pose = fusion.estimate(now_ns)
     assert pose is not None
     return pose
 
 
-def _nees(world: World, pose: Pose) -> float:
+def _nees(world: World, pose: FusedPose) -> float:
     error = world.error(pose)
     return float(error @ np.linalg.solve(pose.covariance, error))
 
@@ -361,7 +370,7 @@ def test_scale_and_veer_are_learnt() -> None:
     # A robot whose odometry says 5 % too little and whose wheels differ; 100 m of bends
     errors = []
     for seed in range(2):
-        world = World(seed, noise=Noise(distance=0.005, veer=0.002, turn=0.01))
+        world = World(seed, noise=OdometryNoise(distance=0.005, veer=0.002, turn=0.01))
         world.truth[3:5] = 0.05, 0.02
         fusion = Fusion(noise=world.noise, scale_sigma=0.1, veer_sigma=0.05)
         for _ in world.drive(fusion, 200.0, v=0.5):
@@ -415,11 +424,11 @@ def test_numbers_that_are_none_are_refused() -> None:
 
 def test_the_noise_of_a_motion() -> None:
     # Turning on the spot only the heading errs; straight on, also the length, and the place sideways by half the way
-    noise = Noise(distance=0.02, turn=0.03, veer=0.01, time_m=0.0, time_rad=0.0)
-    _, _, spin = moved(np.zeros(SIZE), Motion(0.0, -2.0, 1.0), noise)
+    noise = OdometryNoise(distance=0.02, turn=0.03, veer=0.01, time_m=0.0, time_rad=0.0)
+    _, _, spin = moved(np.zeros(SIZE), OdometryMotion(0.0, -2.0, 1.0), noise)
     assert spin[2, 2] == pytest.approx(0.03**2 * 2.0)
     assert np.count_nonzero(spin) == 1
-    _, _, straight = moved(np.zeros(SIZE), Motion(-4.0, 0.0, 1.0), noise)
+    _, _, straight = moved(np.zeros(SIZE), OdometryMotion(-4.0, 0.0, 1.0), noise)
     assert np.diag(straight)[:3] == pytest.approx([0.02**2 * 4.0, 0.01**2 * 4.0 * 2.0**2, 0.01**2 * 4.0])
 
 
@@ -428,7 +437,7 @@ small = st.floats(-1.0, 1.0)
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6), small, small, st.floats(0.01, 2.0))
 def test_the_jacobian_is_the_derivative(mean: list[float], distance: float, turn: float, seconds: float) -> None:
-    at, motion, step = np.array(mean), Motion(distance, turn, seconds), 1e-6
+    at, motion, step = np.array(mean), OdometryMotion(distance, turn, seconds), 1e-6
     _, jacobian, _ = moved(at, motion, EXACT)
     for column in range(SIZE):
         change = step * np.eye(SIZE)[column]
@@ -438,10 +447,10 @@ def test_the_jacobian_is_the_derivative(mean: list[float], distance: float, turn
 
 @given(small, small, st.integers(2, 9))
 def test_a_motion_in_parts_is_the_motion(distance: float, turn: float, parts: int) -> None:
-    whole, _, added = moved(np.zeros(SIZE), Motion(distance, turn, 1.0), Noise())
+    whole, _, added = moved(np.zeros(SIZE), OdometryMotion(distance, turn, 1.0), OdometryNoise())
     mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
     for _ in range(parts):
-        mean, each, more = moved(mean, Motion(distance / parts, turn / parts, 1.0 / parts), Noise())
+        mean, each, more = moved(mean, OdometryMotion(distance / parts, turn / parts, 1.0 / parts), OdometryNoise())
         covariance = grown(covariance, each, more)
     assert mean == pytest.approx(whole, abs=1e-12)
     # The variances add up; that of the place differs by where on the way the heading's noise is taken to act
@@ -450,18 +459,20 @@ def test_a_motion_in_parts_is_the_motion(distance: float, turn: float, parts: in
 
 
 entries = st.one_of(
-    st.builds(Motion, st.floats(-2.0, 2.0), st.floats(-3.0, 3.0), st.floats(0.0, 5.0), st.booleans()),
-    st.builds(Seen, st.floats(-50.0, 50.0), st.floats(-50.0, 50.0), st.floats(1e-3, 10.0)),
+    st.builds(OdometryMotion, st.floats(-2.0, 2.0), st.floats(-3.0, 3.0), st.floats(0.0, 5.0), st.booleans()),
+    st.builds(MeasuredPosition, st.floats(-50.0, 50.0), st.floats(-50.0, 50.0), st.floats(1e-3, 10.0)),
 )
 
 
 @given(st.lists(entries, max_size=30), st.floats(1e-3, 100.0), st.floats(0.0, 1.0))
-def test_the_covariance_stays_symmetric_and_positive(log: list[Motion | Seen], first: float, biases: float) -> None:
+def test_the_covariance_stays_symmetric_and_positive(
+    log: list[OdometryMotion | MeasuredPosition], first: float, biases: float
+) -> None:
     mean = np.zeros(SIZE)
     covariance = np.diag([first**2, first**2, 3.0, biases**2, biases**2, biases**2])
     for entry in log:
-        if isinstance(entry, Motion):
-            mean, jacobian, added = moved(mean, entry, Noise())
+        if isinstance(entry, OdometryMotion):
+            mean, jacobian, added = moved(mean, entry, OdometryNoise())
             covariance = grown(covariance, jacobian, added)
         else:
             before = np.diag(covariance)

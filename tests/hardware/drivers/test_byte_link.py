@@ -10,11 +10,11 @@ import pytest
 
 from tests.support.hardware.driver_runs import eventually
 from vcmvsp.hardware.drivers.base import LinkLost
-from vcmvsp.hardware.drivers.byte_link import Line, open_line
+from vcmvsp.hardware.drivers.byte_link import ByteLink, open_line
 
 
 @pytest.fixture
-def ends() -> Iterator[tuple[Line, int]]:
+def ends() -> Iterator[tuple[ByteLink, int]]:
     """A line, and the descriptor of its other side, which a test may close."""
     other, ours = pty.openpty()
     tty.setraw(ours)
@@ -33,7 +33,7 @@ def all_of(count: int, read: Callable[[], bytes]) -> bytes:
     return bytes(heard)
 
 
-def test_bytes_go_both_ways_and_nothing_is_waited_for(ends: tuple[Line, int]) -> None:
+def test_bytes_go_both_ways_and_nothing_is_waited_for(ends: tuple[ByteLink, int]) -> None:
     line, other = ends
     assert line.read() == b""
     line.write(bytes(range(256)))
@@ -42,13 +42,13 @@ def test_bytes_go_both_ways_and_nothing_is_waited_for(ends: tuple[Line, int]) ->
     assert all_of(6, line.read) == b"\0\x03\x11\x13\r\n"
 
 
-def test_who_does_not_read_is_not_waited_for_for_ever(ends: tuple[Line, int]) -> None:
+def test_who_does_not_read_is_not_waited_for_for_ever(ends: tuple[ByteLink, int]) -> None:
     line, _ = ends
     with pytest.raises(LinkLost, match="takes no more bytes"):
         line.write(bytes(10_000_000))
 
 
-def test_a_port_that_is_unplugged_says_so(ends: tuple[Line, int]) -> None:
+def test_a_port_that_is_unplugged_says_so(ends: tuple[ByteLink, int]) -> None:
     line, other = ends
     os.close(other)
     with pytest.raises(LinkLost, match="unplugged"):

@@ -5,14 +5,14 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.hardware.drivers.command_repeater import NOT_YET, Pace
+from vcmvsp.hardware.drivers.command_repeater import NOT_YET, CommandRepeater
 
 MS = 10**6
 Speeds = tuple[float, float]
 ZERO: Speeds = (0.0, 0.0)
 
 
-def said(pace: Pace[Speeds], now_ns: int) -> list[Speeds]:
+def said(pace: CommandRepeater[Speeds], now_ns: int) -> list[Speeds]:
     speeds = []
     while (each := pace.advance(now_ns)) is not None:
         speeds.append(each)
@@ -20,7 +20,7 @@ def said(pace: Pace[Speeds], now_ns: int) -> list[Speeds]:
 
 
 def test_zero_comes_first_then_the_newest_command_at_once_and_again_at_its_rate() -> None:
-    pace = Pace(ZERO, 0.5, again_ns=100 * MS)
+    pace = CommandRepeater(ZERO, 0.5, again_ns=100 * MS)
     assert pace.stopped == NOT_YET
     pace.command((0.1, 0.0), 0)
     pace.command((0.2, 0.1), 0)
@@ -34,7 +34,7 @@ def test_zero_comes_first_then_the_newest_command_at_once_and_again_at_its_rate(
 
 
 def test_without_commands_it_says_zero_and_goes_on_saying_it() -> None:
-    pace = Pace(ZERO, 0.5, again_ns=1000 * MS)
+    pace = CommandRepeater(ZERO, 0.5, again_ns=1000 * MS)
     pace.command((0.2, 0.1), 0)
     said(pace, 0)
     assert pace.due_ns == 500 * MS
@@ -44,7 +44,7 @@ def test_without_commands_it_says_zero_and_goes_on_saying_it() -> None:
 
 
 def test_a_stop_is_said_ahead_of_the_command_that_follows() -> None:
-    pace = Pace(ZERO, 0.5, again_ns=100 * MS)
+    pace = CommandRepeater(ZERO, 0.5, again_ns=100 * MS)
     pace.command((0.2, 0.0), 0)
     said(pace, 0)
     pace.command((0.4, 0.0), MS)
@@ -57,7 +57,7 @@ def test_a_stop_is_said_ahead_of_the_command_that_follows() -> None:
 @given(least=st.integers(1, 200), again=st.integers(1, 500), gaps=st.lists(st.integers(1, 300), min_size=1, max_size=20))
 def test_between_two_there_is_a_least_time_and_at_rest_a_steady_one(least: int, again: int, gaps: list[int]) -> None:
     """Asked only when it says that it is due, or commanded."""
-    pace = Pace(ZERO, 10.0, again_ns=again, least_ns=least)
+    pace = CommandRepeater(ZERO, 10.0, again_ns=again, least_ns=least)
     times, now, given_at = [], 0, [sum(gaps[: each + 1]) for each in range(len(gaps))]
     while now < given_at[-1] + least + 2 * again + 2:
         if now in given_at:
@@ -71,7 +71,7 @@ def test_between_two_there_is_a_least_time_and_at_rest_a_steady_one(least: int, 
 
 
 def test_where_there_is_a_least_time_a_stop_waits_for_none_and_is_said_again_after_it() -> None:
-    pace = Pace(ZERO, 0.5, again_ns=200 * MS, least_ns=100 * MS)
+    pace = CommandRepeater(ZERO, 0.5, again_ns=200 * MS, least_ns=100 * MS)
     said(pace, 0)
     pace.command((0.2, 0.0), MS)
     assert said(pace, 100 * MS) == [(0.2, 0.0)]

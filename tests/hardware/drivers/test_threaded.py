@@ -6,12 +6,12 @@ import pytest
 
 from vcmvsp.cosim.types import Odometry, Vec3
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, PortError, Sample
-from vcmvsp.hardware.drivers.threaded import Threaded
+from vcmvsp.hardware.drivers.threaded import ThreadedDriver
 
 SAMPLE = Sample(number=1, link=1, arrived_ns=1, measured_ns=1, odometry=Odometry(pose=(0.0, 0.0, 0.0), v=0.0, w=0.0))
 
 
-class Fake(Threaded):
+class Fake(ThreadedDriver):
     """Works until it is closed, unless it is told to fail, or to hang."""
 
     def __init__(self, fails: Exception | None = None, *, hangs: bool = False, elsewhere: bool = False) -> None:
@@ -44,7 +44,7 @@ class Fake(Threaded):
             self._woken.wait(10.0)
 
 
-def causes(driver: Threaded) -> list[str]:
+def causes(driver: ThreadedDriver) -> list[str]:
     return [each.cause for each in driver.notices()]
 
 

@@ -13,7 +13,15 @@ import serial  # type: ignore[import-untyped]
 from tests.support.hardware.driver_runs import PATIENCE_S, eventually, held
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.hardware.emulators.positioning.tags import Errors, Source, Tag, circling, dwm1001_outlet, standing, ubisense_outlet
+from vcmvsp.hardware.emulators.positioning.tags import (
+    Errors,
+    Tag,
+    TagServer,
+    circling,
+    dwm1001_outlet,
+    standing,
+    ubisense_outlet,
+)
 from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
 
 TRUE = (3.0, -2.0, 0.5)
@@ -87,7 +95,9 @@ def test_datagrams_say_where_the_tag_is_and_when() -> None:
         ear.bind(("127.0.0.1", 0))
         ear.settimeout(PATIENCE_S)
         outlet = ubisense_outlet(*ear.getsockname())
-        with Source(Tag("0000000000ABCDEF", Errors(fix_hz=50.0, sigma_m=0.01), 1), standing((1.0, 2.0, 0.0)), outlet) as source:
+        with TagServer(
+            Tag("0000000000ABCDEF", Errors(fix_hz=50.0, sigma_m=0.01), 1), standing((1.0, 2.0, 0.0)), outlet
+        ) as source:
             located = [ubisense.decode(ear.recv(100)) for _ in range(5)]
         assert source.told >= 5
         assert source.error is None
@@ -105,9 +115,9 @@ def test_datagrams_say_where_the_tag_is_and_when() -> None:
 def test_a_tag_at_a_serial_port_speaks_once_its_shell_is_asked(tmp_path: Path) -> None:
     before = held()
     outlet = dwm1001_outlet(tmp_path / "tag")
-    with Source(Tag("1", Errors(fix_hz=50.0, sigma_m=0.0), 1), standing((1.0, 2.0, 0.0)), outlet) as source:
+    with TagServer(Tag("1", Errors(fix_hz=50.0, sigma_m=0.0), 1), standing((1.0, 2.0, 0.0)), outlet) as source:
         with serial.Serial(source.url, dwm1001.BAUD, timeout=0.02) as port:
-            reader, found = dwm1001.Reader(), list[Located]()
+            reader, found = dwm1001.Dwm1001Reader(), list[Located]()
             assert port.read(100) == b""
             port.write(dwm1001.WAKE)
             said = bytearray()
@@ -124,7 +134,7 @@ def test_what_ends_a_source_can_be_seen() -> None:
     def truth() -> tuple[float, float, float, float]:
         raise RuntimeError("lost")
 
-    source = Source(Tag("1", Errors(), 1), truth, ubisense_outlet("127.0.0.1", 9))
+    source = TagServer(Tag("1", Errors(), 1), truth, ubisense_outlet("127.0.0.1", 9))
     eventually(lambda: source.error)
     with pytest.raises(RuntimeError, match="lost"):
         source.close()

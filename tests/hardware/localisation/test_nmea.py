@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
-from vcmvsp.hardware.localisation.nmea import Reader
+from vcmvsp.hardware.localisation.nmea import NmeaReader
 
 # The examples that every book has, 48 deg 07.038' N, 11 deg 31.000' E; their check sums are printed with them.
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
@@ -18,8 +18,8 @@ VTG = b"$GPVTG,054.7,T,034.4,M,005.5,N,010.2,K*48\r\n"
 LAT, LON, HEIGHT = 48.0 + 7.038 / 60.0, 11.0 + 31.0 / 60.0, 545.4 + 46.9
 
 
-def _reader() -> Reader:
-    return Reader(TangentPlane(LAT, LON, HEIGHT), range_sigma_m=4.0)
+def _reader() -> NmeaReader:
+    return NmeaReader(TangentPlane(LAT, LON, HEIGHT), range_sigma_m=4.0)
 
 
 def _sentence(body: str) -> bytes:
@@ -75,11 +75,11 @@ def test_no_fix_has_no_position() -> None:
     reader = _reader()
     without = reader.feed(_sentence("GPGGA,123519,,,,,0,00,99.99,,,,,,") + _sentence("GNRMC,123519,V,,,,,,,230394,,,N"))
     assert [(each.position, each.velocity) for each in without] == [(None, None)] * 2
-    assert reader.bad_lines == 0
+    assert reader.invalid == 0
 
 
 def test_southern_and_western_hemispheres_and_other_talkers() -> None:
-    reader = Reader(TangentPlane(-33.5, -70.5, 0.0))
+    reader = NmeaReader(TangentPlane(-33.5, -70.5, 0.0))
     (located,) = reader.feed(_sentence("GNGGA,010203,3330.000,S,07030.000,W,4,12,1.0,0.0,M,0.0,M,,"))
     assert located.position == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
 
@@ -103,7 +103,7 @@ def test_southern_and_western_hemispheres_and_other_talkers() -> None:
 def test_what_cannot_be_read_is_counted(bad: bytes) -> None:
     reader = _reader()
     assert reader.feed(bad) == []
-    assert reader.bad_lines == 1
+    assert reader.invalid == 1
     assert len(reader.feed(GGA)) == 1
 
 
@@ -113,7 +113,7 @@ def test_other_sentences_are_counted_apart() -> None:
         reader.feed(_sentence("GPGSA,A,3,04,05,,09,12,,,24,,,,,2.5,1.3,2.1") + _sentence("GPXYZ,1") + _sentence("PUBX,00"))
         == []
     )
-    assert (reader.bad_lines, reader.other_lines) == (0, 3)
+    assert (reader.invalid, reader.other) == (0, 3)
 
 
 @given(st.lists(st.integers(0, len(GGA + RMC + VTG)), max_size=20))
@@ -141,4 +141,4 @@ def test_a_line_without_end_is_dropped() -> None:
     for _ in range(100):
         reader.feed(b"$" * 100)
     assert len(reader._rest) <= 256
-    assert reader.bad_lines > 0
+    assert reader.invalid > 0

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
+from vcmvsp.hardware.localisation.readers import DatagramReader, LineReader
 
 GOLDEN = "E298026B 0011CE0000001234 00000001 3FC00000 C0200000 3F000000 3C23D70A 00000000499602D2".replace(" ", "")
 
@@ -52,9 +53,9 @@ def test_ubisense_round_trip(
 
 @given(st.binary(max_size=60) | st.binary(min_size=36, max_size=36).map(lambda rest: bytes.fromhex("E298026B") + rest))
 def test_ubisense_garbage_is_counted(datagram: bytes) -> None:
-    reader = ubisense.Reader()
+    reader = DatagramReader(ubisense.decode)
     found = reader.feed(datagram)
-    assert len(found) + reader.bad_datagrams == 1
+    assert len(found) + reader.invalid == 1
     for located in found:
         assert located.position is None or all(map(math.isfinite, located.position))
 
@@ -62,15 +63,15 @@ def test_ubisense_garbage_is_counted(datagram: bytes) -> None:
 def test_ubisense_a_valid_position_is_finite() -> None:
     datagram = bytearray(bytes.fromhex(GOLDEN))
     datagram[16:20] = struct.pack(">f", math.nan)
-    reader = ubisense.Reader()
+    reader = DatagramReader(ubisense.decode)
     assert reader.feed(bytes(datagram)) == []
-    assert reader.bad_datagrams == 1
+    assert reader.invalid == 1
 
 
 def test_ubisense_other_sizes_are_refused() -> None:
-    reader = ubisense.Reader()
+    reader = DatagramReader(ubisense.decode)
     assert reader.feed(bytes.fromhex(GOLDEN)[:-1]) == reader.feed(bytes.fromhex(GOLDEN) + b"\0") == reader.feed(b"") == []
-    assert reader.bad_datagrams == 3
+    assert reader.invalid == 3
 
 
 STREAM = (
@@ -95,36 +96,36 @@ def _expected() -> list[Located]:
 
 
 def test_dwm1001_lines_of_tags_and_listeners() -> None:
-    reader = dwm1001.Reader()
+    reader = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES)
     found = reader.feed(STREAM)
     assert found == _expected()
-    assert reader.bad_lines == 3
-    assert reader.other_lines == 2  # banner, echo
+    assert reader.invalid == 3
+    assert reader.other == 2  # banner, echo
 
 
 @given(st.lists(st.integers(0, len(STREAM)), max_size=20))
 def test_dwm1001_reads_any_split_of_the_stream(cuts: list[int]) -> None:
     edges = [0, *sorted(cuts), len(STREAM)]
-    reader = dwm1001.Reader()
+    reader = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES)
     found = [each for a, b in pairwise(edges) for each in reader.feed(STREAM[a:b])]
     assert found == _expected()
-    assert (reader.bad_lines, reader.other_lines) == (3, 2)
+    assert (reader.invalid, reader.other) == (3, 2)
 
 
 @given(st.lists(st.binary(max_size=80)))
 def test_dwm1001_garbage_never_raises_and_never_hides_what_follows(chunks: list[bytes]) -> None:
-    reader = dwm1001.Reader()
+    reader = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES)
     for chunk in chunks:
         reader.feed(chunk)
     assert reader.feed(b"\r\nPOS,1.00,2.00,3.00,50\r\n")[-1].position == (1.0, 2.0, 3.0)
 
 
 def test_dwm1001_a_line_without_end_is_dropped() -> None:
-    reader = dwm1001.Reader()
+    reader = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES)
     for _ in range(1000):
         reader.feed(b"A" * 100)
     assert len(reader._rest) <= dwm1001.LONGEST_BYTES
-    assert reader.bad_lines > 0
+    assert reader.invalid > 0
 
 
 @given(
@@ -133,11 +134,11 @@ def test_dwm1001_a_line_without_end_is_dropped() -> None:
 def test_dwm1001_round_trip(cm: tuple[int, int, int], percent: int, index: int | None) -> None:
     position = (cm[0] / 100, cm[1] / 100, cm[2] / 100)
     said = Located(tag="" if index is None else "4F8B", position=position, quality=percent / 100)
-    assert dwm1001.Reader().feed(dwm1001.encode(said, index)) == [said]
+    assert LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES).feed(dwm1001.encode(said, index)) == [said]
 
 
 def test_dwm1001_tag_without_position_round_trip() -> None:
-    assert dwm1001.Reader().feed(dwm1001.encode(Located())) == [Located(quality=0.0)]
+    assert LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES).feed(dwm1001.encode(Located())) == [Located(quality=0.0)]
 
 
 S = 1_000_000_000
@@ -145,7 +146,7 @@ S = 1_000_000_000
 
 def _until_it_talks(tag: dwm1001.Tag, waker: dwm1001.Waker, seconds: int) -> int:
     """Positions that were heard, of a tag that measures once a second; the host looks four times a second."""
-    reader, heard = dwm1001.Reader(), 0
+    reader, heard = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES), 0
     for quarter in range(4 * seconds):
         now_ns = quarter * S // 4
         chunk = tag.receive(waker.write(now_ns))

@@ -29,7 +29,7 @@ from vcmvsp.hardware.drivers.base import HandshakeError, PortError
 from vcmvsp.hardware.localisation import Located, dwm1001, port_source, pose_topic, source, ubisense
 from vcmvsp.hardware.localisation.pose_topic import ExternalPose
 from vcmvsp.hardware.localisation.systems import Dwm1001, Localisation, Nmea, Ubisense
-from vcmvsp.hardware.localisation.world_transform import Placing, Posed
+from vcmvsp.hardware.localisation.world_transform import LocatedPose, WorldTransform
 
 DEADLINE_S = 20.0  # of what takes milliseconds, on a machine that is loaded
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
@@ -421,9 +421,9 @@ numbers = st.floats(allow_nan=True, allow_infinity=True)
 def test_whatever_is_said_readings_are_finite_near_and_not_from_the_future(
     position: Any, sigma: Any, yaw: Any, sigma_rad: float, source_ns: int | None
 ) -> None:
-    placing = Placing(sigma_m=0.1, latency_s=0.1, offset=(1.0, 2.0, 3.0), turn_rad=0.3)
+    placing = WorldTransform(sigma_m=0.1, latency_s=0.1, offset=(1.0, 2.0, 3.0), turn_rad=0.3)
     for arrived in (10**9, 2 * 10**9):
-        posed = Posed(position=position, sigma_m=sigma, yaw=yaw, sigma_rad=sigma_rad, source_ns=source_ns)
+        posed = LocatedPose(position=position, sigma_m=sigma, yaw=yaw, sigma_rad=sigma_rad, source_ns=source_ns)
         fix = placing.place(posed, arrived)
         if fix is not None:
             assert math.hypot(*fix.position) <= 10_000.0
@@ -450,25 +450,29 @@ def test_whatever_is_said_readings_are_finite_near_and_not_from_the_future(
     ],
 )
 def test_no_message_ends_anything(said: bytes, position: bool, yaw: Any) -> None:
-    reader, placing, fusion = pose_topic.Reader(0.02), Placing(sigma_m=0.1, latency_s=0.0), Fusion(start=(0.0, 0.0, 0.0))
+    reader, placing, fusion = (
+        pose_topic.PoseReader(0.02),
+        WorldTransform(sigma_m=0.1, latency_s=0.0),
+        Fusion(start=(0.0, 0.0, 0.0)),
+    )
     fixes = [placing.place(each, SECOND_NS) for each in reader.feed(said)]
     known = [each for each in fixes if each is not None]
     assert bool(known) == position
     for fix in known:
         assert (fix.yaw, fix.sigma_rad) == yaw
         fusion.fix(fix.time_ns, fix.position[0], fix.position[1], fix.sigma_m)
-    assert bool(known) or reader.bad_messages + placing.unknown == 1
+    assert bool(known) or reader.invalid + placing.unknown == 1
 
 
 def test_a_clock_that_stands_still_is_told_and_gives_no_readings() -> None:
-    placing = Placing(sigma_m=0.1, latency_s=0.1)
+    placing = WorldTransform(sigma_m=0.1, latency_s=0.1)
     times = [placing.place(Located(position=(0.0, 0.0, 0.0), source_ns=7), tick * SECOND_NS) for tick in range(60)]
     assert [each is None for each in times] == [False] * 10 + [True] * 50
     assert placing.old == 50
 
 
 def test_tags_without_number_fill_nothing() -> None:
-    placing = Placing(sigma_m=0.1, latency_s=0.1)
+    placing = WorldTransform(sigma_m=0.1, latency_s=0.1)
     for number in range(1000):
         placing.place(Located(tag=str(number), position=(0.0, 0.0, 0.0), source_ns=number + 1), number)
     assert len(placing.tags) == len(placing._clocks) == 64

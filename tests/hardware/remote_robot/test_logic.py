@@ -15,11 +15,11 @@ from vcmvsp.hardware.drivers.base import Driver, LinkLost, Notice, Sample
 from vcmvsp.hardware.drivers.bench_robot import Bench
 from vcmvsp.hardware.drivers.command_repeater import NOT_YET
 from vcmvsp.hardware.remote_robot import messages
-from vcmvsp.hardware.remote_robot.messages import Down, Up
-from vcmvsp.hardware.remote_robot.robot_side.watchdog import Aboard
+from vcmvsp.hardware.remote_robot.messages import RobotOrder, RobotStatus
+from vcmvsp.hardware.remote_robot.robot_side.watchdog import DriverWatchdog
 from vcmvsp.hardware.remote_robot.run_side.driver import ZenohDriver
-from vcmvsp.hardware.remote_robot.run_side.samples import Track
-from vcmvsp.hardware.remote_robot.run_side.session import Orders
+from vcmvsp.hardware.remote_robot.run_side.samples import RemoteSampler
+from vcmvsp.hardware.remote_robot.run_side.session import CommandState
 
 SECOND = 10**9
 AHEAD = Velocity(linear=(0.3, 0.0, 0.0))
@@ -29,7 +29,7 @@ AHEAD = Velocity(linear=(0.3, 0.0, 0.0))
 
 
 def test_whatever_is_commanded_a_robot_stands_until_it_has_said_so() -> None:
-    orders = Orders(0.5)
+    orders = CommandState(0.5)
     orders.connect(7)
     orders.command(AHEAD, 0)
     assert orders.at(0) is None
@@ -40,7 +40,7 @@ def test_whatever_is_commanded_a_robot_stands_until_it_has_said_so() -> None:
 
 
 def test_a_command_counts_for_its_time_and_a_stop_until_the_next_command() -> None:
-    orders = Orders(0.5)
+    orders = CommandState(0.5)
     orders.connect(1)
     orders.heard(1)
     orders.command(AHEAD, 0)
@@ -60,7 +60,7 @@ def test_a_command_counts_for_its_time_and_a_stop_until_the_next_command() -> No
 
 def said(
     number: int, there_ns: int, *, link: int = 1, opened: int = 1, heard: bool = True, sent_ns: int = 0, **changed: Any
-) -> Up:
+) -> RobotStatus:
     """A sample that was measured 20 ms before it is said."""
     sample = Sample(
         number=number,
@@ -70,7 +70,7 @@ def said(
         odometry=Odometry(pose=(0.1 * number, 0.0, 0.0), v=0.1, w=0.0),
     )
     sample = msgspec.structs.replace(sample, **changed)
-    return Up(said_ns=there_ns, heard=int(heard), yours_ns=sent_ns, heard_ns=there_ns, opened=opened, sample=sample)
+    return RobotStatus(said_ns=there_ns, heard=int(heard), yours_ns=sent_ns, heard_ns=there_ns, opened=opened, sample=sample)
 
 
 @given(
@@ -82,7 +82,7 @@ def test_times_are_right_to_half_of_what_the_ways_take_together(offset_ns: int, 
     sent_ns = 1000 * SECOND
     heard_ns = sent_ns + there_ms * 10**6
     arrived_ns = heard_ns + back_ms * 10**6
-    track = Track((0.0, 0.0, 0.0))
+    track = RemoteSampler((0.0, 0.0, 0.0))
     track.connect(anew=True)
     up = said(1, heard_ns - offset_ns, sent_ns=sent_ns)
     track.hear(up, arrived_ns)
@@ -94,19 +94,19 @@ def test_times_are_right_to_half_of_what_the_ways_take_together(offset_ns: int, 
     assert sample.measured_ns <= sample.arrived_ns <= arrived_ns
 
 
-def heard(track: Track, up: Up, arrived_ns: int) -> Sample | None:
+def heard(track: RemoteSampler, up: RobotStatus, arrived_ns: int) -> Sample | None:
     track.hear(up, arrived_ns)
     return track.sample(up, arrived_ns, "")
 
 
 def test_without_an_exchange_no_time_is_known_and_no_sample_is_made() -> None:
-    track = Track((0.0, 0.0, 0.0))
+    track = RemoteSampler((0.0, 0.0, 0.0))
     track.connect(anew=True)
     assert heard(track, said(1, 5, heard=False), SECOND) is None
 
 
 def test_numbers_and_links_go_on_whatever_the_robot_counts() -> None:
-    track = Track((1.0, 2.0, 0.5))
+    track = RemoteSampler((1.0, 2.0, 0.5))
     assert track.pose == (1.0, 2.0, 0.5)
     track.connect(anew=True)
     now = 10 * SECOND
@@ -131,7 +131,7 @@ def test_numbers_and_links_go_on_whatever_the_robot_counts() -> None:
 
 
 def test_sonar_is_the_newest_of_each_since_the_last_read() -> None:
-    track = Track((0.0, 0.0, 0.0))
+    track = RemoteSampler((0.0, 0.0, 0.0))
     track.connect(anew=True)
     now = SECOND
     heard(track, said(1, now, sent_ns=now, sonar=((0, 1.0), (1, 2.0))), now)
@@ -146,7 +146,7 @@ def test_sonar_is_the_newest_of_each_since_the_last_read() -> None:
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])
 def test_a_sample_that_is_no_number_is_left_out(wrong: float) -> None:
-    track = Track((0.0, 0.0, 0.0))
+    track = RemoteSampler((0.0, 0.0, 0.0))
     track.connect(anew=True)
     for changed in (
         {"odometry": Odometry(pose=(0.0, wrong, 0.0), v=0.0, w=0.0)},
@@ -160,7 +160,7 @@ def test_a_sample_that_is_no_number_is_left_out(wrong: float) -> None:
 @given(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=6, max_size=6))
 def test_whatever_times_and_numbers_a_robot_tells_what_is_made_of_them_can_be_told_on(numbers: list[int]) -> None:
     said_ns, yours_ns, heard_ns, measured_ns, arrived_ns, number = numbers
-    track = Track((0.0, 0.0, 0.0))
+    track = RemoteSampler((0.0, 0.0, 0.0))
     track.connect(anew=True)
     now = 100 * SECOND
     for each in (said(1, now, sent_ns=now), said(number, now, sent_ns=now, measured_ns=measured_ns, arrived_ns=arrived_ns)):
@@ -180,13 +180,13 @@ def test_whatever_times_and_numbers_a_robot_tells_what_is_made_of_them_can_be_to
 
 
 def test_each_notice_is_taken_once_though_it_is_said_again() -> None:
-    track = Track((0.0, 0.0, 0.0))
+    track = RemoteSampler((0.0, 0.0, 0.0))
     track.connect(anew=True)
     first, second = (Notice(time_ns=5, what="stopped", cause=each) for each in ("one", "two"))
-    up = Up(said_ns=1, notices=(first,))
+    up = RobotStatus(said_ns=1, notices=(first,))
     assert [each.cause for each in track.notices(up, SECOND)] == ["one"]
     assert track.notices(up, SECOND) == []
-    assert [each.cause for each in track.notices(Up(said_ns=2, notices=(first, second)), SECOND)] == ["two"]
+    assert [each.cause for each in track.notices(RobotStatus(said_ns=2, notices=(first, second)), SECOND)] == ["two"]
     assert track.noticed == 2
     track.connect(anew=True)  # another program, which counts anew
     assert [each.cause for each in track.notices(up, SECOND)] == ["one"]
@@ -202,14 +202,14 @@ class Robot:
         self.now = SECOND
         self.said: list[str] = []
         self.bench = Bench(now=lambda: self.now, accel=100.0, decel=100.0, latency_s=0.0, **options)
-        self.aboard = Aboard(self.bench, None, self.said.append)
+        self.aboard = DriverWatchdog(self.bench, None, self.said.append)
         self.aboard.open("run", (0.0, 0.0, 0.0), str)
         self.number = 0
 
     def hear(self, velocity: Velocity | None, *, old_s: float = 0.0, stop: str = "stand") -> None:
         self.number += 1
         yours_ns = self.now - round(old_s * SECOND)
-        self.aboard.follow(Down(number=self.number, sent_ns=0, yours_ns=yours_ns, velocity=velocity, stop=stop), self.now)
+        self.aboard.follow(RobotOrder(number=self.number, sent_ns=0, yours_ns=yours_ns, velocity=velocity, stop=stop), self.now)
 
     def speed(self, seconds: float = 0.1) -> float:
         self.now += round(seconds * SECOND)
@@ -267,7 +267,7 @@ def test_notices_wait_until_they_were_heard_and_none_comes_from_the_run_before()
     causes = [each.cause for each in robot.aboard.notices()]
     assert causes == ["a robot in software", "one"]
     assert robot.aboard.noticed == 0
-    robot.aboard.follow(Down(number=9, sent_ns=0, noticed=1), robot.now)
+    robot.aboard.follow(RobotOrder(number=9, sent_ns=0, noticed=1), robot.now)
     assert [each.cause for each in robot.aboard.notices()] == ["one"]
     robot.aboard.close("over")
     robot.aboard.open("next", (0.0, 0.0, 0.0), str)

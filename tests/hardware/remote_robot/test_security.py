@@ -18,9 +18,9 @@ from vcmvsp.cosim.types import Odometry
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.hardware.drivers.base import Notice, Sample
 from vcmvsp.hardware.remote_robot import messages
-from vcmvsp.hardware.remote_robot.messages import Hello, Up, Welcome
+from vcmvsp.hardware.remote_robot.messages import RobotHello, RobotStatus, RobotWelcome
 from vcmvsp.hardware.remote_robot.run_side.admission import Admission
-from vcmvsp.hardware.remote_robot.run_side.listener import Door, Gone, Heard, Knock, News, Peer
+from vcmvsp.hardware.remote_robot.run_side.listener import LinkEnded, News, Peer, RobotGreeting, RobotListener, RobotMessage
 
 HELLO = b"hello"
 ALL_GO = zenoh.CongestionControl.BLOCK  # of many at once, Zenoh else leaves out those that find no room
@@ -45,11 +45,11 @@ class Stage:
         self._keys, self._stack = keys, stack
         self.news: queue.SimpleQueue[News] = queue.SimpleQueue()
         self.endpoint = f"tls/127.0.0.1:{stack.enter_context(reserved())}"
-        self.door = stack.enter_context(contextlib.closing(Door(self.endpoint, keys, "car3", self._take)))
+        self.door = stack.enter_context(contextlib.closing(RobotListener(self.endpoint, keys, "car3", self._take)))
 
     def _take(self, news: News) -> None:
-        if isinstance(news, Knock):
-            news.answer(Welcome(run="yes"))
+        if isinstance(news, RobotGreeting):
+            news.answer(RobotWelcome(run="yes"))
         self.news.put(news)
 
     def all(self) -> list[News]:
@@ -104,12 +104,12 @@ def test_who_has_a_certificate_for_the_vehicle_is_heard_and_told(
         robot.put(said(robot, name), b"here")
         stage.door.say(b"there")
         box.extend(stage.all())
-        return bool(told) and any(isinstance(each, Heard) for each in box)
+        return bool(told) and any(isinstance(each, RobotMessage) for each in box)
 
     until(both)
-    assert {each.peer for each in box if isinstance(each, Heard)} == {peer}
+    assert {each.peer for each in box if isinstance(each, RobotMessage)} == {peer}
     token.undeclare()  # type: ignore[no-untyped-call]
-    until(lambda: Gone(peer) in stage.all())
+    until(lambda: LinkEnded(peer) in stage.all())
 
 
 def test_nobody_else_is_heard_hears_or_stands_for_it(keys: certificates.Keys, stack: contextlib.ExitStack) -> None:
@@ -150,14 +150,14 @@ def test_nobody_else_is_heard_hears_or_stands_for_it(keys: certificates.Keys, st
 
     def is_heard() -> bool:
         box.extend(stage.all())
-        return any(isinstance(each, Heard) for each in box)
+        return any(isinstance(each, RobotMessage) for each in box)
 
     until(is_heard)
     time.sleep(0.1)  # for what should not come
     box += stage.all()
-    assert [each.data for each in box if isinstance(each, Heard)] == [b"truth"]
-    assert not [each for each in box if isinstance(each, Gone)]
-    assert {each.name for each in box if isinstance(each, Knock)} == {"car3", "car2"}
+    assert [each.data for each in box if isinstance(each, RobotMessage)] == [b"truth"]
+    assert not [each for each in box if isinstance(each, LinkEnded)]
+    assert {each.name for each in box if isinstance(each, RobotGreeting)} == {"car3", "car2"}
     assert {word for got in heard.values() for word in got} == {"lie"}  # a session hears itself
 
 
@@ -178,7 +178,7 @@ def test_without_the_rules_others_would_be_heard_and_hear(
         other.put(said(other, "car3", zid="a1"), b"lie")
         stage.door.say(b"there")
         box.extend(stage.all())
-        return "there" in heard and any(isinstance(each, Heard) for each in box)
+        return "there" in heard and any(isinstance(each, RobotMessage) for each in box)
 
     until(through)
 
@@ -205,12 +205,12 @@ def test_all_that_a_robot_says_at_once_fits_into_a_message() -> None:
     many = tuple(Notice(time_ns=2**62, what="stopped", cause="\U0001f916" * 500) for _ in range(messages.NOTICES_AT_ONCE))
     odometry = Odometry(pose=(1.0, 1.0, 1.0), v=1.0, w=1.0)
     sample = Sample(number=1, link=1, arrived_ns=1, measured_ns=1, odometry=odometry, sonar=((1, 1.0),) * 64)
-    assert len(encode(Up(said_ns=2**62, sample=sample, notices=many))) < access_control.MAX_ROBOT
+    assert len(encode(RobotStatus(said_ns=2**62, sample=sample, notices=many))) < access_control.MAX_ROBOT
 
 
 def test_who_is_sent_away_is_told_why(keys: certificates.Keys) -> None:
     def refusal(name: str, vehicle: str = "car3", protocol: int = messages.PROTOCOL) -> str:
-        hello = Hello(protocol=protocol, vehicle=vehicle, robot="r", session="a1", device="bench")
+        hello = RobotHello(protocol=protocol, vehicle=vehicle, robot="r", session="a1", device="bench")
         return Admission("car3", keys.folder).refusal(name, hello)
 
     assert refusal("car3") == refusal("laptop") == ""
@@ -223,4 +223,6 @@ def test_who_is_sent_away_is_told_why(keys: certificates.Keys) -> None:
     assert refusal("car3", protocol=99).endswith("use the same vcmvsp version")
     assert "\x1b" not in refusal("car3", "\x1b[2Jcar")
     anybody = Admission("car3", None)
-    assert anybody.refusal(key_names.OPEN, Hello(protocol=1, vehicle="car3", robot="r", session="a1", device="bench")) == ""
+    assert (
+        anybody.refusal(key_names.OPEN, RobotHello(protocol=1, vehicle="car3", robot="r", session="a1", device="bench")) == ""
+    )

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, limits, room
 from tests.support.hardware.supervised_flight import Flight, flown
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety import AerialParameters, AerialSupervisor, Cause, Heard, Limits, Others, Polygon, TimeOuts
+from vcmvsp.hardware.safety import AerialParameters, AerialSupervisor, Cause, LastReceived, Limits, Others, Polygon, TimeOuts
 from vcmvsp.hardware.safety.geofence import RETURN_MPS
 
 SECOND = 10**9
@@ -23,8 +23,8 @@ reals = st.floats(-4.0, 4.0) | st.sampled_from([0.0, 1.0, -1.0])
 commands = st.tuples(reals, reals, reals, reals)
 
 
-def heard(now: int) -> Heard:
-    return Heard(operator_ns=now, command_ns=now, positioning_ns=now, federation_ns=now)
+def heard(now: int) -> LastReceived:
+    return LastReceived(operator_ns=now, command_ns=now, positioning_ns=now, federation_ns=now)
 
 
 def told(command: Flight) -> Velocity:

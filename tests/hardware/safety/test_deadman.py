@@ -8,7 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety import Cause, Deadman, Heard, Limits, Others, Parameters, Polygon, Supervisor, TimeOuts, clamp
+from vcmvsp.hardware.safety import (
+    Cause,
+    Deadman,
+    GroundSupervisor,
+    LastReceived,
+    Limits,
+    Others,
+    Parameters,
+    Polygon,
+    TimeOuts,
+    clamp,
+)
 
 MS = 10**6
 SECOND = 10**9
@@ -17,9 +28,9 @@ FENCE = Polygon([(-9, -9), (9, -9), (9, 9), (-9, 9)])
 SOURCES = ("operator", "command", "positioning", "federation")
 
 
-def all_heard(now: int, **other: int | None) -> Heard:
+def all_heard(now: int, **other: int | None) -> LastReceived:
     """All at ``now``, but for some."""
-    return Heard(**({f"{name}_ns": now for name in SOURCES} | {f"{name}_ns": time for name, time in other.items()}))
+    return LastReceived(**({f"{name}_ns": now for name in SOURCES} | {f"{name}_ns": time for name, time in other.items()}))
 
 
 @pytest.mark.parametrize("name", SOURCES)
@@ -32,8 +43,8 @@ def test_each_may_be_silent_for_exactly_its_time_out(name: str) -> None:
 def test_what_is_not_waited_for_may_be_silent_for_ever() -> None:
     nobody = TimeOuts(operator_s=None, command_s=None, positioning_s=None, federation_s=None, clock_s=None)
     deadman = Deadman(nobody)
-    assert deadman.check(10**15, Heard()) == ()
-    assert deadman.check(0, Heard()) == ()
+    assert deadman.check(10**15, LastReceived()) == ()
+    assert deadman.check(0, LastReceived()) == ()
 
 
 def test_latched_causes_last_and_others_end_by_themselves() -> None:
@@ -46,7 +57,7 @@ def test_latched_causes_last_and_others_end_by_themselves() -> None:
 
 def test_what_was_never_heard_stops_without_latching() -> None:
     deadman = Deadman()
-    assert deadman.check(0, Heard()) == tuple(Cause(name) for name in SOURCES)
+    assert deadman.check(0, LastReceived()) == tuple(Cause(name) for name in SOURCES)
     assert deadman.check(MS, all_heard(MS)) == ()
 
 
@@ -83,7 +94,7 @@ def test_the_causes_are_those_of_a_plain_reading_of_the_rules(
         held |= causes & {Cause.OPERATOR, Cause.FEDERATION, Cause.CLOCK}
         expected = causes | held | {Cause(n) for n, age in zip(SOURCES, ages, strict=True) if age is None}
         times = {f"{n}_ns": None if age is None else now - age for n, age in zip(SOURCES, ages, strict=True)}
-        assert set(deadman.check(now, Heard(**times))) == expected
+        assert set(deadman.check(now, LastReceived(**times))) == expected
         before = now
 
 
@@ -101,7 +112,7 @@ def test_what_is_not_a_number_stops_and_is_named(bad: float) -> None:
         (go, here, ill),
     ]
     for command, pose, others in cases:
-        supervisor = Supervisor(parameters)
+        supervisor = GroundSupervisor(parameters)
         supervisor.step(0, go, here, one, all_heard(0))
         supervisor.last = (0.5, 0.3)
         decision = supervisor.step(100 * MS, command, pose, others, all_heard(100 * MS))
@@ -111,14 +122,14 @@ def test_what_is_not_a_number_stops_and_is_named(bad: float) -> None:
 
 
 def test_a_missing_command_or_pose_stops_and_is_named() -> None:
-    supervisor = Supervisor(Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1, fence=FENCE))
+    supervisor = GroundSupervisor(Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1, fence=FENCE))
     assert supervisor.step(0, None, None, None, all_heard(0)).causes == (Cause.COMMAND, Cause.POSITIONING)
-    unfenced = Supervisor(Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1))
+    unfenced = GroundSupervisor(Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1))
     assert unfenced.step(0, Velocity(), None, None, all_heard(0)).causes == ()
 
 
 def test_a_stop_is_told_once_and_lasts() -> None:
-    supervisor = Supervisor(Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1))
+    supervisor = GroundSupervisor(Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1))
     go, told = Velocity(linear=(0.75, 0.0, 0.0)), []
     for tick in range(60):
         now = tick * 100 * MS
@@ -133,7 +144,7 @@ def test_a_stop_is_told_once_and_lasts() -> None:
 
 
 def test_who_was_late_may_not_jump_in_speed() -> None:
-    supervisor = Supervisor(Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1))
+    supervisor = GroundSupervisor(Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1))
     supervisor.step(0, Velocity(), None, None, all_heard(0))
     late = supervisor.step(400 * MS, Velocity(linear=(0.75, 0.0, 0.0)), None, None, all_heard(400 * MS))
     assert late.command.linear[0] == pytest.approx(0.03)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from vcmvsp.hardware.safety import Others, Polygon
 from vcmvsp.hardware.safety.braking import fastest, stops_within, swept
 from vcmvsp.hardware.safety.geofence import RETURN_MPS
-from vcmvsp.hardware.safety.obstacle_distance import Around, Stadiums
+from vcmvsp.hardware.safety.obstacle_distance import Obstacles, Stadiums
 
 reals = st.floats(-3.0, 3.0)
 points = st.tuples(reals, reals)
@@ -65,7 +65,7 @@ def test_a_sector_is_free_as_far_as_sampling_says(
 @given(lo=st.floats(-7.0, 7.0), width=st.floats(0.0, 3.0), more=st.floats(0.0, 3.0), here=points)
 def test_a_wider_cone_is_never_freer(lo: float, width: float, more: float, here: tuple[float, float]) -> None:
     others = Others(np.array([[1.0, 1.0], [-2.0, 0.5]]), np.zeros((2, 2)), np.array([0.2, 0.3]))
-    arounds: list[Around] = [
+    arounds: list[Obstacles] = [
         others.around(*here, 0.4),
         Polygon([(-3, -3), (3, -3), (3, 3), (0, 0.5), (-3, 3)]).around(*here, 0.3),
     ]

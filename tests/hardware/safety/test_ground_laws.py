@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety import Cause, Heard, Limits, Others, Parameters, Polygon, Supervisor, TimeOuts
+from vcmvsp.hardware.safety import Cause, GroundSupervisor, LastReceived, Limits, Others, Parameters, Polygon, TimeOuts
 from vcmvsp.hardware.safety.geofence import RETURN_MPS
 
 Pose = tuple[float, float, float]
@@ -50,9 +50,9 @@ P2DX = Limits(speed_mps=0.75, yaw_rate_radps=1.74, accel_mps2=0.3, stop_mps2=0.6
 HARD = Limits(speed_mps=1.3, yaw_rate_radps=1.0, accel_mps2=1.77, stop_mps2=2.98, yaw_accel_radps2=1.0, yaw_stop_radps2=2.0)
 
 
-def heard(now: int, **ages: int | None) -> Heard:
+def heard(now: int, **ages: int | None) -> LastReceived:
     """All heard just now, but for those with an age, ns."""
-    return Heard(**{name: now - (ages.get(name, 0) or 0) for name in HERE})
+    return LastReceived(**{name: now - (ages.get(name, 0) or 0) for name in HERE})
 
 
 def room(fence: Polygon, x: float, y: float) -> float:
@@ -91,7 +91,7 @@ def ramping(
 
 
 def drive(
-    supervisor: Supervisor, robot: Any, pose: Pose, told: list[tuple[float, float, int]], keep: Limits
+    supervisor: GroundSupervisor, robot: Any, pose: Pose, told: list[tuple[float, float, int]], keep: Limits
 ) -> Iterator[tuple[Pose, tuple[float, float], Any]]:
     """Pose, command and decision at each piece of a drive in which each of the commands lasts for some periods."""
     now, speeds = 0, (0.0, 0.0)
@@ -117,7 +117,7 @@ def test_the_body_never_crosses_the_fence_and_its_margin(
     name: str, keep: Limits, robot: Any, yaw: float, margin: float, told: list[tuple[float, float, int]]
 ) -> None:
     fence = FENCES[name]
-    supervisor = Supervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, fence=fence, fence_margin_m=margin))
+    supervisor = GroundSupervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, fence=fence, fence_margin_m=margin))
     before = (0.0, 0.0)
     for (x, y, _), command, _decision in drive(supervisor, robot, (*STARTS[name], yaw), told, keep):
         assert room(fence, x, y) >= RADIUS + margin - 1e-6
@@ -135,7 +135,7 @@ def one_step(
     parameters: Parameters, pose: Pose, last: tuple[float, float], command: tuple[float, float], others: Others | None
 ) -> tuple[float, float]:
     """What becomes of a command a tenth of a second after ``last``."""
-    supervisor = Supervisor(parameters)
+    supervisor = GroundSupervisor(parameters)
     supervisor.step(0, Velocity(), pose, None, heard(0))
     supervisor.last = last
     safe = supervisor.step(PERIOD_NS, Velocity(linear=(command[0], 0, 0), yaw_rate=command[1]), pose, others, heard(PERIOD_NS))
@@ -206,7 +206,7 @@ def test_what_is_safe_is_left_alone(name: str, keep: Limits, pose: Pose, last: A
     keep=st.sampled_from([AMIGO, P2DX, HARD]),
 )
 def test_at_the_fence_it_slows_down_once_and_stands(name: str, robot: Any, yaw: float, keep: Limits) -> None:
-    supervisor = Supervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, fence=FENCES[name]))
+    supervisor = GroundSupervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, fence=FENCES[name]))
     periods = 20 + int(10 * (6.0 / keep.speed_mps + keep.speed_mps / keep.accel_mps2 + keep.speed_mps / keep.stop_mps2))
     drives = list(drive(supervisor, robot, (*STARTS[name], yaw), [(3.0, 0.0, periods)], keep))
     speeds = [command[0] for _, command, _ in drives][3:]
@@ -221,7 +221,7 @@ def test_at_the_fence_it_slows_down_once_and_stands(name: str, robot: Any, yaw: 
 
 
 def test_a_goal_beyond_the_fence_is_waited_for_without_trembling() -> None:
-    supervisor = Supervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=FENCES["square"]))
+    supervisor = GroundSupervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=FENCES["square"]))
     pose, goal, seen = (1.0, 1.0, 1.0), (5.0, 2.0), []
     for tick in range(600):
         bearing = math.atan2(goal[1] - pose[1], goal[0] - pose[0])
@@ -234,7 +234,7 @@ def test_a_goal_beyond_the_fence_is_waited_for_without_trembling() -> None:
 
 
 def test_a_robot_at_the_fence_can_turn_on_the_spot_and_leave() -> None:
-    supervisor = Supervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=FENCES["square"]))
+    supervisor = GroundSupervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=FENCES["square"]))
     drives = list(drive(supervisor, ideal, (3.5, 1.5, 0.0), [(1.0, 0.0, 60), (1.0, 1.5, 18), (1.0, 0.0, 15)], AMIGO))
     standing, leaving = drives[4 * 60 - 1], drives[-1]
     assert standing[1][0] < 1e-3
@@ -249,7 +249,10 @@ def test_a_robot_at_the_fence_can_turn_on_the_spot_and_leave() -> None:
     told=st.lists(st.tuples(reals, reals, st.integers(1, 10)), min_size=1, max_size=3),
 )
 def test_who_is_outside_only_gets_nearer(name: str, place: Pose, told: list[tuple[float, float, int]]) -> None:
-    fence, supervisor = FENCES[name], Supervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=FENCES[name]))
+    fence, supervisor = (
+        FENCES[name],
+        GroundSupervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=FENCES[name])),
+    )
     best = min(room(fence, *place[:2]), RADIUS)
     for (x, y, _), _command, _decision in drive(supervisor, ideal, place, told, AMIGO):
         # exactly at a corner, one of two sides is the nearest: a period's motion at the speed allowed there is all it costs
@@ -259,7 +262,7 @@ def test_who_is_outside_only_gets_nearer(name: str, place: Pose, told: list[tupl
 
 def test_a_robot_outside_finds_back_into_every_fence() -> None:
     for name, fence in FENCES.items():
-        supervisor = Supervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=fence))
+        supervisor = GroundSupervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=fence))
         pose = (6.5, 4.0, 0.0)
         for tick in range(1200):
             bearing = math.atan2(STARTS[name][1] - pose[1], STARTS[name][0] - pose[0])
@@ -281,7 +284,7 @@ def test_a_robot_outside_finds_back_into_every_fence() -> None:
 )
 def test_standing_others_are_never_come_too_near(keep: Limits, robot: Any, told: Any, places: Any) -> None:
     others = crowd([(r * math.cos(a), r * math.sin(a), 0.0, 0.0) for r, a in places])
-    supervisor = Supervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, separation_m=0.3))
+    supervisor = GroundSupervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, separation_m=0.3))
     pose, speeds, now = (0.0, 0.0, 0.0), (0.0, 0.0), 0
     for v, w, periods in told:
         for _ in range(periods):
@@ -296,7 +299,7 @@ def test_standing_others_are_never_come_too_near(keep: Limits, robot: Any, told:
 @settings(max_examples=60)
 @given(keep=limits, robot=st.sampled_from([ideal, ramping]), c=st.floats(0.1, 1.0))
 def test_before_one_that_comes_head_on_it_stands_when_the_distance_is_reached(keep: Limits, robot: Any, c: float) -> None:
-    supervisor = Supervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, separation_m=0.3))
+    supervisor = GroundSupervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, separation_m=0.3))
     pose, speeds, x, tick = (0.0, 0.0, 0.0), (0.0, 0.0), 4.0, 0
     while x - pose[0] - RADIUS - 0.2 >= 0.3:
         others = crowd([(x, 0.0, -c, 0.0)])
@@ -320,7 +323,7 @@ def test_who_falls_silent_has_the_robot_stand_in_time(keep: Limits, told: Any, s
     """It brakes from the first step at which the time-out is over, at no less than the stop deceleration."""
     name = source.removesuffix("_ns")
     watched = TimeOuts(**{f"{name}_s": time_out})
-    supervisor = Supervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, time_outs=watched))
+    supervisor = GroundSupervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, time_outs=watched))
     last, before = at * PERIOD_NS, 0.0
     for tick, (v, w) in enumerate(itertools.islice(itertools.cycle(told), 18)):
         now = tick * PERIOD_NS

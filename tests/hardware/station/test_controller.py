@@ -13,14 +13,14 @@ from vcmvsp.cosim.frames import quaternion_from_yaw, yaw_of
 from vcmvsp.cosim.types import ORIGIN, Array, Fix, Odometry, Vec3, VehicleState, Velocity
 from vcmvsp.hardware.drivers.base import Notice, Sample
 from vcmvsp.hardware.drivers.bench_robot import Bench
-from vcmvsp.hardware.station.controller import Onboard
-from vcmvsp.hardware.station.messages import Mission, Order, Part, Report
+from vcmvsp.hardware.station.controller import StationController
+from vcmvsp.hardware.station.messages import PartSpec, StationMission, StationOrder, StationReport
 from vcmvsp.hardware.station.safety_factory import others_at
 
 MS = 1_000_000
 TURN_MS = 20
 SQUARE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
-TAG = Part(group="localisation", kind="a test's", params={})
+TAG = PartSpec(group="localisation", kind="a test's", params={})
 
 
 class Told:
@@ -74,12 +74,12 @@ class Tag:
 class Station:
     """A station on a clock of its own, and the run that gives it orders every 100 ms."""
 
-    def __init__(self, told: Mission, driver: Any = None, tag: Tag | None = None) -> None:
+    def __init__(self, told: StationMission, driver: Any = None, tag: Tag | None = None) -> None:
         self.ns = 7_000_000_000
         self.driver: Any = driver or Bench(now=self.now, latency_s=0.02, accel=2.0, decel=2.0)
         self.driver.open(told.start)
-        self.onboard = Onboard(told, self.driver, tag, self.now)
-        self.said: list[Report] = []
+        self.onboard = StationController(told, self.driver, tag, self.now)
+        self.said: list[StationReport] = []
         self._orders = 0
         self.climb = 0.0
 
@@ -95,7 +95,7 @@ class Station:
         others: Array | None = None,
         stop: str = "",
         each: Callable[[], None] = lambda: None,
-    ) -> Report:
+    ) -> StationReport:
         """For so long; v None: the run is silent."""
         for turn in range(round(1000 * seconds / TURN_MS)):
             self.ns += TURN_MS * MS
@@ -104,7 +104,7 @@ class Station:
             if v is not None and turn % 5 == 0:
                 self._orders += 1
                 command = Velocity(linear=(v, 0.0, self.climb), yaw_rate=w)
-                order = Order(
+                order = StationOrder(
                     number=self._orders,
                     sent_ns=5 * self.ns,  # the run's clock is another one
                     command=command,
@@ -189,7 +189,7 @@ def test_a_command_that_is_old_stops_the_robot_until_there_is_a_new_one() -> Non
     for number in range(1000, 1060):  # the run lives, its agent does not
         station.ns += TURN_MS * MS
         aged_ns = given_ns + (number - 999) * TURN_MS * MS
-        order = Order(number=number, sent_ns=aged_ns, command=Velocity(linear=(0.4, 0.0, 0.0)), command_ns=given_ns)
+        order = StationOrder(number=number, sent_ns=aged_ns, command=Velocity(linear=(0.4, 0.0, 0.0)), command_ns=given_ns)
         report = station.onboard.turn(station.ns, order)
         station.said.append(report)
         station.onboard.delivered()
@@ -204,10 +204,10 @@ def test_one_late_tick_of_the_run_stops_no_robot(late_ms: int) -> None:
     station.drive(1.0, v=0.4)
     given_ns = 5 * station.ns
 
-    def order(number: int, age_ms: int, in_run_ms: int) -> Order:
+    def order(number: int, age_ms: int, in_run_ms: int) -> StationOrder:
         command = Velocity(linear=(0.4, 0.0, 0.0))
         sent_ns, own_ns = given_ns + age_ms * MS, in_run_ms * MS
-        return Order(number=number, sent_ns=sent_ns, command=command, command_ns=given_ns, command_age_ns=own_ns)
+        return StationOrder(number=number, sent_ns=sent_ns, command=command, command_ns=given_ns, command_age_ns=own_ns)
 
     station.ns += TURN_MS * MS
     station.said.append(station.onboard.turn(station.ns, order(1000, 200, 200)))  # a slow agent
@@ -227,7 +227,9 @@ def test_a_stop_for_lack_of_commands_names_the_run_where_that_is_late() -> None:
         age_ns = (number + 1) * TURN_MS * MS
         command = Velocity(linear=(0.4, 0.0, 0.0))
         sent_ns, half_ns = given_ns + age_ns, age_ns // 2
-        order = Order(number=1000 + number, sent_ns=sent_ns, command=command, command_ns=given_ns, command_age_ns=half_ns)
+        order = StationOrder(
+            number=1000 + number, sent_ns=sent_ns, command=command, command_ns=given_ns, command_age_ns=half_ns
+        )
         station.said.append(station.onboard.turn(station.ns, order))
         station.onboard.delivered()
     assert station.stops == ["no command for 0.5 s: the run is late by 0.51 s"]
@@ -380,7 +382,7 @@ class Guided:
             place = (x + dx + self.offset[0], y + dy + self.offset[1], 0.0)
             self.tag.fixes.append(Fix(time_ns=self.station.ns, position=place, sigma_m=self.sigma_m))
 
-    def drive(self, seconds: float, v: float, w: float = 0.0) -> Report:
+    def drive(self, seconds: float, v: float, w: float = 0.0) -> StationReport:
         return self.station.drive(seconds, v, w, each=self.each)
 
 
@@ -458,7 +460,7 @@ def test_what_the_robot_did_while_it_was_not_heard_is_not_taken_for_standing_sti
     driver, tag = Told(), Tag()
     station = Station(msgspec.structs.replace(mission(), localisation=TAG), driver, tag)
 
-    def turn(x: float, link: int, fix: float | None = None) -> Report:
+    def turn(x: float, link: int, fix: float | None = None) -> StationReport:
         def tell() -> None:
             driver.next = sample(1, station.ns, pose=(x, 0.0, 0.0), link=link)
             if fix is not None:

@@ -24,8 +24,8 @@ from vcmvsp.hardware.drivers.arcos.command_numbers import Command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.emulators.arcos.device import Device
-from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty
-from vcmvsp.hardware.station.messages import Mission, Part, Report
+from vcmvsp.hardware.emulators.arcos.server import ArcosServer, serve_pty
+from vcmvsp.hardware.station.messages import PartSpec, StationMission, StationReport
 from vcmvsp.hardware.station.process_client import Station
 
 PATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=60.0)  # it is not the robot's own watchdog that stops it
@@ -40,22 +40,22 @@ def _alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         yield
 
 
-def arcos(served: Served) -> Part:
-    return Part(group="driver", kind="arcos", params={"port": served.url, "accel": 2.0, "decel": 2.0})
+def arcos(served: ArcosServer) -> PartSpec:
+    return PartSpec(group="driver", kind="arcos", params={"port": served.url, "accel": 2.0, "decel": 2.0})
 
 
-def drives(report: Report) -> bool:
+def drives(report: StationReport) -> bool:
     return report.odometry is not None and report.odometry.v > 0.1
 
 
-def zero_ns(served: Served, after_ns: int) -> int | None:
+def zero_ns(served: ArcosServer, after_ns: int) -> int | None:
     """When the robot was first told zero speed after that, on its own clock."""
     with served.lock:
         heard = list(served.device.heard)
     return next((ns for ns, number, value in heard if ns >= after_ns and number == Command.VEL and not value), None)
 
 
-def driven_ns(served: Served) -> int:
+def driven_ns(served: ArcosServer) -> int:
     """When the robot was last told to drive, on its own clock."""
     with served.lock:
         heard = list(served.device.heard)
@@ -63,7 +63,7 @@ def driven_ns(served: Served) -> int:
 
 
 def test_a_robot_drives_and_its_state_is_told() -> None:
-    def is_there(report: Report) -> bool:
+    def is_there(report: StationReport) -> bool:
         return report.odometry is not None and report.odometry.pose[0] > 0.3 and report.odometry.v > 0.39 and not report.causes
 
     with driven(mission()) as run:
@@ -102,7 +102,7 @@ def test_a_station_whose_turns_take_too_long_hears_its_run_all_the_same(tmp_path
         "        time.sleep(0.05)\n"
         "        return super().read()\n"
     )
-    told = mission(Part(group="driver", kind="slow.py:Slow", params=BENCH.params))
+    told = mission(PartSpec(group="driver", kind="slow.py:Slow", params=BENCH.params))
     with driven(msgspec.structs.replace(told, folder=str(tmp_path))) as run:
         report = run.until(drives, v=0.4)
         assert report.late_s > 0.0
@@ -110,13 +110,13 @@ def test_a_station_whose_turns_take_too_long_hears_its_run_all_the_same(tmp_path
 
 def test_positions_of_a_tag_are_fused() -> None:
     port = free_ports(1)
-    tag = Part(
+    tag = PartSpec(
         group="localisation", kind="vcmvsp.hardware.localisation.systems:Ubisense", params={"listen": f"udp://127.0.0.1:{port}"}
     )
     told = msgspec.structs.replace(mission(), localisation=tag, fusion={"start_sigma_m": 0.5, "noise": {"turn": 0.02}})
     with driven(told) as run, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as engine:
 
-        def hears(report: Report) -> bool:
+        def hears(report: StationReport) -> bool:
             datagram = struct.pack(">HHQIffffQ", 0xE298, 0x026B, 7, 1, 0.2, 0.1, 0.0, 0.01, time.time_ns())
             engine.sendto(datagram, ("127.0.0.1", port))
             there = report.state is not None and report.state.position[1] > 0.05
@@ -147,7 +147,7 @@ def test_a_robot_that_is_unplugged_is_named() -> None:
 
 
 @pytest.fixture
-def hanging(tmp_path: Path) -> Callable[..., Mission]:
+def hanging(tmp_path: Path) -> Callable[..., StationMission]:
     """A mission with somebody's own driver, that hangs when it is asked for something."""
     (tmp_path / "hanging.py").write_text(
         "import time\n"
@@ -159,14 +159,14 @@ def hanging(tmp_path: Path) -> Callable[..., Mission]:
         "        return lambda *_: time.sleep(1000) if name == self.where else [] if name == 'notices' else None\n"
     )
 
-    def told(where: str, open_s: float = 0.1) -> Mission:
-        driver = Part(group="driver", kind="hanging.py:Hanging", params={"where": where, "open_s": open_s})
+    def told(where: str, open_s: float = 0.1) -> StationMission:
+        driver = PartSpec(group="driver", kind="hanging.py:Hanging", params={"where": where, "open_s": open_s})
         return msgspec.structs.replace(mission(driver, vehicle="car2"), folder=str(tmp_path))
 
     return told
 
 
-def test_a_driver_that_hangs_is_given_up(hanging: Callable[..., Mission]) -> None:
+def test_a_driver_that_hangs_is_given_up(hanging: Callable[..., StationMission]) -> None:
     with ExitStack() as stack:
         opening, leaving, turning = (Station.start(hanging(where)) for where in ("open", "open", "read"))
         for each in (opening, leaving, turning):
@@ -179,7 +179,7 @@ def test_a_driver_that_hangs_is_given_up(hanging: Callable[..., Mission]) -> Non
             turning.wait_ready()
 
 
-def test_a_station_that_does_not_say_that_it_is_ready_is_ended(hanging: Callable[..., Mission]) -> None:
+def test_a_station_that_does_not_say_that_it_is_ready_is_ended(hanging: Callable[..., StationMission]) -> None:
     stuck = Station.start(hanging("open", open_s=60.0))
     os.kill(stuck.pid, signal.SIGSTOP)
     with pytest.raises(DriverError, match="did not say in time"):
@@ -189,8 +189,8 @@ def test_a_station_that_does_not_say_that_it_is_ready_is_ended(hanging: Callable
 
 def test_a_port_that_is_in_use_and_one_that_is_not_there() -> None:
     with ExitStack() as stack:
-        nowhere = Station.start(mission(Part(group="driver", kind="arcos", params={"port": "/dev/ttyNONE"})))
-        wrong = Station.start(mission(Part(group="driver", kind="arcos", params={"prot": "x"})))
+        nowhere = Station.start(mission(PartSpec(group="driver", kind="arcos", params={"port": "/dev/ttyNONE"})))
+        wrong = Station.start(mission(PartSpec(group="driver", kind="arcos", params={"prot": "x"})))
         served = stack.enter_context(serve_pty(Device(PATIENT)))
         stack.enter_context(driven(mission(arcos(served))))
         second = Station.start(mission(arcos(served), vehicle="car2"))
@@ -250,12 +250,12 @@ for number in range(1, 10**6):
 
 
 @pytest.fixture
-def robot() -> Iterator[Served]:
+def robot() -> Iterator[ArcosServer]:
     with serve_pty(Device(PATIENT)) as served:
         yield served
 
 
-def another_run(told: Mission) -> subprocess.Popen[str]:
+def another_run(told: StationMission) -> subprocess.Popen[str]:
     """A run in a process of its own, and its station's number."""
     from vcmvsp.cosim.util.codec import encode
 
@@ -264,7 +264,7 @@ def another_run(told: Mission) -> subprocess.Popen[str]:
     )
 
 
-def is_driving(served: Served) -> bool:
+def is_driving(served: ArcosServer) -> bool:
     with served.lock:
         return served.device.commanded()[0] > 0.15
 
@@ -277,7 +277,7 @@ def lives(pid: int) -> bool:
     return state != "Z"
 
 
-def test_when_the_run_is_killed_the_robot_stops_and_the_port_is_free(robot: Served) -> None:
+def test_when_the_run_is_killed_the_robot_stops_and_the_port_is_free(robot: ArcosServer) -> None:
     run = another_run(mission(arcos(robot)))
     try:
         assert run.stdout is not None
@@ -298,7 +298,7 @@ def test_when_the_run_is_killed_the_robot_stops_and_the_port_is_free(robot: Serv
         again.until(drives, v=0.2)
 
 
-def test_when_the_run_is_frozen_the_robot_stops_until_it_is_back(robot: Served) -> None:
+def test_when_the_run_is_frozen_the_robot_stops_until_it_is_back(robot: ArcosServer) -> None:
     run = another_run(mission(arcos(robot), federation_s=1.5))
     try:
         assert run.stdout is not None

@@ -1,7 +1,7 @@
 """A client of an emulated robot, without a line between them and without a clock."""
 
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.drivers.arcos.packet import Reader, command
+from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.drivers.arcos.sip import Sip, decode, is_sip
 from vcmvsp.hardware.emulators.arcos.device import Device
@@ -15,7 +15,7 @@ class Client:
     """Talks to a device in its own time."""
 
     def __init__(self, device: Device) -> None:
-        self.device, self.reader, self.now = device, Reader(), 0
+        self.device, self.reader, self.now = device, PacketReader(), 0
 
     def say(self, number: int, argument: int | str | bytes | None = None) -> list[bytes]:
         return self.reader.feed(self.device.receive(command(number, argument), self.now))

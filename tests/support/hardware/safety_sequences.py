@@ -15,7 +15,16 @@ import numpy as np
 from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, ideal, ramping, room
 from tests.support.hardware.supervised_flight import flown
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety import AerialParameters, AerialSupervisor, Heard, Limits, Others, Parameters, Supervisor, TimeOuts
+from vcmvsp.hardware.safety import (
+    AerialParameters,
+    AerialSupervisor,
+    GroundSupervisor,
+    LastReceived,
+    Limits,
+    Others,
+    Parameters,
+    TimeOuts,
+)
 from vcmvsp.hardware.safety.geofence import RETURN_MPS
 
 SECOND = 10**9
@@ -93,7 +102,7 @@ class Rehearsal:
             parameters = AerialParameters(**self.common, climb_mps=CLIMB, floor_m=FLOOR, ceiling_m=CEILING)
             self.supervisor = AerialSupervisor(parameters)
         else:
-            self.supervisor = Supervisor(Parameters(**self.common))
+            self.supervisor = GroundSupervisor(Parameters(**self.common))
         self.elapsed: int | None = None
         self.latched: set[str] = set()
 
@@ -118,7 +127,9 @@ class Rehearsal:
         ears = self._ears(fault)
         others = self._others(fault)
         problems = self._problems(command, pose, others, ears)
-        decision = self.supervisor.step(self.now, command, pose, others, Heard(**{f"{k}_ns": v for k, v in ears.items()}))
+        decision = self.supervisor.step(
+            self.now, command, pose, others, LastReceived(**{f"{k}_ns": v for k, v in ears.items()})
+        )
         self.periods += 1
         self.stops += decision.stop
         assert decision.stop == bool(problems), (problems, decision.causes)

@@ -6,10 +6,10 @@ from contextlib import contextmanager
 from typing import Any
 
 from vcmvsp.cosim.types import Array, Velocity
-from vcmvsp.hardware.station.messages import Mission, Order, Part, Report, Safety
+from vcmvsp.hardware.station.messages import PartSpec, Safety, StationMission, StationOrder, StationReport
 from vcmvsp.hardware.station.process_client import Station
 
-BENCH = Part(
+BENCH = PartSpec(
     group="driver",
     kind="bench",
     params={"latency_s": 0.01, "rate_hz": 50.0, "accel": 2.0, "decel": 2.0, "command_timeout_s": 2.0},
@@ -34,9 +34,9 @@ def safety(**changed: Any) -> Safety:
     return Safety(**{**usual, **changed})
 
 
-def mission(driver: Part = BENCH, vehicle: str = "car1", *, rate_hz: float = 50.0, **changed: Any) -> Mission:
+def mission(driver: PartSpec = BENCH, vehicle: str = "car1", *, rate_hz: float = 50.0, **changed: Any) -> StationMission:
     """A robot on the ground; ``changed``: of its safety."""
-    return Mission(
+    return StationMission(
         run="test",
         vehicle=vehicle,
         folder=".",
@@ -55,17 +55,17 @@ class Run:
     """Gives orders to a station and keeps its reports."""
 
     def __init__(self, station: Station) -> None:
-        self.station, self.said, self._number = station, list[Report](), 0
+        self.station, self.said, self._number = station, list[StationReport](), 0
 
     def order(self, v: float = 0.0, *, stop: str = "", others: Array | None = None) -> None:
         self._number += 1
         now_ns = time.monotonic_ns()
         command = Velocity(linear=(v, 0.0, 0.0))
         self.station.order(
-            Order(number=self._number, sent_ns=now_ns, command=command, command_ns=now_ns, stop=stop, others=others)
+            StationOrder(number=self._number, sent_ns=now_ns, command=command, command_ns=now_ns, stop=stop, others=others)
         )
 
-    def until(self, what: Callable[[Report], object], v: float | None = None, seconds: float = 30.0) -> Report:
+    def until(self, what: Callable[[StationReport], object], v: float | None = None, seconds: float = 30.0) -> StationReport:
         """Drive like this (None: say nothing) until a report shows it."""
         end = time.monotonic() + seconds
         while True:
@@ -88,7 +88,7 @@ class Run:
 
 
 @contextmanager
-def driven(told: Mission) -> Iterator[Run]:
+def driven(told: StationMission) -> Iterator[Run]:
     """A station that is ready; it has left at the end."""
     station = Station.start(told)
     try:

@@ -26,7 +26,7 @@ from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.drivers.base import Driver, DriverError, HandshakeError, LinkLost, Notice, PortError, Sample
 from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.arcos.serial_line import Faults
-from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty, serve_tcp
+from vcmvsp.hardware.emulators.arcos.server import ArcosServer, serve_pty, serve_tcp
 
 pytestmark = pytest.mark.usefixtures("steady")
 IMPATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=0.8)  # more than what the driver waits for commands
@@ -36,12 +36,12 @@ def connected(port: str, start: Vec3 = ORIGIN, **options: Any) -> AbstractContex
     return driver_runs.connected(ArcosDriver(port, **options), start)
 
 
-def heard(served: Served) -> list[tuple[int, int | bytes | None]]:
+def heard(served: ArcosServer) -> list[tuple[int, int | bytes | None]]:
     with served.lock:
         return [(number, argument) for _, number, argument in served.device.heard]
 
 
-def stands(served: Served) -> bool:
+def stands(served: ArcosServer) -> bool:
     with served.lock:
         return served.device.commanded() == (0.0, 0.0)
 
@@ -169,7 +169,7 @@ def test_unplugged_and_plugged_in_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("serve", [serve_pty, serve_tcp])
-def test_unplugged_for_good(serve: Callable[[Device], Served]) -> None:
+def test_unplugged_for_good(serve: Callable[[Device], ArcosServer]) -> None:
     served = serve(Device(ROBOTS["amigo"]))
     with connected(served.url) as driver:
         drive(driver, 0.3, v=0.1)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from vcmvsp.cosim.rng import stream
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
 from vcmvsp.hardware.drivers.arcos.handshake import Handshake, Settings
-from vcmvsp.hardware.drivers.arcos.packet import Reader, command, frame, parse_command
+from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command, frame, parse_command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.drivers.base import HandshakeError
 from vcmvsp.hardware.emulators.arcos.device import Device
@@ -44,7 +44,7 @@ def shake_hands(
 
 
 def commands(data: bytes) -> list[tuple[int, int | bytes | None]]:
-    return [parse_command(each) for each in Reader().feed(data)]
+    return [parse_command(each) for each in PacketReader().feed(data)]
 
 
 def test_connects_and_leaves_the_robot_standing_with_motors_on() -> None:

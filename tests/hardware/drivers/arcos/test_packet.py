@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.hardware.drivers.arcos.packet import HEADER, MAX_BYTES, Reader, checksum, command, frame, parse_command
+from vcmvsp.hardware.drivers.arcos.packet import HEADER, MAX_BYTES, PacketReader, checksum, command, frame, parse_command
 
 GOLDEN = [  # AmigoBot manual; frames that drove simulators of other makers
     ("fafb03000000", 0, None),
@@ -25,7 +25,7 @@ packets = st.binary(min_size=1, max_size=MAX_BYTES - 2)
 @pytest.mark.parametrize(("line", "number", "argument"), GOLDEN)
 def test_known_commands(line: str, number: int, argument: int | None) -> None:
     assert command(number, argument).hex() == line
-    (data,) = Reader().feed(bytes.fromhex(line))
+    (data,) = PacketReader().feed(bytes.fromhex(line))
     assert parse_command(data) == (number, argument)
 
 
@@ -35,18 +35,18 @@ def test_checksum_of_an_odd_length_takes_the_last_byte_into_the_low_one() -> Non
 
 @given(st.integers(0, 255), st.one_of(st.none(), st.integers(-0x8000, 0xFFFF)))
 def test_numbers_survive(number: int, argument: int | None) -> None:
-    (data,) = Reader().feed(command(number, argument))
+    (data,) = PacketReader().feed(command(number, argument))
     assert parse_command(data) == (number, argument)
 
 
 @given(st.integers(0, 255), st.text(st.characters(max_codepoint=255), max_size=MAX_BYTES - 5))
 def test_texts_survive(number: int, text: str) -> None:
-    (data,) = Reader().feed(command(number, text))
+    (data,) = PacketReader().feed(command(number, text))
     assert parse_command(data) == (number, text.encode("latin-1"))
 
 
 def test_bytes_of_unknown_type_survive() -> None:
-    (data,) = Reader().feed(command(224, bytes(13)))
+    (data,) = PacketReader().feed(command(224, bytes(13)))
     assert parse_command(data) == (224, bytes(13))
 
 
@@ -65,7 +65,7 @@ def test_malformed_commands_are_refused(data: bytes) -> None:
 @given(st.lists(st.one_of(packets.map(frame), st.binary(max_size=30)), max_size=8), st.data())
 def test_it_does_not_matter_how_the_stream_is_cut(parts: list[bytes], data: st.DataObject) -> None:
     line = b"".join(parts)
-    whole, cut, found, start = Reader(), Reader(), [], 0
+    whole, cut, found, start = PacketReader(), PacketReader(), [], 0
     while start < len(line):
         end = data.draw(st.integers(start + 1, len(line)))
         found += cut.feed(line[start:end])
@@ -76,7 +76,7 @@ def test_it_does_not_matter_how_the_stream_is_cut(parts: list[bytes], data: st.D
 
 @given(st.lists(packets, max_size=6))
 def test_packets_in_a_row_are_all_found_and_nothing_is_dropped(sent: list[bytes]) -> None:
-    reader = Reader()
+    reader = PacketReader()
     assert reader.feed(b"".join(frame(each) for each in sent)) == sent
     assert (reader.dropped_bytes, reader.bad_checksums, reader.waiting) == (0, 0, 0)
 
@@ -86,13 +86,13 @@ def test_one_changed_bit_is_always_noticed(line: bytes) -> None:
     for bit in range(8 * len(line)):
         bad = bytearray(line)
         bad[bit // 8] ^= 1 << bit % 8
-        assert Reader().feed(bytes(bad) + bytes([0x55] * MAX_BYTES)) == []
+        assert PacketReader().feed(bytes(bad) + bytes([0x55] * MAX_BYTES)) == []
 
 
 @pytest.mark.parametrize("line", SEND)
 def test_one_lost_byte_is_always_noticed_and_costs_that_packet_alone(line: bytes) -> None:
     for lost in range(len(line)):
-        reader = Reader()
+        reader = PacketReader()
         found = reader.feed(line[:lost] + line[lost + 1 :] + b"".join(SEND) * 8)
         assert found == [each[3:-2] for each in SEND] * 8
         assert reader.dropped_bytes == len(line) - 1
@@ -108,7 +108,7 @@ def test_a_packet_behind_garbage_is_found_when_the_bytes_that_a_false_header_ann
             for _ in range(draws.randrange(8))
         )
         data = draws.randbytes(draws.randint(1, 9))
-        reader = Reader()
+        reader = PacketReader()
         found = reader.feed(garbage + frame(data))
         late += data not in found
         found += reader.feed(b"\x55" * MAX_BYTES)
@@ -127,7 +127,7 @@ def test_noise_is_taken_for_a_packet_once_in_65536_announcements() -> None:
     false = 0
     for _ in range(100_000):
         count = draws.randint(3, 40)
-        false += len(Reader().feed(HEADER + bytes((count,)) + draws.randbytes(count)))
+        false += len(PacketReader().feed(HEADER + bytes((count,)) + draws.randbytes(count)))
     assert false < 12  # 1.5 is expected
 
 
@@ -137,7 +137,7 @@ def test_a_bad_line_gives_no_command_that_was_not_sent() -> None:
     sent, got, false = 0, 0, 0
     for _ in range(5_000):
         commands = [draws.choice(SEND) for _ in range(10)]
-        reader = Reader()
+        reader = PacketReader()
         found = reader.feed(bytes(_spoilt(b"".join(commands), draws)) + b"\x55" * MAX_BYTES)
         false += sum(frame(each) not in commands for each in found)
         sent, got = sent + len(commands), got + len(found)
@@ -158,7 +158,7 @@ def _spoilt(line: bytes, draws: random.Random) -> bytearray:
 
 
 def test_a_false_header_holds_commands_back_only_until_the_reader_gives_up() -> None:
-    reader = Reader()
+    reader = PacketReader()
     assert reader.feed(HEADER + b"\xc8" + command(29)) == []
     assert reader.waiting == 9
     assert reader.give_up() == [b"\x1d"]

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import ORIGIN
-from vcmvsp.hardware.drivers.arcos.packet import Reader, command
+from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.drivers.arcos.samples import Track
+from vcmvsp.hardware.drivers.arcos.samples import ArcosSampler
 from vcmvsp.hardware.drivers.arcos.sip import Sip, decode, is_sip
 from vcmvsp.hardware.emulators.arcos.device import Device
 
@@ -18,8 +18,8 @@ MS = 1_000_000
 AMIGO = ROBOTS["amigo"]
 
 
-def track(start: tuple[float, float, float] = ORIGIN) -> Track:
-    result = Track(start)
+def track(start: tuple[float, float, float] = ORIGIN) -> ArcosSampler:
+    result = ArcosSampler(start)
     result.connect(AMIGO)
     return result
 
@@ -28,10 +28,10 @@ def track(start: tuple[float, float, float] = ORIGIN) -> Track:
 def test_a_long_curve_ends_where_the_robot_is(kind: str) -> None:
     """Two minutes in circles that are larger than what the counters hold (16.7 m to 32.8 m): x wraps, heading too."""
     robot = ROBOTS[kind]
-    device, reader = Device(robot), Reader()
+    device, reader = Device(robot), PacketReader()
     device.receive(command(0) + command(1) + command(2) + command(1, 1) + command(4, 1), 0)
     device.receive(command(6, round(1e3 * robot.max_speed)), 0)
-    path, start = Track((3.0, -2.0, 1.0)), (3.0, -2.0, 1.0)
+    path, start = ArcosSampler((3.0, -2.0, 1.0)), (3.0, -2.0, 1.0)
     path.connect(robot)
     sample = None
     wraps, last = 0, None

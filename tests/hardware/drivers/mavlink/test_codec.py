@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.hardware.drivers.base import HandshakeError
-from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Message, Reader, Sender, mavlink
-from vcmvsp.hardware.drivers.mavlink.vehicle_search import LISTEN_S, Peer, Search
+from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Message, MessageReader, Sender, mavlink
+from vcmvsp.hardware.drivers.mavlink.vehicle_search import LISTEN_S, Peer, VehicleSearch
 
 SECOND = 1_000_000_000
 LATER = SECOND + round(LISTEN_S * SECOND)
@@ -24,13 +24,13 @@ def said(system: int, *messages: Message) -> bytes:
 
 
 def found(*heard: tuple[str, bytes], system_id: int = 0, kind: str | None = None) -> Peer | None:
-    search = Search("udpin:0.0.0.0:14540", system_id, kind)  # type: ignore[arg-type]
+    search = VehicleSearch("udpin:0.0.0.0:14540", system_id, kind)  # type: ignore[arg-type]
     search.receive(list(heard), SECOND)
     return search.decide(LATER)
 
 
 def failed(*heard: tuple[str, bytes], system_id: int = 0) -> str:
-    search = Search("udpin:0.0.0.0:14540", system_id, None)
+    search = VehicleSearch("udpin:0.0.0.0:14540", system_id, None)
     assert search.receive(list(heard), SECOND) is None
     assert search.decide(LATER) is None
     return str(search.failure(10.0))
@@ -43,7 +43,7 @@ STREAM = Encoder(Sender(system=7, component=1))(
 
 @given(st.lists(st.integers(0, len(STREAM)), max_size=12))
 def test_a_stream_may_be_cut_anywhere(cuts: list[int]) -> None:
-    reader, times = Reader(), []
+    reader, times = MessageReader(), []
     for start, end in pairwise([0, *sorted(cuts), len(STREAM)]):
         times += [each.time_boot_ms for each in reader.feed(STREAM[start:end])]
     assert times == list(range(20))
@@ -51,7 +51,7 @@ def test_a_stream_may_be_cut_anywhere(cuts: list[int]) -> None:
 
 @given(st.binary(max_size=300), st.integers(0, 19))
 def test_noise_before_a_message_costs_no_message_behind_it(noise: bytes, number: int) -> None:
-    reader = Reader()
+    reader = MessageReader()
     times = [each.time_boot_ms for each in reader.feed(noise + STREAM + bytes(300)) if each.get_type() == "ATTITUDE"]
     assert times[-20:] == list(range(20))
 
@@ -61,13 +61,13 @@ def test_a_flipped_bit_costs_one_message() -> None:
     for _ in range(200):
         data = bytearray(STREAM)
         data[draws.randrange(len(data))] ^= 1 << draws.randrange(8)
-        times = [each.time_boot_ms for each in Reader().feed(bytes(data) + bytes(300))]
+        times = [each.time_boot_ms for each in MessageReader().feed(bytes(data) + bytes(300))]
         assert len(times) == 19
 
 
 def test_mavlink_1_is_understood() -> None:
     mav = mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
-    (message,) = Reader().feed(heartbeat().pack(mav, force_mavlink1=True))
+    (message,) = MessageReader().feed(heartbeat().pack(mav, force_mavlink1=True))
     assert (message.get_type(), message.get_srcSystem()) == ("HEARTBEAT", 3)
 
 
@@ -75,7 +75,7 @@ def test_messages_that_are_not_known_or_of_unknown_features_are_left_out() -> No
     unknown = bytes((0xFD, 1, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0xFE, 9, 1, 2))
     feature = bytearray(said(1, heartbeat()))
     feature[2] |= 0x80
-    assert [each.get_type() for each in Reader().feed(unknown + feature + said(1, heartbeat()))] == ["HEARTBEAT"]
+    assert [each.get_type() for each in MessageReader().feed(unknown + feature + said(1, heartbeat()))] == ["HEARTBEAT"]
 
 
 def test_the_only_vehicle_is_found_beside_a_ground_station_and_a_camera() -> None:
@@ -87,7 +87,7 @@ def test_the_only_vehicle_is_found_beside_a_ground_station_and_a_camera() -> Non
 
 
 def test_a_vehicle_that_is_named_is_found_among_others_at_once() -> None:
-    search = Search("x", 2, None)
+    search = VehicleSearch("x", 2, None)
     peer = search.receive([("", said(1, heartbeat()) + said(2, heartbeat()))], SECOND)
     assert peer is not None
     assert peer.sender.system == 2

@@ -19,7 +19,7 @@ from vcmvsp.hardware.drivers.mavlink.coordinate_frames import (
     world_flipped,
     yaw_flipped,
 )
-from vcmvsp.hardware.emulators.mavlink.motion import GRAVITY, Motion
+from vcmvsp.hardware.emulators.mavlink.motion import GRAVITY, VehicleMotion
 
 ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD_FROM_FLU = np.diag([1.0, -1.0, -1.0])
@@ -104,7 +104,7 @@ def test_a_set_point_east_up_and_counter_clockwise() -> None:
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 3), angle)
 def test_the_emulated_quadrotor_leans_along_its_thrust(linear: tuple[float, float, float], yaw: float) -> None:
     start = VehicleState(position=(0.0, 0.0, 10.0), attitude=quaternion_from_yaw(yaw))
-    state = Motion(start, on_ground=False).step(Velocity(linear=linear), 0.005, 0.0)
+    state = VehicleMotion(start, on_ground=False).step(Velocity(linear=linear), 0.005, 0.0)
     thrust = np.array(state.velocity) / 0.005 + [0.0, 0.0, GRAVITY]
     np.testing.assert_allclose(matrix(state.attitude)[:, 2], thrust / np.linalg.norm(thrust), atol=1e-9)
     assert abs(wrap(euler_from_attitude(state.attitude)[2] - yaw_flipped(yaw))) < 1e-9

@@ -21,7 +21,7 @@ from vcmvsp.hardware.drivers.base import Driver, HandshakeError, LinkLost, PortE
 from vcmvsp.hardware.drivers.mavlink.codec import mavlink
 from vcmvsp.hardware.drivers.mavlink.driver import MavlinkDriver
 from vcmvsp.hardware.drivers.mavlink.link import open_link
-from vcmvsp.hardware.emulators.mavlink.server import Served, serve_tcp, serve_udp
+from vcmvsp.hardware.emulators.mavlink.server import MavlinkServer, serve_tcp, serve_udp
 from vcmvsp.hardware.emulators.mavlink.telemetry import SITE
 from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
 from vcmvsp.hardware.station.process_client import READY_S
@@ -42,13 +42,13 @@ def newest(driver: Driver) -> Sample:
     return kept[-1]
 
 
-def commands(served: Served, number: int) -> list[Any]:
+def commands(served: MavlinkServer, number: int) -> list[Any]:
     with served.lock:
         heard = [each for _, each in served.vehicle.heard]
     return [each for each in heard if each.get_type() == "COMMAND_LONG" and each.command == number]
 
 
-def points(served: Served) -> list[Any]:
+def points(served: MavlinkServer) -> list[Any]:
     with served.lock:
         return [each for _, each in served.vehicle.heard if each.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
 

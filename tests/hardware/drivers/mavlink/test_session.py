@@ -9,10 +9,10 @@ import pytest
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import VehicleState, Velocity
 from vcmvsp.hardware.drivers.base import Sample
-from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Message, Reader, Sender, mavlink
-from vcmvsp.hardware.drivers.mavlink.samples import ATTITUDE_NS, Track
-from vcmvsp.hardware.drivers.mavlink.session import Orders, Pilot
-from vcmvsp.hardware.drivers.mavlink.vehicle_search import Search
+from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Message, MessageReader, Sender, mavlink
+from vcmvsp.hardware.drivers.mavlink.samples import ATTITUDE_NS, MavlinkSampler
+from vcmvsp.hardware.drivers.mavlink.session import MavlinkSession, SessionOptions
+from vcmvsp.hardware.drivers.mavlink.vehicle_search import VehicleSearch
 from vcmvsp.hardware.emulators.mavlink.telemetry import TICK_NS
 from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
 
@@ -28,15 +28,15 @@ class Flight:
         self.vehicle, self.now_ns = vehicle, 0
         self.samples: list[Sample] = []
         self.sent: list[tuple[int, Message]] = []
-        self._encode, self._reader = Encoder(OURS), Reader()
-        search = Search("line", 1, None)
+        self._encode, self._reader = Encoder(OURS), MessageReader()
+        search = VehicleSearch("line", 1, None)
         peer = None
         while peer is None:
             self.now_ns += TICK_NS
             peer = search.receive([("", vehicle.advance(self.now_ns))], self.now_ns)
-        self.track = Track((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), None)
+        self.track = MavlinkSampler((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), None)
         self.track.connect()
-        self.pilot = Pilot(peer, Orders(telemetry_hz=50.0, timeout_s=0.5, **orders), self.track, self.now_ns)
+        self.pilot = MavlinkSession(peer, SessionOptions(telemetry_hz=50.0, timeout_s=0.5, **orders), self.track, self.now_ns)
 
     def run(self, seconds: float, command: Velocity | None = None) -> None:
         end_ns = self.now_ns + round(seconds * SECOND)
@@ -212,7 +212,7 @@ def test_a_stop_leaves_unready_only_what_is_to_move() -> None:
 
 
 def test_an_old_attitude_or_one_of_before_says_nothing_of_now() -> None:
-    track = Track((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), None)
+    track = MavlinkSampler((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), None)
     turned = mavlink.MAVLink_attitude_message(0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     there = mavlink.MAVLink_local_position_ned_message(0, *[1.0] * 6)
     track.attitude(turned, 0)
@@ -228,7 +228,7 @@ def test_an_old_attitude_or_one_of_before_says_nothing_of_now() -> None:
 
 
 def sent(vehicle: Vehicle, *messages: Message, at_ns: int = 0) -> list[Message]:
-    return Reader().feed(vehicle.receive(Encoder(OURS)(*messages), at_ns))
+    return MessageReader().feed(vehicle.receive(Encoder(OURS)(*messages), at_ns))
 
 
 def command(number: int, *parameters: float) -> Message:
@@ -266,7 +266,7 @@ def test_it_can_be_moved_by_somebody_else() -> None:
     vehicle = Vehicle(start=None, origin=(10.0, 20.0, 0.0), mode="OFFBOARD", armed=True)
     state = VehicleState(position=(11.0, 22.0, 3.0), velocity=(1.0, 2.0, 3.0), attitude=quaternion_from_yaw(0.0))
     vehicle.moved(state)
-    told = [each for each in Reader().feed(vehicle.advance(SECOND)) if each.get_type() == "LOCAL_POSITION_NED"]
+    told = [each for each in MessageReader().feed(vehicle.advance(SECOND)) if each.get_type() == "LOCAL_POSITION_NED"]
     assert (told[-1].x, told[-1].y, told[-1].z, told[-1].vx) == (2.0, 1.0, -3.0, 2.0)
     assert len(told) == pytest.approx(50, abs=1)
     assert vehicle.state == state

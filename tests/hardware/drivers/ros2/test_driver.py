@@ -20,7 +20,7 @@ from vcmvsp.hardware.drivers.command_repeater import NOT_YET
 from vcmvsp.hardware.drivers.ros2 import node
 from vcmvsp.hardware.drivers.ros2.cdr_messages import TWIST, Twist, encode_odometry, encode_twist
 from vcmvsp.hardware.drivers.ros2.driver import WAITING, Ros2Driver
-from vcmvsp.hardware.drivers.ros2.node import Heard, Node
+from vcmvsp.hardware.drivers.ros2.node import Node, ReceivedMessage
 from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, RmwZenoh
 from vcmvsp.hardware.emulators.ros2.robot import Ros2Robot
 
@@ -277,7 +277,7 @@ def test_another_node_is_followed_only_when_the_loss_of_the_one_was_told(endpoin
 
 def test_only_so_many_messages_wait(endpoint: str) -> None:
     with Ros2Robot(endpoint=endpoint) as robot, connected(endpoint, silence_s=30.0) as driver:
-        message = Heard("", encode_odometry(robot.message()), b"another", time.monotonic_ns())
+        message = ReceivedMessage("", encode_odometry(robot.message()), b"another", time.monotonic_ns())
         with driver._lock:
             for _ in range(WAITING + 100):
                 driver._hand_over(message)

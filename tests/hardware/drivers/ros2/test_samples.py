@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.hardware.drivers.ros2.cdr_messages import STAMPS_END_NS, OdometryMessage
-from vcmvsp.hardware.drivers.ros2.node import Presence
-from vcmvsp.hardware.drivers.ros2.samples import Pose, Track
+from vcmvsp.hardware.drivers.ros2.node import RobotPresence
+from vcmvsp.hardware.drivers.ros2.samples import Pose, Ros2Sampler
 
 MS, S = 10**6, 10**9
 coordinates = st.floats(-50.0, 50.0)
@@ -22,8 +22,8 @@ def message(x: float, y: float, yaw: float, stamp_ns: int = 0, v: float = 0.0, w
     return OdometryMessage((x, y, 0.0), quaternion_from_yaw(yaw), (v, 0.0, 0.0), (0.0, 0.0, w), stamp_ns)
 
 
-def track(start: Vec3 = (0.0, 0.0, 0.0), pose: Pose = "odometry", origin: Vec3 = (0.0, 0.0, 0.0)) -> Track:
-    made = Track(start, pose, origin, 1000.0)
+def track(start: Vec3 = (0.0, 0.0, 0.0), pose: Pose = "odometry", origin: Vec3 = (0.0, 0.0, 0.0)) -> Ros2Sampler:
+    made = Ros2Sampler(start, pose, origin, 1000.0)
     made.connect(anew=True)
     return made
 
@@ -50,7 +50,7 @@ def test_the_heading_goes_on_over_half_a_turn() -> None:
 
 
 def test_a_leap_is_left_out_and_what_follows_counts() -> None:
-    made = Track((0.0, 0.0, 0.0), "odometry", (0.0, 0.0, 0.0), 1.0)
+    made = Ros2Sampler((0.0, 0.0, 0.0), "odometry", (0.0, 0.0, 0.0), 1.0)
     made.connect(anew=True)
     told = [made.add(message(x, 0.0, 0.0), number * S // 10, "") for number, x in enumerate((0.0, 0.1, -40.0, -39.9))]
     assert [each.odometry.pose[0] for each in told] == pytest.approx([0.0, 0.1, 0.1, 0.2])
@@ -90,7 +90,7 @@ def test_in_the_world_all_three_axes_are_kept() -> None:
     assert state.velocity == pytest.approx((0.0, 0.0, -1.0), abs=1e-12)
 
 
-def times(made: Track, stamps_and_arrivals: list[tuple[int, int]]) -> list[int]:
+def times(made: Ros2Sampler, stamps_and_arrivals: list[tuple[int, int]]) -> list[int]:
     return [made.add(message(0.0, 0.0, 0.0, stamp), arrived, "").measured_ns for stamp, arrived in stamps_and_arrivals]
 
 
@@ -138,7 +138,7 @@ def test_a_clock_at_the_end_of_its_stamps_gives_none() -> None:
 
 
 def test_a_robot_is_there_while_it_is_heard_and_hears() -> None:
-    presence = Presence(1.0)
+    presence = RobotPresence(1.0)
     assert presence.missing(0) == (True, True)
     assert presence.hear(b"a", 0)
     presence.listen(True, 0)
@@ -154,7 +154,7 @@ def test_a_robot_is_there_while_it_is_heard_and_hears() -> None:
 
 
 def test_one_node_is_followed_until_it_is_silent() -> None:
-    presence = Presence(1.0)
+    presence = RobotPresence(1.0)
     assert [presence.hear(each, 0) for each in (b"a", b"b", b"a")] == [True, False, True]
     assert not presence.hear(b"b", S - 1)
     assert presence.hear(b"b", S)

@@ -14,24 +14,24 @@ from hypothesis import strategies as st
 from tests.support.hardware.driver_runs import PATIENCE_S, eventually, held
 from vcmvsp.cosim.rng import stream
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.drivers.arcos.packet import Reader, command, frame
+from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command, frame
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.drivers.arcos.sip import decode, is_sip
 from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.arcos.serial_line import Faults, Wire
-from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty, serve_tcp
+from vcmvsp.hardware.emulators.arcos.server import ArcosServer, serve_pty, serve_tcp
 
 AMIGO = ROBOTS["amigo"]
 MS = 1_000_000
 BOTH = pytest.mark.parametrize("serve", [serve_pty, serve_tcp])
-Serve = Callable[..., Served]
+Serve = Callable[..., ArcosServer]
 
 
 class Port:
     """A client's end."""
 
     def __init__(self, url: str) -> None:
-        self.serial, self.reader = serial.serial_for_url(url, timeout=0.02), Reader()
+        self.serial, self.reader = serial.serial_for_url(url, timeout=0.02), PacketReader()
 
     def __enter__(self) -> "Port":
         return self
@@ -250,7 +250,7 @@ def test_a_client_that_repeats_itself_drives_over_a_bad_line() -> None:
     """2 % of bytes lost and 2 % changed each way: 0.2 m/s for 10 s, told twice a second, in the line's own time."""
     device = Device(AMIGO, old_session=True)
     down, up = wire(baud=9600, seed=1, drop=0.02, flip=0.02), wire(baud=9600, seed=2, drop=0.02, flip=0.02)
-    reader, packets = Reader(), 0
+    reader, packets = PacketReader(), 0
     for ms in range(0, 10_000, 5):
         if ms % 500 == 0:
             down.push(command(Command.ENABLE, 1) + command(Command.VEL, 200), ms * MS)

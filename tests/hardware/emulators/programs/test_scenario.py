@@ -24,7 +24,7 @@ from vcmvsp.hardware.emulators.programs.scenario import (
     LEFT_AND_RIGHT,
     REAR,
     DeviceAgent,
-    Senses,
+    VehicleSensors,
     bumper_bits,
     changes_of,
     period_of,
@@ -138,7 +138,7 @@ class Stage:
         self.device = Device(AMIGO, start=None, old_session=True)
         served: Any = SimpleNamespace(device=self.device, lock=threading.Lock())
         self.started = 0
-        self.agent = DeviceAgent(served, Senses(AMIGO, fitted), self._start, PERIOD_S)
+        self.agent = DeviceAgent(served, VehicleSensors(AMIGO, fitted), self._start, PERIOD_S)
         self.time_ns = 0
 
     def _start(self, _: object) -> None:
