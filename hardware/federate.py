@@ -70,7 +70,7 @@ class Hardware:
         self.names = tuple(each.name for each in vehicles)
         self.reads = self.wakes = (*(f"{name}/command" for name in self.names), "operator/halted")
         self._clock, self._radius_m, self._log = clock, radius_m, log
-        self._seats = {each.name: VehicleProxy(each, clock) for each in vehicles}
+        self._proxies = {each.name: VehicleProxy(each, clock) for each in vehicles}
         self._run, self._tell, self._connect = run, tell, connect
         self._connections: Connections | None = None
         self._world: tuple[int, States] | None = None  # and when that was
@@ -89,10 +89,10 @@ class Hardware:
                 raise ScenarioError(problem, key=f"vehicle.{name}.kind")
         self._needed, self._end_ns = Needed(run), run.duration_ns
         if self._connect:
-            driven = [seat.vehicle for seat in self._seats.values()]
+            driven = [proxy.vehicle for proxy in self._proxies.values()]
             self._connections = Connections(driven, self._run, self._tell, run.periods_s)
             for name, station in self._connections.open().items():
-                self._seats[name].station = station
+                self._proxies[name].station = station
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
@@ -100,36 +100,36 @@ class Hardware:
         for event in inbox:
             self._take(event)
         events: list[Event] = []
-        for seat in self._seats.values():
-            if seat.over is not None:
-                raise seat.over
-            seat.hear()
-            if seat.lost is not None and seat.vehicle.name not in self._lost:
-                events += self._go_on_without(seat.vehicle, now_ns)
+        for proxy in self._proxies.values():
+            if proxy.over is not None:
+                raise proxy.over
+            proxy.hear()
+            if proxy.lost is not None and proxy.vehicle.name not in self._lost:
+                events += self._go_on_without(proxy.vehicle, now_ns)
         if now_ns != self._published_ns and self._needed.hits(now_ns):
             self._published_ns = now_ns
-            events += [event for seat in self._seats.values() for event in seat.publish(now_ns)]
-        elif any(seat.over for seat in self._seats.values()):  # raised at the next step, when this is recorded
-            events += [event for seat in self._seats.values() for event in seat.last_words(now_ns)]
+            events += [event for proxy in self._proxies.values() for event in proxy.publish(now_ns)]
+        elif any(proxy.over for proxy in self._proxies.values()):  # raised at the next step, when this is recorded
+            events += [event for proxy in self._proxies.values() for event in proxy.last_words(now_ns)]
         for event in events:
             key = f"{event.value.vehicles[0]}/outage" if isinstance(event.value, Outage) else event.key
             self._log(key, event.time_ns, event.value)
-        for name, seat in self._seats.items():
-            seat.order(self._others(name), now_ns=now_ns)
+        for name, proxy in self._proxies.items():
+            proxy.order(self._others(name), now_ns=now_ns)
         return Step(events, self._next(now_ns))
 
     def states(self, now_ns: int) -> list[VehicleState]:
         """How the vehicles move, for physics."""
-        found = [seat.state(now_ns) for seat in self._seats.values()]
-        for name, state in zip(self.names, found, strict=True):
+        states = [proxy.state(now_ns) for proxy in self._proxies.values()]
+        for name, state in zip(self.names, states, strict=True):
             self._log(f"{name}/reflected", now_ns, state)
-        return found
+        return states
 
     def release(self) -> None:
         """Stop all robots at once."""
-        for seat in self._seats.values():
+        for proxy in self._proxies.values():
             with contextlib.suppress(FederateError):  # whose station is gone has a watchdog
-                seat.order(None, stop="the run is over")
+                proxy.order(None, stop="the run is over")
 
     def close(self) -> None:
         """Let go of all robots, which stand then."""
@@ -141,10 +141,10 @@ class Hardware:
             self._world = event.time_ns, event.value
         elif isinstance(event.value, Halted):
             for name in event.value.vehicles:
-                if name in self._seats:  # others are simulated
-                    self._seats[name].halted = event.value.halted
+                if name in self._proxies:  # others are simulated
+                    self._proxies[name].halted = event.value.halted
         else:
-            self._seats[event.key.partition("/")[0]].command(event)
+            self._proxies[event.key.partition("/")[0]].command(event)
 
     def _go_on_without(self, vehicle: RealVehicle, now_ns: int) -> list[Event]:
         """End the station of a robot that is lost; a vehicle that is removed has no radio, and no place, any more."""
@@ -167,8 +167,8 @@ class Hardware:
         """The other vehicles nearest to this one, where they are now on the wall clock: x y z m, vx vy vz m/s, radius m."""
         if self._world is None:
             return None
-        seen_ns, world = self._world
-        age_s = min(max(0, self._clock.logical_ns(time.monotonic_ns()) - seen_ns) / SECOND_NS, KNOWN_S)
+        world_ns, world = self._world
+        age_s = min(max(0, self._clock.logical_ns(time.monotonic_ns()) - world_ns) / SECOND_NS, KNOWN_S)
         own = world.names.index(name)
         distance = np.linalg.norm(world.position - world.position[own], axis=1)
         rows = [row for row in np.argsort(distance, kind="stable")[: MOST + 1].tolist() if row != own]

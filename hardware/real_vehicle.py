@@ -76,7 +76,7 @@ class VehicleProxy:
         if self.station is None:
             return
         self._orders += 1
-        command, given_ns, since_ns = self._command
+        command, command_ns, since_ns = self._command
         if self.halted and command is not None:
             command = Velocity()  # as old as that of the agent, who must be heard all the same
         self.station.order(
@@ -84,7 +84,7 @@ class VehicleProxy:
                 number=self._orders,
                 sent_ns=time.monotonic_ns(),
                 command=command,
-                command_ns=given_ns if command is not None else None,
+                command_ns=command_ns if command is not None else None,
                 command_age_ns=None if command is None or now_ns is None else now_ns - since_ns,
                 others=others,
                 stop=stop,
@@ -146,8 +146,8 @@ class VehicleProxy:
         return self._asked[1]
 
     def _state(self, at_ns: int) -> VehicleState:
-        known = [each for each in self._history if each.state is not None]
-        report = next((each for each in reversed(known) if each.time_ns <= at_ns), known[0] if known else None)
+        reports = [each for each in self._history if each.state is not None]
+        report = next((each for each in reversed(reports) if each.time_ns <= at_ns), reports[0] if reports else None)
         if report is None or report.state is None:
             return self._still
         return ahead(report.state, at_ns - report.time_ns, flies=self.vehicle.flies)
@@ -231,10 +231,10 @@ class VehicleProxy:
 
     def _prediction_m(self, now_ns: int) -> float | None:
         """How far from where it is the vehicle would be, had it gone on as it was shown last."""
-        since_ns, shown = self._shown
+        since_ns, last_state = self._shown
         if not self._history or since_ns == 0:
             return None
-        expected = ahead(shown, now_ns - since_ns, flies=self.vehicle.flies)
+        expected = ahead(last_state, now_ns - since_ns, flies=self.vehicle.flies)
         return math.dist(expected.position, self.state(now_ns).position)
 
 

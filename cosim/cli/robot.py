@@ -91,10 +91,10 @@ def operator_command(
 
     Example: vcmvsp operator
     """
-    from vcmvsp.cosim.assembly.parts.stations import Caller
+    from vcmvsp.cosim.assembly.parts.stations import StopCaller
 
     sys.stdout.write("robots drive while this runs; Ctrl-C stops them\n")
-    with contextlib.suppress(KeyboardInterrupt), Caller() as caller:
+    with contextlib.suppress(KeyboardInterrupt), StopCaller() as caller:
         shown, due = None, time.monotonic()
         while True:
             there = sorted(each.vehicle for each in caller.say("alive"))
@@ -112,9 +112,9 @@ def operator_command(
 
 def stopped(vehicles: Sequence[str]) -> "tuple[list[StationAnswer], list[str]]":
     """Stop them (none named: all); what each answered, and what there was none of."""
-    from vcmvsp.cosim.assembly.parts.stations import LONGEST_NAME, Caller
+    from vcmvsp.cosim.assembly.parts.stations import LONGEST_NAME, StopCaller
 
-    with Caller() as caller:
+    with StopCaller() as caller:
         asked = caller.say("stop", vehicles)
         answers = caller.answers(asked)
     there = {each.vehicle for each in asked}

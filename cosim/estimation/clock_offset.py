@@ -140,15 +140,15 @@ class EchoClock:
         self._kept: deque[OffsetEstimate] = deque(maxlen=window)
         self.jumps = self.refused = 0
 
-    def add(self, sent_ns: int, heard_there_ns: int, answered_there_ns: int, received_ns: int) -> None:
+    def add(self, request_ns: int, remote_arrival_ns: int, remote_reply_ns: int, reply_ns: int) -> None:
         """An exchange: sent and received by our clock, heard and answered by the other."""
-        round_trip = (received_ns - sent_ns) - (answered_there_ns - heard_there_ns)
-        drifted = self._drifted(received_ns - sent_ns)  # in the meantime
-        if answered_there_ns < heard_there_ns or received_ns < sent_ns or round_trip < -drifted:
+        round_trip = (reply_ns - request_ns) - (remote_reply_ns - remote_arrival_ns)
+        drifted = self._drifted(reply_ns - request_ns)  # in the meantime
+        if remote_reply_ns < remote_arrival_ns or reply_ns < request_ns or round_trip < -drifted:
             self.refused += 1
             return
-        offset = (sent_ns - heard_there_ns + received_ns - answered_there_ns) // 2
-        new = OffsetEstimate(offset, (max(round_trip, 0) + 1) // 2 + 1 + drifted, received_ns)  # both divisions round
+        offset = (request_ns - remote_arrival_ns + reply_ns - remote_reply_ns) // 2
+        new = OffsetEstimate(offset, (max(round_trip, 0) + 1) // 2 + 1 + drifted, reply_ns)  # both divisions round
         if self._kept and self._contradicts(new):
             self.jumps += 1
             self._kept.clear()
@@ -160,8 +160,8 @@ class EchoClock:
         return min(aged, key=lambda each: each.error_ns, default=None)
 
     def _contradicts(self, new: OffsetEstimate) -> bool:
-        known = self.best(new.at_ns)
-        return known is not None and abs(new.offset_ns - known.offset_ns) > new.error_ns + known.error_ns
+        best = self.best(new.at_ns)
+        return best is not None and abs(new.offset_ns - best.offset_ns) > new.error_ns + best.error_ns
 
     def _drifted(self, elapsed_ns: int) -> int:
         return -(-abs(elapsed_ns) * self._drift // _PARTS)  # rounded up

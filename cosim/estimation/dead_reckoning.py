@@ -19,11 +19,11 @@ def ahead(state: VehicleState, time_ns: int, *, flies: bool) -> VehicleState:
     seconds = max(-LONGEST_NS, min(time_ns, LONGEST_NS)) / SECOND_NS
     (x, y, z), (vx, vy, vz), turn = state.position, state.velocity, state.angular_velocity[2] * seconds
     chord = 1.0 if flies else cmath.rect(1.0, 0.5 * turn)
-    moved = complex(vx, vy) * chord
-    velocity = moved * chord
+    mean_velocity = complex(vx, vy) * chord
+    velocity = mean_velocity * chord
     stands = abs(time_ns) > LONGEST_NS
     return VehicleState(
-        position=(x + moved.real * seconds, y + moved.imag * seconds, z + vz * seconds),
+        position=(x + mean_velocity.real * seconds, y + mean_velocity.imag * seconds, z + vz * seconds),
         velocity=ORIGIN if stands else (velocity.real, velocity.imag, vz),
         attitude=product(quaternion_from_yaw(turn), state.attitude),
         angular_velocity=ORIGIN if stands else state.angular_velocity,

@@ -80,7 +80,7 @@ class _FilterState(msgspec.Struct, frozen=True):
     mean: Array | None  # (6,); None while the heading is unknown
     covariance: Array
     items: heading_alignment.Items = ()  # since the first position that is collected, or was gated
-    seen_ns: int | None = None
+    position_ns: int | None = None
     accepted: int = 0
     gated: int = 0
     restarts: int = 0
@@ -103,8 +103,10 @@ class _LogEntry(msgspec.Struct, eq=False):
 
     def key(self) -> tuple[float, ...]:
         """Order of the log: it must not depend on the order of arrival, not even at equal times."""
-        seen = self.what
-        return (self.time_ns, 1, seen.x, seen.y) if isinstance(seen, MeasuredPosition) else (self.time_ns, 0, 0.0, 0.0)
+        position = self.what
+        return (
+            (self.time_ns, 1, position.x, position.y) if isinstance(position, MeasuredPosition) else (self.time_ns, 0, 0.0, 0.0)
+        )
 
 
 class Fusion:
@@ -150,7 +152,7 @@ class Fusion:
         mean = None if start is None else np.array([*start, 0.0, 0.0, 0.0])
         self._begin = _FilterState(mean, covariance)
         self._nodes: list[_LogEntry] = []
-        self._told_ns: int | None = None  # until when odometry has told
+        self._odometry_ns: int | None = None  # until when odometry has told
         self._waiting = (0.0, 0.0)  # motion told without time having gone on
         self._speed = (0.0, 0.0)  # m/s and rad/s, as told last
         self.late = 0  # positions refused because they were older than the log
@@ -161,22 +163,22 @@ class Fusion:
         Of two wheels that went l and r, on an axle of length b, distance is (l + r) / 2 and turn (r - l) / b.
         """
         _check(distance_m, turn_rad)
-        if self._told_ns is None:
-            self._told_ns = time_ns
+        if self._odometry_ns is None:
+            self._odometry_ns = time_ns
             self._insert(_LogEntry(time_ns, self._begin))
             return
         distance_m, turn_rad = distance_m + self._waiting[0], turn_rad + self._waiting[1]
-        if time_ns <= self._told_ns:
+        if time_ns <= self._odometry_ns:
             self._waiting = (distance_m, turn_rad)
             return
-        told, self._waiting = _OdometryInterval(self._told_ns, distance_m, turn_rad), (0.0, 0.0)
-        seconds = (time_ns - self._told_ns) / SECOND_NS
-        self._speed, self._told_ns = (distance_m / seconds, turn_rad / seconds), time_ns
-        self._insert(_LogEntry(time_ns, self._begin, told))
+        odometry, self._waiting = _OdometryInterval(self._odometry_ns, distance_m, turn_rad), (0.0, 0.0)
+        seconds = (time_ns - self._odometry_ns) / SECOND_NS
+        self._speed, self._odometry_ns = (distance_m / seconds, turn_rad / seconds), time_ns
+        self._insert(_LogEntry(time_ns, self._begin, odometry))
 
     def twist(self, time_ns: int, v: float, w: float) -> None:
         """The robot has gone at v (m/s) and w (rad/s) since the last call."""
-        seconds = 0.0 if self._told_ns is None else max(time_ns - self._told_ns, 0) / SECOND_NS
+        seconds = 0.0 if self._odometry_ns is None else max(time_ns - self._odometry_ns, 0) / SECOND_NS
         self.odometry(time_ns, v * seconds, w * seconds)
 
     def fix(self, time_ns: int, x: float, y: float, sigma_m: float) -> Verdict:
@@ -194,26 +196,26 @@ class Fusion:
         belief = self._moved(self._nodes[index].belief, index, now_ns)
         if belief.mean is None and not belief.items:
             return None
-        known = belief.mean is not None
+        heading_known = belief.mean is not None
         mean, covariance = (
             (belief.mean, belief.covariance)
             if belief.mean is not None
             else heading_alignment.rough(belief.items, self._prior, self._noise)
         )
         x, y, heading, scale, veer, bias = mean.tolist()
-        told_ns = self._told_ns
-        holds = told_ns is not None and now_ns - told_ns <= self._coast_ns
+        odometry_ns = self._odometry_ns
+        holds = odometry_ns is not None and now_ns - odometry_ns <= self._coast_ns
         return FusedPose(
             time_ns=now_ns,
             x=x,
             y=y,
             heading=math.remainder(heading, math.tau),
             covariance=frozen(covariance[:3, :3]),
-            heading_known=known,
+            heading_known=heading_known,
             v=self._speed[0] if holds else 0.0,
             w=self._speed[1] if holds else 0.0,
-            age_s=math.inf if belief.seen_ns is None else (now_ns - belief.seen_ns) / SECOND_NS,
-            odometry_age_s=math.inf if told_ns is None else max(now_ns - told_ns, 0) / SECOND_NS,
+            age_s=math.inf if belief.position_ns is None else (now_ns - belief.position_ns) / SECOND_NS,
+            odometry_age_s=math.inf if odometry_ns is None else max(now_ns - odometry_ns, 0) / SECOND_NS,
             scale=scale,
             veer=veer,
             bias=bias,
@@ -238,8 +240,8 @@ class Fusion:
             each = nodes[index]
             belief, what = self._moved(nodes[index - 1].belief, index - 1, each.time_ns), each.what
             if isinstance(what, MeasuredPosition):
-                belief, said = self._told_position(belief, each.time_ns, what)
-                verdict = said if each is node else verdict
+                belief, outcome = self._corrected(belief, each.time_ns, what)
+                verdict = outcome if each is node else verdict
             each.belief = belief
         oldest = bisect.bisect_right(nodes, nodes[-1].time_ns - self._history_ns, key=lambda each: each.time_ns) - 1
         del nodes[: max(oldest, 0)]
@@ -261,27 +263,27 @@ class Fusion:
         """What odometry tells of this time, else the last speeds as long as they hold."""
         seconds = (until_ns - since_ns) / SECOND_NS
         for node in self._nodes[index + 1 :]:
-            if isinstance(told := node.what, _OdometryInterval):
-                if told.start_ns > since_ns:
+            if isinstance(odometry := node.what, _OdometryInterval):
+                if odometry.start_ns > since_ns:
                     break
-                share = (until_ns - since_ns) / (node.time_ns - told.start_ns)
-                return OdometryMotion(told.distance_m * share, told.turn_rad * share, seconds)
-        told_ns = until_ns if self._told_ns is None else self._told_ns
-        held = max(min(until_ns, told_ns + self._coast_ns) - max(since_ns, told_ns), 0) / SECOND_NS
-        return OdometryMotion(self._speed[0] * held, self._speed[1] * held, seconds, told=False)
+                share = (until_ns - since_ns) / (node.time_ns - odometry.start_ns)
+                return OdometryMotion(odometry.distance_m * share, odometry.turn_rad * share, seconds)
+        odometry_ns = until_ns if self._odometry_ns is None else self._odometry_ns
+        held = max(min(until_ns, odometry_ns + self._coast_ns) - max(since_ns, odometry_ns), 0) / SECOND_NS
+        return OdometryMotion(self._speed[0] * held, self._speed[1] * held, seconds, measured=False)
 
-    def _told_position(self, belief: _FilterState, time_ns: int, seen: MeasuredPosition) -> tuple[_FilterState, Verdict]:
+    def _corrected(self, belief: _FilterState, time_ns: int, position: MeasuredPosition) -> tuple[_FilterState, Verdict]:
         """The belief after a position."""
-        items = heading_alignment.trimmed((*belief.items, seen))
+        items = heading_alignment.trimmed((*belief.items, position))
         if belief.mean is None:
             return self._collected(belief, time_ns, items), Verdict("collected")
-        difference, inverse, nis = innovation(belief.mean, belief.covariance, seen)
+        difference, inverse, nis = innovation(belief.mean, belief.covariance, position)
         if nis <= self._bound:
-            gain, covariance = corrected(belief.covariance, inverse, seen)
+            gain, covariance = corrected(belief.covariance, inverse, position)
             mean = belief.mean + gain @ difference
             count = belief.accepted + 1
             return msgspec.structs.replace(
-                belief, mean=mean, covariance=covariance, items=(), seen_ns=time_ns, accepted=count
+                belief, mean=mean, covariance=covariance, items=(), position_ns=time_ns, accepted=count
             ), Verdict("accepted", nis)
         items = heading_alignment.trimmed(items, self._restart_after)
         if heading_alignment.count(items) == self._restart_after:
@@ -296,9 +298,9 @@ class Fusion:
         count = belief.accepted + 1
         start = heading_alignment.aligned(items, self._prior, self._noise, self._heading_sigma, self._gate)
         if start is None:
-            return msgspec.structs.replace(belief, items=items, seen_ns=time_ns, accepted=count)
+            return msgspec.structs.replace(belief, items=items, position_ns=time_ns, accepted=count)
         return msgspec.structs.replace(
-            belief, mean=start.mean, covariance=start.covariance, items=(), seen_ns=time_ns, accepted=count
+            belief, mean=start.mean, covariance=start.covariance, items=(), position_ns=time_ns, accepted=count
         )
 
 

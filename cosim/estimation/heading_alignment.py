@@ -60,12 +60,12 @@ def trimmed(items: Items, most: int = MOST) -> Items:
 def extended(items: Items, motion: OdometryMotion) -> Items:
     """The items and a motion; of a list that grows too long, the oldest positions and their motions are forgotten."""
     last = items[-1]
-    if isinstance(last, OdometryMotion) and last.told == motion.told and _rests(last) and _rests(motion):
-        return (*items[:-1], OdometryMotion(0.0, 0.0, last.seconds + motion.seconds, motion.told))
+    if isinstance(last, OdometryMotion) and last.measured == motion.measured and _rests(last) and _rests(motion):
+        return (*items[:-1], OdometryMotion(0.0, 0.0, last.seconds + motion.seconds, motion.measured))
     if len(items) < LONGEST:
         return (*items, motion)
-    left = trimmed(items, count(items) - 1)
-    return (*left, motion) if left is not items else ()
+    remaining = trimmed(items, count(items) - 1)
+    return (*remaining, motion) if remaining is not items else ()
 
 
 def count(items: Items) -> int:
@@ -78,17 +78,19 @@ def aligned(items: Items, prior: Array, noise: OdometryNoise, sigma_rad: float, 
 
     Where they do not, up to a quarter of them is left out: each time the one without which the others fit best.
     """
-    path, seen = _path(items)
-    left = list(range(len(seen)))
-    while len(left) >= max(LEAST, len(seen) - len(seen) // 4):
-        heading, sigma, _ = _rotation(path[left], [seen[each] for each in left])
+    path, positions = _path(items)
+    remaining = list(range(len(positions)))
+    while len(remaining) >= max(LEAST, len(positions) - len(positions) // 4):
+        heading, sigma, _ = _rotation(path[remaining], [positions[each] for each in remaining])
         if sigma > sigma_rad:
             return None
-        start = fitted(_without(items, [each for each in range(len(seen)) if each not in left]), prior, noise, heading)
+        start = fitted(
+            _without(items, [each for each in range(len(positions)) if each not in remaining]), prior, noise, heading
+        )
         if start.fits(gate):
             return start
-        residuals = [_rotation(path[rest], [seen[i] for i in rest])[2] for rest in _one_less(left)]
-        left.pop(int(np.argmin(residuals)))
+        residuals = [_rotation(path[rest], [positions[i] for i in rest])[2] for rest in _one_less(remaining)]
+        remaining.pop(int(np.argmin(residuals)))
     return None
 
 
@@ -97,13 +99,13 @@ def fitted(items: Items, prior: Array, noise: OdometryNoise, heading: float | No
 
     ``prior`` has the variances of scale, veer and bias in its diagonal.
     """
-    path, seen = _path(items)
+    path, positions = _path(items)
     if heading is None:
-        heading = _rotation(path, seen)[0]
+        heading = _rotation(path, positions)[0]
     nominal = np.zeros(SIZE)
-    nominal[:3] = seen[0].x, seen[0].y, heading
+    nominal[:3] = positions[0].x, positions[0].y, heading
     covariance = prior.copy()
-    covariance[0, 0] = covariance[1, 1] = seen[0].sigma_m ** 2
+    covariance[0, 0] = covariance[1, 1] = positions[0].sigma_m ** 2
     covariance[2, 2] = UNKNOWN
     difference, chi2 = np.zeros(SIZE), 0.0
     for item in items[1:]:
@@ -114,17 +116,17 @@ def fitted(items: Items, prior: Array, noise: OdometryNoise, heading: float | No
             residual, inverse, length2 = innovation(nominal + difference, covariance, item)
             gain, covariance = corrected(covariance, inverse, item)
             difference, chi2 = difference + gain @ residual, chi2 + length2
-    return AlignedStart(nominal + difference, covariance, chi2, len(seen))
+    return AlignedStart(nominal + difference, covariance, chi2, len(positions))
 
 
 def rough(items: Items, prior: Array, noise: OdometryNoise) -> tuple[Array, Array]:
     """Mean and covariance while the heading is unknown: the last position, and a way from it in some direction."""
     last = max(index for index, item in enumerate(items) if isinstance(item, MeasuredPosition))
-    seen, since = items[last], items[last:]
-    assert isinstance(seen, MeasuredPosition)  # noqa: S101
+    positions, since = items[last], items[last:]
+    assert isinstance(positions, MeasuredPosition)  # noqa: S101
     mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
-    mean[:2] = seen.x, seen.y
-    covariance[0, 0] = covariance[1, 1] = seen.sigma_m**2
+    mean[:2] = positions.x, positions.y
+    covariance[0, 0] = covariance[1, 1] = positions.sigma_m**2
     end = np.zeros(SIZE)
     for item in since[1:]:
         assert isinstance(item, OdometryMotion)  # noqa: S101
@@ -142,26 +144,26 @@ def rough(items: Items, prior: Array, noise: OdometryNoise) -> tuple[Array, Arra
 def _path(items: Items) -> tuple[Array, list[MeasuredPosition]]:
     """Where odometry puts each position, (n, 2) m, were the first at the origin with heading 0; and the positions."""
     at, noise = np.zeros(SIZE), OdometryNoise()
-    places, seen = [], []
+    places, positions = [], []
     for item in items:
         if isinstance(item, OdometryMotion):
             at, _, _ = moved(at, item, noise)
         else:
             places.append(at[:2])
-            seen.append(item)
-    return np.array(places), seen
+            positions.append(item)
+    return np.array(places), positions
 
 
-def _rotation(path: Array, seen: Sequence[MeasuredPosition]) -> tuple[float, float, float]:
+def _rotation(path: Array, positions: Sequence[MeasuredPosition]) -> tuple[float, float, float]:
     """Heading that lays the path on the positions, its standard deviation, and the weighted squared residual.
 
     Centred paths u and positions z with weights w = 1 / sigma^2: the heading is the argument of the sum of
     ``w conj(u) z`` (as complex numbers), its variance ``1 / sum w |u|^2``, its residual
     ``sum w (|u|^2 + |z|^2) - 2 |sum w conj(u) z|``.
     """
-    weight = np.array([each.sigma_m**-2 for each in seen])
+    weight = np.array([each.sigma_m**-2 for each in positions])
     u = path[:, 0] + 1j * path[:, 1]
-    z = np.array([complex(each.x, each.y) for each in seen])
+    z = np.array([complex(each.x, each.y) for each in positions])
     u, z = u - weight @ u / weight.sum(), z - weight @ z / weight.sum()
     product = complex(weight @ (u.conj() * z))
     spread = float(weight @ np.abs(u) ** 2)
@@ -179,14 +181,14 @@ def _one_less(indices: list[int]) -> list[list[int]]:
 
 def _without(items: Items, dropped: list[int]) -> Items:
     """The items without some of the positions, from the first position that is left on."""
-    kept: list[OdometryMotion | MeasuredPosition] = []
+    remaining: list[OdometryMotion | MeasuredPosition] = []
     number = -1
     for item in items:
         if isinstance(item, MeasuredPosition):
             number += 1
             if number in dropped:
                 continue
-        elif not kept:
+        elif not remaining:
             continue
-        kept.append(item)
-    return tuple(kept)
+        remaining.append(item)
+    return tuple(remaining)

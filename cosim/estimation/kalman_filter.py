@@ -22,7 +22,7 @@ class OdometryMotion(msgspec.Struct, frozen=True):
     distance_m: float  # along the path, negative backwards
     turn_rad: float
     seconds: float
-    told: bool = True
+    measured: bool = True
 
 
 class MeasuredPosition(msgspec.Struct, frozen=True):
@@ -55,8 +55,8 @@ def moved(mean: Array, motion: OdometryMotion, noise: OdometryNoise) -> tuple[Ar
     The chord of an arc of length d and angle a is ``d sin(a/2) / (a/2)``, in the direction ``heading + a/2``.
     """
     x, y, heading, scale, veer, bias = mean.tolist()
-    said, seconds = motion.distance_m, motion.seconds
-    length, angle = (1.0 + scale) * said, motion.turn_rad + veer * said + bias * seconds
+    distance, seconds = motion.distance_m, motion.seconds
+    length, angle = (1.0 + scale) * distance, motion.turn_rad + veer * distance + bias * seconds
     half = 0.5 * angle
     ratio, slope = _sinc(half)
     cos, sin = math.cos(heading + half), math.sin(heading + half)
@@ -67,14 +67,14 @@ def moved(mean: Array, motion: OdometryMotion, noise: OdometryNoise) -> tuple[Ar
 
     jacobian = np.eye(SIZE)
     jacobian[0, 2], jacobian[1, 2] = -dy, dx
-    jacobian[:, 3] += said * by_length
-    jacobian[:, 4] += said * by_angle
+    jacobian[:, 3] += distance * by_length
+    jacobian[:, 4] += distance * by_angle
     jacobian[:, 5] += seconds * by_angle
-    angle_var = noise.turn**2 * abs(motion.turn_rad) + noise.veer**2 * abs(said)
-    added = noise.distance**2 * abs(said) * np.outer(by_length, by_length) + angle_var * np.outer(by_angle, by_angle)
-    added[0, 0] += (at := (noise.time_m**2 + (0.0 if motion.told else noise.untold_m**2)) * seconds)
+    angle_var = noise.turn**2 * abs(motion.turn_rad) + noise.veer**2 * abs(distance)
+    added = noise.distance**2 * abs(distance) * np.outer(by_length, by_length) + angle_var * np.outer(by_angle, by_angle)
+    added[0, 0] += (at := (noise.time_m**2 + (0.0 if motion.measured else noise.untold_m**2)) * seconds)
     added[1, 1] += at
-    added[2, 2] += (noise.time_rad**2 + (0.0 if motion.told else noise.untold_rad**2)) * seconds
+    added[2, 2] += (noise.time_rad**2 + (0.0 if motion.measured else noise.untold_rad**2)) * seconds
     return np.array([x + dx, y + dy, heading + angle, scale, veer, bias]), jacobian, added
 
 
@@ -83,20 +83,20 @@ def grown(covariance: Array, jacobian: Array, added: Array) -> Array:
     return symmetric(jacobian @ covariance @ jacobian.T + added)
 
 
-def innovation(mean: Array, covariance: Array, seen: MeasuredPosition) -> tuple[Array, Array, float]:
+def innovation(mean: Array, covariance: Array, position: MeasuredPosition) -> tuple[Array, Array, float]:
     """Seen minus expected (2,), the inverse of its covariance (2, 2), and its squared Mahalanobis length (chi-square, 2)."""
-    xx, xy, yy = covariance[0, 0] + seen.sigma_m**2, covariance[0, 1], covariance[1, 1] + seen.sigma_m**2
+    xx, xy, yy = covariance[0, 0] + position.sigma_m**2, covariance[0, 1], covariance[1, 1] + position.sigma_m**2
     inverse = np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy * xy)
-    difference = np.array([seen.x - mean[0], seen.y - mean[1]])
+    difference = np.array([position.x - mean[0], position.y - mean[1]])
     return difference, inverse, float(difference @ inverse @ difference)
 
 
-def corrected(covariance: Array, inverse: Array, seen: MeasuredPosition) -> tuple[Array, Array]:
+def corrected(covariance: Array, inverse: Array, position: MeasuredPosition) -> tuple[Array, Array]:
     """The gain (6, 2), and the covariance after a position, in Joseph's form: it stays positive whatever is rounded."""
     gain = covariance[:, :2] @ inverse
-    kept = np.eye(SIZE)
-    kept[:, :2] -= gain
-    return gain, symmetric(kept @ covariance @ kept.T + seen.sigma_m**2 * gain @ gain.T)
+    complement = np.eye(SIZE)
+    complement[:, :2] -= gain
+    return gain, symmetric(complement @ covariance @ complement.T + position.sigma_m**2 * gain @ gain.T)
 
 
 def symmetric(matrix: Array) -> Array:

@@ -133,13 +133,13 @@ class Bench:
         now_ns = self._now() - self._origin_ns
         while True:
             sample_ns = (self._samples + 1) * self._period_ns
-            given_up_ns = self._given_ns + self._timeout_ns if not self._stopped else inf
-            next_ns = int(min((self._time_ns // TICK_NS + 1) * TICK_NS, sample_ns, given_up_ns))
+            timeout_ns = self._given_ns + self._timeout_ns if not self._stopped else inf
+            next_ns = int(min((self._time_ns // TICK_NS + 1) * TICK_NS, sample_ns, timeout_ns))
             if next_ns > now_ns or (self._unplugged_ns is not None and next_ns > self._unplugged_ns):
                 break
             self._move((next_ns - self._time_ns) / SECOND_NS)
             self._time_ns = next_ns
-            if next_ns == given_up_ns:
+            if next_ns == timeout_ns:
                 self._halt(f"no command for {self._timeout_s:g} s")
             if next_ns == sample_ns:
                 self._send()

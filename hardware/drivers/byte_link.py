@@ -101,8 +101,8 @@ class _SerialLink:
         until = time.monotonic() + WRITE_S
         try:
             while data := data[self._written(data) :]:
-                left_s = until - time.monotonic()
-                if left_s <= 0.0 or not writable(self.fileno(), left_s):
+                remaining_s = until - time.monotonic()
+                if remaining_s <= 0.0 or not writable(self.fileno(), remaining_s):
                     raise LinkLost(self._path, "the port takes no more bytes", "look at cable and radio")
         except OSError:
             raise _unplugged(self._path) from None

@@ -17,7 +17,7 @@ def nothing() -> str:
 
 
 @contextlib.contextmanager
-def within(seconds: float, device: str, doing: str, given_up: Callable[[], str] = nothing) -> Iterator[Callable[[], None]]:
+def within(seconds: float, device: str, doing: str, abort_reason: Callable[[], str] = nothing) -> Iterator[Callable[[], None]]:
     """Raise a `DriverError` in what is done here if it takes longer, or as soon as ``given_up`` tells a reason.
 
     In the main thread, by its alarm clock, which also wakes what sleeps. Ticks are counted and not time, so that a process
@@ -32,8 +32,8 @@ def within(seconds: float, device: str, doing: str, given_up: Callable[[], str] 
     def tick(_number: int, _frame: FrameType | None) -> None:
         nonlocal ticks
         ticks -= 1
-        if why := given_up():
-            raise DriverError(device, why, f"it was {doing}")
+        if reason := abort_reason():
+            raise DriverError(device, reason, f"it was {doing}")
         if ticks <= 0:
             happened = f"it hangs: {doing} took longer than {seconds:g} s"
             raise DriverError(device, happened, "unplug it and plug it in again, and look at its driver")

@@ -253,9 +253,9 @@ class ReconnectingDriver(ThreadedDriver):
         while (now_ns := time.monotonic_ns()) < deadline_ns:
             self._pause(min(deadline_ns, now_ns + seconds_to_ns(pause_s)))
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
-            left_s = (deadline_ns - time.monotonic_ns()) / SECOND_NS
+            remaining_s = (deadline_ns - time.monotonic_ns()) / SECOND_NS
             try:
-                return self._connect(max(0.0, min(self._connect_s, left_s)))
+                return self._connect(max(0.0, min(self._connect_s, remaining_s)))
             except DriverError as error:
                 last = error.happened
                 self._hang_up()
@@ -273,8 +273,8 @@ class ReconnectingDriver(ThreadedDriver):
             self._select([], until_ns)
 
     def _select(self, files: list[int], until_ns: int) -> list[int]:
-        left_s = max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS)
-        ready = readable([self._woken, *files], left_s)
+        remaining_s = max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS)
+        ready = readable([self._woken, *files], remaining_s)
         if self._woken in ready:
             os.read(self._woken, 4096)
         if self._closing.is_set() and not self._leaving:

@@ -33,8 +33,8 @@ def decode(line: str) -> Located | None:
     x, y, z, percent = map(float, numbers)
     if not 0.0 <= percent <= 100.0:
         raise ValueError(f"a quality is from 0 to 100 %, not {percent}")
-    known = percent > 0.0 and all(map(math.isfinite, (x, y, z)))  # a tag that is lost says nan, or quality 0
-    return Located(tag=tag, position=(x, y, z) if known else None, quality=percent / 100.0)
+    valid = percent > 0.0 and all(map(math.isfinite, (x, y, z)))  # a tag that is lost says nan, or quality 0
+    return Located(tag=tag, position=(x, y, z) if valid else None, quality=percent / 100.0)
 
 
 def encode(located: Located, index: int | None = None) -> bytes:

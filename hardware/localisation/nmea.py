@@ -51,30 +51,32 @@ class NmeaReader(LineReader):
             raise ValueError("invalid NMEA sentence") from error
         return None
 
-    def _gga(self, said: Any) -> Located:
+    def _gga(self, sentence: Any) -> Located:
         self._has_gga = True
-        when = self._time(said.timestamp)
-        if not int(said.gps_qual or 0):
+        when = self._time(sentence.timestamp)
+        if not int(sentence.gps_qual or 0):
             return Located(source_ns=when)
-        height = float(said.altitude or 0.0) + float(said.geo_sep or 0.0)  # above the sea, and the sea above the ellipsoid
-        dilution = float(said.horizontal_dil) if said.horizontal_dil else 1.0
-        return Located(position=self._place(said, height), sigma_m=self._sigma(dilution), source_ns=when)
+        height = float(sentence.altitude or 0.0) + float(
+            sentence.geo_sep or 0.0
+        )  # above the sea, and the sea above the ellipsoid
+        dilution = float(sentence.horizontal_dil) if sentence.horizontal_dil else 1.0
+        return Located(position=self._place(sentence, height), sigma_m=self._sigma(dilution), source_ns=when)
 
-    def _rmc(self, said: Any) -> Located:
-        if said.datestamp is not None and said.timestamp is not None:
-            self._date = dt.datetime.combine(said.datestamp, said.timestamp).replace(tzinfo=dt.UTC)
-        when = self._time(said.timestamp)
-        if said.status != "A":
+    def _rmc(self, sentence: Any) -> Located:
+        if sentence.datestamp is not None and sentence.timestamp is not None:
+            self._date = dt.datetime.combine(sentence.datestamp, sentence.timestamp).replace(tzinfo=dt.UTC)
+        when = self._time(sentence.timestamp)
+        if sentence.status != "A":
             return Located(source_ns=when)
-        speed = None if said.spd_over_grnd is None else float(said.spd_over_grnd) * KNOT
-        place = None if self._has_gga else self._place(said, self.plane.height_m)
+        speed = None if sentence.spd_over_grnd is None else float(sentence.spd_over_grnd) * KNOT
+        place = None if self._has_gga else self._place(sentence, self.plane.height_m)
         sigma = None if place is None else self._sigma(1.0)
-        return Located(position=place, velocity=_velocity(speed, said.true_course), sigma_m=sigma, source_ns=when)
+        return Located(position=place, velocity=_velocity(speed, sentence.true_course), sigma_m=sigma, source_ns=when)
 
-    def _place(self, said: Any, height_m: float) -> tuple[float, float, float]:
-        if not said.lat or not said.lon or said.lat_dir not in ("N", "S") or said.lon_dir not in ("E", "W"):
+    def _place(self, sentence: Any, height_m: float) -> tuple[float, float, float]:
+        if not sentence.lat or not sentence.lon or sentence.lat_dir not in ("N", "S") or sentence.lon_dir not in ("E", "W"):
             raise ValueError("a valid position has both coordinates and their directions")
-        latitude, longitude = float(said.latitude), float(said.longitude)
+        latitude, longitude = float(sentence.latitude), float(sentence.longitude)
         if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(height_m)):
             raise ValueError("no place on the earth")
         return self.plane.enu(latitude, longitude, height_m)
@@ -95,11 +97,11 @@ class NmeaReader(LineReader):
         return (moment - dt.datetime(1970, 1, 1, tzinfo=dt.UTC)) // dt.timedelta(microseconds=1) * 1000
 
 
-def _vtg(said: Any) -> Located:
-    if said.spd_over_grnd_kmph is not None:
-        return Located(velocity=_velocity(float(said.spd_over_grnd_kmph) / 3.6, said.true_track))
-    speed = None if said.spd_over_grnd_kts is None else float(said.spd_over_grnd_kts) * KNOT
-    return Located(velocity=_velocity(speed, said.true_track))
+def _vtg(sentence: Any) -> Located:
+    if sentence.spd_over_grnd_kmph is not None:
+        return Located(velocity=_velocity(float(sentence.spd_over_grnd_kmph) / 3.6, sentence.true_track))
+    speed = None if sentence.spd_over_grnd_kts is None else float(sentence.spd_over_grnd_kts) * KNOT
+    return Located(velocity=_velocity(speed, sentence.true_track))
 
 
 def _velocity(speed: float | None, course_deg: Any) -> tuple[float, float] | None:

@@ -136,10 +136,10 @@ class Dwm1001(PortSource):
 
     def take(self, chunk: bytes, arrived_ns: int) -> bool:
         """Something came; a module that tells positions need not be asked."""
-        told = super().take(chunk, arrived_ns)
-        if told:
+        has_positions = super().take(chunk, arrived_ns)
+        if has_positions:
             self._waker.heard(arrived_ns)
-        return told
+        return has_positions
 
     def _asked(self, now_ns: int) -> bytes:
         return self._waker.write(now_ns)

@@ -120,12 +120,12 @@ class AerialSupervisor(Supervisor):
         return one.clearance <= 0.0 or (level.clear and not self._fits(across, one))
 
     def _slow_down(
-        self, target: Plane, wanted: Plane, dt: float, arounds: Sequence[tuple[Cause, Obstacles]]
+        self, target: Plane, requested: Plane, dt: float, arounds: Sequence[tuple[Cause, Obstacles]]
     ) -> tuple[Plane, list[Cause]]:
         """The horizontal velocity towards as much of the target as lets the vehicle stop in time, by halving."""
-        causes = [cause for cause, around in arounds if not self._fits(wanted, around)]
+        causes = [cause for cause, around in arounds if not self._fits(requested, around)]
         if not causes:
-            return wanted, []
+            return requested, []
         sure, beyond, best = 0.0, 1.0, _ramp((0.0, 0.0), self.last[:2], dt, self._p.limits)
         for _ in range(_HALVINGS):
             share = 0.5 * (sure + beyond)
@@ -156,15 +156,15 @@ class AerialSupervisor(Supervisor):
 
     def _levels(self, z: float, others: Others) -> list[_Level]:
         """Where the others are above and below the vehicle."""
-        found, vz = [], self.last[2]
+        levels, vz = [], self.last[2]
         columns = others.position[:, 2].tolist(), others.velocity[:, 2].tolist(), others.radius.tolist()
         for row, (height, climbs, radius) in enumerate(zip(*columns, strict=True)):
             above = height >= z
             room = abs(height - z) - (self._p.radius_m + radius + self._p.separation_m)
             toward, closing = (max(0.0, vz), max(0.0, -climbs)) if above else (max(0.0, -vz), max(0.0, climbs))
             clear = room >= 0.0 and stops_within(room, toward, closing, self._p.limits.stop_mps2)
-            found.append(_Level(row, above, room if clear else 0.0, closing, clear))
-        return found
+            levels.append(_Level(row, above, room if clear else 0.0, closing, clear))
+        return levels
 
     def _bounded(
         self, vz: float, dt: float, pose: Pose, across: Plane, levels: Sequence[_Level], others: Others | None

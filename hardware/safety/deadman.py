@@ -66,7 +66,7 @@ class Deadman:
         self._may_latch, self._held = latched, set[Cause]()
         self._last_ns: int | None = None
 
-    def check(self, now_ns: int, heard: LastReceived) -> tuple[Cause, ...]:
+    def check(self, now_ns: int, received: LastReceived) -> tuple[Cause, ...]:
         """What stops the robot now, in the order of `Cause`; to be asked at every step."""
         causes = set[Cause]()
         if self._last_ns is not None and Cause.CLOCK in self._limits_ns:
@@ -74,15 +74,15 @@ class Deadman:
             if not 0 <= elapsed <= self._limits_ns[Cause.CLOCK]:
                 causes.add(Cause.CLOCK)
         self._last_ns = now_ns
-        lost = self._silent(now_ns, heard, causes)
+        lost = self._silent(now_ns, received, causes)
         self._held.update(cause for cause in causes if cause in self._may_latch)
         causes |= lost | self._held
         return tuple(cause for cause in Cause if cause in causes)
 
-    def _silent(self, now_ns: int, heard: LastReceived, causes: set[Cause]) -> set[Cause]:
+    def _silent(self, now_ns: int, received: LastReceived, causes: set[Cause]) -> set[Cause]:
         """Add to ``causes`` what was lost or is from the future; return what was never heard."""
         never = set[Cause]()
-        times = (heard.operator_ns, heard.command_ns, heard.positioning_ns, heard.federation_ns)
+        times = (received.operator_ns, received.command_ns, received.positioning_ns, received.federation_ns)
         for cause, time_ns in zip(_SOURCES, times, strict=True):
             if cause not in self._limits_ns:
                 continue

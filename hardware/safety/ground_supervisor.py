@@ -110,11 +110,11 @@ def slow_down(
     return (way * max(abs(least_v), speed), _nearest(least_w, w, fits) if causes else w), causes
 
 
-def _nearest(sure: float, wanted: float, fits: Callable[[float], bool]) -> float:
+def _nearest(sure: float, requested: float, fits: Callable[[float], bool]) -> float:
     """The value nearest to the wanted one that fits, between it and the sure one: by halving."""
-    if fits(wanted):
-        return wanted
+    if fits(requested):
+        return requested
     for _ in range(_HALVINGS):
-        middle = 0.5 * (sure + wanted)
-        sure, wanted = (middle, wanted) if fits(middle) else (sure, middle)
+        middle = 0.5 * (sure + requested)
+        sure, requested = (middle, requested) if fits(middle) else (sure, middle)
     return sure

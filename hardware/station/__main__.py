@@ -161,10 +161,10 @@ class StationProcess:
         """Listen until the next turn; once, at least, however late it is."""
         assert self._ear is not None  # noqa: S101  it is open
         run, operator = self._link.fileno(), self._ear.fileno()  # the first may be any number: it was inherited
-        left_s = 1.0
-        while not self._ending and left_s > 0.0:
-            left_s = max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS)
-            ready = readable((run, operator), left_s)
+        remaining_s = 1.0
+        while not self._ending and remaining_s > 0.0:
+            remaining_s = max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS)
+            ready = readable((run, operator), remaining_s)
             if run in ready:
                 self._hear_run()
             if operator in ready:
@@ -245,9 +245,9 @@ def _built(part: PartSpec, mission: StationMission) -> Any:
     folder = Path(mission.folder)
     with registry.looking_in(folder):
         kind = registry.find(part.group, part.kind, folder=folder, key=f"{part.group}.kind")
-        known = binding.parameters(kind)
+        accepted = binding.parameters(kind)
         offered = {"vehicle": mission.vehicle, "folder": mission.folder}
-        return binding.call(kind, part.params, key=part.group, given={n: v for n, v in offered.items() if n in known})
+        return binding.call(kind, part.params, key=part.group, given={n: v for n, v in offered.items() if n in accepted})
 
 
 def _settle() -> None:

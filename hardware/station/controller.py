@@ -132,8 +132,8 @@ class StationController:
             self._where.sample(sample, now_ns)
             self._sonar.update(sample.sonar)
         if self._localisation is not None:
-            for told in self._localisation.read(now_ns):
-                fix = msgspec.structs.replace(told, time_ns=min(told.time_ns, now_ns))
+            for speed in self._localisation.read(now_ns):
+                fix = msgspec.structs.replace(speed, time_ns=min(speed.time_ns, now_ns))
                 self._where.fix(fix)
                 self._fixes.append(fix)
         self._notices += self._gathered()
@@ -159,10 +159,10 @@ class StationController:
 
     def _is_stuck(self, now_ns: int, command: Velocity | None) -> bool:
         """Whether it was told to drive for `STUCK_S`, and its odometry says that it stands; until it is told to stand."""
-        told, sample = abs(self._sent), self._sample
+        speed, sample = abs(self._sent), self._sample
         if command is None or abs(command.linear[0]) < CREEPS:
             self._stuck, self._pushed_ns = False, None
-        elif self._stuck or told < CREEPS or sample is None or abs(sample.odometry.v) > 0.2 * told:
+        elif self._stuck or speed < CREEPS or sample is None or abs(sample.odometry.v) > 0.2 * speed:
             self._pushed_ns = None
         else:
             self._pushed_ns = self._pushed_ns or now_ns
@@ -225,7 +225,7 @@ class StationController:
         return LastReceived(
             operator_ns=None if self._operator_ns is None else min(self._operator_ns, now_ns),
             command_ns=command_ns,
-            positioning_ns=None if here is None else here.seen_ns,
+            positioning_ns=None if here is None else here.measured_ns,
             federation_ns=heard_ns if order.number else None,
         )
 

@@ -91,13 +91,13 @@ class StopListener:
 
     def hear(self) -> list[tuple[str, str | bytes | None]]:
         """Verbs, and where an answer to each belongs; what is no verb is not heard."""
-        heard = []
+        verbs = []
         with contextlib.suppress(BlockingIOError):
             while True:
                 data, address = self._socket.recvfrom(LONGEST)
                 if data in (b"stop", b"alive", b"who"):
-                    heard.append((data.decode(), address))
-        return heard
+                    verbs.append((data.decode(), address))
+        return verbs
 
     def answer(self, address: str | bytes | None, answer: StationAnswer) -> None:
         """Tell who asked; never raises, and never waits."""
@@ -149,21 +149,21 @@ class StopCaller:
             return True
         return True
 
-    def answers(self, asked: list[StationSocket], wait_s: float = ANSWER_S) -> list[StationAnswer]:
+    def answers(self, sockets: list[StationSocket], wait_s: float = ANSWER_S) -> list[StationAnswer]:
         """The answers, in the order of ``asked``; `silent` or `ended` of those that gave none."""
-        said: dict[str, StationAnswer] = {}
+        answers: dict[str, StationAnswer] = {}
         until = time.monotonic() + wait_s
-        open_ = {each.path for each in asked}
-        while open_ and (left_s := until - time.monotonic()) > 0.0:
-            if readable([self._socket.fileno()], min(left_s, 0.1)):
+        open_ = {each.path for each in sockets}
+        while open_ and (remaining_s := until - time.monotonic()) > 0.0:
+            if readable([self._socket.fileno()], min(remaining_s, 0.1)):
                 data, path = self._socket.recvfrom(LONGEST)
                 if path in open_:
                     with contextlib.suppress(ValueError):
-                        said[path] = msgspec.json.decode(data, type=StationAnswer)
-            open_ = {path for path in open_ if path not in said and Path(path).exists()}
-        return [said.get(each.path) or _unsaid(each) for each in asked]
+                        answers[path] = msgspec.json.decode(data, type=StationAnswer)
+            open_ = {path for path in open_ if path not in answers and Path(path).exists()}
+        return [answers.get(each.path) or _unsaid(each) for each in sockets]
 
 
-def _unsaid(found: StationSocket) -> StationAnswer:
-    state: Literal["silent", "ended"] = "silent" if Path(found.path).exists() else "ended"
-    return StationAnswer(vehicle=found.vehicle, run="", pid=found.pid, state=state)
+def _unsaid(station: StationSocket) -> StationAnswer:
+    state: Literal["silent", "ended"] = "silent" if Path(station.path).exists() else "ended"
+    return StationAnswer(vehicle=station.vehicle, run="", pid=station.pid, state=state)

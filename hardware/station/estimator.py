@@ -17,7 +17,7 @@ class StateEstimate(msgspec.Struct, frozen=True, kw_only=True):
 
     state: VehicleState
     covariance: Array | None = None  # (3, 3) of x, y, yaw
-    seen_ns: int | None = None  # when that was measured on which it rests; None: not yet
+    measured_ns: int | None = None  # when that was measured on which it rests; None: not yet
     fix_age_s: float | None = None
 
 
@@ -62,6 +62,6 @@ class DriverEstimator:
         last = self._last
         if last is None or (last.state is None and self._flies):
             return None
-        seen_ns = min(last.measured_ns, now_ns)
+        measured_ns = min(last.measured_ns, now_ns)
         state = last.state or planar(last.odometry.pose, last.odometry.v, last.odometry.w, self._height_m)
-        return StateEstimate(state=ahead(state, now_ns - seen_ns, flies=self._flies), seen_ns=seen_ns)
+        return StateEstimate(state=ahead(state, now_ns - measured_ns, flies=self._flies), measured_ns=measured_ns)

@@ -41,8 +41,10 @@ class FusedEstimator:
         if last is not None and sample.link != last.link:
             self._begin_again(now_ns)
             last = None
-        told_ns = min(sample.measured_ns, now_ns)
-        self._fusion.odometry(told_ns, *((0.0, 0.0) if last is None else travelled(last.odometry.pose, sample.odometry.pose)))
+        odometry_time_ns = min(sample.measured_ns, now_ns)
+        self._fusion.odometry(
+            odometry_time_ns, *((0.0, 0.0) if last is None else travelled(last.odometry.pose, sample.odometry.pose))
+        )
 
     def _begin_again(self, now_ns: int) -> None:
         """A filter that sets out from here, as unsure as the last one has become while it heard of no motion."""
@@ -73,11 +75,11 @@ class FusedEstimator:
         if pose.heading_known:
             self._turned = pose.heading - yaw
         heading = wrap(yaw + self._turned)
-        known = math.isfinite(pose.age_s)
-        fix_ns = now_ns - round(pose.age_s * SECOND_NS) if known else 0
+        has_fix = math.isfinite(pose.age_s)
+        fix_ns = now_ns - round(pose.age_s * SECOND_NS) if has_fix else 0
         return StateEstimate(
             state=planar((pose.x, pose.y, heading), pose.v, pose.w, self._height_m),
             covariance=pose.covariance,
-            seen_ns=min(fix_ns, odometry_ns) if known else None,  # without either, it is a guess
-            fix_age_s=pose.age_s if known else None,
+            measured_ns=min(fix_ns, odometry_ns) if has_fix else None,  # without either, it is a guess
+            fix_age_s=pose.age_s if has_fix else None,
         )

@@ -1,5 +1,7 @@
 """Safety supervisor of a station, from the limits of its mission."""
 
+from typing import Any
+
 import msgspec
 import numpy as np
 
@@ -20,7 +22,7 @@ def guard(mission: StationMission) -> Supervisor:
     safety, common = mission.safety, _parameters(mission.safety)
     if not mission.flies:
         return GroundSupervisor(common)
-    heights = {"climb_mps": safety.max_climb, "floor_m": safety.floor_m, "ceiling_m": safety.ceiling_m}
+    heights: dict[str, Any] = {"climb_mps": safety.max_climb, "floor_m": safety.floor_m, "ceiling_m": safety.ceiling_m}
     return AerialSupervisor(AerialParameters(**msgspec.structs.asdict(common), **heights))
 
 

@@ -85,7 +85,7 @@ def federate(*, period_ns: int = TENTH, log: Log = lambda *_: None, **changes: A
     info = RunInfo(scenario="test", seed=0, duration_ns=10 * SECOND_NS, vehicles=("car1", "car2"), instants=(each(period_ns),))
     made.start(info)
     made._connect = True
-    made._seats["car1"].station = station
+    made._proxies["car1"].station = station  # type: ignore[assignment]
     made._clock.start()
     return made, station
 
@@ -236,7 +236,7 @@ def test_the_robot_of_a_vehicle_is_lost_as_its_agent_is() -> None:
     for content, policy in ((held, "hold"), (removed, "remove"), (BENCH, "stop")):
         with assemble(*loader.load(content)) as assembled:
             (robots,) = [each for each in assembled.federates if isinstance(each, Hardware)]
-            assert robots._seats["car1"].vehicle.on_lost == policy
+            assert robots._proxies["car1"].vehicle.on_lost == policy
 
 
 def test_a_station_that_says_nothing_while_it_is_listened_to_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -250,7 +250,7 @@ def test_a_station_that_says_nothing_while_it_is_listened_to_hangs(monkeypatch: 
     now_ns[0] += 5 * SECOND_NS  # the run itself is held up: that is not the station's fault
     made.step(SECOND_NS, ())
     for step in range(21, 60):
-        if made._seats["car1"].over is not None:
+        if made._proxies["car1"].over is not None:
             break
         now_ns[0] += TENTH // 2
         made.step(step * TENTH // 2, ())

@@ -60,7 +60,7 @@ def seat(pose_source: str = "fusion", *, flies: bool = False) -> tuple[VehiclePr
         seed=0,
     )
     made, station = VehicleProxy(vehicle, clock), Station()
-    made.station = station
+    made.station = station  # type: ignore[assignment]
     return made, station
 
 

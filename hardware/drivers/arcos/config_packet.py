@@ -132,14 +132,16 @@ def warnings(config: Config, robot: Robot, max_speed: float | None, max_yaw_rate
         max_speed: m/s, that it was told to allow itself; None: nothing was.
         max_yaw_rate: rad/s, likewise.
     """
-    said = []
+    problems = []
     if config.watchdog == 0:
-        said.append("its watchdog is off: nothing stops it where the driver or the line fails; switch it on in its parameters")
+        problems.append(
+            "its watchdog is off: nothing stops it where the driver or the line fails; switch it on in its parameters"
+        )
     elif config.watchdog is not None and config.watchdog > 1e3 * robot.watchdog_s:
-        said.append(f"its watchdog waits for {1e-3 * config.watchdog:g} s before it stops it, not {robot.watchdog_s:g} s")
+        problems.append(f"its watchdog waits for {1e-3 * config.watchdog:g} s before it stops it, not {robot.watchdog_s:g} s")
     if config.top_speed and max_speed is not None and round(1e3 * max_speed) > config.top_speed:
-        said.append(f"max_speed = {max_speed:g} m/s, but it is set to drive no faster than {1e-3 * config.top_speed:g} m/s")
+        problems.append(f"max_speed = {max_speed:g} m/s, but it is set to drive no faster than {1e-3 * config.top_speed:g} m/s")
     top = math.radians(config.top_yaw_rate)
     if top and max_yaw_rate is not None and round(math.degrees(max_yaw_rate)) > config.top_yaw_rate:
-        said.append(f"max_yaw_rate = {max_yaw_rate:g} rad/s, but it is set to turn no faster than {top:.3g} rad/s")
-    return said
+        problems.append(f"max_yaw_rate = {max_yaw_rate:g} rad/s, but it is set to turn no faster than {top:.3g} rad/s")
+    return problems

@@ -120,9 +120,9 @@ class ArcosDriver(ReconnectingDriver):
         """Open the line and shake hands."""
         deadline_ns = time.monotonic_ns() + seconds_to_ns(within_s)
         self._line = line = open_line(self.device, self._baud)
-        left_s = max(0.0, (deadline_ns - time.monotonic_ns()) / SECOND_NS)
+        remaining_s = max(0.0, (deadline_ns - time.monotonic_ns()) / SECOND_NS)
         baud = 0 if "://" in self.device else self._baud
-        handshake = Handshake(device=self.device, kind=self._kind, settings=self._settings, baud=baud, give_up_s=left_s)
+        handshake = Handshake(device=self.device, kind=self._kind, settings=self._settings, baud=baud, give_up_s=remaining_s)
         line.write(handshake.start(time.monotonic_ns()))
         while not handshake.done:
             if self._wait(line.fileno(), handshake.due_ns):
@@ -150,13 +150,13 @@ class ArcosDriver(ReconnectingDriver):
         line = self._line
         assert line is not None  # noqa: S101  it is connected
         silence_ns = seconds_to_ns(self._silence_s)
-        heard_ns = time.monotonic_ns()
+        last_packet_ns = time.monotonic_ns()
         while True:
             due_ns = self._send(line)
-            if self._wait(line.fileno(), min(due_ns, heard_ns + silence_ns)):
+            if self._wait(line.fileno(), min(due_ns, last_packet_ns + silence_ns)):
                 if self._take(self._reader.feed(line.read())):
-                    heard_ns = time.monotonic_ns()
-            elif time.monotonic_ns() >= heard_ns + silence_ns:
+                    last_packet_ns = time.monotonic_ns()
+            elif time.monotonic_ns() >= last_packet_ns + silence_ns:
                 happened = f"nothing was heard for {self._silence_s:g} s"
                 raise LinkLost(self.device, happened, "look at the robot's battery, its cable and its radio")
 

@@ -95,9 +95,9 @@ class Handshake:
         if self.done or now_ns < self.due_ns:
             return b""
         # What looks like the beginning of a long packet may hold back a short answer.
-        found = b"".join(self._packet(data, now_ns) for data in self.reader.give_up())
-        if found or self.done:
-            return found
+        answer = b"".join(self._packet(data, now_ns) for data in self.reader.give_up())
+        if answer or self.done:
+            return answer
         if now_ns >= self._deadline_ns:
             raise self._error()
         if self._phase in ("sync", "quiet") or self._tries >= OPEN_TRIES:

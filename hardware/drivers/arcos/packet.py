@@ -108,9 +108,9 @@ class PacketReader:
         packets = []
         start = 0
         while True:
-            found = self._next_header(start)
-            self.dropped_bytes += found - start
-            start = found
+            header = self._next_header(start)
+            self.dropped_bytes += header - start
+            start = header
             if start + 3 > len(self._buffer):
                 break
             end = start + 3 + self._buffer[start + 2]

@@ -35,11 +35,11 @@ class Encoder:
 
     def __call__(self, *messages: Message) -> bytes:
         """Their bytes."""
-        sent = b""
+        data = b""
         for each in messages:
-            sent += each.pack(self._mav)
+            data += each.pack(self._mav)
             self._mav.seq = (self._mav.seq + 1) % 256
-        return sent
+        return data
 
 
 class MessageReader:
@@ -53,15 +53,15 @@ class MessageReader:
     """
 
     def __init__(self) -> None:
-        self.heard = self.messages = 0
+        self.byte_count = self.messages = 0
         self._mav = mavlink.MAVLink(None)
         self._buffer = bytearray()
 
     def feed(self, chunk: bytes) -> list[Message]:
         """The messages that are complete with this."""
-        self.heard += len(chunk)
+        self.byte_count += len(chunk)
         self._buffer += chunk
-        found, start, buffer = [], 0, self._buffer
+        messages, start, buffer = [], 0, self._buffer
         while start < len(buffer):
             around = _AROUND.get(buffer[start])
             if around is None:
@@ -76,11 +76,11 @@ class MessageReader:
                 break
             message = self._decode(buffer[start : start + length])
             if message is not None:
-                found.append(message)
+                messages.append(message)
             start += length if message is not None else 1
         del buffer[:start]
-        self.messages += len(found)
-        return found
+        self.messages += len(messages)
+        return messages
 
     def _decode(self, data: bytearray) -> Message | None:
         if data[0] == 0xFD and data[2] & ~_SIGNED:  # a feature that is not known: to be dropped, by the rules of MAVLink

@@ -192,14 +192,14 @@ class MavlinkDriver(ReconnectingDriver):
     def _converse(self) -> None:
         """Read and send until the link is lost or the caller closes it."""
         silence_ns = seconds_to_ns(self._silence_s)
-        heard_ns = spoke_ns = time.monotonic_ns()
+        position_ns = message_ns = time.monotonic_ns()
         while True:
-            messages, samples = self._exchange(heard_ns + silence_ns)
+            messages, samples = self._exchange(position_ns + silence_ns)
             now_ns = time.monotonic_ns()
-            heard_ns = now_ns if samples else heard_ns
-            spoke_ns = now_ns if messages else spoke_ns
-            if now_ns >= heard_ns + silence_ns:
-                silent = now_ns >= spoke_ns + silence_ns
+            position_ns = now_ns if samples else position_ns
+            message_ns = now_ns if messages else message_ns
+            if now_ns >= position_ns + silence_ns:
+                silent = now_ns >= message_ns + silence_ns
                 happened = (
                     f"nothing was heard for {self._silence_s:g} s"
                     if silent
@@ -222,18 +222,18 @@ class MavlinkDriver(ReconnectingDriver):
             due_ns = pilot.due_ns
         if messages:
             link.write(self._encode(*messages))
-        heard = samples = 0
+        count = samples = 0
         if self._wait(link.fileno(), min(due_ns, until_ns)):
             for _, data in link.read():
                 for message in self._reader.feed(data):
                     if sender_of(message) == self._peer_sender:
-                        heard += 1
+                        count += 1
                         with self._lock:
                             sample = pilot.receive(message, time.monotonic_ns())
                             self._sample = sample or self._sample
                         samples += sample is not None
         self._tell(pilot)
-        return heard, samples
+        return count, samples
 
     def _tell(self, pilot: MavlinkSession) -> None:
         with self._lock:

@@ -116,7 +116,7 @@ class _UdpLink:
         return self._socket.fileno()
 
     def read(self) -> Chunks:
-        heard: Chunks = []
+        chunks: Chunks = []
         for _ in range(DATAGRAMS):
             try:
                 data, where = self._socket.recvfrom(DATAGRAM)
@@ -126,11 +126,11 @@ class _UdpLink:
                 break
             source = "" if self._connected else f"{where[0]}:{where[1]}"
             if self._source in ("", source):
-                heard.append((source, data))
+                chunks.append((source, data))
                 self._sources[source] = where
                 if len(self._sources) > SOURCES:
                     del self._sources[next(iter(self._sources))]
-        return heard
+        return chunks
 
     def answer(self, source: str) -> None:
         self._source = source

@@ -33,10 +33,10 @@ def arm(to: Sender, *, on: bool) -> Message:
 
 def intervals(to: Sender, position_message: str, hz: float) -> list[Message]:
     """Ask for position and attitude so many times a second, and for what changes slowly."""
-    wanted = ((position_message, hz), ("ATTITUDE", hz), ("SYS_STATUS", STATUS_HZ), ("EXTENDED_SYS_STATE", STATUS_HZ))
+    requests = ((position_message, hz), ("ATTITUDE", hz), ("SYS_STATUS", STATUS_HZ), ("EXTENDED_SYS_STATE", STATUS_HZ))
     return [
         command(to, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, getattr(mavlink, f"MAVLINK_MSG_ID_{name}"), round(1e6 / rate))
-        for name, rate in wanted
+        for name, rate in requests
     ]
 
 

@@ -74,7 +74,7 @@ class MavlinkSession:
         self._refusal, self._texts = "", StatusTexts()
         self._old_streams = False
         self._steps = deque(self._opening())
-        self._asked_ns: int | None = None
+        self._request_ns: int | None = None
         self._beat_ns = now_ns  # when our next heartbeat is due
         self._watch(peer.heartbeat)
 
@@ -89,8 +89,8 @@ class MavlinkSession:
     def waits_for(self) -> str:
         """The step that is not done, with what the vehicle said to it."""
         last = self._texts.last
-        said = ", ".join(each for each in (self._refusal, last and f'it says "{last}"') if each)
-        return (self._steps[0].what if self._steps else "nothing") + (f" ({said})" if said else "")
+        notes = ", ".join(each for each in (self._refusal, last and f'it says "{last}"') if each)
+        return (self._steps[0].what if self._steps else "nothing") + (f" ({notes})" if notes else "")
 
     @property
     def stopped(self) -> str:
@@ -117,7 +117,7 @@ class MavlinkSession:
 
         Nothing is disarmed in the air, and a vehicle that somebody else has in command is left to him.
         """
-        self._leaving, self._climb_to, self._asked_ns = True, None, None
+        self._leaving, self._climb_to, self._request_ns = True, None, None
         self._repeater.stop("the driver is being closed")
         self._steps = deque()
         if self.in_command:
@@ -142,25 +142,25 @@ class MavlinkSession:
     def advance(self, now_ns: int) -> list[Message]:
         """What to send at this time."""
         self._now_ns = now_ns
-        sent: list[Message] = []
+        output: list[Message] = []
         if now_ns >= self._beat_ns:
             self._beat_ns = now_ns + SECOND_NS
-            sent.append(messages.heartbeat())
+            output.append(messages.heartbeat())
         before = self._repeater.stopped
         if (speeds := self._repeater.advance(now_ns)) is not None:
-            sent += self._points(*speeds)
+            output += self._points(*speeds)
         if self._repeater.stopped != before:
             self.news.append(("stopped", self._repeater.stopped))
         self._work_off()
-        if self._steps and (self._asked_ns is None or now_ns >= self._asked_ns + ASK_NS):
-            sent += self._steps[0].ask()
-            self._asked_ns = now_ns
-        return sent
+        if self._steps and (self._request_ns is None or now_ns >= self._request_ns + ASK_NS):
+            output += self._steps[0].ask()
+            self._request_ns = now_ns
+        return output
 
     @property
     def due_ns(self) -> int:
         """When `advance` has something to do."""
-        asks = [] if not self._steps else [0 if self._asked_ns is None else self._asked_ns + ASK_NS]
+        asks = [] if not self._steps else [0 if self._request_ns is None else self._request_ns + ASK_NS]
         return min(self._beat_ns, self._repeater.due_ns, *asks)
 
     def receive(self, message: Message, now_ns: int) -> Sample | None:
@@ -206,7 +206,7 @@ class MavlinkSession:
     def _work_off(self) -> None:
         while self._steps and self._steps[0].done():
             self._steps.popleft()
-            self._asked_ns, self._refusal = None, ""
+            self._request_ns, self._refusal = None, ""
 
     def _located(self) -> bool:
         return self._track.state is not None and bool(self._mode)
@@ -224,11 +224,11 @@ class MavlinkSession:
     def _telemetry(self) -> list[Message]:
         """Ask for what is needed; in the old way too, if the new one did not help."""
         to, hz = self._peer.sender, self._orders.telemetry_hz
-        asked = messages.intervals(to, self._track.position_message, hz)
+        requests = messages.intervals(to, self._track.position_message, hz)
         if self._old_streams:
-            asked += messages.streams(to, hz)
+            requests += messages.streams(to, hz)
         self._old_streams = True
-        return asked
+        return requests
 
     def _rise(self) -> list[Message]:
         """PX4 climbs by set-points, which needs no global position; ArduPilot wants a command before it leaves the ground."""

@@ -60,9 +60,9 @@ class VehicleSearch:
         self._first_ns = 0
         self._heard = 0
 
-    def receive(self, heard: Chunks, now_ns: int) -> Peer | None:
+    def receive(self, chunks: Chunks, now_ns: int) -> Peer | None:
         """Bytes have come; the vehicle, if that is clear now."""
-        for source, data in heard:
+        for source, data in chunks:
             self._heard += len(data)
             reader = self._readers.setdefault(source, MessageReader())
             if len(self._readers) > READERS:
@@ -121,13 +121,13 @@ class VehicleSearch:
         self._first_ns = self._first_ns or now_ns
 
     def _peer(self, sender: Sender, source: str, heartbeat: Message) -> Peer:
-        told = KINDS.get(heartbeat.autopilot)
-        kind = self._kind or told
+        announced = KINDS.get(heartbeat.autopilot)
+        kind = self._kind or announced
         if kind is None:
             happened = f"the autopilot of system {sender.system} is neither PX4 nor ArduPilot (number {heartbeat.autopilot})"
             raise HandshakeError(self._device, happened, 'if it behaves like one of them, set autopilot = "px4" or "ardupilot"')
-        if told not in (None, kind):
-            happened = f'system {sender.system} says that its autopilot is "{told}", not "{kind}"'
+        if announced not in (None, kind):
+            happened = f'system {sender.system} says that its autopilot is "{announced}", not "{kind}"'
             raise HandshakeError(self._device, happened, 'correct the parameter autopilot, or leave it at "auto"')
         if heartbeat.type not in COPTERS | GROUND:
             happened = f"system {sender.system} is of type {type_name(heartbeat.type)}"

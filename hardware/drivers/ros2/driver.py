@@ -166,10 +166,10 @@ class Ros2Driver(ThreadedDriver):
             finally:
                 self._say(ZERO_SPEEDS, 0)  # whatever there is amiss with the stamps
 
-    def _hand_over(self, heard: ReceivedMessage) -> None:
+    def _hand_over(self, message: ReceivedMessage) -> None:
         """Called by Zenoh."""
         if self._news.qsize() < WAITING:
-            self._news.put(heard)
+            self._news.put(message)
 
     def _converse(self, node: Node) -> None:
         """Take what comes and say what is due until the caller closes it."""
@@ -223,30 +223,30 @@ class Ros2Driver(ThreadedDriver):
             with self._lock:
                 self._pace.stop(self._pace.stopped or NOT_YET)
 
-    def _taken(self, heard: ReceivedMessage) -> tuple[OdometryMessage, int] | None:
+    def _taken(self, message: ReceivedMessage) -> tuple[OdometryMessage, int] | None:
         """A message that is to be made a sample of, and its arrival; of what is left out, tell of the first for each cause."""
         try:
-            return self._checked(heard), heard.arrived_ns
+            return self._checked(message), message.arrived_ns
         except _LeftOut as left_out:
             self.refused[left_out.cause] += 1
             if self.refused[left_out.cause] == 1:
                 self._notice("warned", f"a message on {self._odometry.topic} is left out: {left_out}")
             return None
 
-    def _checked(self, heard: ReceivedMessage) -> OdometryMessage:
-        if heard.type not in ("", ODOMETRY):
-            raise _LeftOut("type", f"it is {heard.type}, not {ODOMETRY}")
+    def _checked(self, message: ReceivedMessage) -> OdometryMessage:
+        if message.type not in ("", ODOMETRY):
+            raise _LeftOut("type", f"it is {message.type}, not {ODOMETRY}")
         try:
-            message = decode_odometry(heard.data)
+            odometry = decode_odometry(message.data)
         except ValueError as error:
             raise _LeftOut("content", str(error)) from None
-        if not 0 <= message.stamp_ns < STAMPS_END_NS:
+        if not 0 <= odometry.stamp_ns < STAMPS_END_NS:
             raise _LeftOut("stamp", "its stamp is no time")
-        if self._frame and message.frame != self._frame:
-            raise _LeftOut("frame", f"it is in the frame '{message.frame}', not '{self._frame}'")
-        if not self._presence.hear(heard.sender, heard.arrived_ns):
+        if self._frame and odometry.frame != self._frame:
+            raise _LeftOut("frame", f"it is in the frame '{odometry.frame}', not '{self._frame}'")
+        if not self._presence.hear(message.sender, message.arrived_ns):
             raise _LeftOut("sender", "a second node publishes it")
-        return message
+        return odometry
 
     def _look(self, now_ns: int) -> None:
         """Note that the robot is there, or is not any more."""

@@ -99,14 +99,14 @@ class Node:
     def others(self) -> list[Endpoint]:
         """Publishers and subscribers that nodes have declared, this one's excepted."""
         own = {endpoint.topic for endpoint in self._ids}
-        found = set()
+        endpoints = set()
         mine = str(self._session.zid())
         for reply in self._session.liveliness().get(self._mapping.graph, timeout=GRAPH_S):
             token = str(reply.ok.key_expr) if reply.ok is not None else ""
             endpoint = self._mapping.endpoint(token)
             if endpoint is not None and f"/{mine}/" not in token:
-                found.add(endpoint)
-        return sorted(found, key=lambda each: (each.topic not in own, each))
+                endpoints.add(endpoint)
+        return sorted(endpoints, key=lambda each: (each.topic not in own, each))
 
     def close(self) -> None:
         """Leave, and with it undeclare all. Never raises."""

@@ -84,17 +84,17 @@ class Device:
 
     def receive(self, chunk: bytes, now_ns: int) -> bytes:
         """Bytes from the client arrive; what the robot sends until then and at once."""
-        sent = self.advance(now_ns)
+        output = self.advance(now_ns)
         self._bytes_ns = max(now_ns, self._time_ns)
-        return sent + self._obey(self.reader.feed(chunk), self._bytes_ns)
+        return output + self._obey(self.reader.feed(chunk), self._bytes_ns)
 
     def advance(self, now_ns: int) -> bytes:
         """Time passes; what the robot sends by itself."""
-        sent = bytearray()
+        output = bytearray()
         while self._time_ns + TICK_NS <= now_ns:
             self._time_ns = (self._time_ns // TICK_NS + 1) * TICK_NS
-            sent += self._tick()
-        return bytes(sent)
+            output += self._tick()
+        return bytes(output)
 
     @property
     def due_ns(self) -> int | None:
@@ -164,9 +164,9 @@ class Device:
     # One tick
 
     def _tick(self) -> bytes:
-        now, sent = self._time_ns, b""
+        now, output = self._time_ns, b""
         if self.reader.waiting and now - self._bytes_ns >= GAP_NS:
-            sent += self._obey(self.reader.give_up(), now)
+            output += self._obey(self.reader.give_up(), now)
         if self._watchdog_ns and self.is_open and now - self._heard_ns >= self._watchdog_ns:
             self.watchdog_stopped = True
         if self._wheels is not None:
@@ -178,8 +178,8 @@ class Device:
         if self.is_open and now >= self._next_sip_ns:
             self._sips += 1
             self.packets += 1
-            sent += frame(sip.encode(self._sip()))
-        return sent
+            output += frame(sip.encode(self._sip()))
+        return output
 
     @property
     def _next_sip_ns(self) -> int:
@@ -216,7 +216,7 @@ class Device:
     # Commands
 
     def _obey(self, packets: list[bytes], now_ns: int) -> bytes:
-        sent = b""
+        output = b""
         for data in packets:
             try:
                 number, argument = parse_command(data)
@@ -224,8 +224,8 @@ class Device:
                 continue  # right checksum, wrong form: a robot says nothing
             self.heard.append((now_ns, number, argument))
             self.commands += 1
-            sent += self._serve(number, argument, now_ns) if self.is_open else self._shake_hands(number, now_ns)
-        return sent
+            output += self._serve(number, argument, now_ns) if self.is_open else self._shake_hands(number, now_ns)
+        return output
 
     def _shake_hands(self, number: int, now_ns: int) -> bytes:
         """Before a session is open: SYNC0, 1, 2 are echoed, then OPEN is awaited.

@@ -68,11 +68,11 @@ class SetPoints:
     def _wheels(self, value: int) -> None:
         """VEL2: the right wheel in the low byte, the left one in the high byte."""
         low, high = (value & 0xFFFF).to_bytes(2, "little")
-        right, left = ((byte ^ 0x80) - 0x80 for byte in (low, high))
+        right_wheel, left_wheel = ((byte ^ 0x80) - 0x80 for byte in (low, high))
         mm = self.robot.vel2_divisor
         self.stop()
-        self._v = 0.5e-3 * mm * (right + left)
-        self._w = 0.5 * mm * (right - left) * self.robot.diff_factor
+        self._v = 0.5e-3 * mm * (right_wheel + left_wheel)
+        self._w = 0.5 * mm * (right_wheel - left_wheel) * self.robot.diff_factor
 
     def _limit(self, number: int, value: int) -> None:
         """Commands that set limits."""

@@ -69,10 +69,10 @@ class ArcosServer(DeviceServer):
         now = self.now_ns
         self.down.push(self._at_rate(self._line.read()), now)
         with self.lock:
-            sent = self.device.receive(heard, now) if (heard := self.down.pop(now)) else self.device.advance(now)
+            output = self.device.receive(received, now) if (received := self.down.pop(now)) else self.device.advance(now)
             if self._paced:
                 self.up.baud = self.down.baud = self.device.baud
-        self.up.push(sent, now)
+        self.up.push(output, now)
         if data := self._at_rate(self.up.pop(now)):
             self.unsent += len(data) - self._line.write(data)
 

@@ -22,15 +22,15 @@ class VehicleMotion:
         self._yaw_rate = 0.0
         self._on_ground = on_ground
 
-    def step(self, wanted: Velocity, dt: float, ground: float) -> VehicleState:
+    def step(self, command: Velocity, dt: float, ground: float) -> VehicleState:
         """Go on for ``dt`` seconds; nothing goes below ``ground``, m."""
-        goal = self._in_world(wanted.linear)
+        goal = self._in_world(command.linear)
         change = [(to - v) * min(1.0, dt / LAG_S) for to, v in zip(goal, self._velocity, strict=True)]
         size = math.hypot(*change)
         scale = min(1.0, ACCEL_MPS2 * dt / size) if size else 0.0
         ax, ay, az = (each * scale / dt for each in change)
         vx, vy, vz = (v + each * scale for v, each in zip(self._velocity, change, strict=True))
-        rate = max(-YAW_RATE, min(YAW_RATE, wanted.yaw_rate))
+        rate = max(-YAW_RATE, min(YAW_RATE, command.yaw_rate))
         self._yaw_rate += (rate - self._yaw_rate) * min(1.0, dt / YAW_LAG_S)
         self._yaw += self._yaw_rate * dt
         x, y, z = self._position
@@ -42,9 +42,9 @@ class VehicleMotion:
         self._position, self._velocity = (x + vx * dt, y + vy * dt, z), (vx, vy, vz)
         attitude = quaternion_from_yaw(self._yaw)
         if not self._on_ground:
-            forward, left = rotate2(ax, ay, -self._yaw)
+            forward, leftward = rotate2(ax, ay, -self._yaw)
             lean = math.atan2(forward, GRAVITY + az)  # its z axis points where the thrust is: along acceleration less gravity
-            roll = -math.atan2(left * math.cos(lean), GRAVITY + az)
+            roll = -math.atan2(leftward * math.cos(lean), GRAVITY + az)
             attitude = attitude_from_euler(roll, -lean, 0.5 * math.pi - self._yaw)
         return VehicleState(
             position=self._position,

@@ -82,11 +82,11 @@ class MavlinkServer(DeviceServer):
         return self._line.waits_on()
 
     def _turn(self) -> None:
-        heard = self._line.read()
+        received = self._line.read()
         with self.lock:
-            sent = self.vehicle.receive(b"" if self.mute else heard, time.monotonic_ns() - self._origin_ns)
-        if sent and not self.mute:
-            self._line.write(sent)
+            output = self.vehicle.receive(b"" if self.mute else received, time.monotonic_ns() - self._origin_ns)
+        if output and not self.mute:
+            self._line.write(output)
 
 
 def serve_udp(vehicle: Vehicle, *, to: tuple[str, int] | None = None) -> MavlinkServer:

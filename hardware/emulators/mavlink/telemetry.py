@@ -67,15 +67,15 @@ class Telemetry:
 
     def messages(self, now_ns: int, now: TelemetryState) -> list[Message]:
         """Those that are due at a tick."""
-        sent = []
+        output = []
         if now_ns >= self._beat_ns:
             self._beat_ns += self._heartbeat_ns
-            sent.append(self._heartbeat(now))
+            output.append(self._heartbeat(now))
         for name, period_ns in self._period_ns.items():
             if now_ns >= self._next_ns[name]:
                 self._next_ns[name] = max(self._next_ns[name] + period_ns, now_ns + TICK_NS)
-                sent.append(self._told(name, now_ns, now))
-        return sent
+                output.append(self._told(name, now_ns, now))
+        return output
 
     def ask(self, number: int, microseconds: float, now_ns: int) -> bool:
         """SET_MESSAGE_INTERVAL for the message of this number; whether it is one that can be told."""

@@ -100,23 +100,23 @@ class Vehicle:
 
     def receive(self, chunk: bytes, now_ns: int) -> bytes:
         """Bytes arrive; what the vehicle sends until then and at once."""
-        sent = self.advance(now_ns)
+        output = self.advance(now_ns)
         for message in self._reader.feed(chunk):
             self.heard.append((self._time_ns, message))
-            sent += self._encode(*self._serve(message))
-        return sent + self._say()
+            output += self._encode(*self._serve(message))
+        return output + self._say()
 
     def advance(self, now_ns: int) -> bytes:
         """Time passes; what the vehicle sends by itself."""
-        sent = b""
+        output = b""
         while self._time_ns + TICK_NS <= now_ns:
             self._time_ns += TICK_NS
             self._tick()
             if self._time_ns >= self._telemetry.due_ns:
                 now = TelemetryState(self.mode, self.armed, self.landed, self.state, self._ground, self.blind)
-                sent += self._encode(*self._telemetry.messages(self._time_ns, now))
-            sent += self._say()
-        return sent
+                output += self._encode(*self._telemetry.messages(self._time_ns, now))
+            output += self._say()
+        return output
 
     @property
     def due_ns(self) -> int:
@@ -234,8 +234,8 @@ class Vehicle:
         """A command: its result, and what is sent with it."""
         match message.command:
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL if not self.old:
-                known = self._telemetry.ask(_whole(message.param1), message.param2, self._time_ns)
-                return _OK if known else _UNKNOWN, []
+                supported = self._telemetry.ask(_whole(message.param1), message.param2, self._time_ns)
+                return _OK if supported else _UNKNOWN, []
             case mavlink.MAV_CMD_DO_SET_MODE:
                 return self._set_mode(message), []
             case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:

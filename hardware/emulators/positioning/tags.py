@@ -67,10 +67,10 @@ class Tag:
             self._next_ns = self._ticks.after(now_ns)
             if (where := truth()) is not None:
                 self._under_way.append((now_ns + self._latency_ns, self.measure(where[:3], now_ns)))
-        told = []
+        due = []
         while self._under_way and self._under_way[0][0] <= now_ns:
-            told.append(self._under_way.popleft()[1])
-        return told
+            due.append(self._under_way.popleft()[1])
+        return due
 
     def measure(self, true: Vec3, now_ns: int) -> Located:
         """One answer."""

@@ -139,15 +139,15 @@ class Rig:
 
     def summary(self) -> dict[str, Any]:
         """What happened so far."""
-        said: dict[str, Any] = {}
+        counts: dict[str, Any] = {}
         if (served := self.served) is not None:
             with served.lock:
                 device = served.device
-                said = {"commands": device.commands, "packets": device.packets, "bytes_unread": served.unsent}
-                said |= {"bytes_lost": served.up.dropped + served.down.dropped}
-                said |= {"bytes_changed": served.up.flipped + served.down.flipped + served.misread}
-                said |= {"x_m": device.odometry[0], "y_m": device.odometry[1], "yaw_rad": device.odometry[2]}
-        return {**said, "fixes": {name: each.told for name, each in self.sources.items()}}
+                counts = {"commands": device.commands, "packets": device.packets, "bytes_unread": served.unsent}
+                counts |= {"bytes_lost": served.up.dropped + served.down.dropped}
+                counts |= {"bytes_changed": served.up.flipped + served.down.flipped + served.misread}
+                counts |= {"x_m": device.odometry[0], "y_m": device.odometry[1], "yaw_rad": device.odometry[2]}
+        return {**counts, "fixes": {name: each.told for name, each in self.sources.items()}}
 
 
 def _quietly(served: DeviceServer) -> None:
@@ -166,8 +166,8 @@ def wait(duration_s: float | None, check: Callable[[], None]) -> None:
     """Return when so much time has passed, never without it; ``check`` is called often, and may raise."""
     until = float("inf") if duration_s is None else time.monotonic() + duration_s
     pause = threading.Event()
-    while (left := until - time.monotonic()) > 0.0:
-        pause.wait(min(left, _LOOK_S))
+    while (remaining_s := until - time.monotonic()) > 0.0:
+        pause.wait(min(remaining_s, _LOOK_S))
         check()
 
 

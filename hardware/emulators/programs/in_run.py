@@ -87,8 +87,8 @@ def _robot(subclass: str) -> str:
 
 def _errors(positioning: dict[str, Any]) -> Errors:
     """Those of the simulated sensor, under the names that they have here."""
-    known = {"rate_hz": "fix_hz", "sigma_m": "sigma_m", "outlier_probability": "outliers", "outlier_m": "outlier_m"}
-    return Errors(**{known[name]: value for name, value in positioning.items() if name in known})
+    names = {"rate_hz": "fix_hz", "sigma_m": "sigma_m", "outlier_probability": "outliers", "outlier_m": "outlier_m"}
+    return Errors(**{names[name]: value for name, value in positioning.items() if name in names})
 
 
 def _free(listen: str) -> tuple[str, int]:

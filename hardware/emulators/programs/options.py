@@ -68,10 +68,10 @@ class RobotOptions(msgspec.Struct, frozen=True, kw_only=True):
 def port_of(text: str) -> PtyPort | TcpPort:
     """``PTY``, ``tcp://HOST:PORT`` (no host: this machine alone; no port: 8101) or the path of a link that is to be made."""
     if with_slash(text).startswith(("tcp/", "socket/")):
-        found = endpoint_of(text)
-        if found is None:
+        endpoint = endpoint_of(text)
+        if endpoint is None:
             raise UsageError(f"--port {text}: write tcp://HOST:PORT, a port from 0 to 65535 and nothing behind it")
-        return TcpPort(found.host or LOOPBACK, TCP_PORT if found.port is None else found.port)
+        return TcpPort(endpoint.host or LOOPBACK, TCP_PORT if endpoint.port is None else endpoint.port)
     link = pty_of(text)
     if link is None:
         raise UsageError(f"--port {text}: write PTY, tcp://HOST:PORT, or a path such as /tmp/robot")
@@ -95,17 +95,17 @@ def udp_of(text: str, option: str) -> UdpAddress:
 
 def faults_of(text: str, seed: int) -> Faults:
     """``drop=0.01,flip=0.001,split=0.2``, each a probability for each byte; ``gap_ms=30`` is how long a split lasts."""
-    known: dict[str, float] = {}
+    values: dict[str, float] = {}
     for part in filter(None, text.split(",")):
         name, equals, value = part.partition("=")
         if not equals or name not in ("drop", "flip", "split", "gap_ms"):
             raise UsageError(f"--faults {text}: '{part}' is none of drop=P, flip=P, split=P, gap_ms=T")
-        known[name] = _number(value, f"--faults {text}: {name}")
-    gap_ns = round(1e6 * known.pop("gap_ms", 30.0))
+        values[name] = _number(value, f"--faults {text}: {name}")
+    gap_ns = round(1e6 * values.pop("gap_ms", 30.0))
     if gap_ns < 0:
         raise UsageError(f"--faults {text}: gap_ms must not be negative")
     try:
-        return msgspec.convert({**known, "gap_ns": gap_ns, "seed": seed}, Faults)
+        return msgspec.convert({**values, "gap_ns": gap_ns, "seed": seed}, Faults)
     except msgspec.ValidationError:
         raise UsageError(f"--faults {text}: drop, flip and split are probabilities, from 0 to 1") from None
 
@@ -179,14 +179,14 @@ def tags_of(
         raise UsageError(f"{option or '--dwm1001'} {dwm1001}: write PTY, or a path such as /tmp/tag")
     errors = {"fix_hz": fix_hz, "sigma_m": sigma_m, "outliers": outliers, "drop_outs": drop_outs, "latency_s": latency_s}
     try:
-        known = msgspec.convert(errors, Errors)
+        values = msgspec.convert(errors, Errors)
     except msgspec.ValidationError as error:
         raise UsageError(f"errors of positioning: {error}") from None
     return Tags(
         ubisense=None if ubisense is None else udp_of(ubisense, option or "--ubisense"),
         dwm1001=serial,
         name=tag_of(tag),
-        errors=known,
+        errors=values,
         seed=seed,
     )
 

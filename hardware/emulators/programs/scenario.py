@@ -70,9 +70,9 @@ class DeviceAgent(Agent):
 
     def _odometry(self, obs: Observation) -> tuple[Vec3, float, float]:
         """Pose and speeds by the wheels; of a vehicle without any, the truth."""
-        said = obs.readings.get(self._senses.odometer)
-        if isinstance(said, Odometry):
-            return said.pose, said.v, said.w
+        reading = obs.readings.get(self._senses.odometer)
+        if isinstance(reading, Odometry):
+            return reading.pose, reading.v, reading.w
         x, y, _ = obs.state.position
         return (x, y, obs.state.yaw), forward(obs.state), obs.state.angular_velocity[2]
 
@@ -106,8 +106,8 @@ class VehicleSensors:
 
     def bumpers(self, obs: Observation) -> int:
         """The bits of bumpers that are pressed."""
-        said = obs.readings.get(self._bumper)
-        return bumper_bits(list(said.values.values())) if isinstance(said, Measured) else 0
+        reading = obs.readings.get(self._bumper)
+        return bumper_bits(list(reading.values.values())) if isinstance(reading, Measured) else 0
 
 
 def bumper_bits(segments: Sequence[float]) -> int:
@@ -198,8 +198,8 @@ def vehicle_of(parsed: Scenario, name: str | None, kind: str) -> VehicleTable:
         if name not in vehicles:
             raise UsageError(f"--vehicle {name}: {messages.unknown('vehicle', name, vehicles)}")
         return vehicles[name]
-    wanted = "p2dx" if kind == "p2dx" else "amigobot"
-    alike = [each for each in parsed.vehicle if each.kind == wanted] or list(parsed.vehicle)
+    own_kind = "p2dx" if kind == "p2dx" else "amigobot"
+    alike = [each for each in parsed.vehicle if each.kind == own_kind] or list(parsed.vehicle)
     if len(alike) > 1:
         raise UsageError(f"which vehicle is it? Choose with --vehicle NAME: {', '.join(each.name for each in alike)}")
     return alike[0]

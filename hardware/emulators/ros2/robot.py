@@ -106,7 +106,7 @@ class Ros2Robot:
         return OdometryMessage((x, y, 0.0), quaternion_from_yaw(yaw), (v, 0.0, 0.0), (0.0, 0.0, w), stamp_ns)
 
     def _run(self) -> None:
-        moved_ns = told_ns = time.monotonic_ns()
+        motion_ns = odometry_ns = time.monotonic_ns()
         while True:
             try:
                 news = self._news.get(timeout=STEP_S)
@@ -116,28 +116,28 @@ class Ros2Robot:
             except queue.Empty:
                 pass
             now_ns = time.monotonic_ns()
-            self._move(now_ns, (now_ns - moved_ns) / SECOND_NS)
-            moved_ns = now_ns
-            if now_ns >= told_ns + self._period_ns:
-                told_ns = max(told_ns + self._period_ns, now_ns - self._period_ns)
+            self._move(now_ns, (now_ns - motion_ns) / SECOND_NS)
+            motion_ns = now_ns
+            if now_ns >= odometry_ns + self._period_ns:
+                odometry_ns = max(odometry_ns + self._period_ns, now_ns - self._period_ns)
                 if not self.silent:
                     self._publish(encode_odometry(self.message()))
 
-    def _obey(self, heard: ReceivedMessage) -> None:
-        if heard.type not in ("", self._commands.type):
+    def _obey(self, message: ReceivedMessage) -> None:
+        if message.type not in ("", self._commands.type):
             return
         try:
-            twist = decode_twist(heard.data, stamped=self._stamped)
+            twist = decode_twist(message.data, stamped=self._stamped)
         except ValueError:
             return
-        self.heard.append((heard.arrived_ns, twist))
-        self._wanted, self._told_ns = (twist.linear[0], twist.angular[2]), heard.arrived_ns
+        self.heard.append((message.arrived_ns, twist))
+        self._wanted, self._told_ns = (twist.linear[0], twist.angular[2]), message.arrived_ns
 
     def _move(self, now_ns: int, dt: float) -> None:
-        wanted = self._wanted if now_ns < self._told_ns + self._watchdog_ns else (0.0, 0.0)
+        goals = self._wanted if now_ns < self._told_ns + self._watchdog_ns else (0.0, 0.0)
         v, w = (
             speed + min(max(min(max(goal, -most), most) - speed, -accel * dt), accel * dt)
-            for speed, goal, most, accel in zip(self.speeds, wanted, self._most, self._accels, strict=True)
+            for speed, goal, most, accel in zip(self.speeds, goals, self._most, self._accels, strict=True)
         )
         self.speeds = (v, w)
         self.pose = arc(self.pose, v, w, dt)

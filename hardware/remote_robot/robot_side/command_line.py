@@ -88,16 +88,16 @@ def built(text: str, params: dict[str, Any]) -> Driver:
     origin = binding.Named("--set")
     if kind == "zenoh":
         raise ScenarioError("zenoh is the run's end of this program: name the driver of the robot itself", source="--driver")
-    made = registry.find("driver", kind, key="", origin=binding.Named("--driver"))
+    driver_class = registry.find("driver", kind, key="", origin=binding.Named("--driver"))
     if address:
-        where = next((each for each in ADDRESSES if each in binding.parameters(made)), None)
+        where = next((each for each in ADDRESSES if each in binding.parameters(driver_class)), None)
         if where is None:
             problem = f"'{kind}' takes no address; leave ':{address}' out (parameters come by --set KEY=VALUE)"
             raise ScenarioError(problem, source="--driver")
         if where in params:
             raise ScenarioError(f"the address is there twice, as {where} and behind --driver {kind}:", source="--set")
         params = {where: address, **params}
-    driver: Driver = binding.call(made, params, origin=origin)
+    driver: Driver = binding.call(driver_class, params, origin=origin)
     return driver
 
 

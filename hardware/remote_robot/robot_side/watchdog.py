@@ -57,7 +57,7 @@ class DriverWatchdog:
         self._velocity_ns = 0
         self._late = False
 
-    def open(self, run: str, start: Vec3, given_up: Callable[[], str]) -> None:
+    def open(self, run: str, start: Vec3, abort_reason: Callable[[], str]) -> None:
         """Open the driver for a run, where the robot stands here; raises what is wrong.
 
         Args:
@@ -71,7 +71,7 @@ class DriverWatchdog:
         driver = self._driver
         x, y, yaw = start if self._pose is None else self._pose
         self._tell(f"opening {driver.device} at x {x:.2f} m, y {y:.2f} m, yaw {yaw:.2f} rad")
-        with within(driver.open_deadline_s + GRACE_S, driver.device, "opening it", given_up):
+        with within(driver.open_deadline_s + GRACE_S, driver.device, "opening it", abort_reason):
             driver.open((x, y, yaw))
         self.state = "open"
         self._gather()

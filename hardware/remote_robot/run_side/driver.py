@@ -168,7 +168,7 @@ class ZenohDriver(RobotSession):
     def _greeted(self, knock: RobotGreeting) -> None:
         """Let a robot in, or say why not."""
         try:
-            hello = messages.hellos.decode(knock.said)
+            hello = messages.hellos.decode(knock.payload)
             peer = Peer(knock.name, hello.session)
             key_names.robot_key(peer.name, self._vehicle, peer.session, "up")
         except ValueError:
@@ -188,10 +188,10 @@ class ZenohDriver(RobotSession):
 
     def _waits(self, name: str, hello: RobotHello) -> str:
         """Why a robot that may come is not driven now; empty: it is."""
-        known = self._hello
+        hello_before = self._hello
         if self._closing.is_set():
             return "the run is over"
-        if self._peer is not None and known is not None and (self._peer.name, known.robot) != (name, hello.robot):
+        if self._peer is not None and hello_before is not None and (self._peer.name, hello_before.robot) != (name, hello.robot):
             return f"another program drives {self._vehicle} already"
         return ""
 
@@ -205,8 +205,8 @@ class ZenohDriver(RobotSession):
             return HandshakeError(
                 self.device, happened, f"look at the robot; it may take {self._hello.open_s:g} s: open_deadline_s"
             )
-        sent_away = f"; one was sent away: {self._refused}" if self._refused else ""
-        happened = f"the robot of {self._vehicle} did not come {within}{sent_away}"
+        refusal = f"; one was sent away: {self._refused}" if self._refused else ""
+        happened = f"the robot of {self._vehicle} did not come {within}{refusal}"
         return HandshakeError(self.device, happened, f"start on its own computer: {self.invitation}")
 
     def _gone_for_good(self, lost: LinkLost) -> LinkLost:

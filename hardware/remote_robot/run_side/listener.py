@@ -33,7 +33,7 @@ class RobotGreeting(NamedTuple):
     """A robot that wants to be driven."""
 
     name: str
-    said: bytes
+    payload: bytes
     answer: Callable[[RobotWelcome], None]
 
 
@@ -117,15 +117,15 @@ class RobotListener:
 
     def _on_greeting(self, query: zenoh.Query) -> None:
         speaker = key_names.robot_speaker(str(query.key_expr))
-        said = query.payload.to_bytes() if query.payload else b""
-        if speaker is None or len(said) > access_control.MAX_ROBOT:
+        payload = query.payload.to_bytes() if query.payload else b""
+        if speaker is None or len(payload) > access_control.MAX_ROBOT:
             return
 
         def answer(welcome: RobotWelcome) -> None:
             with contextlib.suppress(zenoh.ZError), query:  # the robot may not be there any more
                 query.reply(query.key_expr, encode(welcome))
 
-        self._take(RobotGreeting(speaker[0], said, answer))
+        self._take(RobotGreeting(speaker[0], payload, answer))
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         arrived_ns = time.monotonic_ns()

@@ -128,24 +128,24 @@ class RobotSession(ThreadedDriver):
         )
         self._door.say(encode(down))
 
-    def _heard(self, heard: RobotMessage) -> None:
+    def _heard(self, message: RobotMessage) -> None:
         """Take what the robot says."""
         try:
-            up = messages.ups.decode(heard.data)
+            up = messages.ups.decode(message.data)
         except ValueError as error:
             self._warn_once(f"a message of the robot is left out: {error}")
             return
-        self._heard_ns, self._yours_ns = heard.arrived_ns, up.said_ns
+        self._heard_ns, self._yours_ns = message.arrived_ns, up.said_ns
         with self._lock:
-            self._track.hear(up, heard.arrived_ns)
-            self._orders.heard(up.heard)
-            sample = self._track.sample(up, heard.arrived_ns, self._orders.stopped)
+            self._track.hear(up, message.arrived_ns)
+            self._orders.acknowledge(up.heard)
+            sample = self._track.sample(up, message.arrived_ns, self._orders.stopped)
             self._sample = sample or self._sample
-            self._notices.extend(self._track.notices(up, heard.arrived_ns))
+            self._notices.extend(self._track.notices(up, message.arrived_ns))
         if up.failure is not None and not self._closing.is_set():
             self._fail(self._failed_aboard(up.failure))
         elif up.state == "open" and not self._connected and not self._orders.held:
-            self._connect(heard.arrived_ns)
+            self._connect(message.arrived_ns)
 
     def _fail(self, error: DriverError) -> None:
         """The robot's own driver has failed; one that had lost its robot may find it again."""
@@ -197,14 +197,14 @@ class RobotSession(ThreadedDriver):
             if isinstance(news, RobotMessage) and news.peer == self._peer and self._has_closed(news):
                 return
 
-    def _has_closed(self, heard: RobotMessage) -> bool:
+    def _has_closed(self, message: RobotMessage) -> bool:
         """Whether the robot says that its driver is closed, now that it was told that the run is over."""
         try:
-            up = messages.ups.decode(heard.data)
+            up = messages.ups.decode(message.data)
         except ValueError:
             return False
         with self._lock:
-            self._notices.extend(self._track.notices(up, heard.arrived_ns))
+            self._notices.extend(self._track.notices(up, message.arrived_ns))
         return up.state == "closed" and (up.left or up.failure is not None)
 
     def _failed_aboard(self, failure: Failure) -> DriverError:
@@ -242,7 +242,7 @@ class CommandState:
         """A robot has come: it is to stand, until it has acted upon a message of at least this number."""
         self.stopped, self.held, self._stands_from = NOT_YET, True, number
 
-    def heard(self, number: int) -> None:
+    def acknowledge(self, number: int) -> None:
         """The robot has acted upon this message."""
         if number >= self._stands_from:
             self.held = False

@@ -29,6 +29,7 @@ from vcmvsp.hardware.drivers.arcos.sip import is_sip
 from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.ros2.driver import Ros2Driver
 from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
+from vcmvsp.hardware.localisation.readers import LineReader
 
 WALL = """
 name = "wall"
@@ -230,7 +231,7 @@ def test_a_serial_tag_alone_stands(tmp_path: Path) -> None:
     with emulated("dwm1001", "--port", str(link), "--pose", "1,2,0", "--sigma-m", "0.01", "--fix-hz", "50") as command_line:
         assert command_line.line() == str(link)
         with serial.Serial(str(link), dwm1001.BAUD, timeout=0.05) as port:
-            reader, waker, found = dwm1001.Dwm1001Reader(), dwm1001.Waker(0.1), list[Located]()
+            reader, waker, found = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES), dwm1001.Waker(0.1), list[Located]()
             end = time.monotonic() + PATIENCE_S
             while len(found) < 3 and time.monotonic() < end:
                 port.write(waker.write(time.monotonic_ns()))

@@ -23,6 +23,7 @@ from vcmvsp.hardware.emulators.positioning.tags import (
     ubisense_outlet,
 )
 from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
+from vcmvsp.hardware.localisation.readers import LineReader
 
 TRUE = (3.0, -2.0, 0.5)
 
@@ -117,7 +118,7 @@ def test_a_tag_at_a_serial_port_speaks_once_its_shell_is_asked(tmp_path: Path) -
     outlet = dwm1001_outlet(tmp_path / "tag")
     with TagServer(Tag("1", Errors(fix_hz=50.0, sigma_m=0.0), 1), standing((1.0, 2.0, 0.0)), outlet) as source:
         with serial.Serial(source.url, dwm1001.BAUD, timeout=0.02) as port:
-            reader, found = dwm1001.Dwm1001Reader(), list[Located]()
+            reader, found = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES), list[Located]()
             assert port.read(100) == b""
             port.write(dwm1001.WAKE)
             said = bytearray()
@@ -125,7 +126,7 @@ def test_a_tag_at_a_serial_port_speaks_once_its_shell_is_asked(tmp_path: Path) -
             port.write(dwm1001.POSITIONS)
             eventually(lambda: found.extend(reader.feed(port.read(200))) or len(found) >= 3)  # type: ignore[func-returns-value]
         assert {each.position for each in found} == {(1.0, 2.0, 0.0)}
-        assert reader.bad_lines == 0
+        assert reader.invalid == 0
     assert not (tmp_path / "tag").is_symlink()
     eventually(lambda: held() <= before)
 

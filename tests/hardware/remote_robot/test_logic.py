@@ -33,16 +33,16 @@ def test_whatever_is_commanded_a_robot_stands_until_it_has_said_so() -> None:
     orders.connect(7)
     orders.command(AHEAD, 0)
     assert orders.at(0) is None
-    orders.heard(6)  # of the connection before
+    orders.acknowledge(6)  # of the connection before
     assert orders.at(0) is None
-    orders.heard(7)
+    orders.acknowledge(7)
     assert orders.at(0) == AHEAD
 
 
 def test_a_command_counts_for_its_time_and_a_stop_until_the_next_command() -> None:
     orders = CommandState(0.5)
     orders.connect(1)
-    orders.heard(1)
+    orders.acknowledge(1)
     orders.command(AHEAD, 0)
     assert orders.at(SECOND // 2 - 1) == AHEAD
     assert orders.at(SECOND // 2) is None
