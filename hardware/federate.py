@@ -1,20 +1,20 @@
-"""The federate `hardware`: real vehicles take the place of simulated ones, under the same names and keys.
+"""The federate `hardware`: real vehicles replace simulated ones, under the same names and keys.
 
 Events of a real vehicle, at the instants at which physics publishes those of simulated ones:
 
 ========================  ============  ===================================================================================
-``<vehicle>/estimate``    VehicleState  where it is, as far as anybody knows
-``<vehicle>/odometry``    Odometry      what its wheels say, gone on with to this instant
-``<vehicle>/fix``         Fix           positions that are new
-``<vehicle>/sonar``       Measured      ranges that are new, m, by the numbers of the sonars
-``<vehicle>/real``        RealStatus    how old and how sure all this is, what the robot was told, and why
+``<vehicle>/estimate``    VehicleState  estimated state
+``<vehicle>/odometry``    Odometry      wheel odometry, extrapolated to this instant
+``<vehicle>/fix``         Fix           new positions
+``<vehicle>/sonar``       Measured      new ranges, m, by the numbers of the sonars
+``<vehicle>/real``        RealStatus    age and uncertainty, the command that was sent, and the causes that changed it
 ``<vehicle>/incident``    Incident      connected, lost, stopped: with its cause
 ========================  ============  ===================================================================================
 
-Commands go to the robot at once, and so does ``operator/halted`` (`Halted`): while a vehicle is halted, its robot is told zero
-velocity in place of what its agent commands, and all rules of safety go on; let go, it follows the newest command.
+Commands go to the robot at once, and so does ``operator/halted`` (`Halted`): a halted vehicle gets zero velocity in place of
+its agent's commands, and all safety rules stay active; after the halt it follows the newest command.
 
-Physics shows the vehicle where `states` says that it is (`cosim.federate.ExternalMotion`).
+Physics shows the vehicle at the state that `states` returns (`cosim.federate.ExternalMotion`).
 """
 
 import contextlib
@@ -32,23 +32,23 @@ from vcmvsp.hardware.real_vehicle import VehicleProxy
 from vcmvsp.hardware.stations import Connections
 
 HEARTBEAT = Ticks.every(0.05)
-"""Orders are said again so often: stations stop their robots when they hear none."""
+"""Period of orders; a station without orders stops its robot."""
 
-KNOWN_S = 1.0  # other vehicles are taken to go on for so long
-MOST = 500  # others that a station is told of
+KNOWN_S = 1.0  # extrapolation time of other vehicles
+MOST = 500  # other vehicles in an order
 
 
 class Hardware:
     """All real vehicles of a run.
 
     Args:
-        vehicles: what they are.
+        vehicles: tables of the real vehicles.
         run: name of the run.
         clock: paces the run; its times are those of the robots.
         radius_m: of a circle around the body of each vehicle of the run, by name.
         tell: takes lines for the user.
         log: takes what a replay needs: key, time, value.
-        connect: to the robots; else they only stand where they start, as long as a scenario is being checked.
+        connect: connect to the robots; False: vehicles stand at their starts while a scenario is checked.
     """
 
     name = "hardware"
@@ -73,15 +73,15 @@ class Hardware:
         self._proxies = {each.name: VehicleProxy(each, clock) for each in vehicles}
         self._run, self._tell, self._connect = run, tell, connect
         self._connections: Connections | None = None
-        self._world: tuple[int, States] | None = None  # and when that was
+        self._world: tuple[int, States] | None = None  # time and states
         self._published_ns = -1
-        self._lost = set[str]()  # vehicles without which the run goes on
+        self._lost = set[str]()  # lost vehicles, while the run continues
 
     def start(self, run: RunInfo) -> int:
-        """Connect to all robots at once; they stand still until their first command.
+        """Connect to all robots; they stand until their first command.
 
         Raises:
-            ScenarioError: robots cannot keep away from a vehicle whose radius is not known.
+            ScenarioError: the radius of a vehicle is unknown, so robots cannot keep away from it.
         """
         for name in run.vehicles:
             if self.names != (name,) and not 0.0 < (radius_m := self._radius_m.get(name, 0.0)) < np.inf:
@@ -96,7 +96,7 @@ class Hardware:
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        """Take commands and reports, publish where it is time, and say what is wanted."""
+        """Process commands and reports, publish, and send orders."""
         for event in inbox:
             self._take(event)
         events: list[Event] = []
@@ -109,7 +109,7 @@ class Hardware:
         if now_ns != self._published_ns and self._needed.hits(now_ns):
             self._published_ns = now_ns
             events += [event for proxy in self._proxies.values() for event in proxy.publish(now_ns)]
-        elif any(proxy.over for proxy in self._proxies.values()):  # raised at the next step, when this is recorded
+        elif any(proxy.over for proxy in self._proxies.values()):  # raised at the next step, after this is recorded
             events += [event for proxy in self._proxies.values() for event in proxy.last_words(now_ns)]
         for event in events:
             key = f"{event.value.vehicles[0]}/outage" if isinstance(event.value, Outage) else event.key
@@ -119,7 +119,7 @@ class Hardware:
         return Step(events, self._next(now_ns))
 
     def states(self, now_ns: int) -> list[VehicleState]:
-        """How the vehicles move, for physics."""
+        """States of the vehicles, for physics."""
         states = [proxy.state(now_ns) for proxy in self._proxies.values()]
         for name, state in zip(self.names, states, strict=True):
             self._log(f"{name}/reflected", now_ns, state)
@@ -128,11 +128,11 @@ class Hardware:
     def release(self) -> None:
         """Stop all robots at once."""
         for proxy in self._proxies.values():
-            with contextlib.suppress(FederateError):  # whose station is gone has a watchdog
+            with contextlib.suppress(FederateError):  # a robot without a station has a watchdog
                 proxy.order(None, stop="the run is over")
 
     def close(self) -> None:
-        """Let go of all robots, which stand then."""
+        """Stop and disconnect all robots."""
         if self._connections is not None:
             self._connections.close()
 
@@ -141,13 +141,13 @@ class Hardware:
             self._world = event.time_ns, event.value
         elif isinstance(event.value, Halted):
             for name in event.value.vehicles:
-                if name in self._proxies:  # others are simulated
+                if name in self._proxies:  # other vehicles are simulated
                     self._proxies[name].halted = event.value.halted
         else:
             self._proxies[event.key.partition("/")[0]].command(event)
 
     def _go_on_without(self, vehicle: RealVehicle, now_ns: int) -> list[Event]:
-        """End the station of a robot that is lost; a vehicle that is removed has no radio, and no place, any more."""
+        """Close the station of a lost robot; a removed vehicle loses radio and place."""
         self._lost.add(vehicle.name)
         if self._connections is not None:
             self._connections.drop(vehicle.name)
@@ -155,7 +155,7 @@ class Hardware:
             return []
         gone = Outage(vehicles=(vehicle.name,), until_ns=self._end_ns)
         return [
-            Event("operator/outage", now_ns, gone),  # as if an operator had switched its radio off
+            Event("operator/outage", now_ns, gone),  # like an operator's outage
             Event(f"{vehicle.name}/follows", now_ns, Follows(leader=None)),
         ]
 
@@ -164,7 +164,7 @@ class Hardware:
         return needed_ns if needed_ns is None or not self._connect else min(needed_ns, HEARTBEAT.after(now_ns))
 
     def _others(self, name: str) -> Array | None:
-        """The other vehicles nearest to this one, where they are now on the wall clock: x y z m, vx vy vz m/s, radius m."""
+        """Other vehicles nearest to this one, at the current wall time (n, 7): x y z m, vx vy vz m/s, radius m."""
         if self._world is None:
             return None
         world_ns, world = self._world

@@ -1,4 +1,4 @@
-"""Real vehicles as they were recorded: in place of robots and their stations, as fast as the rest of the run goes."""
+"""Playback of recorded real vehicles in place of robots and their stations, not paced by the wall clock."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
@@ -15,22 +15,21 @@ from vcmvsp.cosim.types import ORIGIN, Odometry, Outage, Vec3, VehicleState
 
 
 class Playback:
-    """The federate ``hardware`` (`cosim.federate.ExternalVehicles`) from ``hardware.mcap``. Commands move nothing.
+    """The federate ``hardware`` (`cosim.federate.ExternalVehicles`) from ``hardware.mcap``. Commands have no effect.
 
-    Each event is given again at its time. Physics is told at each instant what it was told then; between two of these, where
-    it asks because a period was changed, in a straight line from the one to the other: both are known, which is better than
-    dead reckoning from the first (at 0.5 m/s, 0.5 rad/s and 10 Hz a straight line is off by v w dt^2 / 8 = 0.3 mm at most).
+    Each event is published again at its time. Physics gets the recorded state of each instant; between two instants, if a
+    period was changed, a linear interpolation (at 0.5 m/s, 0.5 rad/s and 10 Hz its error is v w dt^2 / 8 = 0.3 mm at most).
 
-    A recording that ends before the run does, because that was interrupted or lasts longer now: vehicles stand where they
-    were last, and their last estimates and odometry are given once more, at rest. That is said once.
+    If the recording ends before the run, vehicles stand at their last place; their last estimates and odometry are published
+    once more, at rest, and one message says so.
 
     Args:
-        names: whose recording counts; all others in it are left out.
-        inputs: what `cosim.recording.external_inputs.read_inputs` gives.
+        names: vehicles to play; others in the recording are ignored.
+        inputs: result of `cosim.recording.external_inputs.read_inputs`.
         tell: takes lines for the user.
 
     Raises:
-        UsageError: the recording says of somebody not where he was.
+        UsageError: the recording has no state of a vehicle.
     """
 
     name = "hardware"
@@ -61,7 +60,7 @@ class Playback:
             raise UsageError(f"the recording does not say where {', '.join(missing)} was; it has {there}")
 
     def start(self, run: RunInfo) -> int | None:
-        """The first event's time."""
+        """Time of the first event."""
         self._given, self._duration_ns = 0, run.duration_ns
         self._events = [*self._recorded]
         if self._end_ns < run.duration_ns:
@@ -69,7 +68,7 @@ class Playback:
         return self._events[0].time_ns if self._events else None
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        """The events of this instant."""
+        """Events of this instant."""
         first, events = self._given, self._events
         while self._given < len(events) and events[self._given].time_ns <= now_ns:
             self._given += 1
@@ -82,11 +81,11 @@ class Playback:
         """Nothing to release."""
 
     def states(self, now_ns: int) -> list[VehicleState]:
-        """How the vehicles moved then, in the order of ``names``."""
+        """Recorded states, in the order of ``names``."""
         return [track.at(now_ns) for track in self._tracks.values()]
 
     def _at_rest(self) -> dict[str, VehicleState | Odometry]:
-        """The last estimate and odometry of each vehicle, without their speeds."""
+        """Last estimate and odometry of each vehicle, without their speeds."""
         last: dict[str, VehicleState | Odometry] = {}
         for event in self._recorded:
             if isinstance(event.value, VehicleState):
@@ -97,19 +96,19 @@ class Playback:
 
 
 class _Trajectory:
-    """Where one vehicle was."""
+    """Recorded states of one vehicle."""
 
     def __init__(self) -> None:
         self.times_ns: list[int] = []
         self._states: list[VehicleState] = []
 
     def add(self, time_ns: int, state: VehicleState) -> None:
-        """Times increase."""
+        """Append a state; times increase."""
         self.times_ns.append(time_ns)
         self._states.append(state)
 
     def at(self, now_ns: int) -> VehicleState:
-        """Where it was then; before the first of all instants where it was at that, after the last at rest there."""
+        """State at a time: the first state before the recording, the last one at rest after it."""
         following = bisect_right(self.times_ns, now_ns)
         if following == 0:
             return self._states[0]
@@ -123,12 +122,12 @@ class _Trajectory:
 
 
 def at_rest(state: VehicleState) -> VehicleState:
-    """The same place, without speed."""
+    """The state with zero velocity."""
     return msgspec.structs.replace(state, velocity=ORIGIN, angular_velocity=ORIGIN)
 
 
 def between(before: VehicleState, after: VehicleState, share: float) -> VehicleState:
-    """A part of the way from one state to another, 0 to 1, in a straight line; attitudes along the shorter arc."""
+    """Interpolation between two states by ``share`` from 0 to 1; attitudes along the shorter arc."""
     return VehicleState(
         position=_mixed(before.position, after.position, share),
         velocity=_mixed(before.velocity, after.velocity, share),
@@ -143,7 +142,7 @@ def _mixed(a: Vec3, b: Vec3, share: float) -> Vec3:
 
 
 def _turned(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
-    """Linear and normalised: the angle is off by less than 1e-4 of a turn by 0.3 rad."""
+    """Normalised linear interpolation; its angle is off by less than 1e-4 of a turn by 0.3 rad."""
     sign = 1.0 if sum(p * q for p, q in zip(a, b, strict=True)) >= 0.0 else -1.0  # q and -q are the same attitude
     mixed = [p + share * (sign * q - p) for p, q in zip(a, b, strict=True)]
     norm = sqrt(sum(each * each for each in mixed))

@@ -1,4 +1,4 @@
-"""One real vehicle's place in a run: reports of its station become events of logical time, commands become its orders."""
+"""Proxy of a real vehicle in a run: reports of its station become events, commands become orders."""
 
 import math
 import time
@@ -32,39 +32,39 @@ from vcmvsp.hardware.station.process_client import Station
 
 LOST = "its robot is lost"
 HALTED = "operator's halt"
-"""Among the causes of a status: an intervention of the run holds the vehicle, until it lets it go."""
-KEPT_NS = 2 * SECOND_NS  # of reports: a run that is later than this on the wall clock is told of newer ones
-SILENT_NS = SECOND_NS  # a station that says nothing for so long hangs: it has something to say 50 times a second
+"""Cause in a status: an intervention of the run halts the vehicle."""
+KEPT_NS = 2 * SECOND_NS  # of reports
+SILENT_NS = SECOND_NS  # a station sends 50 reports a second; one that is silent for longer hangs
 
 
 class VehicleProxy:
     """Turns reports into events and commands into orders.
 
     Args:
-        vehicle: what it is.
+        vehicle: table of the vehicle.
         clock: of the run.
     """
 
     def __init__(self, vehicle: RealVehicle, clock: WallClock) -> None:
         self.vehicle, self._clock = vehicle, clock
         self.station: Station | None = None  # None: not connected
-        self.over: VcmvspError | None = None  # why the run is to end, once that is recorded
-        self.lost: VcmvspError | None = None  # why the run goes on without its robot
-        self.halted = False  # it is to stand whatever its agent commands, until it is let go
-        self._heard_ns = self._looked_ns = 0  # when the station was last heard, and asked, on the monotonic clock
+        self.over: VcmvspError | None = None  # error that ends the run after this step is recorded
+        self.lost: VcmvspError | None = None  # error that lost the robot while the run continues
+        self.halted = False  # whether an intervention halts the vehicle
+        self._heard_ns = self._looked_ns = 0  # monotonic times of the last report and of the last check
         x, y, yaw = vehicle.start
         place = (x, y, vehicle.height_m)
         self._still = VehicleState(position=place, attitude=quaternion_from_yaw(yaw))
         self._history: deque[StationReport] = deque()  # oldest first
-        self._fresh: list[StationReport] = []  # heard since the last publication
-        self._command: tuple[Velocity | None, int, int] = (None, 0, 0)  # given when: by the monotonic clock, by the run's
+        self._fresh: list[StationReport] = []  # since the last publication
+        self._command: tuple[Velocity | None, int, int] = (None, 0, 0)  # command, its monotonic time, its logical time
         self._orders, self._shown = 0, (0, self._still)
         self._asked = (-1, self._still)
 
     # --- orders -------------------------------------------------------------------------------------------------------------
 
     def command(self, event: Event) -> None:
-        """Take the command of an agent."""
+        """Store a command of the agent."""
         if isinstance(event.value, Waypoint):
             problem = "was given a Waypoint, which real vehicles do not take: send Velocity"
             raise FederateError(self.vehicle.name, problem)
@@ -72,13 +72,13 @@ class VehicleProxy:
             self._command = event.value, self._clock.monotonic_ns(event.time_ns), event.time_ns
 
     def order(self, others: Array | None, stop: str = "", *, now_ns: int | None = None) -> None:
-        """Say what is wanted now, at this time of the run: that this is said, and when, is what the station waits for."""
+        """Send an order at this time of the run; the station monitors its arrival."""
         if self.station is None:
             return
         self._orders += 1
         command, command_ns, since_ns = self._command
         if self.halted and command is not None:
-            command = Velocity()  # as old as that of the agent, who must be heard all the same
+            command = Velocity()  # keeps the age of the agent's command
         self.station.order(
             StationOrder(
                 number=self._orders,
@@ -94,7 +94,7 @@ class VehicleProxy:
     # --- reports ------------------------------------------------------------------------------------------------------------
 
     def hear(self) -> None:
-        """Take what the station has said."""
+        """Take the reports of the station."""
         if self.station is None or self.over is not None:
             return
         try:
@@ -112,9 +112,9 @@ class VehicleProxy:
             self._history.popleft()
 
     def _look_after(self, *, heard: bool) -> None:
-        """Note that the station has spoken; one that has been silent for long while it was listened to hangs."""
+        """Detect a station that hangs: silent for longer than `SILENT_NS` while the run listened."""
         now_ns = time.monotonic_ns()
-        if heard or now_ns - self._looked_ns > SILENT_NS // 2:  # it may be this run that was held up
+        if heard or now_ns - self._looked_ns > SILENT_NS // 2:  # the run itself may have been blocked
             self._heard_ns = now_ns
         self._looked_ns = now_ns
         if now_ns - self._heard_ns > SILENT_NS:
@@ -123,7 +123,7 @@ class VehicleProxy:
             self._lose(FederateError(self.vehicle.name, f"{happened}: {advice}"))
 
     def _lose(self, error: VcmvspError) -> None:
-        """End the run, or go on with a vehicle that stands where its robot was last, and takes no commands any more."""
+        """End the run, or continue with a vehicle that stands at its robot's last place and takes no commands."""
         if self.vehicle.on_lost == "stop":
             self.over = error
             return
@@ -136,11 +136,10 @@ class VehicleProxy:
         self._history.append(told)
 
     def _rested(self, at_ns: int) -> VehicleState:
-        """Where it is taken to be, at rest."""
         return msgspec.structs.replace(self._state(at_ns), velocity=ORIGIN, angular_velocity=ORIGIN)
 
     def state(self, now_ns: int) -> VehicleState:
-        """Where the vehicle is at a logical time, by dead reckoning from the report that is next before it."""
+        """State at a logical time, extrapolated from the newest earlier report."""
         if self._asked[0] != now_ns:
             self._asked = now_ns, self._state(self._clock.monotonic_ns(now_ns))
         return self._asked[1]
@@ -153,12 +152,12 @@ class VehicleProxy:
         return ahead(report.state, at_ns - report.time_ns, flies=self.vehicle.flies)
 
     def _report(self, now_ns: int) -> StationReport | None:
-        """The newest that there was at an instant: a run that is late has heard more by now."""
+        """Newest report at an instant; a late run has received newer ones."""
         at_ns = self._clock.monotonic_ns(now_ns)
         return next((each for each in reversed(self._history) if each.time_ns <= at_ns), None)
 
     def publish(self, now_ns: int) -> Iterator[Event]:
-        """What there is to tell at an instant."""
+        """Events of an instant."""
         name, newest, fresh = self.vehicle.name, self._report(now_ns), self._fresh
         self._fresh = []
         state = self.state(now_ns)
@@ -175,7 +174,7 @@ class VehicleProxy:
         self._shown = now_ns, state
 
     def last_words(self, now_ns: int) -> Iterator[Event]:
-        """What befell the vehicle and was not told yet: the run ends."""
+        """Incidents that are not published yet, at the end of the run."""
         fresh, self._fresh = self._fresh, []
         return self._incidents(now_ns, fresh)
 
@@ -186,7 +185,7 @@ class VehicleProxy:
             yield Event(f"{self.vehicle.name}/incident", now_ns, incident)
 
     def _odometry(self, report: StationReport, now_ns: int) -> Odometry:
-        """The newest, gone on with to this instant."""
+        """Newest odometry, extrapolated to this instant."""
         told = report.odometry
         assert told is not None  # noqa: S101  asked for before
         since_ns = self._clock.monotonic_ns(now_ns) - report.measured_ns
@@ -194,7 +193,7 @@ class VehicleProxy:
         return Odometry(pose=arc(told.pose, told.v, told.w, seconds), v=told.v, w=told.w)
 
     def _readings(self, now_ns: int, fresh: Sequence[StationReport]) -> Iterator[Event]:
-        """Positions and ranges that are new. What was measured before the run began is no part of it."""
+        """New positions and ranges; measurements from before the start of the run are dropped."""
         name, logical_ns = self.vehicle.name, self._clock.logical_ns
         for report in fresh:
             for fix in report.fixes:
@@ -230,7 +229,7 @@ class VehicleProxy:
         )
 
     def _prediction_m(self, now_ns: int) -> float | None:
-        """How far from where it is the vehicle would be, had it gone on as it was shown last."""
+        """Distance between the state now and its prediction from the last published state, m."""
         since_ns, last_state = self._shown
         if not self._history or since_ns == 0:
             return None

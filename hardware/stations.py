@@ -1,4 +1,4 @@
-"""The stations of a run's real vehicles, and the emulated robots among them: opened and closed all at once."""
+"""Stations of a run's real vehicles, and emulated robots among them."""
 
 import contextlib
 import time
@@ -13,14 +13,14 @@ from vcmvsp.hardware.station.messages import PartSpec, Safety, StationMission
 from vcmvsp.hardware.station.process_client import CLOSE_S, READY_S, Station, StationError
 from vcmvsp.hardware.station.safety_factory import guard
 
-COMMAND_S = 0.5  # without a command for so long a robot is stopped
+COMMAND_S = 0.5  # command time-out
 
 
 class Connections:
-    """Opens and closes stations.
+    """Opens and closes all stations together.
 
     Args:
-        vehicles: what is driven.
+        vehicles: real vehicles.
         run: name of the run.
         tell: takes lines for the user.
         periods_s: of their agents, by vehicle.
@@ -34,10 +34,10 @@ class Connections:
         self._stations: dict[str, Station] = {}
 
     def open(self) -> dict[str, Station]:
-        """Start all stations, and wait until each robot stands ready.
+        """Start all stations, and wait until each robot is ready.
 
         Raises:
-            DriverError: one of them cannot be had.
+            DriverError: a robot cannot be connected.
         """
         try:
             for vehicle in self._vehicles:
@@ -46,7 +46,7 @@ class Connections:
             for station in self._stations.values():
                 station.wait_ready(until)
         except BaseException:
-            with contextlib.suppress(StationError):  # which has been told
+            with contextlib.suppress(StationError):  # already reported
                 self.close()
             raise
         return dict(self._stations)
@@ -59,14 +59,14 @@ class Connections:
         self._stations[vehicle.name] = Station.start(mission(vehicle, self._run, self._periods_s.get(vehicle.name, 0.0)))
 
     def drop(self, name: str) -> None:
-        """End the station of a robot that is lost, without which the run goes on."""
+        """Close the station of a lost robot."""
         self._stations.pop(name).close(time.monotonic())
 
     def close(self) -> None:
-        """Have all robots stop, then let go of them; emulated ones go last.
+        """Stop and release all robots; emulated ones are closed last.
 
         Raises:
-            StationError: one did not end as it should; the robot may have to be looked after.
+            StationError: a station did not end properly; check the robot.
         """
         until = time.monotonic() + CLOSE_S
         for station in self._stations.values():
@@ -88,7 +88,7 @@ class Connections:
 
 
 def check_safety(vehicle: RealVehicle) -> None:
-    """Raise a `ValueError` where a vehicle could not be guarded, or would stand from the beginning."""
+    """Raise `ValueError` if safety parameters are invalid, or the start is outside the fence."""
     guard(mission(vehicle, ""))
     x, y, _ = vehicle.start
     fence = vehicle.safety.fence
@@ -98,7 +98,7 @@ def check_safety(vehicle: RealVehicle) -> None:
 
 
 def mission(vehicle: RealVehicle, run: str, period_s: float = 0.0) -> StationMission:
-    """What the station of a vehicle is told, whose agent decides every ``period_s``."""
+    """Mission of a vehicle's station; ``period_s`` is the period of its agent."""
     localisation = None
     if vehicle.localisation is not None:
         localisation = PartSpec(group="localisation", kind=vehicle.localisation, params=vehicle.localisation_params)

@@ -1,14 +1,14 @@
-"""What another clock says, in times of this machine's monotonic clock.
+"""Times of another clock, converted to this machine's monotonic clock.
 
-Positioning servers, robots and autopilots stamp what they measure with clocks of their own. Two ways lead from there to here:
+Positioning servers, robots and autopilots stamp measurements with their own clocks. There are two methods:
 
-- `ForeignClock`, for those that only talk. A message stamped s that arrives at a says ``a - s = offset + delay``, and of many
-  delays the least is nearest to the least that is possible (the minimum filter of clock synchronisation by one-way delays,
-  as in Moon, Skelly, Towsley 1999, "Estimation and removal of clock skew from network delay measurements", INFOCOM).
-- `EchoClock`, for those that echo. Four times give offset and round trip, and the exchange with the least round trip is the
+- `ForeignClock`, for devices that only send. A message stamped s that arrives at a says ``a - s = offset + delay``; the least
+  of many delays is nearest to the minimum delay (minimum filter of clock synchronisation by one-way delays: Moon, Skelly,
+  Towsley 1999, "Estimation and removal of clock skew from network delay measurements", INFOCOM).
+- `EchoClock`, for devices that answer. Four times give offset and round trip; the exchange with the least round trip is the
   best [RFC 5905, clauses 8 and 10].
 
-Offsets are what is added to the other's time to get ours. All is pure: times are arguments, whole ns.
+An offset is added to the other clock's time. No function reads a clock: times are arguments, whole ns.
 """
 
 from collections import deque
@@ -18,30 +18,29 @@ from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.types import NonNegative, Positive
 
 _PARTS = 10**9  # drifts are counted in parts of 10^9
-AGREE = 3  # so many messages in a row must tell of a jump of the clock
+AGREE = 3  # messages in a row that show a jump of the clock
 
 
 class ForeignClock:
-    """A clock that is known from the messages that it stamped.
+    """Offset of a clock, estimated from the stamps of its messages.
 
-    Within the window, the clock is supposed to drift by no more than ``drift_ppm`` against ours. Then the offset at t is at
-    most ``a_i - s_i - least + drift (t - a_i)`` for every message i, and the least of these bounds is taken: it is too large
-    by at most ``extra_i + 2 drift (t - a_i)``, whichever i, where extra is what a message took beyond ``least_s``.
+    The drift against this clock is assumed to be at most ``drift_ppm``. The offset at t is then at most
+    ``a_i - s_i - least + drift (t - a_i)`` for every message i of the window. The least bound is taken: it is too large
+    by at most ``extra_i + 2 drift (t - a_i)`` for every i, where extra is the delay beyond ``least_s``.
 
-    A message that comes too early by ``jump_s``, or whose stamp lies back by so much, is not counted; `AGREE` in a row that
-    agree among themselves mean that the clock has jumped, and the window starts anew with them. One that is merely late moves
-    nothing, unless it follows such a message and agrees with it: the stamps of a clock that was put back soon reach those of
-    before.
+    A message that is early by more than ``jump_s``, or has a stamp back by more than that, does not count. `AGREE` such messages
+    in a row that agree with each other are a jump of the clock: the window restarts with them. A late message changes nothing,
+    unless it follows such a message and agrees with it: the stamps of a clock that was set back soon reach earlier stamps.
 
     Args:
-        least_s: what lies between measuring and arriving at least.
-        window_s: how long a message counts.
-        drift_ppm: drift against our clock at most; a quartz is within 100.
-        jump_s: from what size on a jump is one.
+        least_s: minimum delay from measurement to arrival.
+        window_s: time for which a message counts.
+        drift_ppm: maximum drift against this machine's clock; a quartz is within 100.
+        jump_s: minimum size of a jump.
 
     Attributes:
-        jumps: how often the clock has jumped.
-        jumped_ns: by how much it did so last; positive: it was put forward.
+        jumps: number of jumps.
+        jumped_ns: size of the last jump; positive: the clock was set forward.
     """
 
     def __init__(
@@ -50,16 +49,15 @@ class ForeignClock:
         self._least_ns, self._window_ns, self._jump_ns = map(seconds_to_ns, (least_s, window_s, jump_s))
         self._drift = round(drift_ppm * 1000.0)
         self.jumps = self.jumped_ns = 0
-        self._bounds: deque[tuple[int, int]] = deque()  # arrival, and bound less drift: those that may still be the least
+        self._bounds: deque[tuple[int, int]] = deque()  # arrival, and bound without drift
         self._suspects: list[tuple[int, int]] = []  # stamp and arrival
         self._newest: int | None = None  # stamp that counted
-        self._last: tuple[int, int] | None = None  # stamp and what it was taken for, of the message that was heard last
+        self._last: tuple[int, int] | None = None  # stamp of the previous message, and its result
 
     def heard(self, source_ns: int, arrived_ns: int) -> int:
-        """When a message was stamped, by our clock; it arrived just now, and not before the one that was heard last.
+        """Time of a stamp on this machine's clock; the message arrived now, and not before the previous one.
 
-        It is never later than ``least_s`` before the arrival; and what was stamped later than the message before is not
-        earlier than that.
+        The result is at most ``least_s`` before the arrival, and not before the result for an earlier stamp.
         """
         self._count(source_ns, arrived_ns)
         local = min(source_ns + self._offset(arrived_ns), arrived_ns - self._least_ns)
@@ -69,11 +67,11 @@ class ForeignClock:
         return local
 
     def offset_ns(self, now_ns: int) -> int | None:
-        """What is added to its time now; None: nothing was heard yet."""
+        """Offset now; None: there was no message yet."""
         return self._offset(now_ns) if self._bounds else None
 
     def _count(self, source_ns: int, arrived_ns: int) -> None:
-        """Let a message tell of the offset, or suspect it."""
+        """Use a message for the offset, or keep it as a suspect of a jump."""
         if not self._bounds:
             self._bound(source_ns, arrived_ns)
             return
@@ -93,7 +91,7 @@ class ForeignClock:
             self._restart(early)
 
     def _restart(self, early: int) -> None:
-        """The clock has jumped: only the suspects count."""
+        """Restart the window with the suspects."""
         self.jumps += 1
         self.jumped_ns = early
         suspects, self._suspects = self._suspects, []
@@ -103,7 +101,7 @@ class ForeignClock:
             self._bound(source_ns, arrived_ns)
 
     def _bound(self, source_ns: int, arrived_ns: int) -> None:
-        """Keep the bounds in a queue that rises: what is not less than a newer one will never be the least."""
+        """Add a bound to the queue of increasing bounds; bounds that are not less than a newer one can never be the minimum."""
         bound = (arrived_ns - source_ns - self._least_ns) * _PARTS - self._drift * arrived_ns
         while self._bounds and self._bounds[-1][1] >= bound:
             self._bounds.pop()
@@ -117,22 +115,22 @@ class ForeignClock:
 
 
 class OffsetEstimate(NamedTuple):
-    """What an exchange says."""
+    """Offset from one exchange."""
 
     offset_ns: int
-    error_ns: int  # by so much it may be wrong at most, either way
-    at_ns: int  # when the answer came
+    error_ns: int  # maximum error
+    at_ns: int  # arrival of the reply
 
 
 class EchoClock:
-    """A clock that answers: offsets from exchanges of four times each, the best of the newest ``window``.
+    """Offset of a clock that answers: the best of the newest ``window`` exchanges.
 
-    An offset is wrong by at most half the round trip, however unequal the two ways are, and later by what the clock may have
-    drifted. So two exchanges may contradict each other: then the clock has jumped, and what came before is forgotten.
+    The error of an offset is at most half the round trip, for any ratio of the two delays, plus the drift since then. Exchanges
+    that contradict each other show a jump of the clock: earlier exchanges are then dropped.
 
     Attributes:
-        jumps: how often that was so.
-        refused: exchanges that cannot be: an answer before its question.
+        jumps: number of jumps.
+        refused: number of impossible exchanges, with a reply before its request.
     """
 
     def __init__(self, *, window: int = 8, drift_ppm: NonNegative = 100.0) -> None:
@@ -141,9 +139,9 @@ class EchoClock:
         self.jumps = self.refused = 0
 
     def add(self, request_ns: int, remote_arrival_ns: int, remote_reply_ns: int, reply_ns: int) -> None:
-        """An exchange: sent and received by our clock, heard and answered by the other."""
+        """An exchange: request and reply by this machine's clock, arrival and reply there by the other clock."""
         round_trip = (reply_ns - request_ns) - (remote_reply_ns - remote_arrival_ns)
-        drifted = self._drifted(reply_ns - request_ns)  # in the meantime
+        drifted = self._drifted(reply_ns - request_ns)
         if remote_reply_ns < remote_arrival_ns or reply_ns < request_ns or round_trip < -drifted:
             self.refused += 1
             return
@@ -155,7 +153,7 @@ class EchoClock:
         self._kept.append(new)
 
     def best(self, now_ns: int) -> OffsetEstimate | None:
-        """The estimate with the least possible error now; None: there was no exchange yet."""
+        """Estimate with the least maximum error now; None: there was no exchange yet."""
         aged = (each._replace(error_ns=each.error_ns + self._drifted(now_ns - each.at_ns)) for each in self._kept)
         return min(aged, key=lambda each: each.error_ns, default=None)
 

@@ -1,4 +1,4 @@
-"""Dead reckoning: where a vehicle is some time after it was last heard of."""
+"""Dead reckoning: extrapolation of a vehicle's state."""
 
 import cmath
 import math
@@ -8,11 +8,11 @@ from vcmvsp.cosim.frames import product, quaternion_from_yaw
 from vcmvsp.cosim.types import ORIGIN, Vec3, VehicleState
 
 LONGEST_NS = SECOND_NS // 2
-"""For so long a vehicle is taken to go on; then to stand."""
+"""Longest extrapolation; the vehicle stands after it."""
 
 
 def ahead(state: VehicleState, time_ns: int, *, flies: bool) -> VehicleState:
-    """The state some time later, or a little earlier, at constant speed and yaw rate; it stands once that is long ago.
+    """State after ``time_ns`` (may be negative) at constant speed and yaw rate; at rest beyond `LONGEST_NS`.
 
     On the ground the velocity turns with the body, in the air it does not.
     """
@@ -31,7 +31,7 @@ def ahead(state: VehicleState, time_ns: int, *, flies: bool) -> VehicleState:
 
 
 def planar(pose: Vec3, v: float, w: float, height_m: float) -> VehicleState:
-    """The state of a robot on the ground."""
+    """State of a robot on the ground."""
     x, y, yaw = pose
     return VehicleState(
         position=(x, y, height_m),

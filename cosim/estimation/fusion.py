@@ -1,21 +1,20 @@
-"""A robot's pose from its odometry and from positions that come late, now and then wrong, and without heading.
+"""Fusion of a robot's odometry with positions that arrive late, contain outliers and have no heading.
 
-`Fusion` is an extended Kalman filter (`kalman`) over a short log. What arrives is put into the log where its time belongs, and
-the filter runs again from there (rewind and replay): a late position counts exactly as if it had come in time, and the
-estimate does not depend on the order of arrival. A position between two odometry reports divides the motion between them in
-proportion. What is older than the log is refused.
+`Fusion` is an extended Kalman filter (`kalman_filter`) over a short log. Input is inserted into the log at its time, and the
+filter runs again from there (rewind and replay): a late position counts as if it were in time, and the estimate does not
+depend on the order of arrival. A position between two odometry reports divides the motion between them in proportion. Input
+older than the log is rejected.
 
-- **Heading.** Unless a start is given, the heading is unknown (variance pi^2/3) until the robot has moved far enough to tell
-  it (`alignment`); until then the estimate is the last position.
-- **Gate.** A position whose innovation is improbable (chi-square, 2 degrees of freedom) is left out. When ``restart_after``
-  consecutive ones were left out and agree among themselves and with odometry, it is the estimate that is wrong: it starts
-  again from them, heading unknown until it is told by motion, and says so.
-- **Silence of odometry.** The last speeds hold for ``coast_s``, then the robot is taken to stand; uncertainty grows meanwhile.
-  What odometry tells afterwards replaces this.
+- **Heading.** Without a start the heading is unknown (variance pi^2/3) until the robot has moved far enough
+  (`heading_alignment`); until then the estimate is the last position.
+- **Gate.** A position with an improbable innovation (chi-square, 2 degrees of freedom) is rejected. If ``restart_after``
+  consecutive rejected positions agree with each other and with odometry, the estimate restarts from them, heading unknown.
+- **Silence of odometry.** The last speeds hold for ``coast_s``, then the robot is assumed to stand; the uncertainty grows.
+  Later odometry replaces this assumption.
 
-Errors of the positions are taken to be independent: a receiver whose error wanders slowly must be given a sigma that covers
-it, and the covariance is then too small for averages over less than its correlation time. Pure and deterministic: times are
-arguments, in ns of one clock. Times must not lie in the future: they would push the log ahead of what is still to come.
+Errors of positions are assumed to be independent: for a receiver with a slowly wandering error sigma must cover it, and the
+covariance is then too small for averages over less than its correlation time. Times are arguments, in ns of one clock. They
+must not lie in the future: the log would move past input that is still to come.
 """
 
 import bisect
@@ -42,19 +41,19 @@ Outcome = Literal["accepted", "gated", "collected", "restarted", "late"]
 
 
 class Verdict(msgspec.Struct, frozen=True):
-    """What became of a position when it came: collected, while the heading is unknown; late, if older than the log."""
+    """Result for a position: ``collected`` while the heading is unknown; ``late`` if it is older than the log."""
 
     outcome: Outcome
-    nis: float | None = None  # squared Mahalanobis length of the innovation, where there was an estimate to compare with
+    nis: float | None = None  # squared Mahalanobis length of the innovation; None without an estimate
 
     @property
     def accepted(self) -> bool:
-        """Whether it counts for the estimate."""
+        """Whether the estimate uses it."""
         return self.outcome in ("accepted", "collected", "restarted")
 
 
 class FusedPose(msgspec.Struct, frozen=True, kw_only=True):
-    """The estimate at an instant."""
+    """Estimate at an instant."""
 
     time_ns: int
     x: float  # m
@@ -62,24 +61,24 @@ class FusedPose(msgspec.Struct, frozen=True, kw_only=True):
     heading: float  # rad, in (-pi, pi]; meaningless unless known
     covariance: Array  # (3, 3) of x, y, heading: m^2, m rad, rad^2
     heading_known: bool
-    v: float  # m/s, as odometry said last
-    w: float  # rad/s, the same
-    age_s: float  # since the last position that counted was measured; inf: none yet
+    v: float  # m/s, from the newest odometry
+    w: float  # rad/s, from the newest odometry
+    age_s: float  # since the last accepted position was measured; inf: none yet
     odometry_age_s: float  # since odometry was measured; inf: none yet
     scale: float  # see `kalman`
     veer: float  # rad/m
     bias: float  # rad/s
-    accepted: int  # positions that counted
-    gated: int  # that were left out
-    restarts: int  # times that the estimate was given up for what the positions said
+    accepted: int  # accepted positions
+    gated: int  # rejected positions
+    restarts: int  # restarts from rejected positions
 
 
 class _FilterState(msgspec.Struct, frozen=True):
-    """All that the filter knows at an instant."""
+    """State of the filter at an instant."""
 
     mean: Array | None  # (6,); None while the heading is unknown
     covariance: Array
-    items: heading_alignment.Items = ()  # since the first position that is collected, or was gated
+    items: heading_alignment.Items = ()  # since the first collected or gated position
     position_ns: int | None = None
     accepted: int = 0
     gated: int = 0
@@ -95,14 +94,14 @@ class _OdometryInterval(msgspec.Struct, frozen=True):
 
 
 class _LogEntry(msgspec.Struct, eq=False):
-    """An instant of the log, and the belief after it."""
+    """An input of the log, and the filter state after it."""
 
     time_ns: int
     belief: _FilterState
     what: _OdometryInterval | MeasuredPosition | None = None
 
     def key(self) -> tuple[float, ...]:
-        """Order of the log: it must not depend on the order of arrival, not even at equal times."""
+        """Order in the log; independent of the order of arrival, also at equal times."""
         position = self.what
         return (
             (self.time_ns, 1, position.x, position.y) if isinstance(position, MeasuredPosition) else (self.time_ns, 0, 0.0, 0.0)
@@ -113,18 +112,18 @@ class Fusion:
     """Fuses odometry with positions.
 
     Args:
-        noise: how far odometry is to be trusted.
-        start: x (m), y (m) and heading (rad) where the robot sets out; None: unknown.
+        noise: uncertainty of odometry.
+        start: x (m), y (m) and heading (rad) at the start; None: unknown.
         start_sigma_m: standard deviation of the start's x and y.
         start_sigma_rad: standard deviation of its heading.
-        scale_sigma: standard deviation of the unknown scale error of distances; 0: there is none. Likewise the next two.
-        veer_sigma: rad/m, of the unknown turn per metre.
-        bias_sigma: rad/s, of the unknown turn per second (a gyro's bias).
+        scale_sigma: standard deviation of the unknown scale error of distances; 0: no scale error.
+        veer_sigma: rad/m, standard deviation of the unknown turn per metre; 0: none.
+        bias_sigma: rad/s, standard deviation of the unknown turn per second (bias of a gyro); 0: none.
         gate: probability that a good position passes the gate.
-        restart_after: so many consecutive gated positions that agree start the estimate again.
-        heading_sigma_rad: how well motion must tell the heading before the filter begins.
-        coast_s: how long the last speeds hold when odometry is silent.
-        history_s: length of the log: how late anything may come.
+        restart_after: consecutive rejected positions that agree and restart the estimate.
+        heading_sigma_rad: required accuracy of the heading before the filter starts.
+        coast_s: time for which the last speeds hold without odometry.
+        history_s: length of the log: maximum lateness of input.
     """
 
     def __init__(
@@ -152,15 +151,15 @@ class Fusion:
         mean = None if start is None else np.array([*start, 0.0, 0.0, 0.0])
         self._begin = _FilterState(mean, covariance)
         self._nodes: list[_LogEntry] = []
-        self._odometry_ns: int | None = None  # until when odometry has told
-        self._waiting = (0.0, 0.0)  # motion told without time having gone on
-        self._speed = (0.0, 0.0)  # m/s and rad/s, as told last
-        self.late = 0  # positions refused because they were older than the log
+        self._odometry_ns: int | None = None  # end of the newest odometry
+        self._waiting = (0.0, 0.0)  # motion without a later time
+        self._speed = (0.0, 0.0)  # m/s and rad/s
+        self.late = 0  # positions older than the log
 
     def odometry(self, time_ns: int, distance_m: float, turn_rad: float) -> None:
-        """The robot has gone and turned so much since the last call; the first call only marks the time.
+        """Distance and turn of the robot since the last call; the first call only sets the time.
 
-        Of two wheels that went l and r, on an axle of length b, distance is (l + r) / 2 and turn (r - l) / b.
+        For two wheels with paths l and r on an axle of length b, distance is (l + r) / 2 and turn (r - l) / b.
         """
         _check(distance_m, turn_rad)
         if self._odometry_ns is None:
@@ -177,19 +176,19 @@ class Fusion:
         self._insert(_LogEntry(time_ns, self._begin, odometry))
 
     def twist(self, time_ns: int, v: float, w: float) -> None:
-        """The robot has gone at v (m/s) and w (rad/s) since the last call."""
+        """Motion at v (m/s) and w (rad/s) since the last call."""
         seconds = 0.0 if self._odometry_ns is None else max(time_ns - self._odometry_ns, 0) / SECOND_NS
         self.odometry(time_ns, v * seconds, w * seconds)
 
     def fix(self, time_ns: int, x: float, y: float, sigma_m: float) -> Verdict:
-        """The robot was at x, y (m) at that time, give or take sigma_m in each."""
+        """Position of the robot at that time, with standard deviation sigma_m of x and of y."""
         _check(x, y, sigma_m)
         if sigma_m <= 0.0:
             raise ValueError(f"a position's sigma_m must be positive, not {sigma_m}")
         return self._insert(_LogEntry(time_ns, self._begin, MeasuredPosition(x, y, sigma_m)))
 
     def estimate(self, now_ns: int) -> FusedPose | None:
-        """The pose at an instant of the log, or after it; None while nothing is known, or before the log."""
+        """Pose at an instant within or after the log; None: unknown, or before the log."""
         index = bisect.bisect_right(self._nodes, now_ns, key=lambda node: node.time_ns) - 1
         if index < 0:
             return None
@@ -225,7 +224,7 @@ class Fusion:
         )
 
     def _insert(self, node: _LogEntry) -> Verdict:
-        """Put a node where it belongs, run the filter again from there, and forget what is older than the log."""
+        """Insert an entry, run the filter again from there, and drop entries older than the log."""
         nodes = self._nodes
         if not nodes:
             nodes.append(_LogEntry(node.time_ns, self._begin))
@@ -248,7 +247,7 @@ class Fusion:
         return verdict
 
     def _moved(self, belief: _FilterState, index: int, until_ns: int) -> _FilterState:
-        """The belief after node ``index``, moved on to a time before the next node, or after the last."""
+        """Filter state after entry ``index``, moved to a time before the next entry, or after the last."""
         since_ns = self._nodes[index].time_ns
         if until_ns == since_ns:
             return belief
@@ -260,7 +259,7 @@ class Fusion:
         return msgspec.structs.replace(belief, mean=mean, covariance=grown(belief.covariance, jacobian, added), items=items)
 
     def _motion(self, index: int, since_ns: int, until_ns: int) -> OdometryMotion:
-        """What odometry tells of this time, else the last speeds as long as they hold."""
+        """Motion from odometry, else from the last speeds as long as they hold."""
         seconds = (until_ns - since_ns) / SECOND_NS
         for node in self._nodes[index + 1 :]:
             if isinstance(odometry := node.what, _OdometryInterval):
@@ -273,7 +272,7 @@ class Fusion:
         return OdometryMotion(self._speed[0] * held, self._speed[1] * held, seconds, measured=False)
 
     def _corrected(self, belief: _FilterState, time_ns: int, position: MeasuredPosition) -> tuple[_FilterState, Verdict]:
-        """The belief after a position."""
+        """Filter state after a position."""
         items = heading_alignment.trimmed((*belief.items, position))
         if belief.mean is None:
             return self._collected(belief, time_ns, items), Verdict("collected")
@@ -294,7 +293,7 @@ class Fusion:
         return msgspec.structs.replace(belief, items=items, gated=belief.gated + 1), Verdict("gated", nis)
 
     def _collected(self, belief: _FilterState, time_ns: int, items: heading_alignment.Items) -> _FilterState:
-        """The belief after one more position with the heading unknown: perhaps it is known now."""
+        """Filter state after one more position with unknown heading."""
         count = belief.accepted + 1
         start = heading_alignment.aligned(items, self._prior, self._noise, self._heading_sigma, self._gate)
         if start is None:

@@ -1,8 +1,8 @@
-"""From which heading a robot set out: the path that odometry tells is laid upon the positions that were measured.
+"""Start heading of a robot: fits the path from odometry to measured positions.
 
-Odometry knows the path's shape, positions know where it lies, and neither knows the heading. The rotation that fits best is
-the closed form of the plane Procrustes problem. About it, one linear Kalman pass with a heading that is unknown beforehand
-(uniform: variance pi^2 / 3) gives mean and covariance: the positions' noise and odometry's count once each.
+Odometry gives the shape of the path, positions its place, neither the heading. The best rotation is the closed form of the
+plane Procrustes problem. About it, one linear Kalman pass with unknown heading (uniform: variance pi^2 / 3) gives mean and
+covariance: the noise of positions and of odometry counts once each.
 """
 
 import math
@@ -25,20 +25,20 @@ from vcmvsp.cosim.estimation.kalman_filter import (
 )
 from vcmvsp.cosim.types import Array
 
-UNKNOWN = math.pi**2 / 3.0  # rad^2, variance of a direction of which nothing is known
+UNKNOWN = math.pi**2 / 3.0  # rad^2, variance of an unknown direction
 LEAST = 4  # positions; three are needed, one more lets them contradict each other
-MOST = 40  # positions that are kept
-LONGEST = 2000  # items that are kept
+MOST = 40  # positions
+LONGEST = 2000  # items
 
 Items = tuple[OdometryMotion | MeasuredPosition, ...]  # in order of time; the first is a position
 
 
 class AlignedStart(msgspec.Struct, frozen=True):
-    """Where the robot is after the items."""
+    """State of the robot after the items."""
 
     mean: Array  # (6,)
     covariance: Array  # (6, 6)
-    chi2: float  # how ill the positions fit
+    chi2: float  # of the fit
     count: int  # of the positions
 
     def fits(self, gate: float) -> bool:
@@ -47,7 +47,7 @@ class AlignedStart(msgspec.Struct, frozen=True):
 
 
 def chi2_quantile(probability: float, degrees: int) -> float:
-    """Below which a chi-square variable stays with this probability."""
+    """Quantile of the chi-square distribution."""
     return 2.0 * float(gammaincinv(0.5 * degrees, probability))
 
 
@@ -58,7 +58,7 @@ def trimmed(items: Items, most: int = MOST) -> Items:
 
 
 def extended(items: Items, motion: OdometryMotion) -> Items:
-    """The items and a motion; of a list that grows too long, the oldest positions and their motions are forgotten."""
+    """The items and a motion; in a list that is too long, the oldest positions and their motions are dropped."""
     last = items[-1]
     if isinstance(last, OdometryMotion) and last.measured == motion.measured and _rests(last) and _rests(motion):
         return (*items[:-1], OdometryMotion(0.0, 0.0, last.seconds + motion.seconds, motion.measured))
@@ -69,14 +69,14 @@ def extended(items: Items, motion: OdometryMotion) -> Items:
 
 
 def count(items: Items) -> int:
-    """How many positions there are."""
+    """Number of positions."""
     return sum(isinstance(item, MeasuredPosition) for item in items)
 
 
 def aligned(items: Items, prior: Array, noise: OdometryNoise, sigma_rad: float, gate: float) -> AlignedStart | None:
-    """The start, once the path is long enough to tell the heading to ``sigma_rad``, and the positions agree.
+    """The start, if the path gives the heading to ``sigma_rad`` and the positions agree; else None.
 
-    Where they do not, up to a quarter of them is left out: each time the one without which the others fit best.
+    If they do not agree, up to a quarter is dropped: each time the position without which the others fit best.
     """
     path, positions = _path(items)
     remaining = list(range(len(positions)))
@@ -95,7 +95,7 @@ def aligned(items: Items, prior: Array, noise: OdometryNoise, sigma_rad: float, 
 
 
 def fitted(items: Items, prior: Array, noise: OdometryNoise, heading: float | None = None) -> AlignedStart:
-    """The least-squares start: a Kalman pass over the differences from the path that sets out with ``heading``.
+    """Least-squares start: a Kalman pass over the differences from the path that starts with ``heading``.
 
     ``prior`` has the variances of scale, veer and bias in its diagonal.
     """
@@ -120,7 +120,7 @@ def fitted(items: Items, prior: Array, noise: OdometryNoise, heading: float | No
 
 
 def rough(items: Items, prior: Array, noise: OdometryNoise) -> tuple[Array, Array]:
-    """Mean and covariance while the heading is unknown: the last position, and a way from it in some direction."""
+    """Mean and covariance with unknown heading: the last position, and a way from it in any direction."""
     last = max(index for index, item in enumerate(items) if isinstance(item, MeasuredPosition))
     positions, since = items[last], items[last:]
     assert isinstance(positions, MeasuredPosition)  # noqa: S101
@@ -142,7 +142,7 @@ def rough(items: Items, prior: Array, noise: OdometryNoise) -> tuple[Array, Arra
 
 
 def _path(items: Items) -> tuple[Array, list[MeasuredPosition]]:
-    """Where odometry puts each position, (n, 2) m, were the first at the origin with heading 0; and the positions."""
+    """Path by odometry at each position, (n, 2) m, from the origin with heading 0; and the positions."""
     at, noise = np.zeros(SIZE), OdometryNoise()
     places, positions = [], []
     for item in items:
@@ -155,7 +155,7 @@ def _path(items: Items) -> tuple[Array, list[MeasuredPosition]]:
 
 
 def _rotation(path: Array, positions: Sequence[MeasuredPosition]) -> tuple[float, float, float]:
-    """Heading that lays the path on the positions, its standard deviation, and the weighted squared residual.
+    """Heading that fits the path to the positions, its standard deviation, and the weighted squared residual.
 
     Centred paths u and positions z with weights w = 1 / sigma^2: the heading is the argument of the sum of
     ``w conj(u) z`` (as complex numbers), its variance ``1 / sum w |u|^2``, its residual
@@ -180,7 +180,7 @@ def _one_less(indices: list[int]) -> list[list[int]]:
 
 
 def _without(items: Items, dropped: list[int]) -> Items:
-    """The items without some of the positions, from the first position that is left on."""
+    """The items without some positions, from the first remaining position on."""
     remaining: list[OdometryMotion | MeasuredPosition] = []
     number = -1
     for item in items:

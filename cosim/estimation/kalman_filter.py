@@ -1,7 +1,7 @@
-"""The two steps of an extended Kalman filter of a wheeled robot's pose: odometry moves it, a position corrects it.
+"""Steps of an extended Kalman filter of a wheeled robot's pose: prediction by odometry, correction by a position.
 
-The state is (x m, y m, heading rad, scale, veer rad/m, bias rad/s): the robot went ``(1 + scale)`` times what its odometry
-says, and turned ``veer`` per metre (unequal wheels) and ``bias`` per second (a gyro's) beyond what it says.
+The state is (x m, y m, heading rad, scale, veer rad/m, bias rad/s): true distances are ``(1 + scale)`` times odometry, and
+the robot turns ``veer`` per metre (unequal wheels) and ``bias`` per second (bias of a gyro) more than odometry says.
 """
 
 import math
@@ -17,7 +17,7 @@ HEADING = 2
 
 
 class OdometryMotion(msgspec.Struct, frozen=True):
-    """What odometry says of a stretch of time, or what is supposed where it has said nothing (yet)."""
+    """Motion in an interval, from odometry or, if it is silent, from the last speeds."""
 
     distance_m: float  # along the path, negative backwards
     turn_rad: float
@@ -26,7 +26,7 @@ class OdometryMotion(msgspec.Struct, frozen=True):
 
 
 class MeasuredPosition(msgspec.Struct, frozen=True):
-    """A position that was measured."""
+    """A measured position."""
 
     x: float  # m
     y: float  # m
@@ -34,16 +34,16 @@ class MeasuredPosition(msgspec.Struct, frozen=True):
 
 
 class OdometryNoise(msgspec.Struct, frozen=True, kw_only=True):
-    """How far odometry is to be trusted: random walks, so that variances grow with the path and add up however it is cut.
+    """Uncertainty of odometry: random walks, so that variances grow with the path and do not depend on its division.
 
     The defaults are of the size that Borenstein and Feng 1996 ("Measurement and correction of systematic odometry errors in
-    mobile robots", IEEE Trans. RA 12(6)) leave after calibration on smooth floors: some centimetres and degrees in 10 m.
+    mobile robots", IEEE Trans. RA 12(6)) report after calibration on smooth floors: some centimetres and degrees in 10 m.
     """
 
     distance: NonNegative = 0.02  # m per sqrt(m) driven
     turn: NonNegative = 0.03  # rad per sqrt(rad) turned
     veer: NonNegative = 0.01  # rad per sqrt(m) driven
-    time_m: NonNegative = 0.002  # m per sqrt(s), always: it is pushed, it shakes
+    time_m: NonNegative = 0.002  # m per sqrt(s), always: pushes and vibration
     time_rad: NonNegative = 0.001  # rad per sqrt(s), always
     untold_m: NonNegative = 0.3  # m per sqrt(s) while odometry is silent
     untold_rad: NonNegative = 0.3  # rad per sqrt(s) while odometry is silent
@@ -84,7 +84,7 @@ def grown(covariance: Array, jacobian: Array, added: Array) -> Array:
 
 
 def innovation(mean: Array, covariance: Array, position: MeasuredPosition) -> tuple[Array, Array, float]:
-    """Seen minus expected (2,), the inverse of its covariance (2, 2), and its squared Mahalanobis length (chi-square, 2)."""
+    """Measured minus expected (2,), the inverse of its covariance (2, 2), its squared Mahalanobis length (chi-square, 2)."""
     xx, xy, yy = covariance[0, 0] + position.sigma_m**2, covariance[0, 1], covariance[1, 1] + position.sigma_m**2
     inverse = np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy * xy)
     difference = np.array([position.x - mean[0], position.y - mean[1]])
@@ -92,7 +92,7 @@ def innovation(mean: Array, covariance: Array, position: MeasuredPosition) -> tu
 
 
 def corrected(covariance: Array, inverse: Array, position: MeasuredPosition) -> tuple[Array, Array]:
-    """The gain (6, 2), and the covariance after a position, in Joseph's form: it stays positive whatever is rounded."""
+    """Gain (6, 2), and the covariance after a position, in Joseph's form, which stays positive definite."""
     gain = covariance[:, :2] @ inverse
     complement = np.eye(SIZE)
     complement[:, :2] -= gain
@@ -100,13 +100,13 @@ def corrected(covariance: Array, inverse: Array, position: MeasuredPosition) -> 
 
 
 def symmetric(matrix: Array) -> Array:
-    """The matrix without the asymmetry that rounding leaves."""
+    """The matrix without asymmetry from rounding."""
     result: Any = 0.5 * (matrix + matrix.T)
     return result  # type: ignore[no-any-return]
 
 
 def _sinc(half: float) -> tuple[float, float]:
-    """``sin(h) / h`` and its derivative; by their series where h is so small that differences lose digits."""
+    """``sin(h) / h`` and its derivative; by series for small h."""
     if abs(half) < 1e-3:
         return 1.0 - half * half / 6.0, -half / 3.0
     ratio = math.sin(half) / half

@@ -1,16 +1,16 @@
-"""Safety between a command and a real robot, after everything else. No driver, link or process belongs here.
+"""Safety between a command and a real robot, the last step before its driver. No driver, link or process belongs here.
 
 ::
 
     limits              speeds and accelerations
-    braking             stopping distance, and the speed at which it fits
-    obstacle_distance   distance to walls and discs, over all directions in which a robot may come to move
+    braking             stopping distance, and the speed for a given distance
+    obstacle_distance   distance to walls and discs, over a range of headings
     geofence            a polygon that the robot stays inside
     separation          distance to other vehicles, real or simulated
-    deadman             sources that must have been heard lately, else the robot stops
-    control_step        parameters of supervisors, start and end of their steps
-    ground_supervisor   all of them, once a control period, for a robot with two driven wheels
-    aerial_supervisor   the same for a vehicle that flies, with floor and ceiling
+    deadman             time-outs of monitored sources
+    control_step        parameters, and one step of a supervisor
+    ground_supervisor   supervisor of a robot with two driven wheels
+    aerial_supervisor   supervisor of a vehicle that flies, with floor and ceiling
 """
 
 from vcmvsp.hardware.safety.aerial_supervisor import AerialParameters, AerialSupervisor

@@ -1,22 +1,22 @@
-"""All of safety for a vehicle that flies and takes velocities in the three axes of the world, once a control period.
+"""Safety supervisor of a vehicle that flies and takes velocities in the three axes of the world.
 
-The law is that of the ground: it stays inside the fence, between floor and ceiling and away from others, as long as it brakes
-as it should. What is supposed of it: from one command to the next its velocity goes straight to the new one, at no less than
-``stop_mps2``, horizontally and vertically each, and it brakes straight. While its horizontal velocity goes from u to v and
-then to zero, all headings lie between those of u and v, and since the norm is convex it moves no farther than ::
+The vehicle stays inside the fence, between floor and ceiling and away from others, if it brakes as specified. Assumptions:
+from one command to the next its velocity goes straight to the new one, at no less than ``stop_mps2``, horizontally and
+vertically each, and it brakes straight. While its horizontal velocity goes from u to v and then to zero, all headings lie
+between those of u and v, and since the norm is convex it moves no farther than ::
 
     |v| hold + |v|**2 / (2 decel) + |v - u| max(0, |u| - |v|) / (2 decel)
 
 So it stays in the sector of that radius between the two headings (`hardware.safety.obstacle_distance`), which is kept clear;
-on a line this is `hardware.safety.braking.swept`. A command for which that does not fit is made smaller, never turned aside;
-one that brakes straight always fits where poses are true, by the same reasoning as on the ground.
+on a line this is `hardware.safety.braking.swept`. A command that does not fit is reduced, never turned aside; a command that
+brakes straight always fits if poses are true, for the same reason as on the ground.
 
-**Others** are upright cylinders: bodies are taken to be as far apart above as beside, ``radius + radius + separation``. It is
-enough to be clear of one in one way. Who is clear of it vertically, and could stop before it is not, need not mind it
-horizontally; then the vertical speed is kept so that this stays, unless it is clear of it horizontally as well.
-Nobody is credited with going away, and nobody is evaded.
+**Others** are upright cylinders: the required distance is the same above and beside, ``radius + radius + separation``. To be
+clear of another vehicle in one direction is enough. A vehicle that is vertically clear, and could stop before it is not,
+ignores the other horizontally; its vertical speed is then limited to stay clear, unless it is horizontally clear as well.
+The supervisor assumes that others may stop at any time, and it does not evade them.
 
-A stop in the air is zero velocity: the autopilot holds its place. Motors are never asked to be switched off.
+A stop in the air is zero velocity: the autopilot holds its position. Motors are never switched off.
 """
 
 import math
@@ -38,25 +38,25 @@ from vcmvsp.hardware.safety.separation import Others
 
 Plane = tuple[float, float]  # m/s, east and north
 
-_HALVINGS = 12  # of a horizontal velocity that does not fit
+_HALVINGS = 12  # bisection steps of a horizontal velocity
 
 
 class _Level(NamedTuple):
     """Another vehicle that is above or below."""
 
     row: int
-    above: bool  # of us
+    above: bool  # of this vehicle
     room: float  # m between the cylinders; 0 if not clear
-    closing: float  # m/s at which it comes nearer
-    clear: bool  # there is room, also if we brake
+    closing: float  # m/s, speed of approach
+    clear: bool  # clear, also while braking
 
 
 class AerialParameters(Parameters, frozen=True, kw_only=True):
-    """What an `AerialSupervisor` keeps to."""
+    """Parameters of an `AerialSupervisor`."""
 
     climb_mps: Positive  # up and down
-    floor_m: float | None = None  # the least z; who is below may climb
-    ceiling_m: float | None = None  # the greatest
+    floor_m: float | None = None  # minimum z; a vehicle below may climb
+    ceiling_m: float | None = None  # maximum z
 
     def __post_init__(self) -> None:
         heights = [each for each in (self.floor_m, self.ceiling_m) if each is not None]
@@ -122,7 +122,7 @@ class AerialSupervisor(Supervisor):
     def _slow_down(
         self, target: Plane, requested: Plane, dt: float, arounds: Sequence[tuple[Cause, Obstacles]]
     ) -> tuple[Plane, list[Cause]]:
-        """The horizontal velocity towards as much of the target as lets the vehicle stop in time, by halving."""
+        """Largest share of the target velocity that lets the vehicle stop in time, by bisection."""
         causes = [cause for cause, around in arounds if not self._fits(requested, around)]
         if not causes:
             return requested, []
@@ -137,7 +137,7 @@ class AerialSupervisor(Supervisor):
         return best, causes
 
     def _fits(self, velocity: Plane, around: Obstacles) -> bool:
-        """Whether the vehicle, told this horizontal velocity now, can stop before it touches anything."""
+        """Whether the vehicle can stop before an obstacle after this horizontal velocity."""
         hold, decel = self._p.reaction_s, self._p.limits.stop_mps2
         before = self.last[:2]
         v, u = math.hypot(*velocity), math.hypot(*before)
@@ -150,12 +150,12 @@ class AerialSupervisor(Supervisor):
         return bool((needs <= around.free(*_cone(before, velocity))).all())
 
     def _around(self, pose: Pose, others: Others, rows: NDArray[np.intp]) -> Obstacles:
-        """Some of the others, seen from above."""
+        """Some of the others as obstacles in the plane."""
         some = Others(others.position[rows], others.velocity[rows], others.radius[rows])
         return some.around(pose[0], pose[1], self._p.radius_m + self._p.separation_m)
 
     def _levels(self, z: float, others: Others) -> list[_Level]:
-        """Where the others are above and below the vehicle."""
+        """Vertical distances to the others."""
         levels, vz = [], self.last[2]
         columns = others.position[:, 2].tolist(), others.velocity[:, 2].tolist(), others.radius.tolist()
         for row, (height, climbs, radius) in enumerate(zip(*columns, strict=True)):
@@ -171,7 +171,7 @@ class AerialSupervisor(Supervisor):
     ) -> tuple[float, list[Cause]]:
         """The vertical speed that lets the vehicle stop in time, and the causes of its reduction."""
         last, p = self.last[2], self._p
-        up = vz > 0.0 or last > 0.0  # the limits let it stand before it turns back
+        up = vz > 0.0 or last > 0.0  # the limits stop it before it reverses
         speed, causes = abs(vz), []
 
         def most(room: float, closing: float) -> float:
@@ -194,16 +194,16 @@ class AerialSupervisor(Supervisor):
 def _within(x: float, y: float, speed: float) -> Plane:
     """A velocity in this direction, no faster than ``speed``."""
     if (big := max(abs(x), abs(y))) > speed:
-        x, y = x / big * speed, y / big * speed  # so that squares cannot overflow
+        x, y = x / big * speed, y / big * speed  # squares cannot overflow
     length = math.hypot(x, y)
     return (x, y) if length <= speed else (x / length * speed, y / length * speed)
 
 
 def _ramp(target: Plane, last: Plane, dt: float, limits: Limits) -> Plane:
-    """The velocity nearest to the target that is reached on the straight way there.
+    """Velocity nearest to the target that can be reached in ``dt`` on the straight way from ``last``.
 
-    Until it is slowest, it changes as fast as the vehicle is sure to brake; from there on it is gained at the acceleration, or
-    at that of braking, if it is less.
+    Until its minimum it changes at the braking deceleration; from there on at the acceleration, or the deceleration if that is
+    less.
     """
     dx, dy = target[0] - last[0], target[1] - last[1]
     way = math.hypot(dx, dy)
@@ -219,7 +219,7 @@ def _ramp(target: Plane, last: Plane, dt: float, limits: Limits) -> Plane:
 
 
 def _cone(u: Plane, v: Plane) -> tuple[float, float]:
-    """The headings between two velocities, rad; where one is zero, those of the other."""
+    """Headings between two velocities, rad; if one is zero, the heading of the other."""
     if u == (0.0, 0.0):
         u = v
     if v == (0.0, 0.0):

@@ -1,16 +1,16 @@
-"""How far a robot moves until it stands, and the speed at which that just fits.
+"""Stopping distance of a robot, and the greatest speed for a given distance.
 
-A command is given now and acts until the next one does, ``hold`` s later; from then on the robot may have to stop at
-``decel``. A robot that is commanded v while it moves at u, all along one line, comes to stand after ::
+A command acts until the next one, ``hold`` s later; from then on the robot may have to stop at ``decel``. A robot that is
+commanded v while it moves at u, all along one line, stops after ::
 
     v hold + v**2 / (2 decel)                              if it is not slower than before, v >= u
     v hold + v**2 / (2 decel) + (u - v)**2 / (2 decel)     if it first slows down, and reaches v within hold
     u**2 / (2 decel)                                       if it does not reach v within hold
 
 These are times of reaction and of braking as in ISO 13855 and ISO/TS 15066, 5.5.4 (protective separation distance); without
-reaction the speed that fits is that of the dynamic window, sqrt(2 decel d) [Fox, Burgard, Thrun 1997, eq. 14]. Something
-that comes nearer at c m/s adds c times the time until the robot stands, hold + v / decel; something that goes away adds
-nothing, as it may stop.
+reaction the greatest speed is that of the dynamic window, sqrt(2 decel d) [Fox, Burgard, Thrun 1997, eq. 14]. An obstacle
+that approaches at c m/s adds c times the time until the robot stands, hold + v / decel; one that recedes adds nothing, as it
+may stop.
 """
 
 import math
@@ -19,7 +19,7 @@ TOLERANCE_M = 1e-9  # rounding of distances must not count as a danger
 
 
 def swept(v: float, u: float, hold: float, decel: float) -> float:
-    """How far (m, or rad) until it stands, for speeds v, u >= 0: see above."""
+    """Stopping distance (m, or rad) for speeds v, u >= 0: see above."""
     if u - v >= decel * hold:
         return u * u / (2.0 * decel)
     slowing = max(0.0, u - v)
@@ -27,7 +27,7 @@ def swept(v: float, u: float, hold: float, decel: float) -> float:
 
 
 def stops_within(free: float, u: float, closing: float, decel: float) -> bool:
-    """Whether a robot at u m/s that brakes at once stands before it has moved ``free`` m."""
+    """Whether a robot at u m/s that brakes at once stops within ``free`` m."""
     return u * u / (2.0 * decel) + closing * u / decel <= free + TOLERANCE_M
 
 

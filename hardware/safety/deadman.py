@@ -1,4 +1,4 @@
-"""Who must have been heard lately, else the robot stops; and which stops last for as long as the station does."""
+"""Time-outs of monitored sources, and which stops are latched."""
 
 from enum import StrEnum
 
@@ -8,13 +8,13 @@ from vcmvsp.cosim.clock import SECOND_NS
 
 
 class Cause(StrEnum):
-    """Why a robot was stopped, or slowed down."""
+    """Reason to stop or slow down a robot."""
 
     OPERATOR = "operator"  # no heartbeat of the operator
     COMMAND = "command"  # no command
     POSITIONING = "positioning"  # no position
-    FEDERATION = "federation"  # nothing from the run that the robot is part of
-    CLOCK = "clock"  # time went back or jumped, or something was heard in the future
+    FEDERATION = "federation"  # no message of the run
+    CLOCK = "clock"  # time went back or jumped, or a message is from the future
     NOT_FINITE = "not_finite"  # a command, a pose or another vehicle's is not a number
     LIMITS = "limits"  # the command was too fast, or changed too fast
     GEOFENCE = "geofence"
@@ -22,17 +22,17 @@ class Cause(StrEnum):
 
 
 class TimeOuts(msgspec.Struct, frozen=True, kw_only=True):
-    """How long (s) each may be silent; None: nobody waits for it."""
+    """Maximum silence of each source, s; None: not monitored."""
 
     operator_s: float | None = 0.5
     command_s: float | None = 0.5
     positioning_s: float | None = 1.0
     federation_s: float | None = 0.5
-    clock_s: float | None = 0.5  # from one step to the next
+    clock_s: float | None = 0.5  # between two steps
 
 
 class LastReceived(msgspec.Struct, frozen=True, kw_only=True):
-    """When each was heard last, ns on the clock of the steps; None: never."""
+    """Time of the newest message of each source, ns on the clock of the steps; None: none yet."""
 
     operator_ns: int | None = None
     command_ns: int | None = None
@@ -45,10 +45,10 @@ LATCHED = (Cause.OPERATOR, Cause.FEDERATION, Cause.CLOCK)
 
 
 class Deadman:
-    """Watches ages against time-outs.
+    """Compares ages with time-outs.
 
-    A cause in ``latched`` lasts for as long as this object does, also when what was lost is back; the others end by themselves.
-    What was never heard stops the robot, but has not been lost: it latches nothing.
+    A cause in ``latched`` lasts as long as this object, also after the source is back; other causes end by themselves. A source
+    without any message stops the robot, but latches nothing: it was not lost.
     """
 
     def __init__(self, time_outs: TimeOuts | None = None, latched: tuple[Cause, ...] = LATCHED) -> None:
@@ -67,7 +67,7 @@ class Deadman:
         self._last_ns: int | None = None
 
     def check(self, now_ns: int, received: LastReceived) -> tuple[Cause, ...]:
-        """What stops the robot now, in the order of `Cause`; to be asked at every step."""
+        """Causes to stop now, in the order of `Cause`; call it at every step."""
         causes = set[Cause]()
         if self._last_ns is not None and Cause.CLOCK in self._limits_ns:
             elapsed = now_ns - self._last_ns
@@ -80,7 +80,7 @@ class Deadman:
         return tuple(cause for cause in Cause if cause in causes)
 
     def _silent(self, now_ns: int, received: LastReceived, causes: set[Cause]) -> set[Cause]:
-        """Add to ``causes`` what was lost or is from the future; return what was never heard."""
+        """Add lost sources and times in the future to ``causes``; return sources without any message."""
         never = set[Cause]()
         times = (received.operator_ns, received.command_ns, received.positioning_ns, received.federation_ns)
         for cause, time_ns in zip(_SOURCES, times, strict=True):

@@ -1,4 +1,4 @@
-"""The ground that a robot must not leave: a polygon, convex or not, seen from above."""
+"""Geofence: a polygon, convex or not, that a robot must not leave."""
 
 import math
 from collections.abc import Sequence
@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 
 from vcmvsp.hardware.safety.obstacle_distance import Floats, Obstacles, Stadiums, toward
 
-RETURN_MPS = 0.1  # of who is outside: nothing is known of what is there
+RETURN_MPS = 0.1  # m/s outside, where obstacles are unknown
 
 _NONE = np.zeros(1)
-_STRAIGHT = 0.5  # cosine: who is outside may drive back within 60 degrees of the shortest way
+_STRAIGHT = 0.5  # cosine: outside, the robot may drive within 60 degrees of the shortest way back
 
-_ON_M = 1e-9  # so near to a side, the direction to it says nothing
+_ON_M = 1e-9  # distance to a side below which its direction is undefined
 
 
 class Polygon:
-    """Inside a polygon with these corners ((x, y) m, world; at least three, in any sense of rotation, without crossings)."""
+    """Polygon with these corners ((x, y) m, world; at least three, in any order of rotation, without crossings)."""
 
     def __init__(self, corners: Sequence[tuple[float, float]]) -> None:
         points = np.array(corners, float)
@@ -39,7 +39,7 @@ class Polygon:
         return bool(np.count_nonzero(spans & (x < ax + (y - ay) * (bx - ax) / rise)) % 2)
 
     def around(self, x: float, y: float, margin: float) -> Obstacles:
-        """The fence as it is seen from (x, y) by a robot whose centre must stay ``margin`` m away from it."""
+        """The fence as obstacles of a robot at (x, y); its centre must stay ``margin`` m away."""
         if not self.contains(x, y):
             return _Outside(self, x, y)
         n = len(self.a)
@@ -58,7 +58,7 @@ class Polygon:
 
 
 class _Outside:
-    """Outside a polygon: only towards the nearest point of it, and slowly."""
+    """Obstacles of a robot outside a polygon: it may only move towards the nearest point, and slowly."""
 
     clearance, closing, speed = 0.0, _NONE, RETURN_MPS
 
@@ -66,7 +66,7 @@ class _Outside:
         self._back = fence.way_back(x, y)
 
     def free(self, lo: float, hi: float) -> Floats:
-        """See `Obstacles`: all, if every heading leads back."""
+        """See `Obstacles`; inf if every heading leads back."""
         half = 0.5 * (hi - lo)
         # the least cosine between "back" and the cone is minus the greatest one between "away" and the cone
         least = -toward(self._back + math.pi - 0.5 * (lo + hi), half) if half < math.pi else -1.0
@@ -74,7 +74,7 @@ class _Outside:
 
 
 def _crosses(a: Floats, b: Floats) -> bool:
-    """Whether any two sides that are not neighbours have a point in common."""
+    """Whether two sides that are not neighbours have a point in common."""
     n = len(a)
     along = b - a
 

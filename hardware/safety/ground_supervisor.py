@@ -65,13 +65,12 @@ def slow_down(
     hold: float,
     limits: Limits,
 ) -> tuple[tuple[float, float], list[Cause]]:
-    """The command, no faster than lets the robot stop before it touches what is around; and what slowed it.
+    """The command, reduced so that the robot can stop before obstacles; and the causes of the reduction.
 
-    The command keeps the limits already. The speed is what fits with the yaw rate that was asked for. A yaw rate with which
-    the robot could not even stop any more, because it opens directions in which there is no room for its present speed,
-    waits until the robot is slower: it is reduced towards that of a robot that stops turning. What room there was at the last
-    step for stopping, there is still now (`hardware.safety.obstacle_distance`), so that stopping always fits where poses are
-    true.
+    The command is within the limits. The speed is reduced for the requested yaw rate. A yaw rate that turns towards
+    obstacles within the stopping distance at the present speed is reduced, towards that of a robot that stops turning, until the
+    robot is slower. The room for stopping at the last step is still there now (`hardware.safety.obstacle_distance`): stopping
+    always fits if poses are true.
     """
     (v, w), (last_v, last_w) = command, last
     speed, u, decel = abs(v), abs(last_v), limits.stop_mps2
@@ -80,10 +79,10 @@ def slow_down(
     far, until_still = swept(speed, u, hold, decel), hold + max(speed, u) / decel
     near = [
         (cause, around, around.closing.tolist())
-        for cause, around in arounds  # the others leave room in every direction
+        for cause, around in arounds  # other obstacles are out of reach in every direction
         if far + float(around.closing.max(initial=0.0)) * until_still > around.clearance or speed > around.speed
     ]
-    way = 1.0 if v > 0.0 or last_v > 0.0 else -1.0  # the limits let it stand before it turns back
+    way = 1.0 if v > 0.0 or last_v > 0.0 else -1.0  # the limits stop it before it reverses
     facing = yaw if way > 0.0 else yaw + math.pi
 
     def room(around: Obstacles, rate: float) -> list[float]:
@@ -111,7 +110,7 @@ def slow_down(
 
 
 def _nearest(sure: float, requested: float, fits: Callable[[float], bool]) -> float:
-    """The value nearest to the wanted one that fits, between it and the sure one: by halving."""
+    """Value nearest to ``requested`` that fits, between it and ``sure``, by bisection."""
     if fits(requested):
         return requested
     for _ in range(_HALVINGS):

@@ -1,4 +1,4 @@
-"""How fast a robot may be told to move and to turn, and how fast that may change."""
+"""Limits of speeds and accelerations of a robot."""
 
 import math
 
@@ -8,11 +8,10 @@ from vcmvsp.cosim.types import Positive
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):
-    """Limits of a robot with two driven wheels; the same forwards and backwards, to the left and to the right.
+    """Limits of a robot with two driven wheels; symmetric in both directions of motion and of rotation.
 
-    The stop decelerations are what the robot is sure to reach on its floor, not what it can reach at best: braking distances
-    are reckoned with them. They also limit how fast a command may slow down. There is no gentler limit for that: nobody
-    should be kept from slowing down.
+    The stop decelerations are guaranteed on the robot's floor, not its best ones: braking distances depend on them. They also
+    limit how fast a command may slow down; there is no lower limit for braking.
     """
 
     speed_mps: Positive
@@ -24,9 +23,9 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def clamp(v: float, w: float, last: tuple[float, float], dt: float, limits: Limits) -> tuple[float, float]:
-    """The nearest command to (v m/s, w rad/s) that keeps the limits, ``dt`` s after the command ``last`` was given.
+    """Command within the limits nearest to (v m/s, w rad/s), ``dt`` s after the command ``last``.
 
-    What is not finite is a stop. A robot stands before it drives the other way.
+    A command that is not finite is a stop. A robot stops before it reverses.
     """
     if not (math.isfinite(v) and math.isfinite(w)):
         v, w = 0.0, 0.0
@@ -42,14 +41,14 @@ def clamp(v: float, w: float, last: tuple[float, float], dt: float, limits: Limi
 
 
 def slowest(last: tuple[float, float], dt: float, limits: Limits) -> tuple[float, float]:
-    """The command ``dt`` s after ``last`` of a robot that stops as fast as it can."""
+    """Command ``dt`` s after ``last`` of a robot that brakes at its limits."""
     return clamp(0.0, 0.0, last, dt, limits)
 
 
 def _ramp(target: float, last: float, up: float, down: float) -> float:
-    """The nearest value to the target that can be reached: ``up`` away from zero, ``down`` towards it."""
+    """Value nearest to the target that can be reached: ``up`` away from zero, ``down`` towards it."""
     if last < 0.0:
         return -_ramp(-target, -last, up, down)
-    # Where slowing down takes only a part of the time, the other way is gained speed in what is left of it.
+    # If slowing down takes a part of the time, the rest accelerates in the other direction.
     least = last - down if last >= down else -up * (1.0 - last / down)
     return max(least, min(last + up, target)) if down > 0.0 else last

@@ -1,15 +1,15 @@
-"""How far it is to walls and discs, over all directions in which a robot may come to move.
+"""Distance to walls and discs, over a range of headings.
 
 A robot that drives s m forwards, while its heading stays between ``lo`` and ``hi`` (less than half a turn apart), moves by a
-sum of short vectors with these headings: it stays in the circular sector of radius s between them, however v and w are
-played against each other on the way. What is kept clear is this sector; it needs no model of how the robot brakes.
+sum of short vectors with these headings: it stays in the circular sector of radius s between them, for any course of v and
+w. This sector is kept clear; no model of braking is needed.
 
-Walls are stadiums: all points within ``radius`` of a segment a-b; discs are those with a = b. A stadium K and the cone of
-the headings are convex, so the nearest point of both together is the nearest point of K, if that lies in the cone, and else
-lies on one of the cone's two rays.
+Walls are stadiums: all points within ``radius`` of a segment a-b; discs have a = b. A stadium K and the cone of the headings
+are convex, so the nearest point of both together is the nearest point of K, if that lies in the cone, and else lies on one
+of the cone's two rays.
 
-Who is inside a stadium already may move so that it does not come nearer to the segment: the distance to a convex set is
-convex, so it is never less than now along a direction in which it does not fall at first.
+A robot inside a stadium may move if it does not come nearer to the segment: the distance to a convex set is convex, so it is
+never less than now along a direction in which it does not decrease at first.
 """
 
 import math
@@ -26,23 +26,23 @@ _ROUNDING = 1e-9  # m, or a cosine: driving along a wall is not driving at it
 
 
 class Obstacles(Protocol):
-    """What is around a robot at one place: n things that it must not touch."""
+    """Obstacles around a robot at one place: n things that it must not touch."""
 
-    clearance: float  # m to the nearest of them in any direction; may be less than is true
-    closing: Floats  # (n,) m/s at which each of them comes nearer, >= 0
-    speed: float  # m/s that is allowed at most here
+    clearance: float  # m to the nearest one in any direction, or less
+    closing: Floats  # (n,) m/s, speeds of approach, >= 0
+    speed: float  # m/s, maximum speed here
 
     def free(self, lo: float, hi: float) -> Floats:
-        """How far (m, (n,)) the robot may move with headings between ``lo`` and ``hi`` rad (hi >= lo) for each of them."""
+        """Free distances (m, (n,)) for headings between ``lo`` and ``hi`` rad (hi >= lo)."""
 
 
 def toward(delta: float, half: float) -> float:
-    """The greatest cosine between a direction and a cone: their angle ``delta``, the cone's half width ``half``; rad."""
+    """Greatest cosine between a direction and a cone: their angle ``delta``, the cone's half width ``half``; rad."""
     return math.cos(max(0.0, abs(wrap(delta)) - half))
 
 
 class Stadiums:
-    """Walls and discs seen from a place; a, b (n, 2) and radius (n,) in m, closing (n,) in m/s."""
+    """Walls and discs around a place; a, b (n, 2) and radius (n,) in m, closing (n,) in m/s."""
 
     def __init__(self, x: float, y: float, a: Floats, b: Floats, radius: Floats, closing: Floats) -> None:
         self.closing, self.speed = closing, math.inf
@@ -54,7 +54,7 @@ class Stadiums:
         self._nearest = self._a + at[:, None] * self._along
         self._distance = np.hypot(self._nearest[:, 0], self._nearest[:, 1])
         on = self._distance < _ROUNDING
-        if on.any():  # on a wall: its right hand side counts as beyond it
+        if on.any():  # on a wall: its right side is outside
             self._nearest[on] = np.column_stack((self._along[on, 1], -self._along[on, 0]))
         self._bearing = np.arctan2(self._nearest[:, 1], self._nearest[:, 0])
         self._gap: Floats = np.maximum(self._distance - radius, 0.0)
@@ -74,10 +74,10 @@ class Stadiums:
         return free
 
     def _ray(self, heading: float) -> Floats:
-        """Where a ray meets each stadium, m (n,); inf: nowhere. For those that the place is clearly outside of."""
+        """Distance along a ray to each stadium, m (n,); inf: no hit. Valid for stadiums that do not contain the place."""
         u = np.array((math.cos(heading), math.sin(heading)))
         hit = np.minimum(_disc(u, self._a, self._radius), _disc(u, self._b, self._radius))
-        # The long sides: as high above the segment's line as the radius, met between the segment's ends.
+        # Long sides: at the radius from the segment's line, between the segment's ends.
         normal = np.column_stack((-self._along[:, 1], self._along[:, 0])) / np.sqrt(self._safe2)[:, None]
         above = -np.einsum("ij,ij->i", self._a, normal)  # of the place, signed
         sinking = -np.sign(above) * (normal @ u)
@@ -89,7 +89,7 @@ class Stadiums:
 
 
 def _disc(u: Floats, centre: Floats, radius: Floats) -> Floats:
-    """Where the ray from the origin along u meets each disc, m (n,); inf: nowhere."""
+    """Distance along the ray u from the origin to each disc, m (n,); inf: no hit."""
     ahead = centre @ u
     aside = centre[:, 0] * u[1] - centre[:, 1] * u[0]
     square = radius * radius - aside * aside

@@ -1,4 +1,4 @@
-"""Other vehicles, real or simulated, that a robot keeps away from."""
+"""Other vehicles, real or simulated, as obstacles."""
 
 import msgspec
 import numpy as np
@@ -8,20 +8,20 @@ from vcmvsp.hardware.safety.obstacle_distance import Obstacles, Stadiums
 
 
 class Others(msgspec.Struct, frozen=True):
-    """The other vehicles as they are known now, a row each, seen from above."""
+    """Other vehicles at one instant, a row each."""
 
     position: Array  # (n, 2) or (n, 3) m, world
     velocity: Array  # of the same shape, m/s, world
     radius: Array  # (n,) m, of a circle around the body
 
     def finite(self) -> bool:
-        """Whether all of it is numbers."""
+        """Whether all numbers are finite."""
         return all(bool(np.isfinite(each).all()) for each in (self.position, self.velocity, self.radius))
 
     def around(self, x: float, y: float, margin: float) -> Obstacles:
-        """The others as they are seen from (x, y) by a robot whose centre keeps ``margin`` m away from their bodies.
+        """The others as obstacles of a robot at (x, y); its centre stays ``margin`` m away from their bodies.
 
-        Each counts with the speed at which it comes nearer; none is credited with going away.
+        Each counts with its speed of approach; receding adds no room.
         """
         position, velocity = _plane(self.position), _plane(self.velocity)
         to = position - (x, y)
@@ -32,6 +32,6 @@ class Others(msgspec.Struct, frozen=True):
 
 
 def _plane(vectors: Array) -> Array:
-    """East and north of each, (n, 2)."""
+    """East and north components, (n, 2)."""
     rows: Array = np.asarray(vectors, float)
     return rows[:, :2] if rows.size else np.empty((0, 2))

@@ -1,7 +1,7 @@
-"""A station's process: ``python -P -m vcmvsp.hardware.station FD``, where FD is the inherited end of the link to its run.
+"""Process of a station: ``python -P -m vcmvsp.hardware.station FD``, FD is the inherited end of the link to its run.
 
-It turns at a steady rate, on deadlines that do not drift. When the run ends, however it does, the robot is stopped within a
-turn. Ctrl-C is the run's affair, and is not heard here; SIGTERM stops the robot and ends the station.
+Its cycle has a constant rate, on deadlines that do not drift. When the run ends, for any reason, the robot is stopped within
+one cycle. Ctrl-C (SIGINT) is ignored: the run handles it. SIGTERM stops the robot and ends the station.
 """
 
 import contextlib
@@ -40,16 +40,16 @@ if TYPE_CHECKING:
     from vcmvsp.hardware.localisation.systems import Localisation
 
 MISSION_S = 10.0  # from the start to the mission
-HANG_S = 3.0  # for a turn, which should take a millisecond
-GRACE_S = 2.0  # for drivers, beyond what they say of themselves
-OPEN_S = 10.0  # for a localisation, which says nothing of itself
-STAND_S = 5.0  # for a robot to be seen standing, at most
+HANG_S = 3.0  # for a cycle, which takes about a millisecond
+GRACE_S = 2.0  # for drivers, beyond their own deadlines
+OPEN_S = 10.0  # for a localisation, which has no deadline of its own
+STAND_S = 5.0  # for a robot to stop
 NICE = -5  # where the system allows it
 FAILED = 3  # exit code
 
 
 class StationProcess:
-    """What the process does with its `StationController`."""
+    """The process around a `StationController`."""
 
     def __init__(self, link: Link) -> None:
         self._link = link
@@ -57,15 +57,15 @@ class StationProcess:
         self._ear: StopListener | None = None
         self._driver: Driver | None = None
         self._localisation: Localisation | None = None
-        self._order: tuple[StationOrder, int] | None = None  # the newest that no turn has seen, and when it came
-        self._ending = ""  # why there will be no more turns
-        self._leaves = False  # the run has asked for it
-        self._early = ""  # why it was told to stop before it was open
+        self._order: tuple[StationOrder, int] | None = None  # newest order that no cycle has used, and its arrival
+        self._ending = ""  # reason to end
+        self._leaves = False  # the run has ended
+        self._early = ""  # reason to stop before the robot is open
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, self._told_to_end)
 
     def serve(self) -> int:
-        """All of it; the exit code."""
+        """Run until the end; the exit code."""
         failed = advice = ""
         try:
             mission = self._mission()
@@ -82,10 +82,10 @@ class StationProcess:
             for problem in self._close(failed or halted or self._ending or "the station ends"):
                 failed, advice = failed or problem, advice or "look after the robot"
         if self._leaves and self._onboard is None:
-            failed = ""  # it was not to be opened any more
+            failed = ""  # the run ended before the robot was open
         elif not failed and not self._leaves:
             failed, advice = self._ending, "start the run again"
-        with contextlib.suppress(Exception):  # nobody may be there any more
+        with contextlib.suppress(Exception):  # the run may have ended
             self._link.send(encode(self._last_words(failed, advice)))
         return FAILED if failed else 0
 
@@ -122,7 +122,7 @@ class StationProcess:
         self._halt(self._early)
 
     def _given_up(self) -> str:
-        """Why a robot that is being connected is not needed any more."""
+        """Reason to abort connecting the robot; empty: continue."""
         self._hear_run()
         self._hear_operator()
         return self._ending or self._early or ("its run is over" if self._leaves else "")
@@ -133,7 +133,7 @@ class StationProcess:
     # Turning
 
     def _turn(self, mission: StationMission) -> None:
-        """Turn after turn, until there is a reason not to."""
+        """Run cycles until there is a reason to end."""
         onboard = self._onboard
         assert onboard is not None  # noqa: S101  it is open
         _settle()
@@ -154,11 +154,11 @@ class StationProcess:
                     leave_by_ns = leave_by_ns or now_ns + round(STAND_S * SECOND_NS)
                     if onboard.stands or now_ns >= leave_by_ns:
                         return
-                due_ns += period_ns * (1 + late_ns // period_ns)  # turns that were missed are not made up for
+                due_ns += period_ns * (1 + late_ns // period_ns)  # missed cycles are skipped
                 self._wait(due_ns)
 
     def _wait(self, until_ns: int) -> None:
-        """Listen until the next turn; once, at least, however late it is."""
+        """Process messages until the next cycle; at least once, also if it is late."""
         assert self._ear is not None  # noqa: S101  it is open
         run, operator = self._link.fileno(), self._ear.fileno()  # the first may be any number: it was inherited
         remaining_s = 1.0
@@ -196,7 +196,7 @@ class StationProcess:
             self._onboard.halt(cause)
 
     def _hear_operator(self) -> str:
-        """Obey at once, also while the robot is being connected (which is given up then: it may be taking off) or let go of."""
+        """Obey the operator, also while the robot is connected (which is aborted: it may be taking off) or released."""
         if (ear := self._ear) is None:
             return ""
         for verb, address in ear.hear():
@@ -214,7 +214,7 @@ class StationProcess:
     # The end
 
     def _close(self, cause: str) -> list[str]:
-        """Stop the robot, whatever has happened, and free what is held; what went wrong with that."""
+        """Stop the robot and release everything; problems on the way."""
         problems = []
 
         def tried(what: Callable[[], None], seconds: float, doing: str) -> None:
@@ -241,7 +241,7 @@ class StationProcess:
 
 
 def _built(part: PartSpec, mission: StationMission) -> Any:
-    """What a scenario names, with its parameters; one that asks for them is told vehicle and folder."""
+    """Object that a scenario names, with its parameters; it gets vehicle and folder if it takes them."""
     folder = Path(mission.folder)
     with registry.looking_in(folder):
         kind = registry.find(part.group, part.kind, folder=folder, key=f"{part.group}.kind")
@@ -251,7 +251,7 @@ def _built(part: PartSpec, mission: StationMission) -> Any:
 
 
 def _settle() -> None:
-    """What was made until now stays, so that nobody need look through it for garbage; and others have to wait for us."""
+    """Exclude present objects from garbage collection, and raise the priority of this process."""
     gc.collect()
     gc.freeze()
     with contextlib.suppress(OSError):
@@ -261,4 +261,4 @@ def _settle() -> None:
 if __name__ == "__main__":
     code = StationProcess(Link(socket.socket(fileno=int(sys.argv[1])))).serve()
     sys.stderr.flush()
-    os._exit(code)  # a driver's thread that hangs must not keep the process
+    os._exit(code)  # a driver's thread that hangs must not keep the process alive

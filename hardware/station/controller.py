@@ -1,4 +1,4 @@
-"""One turn of a station: hear the robot, know where it is, decide what it may do, tell it; and say how things stand."""
+"""Cycle of a station: read the robot, estimate its state, decide, send a command, report."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -18,24 +18,24 @@ from vcmvsp.hardware.station.safety_factory import SLOWING, guard, others_at
 if TYPE_CHECKING:  # it brings all kinds of readers with it
     from vcmvsp.hardware.localisation.systems import Localisation
 
-AT_REST = (0.01, 0.02)  # m/s, rad/s: slower than this, a robot stands
-STUCK, STUCK_S = "stuck", 2.0  # s: longer than any robot takes to begin to move
-RUN_LATE_S = 0.15  # s: orders are said again every 0.1 s at least, so that more is the lateness of the run
-CREEPS = 0.05  # m/s: slower than that, a robot may stand for lack of force
-KEPT = 200  # notices and fixes, while the run does not take them
+AT_REST = (0.01, 0.02)  # m/s, rad/s: a slower robot stands
+STUCK, STUCK_S = "stuck", 2.0  # s: longer than any robot needs to start moving
+RUN_LATE_S = 0.15  # s: orders repeat every 0.1 s, so a larger delay is lateness of the run
+CREEPS = 0.05  # m/s: a slower robot may stand for lack of force
+KEPT = 200  # notices and fixes, while the run takes no reports
 
 
 class StationController:
-    """What a station does; it knows no clock, no process and no run.
+    """Control of one robot, without clock, process or run.
 
     Args:
-        mission: what it was told at first.
+        mission: first message of the run.
         driver: of the robot, open.
-        localisation: open; None: nothing tells where the robot is but itself.
-        now: the clock of this machine, ns.
+        localisation: open; None: only the robot itself reports its position.
+        now: clock of this machine, ns.
 
     Attributes:
-        halted: why the robot stands until the station ends; empty: it does not.
+        halted: reason why the robot stands until the station ends; empty: it does not.
     """
 
     def __init__(
@@ -49,25 +49,25 @@ class StationController:
         self._jumps = self._turns = 0
         self.halted = ""
         self._halted_ns = 0
-        self._stands, self._released = True, False  # a driver that is open holds its robot at zero speed
-        self._place: Vec3 | None = None  # where it was taken to be at the last turn
-        self._sent = 0.0  # forward speed that it was told last, m/s
-        self._late_s = 0.0  # what of the age of its command is the lateness of the run
-        self._pushed_ns: int | None = None  # since when it does not do so
+        self._stands, self._released = True, False  # an open driver holds its robot at zero speed
+        self._place: Vec3 | None = None  # position at the last cycle
+        self._sent = 0.0  # m/s, last forward speed
+        self._late_s = 0.0  # part of the command's age that is lateness of the run
+        self._pushed_ns: int | None = None  # since when it does not move
         self._stuck = False
-        self._wanted_ns: int | None = None  # since when it is to drive, and never could
+        self._wanted_ns: int | None = None  # since when it should drive and could not
         self._notices: list[Notice] = []
         self._fixes: list[Fix] = []
         self._sonar: dict[int, float] = {}
 
-    # What is heard from outside
+    # Input
 
     def operator_heard(self) -> None:
-        """Somebody who could stop the robot is there."""
+        """The operator is present."""
         self._operator_ns = self._now()
 
     def halt(self, cause: str) -> None:
-        """Stop the robot at once, until the station ends; the first cause counts."""
+        """Stop the robot until the station ends; the first cause counts."""
         if self.halted:
             return
         self.halted, self._halted_ns = cause, self._now()
@@ -75,24 +75,24 @@ class StationController:
 
     @property
     def stands(self) -> bool:
-        """Whether the robot was seen to stand after it was halted."""
+        """Whether the robot stood after it was halted."""
         sample = self._sample
         if sample is None or not self.halted or sample.measured_ns < self._halted_ns:
             return False
         return abs(sample.odometry.v) < AT_REST[0] and abs(sample.odometry.w) < AT_REST[1]
 
-    # One turn
+    # One cycle
 
     def turn(
         self, now_ns: int, order: StationOrder | None = None, *, heard_ns: int | None = None, late_s: float = 0.0
     ) -> StationReport:
-        """Do everything once.
+        """Run one cycle.
 
         Args:
             now_ns: the time.
-            order: the newest that has come since the last turn.
-            heard_ns: when it came; None: now.
-            late_s: how late this turn begins, for the report.
+            order: newest order since the last cycle.
+            heard_ns: arrival of the order; None: now.
+            late_s: lateness of this cycle, for the report.
         """
         if order is not None:
             self._take(order, now_ns if heard_ns is None else heard_ns)
@@ -107,7 +107,7 @@ class StationController:
         return msgspec.structs.replace(report, sent=sent, causes=causes, late_s=late_s)
 
     def last_words(self, now_ns: int, failed: str = "", advice: str = "") -> StationReport:
-        """The last report, of what happened when the driver was closed, too."""
+        """Last report, with notices of the driver's closing."""
         self._notices += [each for each in self._gathered() if (each.what, each.cause) != ("stopped", self.halted)]
         self._turns += 1
         return msgspec.structs.replace(
@@ -115,7 +115,7 @@ class StationController:
         )
 
     def delivered(self) -> None:
-        """The last report has gone: what happened until then need not be said again."""
+        """The last report was sent: its notices, fixes and ranges are not repeated."""
         self._notices, self._fixes, self._sonar = [], [], {}
 
     def _take(self, order: StationOrder, heard_ns: int) -> None:
@@ -126,7 +126,7 @@ class StationController:
             self.halt(order.stop)
 
     def _listen(self, now_ns: int) -> None:
-        """What driver and positioning system have said."""
+        """Read driver and localisation."""
         if (sample := self._driver.read()) is not None:
             self._sample = sample
             self._where.sample(sample, now_ns)
@@ -139,10 +139,10 @@ class StationController:
         self._notices += self._gathered()
 
     def _look_for_jumps(self, here: StateEstimate | None) -> None:
-        """Fixes that agree with each other and not with odometry: a small jump is believed, a large one stops the robot.
+        """Check for a jump of the estimate: a small one is accepted, a large one stops the robot.
 
-        A robot that was carried off, and a positioning system that has gone astray, look the same from here: in the second
-        case the fence would not be where the robot takes it to be.
+        A robot that was carried and a faulty positioning system cannot be distinguished here: in the second case the fence would be
+        in the wrong place.
         """
         if here is None:
             return
@@ -158,7 +158,7 @@ class StationController:
                 )
 
     def _is_stuck(self, now_ns: int, command: Velocity | None) -> bool:
-        """Whether it was told to drive for `STUCK_S`, and its odometry says that it stands; until it is told to stand."""
+        """Whether the robot was commanded to drive for `STUCK_S` and its odometry shows none; until the command is to stand."""
         speed, sample = abs(self._sent), self._sample
         if command is None or abs(command.linear[0]) < CREEPS:
             self._stuck, self._pushed_ns = False, None
@@ -170,9 +170,9 @@ class StationController:
         return self._stuck
 
     def _decide(self, now_ns: int, here: StateEstimate | None) -> tuple[Velocity, tuple[str, ...]]:
-        """Tell the robot; what it was told, and why that is not what was wanted."""
+        """Send a command; the command, and the causes of its difference from the requested one."""
         order, heard = self._order, self._heard(now_ns, here)
-        command = Velocity() if self.halted else order.command  # so that the guard slows down with the robot
+        command = Velocity() if self.halted else order.command  # the supervisor slows down with the robot
         others = others_at(order.others, (now_ns - self._order_heard_ns) / SECOND_NS)
         pose = None if here is None else self._guard.pose(here.state)
         decision = self._guard.step(now_ns, command, pose, others, heard)
@@ -196,7 +196,7 @@ class StationController:
         return Velocity(), causes
 
     def _held_back(self, now_ns: int, command: Velocity | None, decision: Decision) -> tuple[Cause, ...]:
-        """Causes to be said now: those that begin; of a robot that was to drive and never could, all, after a while."""
+        """Causes to report now: new ones; for a robot that never could drive, all of them, after `STUCK_S`."""
         if self._released:
             return decision.began
         if command is None or (command.linear == ORIGIN and not command.yaw_rate):
@@ -208,10 +208,9 @@ class StationController:
         return decision.causes
 
     def _heard(self, now_ns: int, here: StateEstimate | None) -> LastReceived:
-        """Who was heard when; of a command, its age at the run is added to the time since it came.
+        """Time of the newest message of each source; the command's age at the run is added to the time since its arrival.
 
-        For what of that age is the lateness of the run, the agent cannot help: the robot goes on within its limits for as long
-        as a run may be silent.
+        Lateness of the run is not the agent's fault: the robot continues within its limits for as long as a run may be silent.
         """
         order, heard_ns = self._order, min(self._order_heard_ns, now_ns)
         command_ns: int | None = None
@@ -230,7 +229,7 @@ class StationController:
         )
 
     def _stop(self, cause: str) -> None:
-        """Zero speed now; each cause is said once, also where the driver says it too. Before it first moved, nothing stops."""
+        """Zero speed; each cause is reported once, also if the driver reports it too. Before the first motion nothing stops."""
         if not self._stands or self.halted:
             self._driver.stop(cause)
             self._stands = self._released = True
@@ -246,7 +245,7 @@ class StationController:
         return [*self._driver.notices(), *(localisation.notices() if localisation is not None else ())]
 
     def _words(self, cause: Cause) -> str:
-        """A cause as a sentence."""
+        """Text of a cause."""
         safety = self._mission.safety
         match cause:
             case Cause.OPERATOR:

@@ -1,8 +1,8 @@
-"""Any terminal of this machine can stop the robots that are driven on it, whatever the run does that drives them.
+"""Emergency stop: any terminal of this machine can stop the robots that it drives, independently of their runs.
 
-Each station listens on a Unix datagram socket of its own, ``<pid>-<vehicle>.sock``, in a folder that belongs to its user
-alone. A datagram is a verb: ``stop``, ``who`` (both are answered) or ``alive``, the operator's heartbeat, which is not. The
-answer is an `StationAnswer` in JSON, to the address from which the question came.
+Each station listens on a Unix datagram socket, ``<pid>-<vehicle>.sock``, in a folder of its user. A datagram is a verb:
+``stop``, ``who`` (both are answered) or ``alive``, the operator's heartbeat. The answer is a `StationAnswer` in JSON, to the
+sender's address.
 """
 
 import contextlib
@@ -29,17 +29,17 @@ _FILE = re.compile(r"(\d+)-([A-Za-z0-9_-]+)\.sock")
 
 
 class StationAnswer(msgspec.Struct, frozen=True, kw_only=True):
-    """What a station says of itself."""
+    """State of a station."""
 
     vehicle: str
     run: str
     pid: int
-    state: Literal["driving", "stopped", "silent", "ended"]  # silent: it did not answer; ended: it has gone meanwhile
+    state: Literal["driving", "stopped", "silent", "ended"]  # silent: no answer; ended: the station ended meanwhile
     cause: str = ""  # why it is stopped
 
 
 class StationSocket(NamedTuple):
-    """A station's socket."""
+    """Socket of a station."""
 
     path: str
     pid: int
@@ -47,7 +47,7 @@ class StationSocket(NamedTuple):
 
 
 def folders() -> list[Path]:
-    """Where sockets may be: whoever logs in over the network may lack ``XDG_RUNTIME_DIR``, and must find them all the same."""
+    """Folders that may hold sockets; a remote login may lack ``XDG_RUNTIME_DIR``."""
     user = os.getuid()
     runtime = [os.environ.get("XDG_RUNTIME_DIR", ""), f"/run/user/{user}"]
     places = [Path(each) / "vcmvsp" for each in runtime if each and Path(each).is_dir()]
@@ -55,7 +55,7 @@ def folders() -> list[Path]:
 
 
 def _ours(folder: Path) -> bool:
-    """Whether it is a folder that belongs to this user, and that nobody else may enter."""
+    """Whether a folder belongs to this user alone."""
     try:
         about = folder.lstat()
     except OSError:
@@ -64,10 +64,10 @@ def _ours(folder: Path) -> bool:
 
 
 class StopListener:
-    """The station's side: a socket, and who has said what.
+    """Socket of a station.
 
     Raises:
-        DriverError: there is no folder for it; a robot that cannot be stopped from elsewhere is not driven.
+        DriverError: there is no folder for it; a robot without emergency stop is not driven.
     """
 
     def __init__(self, vehicle: str) -> None:
@@ -77,7 +77,7 @@ class StopListener:
             if not _ours(folder):
                 raise PermissionError("it belongs to somebody else, or others may enter it")
             self._path = folder / f"{os.getpid()}-{vehicle[:LONGEST_NAME]}.sock"
-            self._path.unlink(missing_ok=True)  # of a station of long ago, with our number
+            self._path.unlink(missing_ok=True)  # of an ended process with the same number
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
             self._socket.bind(str(self._path))
         except OSError as error:
@@ -90,7 +90,7 @@ class StopListener:
         return self._socket.fileno()
 
     def hear(self) -> list[tuple[str, str | bytes | None]]:
-        """Verbs, and where an answer to each belongs; what is no verb is not heard."""
+        """Verbs and the addresses for answers; other datagrams are ignored."""
         verbs = []
         with contextlib.suppress(BlockingIOError):
             while True:
@@ -100,19 +100,19 @@ class StopListener:
         return verbs
 
     def answer(self, address: str | bytes | None, answer: StationAnswer) -> None:
-        """Tell who asked; never raises, and never waits."""
+        """Answer an address; never raises, and never waits."""
         if address:
             with contextlib.suppress(OSError):
                 self._socket.sendto(msgspec.json.encode(answer), address)
 
     def close(self) -> None:
-        """Nobody is here any more."""
+        """Remove the socket."""
         self._socket.close()
         self._path.unlink(missing_ok=True)
 
 
 class StopCaller:
-    """Speaks to stations; a context manager."""
+    """Sends verbs to stations; a context manager."""
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -126,9 +126,9 @@ class StopCaller:
         self._socket.close()
 
     def say(self, verb: Verb, vehicles: Sequence[str] = ()) -> list[StationSocket]:
-        """Say it to the stations of these vehicles (none given: of all); which there are.
+        """Send a verb to the stations of these vehicles (empty: all); the stations that exist.
 
-        What stations that were killed have left behind is removed.
+        Sockets of killed stations are removed.
         """
         names, there = [each[:LONGEST_NAME] for each in vehicles], []
         for folder in filter(_ours, folders()):
@@ -139,18 +139,18 @@ class StopCaller:
         return there
 
     def _say_to(self, path: Path, verb: Verb) -> bool:
-        """Whether somebody is there."""
+        """Whether the station exists."""
         try:
             self._socket.sendto(verb.encode(), str(path))
         except (ConnectionRefusedError, FileNotFoundError):
             path.unlink(missing_ok=True)
             return False
-        except OSError:  # it does not read: it hangs, and its robot will be stopped by its own watchdog
+        except OSError:  # it hangs; its robot's watchdog stops the robot
             return True
         return True
 
     def answers(self, sockets: list[StationSocket], wait_s: float = ANSWER_S) -> list[StationAnswer]:
-        """The answers, in the order of ``asked``; `silent` or `ended` of those that gave none."""
+        """Answers in the order of ``sockets``; state `silent` or `ended` without an answer."""
         answers: dict[str, StationAnswer] = {}
         until = time.monotonic() + wait_s
         open_ = {each.path for each in sockets}

@@ -1,6 +1,6 @@
 """State of a robot at any instant, from the newest samples of its driver and its localisation.
 
-Between two samples the state is extrapolated for a while, then the robot is taken to stand (`cosim.estimation.dead_reckoning`).
+Between samples the state is extrapolated for a limited time, then the robot stands (`cosim.estimation.dead_reckoning`).
 """
 
 from typing import Protocol
@@ -13,37 +13,37 @@ from vcmvsp.hardware.drivers.base import Sample
 
 
 class StateEstimate(msgspec.Struct, frozen=True, kw_only=True):
-    """The state at an instant."""
+    """State at an instant."""
 
     state: VehicleState
     covariance: Array | None = None  # (3, 3) of x, y, yaw
-    measured_ns: int | None = None  # when that was measured on which it rests; None: not yet
+    measured_ns: int | None = None  # time of the measurement; None: none yet
     fix_age_s: float | None = None
 
 
 class StateEstimator(Protocol):
-    """Takes samples and fixes in the order in which they come; their times must not lie in the future.
+    """Takes samples and fixes in order of arrival; their times must not lie in the future.
 
     Attributes:
-        gated: fixes that did not fit.
-        jumps: times that the estimate was given up for what the fixes said.
+        gated: number of rejected fixes.
+        jumps: number of restarts from rejected fixes.
     """
 
     gated: int
     jumps: int
 
     def sample(self, sample: Sample, now_ns: int) -> None:
-        """What the driver read."""
+        """Take a sample of the driver."""
 
     def fix(self, fix: Fix) -> None:
-        """What the positioning system said."""
+        """Take a fix of the localisation."""
 
     def at(self, now_ns: int) -> StateEstimate | None:
-        """The state now; None: not known."""
+        """The state now; None: unknown."""
 
 
 class DriverEstimator:
-    """State as the driver reports it: that of the robot itself, else odometry, which says nothing of a robot that flies."""
+    """State as the driver reports it; odometry if it reports none, but not for a vehicle that flies."""
 
     def __init__(self, height_m: float, *, flies: bool) -> None:
         self.gated = self.jumps = 0
@@ -55,7 +55,7 @@ class DriverEstimator:
         self._last = sample
 
     def fix(self, fix: Fix) -> None:
-        """The robot knows where it is."""
+        """Ignored."""
 
     def at(self, now_ns: int) -> StateEstimate | None:
         """Extrapolated to now."""

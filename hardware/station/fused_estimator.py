@@ -1,4 +1,4 @@
-"""State of a robot on the ground from odometry and a positioning system, fused, also after a lost link."""
+"""State of a robot on the ground, fused from odometry and localisation, also after a lost link."""
 
 import math
 from typing import Any
@@ -14,10 +14,10 @@ from vcmvsp.hardware.station.estimator import StateEstimate
 
 
 class FusedEstimator:
-    """Odometry and positions, fused.
+    """Fuses odometry and positions.
 
-    While motion has not told the heading yet (it was not given, or the estimate began again), odometry tells it, turned as
-    it was when the heading was known last: a robot that stood still until then would never know.
+    While the heading is unknown (no start, or after a restart), odometry gives it, rotated as when the heading was last known:
+    a robot that stands would never get one.
     """
 
     def __init__(self, fusion: dict[str, Any], start: Vec3, height_m: float) -> None:
@@ -26,14 +26,14 @@ class FusedEstimator:
         self._params, self._height_m = {"start": start, **fusion}, height_m
         self._fusion = self._filter({})
         self._last: Sample | None = None
-        self._broken = False  # the newest sample was no number
+        self._broken = False  # the newest sample is not finite
         self._turned = 0.0  # from odometry's yaw to the heading
 
     def _filter(self, changed: dict[str, Any]) -> Fusion:
         return binding.call(Fusion, {**self._params, **changed}, key="fusion")
 
     def sample(self, sample: Sample, now_ns: int) -> None:
-        """Add the motion since the last sample, unless the link was lost meanwhile, so that it is not known."""
+        """Add the motion since the last sample, unless the link was lost in between."""
         self._broken = not all(map(math.isfinite, sample.odometry.pose))
         if self._broken:
             return
@@ -47,7 +47,7 @@ class FusedEstimator:
         )
 
     def _begin_again(self, now_ns: int) -> None:
-        """A filter that sets out from here, as unsure as the last one has become while it heard of no motion."""
+        """Restart the filter from the present estimate and its uncertainty."""
         self._before = (self.gated, self.jumps)
         here = self._fusion.estimate(now_ns)
         if here is None or not here.heading_known:
@@ -58,13 +58,13 @@ class FusedEstimator:
         self._fusion = self._filter({"start": (here.x, here.y, here.heading), **sigmas})
 
     def fix(self, fix: Fix) -> None:
-        """Weigh it against what is known; what is no number is as good as nothing."""
+        """Take a fix; one that is not finite is ignored."""
         x, y, _ = fix.position
         if math.isfinite(x) and math.isfinite(y) and 0.0 < fix.sigma_m < math.inf:
             self._fusion.fix(fix.time_ns, x, y, fix.sigma_m)
 
     def at(self, now_ns: int) -> StateEstimate | None:
-        """The fused pose; not known before the first sample."""
+        """Fused state; None before the first sample."""
         pose = self._fusion.estimate(now_ns)
         if pose is None or self._last is None or self._broken:
             return None
@@ -80,6 +80,6 @@ class FusedEstimator:
         return StateEstimate(
             state=planar((pose.x, pose.y, heading), pose.v, pose.w, self._height_m),
             covariance=pose.covariance,
-            measured_ns=min(fix_ns, odometry_ns) if has_fix else None,  # without either, it is a guess
+            measured_ns=min(fix_ns, odometry_ns) if has_fix else None,  # without a fix the state is a guess
             fix_age_s=pose.age_s if has_fix else None,
         )

@@ -1,7 +1,7 @@
-"""What a run and the station of a real vehicle say to each other: a mission at first, then orders there and reports back.
+"""Messages between a run and the station of a real vehicle: one mission, then orders to the station and reports back.
 
-All times are of the monotonic clock of whoever gives them, in ns, unless a comment says otherwise. Station and run are on one
-machine, or else the link between them translates the station's times.
+Times are of the sender's monotonic clock, ns, unless a comment says otherwise. Station and run are on one machine, or the
+link between them converts the station's times.
 """
 
 from typing import Any, Literal
@@ -11,45 +11,45 @@ from vcmvsp.cosim.util.codec import Decoder
 from vcmvsp.hardware.drivers.base import Notice
 
 OPERATOR_STOP = "operator's stop"
-"""Among the causes of a report: ``vcmvsp stop`` was called, and counts until the station ends."""
+"""Cause in a report: ``vcmvsp stop`` was called; it lasts until the station ends."""
 
 
 class PartSpec(Value, frozen=True, kw_only=True):
-    """Something that the station builds: a driver, or what tells where the robot is."""
+    """A driver or a localisation that the station builds."""
 
     group: Literal["driver", "localisation"]
     kind: str  # short name, module:Class or file.py:Class
-    params: dict[str, Any]  # of its constructor, checked by whoever wrote the mission
+    params: dict[str, Any]  # of its constructor, checked by the run
 
 
 class Safety(Value, frozen=True, kw_only=True):
-    """Limits, fence, distances and time-outs; lengths in m, times in s. None: nobody looks at it."""
+    """Limits, fence, distances and time-outs; lengths in m, times in s. None: not checked."""
 
     max_speed: float  # m/s
     max_yaw_rate: float  # rad/s
     accel: float  # m/s2
-    decel: float  # m/s2, that the robot is sure to reach when it brakes
+    decel: float  # m/s2, guaranteed when it brakes
     yaw_accel: float  # rad/s2
     yaw_decel: float  # rad/s2
     max_climb: float = 1.0  # m/s, up and down, of what flies
-    radius_m: float  # of a circle around the body, about the point that its pose tells
-    fence: tuple[tuple[float, float], ...] | None = None  # corners x, y, world; none may be left
-    floor_m: float | None = None  # of what flies: the least height
-    ceiling_m: float | None = None  # and the greatest
+    radius_m: float  # of a circle around the body, centred at the pose
+    fence: tuple[tuple[float, float], ...] | None = None  # corners x, y, world
+    floor_m: float | None = None  # minimum height in the air
+    ceiling_m: float | None = None  # maximum height in the air
     fence_margin_m: float = 0.0
     separation_m: float = 0.5  # between bodies
-    reaction_s: float = 0.2  # from a command to when the next one acts, with all delays of pose and link
-    jump_m: float = 1.0  # a jump of the position beyond this is not believed: the robot stands until the station ends
-    operator_s: float | None = None  # how long the operator (``vcmvsp operator``) may be silent
+    reaction_s: float = 0.2  # from a command to the effect of the next one, with all delays of pose and link
+    jump_m: float = 1.0  # a larger jump of the position halts the robot until the station ends
+    operator_s: float | None = None  # maximum silence of the operator (``vcmvsp operator``)
     command_s: float | None = 0.5
     positioning_s: float | None = 1.0
     federation_s: float | None = 0.5
 
 
 class StationMission(Value, frozen=True, kw_only=True):
-    """The first thing that a station is told."""
+    """First message to a station."""
 
-    run: str  # of the run, for those who look for its stations
+    run: str  # name of the run
     vehicle: str
     folder: str  # of the scenario: where a file.py:Class is
     driver: PartSpec
@@ -63,42 +63,42 @@ class StationMission(Value, frozen=True, kw_only=True):
 
 
 class StationOrder(Value, frozen=True, kw_only=True):
-    """What the run wants now. The newest counts; it is said again at least every 0.1 s, so that silence means something."""
+    """Order of the run; the newest counts. It is repeated at least every 0.1 s."""
 
     number: int  # counts from 1
     sent_ns: int
-    command: Velocity | None = None  # None: there was none yet
-    command_ns: int | None = None  # when it was given
-    command_age_ns: int | None = None  # by the run's time, which its own lateness does not count in; None: by its clock
+    command: Velocity | None = None  # None: none yet
+    command_ns: int | None = None  # time of the command
+    command_age_ns: int | None = None  # in logical time, without lateness of the run; None: unknown
     others: Array | None = None  # (n, 7): x y z m, vx vy vz m/s, radius m of every other vehicle
-    stop: str = ""  # why the robot must stop now; it stays so until the station ends
+    stop: str = ""  # reason to stop until the station ends; empty: none
     leave: bool = False  # stop the robot, close everything, and end
 
 
 class StationReport(Value, frozen=True, kw_only=True):
-    """How things stand at the station, at every turn."""
+    """State of the station, once a cycle."""
 
     number: int  # counts from 1
     time_ns: int
-    order: int = 0  # the newest that was heard
-    state: VehicleState | None = None  # at ``time_ns``, in the world; None: not known
+    order: int = 0  # number of the newest order
+    state: VehicleState | None = None  # at ``time_ns``, world; None: unknown
     covariance: Array | None = None  # (3, 3) of x, y, yaw: m^2, m rad, rad^2
     odometry: Odometry | None = None  # newest
     sample: int = 0  # number of the newest sample of the driver; 0: none
-    measured_ns: int = 0  # when it was measured, as far as that is known
+    measured_ns: int = 0  # time of its measurement, estimated
     link: int = 0
     fixes: tuple[Fix, ...] = ()  # new since the last report, ``time_ns`` of each on the station's clock
-    gated: int = 0  # fixes that did not fit, so far
-    fix_age_s: float | None = None  # of the newest that counted
+    gated: int = 0  # rejected fixes so far
+    fix_age_s: float | None = None  # of the newest accepted fix
     sonar: tuple[tuple[int, float], ...] = ()  # number, range m: new since the last report
     battery_v: float | None = None
     bumpers: int = 0
     sent: Velocity | None = None  # to the robot
-    causes: tuple[str, ...] = ()  # why that is not what was wanted, now (`hardware.safety.Cause`, or words)
+    causes: tuple[str, ...] = ()  # causes of a difference from the requested command (`hardware.safety.Cause`, or text)
     notices: tuple[Notice, ...] = ()  # new since the last report: connected, lost, stopped
-    late_s: float = 0.0  # how late this turn began
-    failed: str = ""  # why the station ends: the last report
-    advice: str = ""  # what to do about it
+    late_s: float = 0.0  # lateness of this cycle
+    failed: str = ""  # reason for the end of the station, in its last report
+    advice: str = ""  # remedy
 
 
 missions: Decoder[StationMission] = Decoder(StationMission)

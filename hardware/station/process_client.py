@@ -1,6 +1,6 @@
-"""The run's side of a station: a process of its own, started afresh, to which nothing that is said can hold up the run.
+"""Run side of a station's process; no call blocks the run.
 
-Several open and close at the same time::
+Several stations open and close at the same time::
 
     stations = [Station.start(mission) for mission in missions]
     for station in stations:
@@ -25,15 +25,15 @@ from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import messages
 from vcmvsp.hardware.station.messages import StationMission, StationOrder, StationReport
 
-READY_S = 60.0  # longer than a station gives its driver
-CLOSE_S = 15.0  # the same, for a robot to stand and a driver to close
+READY_S = 60.0  # longer than a station allows its driver
+CLOSE_S = 15.0  # longer than a station needs to stop its robot and to close its driver
 DYING_S = 2.0  # from the end of a link to that of the process
-PAUSE_S = 0.05  # between two attempts to say something to a station that does not read
+PAUSE_S = 0.05  # between two attempts to send to a station that does not read
 WATCHDOG = "the robot's own watchdog stops it, if it has one: look after the robot"
 
 
 class StationError(DriverError):
-    """A station cannot go on, or has gone."""
+    """A station failed or ended."""
 
     def __init__(self, vehicle: str, happened: str, advice: str) -> None:
         self.device, self.happened, self.advice = vehicle, happened, advice
@@ -46,14 +46,14 @@ class Station:
     def __init__(self, mission: StationMission, process: subprocess.Popen[bytes], end: Link) -> None:
         self.vehicle = mission.vehicle
         self._process, self._link = process, end
-        self._waiting: list[StationReport] = []  # read, but not handed over
+        self._waiting: list[StationReport] = []  # received, not yet returned
         self._failure: StationError | None = None
         self._leaving = self._is_closed = False
         self._number = 0  # of the newest order
 
     @classmethod
     def start(cls, mission: StationMission) -> "Station":
-        """Start the process, which connects to the robot; this does not wait for it."""
+        """Start the process, which connects to the robot, without waiting for that."""
         process, here = linked("vcmvsp.hardware.station")
         here.send(encode(mission))
         return cls(mission, process, here)
@@ -64,7 +64,7 @@ class Station:
         return self._process.pid
 
     def wait_ready(self, until: float | None = None) -> None:
-        """Wait until the robot is connected and stands still, at most until this ``time.monotonic()`` [now + `READY_S`].
+        """Wait until the robot is connected and stands, at most until this ``time.monotonic()`` [now + `READY_S`].
 
         Raises:
             DriverError: it cannot be driven; the station has ended.
@@ -80,15 +80,15 @@ class Station:
             raise self._failure
 
     def order(self, order: StationOrder) -> bool:
-        """Give an order, without waiting; whether it went: not to a station that hangs, or has gone (`reports` says so)."""
+        """Send an order without waiting; whether it was sent (not if the station hangs or has ended)."""
         self._number = order.number
         return not self._is_closed and self._link.send(encode(order))
 
     def reports(self) -> list[StationReport]:
-        """What has come since the last call, oldest first, without waiting.
+        """Reports since the last call, oldest first, without waiting.
 
         Raises:
-            DriverError: the station failed, or has gone, and all that it had said was handed over.
+            DriverError: the station failed or ended, and all its reports were returned.
         """
         self._read(0.0)
         if not self._waiting and self._failure is not None:
@@ -97,13 +97,13 @@ class Station:
         return reports
 
     def leave(self) -> None:
-        """Ask it to stop the robot and to end, without waiting; asked again by `close`, where it did not read."""
+        """Ask the station to stop the robot and to end, without waiting; `close` repeats it if necessary."""
         if not self._leaving and not self._is_closed:
             order = StationOrder(number=self._number + 1, sent_ns=time.monotonic_ns(), leave=True)
             self._leaving = self._link.send(encode(order))
 
     def close(self, until: float | None = None) -> list[StationReport]:
-        """Have it end, and wait for that, at most until this ``time.monotonic()`` [now + `CLOSE_S`]; then make it end.
+        """End the process, at most until this ``time.monotonic()`` [now + `CLOSE_S`]; kill it after that.
 
         Returns its last reports; never raises.
         """
@@ -117,7 +117,7 @@ class Station:
         return reports
 
     def _end(self, *, patient: bool) -> None:
-        """Let the process end, or make it."""
+        """Wait for the end of the process, or kill it."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -131,7 +131,7 @@ class Station:
         self._link.close()
 
     def _read(self, wait_s: float) -> None:
-        """Take what has come, and note how it ended."""
+        """Receive reports, and note the end of the station."""
         if self._is_closed or self._link.ended:
             return
         if wait_s > 0.0:
@@ -152,7 +152,7 @@ class Station:
             return StationReport(number=0, time_ns=time.monotonic_ns(), failed=happened, advice="report this")
 
     def _how_it_ended(self) -> str:
-        """How a process whose link has ended did so."""
+        """How the process ended, after its link did."""
         try:
             return ending(self._process.wait(DYING_S))
         except subprocess.TimeoutExpired:

@@ -54,7 +54,7 @@ def _parameters(safety: Safety) -> Parameters:
 
 
 def others_at(rows: Array | None, age_s: float) -> Others:
-    """The other vehicles of an order (see `Order.others`), so many seconds later."""
+    """Other vehicles of an order (see `StationOrder.others`), extrapolated by ``age_s``."""
     if rows is None:
         rows = NO_VEHICLES
     velocity = rows[:, 3:6]
