@@ -28,7 +28,7 @@ class ForeignClock:
     ``a_i - s_i - least + drift (t - a_i)`` for every message i of the window. The least bound is taken: it is too large
     by at most ``extra_i + 2 drift (t - a_i)`` for every i, where extra is the delay beyond ``least_s``.
 
-    A message that is early by more than ``jump_s``, or has a stamp back by more than that, does not count. `AGREE` such messages
+    A message that is early, or has a stamp back, by more than ``jump_s``, does not count. `AGREE` such messages
     in a row that agree with each other are a jump of the clock: the window restarts with them. A late message changes nothing,
     unless it follows such a message and agrees with it: the stamps of a clock that was set back soon reach earlier stamps.
 

@@ -21,12 +21,14 @@ def ahead(state: VehicleState, time_ns: int, *, flies: bool) -> VehicleState:
     chord = 1.0 if flies else cmath.rect(1.0, 0.5 * turn)
     mean_velocity = complex(vx, vy) * chord
     velocity = mean_velocity * chord
-    stands = abs(time_ns) > LONGEST_NS
+    linear, angular = (velocity.real, velocity.imag, vz), state.angular_velocity
+    if abs(time_ns) > LONGEST_NS:
+        linear = angular = ORIGIN
     return VehicleState(
         position=(x + mean_velocity.real * seconds, y + mean_velocity.imag * seconds, z + vz * seconds),
-        velocity=ORIGIN if stands else (velocity.real, velocity.imag, vz),
+        velocity=linear,
         attitude=product(quaternion_from_yaw(turn), state.attitude),
-        angular_velocity=ORIGIN if stands else state.angular_velocity,
+        angular_velocity=angular,
     )
 
 

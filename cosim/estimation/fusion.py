@@ -203,7 +203,9 @@ class Fusion:
         )
         x, y, heading, scale, veer, bias = mean.tolist()
         odometry_ns = self._odometry_ns
+        odometry_age_s = math.inf if odometry_ns is None else max(now_ns - odometry_ns, 0) / SECOND_NS
         holds = odometry_ns is not None and now_ns - odometry_ns <= self._coast_ns
+        v, w = self._speed if holds else (0.0, 0.0)
         return FusedPose(
             time_ns=now_ns,
             x=x,
@@ -211,10 +213,10 @@ class Fusion:
             heading=math.remainder(heading, math.tau),
             covariance=frozen(covariance[:3, :3]),
             heading_known=heading_known,
-            v=self._speed[0] if holds else 0.0,
-            w=self._speed[1] if holds else 0.0,
+            v=v,
+            w=w,
             age_s=math.inf if belief.position_ns is None else (now_ns - belief.position_ns) / SECOND_NS,
-            odometry_age_s=math.inf if odometry_ns is None else max(now_ns - odometry_ns, 0) / SECOND_NS,
+            odometry_age_s=odometry_age_s,
             scale=scale,
             veer=veer,
             bias=bias,

@@ -1,19 +1,19 @@
-"""What a run asks of the driver of a robot: newest samples out, velocities in, and never a long wait.
+"""Protocol of a robot's driver: newest samples out, velocities in, no long waits.
 
-**Threads.** A driver that talks to something outside has one thread of its own, which alone touches the line. It hands over
-the newest sample; the caller leaves the newest command. So `read`, `write` and `stop` never wait for the robot, and a robot
-that hangs cannot hold up a run. Only `open` and `close` wait, each no longer than the deadline that the driver names.
+**Threads.** A driver of an external device has one thread, which alone uses the link. It provides the newest sample; the
+caller provides the newest command. So `read`, `write` and `stop` never wait for the robot, and a robot that hangs cannot
+block a run. Only `open` and `close` wait, no longer than the driver's deadlines.
 
-**Layers that stop a robot.** The driver stops it when no command was given for `COMMAND_TIMEOUT_S`, also while the caller
-hangs. Whoever gives the commands watches for the operator; the robot watches for the driver.
+**Layers that stop a robot.** The driver stops it without a command for `COMMAND_TIMEOUT_S`, also while the caller hangs. The
+caller monitors the operator; the robot monitors the driver.
 
 ::
 
     FederateError
     `-- DriverError             a robot cannot be driven any more, or not at all
-        |-- PortError           its port cannot be opened: it is not there, in use, or may not be used
-        |-- HandshakeError      something is there, but not the robot that was meant
-        `-- LinkLost            it was there, and went silent or was unplugged
+        |-- PortError           its port cannot be opened: missing, in use, or without permission
+        |-- HandshakeError      another device than the configured robot answers
+        `-- LinkLost            a connected robot is silent or was unplugged
 """
 
 from typing import Annotated, Literal, Protocol, runtime_checkable
@@ -45,34 +45,34 @@ class PortError(DriverError):
 
 
 class HandshakeError(DriverError):
-    """The port is open, but what is there is not the robot that was meant, or cannot be understood."""
+    """The port is open, but its device is not the configured robot, or sends invalid data."""
 
 
 class LinkLost(DriverError):
-    """A robot that was connected went silent or was unplugged."""
+    """A connected robot is silent or was unplugged."""
 
 
 class Sample(Value, frozen=True, kw_only=True):
-    """What a robot said last. Times are of this machine's monotonic clock."""
+    """Newest data of a robot. Times are of this machine's monotonic clock."""
 
-    number: int  # counts what was heard since `open`; a gap means that newer ones took the place of others
-    link: int  # 1 for the first connection, 2 after the first reconnection, ...: odometry misses what was moved in between
+    number: int  # counts since `open`; a gap means that newer samples replaced others
+    link: int  # number of connections so far; odometry misses motion between two of them
     arrived_ns: int
     measured_ns: int  # estimated
-    odometry: Odometry  # from the start pose that `open` was given
-    state: VehicleState | None = None  # in the world, of a robot that knows it by itself: an autopilot, motion capture
-    wheels: tuple[float, float] | None = None  # m/s, left and right, of a robot that tells them
-    sonar: tuple[tuple[int, float], ...] = ()  # (number, range in m): the newest of each that is new since the last `read`
+    odometry: Odometry  # from the start pose of `open`
+    state: VehicleState | None = None  # in the world, if the robot reports it: an autopilot, motion capture
+    wheels: tuple[float, float] | None = None  # m/s, left and right, if the robot reports them
+    sonar: tuple[tuple[int, float], ...] = ()  # (number, range in m): newest reading of each sonar since the last `read`
     battery_v: float | None = None
-    motors: bool = True  # they are enabled
+    motors: bool = True  # motors are enabled
     stalled: tuple[bool, bool] = (False, False)  # left and right wheel
     bumpers: int = 0  # a bit for each segment that is pressed: front from bit 0, rear from bit 8
-    emergency_stop: bool = False  # somebody pressed the button on the robot
-    stopped: str = ""  # why the driver holds it at zero speed; empty: it follows the commands
+    emergency_stop: bool = False  # the button on the robot is pressed
+    stopped: str = ""  # reason for zero speed by the driver; empty: the robot follows the commands
 
 
 class Notice(Value, frozen=True, kw_only=True):
-    """Something that a recording should tell: a connection, a loss, a stop or something odd, with its cause."""
+    """An event for the recording: a connection, a loss, a stop or a warning, with its cause."""
 
     time_ns: int  # of this machine's monotonic clock
     what: What
@@ -83,38 +83,38 @@ class Notice(Value, frozen=True, kw_only=True):
 class Driver(Protocol):
     """A robot that takes velocities: forward speed and yaw rate on the ground, all three axes of the world in the air.
 
-    Constructing one does nothing yet: it is done to check a scenario, too. A class that drives nothing that flies says
+    The constructor must not connect: it is also called to check a scenario. A class only for ground robots has
     ``ground_only = True``.
     """
 
     device: str  # for messages
-    open_deadline_s: float  # `open` takes no longer than about this
-    close_deadline_s: float  # nor does `close`
+    open_deadline_s: float  # maximum time of `open`, approximately
+    close_deadline_s: float  # maximum time of `close`, approximately
 
     def open(self, start: Vec3 = ORIGIN) -> None:
-        """Connect, with the robot standing at ``start`` (x m, y m, yaw rad), and have it at zero speed with motors enabled."""
+        """Connect to the robot, which stands at ``start`` (x m, y m, yaw rad), at zero speed with motors enabled."""
 
     def read(self) -> Sample | None:
-        """The newest sample, or None if there was none since the last call; raises what ended the connection."""
+        """Newest sample; None if there is none since the last call. Raises the error that ended the connection."""
 
     def write(self, velocity: Velocity) -> None:
         """Move like this until the next command, or until `COMMAND_TIMEOUT_S` have passed.
 
-        Robots on the ground look at ``linear[0]`` and ``yaw_rate`` alone.
+        Robots on the ground use ``linear[0]`` and ``yaw_rate`` only.
         """
 
     def stop(self, cause: str) -> None:
-        """Zero speed at once, ahead of all else; the next `write` moves the robot again."""
+        """Zero speed at once, before any other command; the next `write` moves the robot again."""
 
     def notices(self) -> list[Notice]:
-        """What happened since the last call, oldest first; it can still be asked after `close`."""
+        """Events since the last call, oldest first; valid also after `close`."""
 
     def close(self) -> None:
         """Zero speed, motors off, port free. May be called twice, and after a failure."""
 
 
 def checked(velocity: Velocity) -> tuple[float, float]:
-    """Forward speed, m/s, and yaw rate, rad/s, of a command that a ground robot can follow: NaN and infinity are refused."""
+    """Forward speed, m/s, and yaw rate, rad/s, of a command for a ground robot; `ValueError` for NaN and infinity."""
     v, w = velocity.linear[0], velocity.yaw_rate
     if not (abs(v) < float("inf") and abs(w) < float("inf")):  # false for NaN too
         raise ValueError(f"a robot cannot follow v = {v} m/s, w = {w} rad/s: both must be finite")

@@ -1,7 +1,7 @@
-"""A robot in software behind the protocol of a driver: late, jittery, with packets lost and wheels that slip, all from a seed.
+"""A robot in software behind the protocol of a driver: delay, jitter, lost packets and wheel slip, all from a seed.
 
-It has no thread and no port: what it did since the last call is worked out when somebody calls. What it does depends on the
-commands and the times of the calls alone, so that with a clock of one's own it repeats itself.
+It has no thread and no port: each call computes what happened since the last one. The result depends only on the commands and
+the times of the calls, so that it repeats with a given clock.
 """
 
 import contextlib
@@ -27,18 +27,18 @@ class Bench:
 
     Args:
         rate_hz: samples a second.
-        latency_s: from measuring to arriving.
-        jitter_s: by so much more at most, uniformly; a sample never overtakes another.
-        drop_out: probability that a sample does not arrive.
-        scale: what odometry says of a metre, m.
-        turn_per_m: what odometry turns over a metre, rad: wheels of unequal size.
-        slip: standard deviation of odometry's heading after a metre, rad; it grows with the square root of the way.
+        latency_s: from measurement to arrival.
+        jitter_s: maximum additional delay, uniform; samples keep their order.
+        drop_out: probability that a sample is lost.
+        scale: odometry distance per metre, m.
+        turn_per_m: false turn of odometry per metre, rad: wheels of unequal size.
+        slip: standard deviation of odometry's heading after a metre, rad; it grows with the square root of the distance.
         max_speed: m/s.
         max_yaw_rate: rad/s.
         accel: m/s2, of a growing speed.
-        decel: m/s2, of a falling one.
+        decel: m/s2, of a falling speed.
         yaw_accel: rad/s2.
-        unplugged_s: after so many seconds the link is lost; None: never.
+        unplugged_s: time until the link is lost; None: never.
         command_timeout_s: without a command, the robot is stopped.
         seed: of jitter, drop-outs and slip.
         name: for messages; robots of different names draw different numbers.
@@ -46,7 +46,7 @@ class Bench:
     """
 
     ground_only = True
-    open_deadline_s = close_deadline_s = 1.0  # it does neither wait
+    open_deadline_s = close_deadline_s = 1.0  # neither waits
 
     def __init__(
         self,
@@ -83,15 +83,15 @@ class Bench:
 
     def open(self, start: Vec3 = ORIGIN) -> None:
         """Stand at ``start``."""
-        self.pose = start  # x m, y m, yaw rad: where it truly is
-        self._told = start  # where odometry says that it is
+        self.pose = start  # true pose: x m, y m, yaw rad
+        self._told = start  # odometry pose
         self._v = self._w = 0.0
         self._wanted = (0.0, 0.0)
         self._stopped, self._given_ns = NOT_YET, 0
-        self._origin_ns, self._time_ns = self._now(), 0  # the latter since the former
+        self._origin_ns, self._time_ns = self._now(), 0  # start, and time since then
         self._under_way: deque[Sample] = deque()
         self._samples, self._arrival_ns = 0, 0
-        self._link_draws = stream(self._seed, f"{self.device}/link")  # of its own, so that slip moves no drop-out
+        self._link_draws = stream(self._seed, f"{self.device}/link")  # separate streams: slip does not change drop-outs
         self._slip_draws = stream(self._seed, f"{self.device}/slip")
         self._is_open, self._lost = True, False
         self._notice("connected", "a robot in software")
@@ -123,11 +123,11 @@ class Bench:
         return notices
 
     def close(self) -> None:
-        """Nothing is held that would have to be freed."""
+        """Nothing to release."""
         self._is_open = False
 
     def _advance(self) -> int:
-        """Work out what happened until now, which is returned, ns since it was opened."""
+        """Compute what happened until now; the time since `open`, ns."""
         if not self._is_open:
             raise RuntimeError(f"{self.device} is not open")
         now_ns = self._now() - self._origin_ns
@@ -164,14 +164,14 @@ class Bench:
         self._told = (x, y, yaw + turned)
 
     def _send(self) -> None:
-        """A sample leaves; it arrives later, or never."""
+        """Send a sample; it arrives later, or never."""
         self._samples += 1
         lost, late = self._link_draws.random(2).tolist()
         if lost < self._drop_out:
             return
         measured_ns = self._origin_ns + self._time_ns
         arrived_ns = measured_ns + seconds_to_ns(self._latency_s + late * self._jitter_s)
-        self._arrival_ns = max(self._arrival_ns, arrived_ns)  # a line keeps the order
+        self._arrival_ns = max(self._arrival_ns, arrived_ns)  # samples keep their order
         sample = Sample(
             number=self._samples,
             link=1,

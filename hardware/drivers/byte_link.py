@@ -1,7 +1,7 @@
-"""A line of bytes to a device: a serial port, a pseudo-terminal or a TCP connection, by one URL; errors say what to do.
+"""Byte link to a device: a serial port, a pseudo-terminal or a TCP connection, by URL.
 
-TCP does not go through pyserial, whose ``socket://`` leaves small packets waiting for one another (Nagle), sleeps 0.3 s when it
-is closed, and leaks the socket if the other side has gone first.
+TCP does not use pyserial: its ``socket://`` delays small packets (Nagle), sleeps 0.3 s on closing, and leaks the socket if
+the other side closed first.
 """
 
 import errno
@@ -20,7 +20,7 @@ from vcmvsp.hardware.drivers.base import LinkLost, PortError
 
 READ_BYTES = 4096
 WRITE_S = 0.2  # a hundred bytes take 0.1 s at 9600 baud
-FAREWELL_S = 0.2  # for the other side of a TCP connection to take what was sent last
+FAREWELL_S = 0.2  # for the other side of a TCP connection to take the last bytes
 OPEN_S = 2.0  # for a TCP connection
 
 _PROBLEMS = {
@@ -49,10 +49,10 @@ class ByteLink(Protocol):
         """For select."""
 
     def read(self) -> bytes:
-        """What has come; call it when select says that there is something."""
+        """Available bytes; call it when select reports some."""
 
     def write(self, data: bytes) -> None:
-        """Send all of it, within `WRITE_S`."""
+        """Send all bytes within `WRITE_S`."""
 
     def close(self) -> None:
         """Free the port. Never raises."""
@@ -61,7 +61,7 @@ class ByteLink(Protocol):
 def open_line(url: str, baud: int) -> ByteLink:
     """Open ``/dev/ttyUSB0``, the path of a pseudo-terminal, or ``socket://host:port``; a serial port for this process alone.
 
-    ``tcp`` is the same as ``socket``, and ``/`` as ``://``.
+    ``tcp`` means ``socket``, and ``/`` means ``://``.
 
     Raises:
         PortError: it cannot be opened.
@@ -74,7 +74,7 @@ def open_line(url: str, baud: int) -> ByteLink:
 
 
 class _SerialLink:
-    """A serial port, 8N1, or a pseudo-terminal. pyserial opens it; its own reading and writing fail above 1023 open files."""
+    """A serial port, 8N1, or a pseudo-terminal. pyserial only opens it: its reading and writing fail above 1023 open files."""
 
     def __init__(self, path: str, baud: int) -> None:
         self._path = path
@@ -93,7 +93,7 @@ class _SerialLink:
             chunk = os.read(self.fileno(), READ_BYTES)
         except OSError:
             chunk = b""
-        if not chunk:  # the end of the file, or an error of input: both say that it is gone
+        if not chunk:  # end of file, or an input error: the device is gone
             raise _unplugged(self._path)
         return chunk
 
@@ -108,7 +108,7 @@ class _SerialLink:
             raise _unplugged(self._path) from None
 
     def _written(self, data: bytes) -> int:
-        """How many bytes went."""
+        """Number of bytes written."""
         try:
             return os.write(self.fileno(), data)
         except BlockingIOError:
@@ -122,7 +122,7 @@ class _SerialLink:
 
 
 class _TcpLink:
-    """A TCP connection, as simulators of robots and servers of serial ports offer."""
+    """A TCP connection to a simulator of robots or a server of serial ports."""
 
     def __init__(self, url: str) -> None:
         self._url = url
@@ -163,14 +163,14 @@ class _TcpLink:
             raise _hung_up(self._url) from None
 
     def close(self) -> None:
-        """Closing with bytes unread would reset the connection, and the last words sent might never be read."""
+        """Closing with unread bytes would reset the connection, and could lose the last bytes sent."""
         try:
             self._socket.shutdown(socket.SHUT_WR)
             until = time.monotonic() + FAREWELL_S
             while time.monotonic() < until and self._socket.recv(READ_BYTES):
                 pass
         except OSError:
-            pass  # the other side has gone first
+            pass  # the other side closed first
         self._socket.close()
 
 
@@ -183,9 +183,9 @@ def _unplugged(path: str) -> LinkLost:
 
 
 def _port_error(path: str, error: Exception) -> PortError:
-    """Why a serial port could not be opened."""
+    """Error of a serial port that cannot be opened."""
     number = int(getattr(error, "errno", None) or 0)
-    if not number and Path(path).exists():  # it was opened, and could not be set up
+    if not number and Path(path).exists():  # opened, but not configured
         number = errno.ENOTTY
     there = ", ".join(sorted(each.device for each in comports())) or "none"
     problem = _PROBLEMS.get(number) or (os.strerror(number) if number else str(error))

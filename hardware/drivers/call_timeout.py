@@ -1,4 +1,4 @@
-"""Calls that may hang, with an end: a driver that does not come back must not keep a robot's port, nor outlive its run."""
+"""Time-out of calls that may hang, so that a driver cannot keep a robot's port, nor outlive its run."""
 
 import contextlib
 import math
@@ -12,16 +12,16 @@ TICK_S = 0.2
 
 
 def nothing() -> str:
-    """No reason to give up."""
+    """No reason to abort."""
     return ""
 
 
 @contextlib.contextmanager
 def within(seconds: float, device: str, doing: str, abort_reason: Callable[[], str] = nothing) -> Iterator[Callable[[], None]]:
-    """Raise a `DriverError` in what is done here if it takes longer, or as soon as ``given_up`` tells a reason.
+    """Raise a `DriverError` inside the block if it takes longer, or as soon as ``abort_reason`` returns a text.
 
-    In the main thread, by its alarm clock, which also wakes what sleeps. Ticks are counted and not time, so that a process
-    that was frozen does not take itself for one that hangs. What is yielded lets the time begin anew.
+    It works in the main thread, by its alarm clock, which also interrupts sleep. It counts ticks instead of time, so that a
+    process that was frozen does not time out. The yielded function restarts the time.
     """
     ticks = most = math.ceil(seconds / TICK_S)
 

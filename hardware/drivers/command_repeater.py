@@ -1,6 +1,6 @@
-"""When which velocity is sent: zero first, the newest command, again at a steady rate, and zero when nobody commands.
+"""Schedule of velocities: zero first, then the newest command, repeated at a constant rate, and zero without commands.
 
-No clock and no line of its own: time comes in, velocities come out, in whatever form the driver sends them.
+It has no clock and no link: times are arguments, velocities are of any type.
 """
 
 from typing import Generic, TypeVar
@@ -13,17 +13,17 @@ V = TypeVar("V")
 
 
 class CommandRepeater(Generic[V]):
-    """The newest command, and when it has to be said.
+    """Newest command, and its schedule.
 
     Args:
-        zero: what stands.
-        timeout_s: zero speed after so long without a command.
-        again_ns: how often it is said again.
-        least_ns: between two, but for a stop, which waits for nothing and is said again after this, as it might have been
-            lost; 0: the newest command at once, and a stop once.
+        zero: the velocity of a robot that stands.
+        timeout_s: zero speed after this time without a command.
+        again_ns: period of repetition.
+        least_ns: minimum time between two velocities. A stop does not wait for it and is repeated after it, as the first may be
+            lost. 0: the newest command goes at once, and a stop once.
 
     Attributes:
-        stopped: why the robot is held at zero speed; empty: it follows the commands.
+        stopped: reason for zero speed; empty: the robot follows the commands.
     """
 
     def __init__(self, zero: V, timeout_s: float, *, again_ns: int, least_ns: int = 0) -> None:
@@ -40,12 +40,12 @@ class CommandRepeater(Generic[V]):
         self._speeds, self._given_ns, self._waiting = speeds, now_ns, True
 
     def stop(self, cause: str) -> None:
-        """Zero speed at once, ahead of a command that follows."""
+        """Zero speed at once, before any later command."""
         self.stopped = cause
         self._speeds, self._zero_first, self._waiting = self._zero, True, self._least_ns > 0
 
     def advance(self, now_ns: int) -> V | None:
-        """What to say now; None: nothing. Ask until there is nothing."""
+        """Velocity to send now; None: nothing. Call it until it returns None."""
         if not self.stopped and now_ns >= self._given_ns + self._timeout_ns:
             self.stop(f"no command for {self._timeout_s:g} s")
         if self._zero_first:
@@ -58,7 +58,7 @@ class CommandRepeater(Generic[V]):
 
     @property
     def due_ns(self) -> int:
-        """When `advance` has something to do, if nothing is commanded until then."""
+        """Time of the next `advance`, if no command comes before."""
         if self._zero_first:
             return 0
         return self._next_ns if self.stopped else min(self._next_ns, self._given_ns + self._timeout_ns)

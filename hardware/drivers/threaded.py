@@ -1,7 +1,7 @@
-"""What drivers with a thread of their own share: from opening to closing, the newest sample, notices, what ended the thread.
+"""Common part of drivers with a thread: opening, closing, newest sample, notices, and errors of the thread.
 
-All that the thread shares with the caller is behind one lock, which nobody holds while waiting. `ThreadedDriver` says nothing of how
-the thread talks to the robot; `ReconnectingDriver` is for those that own something to select on, and look for it again when it was lost.
+Everything shared between thread and caller is behind one lock, which is never held while waiting. `ThreadedDriver` leaves the
+communication to its subclass; `ReconnectingDriver` is for links with a file descriptor, and restores a lost link.
 """
 
 import os
@@ -15,17 +15,17 @@ from vcmvsp.cosim.types import ORIGIN, Vec3
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, Notice, Sample, What
 
-NOTICES = 1000  # kept for somebody who asks
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 4.0  # before one attempt to connect again and the next: doubled each time
+NOTICES = 1000  # maximum number without a reader
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 4.0  # between attempts to reconnect, doubled each time
 
 
 class ThreadedDriver:
-    """The caller's side of a thread that talks to a robot; a subclass says what the thread does (`_work`), and adds `write`.
+    """Caller side of a thread that communicates with a robot; a subclass defines the thread's work (`_work`), and `write`.
 
     Args:
         device: for messages.
-        open_deadline_s: `open` takes no longer than about this.
-        close_deadline_s: nor does `close`; it may change as long as the driver is open.
+        open_deadline_s: maximum time of `open`, approximately.
+        close_deadline_s: maximum time of `close`; it may change while the driver is open.
     """
 
     _who = "robot"
@@ -35,14 +35,14 @@ class ThreadedDriver:
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
         self._notices: deque[Notice] = deque(maxlen=NOTICES)
-        self._sample: Sample | None = None  # the newest that was not read yet
-        self._failure: DriverError | None = None  # what ended the thread
+        self._sample: Sample | None = None  # newest unread sample
+        self._failure: DriverError | None = None  # error that ended the thread
         self._closing, self._ready = threading.Event(), threading.Event()
 
     # What the caller does.
 
     def open(self, start: Vec3 = ORIGIN) -> None:
-        """Connect, with the robot standing at ``start`` (x m, y m, yaw rad); raises what is wrong."""
+        """Connect to the robot, which stands at ``start`` (x m, y m, yaw rad)."""
         if self._thread is not None:
             raise RuntimeError(f"{self.device} is open already")
         self._sample = self._failure = None
@@ -57,7 +57,7 @@ class ThreadedDriver:
             raise failure
 
     def read(self) -> Sample | None:
-        """The newest sample that was not read yet."""
+        """Newest unread sample."""
         with self._lock:
             self._check()
             sample, self._sample = self._sample, None
@@ -80,7 +80,7 @@ class ThreadedDriver:
         return notices
 
     def close(self) -> None:
-        """Have the robot stand, and let go of it."""
+        """Stop and release the robot."""
         thread = self._thread
         if thread is None:
             return
@@ -88,19 +88,19 @@ class ThreadedDriver:
         self._wake()
         thread.join(self.close_deadline_s)
         with self._lock:
-            # One that is alive hangs in the operating system, and will end with the process.
+            # A thread that is alive hangs in the operating system, and ends with the process.
             if self._thread is thread and not thread.is_alive():
                 self._release()
                 self._thread = None
 
-    # What a subclass says. Those marked so are called with the lock held.
+    # Hooks of a subclass; "lock held": called with the lock held.
 
     def _prepare(self, start: Vec3) -> None:
-        """Get everything ready for a thread that is to start."""
+        """Prepare the start of the thread."""
         raise NotImplementedError
 
     def _hangs(self) -> DriverError:
-        """What to say of a thread that is not ready in time."""
+        """Error of a thread that is not ready in time."""
         return HandshakeError(self.device, "the connection hangs", "look at the network")
 
     def _check(self) -> None:
@@ -111,21 +111,21 @@ class ThreadedDriver:
             raise self._failure
 
     def _was_read(self) -> None:
-        """A sample was handed over (lock held)."""
+        """A sample was read (lock held)."""
 
     def _hold(self, cause: str) -> bool:
-        """Let the thread say zero speed next (lock held); whether somebody else will tell of that stop."""
+        """Let the thread send zero speed next (lock held); whether another part reports that stop."""
         raise NotImplementedError
 
     def _wake(self) -> None:
-        """Have the thread look at what the caller left, if there is a thread."""
+        """Wake the thread, if there is one."""
         raise NotImplementedError
 
     def _release(self) -> None:
         """The thread has ended (lock held)."""
 
     def _work(self) -> None:
-        """All that the thread does; it sets `_ready` as soon as the robot can be driven."""
+        """Work of the thread; it sets `_ready` as soon as the robot can be driven."""
         raise NotImplementedError
 
     # What the thread does.
@@ -149,22 +149,22 @@ class ThreadedDriver:
 
 
 class ClosedByCaller(Exception):
-    """The caller wants the thread to end."""
+    """The caller closes the driver."""
 
 
 class ReconnectingDriver(ThreadedDriver):
-    """A driver whose thread waits for bytes and for the caller at once, and connects again to a robot that it has lost.
+    """A driver with a thread that waits for bytes and for the caller, and reconnects to a lost robot.
 
     Args:
-        device: for messages, as are the following.
-        open_deadline_s: as of `ThreadedDriver`.
-        close_deadline_s: likewise.
-        connect_s: to find the robot and to have it ready.
-        silence_s: without a word from it, it counts as lost.
-        reconnect_s: for so long one that was lost is looked for; 0: losing it is an error at once.
+        device: for messages.
+        open_deadline_s: maximum time of `open`.
+        close_deadline_s: maximum time of `close`.
+        connect_s: to find the robot and to prepare it.
+        silence_s: without a message from it, it counts as lost.
+        reconnect_s: time to look for a lost robot; 0: its loss is an error at once.
     """
 
-    _meanwhile = ""  # who stops a robot that was lost
+    _meanwhile = ""  # what stops a lost robot
 
     def __init__(
         self,
@@ -179,25 +179,25 @@ class ReconnectingDriver(ThreadedDriver):
         super().__init__(device, open_deadline_s=open_deadline_s, close_deadline_s=close_deadline_s)
         self._connect_s, self._silence_s, self._reconnect_s = connect_s, silence_s, reconnect_s
 
-    # What a subclass says.
+    # Hooks of a subclass
 
     def _connect(self, within_s: float) -> None:
-        """Open the line and have the robot ready, then set `_ready`, which is set when this is done again."""
+        """Open the link and prepare the robot, then set `_ready`, which stays set for a reconnection."""
         raise NotImplementedError
 
     def _converse(self) -> None:
-        """Read and send until the link is lost (`LinkLost`) or the caller closes it."""
+        """Receive and send until the link is lost (`LinkLost`) or the caller closes the driver."""
         raise NotImplementedError
 
     def _give_up(self) -> None:
-        """Something other than the caller ends the thread: `_failure`."""
+        """An error ends the thread: `_failure`."""
 
     def _say_goodbye(self) -> None:
-        """Leave the robot in order; waiting does not raise `ClosedByCaller` any more once `_leaving` is set."""
+        """Leave the robot in a safe state; waiting does not raise `ClosedByCaller` once `_leaving` is set."""
         raise NotImplementedError
 
     def _hang_up(self) -> None:
-        """Free the port, if there is one, with last words to whoever still listens."""
+        """Release the port, if it is open, with last messages."""
         raise NotImplementedError
 
     # What the thread does.
@@ -243,11 +243,11 @@ class ReconnectingDriver(ThreadedDriver):
                 self._converse()
             except LinkLost as lost:
                 self._notice("lost", f"{lost.happened}; {self._meanwhile}")
-                self._hang_up()  # a robot that still hears us stops now
+                self._hang_up()  # a robot that still receives stops now
                 self._look_for(lost)
 
     def _look_for(self, lost: LinkLost) -> None:
-        """Connect again, after longer and longer pauses."""
+        """Reconnect, with growing pauses."""
         deadline_ns = time.monotonic_ns() + seconds_to_ns(self._reconnect_s)
         pause_s, last = FIRST_PAUSE_S, ""
         while (now_ns := time.monotonic_ns()) < deadline_ns:

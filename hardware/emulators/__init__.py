@@ -1,1 +1,1 @@
-"""Emulated devices, to rehearse without hardware and to test drivers against. Drivers do not import them."""
+"""Emulated devices, for rehearsals without hardware and for tests of drivers. Drivers do not import them."""

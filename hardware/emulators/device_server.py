@@ -1,4 +1,4 @@
-"""What emulated devices have in common: a thread that serves one at its port, and TCP ports."""
+"""Servers of emulated devices: a thread that serves a device at its port, and TCP ports."""
 
 import contextlib
 import os
@@ -15,21 +15,21 @@ from vcmvsp.cosim.util.polling import readable
 LOOPBACK = "127.0.0.1"
 """What is served there reaches nobody but this machine."""
 
-_PAUSE_NS = 100_000_000  # the longest sleep
+_PAUSE_NS = 100_000_000  # longest sleep
 _CLOSE_S = 5.0  # the thread ends within one sleep
 _READ = 65_535  # bytes
 
 
 class DeviceServer(ABC):
-    """Something that is served at a port by a thread of its own, which begins at once; a context manager, which closes it.
+    """Serves a device at a port by a thread, which starts at once; a context manager, which closes it.
 
     Args:
-        url: where it is.
-        unplug: frees its port.
+        url: of the port.
+        unplug: releases the port.
 
     Attributes:
-        url: the same.
-        error: what ended the thread before its time, if anything did; `close` raises it.
+        url: of the port.
+        error: error that ended the thread, if any; `close` raises it.
     """
 
     def __init__(self, url: str, unplug: Callable[[], None]) -> None:
@@ -41,15 +41,15 @@ class DeviceServer(ABC):
 
     @abstractmethod
     def _due_ns(self) -> int | None:
-        """When there is something to do, by the monotonic clock; None: not before something comes."""
+        """Monotonic time of the next `_turn`; None: not before bytes arrive."""
 
     @abstractmethod
     def _waits_on(self) -> int | None:
-        """The descriptor that becomes readable when something comes, if anything can."""
+        """Descriptor that becomes readable when bytes arrive, if any."""
 
     @abstractmethod
     def _turn(self) -> None:
-        """Do what is due, with what has come."""
+        """Process received bytes, and send what is due."""
 
     def __enter__(self) -> Self:
         return self
@@ -58,7 +58,7 @@ class DeviceServer(ABC):
         self.close()
 
     def close(self) -> None:
-        """End, and free the port. More than once is fine."""
+        """End the thread, and release the port. May be called twice."""
         if self._wake_write < 0:
             return
         os.write(self._wake_write, b"x")
@@ -80,7 +80,7 @@ class DeviceServer(ABC):
             self.error = error
 
     def _stopped(self) -> bool:
-        """Sleep until something is due or comes; whether to stop."""
+        """Sleep until something is due or arrives; whether to stop."""
         due_ns, now_ns = self._due_ns(), time.monotonic_ns()
         pause_ns = _PAUSE_NS if due_ns is None else max(0, min(due_ns - now_ns, _PAUSE_NS))
         waits_on = [each for each in (self._wake_read, self._waits_on()) if each is not None]
@@ -97,11 +97,11 @@ class TcpListener:
         self.url = f"{scheme}{host}:{self._listener.getsockname()[1]}"
 
     def waits_on(self) -> int:
-        """The descriptor that becomes readable when there is something to `read`."""
+        """Descriptor that becomes readable when there is something to `read`."""
         return (self._client or self._listener).fileno()
 
     def read(self) -> bytes:
-        """What the client has sent, or nothing."""
+        """Bytes of the client, or none."""
         if self._client is None:
             with contextlib.suppress(BlockingIOError, ConnectionError):
                 self._client, _ = self._listener.accept()
@@ -119,7 +119,7 @@ class TcpListener:
         return data
 
     def write(self, data: bytes) -> int:
-        """As much as goes without waiting; how many bytes went."""
+        """Send as much as possible without waiting; number of bytes."""
         if self._client is None:
             return 0
         try:

@@ -1,8 +1,4 @@
-"""Positioning systems of real robots: their messages become `Located`. Filters and fusion are in `cosim.estimation`.
-
-Every system has a ``Reader`` with one verb, ``feed(chunk) -> list[Located]``. It takes the bytes of a port or a socket as they
-came; what it cannot read it counts, and never raises.
-"""
+"""Positioning systems of real robots: their messages become `Located`. Filters and fusion are in `cosim.estimation`."""
 
 import msgspec
 
@@ -12,9 +8,9 @@ from vcmvsp.cosim.types import Vec3
 class Located(msgspec.Struct, frozen=True, kw_only=True):
     """One answer of a positioning system."""
 
-    tag: str = ""  # whose; empty: of whatever the port belongs to
-    position: Vec3 | None = None  # m, in the system's own frame (GPS: of the tangent plane); None: it has none now
+    tag: str = ""  # number or name of the tag; empty: the only one of the port
+    position: Vec3 | None = None  # m, in the system's own frame (GPS: of the tangent plane); None: no position now
     velocity: tuple[float, float] | None = None  # m/s, east and north
-    sigma_m: float | None = None  # standard deviation of x and y; None: it does not say
+    sigma_m: float | None = None  # standard deviation of x and y; None: not in the message
     quality: float | None = None  # 0 to 1, where the system gives such a number
-    source_ns: int | None = None  # when it was measured by the system's own clock; None: it does not say
+    source_ns: int | None = None  # time of the measurement, of the system's clock; None: not in the message

@@ -1,4 +1,4 @@
-"""Datagrams that somebody sends to this machine, as a `hardware.drivers.byte_link.ByteLink`: each read is one of them."""
+"""UDP datagrams as a `hardware.drivers.byte_link.ByteLink`: each read is one datagram."""
 
 import errno
 import socket
@@ -10,10 +10,10 @@ LARGEST_BYTES = 65535
 
 
 class Datagrams:
-    """A UDP socket that hears at ``udp://host:port``; port 0 takes a free one, and ``url`` says which.
+    """A UDP socket bound to ``udp://host:port``; port 0 takes a free one, see ``url``.
 
     Raises:
-        PortError: it cannot hear there.
+        PortError: the address cannot be bound.
     """
 
     def __init__(self, url: str) -> None:
@@ -41,11 +41,11 @@ class Datagrams:
         """The next datagram; empty if there is none."""
         try:
             return self._socket.recv(LARGEST_BYTES)
-        except OSError:  # there is none, or an answer of the network to somebody else's
+        except OSError:  # no datagram, or an ICMP error
             return b""
 
     def write(self, data: bytes) -> None:
-        """Nobody is spoken to."""
+        """Nothing is sent."""
 
     def close(self) -> None:
         """Free the port."""
@@ -56,7 +56,7 @@ def address(url: str) -> tuple[str, int]:
     """Host and port of ``udp://host:port``.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the text has another form.
     """
     protocol, host, port = endpoint_of(url) or ("", "", None)
     if protocol != "udp" or not host or port is None:

@@ -1,9 +1,9 @@
 """Decawave DWM1001 (PANS firmware): positions as lines of text from the shell on its serial port, 115200 baud.
 
-Two carriage returns within a second open the shell, and ``lep`` switches lines of positions on, or off again. A tag says
-``POS,x,y,z,quality`` (m, %), after its distances if ``lec`` was given; a listener says of each tag
+Two carriage returns within a second open the shell, and ``lep`` toggles lines of positions. A tag sends
+``POS,x,y,z,quality`` (m, %), after its distances if ``lec`` was given; a listener sends, for each tag,
 ``POS,index,id,x,y,z,quality,check`` [DWM1001 firmware API guide, shell commands]. There is no time and no heading. Without a
-check sum a line from which bytes were lost may still read as one: what uses the positions has to gate them.
+check sum a line with lost bytes may still look valid: users of the positions must gate them.
 """
 
 import math
@@ -19,8 +19,8 @@ LONGEST_BYTES = 512  # of a line; `lec` with four anchors has 140
 
 
 def decode(line: str) -> Located | None:
-    """What a line says; None if it is not about a position (echo, prompt, banner), `ValueError` if it is broken."""
-    fields = line.rpartition(PROMPT)[2].strip().split(",")  # the first line comes right behind a prompt
+    """Position of a line; None if it has another subject (echo, prompt, banner), `ValueError` if it is invalid."""
+    fields = line.rpartition(PROMPT)[2].strip().split(",")  # the first line follows a prompt
     if "POS" not in fields:
         return None
     values = fields[fields.index("POS") + 1 :]
@@ -33,12 +33,12 @@ def decode(line: str) -> Located | None:
     x, y, z, percent = map(float, numbers)
     if not 0.0 <= percent <= 100.0:
         raise ValueError(f"a quality is from 0 to 100 %, not {percent}")
-    valid = percent > 0.0 and all(map(math.isfinite, (x, y, z)))  # a tag that is lost says nan, or quality 0
+    valid = percent > 0.0 and all(map(math.isfinite, (x, y, z)))  # a lost tag sends nan, or quality 0
     return Located(tag=tag, position=(x, y, z) if valid else None, quality=percent / 100.0)
 
 
 def encode(located: Located, index: int | None = None) -> bytes:
-    """The line that says this, as a tag, or with an index as a listener: for one that is emulated."""
+    """Line of a position, of a tag or, with an index, of a listener; for emulation."""
     x, y, z = located.position or (math.nan, math.nan, math.nan)
     percent = 0 if located.position is None else round(100.0 * (1.0 if located.quality is None else located.quality))
     body = f"{x:.2f},{y:.2f},{z:.2f},{percent}"
@@ -47,9 +47,9 @@ def encode(located: Located, index: int | None = None) -> bytes:
 
 
 class Waker:
-    """Says what to write to the port so that positions come. ``lep`` is a toggle: a module that talks is left alone.
+    """Decides what to write to the port so that positions come. ``lep`` is a toggle: it is not sent while lines arrive.
 
-    A tag at rest may report rarely, and would be switched off by a second ``lep``; so the patience doubles each time.
+    A tag at rest may send rarely, and a second ``lep`` would switch it off; so the waiting time doubles each time.
     """
 
     def __init__(self, patience_s: float = 2.0) -> None:
@@ -58,17 +58,17 @@ class Waker:
         self._awake = False
 
     def heard(self, now_ns: int) -> None:
-        """A line about a position came."""
+        """A position arrived."""
         self._awake, self._due_ns = False, now_ns + self._patience_ns
 
     def write(self, now_ns: int) -> bytes:
-        """What to write now; mostly nothing. Call it some times a second."""
+        """Bytes to write now, mostly none; call it several times a second."""
         if self._due_ns is None:
             self._due_ns = now_ns + self._patience_ns
         if now_ns < self._due_ns:
             return b""
         if not self._awake:
-            self._awake, self._due_ns = True, now_ns + SECOND_NS  # the shell takes a moment to open
+            self._awake, self._due_ns = True, now_ns + SECOND_NS  # time for the shell to open
             return WAKE
         self._patience_ns *= 2
         self._awake, self._due_ns = False, now_ns + self._patience_ns
@@ -76,9 +76,9 @@ class Waker:
 
 
 class Tag:
-    """A tag's side of the port, for tests and rehearsals: the shell with ``lep`` and ``quit``.
+    """A tag's side of the port, for emulation: the shell with ``lep`` and ``quit``.
 
-    An empty line ends ``lep``; ``quit`` does not: it goes on when the shell is opened again [so says the client pydwm1001].
+    An empty line ends ``lep``; ``quit`` does not: lines continue when the shell is opened again [client pydwm1001].
     """
 
     def __init__(self) -> None:
@@ -86,7 +86,7 @@ class Tag:
         self._typed = b""
 
     def receive(self, chunk: bytes) -> bytes:
-        """What the tag answers to what was written to its port."""
+        """Answer of the tag to bytes written to its port."""
         answer = b""
         for byte in chunk.replace(b"\n", b"\r"):
             self._typed += bytes([byte])
@@ -106,5 +106,5 @@ class Tag:
         return answer
 
     def say(self, located: Located) -> bytes:
-        """The line of one position, or nothing while nobody has asked for lines."""
+        """Line of a position; empty while lines are off."""
         return encode(located) if self.shell and self.telling else b""

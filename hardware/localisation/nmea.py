@@ -1,7 +1,7 @@
 """GPS receivers: NMEA 0183 sentences GGA (position), RMC (date, velocity) and VTG (velocity) from a serial port.
 
-Positions are those of a `TangentPlane`. A receiver says RMC and GGA of the same measurement: once it has said a GGA, the
-position of RMC is not reported, since it would count twice.
+Positions are those of a `TangentPlane`. A receiver sends RMC and GGA for the same measurement: after a first GGA, positions of
+RMC are ignored, since they would count twice.
 """
 
 import datetime as dt
@@ -20,13 +20,13 @@ _UNREADABLE = (pynmea2.ParseError, ValueError, TypeError, AttributeError, Arithm
 
 
 class NmeaReader(LineReader):
-    """Reads the stream of a port, however it is split; counts what it cannot read (bad check sums among it).
+    """Decodes the sentences of a receiver.
 
     Args:
-        plane: in whose frame positions are told.
-        range_sigma_m: user range error, 1 sigma; a horizontal dilution h makes of it h * range_sigma_m / sqrt(2) for each of
-            x and y. The default is the signal-in-space range error that GPS promises, 7.8 m at 95 % [GPS SPS Performance
-            Standard, 4th ed. 2008, table 3.4-1]; a receiver with corrections has far less.
+        plane: frame of the positions.
+        range_sigma_m: user range error, 1 sigma; with a horizontal dilution h the standard deviation of x and of y is
+            h * range_sigma_m / sqrt(2). The default is the signal-in-space range error of GPS, 7.8 m at 95 % [GPS SPS
+            Performance Standard, 4th ed. 2008, table 3.4-1]; a receiver with corrections has far less.
     """
 
     def __init__(self, plane: TangentPlane, range_sigma_m: float = 4.0) -> None:
@@ -56,9 +56,7 @@ class NmeaReader(LineReader):
         when = self._time(sentence.timestamp)
         if not int(sentence.gps_qual or 0):
             return Located(source_ns=when)
-        height = float(sentence.altitude or 0.0) + float(
-            sentence.geo_sep or 0.0
-        )  # above the sea, and the sea above the ellipsoid
+        height = float(sentence.altitude or 0.0) + float(sentence.geo_sep or 0.0)  # geoid and ellipsoid
         dilution = float(sentence.horizontal_dil) if sentence.horizontal_dil else 1.0
         return Located(position=self._place(sentence, height), sigma_m=self._sigma(dilution), source_ns=when)
 
@@ -82,13 +80,13 @@ class NmeaReader(LineReader):
         return self.plane.enu(latitude, longitude, height_m)
 
     def _sigma(self, dilution: float) -> float:
-        """Standard deviation of each of x and y: HDOP is that of both together."""
+        """Standard deviation of x and of y; HDOP is that of both together."""
         if not 0.0 < dilution < math.inf:
             raise ValueError(f"a dilution is positive, not {dilution}")
         return dilution * self.range_sigma_m / math.sqrt(2.0)
 
     def _time(self, of_day: dt.time | None) -> int | None:
-        """UTC as ns since 1970, leap seconds left out; None until the date is known. GGA has only the time of day."""
+        """UTC as ns since 1970, without leap seconds; None until an RMC gives the date, since GGA has only the time of day."""
         if of_day is None or self._date is None:
             return None
         moment = dt.datetime.combine(self._date.date(), of_day).replace(tzinfo=dt.UTC)
@@ -105,7 +103,7 @@ def _vtg(sentence: Any) -> Located:
 
 
 def _velocity(speed: float | None, course_deg: Any) -> tuple[float, float] | None:
-    """East and north, m/s; the course counts clockwise from true north. None where either is missing (at rest)."""
+    """East and north, m/s; the course is clockwise from true north. None if either is missing (at rest)."""
     if speed is None or course_deg is None or course_deg == "":
         return None
     course = math.radians(float(course_deg))

@@ -1,4 +1,4 @@
-"""A source of positions on a line of bytes: a thread hears it, and opens it again when it was unplugged."""
+"""A source of positions on a byte link: a thread reads it, and opens it again after a loss."""
 
 import contextlib
 import os
@@ -14,16 +14,16 @@ from vcmvsp.hardware.localisation.source import Advice, PositionSource, as_failu
 from vcmvsp.hardware.localisation.world_transform import WorldTransform
 
 RETRY_S = 0.5
-TICK_S = 0.1  # between looks at what to say
+TICK_S = 0.1  # period of writing
 CLOSE_S = 5.0  # opening a TCP connection takes 2 s at most
 
 
 class PortSource(PositionSource):
-    """Hears a line, and speaks to it.
+    """Reads a link and writes to it.
 
     Args:
-        open_line: opens the line, or raises `PortError`.
-        say: what to write now, ns; mostly nothing. It is asked some times a second.
+        open_line: opens the link, or raises `PortError`.
+        say: bytes to write at a time (ns), mostly none; called several times a second.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class PortSource(PositionSource):
         self._thread: threading.Thread | None = None
 
     def open(self) -> None:
-        """Open the port, and begin to hear.
+        """Open the port and start reading.
 
         Raises:
             PortError: it cannot be opened.
@@ -59,7 +59,7 @@ class PortSource(PositionSource):
             return
         os.write(self._wake_write, b"x")
         thread.join(CLOSE_S)
-        if not thread.is_alive():  # else the descriptors are still in use
+        if not thread.is_alive():  # otherwise the descriptors are still in use
             os.close(self._wake_read)
             os.close(self._wake_write)
 
@@ -80,14 +80,14 @@ class PortSource(PositionSource):
                     line.close()
                     line = None
                     self.lost(f"{error.happened}; {error.advice}")
-        except Exception as error:  # the reader's own; whoever asks is told
+        except Exception as error:  # an error of the reader
             self.failed(as_failure(self.device, error))
         finally:
             if line is not None:
                 line.close()
 
     def _woken(self, seconds: float, line: ByteLink | None = None) -> bool:
-        """Hear and speak, for at most so long; whether to stop."""
+        """Read and write for at most ``seconds``; whether to stop."""
         ready = readable([self._wake_read] if line is None else [self._wake_read, line.fileno()], seconds)
         if self._wake_read in ready:
             return True

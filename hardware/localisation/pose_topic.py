@@ -1,8 +1,8 @@
-"""Poses that somebody publishes over Eclipse Zenoh as JSON: what motion capture, or any other system, is bridged to.
+"""Poses that are published over Eclipse Zenoh as JSON, e.g. by a bridge from motion capture.
 
-A message is an object: ``t`` (s, when it was measured, by any clock that runs), ``x`` and ``y`` (m), and where they are known
-``z`` (m), ``yaw`` (rad), ``sigma`` (m) and ``sigma_yaw`` (rad). ``t`` may be missing; then it was measured ``latency_s`` before
-it arrived. What else an object has is passed over.
+A message is an object: ``t`` (s, time of the measurement, of any running clock), ``x`` and ``y`` (m), and optionally ``z`` (m),
+``yaw`` (rad), ``sigma`` (m) and ``sigma_yaw`` (rad). Without ``t`` the measurement was ``latency_s`` before the arrival. Other
+keys are ignored.
 """
 
 import time
@@ -26,7 +26,7 @@ from vcmvsp.hardware.localisation.world_transform import AT_REST, LocatedPose, W
 
 LARGEST_BYTES = 4096
 _CONNECT_MS = 2000
-_RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a link that broke
+_RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a broken link
 
 
 class _PoseMessage(msgspec.Struct, kw_only=True):
@@ -60,17 +60,17 @@ class PoseReader(DatagramReader):
 
 
 class ExternalPose(PositionSource):
-    """Poses from anybody who publishes JSON over Eclipse Zenoh: a bridge from motion capture, another localisation.
+    """Poses published as JSON over Eclipse Zenoh: a bridge from motion capture, another localisation.
 
-    A link that breaks is mended by Zenoh.
+    Zenoh restores a broken link.
 
     Args:
-        key: under which they come, such as ``mocap/car1``.
+        key: key of the poses, such as ``mocap/car1``.
         endpoint: of the router or bridge, or where to listen.
         mode: whether to connect there, or to listen so that the bridge connects.
-        sigma_m: standard deviation of x and y where a message says none.
-        sigma_rad: of the yaw, the same.
-        latency_s: between measuring and arriving, at least.
+        sigma_m: standard deviation of x and y without ``sigma``.
+        sigma_rad: standard deviation of the yaw without ``sigma_yaw``.
+        latency_s: minimum delay from measurement to arrival.
         offset: of the poses' frame in the world, m.
         turn_rad: of their frame in the world.
     """
@@ -104,7 +104,7 @@ class ExternalPose(PositionSource):
         """Connect, or listen, and subscribe.
 
         Raises:
-            PortError: nobody is there, or nothing can listen.
+            PortError: no router is there, or the address cannot be bound.
         """
         self._begin()
         config: dict[str, Any]

@@ -1,7 +1,6 @@
-"""What all sources of positions have in common: readings wait until they are asked for, and silence is told with its cause.
+"""Common part of all sources of positions: readings wait until the caller takes them, and silence is reported with its cause.
 
-Whoever hears something (a thread, or Zenoh's) gives it to `PositionSource.take` at once, so that it is stamped when it arrives and
-not when somebody asks.
+The thread that receives something passes it to `PositionSource.take` at once, so that it is stamped on arrival.
 """
 
 import threading
@@ -16,17 +15,17 @@ from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, Notice
 from vcmvsp.hardware.localisation.readers import DatagramReader, LineReader
 from vcmvsp.hardware.localisation.world_transform import FARTHEST_M, OLDEST_S, WorldTransform
 
-PATIENCE_S = 5.0  # without a position before somebody is told
-CENSUS_S = 1.0  # of listening, before it is believed that there is one tag only
-_MOST_WAITING = 1000  # readings, of a caller that does not ask
+PATIENCE_S = 5.0  # without a position before a warning
+CENSUS_S = 1.0  # of listening, before a single tag counts as the only one
+_MOST_WAITING = 1000  # readings, if the caller takes none
 _MOST_TAGS = 8  # that a message lists
 
 
 class Advice(NamedTuple):
-    """How a source says what it misses."""
+    """Texts of a source's warnings."""
 
-    nothing: str  # what to look at when nothing comes
-    unreadable: str  # what it means that something comes that cannot be read
+    nothing: str  # remedy if nothing arrives
+    unreadable: str  # remedy if only invalid messages arrive
 
 
 class PositionSource:
@@ -43,17 +42,17 @@ class PositionSource:
         self._begin()
 
     def read(self, now_ns: int) -> list[Fix]:
-        """Readings that are new since the last call, oldest first; never waits.
+        """Readings since the last call, oldest first; never waits.
 
         Raises:
-            DriverError: no reading can ever come, or nobody can say whose.
+            DriverError: no reading can come any more, or their tag is ambiguous.
         """
         with self._lock:
             if self._failure is not None:
                 raise self._failure
             self._look(now_ns)
             fixes = [each for each in self._fixes if each.time_ns <= now_ns]
-            later = [each for each in self._fixes if each.time_ns > now_ns]  # than the time that the caller took
+            later = [each for each in self._fixes if each.time_ns > now_ns]  # after the caller's time
             self._fixes.clear()
             self._fixes.extend(later)
             return fixes
@@ -65,7 +64,7 @@ class PositionSource:
         return notices
 
     def take(self, chunk: bytes, arrived_ns: int) -> bool:
-        """Something came; whether any of it was about positions."""
+        """Decode bytes; whether they contain a position."""
         with self._lock:
             self._bytes += len(chunk)
             answers = self._reader.feed(chunk)
@@ -81,13 +80,13 @@ class PositionSource:
             return bool(answers)
 
     def lost(self, cause: str) -> None:
-        """The port is gone."""
+        """The port is lost."""
         with self._lock:
             self._notice("lost", cause)
             self._gone = self._silent = True
 
     def back(self) -> None:
-        """The port is there again."""
+        """The port is open again."""
         with self._lock:
             self._expect()
 
@@ -97,21 +96,21 @@ class PositionSource:
             self._failure = error
 
     def _begin(self) -> None:
-        """Nothing was heard yet, and nobody needs to be told so."""
+        """Reset everything."""
         self._failure = self._first_tag_ns = None
         self._placing.tags.clear()
-        self._silent = True  # until a position comes, which is told
+        self._silent = True  # until the first position, which is reported
         self._fixes.clear()
         self._expect()
 
     def _expect(self) -> None:
-        """From now on, something should come."""
+        """Messages should come from now on."""
         self._gone, self._told_why = False, ""
         self._since_ns = time.monotonic_ns()
         self._zero()
 
     def _zero(self) -> None:
-        """Count anew what comes beside positions."""
+        """Reset the counts of rejected messages."""
         self._bytes = self._told = 0
         placing = self._placing
         placing.unknown = placing.far = placing.old = placing.others = 0
@@ -124,7 +123,7 @@ class PositionSource:
         self._zero()
 
     def _is_ours(self, now_ns: int) -> bool:
-        """Whether it is clear whose a position is: where no tag is named there must be one only."""
+        """Whether a position is the vehicle's: without a tag name there must be one tag only."""
         placing = self._placing
         if placing.tag or not placing.tags:
             return True
@@ -140,7 +139,7 @@ class PositionSource:
         return waited and len(placing.tags) == 1
 
     def _look(self, now_ns: int) -> None:
-        """Tell when positions stay away, and again when it turns out to be for another reason."""
+        """Warn when positions stay away, and again for each new reason."""
         if self._gone or now_ns - self._since_ns <= PATIENCE_S * SECOND_NS:
             return
         why = self._why()
@@ -170,7 +169,7 @@ class PositionSource:
 
 
 def as_failure(device: str, error: Exception) -> Exception:
-    """What a thread died of, as an error that says where."""
+    """Error of a thread as a `DriverError`."""
     if isinstance(error, DriverError):
         return error
     return DriverError(device, f"its reader raised {words_of(error)}", "please report this")

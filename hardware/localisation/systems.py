@@ -1,9 +1,9 @@
-"""Where a real vehicle is, from outside: the kinds of ``localisation`` that a scenario can give it.
+"""Localisation of a real vehicle from outside: the kinds of ``localisation`` in a scenario.
 
-All of them tell positions in the world on this machine's monotonic clock. Times of measuring come from the system's own clock
-where it tells one (`cosim.estimation.clock_offset`), else from the arrival; ``latency_s`` is what lies between measuring and
-arriving at least, which no clock can tell. Frames of systems are turned by ``turn_rad`` and then moved by ``offset`` into the
-world. What is not finite, or more than 10 km from the world's origin, is refused. Poses over Zenoh are in
+Positions are in the world, on this machine's monotonic clock. Times of measurement come from the system's own clock if it has
+one (`cosim.estimation.clock_offset`), else from the arrival; ``latency_s`` is the minimum delay from measurement to arrival,
+which no clock shows. Frames of systems are rotated by ``turn_rad`` and then moved by ``offset`` into the world. Positions that
+are not finite, or more than 10 km from the world's origin, are rejected. Poses over Zenoh are in
 `hardware.localisation.pose_topic`.
 """
 
@@ -30,40 +30,40 @@ Longitude = Annotated[float, msgspec.Meta(ge=-180, le=180)]  # deg
 
 @runtime_checkable
 class Localisation(Protocol):
-    """Tells where a vehicle is."""
+    """Positions of a vehicle."""
 
     device: str  # for messages
 
     def open(self) -> None:
-        """Begin to hear; takes no longer than some seconds.
+        """Start receiving; takes some seconds at most.
 
         Raises:
-            PortError: there is nothing to hear at; what to do.
+            PortError: the port or address cannot be opened, and the remedy.
         """
 
     def read(self, now_ns: int) -> list[Fix]:
-        """Readings that are new since the last call, oldest first, none from after ``now_ns``; never waits.
+        """Readings since the last call, oldest first, none after ``now_ns``; never waits.
 
         Raises:
-            DriverError: none can come any more, or nobody can say whose.
+            DriverError: no reading can come any more, or their tag is ambiguous.
         """
 
     def notices(self) -> list[Notice]:
-        """What happened since the last call, oldest first: positions come, are lost, and why."""
+        """Events since the last call, oldest first: positions arrive, are lost, and why."""
 
     def close(self) -> None:
-        """Stop hearing, port free. May be called twice, and after a failure."""
+        """Stop receiving and free the port. May be called twice, and after a failure."""
 
 
 class Ubisense(PortSource):
     """Ubisense tags, from datagrams of the location engine ("on the wire" protocol).
 
     Args:
-        listen: where this machine hears them, ``udp://address:port``; 0.0.0.0 is any of its interfaces, and needs ``insecure``.
-        insecure: ``listen`` may be all interfaces: whoever reaches one of them can tell positions.
-        tag: hexadecimal number of the vehicle's tag; empty: the only one that is heard.
-        sigma_m: standard deviation of x and y where a datagram says none.
-        latency_s: between measuring and arriving, at least.
+        listen: address of the datagrams, ``udp://address:port``; 0.0.0.0 is any interface, and needs ``insecure``.
+        insecure: ``listen`` may be all interfaces: any machine that reaches one of them can send positions.
+        tag: hexadecimal number of the vehicle's tag; empty: the only one.
+        sigma_m: standard deviation of x and y if a datagram has none.
+        latency_s: minimum delay from measurement to arrival.
         offset: of the system's frame in the world, m.
         turn_rad: of its frame in the world.
     """
@@ -97,14 +97,14 @@ class Ubisense(PortSource):
 
 
 class Dwm1001(PortSource):
-    """A Decawave DWM1001 tag, or a listener, on a serial port; it is asked for positions.
+    """A Decawave DWM1001 tag, or a listener, on a serial port; the driver switches its positions on.
 
     Args:
         port: such as ``/dev/ttyACM0``.
         baud: of the port.
-        tag: name of the vehicle's tag, where a listener tells of several; empty: the only one.
-        sigma_m: standard deviation of x and y, which it does not tell.
-        latency_s: between measuring and arriving.
+        tag: name of the vehicle's tag, if a listener reports several; empty: the only one.
+        sigma_m: standard deviation of x and y.
+        latency_s: delay from measurement to arrival.
         offset: of the system's frame in the world, m.
         turn_rad: of its frame in the world.
     """
@@ -127,7 +127,7 @@ class Dwm1001(PortSource):
         self._waker = dwm1001.Waker()
 
         def opened() -> ByteLink:
-            self._waker = dwm1001.Waker()  # who was unplugged has forgotten all
+            self._waker = dwm1001.Waker()  # the module restarts when it is plugged in
             return open_line(port, baud)
 
         super().__init__(
@@ -135,7 +135,7 @@ class Dwm1001(PortSource):
         )
 
     def take(self, chunk: bytes, arrived_ns: int) -> bool:
-        """Something came; a module that tells positions need not be asked."""
+        """Decode bytes; a module that sends positions is not switched."""
         has_positions = super().take(chunk, arrived_ns)
         if has_positions:
             self._waker.heard(arrived_ns)
@@ -151,11 +151,11 @@ class Nmea(PortSource):
     Args:
         port: such as ``/dev/ttyUSB0``.
         latitude_deg: of the world's origin, WGS 84; its x axis points east.
-        longitude_deg: the same.
-        height_m: the same, above the ellipsoid.
+        longitude_deg: of the world's origin.
+        height_m: of the world's origin, above the ellipsoid.
         baud: of the port.
-        range_sigma_m: user range error; with the receiver's dilution it makes the standard deviation.
-        latency_s: between measuring and arriving, at least.
+        range_sigma_m: user range error; with the receiver's dilution it gives the standard deviation.
+        latency_s: minimum delay from measurement to arrival.
     """
 
     def __init__(

@@ -20,10 +20,10 @@ ByteOrder = Literal["<", ">"]
 
 
 def tag_of(text: str) -> str:
-    """The number of a tag, which is hexadecimal, as 16 digits.
+    """Hexadecimal number of a tag as 16 digits.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the text is no such number.
     """
     try:
         number = int(text, 16)
@@ -35,7 +35,7 @@ def tag_of(text: str) -> str:
 
 
 def decode(datagram: bytes) -> Located:
-    """What a datagram says; `ValueError` if it is none of this protocol."""
+    """Position of a datagram; `ValueError` if it is not of this protocol."""
     if len(datagram) != SIZE_BYTES:
         raise ValueError(f"a datagram has {SIZE_BYTES} bytes, not {len(datagram)}")
     order = next((each for each in ("<", ">") if struct.unpack_from(each + "HH", datagram) == MAGIC), None)
@@ -53,7 +53,7 @@ def decode(datagram: bytes) -> Located:
 
 
 def encode(located: Located, order: ByteOrder = "<") -> bytes:
-    """The datagram that says this: for a source that is emulated. The tag is a hexadecimal number."""
+    """Datagram of a position, for emulation. The tag is a hexadecimal number."""
     x, y, z = located.position or (0.0, 0.0, 0.0)
     flags = 0 if located.position is None else VALID
     variance = (located.sigma_m or 0.0) ** 2

@@ -1,4 +1,4 @@
-"""From what a positioning system says to readings in the world, on this machine's clock; what cannot be is refused."""
+"""Transform of positions into the world and to this machine's clock, with checks."""
 
 import math
 from collections.abc import Callable
@@ -9,30 +9,30 @@ from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Fix, NonNegative, Positive, Vec3
 from vcmvsp.hardware.localisation import Located
 
-FARTHEST_M = 10_000.0  # from the world's origin: what is farther off was measured in another frame
-OLDEST_S = 10.0  # what is older says nothing of now; a clock that stands still gives such times
-MOST_TAGS = 64  # that are told apart
-LEAST_SIGMA_M = LEAST_SIGMA_RAD = 1e-3  # nothing is more certain than that
+FARTHEST_M = 10_000.0  # from the world's origin; beyond, the frame is wrong
+OLDEST_S = 10.0  # older positions are useless; a clock that stands still gives such times
+MOST_TAGS = 64  # of one system
+LEAST_SIGMA_M = LEAST_SIGMA_RAD = 1e-3  # minimum standard deviations
 AT_REST: Vec3 = (0.0, 0.0, 0.0)
 
 
 class LocatedPose(Located, frozen=True, kw_only=True):
-    """An answer of a system that tells headings as well."""
+    """An answer with a heading."""
 
     yaw: float | None = None  # rad
-    sigma_rad: float = 0.0  # standard deviation of the yaw; not positive: it is not known, nor is the yaw
+    sigma_rad: float = 0.0  # standard deviation of the yaw; not positive: the yaw is unknown
 
 
 class WorldTransform:
-    """Makes readings of one tag.
+    """Transforms positions of one tag.
 
     Args:
-        tag: whose answers count; empty: everybody's.
-        sigma_m: standard deviation where the system says none.
-        latency_s: what lies between measuring and arriving, at least.
-        offset: where the origin of the system's frame is in the world, m.
-        turn_rad: by how much its frame is turned in the world, counter-clockwise.
-        normal: how tags are written, so that they can be compared.
+        tag: tag of the vehicle; empty: any.
+        sigma_m: standard deviation if a message has none.
+        latency_s: minimum delay from measurement to arrival.
+        offset: origin of the system's frame in the world, m.
+        turn_rad: rotation of its frame in the world, counter-clockwise.
+        normal: normal form of a tag's name.
     """
 
     def __init__(
@@ -51,17 +51,17 @@ class WorldTransform:
         self._sigma_m, self._offset, self._turn = sigma_m, offset, turn_rad
         self._cosine, self._sine = math.cos(turn_rad), math.sin(turn_rad)
         self._latency_s = latency_s
-        self._clocks: dict[str, ForeignClock] = {}  # of tags: two may be told of in any order
-        self.tags: set[str] = set()  # that were heard
-        self.unknown = self.far = self.old = self.others = 0  # without a position, too far away, too old, of other tags
+        self._clocks: dict[str, ForeignClock] = {}  # by tag: messages of two tags may come in any order
+        self.tags: set[str] = set()  # tags in messages so far
+        self.unknown = self.far = self.old = self.others = 0  # rejected: without a position, too far, too old, of other tags
 
     @property
     def jumps(self) -> int:
-        """How often the system's clock has jumped."""
+        """Number of jumps of the system's clock."""
         return sum(each.jumps for each in self._clocks.values())
 
     def place(self, located: Located, arrived_ns: int) -> Fix | None:
-        """The reading, or None if there is none."""
+        """Position in the world; None if it is rejected."""
         tag = self._normal(located.tag)
         if tag and len(self.tags) < MOST_TAGS:
             self.tags.add(tag)
@@ -79,7 +79,7 @@ class WorldTransform:
             self._offset[1] + self._sine * x + self._cosine * y,
             self._offset[2] + z,
         )
-        if not math.hypot(*placed) <= FARTHEST_M:  # nor is NaN
+        if not math.hypot(*placed) <= FARTHEST_M:  # true for NaN
             self.far += 1
             return None
         if time_ns < arrived_ns - seconds_to_ns(OLDEST_S):
@@ -90,13 +90,13 @@ class WorldTransform:
         return Fix(time_ns=time_ns, position=placed, yaw=yaw, sigma_m=sigma_m, sigma_rad=sigma_rad)
 
     def _heading(self, posed: LocatedPose) -> tuple[float | None, float]:
-        """Yaw in the world and its standard deviation, if it tells more than that it is an angle."""
+        """Yaw in the world and its standard deviation, if they are usable."""
         if posed.yaw is None or not math.isfinite(posed.yaw) or not 0.0 < posed.sigma_rad <= math.pi:
             return None, 0.0
         return wrap(posed.yaw + self._turn), max(posed.sigma_rad, LEAST_SIGMA_RAD)
 
     def _time(self, located: Located, tag: str, arrived_ns: int) -> int:
-        """When it was measured; a system whose clock stands at zero has none."""
+        """Time of the measurement; a clock at zero counts as none."""
         if not located.source_ns:
             return arrived_ns - seconds_to_ns(self._latency_s)
         if tag not in self._clocks:

@@ -1,4 +1,4 @@
-"""Robots with a computer aboard: there `vcmvsp robot` drives, here `ZenohDriver` is the driver, Eclipse Zenoh lies between.
+"""Robots with their own computer, where `vcmvsp robot` runs; `ZenohDriver` is the driver in the run, over Eclipse Zenoh.
 
-Only `messages` is shared by the two sides.
+Both sides share only `messages`.
 """

@@ -1,8 +1,8 @@
-"""What the driver in a run and the program aboard a robot say to each other.
+"""Messages between the driver in a run and the program on a robot.
 
-Either says all that counts every `SAY_S`, and at once when something is new: what gets lost is said again. Times are of the
-monotonic clock of whoever gives them, ns. Each repeats the newest time that it was told, so that the driver learns the
-offset of the robot's clock, and the robot how old a velocity can be at most, whatever the clocks say.
+Each side sends its state every `SAY_S`, and at once when it changes: lost messages are replaced by the next. Times are of the
+sender's monotonic clock, ns. Each side returns the newest time that it received, so that the driver gets the offset of the
+robot's clock, and the robot the maximum age of a velocity, for any clocks.
 """
 
 from typing import Literal
@@ -17,44 +17,44 @@ SAY_S = 0.05
 DEADMAN_S = COMMAND_TIMEOUT_S
 """Aboard: without a velocity for so long, or with one that may be older, the robot is stopped."""
 
-NOTICES_AT_ONCE = 20  # in one message; more wait until these have been heard
+NOTICES_AT_ONCE = 20  # in one message; more wait for the acknowledgement of these
 
 
 class RobotHello(Value, frozen=True, kw_only=True):
-    """The program aboard a robot asks to be driven."""
+    """Request of a program on a robot to be driven."""
 
     protocol: int
     vehicle: str
-    robot: str  # a number of this program's own, the same after the link has broken
+    robot: str  # random number of this program, unchanged after a broken link
     session: str  # id of its Zenoh session
     device: str  # of its driver, for messages
-    open_s: float = 0.0  # how long its driver may take to open
-    close_s: float = 0.0  # ... and to close
+    open_s: float = 0.0  # maximum time of its driver to open
+    close_s: float = 0.0  # maximum time of its driver to close
 
 
 class RobotWelcome(Value, frozen=True, kw_only=True):
-    """The answer."""
+    """Answer to a `RobotHello`."""
 
-    refused: str = ""  # why it is not driven
-    final: bool = False  # to ask again will not help
-    run: str = ""  # a name of this opening of the driver
-    start: Vec3 = (0.0, 0.0, 0.0)  # where it stands: x m, y m, yaw rad
+    refused: str = ""  # reason of a rejection; empty: accepted
+    final: bool = False  # a repeated request will be rejected, too
+    run: str = ""  # name of this opening of the driver
+    start: Vec3 = (0.0, 0.0, 0.0)  # pose of the robot: x m, y m, yaw rad
 
 
 class RobotOrder(Value, frozen=True, kw_only=True):
-    """To the robot."""
+    """Message to the robot."""
 
     number: int  # counts from 1
     sent_ns: int
-    yours_ns: int = 0  # `RobotStatus.said_ns` of the newest that was heard; 0: none
-    noticed: int = 0  # notices that were heard so far
+    yours_ns: int = 0  # `RobotStatus.said_ns` of the newest status; 0: none
+    noticed: int = 0  # notices received so far
     velocity: Velocity | None = None  # None: stand
-    stop: str = NOT_YET  # why it stands
+    stop: str = NOT_YET  # reason to stand
     leave: bool = False  # the run is over
 
 
 class Failure(Value, frozen=True, kw_only=True):
-    """Why the robot's own driver cannot go on."""
+    """Failure of the robot's own driver."""
 
     kind: Literal["driver", "port", "handshake", "lost"]
     device: str
@@ -63,19 +63,19 @@ class Failure(Value, frozen=True, kw_only=True):
 
 
 class RobotStatus(Value, frozen=True, kw_only=True):
-    """From the robot."""
+    """Message from the robot."""
 
     said_ns: int
-    heard: int = 0  # number of the newest `RobotOrder` that was acted upon
+    heard: int = 0  # number of the newest `RobotOrder` that took effect
     yours_ns: int = 0  # its ``sent_ns``
-    heard_ns: int = 0  # when it came
+    heard_ns: int = 0  # its arrival
     state: Literal["closed", "opening", "open"] = "closed"  # of the robot's own driver
-    opened: int = 0  # how often it was opened
-    sample: Sample | None = None  # if there is a new one
-    notices: tuple[Notice, ...] = ()  # those that were not heard yet
-    noticed: int = 0  # how many came before these
+    opened: int = 0  # number of openings
+    sample: Sample | None = None  # new sample
+    notices: tuple[Notice, ...] = ()  # notices without acknowledgement
+    noticed: int = 0  # number of earlier notices
     failure: Failure | None = None
-    left: bool = False  # it was told that the run is over, and has closed its driver
+    left: bool = False  # the run is over, and the driver is closed
 
 
 hellos: Decoder[RobotHello] = Decoder(RobotHello)

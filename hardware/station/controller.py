@@ -141,8 +141,8 @@ class StationController:
     def _look_for_jumps(self, here: StateEstimate | None) -> None:
         """Check for a jump of the estimate: a small one is accepted, a large one stops the robot.
 
-        A robot that was carried and a faulty positioning system cannot be distinguished here: in the second case the fence would be
-        in the wrong place.
+        A robot that was carried and a faulty positioning system cannot be distinguished here: in the second case the fence
+        would be in the wrong place.
         """
         if here is None:
             return

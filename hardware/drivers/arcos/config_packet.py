@@ -1,9 +1,9 @@
-"""The configuration packet, the robot's answer to CONFIG: what it is and what it is set to.
+"""Configuration packet: the robot's answer to CONFIG, with its kind and its settings.
 
-Its fields come in a fixed order without offsets, strings end with a zero byte. Older firmware ends sooner, newer firmware goes
-on behind the version. Source: the order and the widths are those in which ARIA reads the packet.
+Its fields have a fixed order without offsets, strings end with a zero byte. Packets of older firmware are shorter, those of
+newer firmware have more fields after the version. Source: order and widths of ARIA's decoder.
 
-Who connects looks into it for what a driver relies on without being able to enforce it: `warnings`.
+`warnings` checks settings on which a driver relies without control over them.
 """
 
 import math
@@ -36,7 +36,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     rear_sonar: int = 0
     low_battery: int = 0  # 0.1 V
     rev_count: int = 0  # encoder ticks of half a turn of the robot
-    watchdog: int | None = None  # ms; 0: it is off; None: it does not say
+    watchdog: int | None = None  # ms; 0: off; None: not in the packet
     plain_packets: int = 0
     stall_value: int = 0
     stall_count: int = 0
@@ -77,7 +77,7 @@ _SIGNED = {"drift"}
 
 
 def _code(name: str) -> str:
-    """How a number is packed."""
+    """Format of a number for `struct`."""
     return "<B" if name in _BYTES else "<h" if name in _SIGNED else "<H"
 
 
@@ -124,13 +124,13 @@ def decode_config(data: bytes) -> Config:
 
 
 def warnings(config: Config, robot: Robot, max_speed: float | None, max_yaw_rate: float | None) -> list[str]:
-    """What the robot says of itself that is not as a user expects; each a sentence for a notice.
+    """Unexpected settings of the robot; each a sentence for a notice.
 
     Args:
-        config: what it has told.
-        robot: what it is taken to be.
-        max_speed: m/s, that it was told to allow itself; None: nothing was.
-        max_yaw_rate: rad/s, likewise.
+        config: packet of the robot.
+        robot: parameters of its kind.
+        max_speed: m/s, requested limit; None: none.
+        max_yaw_rate: rad/s, requested limit; None: none.
     """
     problems = []
     if config.watchdog == 0:

@@ -1,7 +1,7 @@
-"""The driver of Pioneer and AmigoBot robots, real or emulated, on a serial port or over TCP.
+"""Driver of Pioneer and AmigoBot robots, real or emulated, on a serial port or over TCP.
 
-One thread owns the line: it connects, reads, sends the newest command, and connects again. All that it shares with the
-caller is behind one lock, which nobody holds while waiting.
+One thread uses the link: it connects, receives, sends the newest command, and reconnects. Everything shared with the caller is
+behind one lock, which is never held while waiting.
 """
 
 import contextlib
@@ -27,28 +27,28 @@ from vcmvsp.hardware.drivers.threaded import ReconnectingDriver
 
 STILL = (0.0, 0.0)  # m/s, rad/s
 RESEND_NS = 200_000_000  # commands are not acknowledged; the robot stops after 2 s without one
-BRAKING_S = 2.0  # from 1 m/s at 0.5 m/s2: the motors are switched off when it stands, or after this
+BRAKING_S = 2.0  # from 1 m/s at 0.5 m/s2: motors are switched off when the robot stands, or after this time
 
 Baud = Annotated[int, msgspec.Meta(ge=1200, le=921_600)]
 Kind = Literal["", "p2dx", "amigo", "amigo-sh"]
 
 
 class ArcosDriver(ReconnectingDriver):
-    """A robot that speaks ARCOS, P2OS, AmigOS or AmigoSH (`hardware.drivers.base.Driver`).
+    """A robot with ARCOS, P2OS, AmigOS or AmigoSH (`hardware.drivers.base.Driver`).
 
-    Speeds are rounded to 1 mm/s and 1 deg/s by the protocol (``vel2``: each wheel to 20 mm/s), and limited to what the robot
-    ever does; limits for the sake of safety belong elsewhere.
+    The protocol rounds speeds to 1 mm/s and 1 deg/s (``vel2``: each wheel to 20 mm/s); the driver limits them to the greatest
+    speeds of the robot. Safety limits belong elsewhere.
 
     Args:
         port: ``/dev/ttyUSB0``, the path of a pseudo-terminal, or ``socket://host:8101``.
-        robot: the kind that it must be; empty: any that is known.
+        robot: required kind; empty: any known kind.
         baud: of a serial port.
         mode: ``vel``: commands VEL and RVEL; ``vel2``: both wheels in one.
         connect_s: for the handshake.
         silence_s: without an information packet, the robot counts as lost.
-        reconnect_s: for so long a robot that was lost is looked for; 0: losing it is an error at once.
+        reconnect_s: time to look for a lost robot; 0: its loss is an error at once.
         command_timeout_s: without a command, the robot is stopped.
-        max_speed: m/s, told to the robot, which enforces it, as are the following; None: as it is set.
+        max_speed: m/s, limit enforced by the robot, like the following; None: the robot's setting.
         accel: m/s2.
         decel: m/s2.
         max_yaw_rate: rad/s.
@@ -91,7 +91,7 @@ class ArcosDriver(ReconnectingDriver):
     # What the caller does.
 
     def write(self, velocity: Velocity) -> None:
-        """Command a speed; while the robot is looked for after a loss, commands are dropped."""
+        """Command a speed; ignored while a lost robot is looked for."""
         v, w = checked(velocity)
         with self._lock:
             self._check()
@@ -117,7 +117,7 @@ class ArcosDriver(ReconnectingDriver):
     # What the thread does.
 
     def _connect(self, within_s: float) -> None:
-        """Open the line and shake hands."""
+        """Open the link, and run the handshake."""
         deadline_ns = time.monotonic_ns() + seconds_to_ns(within_s)
         self._line = line = open_line(self.device, self._baud)
         remaining_s = max(0.0, (deadline_ns - time.monotonic_ns()) / SECOND_NS)
@@ -146,7 +146,7 @@ class ArcosDriver(ReconnectingDriver):
         self._ready.set()
 
     def _converse(self) -> None:
-        """Read and send until the link is lost or the caller closes it."""
+        """Receive and send until the link is lost or the caller closes the driver."""
         line = self._line
         assert line is not None  # noqa: S101  it is connected
         silence_ns = seconds_to_ns(self._silence_s)
@@ -161,7 +161,7 @@ class ArcosDriver(ReconnectingDriver):
                 raise LinkLost(self.device, happened, "look at the robot's battery, its cable and its radio")
 
     def _send(self, line: ByteLink) -> int:
-        """Send what is due; when the next is."""
+        """Send the command that is due; time of the next one."""
         with self._lock:
             repeater, robot = self._repeater, self.robot
             assert repeater is not None and robot is not None  # noqa: PT018, S101  it is connected
@@ -202,10 +202,10 @@ class ArcosDriver(ReconnectingDriver):
                     moving = not any(each.left == each.right == 0 for each in _sips(reader.feed(line.read())))
             line.write(ZERO_SPEED + command(Command.ENABLE, 0) + command(Command.CLOSE, 1))
         except LinkLost:
-            return  # it has gone by itself
+            return  # the link is lost already
 
     def _hang_up(self) -> None:
-        """Free the port, with zero speed and the end of the session as the last words to whoever still listens."""
+        """Release the port, with zero speed and the end of the session as last messages."""
         line, self._line = self._line, None
         with self._lock:
             self._repeater = None
@@ -218,12 +218,12 @@ class ArcosDriver(ReconnectingDriver):
 
 
 def _sips(packets: list[bytes]) -> list[Sip]:
-    """Those of the packets that are whole information packets; the configuration, for one, is not."""
+    """Valid information packets among the packets."""
     sips = []
     for data in packets:
         if is_sip(data):
             try:
                 sips.append(decode(data))
             except ValueError:
-                continue  # cut off by the robot: a checksum guards the rest
+                continue  # cut off by the robot
     return sips

@@ -1,10 +1,10 @@
-"""From an open line to a robot that stands with its motors on: synchronise, open, enable. No clock and no line of its own.
+"""Handshake: from an open link to a robot that stands with its motors on: synchronise, open, enable. Without clock and link.
 
-A robot that its watchdog stopped takes up its last speed again when any command arrives, and to a robot whose last session is
-still open the first message of the handshake is such a command, PULSE. So zero speed comes first, every time the handshake
-begins anew, and again before the motors are enabled.
+After a stop by its watchdog a robot resumes its last speed at the next command, and if its last session is still open, the
+first message of the handshake is such a command, PULSE. So zero speed comes first at every start of the handshake, and again
+before the motors are enabled.
 
-Source of the order, the waits and the meaning of answers: Pioneer 2 and AmigoBot manuals, "Client connection".
+Source of order, waiting times and answers: Pioneer 2 and AmigoBot manuals, "Client connection".
 """
 
 from typing import Literal
@@ -20,16 +20,16 @@ from vcmvsp.hardware.drivers.base import HandshakeError
 
 ZERO_SPEED = command(Command.VEL, 0) + command(Command.RVEL, 0)
 SYNC_WAIT_NS = 1_000_000_000  # for each echo, as ARIA does
-QUIET_NS = 200_000_000  # two packet periods: what was under way when the handshake was broken off has come by then
+QUIET_NS = 200_000_000  # two packet periods: packets in transit arrive within this time
 OPEN_WAIT_NS = 500_000_000  # for the effect of OPEN and of ENABLE
-OPEN_TRIES = 6  # before it begins anew
-_OWN = command(Command.VEL, 0)[3:-2]  # a robot never says this
+OPEN_TRIES = 6  # before a restart
+_OWN = command(Command.VEL, 0)[3:-2]  # never sent by a robot
 
 _Phase = Literal["sync", "quiet", "open", "enable", "done"]
 
 
 class Settings(Value, frozen=True, kw_only=True):
-    """What the robot is told for the session; None leaves its own value. Units: m, s, rad."""
+    """Settings of the robot for the session; None keeps its own value. Units: m, s, rad."""
 
     max_speed: float | None = None
     accel: float | None = None
@@ -38,7 +38,7 @@ class Settings(Value, frozen=True, kw_only=True):
     yaw_accel: float | None = None
 
     def commands(self) -> bytes:
-        """In mm and degrees, deceleration as a negative acceleration."""
+        """Commands in mm and degrees, deceleration as a negative acceleration."""
         mm, degrees = 1000.0, 57.29577951308232
         numbers = (
             (Command.SETV, self.max_speed, mm),
@@ -52,32 +52,32 @@ class Settings(Value, frozen=True, kw_only=True):
 
 
 class Handshake:
-    """One attempt to connect. Feed it with packets and time, send what it returns, until it is `done` or raises.
+    """One attempt to connect. Pass bytes and time, send the returned bytes, until it is `done` or raises.
 
     Args:
         device: for messages.
-        kind: the subclass that the robot must be of, such as ``amigo``; empty: any that is known.
+        kind: required subclass, such as ``amigo``; empty: any known one.
         settings: sent before the motors are enabled.
-        baud: of the line, for messages; 0: it has none.
-        give_up_s: how long all of it may take.
+        baud: of the link, for messages; 0: none.
+        give_up_s: maximum duration.
     """
 
     def __init__(self, *, device: str, kind: str, settings: Settings, baud: int, give_up_s: float) -> None:
         self.robot: Robot | None = None
-        self.name = ""  # that the robot has been given
-        self.config: Config | None = None  # what it says of itself, if it does
-        self.due_ns = 0  # when `advance` wants to be called next
+        self.name = ""  # name of the robot
+        self.config: Config | None = None  # configuration of the robot, if it sends one
+        self.due_ns = 0  # time of the next `advance`
         self.reader = PacketReader()
         self._device, self._kind, self._settings, self._baud, self._give_up_s = device, kind, settings, baud, give_up_s
         self._phase: _Phase = "sync"
-        self._sync = SYNC0  # whose echo is awaited
+        self._sync = SYNC0  # awaits its echo
         self._tries = 0
         self._deadline_ns = 0
         self._bytes = self._packets = 0
 
     @property
     def done(self) -> bool:
-        """The robot sends its packets, stands at zero speed, and its motors are on."""
+        """The robot sends packets, stands at zero speed, and its motors are on."""
         return self._phase == "done"
 
     def start(self, now_ns: int) -> bytes:
@@ -86,15 +86,15 @@ class Handshake:
         return self._begin(now_ns)
 
     def receive(self, chunk: bytes, now_ns: int) -> bytes:
-        """Take what came over the line; what to send."""
+        """Process received bytes; bytes to send."""
         self._bytes += len(chunk)
         return b"".join(self._packet(data, now_ns) for data in self.reader.feed(chunk))
 
     def advance(self, now_ns: int) -> bytes:
-        """What to send at this time; raises `HandshakeError` when it has taken too long."""
+        """Bytes to send at this time; raises `HandshakeError` after the deadline."""
         if self.done or now_ns < self.due_ns:
             return b""
-        # What looks like the beginning of a long packet may hold back a short answer.
+        # An apparent long packet may hold back a short answer.
         answer = b"".join(self._packet(data, now_ns) for data in self.reader.give_up())
         if answer or self.done:
             return answer
@@ -115,7 +115,7 @@ class Handshake:
         return b""  # stragglers
 
     def _synchronise(self, data: bytes, now_ns: int) -> bytes:
-        """An answer to SYNC0, 1 or 2: its echo, or a packet of a session that is still open, or something else."""
+        """Answer to SYNC0, 1 or 2: its echo, a packet of an open session, or something else."""
         if is_sip(data):
             return self._pause(now_ns, ZERO_SPEED + command(Command.CLOSE))
         if data == _OWN:
@@ -131,7 +131,7 @@ class Handshake:
         return self._ask(now_ns)
 
     def _session(self, data: bytes, now_ns: int) -> bytes:
-        """An information packet of the session that was opened."""
+        """An information packet of the new session."""
         try:
             motors_on = decode(data).motors_on
         except ValueError:
@@ -149,13 +149,13 @@ class Handshake:
         return ZERO_SPEED + command(SYNC0)
 
     def _pause(self, now_ns: int, farewell: bytes) -> bytes:
-        """Begin anew when what is under way has come."""
+        """Restart when packets in transit have arrived."""
         self._phase = "quiet"
         self._wait(now_ns, QUIET_NS)
         return farewell
 
     def _ask(self, now_ns: int) -> bytes:
-        """Ask, or ask again, for information packets or motors: nothing is acknowledged, but the packets show the effect."""
+        """Request information packets or motors, repeatedly: only the packets show the effect."""
         self._tries += 1
         self._wait(now_ns, OPEN_WAIT_NS)
         if self._phase == "open":
@@ -166,7 +166,7 @@ class Handshake:
         self.due_ns = min(now_ns + at_most_ns, self._deadline_ns)
 
     def _identify(self, data: bytes) -> Robot:
-        """Who answered: the echo of SYNC2 carries name, class and subclass."""
+        """Parameters of the robot: the echo of SYNC2 has name, class and subclass."""
         words = data[1:].decode("latin-1").split("\0")
         if len(words) < 3:
             raise self._looped()
@@ -186,7 +186,7 @@ class Handshake:
         return HandshakeError(self._device, happened, "look for a loop-back plug, or a radio modem without its partner")
 
     def _error(self) -> HandshakeError:
-        """Why there is no connection, as far as what came tells."""
+        """Reason for a missing connection."""
         if not self._bytes:
             happened = f"nothing was heard for {self._give_up_s:.2g} s"
             advice = "is the robot on, the cable or radio in its host port, and no other client connected?"

@@ -1,7 +1,7 @@
-"""Frames of the protocol: ``FA FB``, a count, that many bytes of data and checksum; a stream of bytes on both sides.
+"""ARCOS frames in both directions: ``FA FB``, a count, that many bytes of data and checksum.
 
-Nothing is acknowledged and nothing sent again: a packet whose checksum is wrong is dropped by whoever reads it. Integers in the
-data are little-endian, the checksum is big-endian. Source: Pioneer 2 operations manual, "Communications packets".
+Frames are not acknowledged and not repeated: the receiver drops packets with a wrong checksum. Integers in the data are
+little-endian, the checksum is big-endian. Source: Pioneer 2 operations manual, "Communications packets".
 """
 
 import struct
@@ -54,10 +54,10 @@ def command(number: int, argument: int | str | bytes | None = None) -> bytes:
 def parse_command(data: bytes) -> tuple[int, int | bytes | None]:
     """Number and argument of a command's data part, as the robot reads it.
 
-    A string comes as bytes, and so does whatever begins with no known type of argument.
+    The argument is bytes for a string and for an unknown type.
 
     Raises:
-        ValueError: the data are empty, or the argument is shorter or longer than its type says.
+        ValueError: the data are empty, or the length of the argument does not match its type.
     """
     if not data:
         raise ValueError("an empty packet is no command")
@@ -78,18 +78,17 @@ def parse_command(data: bytes) -> tuple[int, int | bytes | None]:
 
 
 class PacketReader:
-    """Finds the packets in a stream of bytes, whatever was lost, flipped or split.
+    """Finds packets in a stream of bytes with lost, changed or split parts.
 
-    Reading goes from left to right. Where a header announces a packet whose checksum is right, the packet is taken and reading
-    goes on behind it; where the checksum is wrong, reading goes on behind the header's first byte, so that a packet which
-    begins inside a falsely announced one is still found, once the announced bytes have come (at most `MAX_BYTES`). A packet
-    is therefore lost only if it overlaps false bytes that look like a packet with the right checksum: noise does so with
-    probability 2**-16 per announced packet, which is some 2e-10 per byte. Every change of one bit of data or checksum is
-    noticed.
+    If a header announces a packet with a valid checksum, the packet is taken and reading continues behind it; otherwise reading
+    continues behind the header's first byte, so that a packet inside a false one is still found, once the announced bytes have
+    come (at most `MAX_BYTES`). A packet is therefore lost only if it overlaps false bytes that look like a packet with a valid
+    checksum: probability 2**-16 per announced packet, some 2e-10 per byte of noise. Every change of one bit of data or checksum
+    is detected.
 
     Attributes:
-        dropped_bytes: bytes so far that belong to no valid packet.
-        bad_checksums: packets so far that were announced and whose checksum was wrong.
+        dropped_bytes: bytes so far outside valid packets.
+        bad_checksums: packets so far with a wrong checksum.
     """
 
     def __init__(self) -> None:
@@ -99,11 +98,11 @@ class PacketReader:
 
     @property
     def waiting(self) -> int:
-        """How many bytes are kept that may be the beginning of a packet."""
+        """Number of bytes that may be the start of a packet."""
         return len(self._buffer)
 
     def feed(self, chunk: bytes) -> list[bytes]:
-        """Take bytes; the data parts of the packets which they complete."""
+        """Data parts of the packets that these bytes complete."""
         self._buffer += chunk
         packets = []
         start = 0
@@ -128,10 +127,10 @@ class PacketReader:
         return packets
 
     def give_up(self) -> list[bytes]:
-        """Stop waiting for the rest of an announced packet; the data parts of the packets found behind its header.
+        """Stop waiting for the rest of an announced packet; data parts of the packets behind its header.
 
-        For a line that has been silent for longer than the gaps inside a packet: without it, a false header could hold
-        back the next commands, up to `MAX_BYTES` of them.
+        For a link that is silent for longer than the gaps in a packet: a false header could otherwise hold back up to
+        `MAX_BYTES` of commands.
         """
         packets: list[bytes] = []
         while self._buffer:
@@ -141,7 +140,7 @@ class PacketReader:
         return packets
 
     def _next_header(self, start: int) -> int:
-        """Where the next possible header begins: it may be cut off at the end; the length of the buffer if there is none."""
+        """Index of the next possible header, which may be cut off; length of the buffer if there is none."""
         buffer = self._buffer
         while (start := buffer.find(0xFA, start)) >= 0:
             rest = buffer[start : start + 3]

@@ -1,4 +1,4 @@
-"""Samples of information packets: pose from counters that wrap, speeds, sonars, flags, and when it was measured."""
+"""Samples of ARCOS information packets: pose from counters that wrap, speeds, sonars, flags, time of measurement."""
 
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.frames import rotate2
@@ -8,17 +8,17 @@ from vcmvsp.hardware.drivers.arcos.sip import COUNT_BITS, Sip
 from vcmvsp.hardware.drivers.base import Sample
 
 HEADING_COUNTS = 4096  # a turn
-EMERGENCY_STOP = 1 << 5  # of the flags, in ARCOS: the button is pressed
-AGE_NS = 50_000_000  # half a packet period: the packets carry no time, and what they tell is up to one period old
-DRIFT = 0.01  # by which the robot's period may differ from the nominal one
-LEAP_S = 1.0  # a step of the pose is believed up to what the greatest speed covers in the time since the last packet and this
+EMERGENCY_STOP = 1 << 5  # bit of the flags in ARCOS
+AGE_NS = 50_000_000  # half a packet period: packets have no time, and their data is up to one period old
+DRIFT = 0.01  # relative error of the robot's period
+LEAP_S = 1.0  # longest step of the pose: greatest speed times (time since the last packet + this)
 
 
 class ArcosSampler:
-    """What a robot's packets say, from the pose at which it was when the first one came; over reconnections, too.
+    """Converts packets of a robot to samples, from its start pose, over reconnections.
 
     Attributes:
-        leaps: steps of the pose that no robot can make, and that were left out: somebody set its odometry.
+        leaps: impossible steps of the pose, which are ignored: another program set the odometry.
     """
 
     def __init__(self, start: Vec3) -> None:
@@ -26,24 +26,24 @@ class ArcosSampler:
         self._pose = start
         self._number = self._link = 0
         self._last: Sip | None = None
-        self._turned = 0.0  # from the robot's own frame to that of the pose
+        self._turned = 0.0  # rotation from the robot's own frame to that of the pose
         self._arrived_ns = self._clock_ns = 0
         self._sonar: dict[int, float] = {}
 
     def connect(self, robot: Robot) -> None:
-        """A connection begins: the next packet is the base of what follows."""
+        """A connection begins: the next packet is the new base."""
         self._robot, self._last = robot, None
         self._link += 1
 
     def add(self, sip: Sip, now_ns: int, stopped: str) -> Sample:
-        """The sample of a packet that arrived now."""
+        """Sample of a packet that arrived now."""
         robot = self._robot
         self._clock_ns = self._sent_ns(now_ns)
         self._move(sip, now_ns)
         self._last, self._arrived_ns = sip, now_ns
         self._number += 1
         left, right = (1e-3 * robot.vel_factor * each for each in (sip.left, sip.right))
-        # 0.1 deg/s where it is told, else from the wheels
+        # 0.1 deg/s if the packet has it, else from the wheels
         w = 1.7453292519943296e-3 * sip.rotation if sip.rotation is not None else (right - left) / robot.track_m
         for number, counts in sip.sonars:
             self._sonar[number] = 1e-3 * robot.range_factor * counts
@@ -64,7 +64,7 @@ class ArcosSampler:
         )
 
     def taken(self) -> None:
-        """The newest sample was read: later ones need not repeat its sonars."""
+        """The newest sample was read: its sonar readings are not repeated."""
         self._sonar = {}
 
     def _move(self, sip: Sip, now_ns: int) -> None:
@@ -84,7 +84,7 @@ class ArcosSampler:
         self._pose = (x + dx, y + dy, yaw + robot.angle_factor * _difference(sip.heading, last.heading, HEADING_COUNTS))
 
     def _sent_ns(self, now_ns: int) -> int:
-        """When the packet was sent, as a filter of least delay: packets leave once a period, some arrive late, none early."""
+        """Time of sending, by the minimum delay: packets leave once a period, some arrive late, none early."""
         period = seconds_to_ns(self._robot.period_s)
         if self._last is None:
             return now_ns
@@ -93,5 +93,5 @@ class ArcosSampler:
 
 
 def _difference(new: int, old: int, modulus: int) -> int:
-    """The shortest way round a counter that wraps."""
+    """Shortest difference of a counter that wraps."""
     return (new - old + modulus // 2) % modulus - modulus // 2

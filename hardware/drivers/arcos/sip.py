@@ -1,7 +1,7 @@
-"""The standard server information packet (SIP): what the robot tells every 100 ms.
+"""Standard server information packet (SIP), sent by the robot every 100 ms.
 
-Raw counts, as they are on the line; `hardware.drivers.arcos.robot_parameters.Robot` holds the factors that make millimetres of
-them. Sources: AmigoBot manual, table 4; Pioneer 2 operations manual, table "Standard server information packet".
+Values are raw counts; `hardware.drivers.arcos.robot_parameters.Robot` has the factors to millimetres. Sources: AmigoBot
+manual, table 4; Pioneer 2 operations manual, table "Standard server information packet".
 """
 
 import struct
@@ -28,7 +28,7 @@ _TAIL = (
 
 
 class Sip(msgspec.Struct, frozen=True, kw_only=True):
-    """The fields of a SIP. Those that may be None are missing in shorter packets; one that is missing ends the packet."""
+    """Fields of a SIP. Fields that may be None are absent in shorter packets; an absent field ends the packet."""
 
     kind: int = STOPPED  # first byte; not to be relied upon: simulators always send STOPPED
     x: int = 0  # counts, 0 to 32767, wraps

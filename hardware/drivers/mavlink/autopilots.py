@@ -1,4 +1,4 @@
-"""What differs between autopilots: the numbers of their modes, and what they want before they follow set-points.
+"""Differences between autopilots: numbers of their modes, and their conditions for set-points.
 
 Sources: PX4 ``px4_custom_mode.h`` (main mode in bits 16-23, sub-mode in bits 24-31); ArduPilot ``Copter/mode.h`` and
 ``Rover/mode.h``; types of vehicles: MAVLink ``MAV_TYPE``.
@@ -102,8 +102,8 @@ class Autopilot(Value, frozen=True, kw_only=True):
     kind: Kind
     modes: dict[str, int]  # name: custom mode
     follows: str  # the mode in which it follows set-points
-    holds: tuple[str, ...]  # modes in which it stays where it is, the best first
-    lead_s: float  # set-points have to come for so long before it may be switched to `follows`
+    holds: tuple[str, ...]  # modes that hold the position, the best first
+    lead_s: float  # duration of set-points before the switch to `follows`
 
     def mode(self, custom_mode: int) -> str:
         """The name of a mode."""
@@ -127,7 +127,7 @@ _PX4_AUTOPILOT = Autopilot(name="PX4", kind="px4", modes=_PX4, follows="OFFBOARD
 def autopilot_of(kind: Kind, vehicle_type: int) -> Autopilot:
     """The autopilot in a vehicle of this ``MAV_TYPE``.
 
-    A copter is left in BRAKE: in LOITER the stick of a transmitter that lies on the table, with its throttle low, lands it.
+    A copter is left in BRAKE: in LOITER a transmitter on the table, with its throttle stick low, lands it.
     """
     if kind == "px4":
         return _PX4_AUTOPILOT
@@ -140,5 +140,5 @@ KINDS: dict[int, Kind] = {mavlink.MAV_AUTOPILOT_PX4: "px4", mavlink.MAV_AUTOPILO
 
 
 def is_autopilot(heartbeat: Message) -> bool:
-    """Whether this is the heartbeat of an autopilot, and not that of a ground station, a camera or a radio."""
+    """Whether a heartbeat is of an autopilot, and not of a ground station, a camera or a radio."""
     return bool(heartbeat.autopilot != mavlink.MAV_AUTOPILOT_INVALID)

@@ -1,7 +1,7 @@
-"""Bytes to MAVLink messages and back. pymavlink supplies the messages; finding them in a stream is done here.
+"""MAVLink messages to bytes and back. pymavlink supplies the messages; this module finds them in a stream.
 
-Its own parser skips as many bytes as a broken message claims to have, and with them the good ones that follow; and the
-connections of its ``mavutil`` print, wait and hide errors, which a driver that must never wait cannot use.
+pymavlink's parser skips the announced length of a broken message, and with it valid messages; the connections of its
+``mavutil`` print, wait and hide errors, which a driver must not do.
 """
 
 from typing import Any
@@ -16,19 +16,19 @@ Message = Any  # pymavlink makes a class for each kind of message
 
 # Magic byte: bytes before and after the payload [mavlink.io, packet serialization].
 _AROUND = {0xFE: 8, 0xFD: 12}  # MAVLink 1, MAVLink 2
-_SIGNATURE = 13  # bytes, behind a message that is signed
+_SIGNATURE = 13  # bytes, behind a signed message
 _SIGNED = 0x01  # of the incompatibility flags
 
 
 class Sender(Value, frozen=True, kw_only=True):
-    """Who speaks."""
+    """Address of a sender."""
 
     system: int
     component: int
 
 
 class Encoder:
-    """Messages of one sender, numbered as they go, as MAVLink 2."""
+    """Encodes messages of one sender, with sequence numbers, as MAVLink 2."""
 
     def __init__(self, sender: Sender) -> None:
         self._mav = mavlink.MAVLink(None, srcSystem=sender.system, srcComponent=sender.component)
@@ -43,23 +43,21 @@ class Encoder:
 
 
 class MessageReader:
-    """Messages out of a stream of bytes, of MAVLink 1 and 2; what has no right checksum, or is not known, is left out.
+    """Finds MAVLink 1 and 2 messages in a stream; messages with a wrong checksum or of unknown type are dropped.
 
-    After something broken the next message is looked for from the next byte on, so that nothing good is lost with it.
+    After a broken message the search continues at the next byte, so that no valid message is lost.
 
     Attributes:
-        heard: bytes so far.
-        messages: so far.
+        messages: number of messages so far.
     """
 
     def __init__(self) -> None:
-        self.byte_count = self.messages = 0
+        self.messages = 0
         self._mav = mavlink.MAVLink(None)
         self._buffer = bytearray()
 
     def feed(self, chunk: bytes) -> list[Message]:
-        """The messages that are complete with this."""
-        self.byte_count += len(chunk)
+        """Messages that these bytes complete."""
         self._buffer += chunk
         messages, start, buffer = [], 0, self._buffer
         while start < len(buffer):
@@ -83,15 +81,15 @@ class MessageReader:
         return messages
 
     def _decode(self, data: bytearray) -> Message | None:
-        if data[0] == 0xFD and data[2] & ~_SIGNED:  # a feature that is not known: to be dropped, by the rules of MAVLink
+        if data[0] == 0xFD and data[2] & ~_SIGNED:  # unknown feature: MAVLink requires to drop the message
             return None
         try:
             message = self._mav.decode(data)
         except mavlink.MAVError:
             return None
-        return message if type(message) is not mavlink.MAVLink_unknown else None  # whose checksum cannot be told
+        return message if type(message) is not mavlink.MAVLink_unknown else None  # its checksum is unknown
 
 
 def sender_of(message: Message) -> Sender:
-    """Who sent it."""
+    """Sender of a message."""
     return Sender(system=message.get_srcSystem(), component=message.get_srcComponent())

@@ -9,7 +9,7 @@ from vcmvsp.hardware.drivers.mavlink.coordinate_frames import world_flipped
 PERIOD_NS = 50_000_000  # PX4 wants more than 2 Hz, ArduPilot one in 3 s; a radio at 57600 baud is filled to a fifth
 STILL: Vec3 = (0.0, 0.0, 0.0)
 
-# POSITION_TARGET_TYPEMASK: what is to be ignored. Velocities and the yaw rate (bits 3 to 5, and 11) are not.
+# POSITION_TARGET_TYPEMASK: ignore all but velocities and the yaw rate (bits 3 to 5, and 11).
 VELOCITY_AND_YAW_RATE = 0b0101_1100_0111
 
 

@@ -1,8 +1,8 @@
-"""North-east-down and forward-right-down, as autopilots speak, to east-north-up and forward-left-up and back: here alone.
+"""Conversion between north-east-down and east-north-up, and between forward-right-down and forward-left-up.
 
 A world vector changes x and y and the sign of z (T); a body vector the signs of y and z (D). Both are their own inverse. With
-Euler angles ZYX, as MAVLink has them, ``T Rz(yaw) Ry(pitch) Rx(roll) D = Rz(pi/2 - yaw) Ry(-pitch) Rx(roll)``, since D turns
-the signs of rotations about y and z, and T D is a quarter turn about z.
+Euler angles ZYX, as in MAVLink, ``T Rz(yaw) Ry(pitch) Rx(roll) D = Rz(pi/2 - yaw) Ry(-pitch) Rx(roll)``, since D changes the
+signs of rotations about y and z, and T D is a quarter turn about z.
 """
 
 import math

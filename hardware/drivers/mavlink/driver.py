@@ -1,11 +1,11 @@
-"""The driver of vehicles whose autopilot speaks MAVLink: multicopters, rovers and boats with PX4 or ArduPilot.
+"""Driver of vehicles with a MAVLink autopilot: multicopters, rovers and boats with PX4 or ArduPilot.
 
-One thread owns the link: it finds the vehicle (`hello`), sends what `MavlinkSession` says, and looks for the vehicle again. All that it
-shares with the caller is behind one lock, which nobody holds while waiting.
+One thread uses the link: it finds the vehicle (`vehicle_search`), sends messages of its `MavlinkSession`, and looks for a
+lost vehicle. Everything shared with the caller is behind one lock, which is never held while waiting.
 
-**Who is in command.** The driver arms nothing and switches no mode, unless the scenario asks for it, and then once, while it
-opens. Whoever switches the vehicle to another mode, a pilot or a failsafe, has it from then on; the driver says so, sends zero
-speed, and follows commands again when it has been switched back.
+**Command authority.** The driver arms nothing and switches no mode, unless the scenario says so, and then once, on opening.
+A pilot or a failsafe that switches the vehicle to another mode has the command from then on; the driver reports it, sends
+zero speed, and follows commands again after the vehicle was switched back.
 """
 
 import contextlib
@@ -29,13 +29,13 @@ from vcmvsp.hardware.drivers.mavlink.session import MavlinkSession, SessionOptio
 from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer, VehicleSearch
 from vcmvsp.hardware.drivers.threaded import ReconnectingDriver
 
-GOODBYE_S = 4.0  # heartbeats, which show that a mode was changed, come once a second
+GOODBYE_S = 4.0  # heartbeats, which show a change of mode, come once a second
 TAKEOFF_S = 30.0  # for a vehicle to reach its height
 
 Baud = Annotated[int, msgspec.Meta(ge=1200, le=3_000_000)]
 SystemId = Annotated[int, msgspec.Meta(ge=0, le=255)]
 OwnId = Annotated[int, msgspec.Meta(ge=1, le=255)]
-ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=15)]  # s: with a take-off, less than a station waits for its driver
+ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=15)]  # s: with a take-off, less than a station allows its driver
 TelemetryHz = Annotated[float, msgspec.Meta(ge=1, le=400)]
 
 
@@ -45,24 +45,24 @@ class MavlinkDriver(ReconnectingDriver):
     Multicopters take a velocity in the world and a yaw rate; rovers and boats a forward speed and a yaw rate.
 
     Args:
-        address: ``udpin:127.0.0.1:14540`` (wait for the vehicle there), ``udpout:HOST:PORT`` (speak first), ``tcp:HOST:PORT``,
+        address: ``udpin:127.0.0.1:14540`` (wait for the vehicle there), ``udpout:HOST:PORT`` (send first), ``tcp:HOST:PORT``,
             or a serial port such as ``/dev/ttyACM0``.
-        insecure: ``udpin:`` may be all interfaces, 0.0.0.0: whoever reaches one of them can speak for the vehicle.
-        system_id: of the vehicle; 0: the only one that speaks there.
-        own_id: ours, different from that of any ground station in the same network. PX4's data-link failsafe watches over it;
-            ArduPilot's only if it is that of SYSID_MYGCS.
+        insecure: ``udpin:`` may be all interfaces, 0.0.0.0: any machine that reaches one can send as the vehicle.
+        system_id: of the vehicle; 0: the only one at this address.
+        own_id: id of this driver, different from that of any ground station in the network. PX4's data-link failsafe monitors
+            it; ArduPilot's only if it is SYSID_MYGCS.
         baud: of a serial port.
-        autopilot: ``auto``: as its heartbeat says.
-        switch_mode: ask for OFFBOARD or GUIDED when it is opened; otherwise its pilot switches it.
-        arm: start its motors when it is opened; only with ``switch_mode``.
-        takeoff_m: rise by this when it was armed, m; only with ``arm``.
-        origin: where the autopilot's local origin is in the world, m; where ``geodetic_origin`` is, if that is given.
-        geodetic_origin: latitude and longitude (deg) and height (m above sea level, as the autopilot has it): positions are
-            then taken from GLOBAL_POSITION_INT; None: from LOCAL_POSITION_NED.
-        telemetry_hz: of positions and attitudes, asked of the vehicle.
-        connect_s: to find the vehicle and to have it ready; a take-off has 30 s more.
+        autopilot: ``auto``: from its heartbeat.
+        switch_mode: switch to OFFBOARD or GUIDED on opening; otherwise the pilot switches.
+        arm: arm the motors on opening; only with ``switch_mode``.
+        takeoff_m: height of a take-off after arming, m; only with ``arm``.
+        origin: autopilot's local origin in the world, m; or place of ``geodetic_origin``, if given.
+        geodetic_origin: latitude and longitude (deg) and height (m above sea level, as in the autopilot): positions are then
+            from GLOBAL_POSITION_INT; None: from LOCAL_POSITION_NED.
+        telemetry_hz: requested rate of positions and attitudes.
+        connect_s: to find the vehicle and to prepare it; a take-off has 30 s more.
         silence_s: without a position, the vehicle counts as lost.
-        reconnect_s: for so long a vehicle that was lost is looked for; 0: losing it is an error at once.
+        reconnect_s: time to look for a lost vehicle; 0: its loss is an error at once.
         command_timeout_s: without a command, the vehicle is stopped.
     """
 
@@ -119,7 +119,7 @@ class MavlinkDriver(ReconnectingDriver):
     # What the caller does.
 
     def write(self, velocity: Velocity) -> None:
-        """Command a velocity; while the vehicle is looked for, is not armed or is in somebody else's command, it is dropped."""
+        """Command a velocity; ignored while the vehicle is lost, not armed or under another command."""
         finite(velocity)
         with self._lock:
             self._check()
@@ -127,7 +127,6 @@ class MavlinkDriver(ReconnectingDriver):
                 self._pilot.command(velocity, time.monotonic_ns())
 
     def _prepare(self, start: Vec3) -> None:
-        """Odometry begins at ``start``; the state in the world is the autopilot's."""
         super()._prepare(start)
         self._track = MavlinkSampler(start, self._origin, self._plane)
         self.peer = None
@@ -141,7 +140,7 @@ class MavlinkDriver(ReconnectingDriver):
     # What the thread does.
 
     def _connect(self, within_s: float) -> None:
-        """Open the link, find the vehicle and have it ready; when it is found again, nothing is armed or switched."""
+        """Open the link, find the vehicle and prepare it; a reconnection neither arms nor switches."""
         orders = self._orders
         if self._ready.is_set():
             orders = msgspec.structs.replace(orders, switch_mode=False, arm=False, takeoff_m=None)
@@ -162,8 +161,8 @@ class MavlinkDriver(ReconnectingDriver):
         self._ready.set()
 
     def _find(self, link: MavlinkLink, deadline_ns: int, within_s: float) -> Peer:
-        """Listen, with our own heartbeat once a second: some autopilots speak only when spoken to."""
-        system_id = self._system_id if self.peer is None else self.peer.sender.system  # another is none that was lost
+        """Receive, and send a heartbeat once a second: some autopilots only answer."""
+        system_id = self._system_id if self.peer is None else self.peer.sender.system  # only the lost vehicle counts
         search = VehicleSearch(self.device, system_id, self._kind)
         beat_ns = 0
         while (now_ns := time.monotonic_ns()) < deadline_ns:
@@ -179,7 +178,7 @@ class MavlinkDriver(ReconnectingDriver):
         raise search.failure(within_s)
 
     def _make_ready(self, pilot: MavlinkSession, deadline_ns: int) -> None:
-        """Until it tells its position, and is in the mode, armed and as high as was asked for."""
+        """Wait for position, mode, arming and height as requested."""
         while not pilot.ready:
             if pilot.interrupted:
                 happened = f"{self._name} was not made ready: {pilot.interrupted}"
@@ -190,7 +189,7 @@ class MavlinkDriver(ReconnectingDriver):
             self._exchange(deadline_ns)
 
     def _converse(self) -> None:
-        """Read and send until the link is lost or the caller closes it."""
+        """Receive and send until the link is lost or the caller closes the driver."""
         silence_ns = seconds_to_ns(self._silence_s)
         position_ns = message_ns = time.monotonic_ns()
         while True:
@@ -213,7 +212,7 @@ class MavlinkDriver(ReconnectingDriver):
                 raise LinkLost(self.device, happened, advice)
 
     def _exchange(self, until_ns: int) -> tuple[int, int]:
-        """Send what is due, wait for what comes, until this time; how many messages and samples there were."""
+        """Send what is due, and receive until this time; number of messages and of samples."""
         link, pilot = self._link, self._pilot
         assert link is not None  # noqa: S101  it is connected
         assert pilot is not None  # noqa: S101  the same
@@ -254,9 +253,9 @@ class MavlinkDriver(ReconnectingDriver):
         self._say_goodbye()  # a failed take-off ends in the air
 
     def _say_goodbye(self) -> None:
-        """Zero speed and a mode in which it holds its place; set-points go on until it is in that mode.
+        """Zero speed and a mode that holds the position; set-points continue until the vehicle is in that mode.
 
-        Only what stands on the ground is disarmed, if we armed it.
+        Only a vehicle on the ground is disarmed, if this driver armed it.
         """
         pilot = self._pilot
         if pilot is None or self._link is None:
@@ -274,7 +273,7 @@ class MavlinkDriver(ReconnectingDriver):
             self._notice("warned", f"it was left while we waited for {pilot.waits_for}: take it over")
 
     def _hang_up(self) -> None:
-        """Free the port, with zero speed as the last words to whoever still listens."""
+        """Release the port, with zero speed as the last message."""
         link, self._link = self._link, None
         with self._lock:
             pilot, self._pilot = self._pilot, None

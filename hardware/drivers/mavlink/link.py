@@ -1,6 +1,6 @@
-"""Where a vehicle is reached: UDP both ways, TCP or a serial port, by the addresses that pymavlink and MAVSDK use.
+"""Link to a vehicle: UDP, TCP or a serial port, by the addresses of pymavlink and MAVSDK.
 
-On a UDP port that is open to all, anybody may speak: bytes come with where they are from, and answers go to one source.
+Anybody may send to an open UDP port: bytes come with their source, and answers go to one source.
 """
 
 import contextlib
@@ -13,8 +13,8 @@ from vcmvsp.hardware.drivers.base import PortError
 from vcmvsp.hardware.drivers.byte_link import ByteLink, open_line
 
 DATAGRAM = 65_535
-DATAGRAMS = 100  # read at a time
-SOURCES = 32  # that are listened to while the vehicle is looked for; a new one takes the place of the oldest
+DATAGRAMS = 100  # in one read
+SOURCES = 32  # known while the vehicle is searched; a new one replaces the oldest
 _ADVICE = "write udpin:127.0.0.1:14540, udpout:HOST:PORT, tcp:HOST:PORT or a serial port such as /dev/ttyACM0"
 _NETWORK = re.compile(r"(udpin|udpout|tcp|socket)(?:://|:|/)(\[[0-9a-fA-F:.]+\]|[^:/\[\]]+):(\d{1,5})")
 Chunks = list[tuple[str, bytes]]  # source, bytes
@@ -27,22 +27,22 @@ class MavlinkLink(Protocol):
         """For select."""
 
     def read(self) -> Chunks:
-        """What has come; call it when select says that there is something."""
+        """Available bytes with their sources; call it when select reports some."""
 
     def answer(self, source: str) -> None:
-        """Hear and speak to this source alone from now on."""
+        """Exchange bytes with this source only from now on."""
 
     def write(self, data: bytes) -> None:
-        """Send it, to whom `answer` said, if there is one; datagrams that do not go are lost."""
+        """Send to the source of `answer`, if there is one; datagrams may be lost."""
 
     def close(self) -> None:
         """Free the port. Never raises."""
 
 
 def open_link(address: str, baud: int, *, insecure: bool = False) -> MavlinkLink:
-    """Open ``udpin:HOST:PORT`` (wait there), ``udpout:HOST:PORT`` (speak first), ``tcp:HOST:PORT`` or a serial port.
+    """Open ``udpin:HOST:PORT`` (wait there), ``udpout:HOST:PORT`` (send first), ``tcp:HOST:PORT`` or a serial port.
 
-    ``/`` and ``://`` are the same as the first ``:``.
+    ``/`` and ``://`` mean the first ``:``.
 
     Raises:
         PortError: it cannot be opened.
@@ -67,7 +67,7 @@ def open_link(address: str, baud: int, *, insecure: bool = False) -> MavlinkLink
 
 
 class _StreamLink:
-    """A serial port or a TCP connection: there is one other side."""
+    """A serial port or a TCP connection, with one other side."""
 
     def __init__(self, line: ByteLink) -> None:
         self._line = line
@@ -79,7 +79,7 @@ class _StreamLink:
         return [("", self._line.read())]
 
     def answer(self, source: str) -> None:
-        """There is nobody else."""
+        """There is one source only."""
 
     def write(self, data: bytes) -> None:
         self._line.write(data)
@@ -89,7 +89,7 @@ class _StreamLink:
 
 
 class _UdpLink:
-    """A UDP port. One that listens speaks to nobody before `answer`; one that does not hears only whom it speaks to."""
+    """A UDP port. One that listens sends nothing before `answer`; one that does not receives from its target only."""
 
     def __init__(self, address: str, host: str, port: int, *, listens: bool) -> None:
         self._to: Any = None  # an address of the operating system
@@ -120,9 +120,9 @@ class _UdpLink:
         for _ in range(DATAGRAMS):
             try:
                 data, where = self._socket.recvfrom(DATAGRAM)
-            except ConnectionRefusedError:  # by whom we speak to: nobody listens there, so far
+            except ConnectionRefusedError:  # the target does not listen yet
                 continue
-            except OSError:  # nothing more
+            except OSError:  # no more datagrams
                 break
             source = "" if self._connected else f"{where[0]}:{where[1]}"
             if self._source in ("", source):

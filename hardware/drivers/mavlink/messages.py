@@ -1,15 +1,15 @@
-"""What is said to an autopilot besides set-points: our heartbeat, commands, and which telemetry is wanted how often."""
+"""Messages to an autopilot other than set-points: heartbeat, commands, and telemetry requests."""
 
 from vcmvsp.hardware.drivers.mavlink.autopilots import Autopilot
 from vcmvsp.hardware.drivers.mavlink.codec import Message, Sender, mavlink
 
-STATUS_HZ = 1.0  # of the battery, and of whether it stands on the ground
+STATUS_HZ = 1.0  # of battery and landed state
 
 _DATA_STREAMS = (mavlink.MAV_DATA_STREAM_POSITION, mavlink.MAV_DATA_STREAM_EXTRA1, mavlink.MAV_DATA_STREAM_EXTENDED_STATUS)
 
 
 def heartbeat() -> Message:
-    """Ours, once a second: a ground station's, so that an autopilot's data-link failsafe watches over us."""
+    """Heartbeat of a ground station, once a second: an autopilot's data-link failsafe monitors it."""
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
     )
@@ -27,12 +27,12 @@ def switch(to: Sender, autopilot: Autopilot, mode: str) -> Message:
 
 
 def arm(to: Sender, *, on: bool) -> Message:
-    """Never by force: the second parameter, which would overrule all checks, stays zero."""
+    """Arm or disarm, never by force: the second parameter, which would override all checks, is zero."""
     return command(to, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, float(on), 0)
 
 
 def intervals(to: Sender, position_message: str, hz: float) -> list[Message]:
-    """Ask for position and attitude so many times a second, and for what changes slowly."""
+    """Requests for position and attitude at this rate, and for slow status messages."""
     requests = ((position_message, hz), ("ATTITUDE", hz), ("SYS_STATUS", STATUS_HZ), ("EXTENDED_SYS_STATE", STATUS_HZ))
     return [
         command(to, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, getattr(mavlink, f"MAVLINK_MSG_ID_{name}"), round(1e6 / rate))
@@ -41,7 +41,7 @@ def intervals(to: Sender, position_message: str, hz: float) -> list[Message]:
 
 
 def streams(to: Sender, hz: float) -> list[Message]:
-    """The same in the old way, for an autopilot that knows no other."""
+    """Requests by REQUEST_DATA_STREAM, for an autopilot without message intervals."""
     rates = [max(1, round(hz if each != mavlink.MAV_DATA_STREAM_EXTENDED_STATUS else STATUS_HZ)) for each in _DATA_STREAMS]
     return [
         mavlink.MAVLink_request_data_stream_message(to.system, to.component, stream, rate, 1)

@@ -1,4 +1,4 @@
-"""Samples of telemetry: the state in the ENU world, odometry from the start pose, and when it was measured."""
+"""Samples of MAVLink telemetry: state in the ENU world, odometry from the start pose, time of measurement."""
 
 import math
 
@@ -10,17 +10,17 @@ from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.mavlink.codec import Message
 from vcmvsp.hardware.drivers.mavlink.coordinate_frames import attitude_from_euler, body_flipped, world_flipped
 
-ATTITUDE_NS = 500_000_000  # an attitude that is older says nothing of now
+ATTITUDE_NS = 500_000_000  # older attitudes are useless
 MS = 1_000_000  # ns
 
 
 class MavlinkSampler:
-    """What the telemetry says; over reconnections, too.
+    """Converts telemetry to samples, over reconnections.
 
     Args:
-        start: where the run says that it stands (x m, y m, yaw rad): odometry begins there.
+        start: start pose in the run (x m, y m, yaw rad), where odometry begins.
         origin: of the autopilot's local frame in the world, m; or of ``plane``.
-        plane: positions are global ones; None: local ones.
+        plane: for global positions; None: positions are local.
     """
 
     def __init__(self, start: Vec3, origin: Vec3, plane: TangentPlane | None) -> None:
@@ -38,7 +38,7 @@ class MavlinkSampler:
         """A connection begins."""
         self._link += 1
         self._attitude, self.state = None, None
-        self._clock = ForeignClock()  # the time since it was switched on, which may just have been
+        self._clock = ForeignClock()  # stamps count from power-up, which may be recent
 
     def attitude(self, message: Message, now_ns: int) -> None:
         """An ATTITUDE has arrived."""
@@ -47,7 +47,7 @@ class MavlinkSampler:
             self._attitude, self._attitude_ns = message, now_ns
 
     def position(self, message: Message, now_ns: int) -> bool:
-        """A position has arrived; whether the state is known with it."""
+        """Take a position; whether it completes a state."""
         if self._attitude is None or now_ns - self._attitude_ns > ATTITUDE_NS:
             return False
         place = self._local(message) if self._plane is None else self._global(message, self._plane)
@@ -66,7 +66,7 @@ class MavlinkSampler:
         return True
 
     def sample(self, *, motors: bool, terminated: bool, stopped: str) -> Sample:
-        """The newest; `position` must have said that the state is known."""
+        """Newest sample; only after `position` returned True."""
         assert self.state is not None  # noqa: S101  see above
         return Sample(
             number=self._number,
@@ -86,7 +86,7 @@ class MavlinkSampler:
         self.battery_v = None if message.voltage_battery in (0, 0xFFFF) else 1e-3 * message.voltage_battery
 
     def _odometry(self, state: VehicleState) -> Odometry:
-        """The way since the first sample, begun at the start pose."""
+        """Motion since the first sample, from the start pose."""
         pose = (state.position[0], state.position[1], state.yaw)
         base = self._base = self._base or pose
         dx, dy = rotate2(pose[0] - base[0], pose[1] - base[1], self._start[2] - base[2])
@@ -103,7 +103,7 @@ class MavlinkSampler:
 
     @staticmethod
     def _global(message: Message, plane: TangentPlane) -> tuple[Vec3, Vec3] | None:
-        """1e-7 degrees, mm above sea level, cm/s. Null Island stands for no position."""
+        """Position in 1e-7 degrees and mm above sea level, velocity in cm/s. Latitude and longitude 0 mean no position."""
         latitude, longitude = 1e-7 * message.lat, 1e-7 * message.lon
         if (message.lat == 0 and message.lon == 0) or not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
             return None

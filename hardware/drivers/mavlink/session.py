@@ -1,7 +1,7 @@
-"""The conversation with a vehicle that was found: telemetry, modes, arming, set-points, and who is in command of it.
+"""Session with a vehicle: telemetry, modes, arming, set-points, and command authority.
 
-No clock and no line of its own: messages and times come in, messages come out. Nothing is believed because it was asked for,
-or because it was acknowledged: a mode and "armed" are what the vehicle's heartbeats say.
+It has no clock and no link: messages and times are arguments and results. Requests and acknowledgements prove nothing: mode
+and arming are those of the vehicle's heartbeats.
 """
 
 from collections import deque
@@ -18,13 +18,13 @@ from vcmvsp.hardware.drivers.mavlink.command_schedule import PERIOD_NS, STILL, f
 from vcmvsp.hardware.drivers.mavlink.samples import MavlinkSampler
 from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer
 
-ASK_NS = 500_000_000  # until something that was not done is asked for again
+ASK_NS = 500_000_000  # between repeated requests
 CLIMB = 0.7  # m/s, of a take-off
-NEAR = 0.9  # of its height: a take-off is done
+NEAR = 0.9  # share of its height that ends a take-off
 STANDS = 0.05  # m/s
-SAID: What = "warned"  # of a text by which the autopilot tells an error
+SAID: What = "warned"  # of an error text of the autopilot
 TEXT = 50  # characters of a STATUSTEXT; a longer text comes in pieces
-REPEAT_NS = 10_000_000_000  # the same text is told again after so long
+REPEAT_NS = 10_000_000_000  # before a text is reported again
 
 _RESULTS = {
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "refused for now",
@@ -35,7 +35,7 @@ _RESULTS = {
 
 
 class SessionOptions(Value, frozen=True, kw_only=True):
-    """What the vehicle is asked at the start, and at most for how long it drives without a command."""
+    """Requests at the start, and the command time-out."""
 
     telemetry_hz: float
     timeout_s: float
@@ -45,7 +45,7 @@ class SessionOptions(Value, frozen=True, kw_only=True):
 
 
 class _Step(NamedTuple):
-    """Something that is asked for until it is done."""
+    """A request that is repeated until it is fulfilled."""
 
     what: str
     done: Callable[[], bool]
@@ -53,12 +53,12 @@ class _Step(NamedTuple):
 
 
 class MavlinkSession:
-    """Asks, steers and watches.
+    """Sends requests and set-points, and monitors the vehicle.
 
     Attributes:
-        in_command: the vehicle is in the mode in which it follows set-points.
-        news: what happened, for notices; whoever reads it empties it.
-        interrupted: why it must not be made ready any more: somebody has switched it away, or stopped it.
+        in_command: the vehicle is in the mode that follows set-points.
+        news: events for notices; the reader empties it.
+        interrupted: why preparation must end: the mode was changed, or the vehicle was stopped; empty: it continues.
     """
 
     def __init__(self, peer: Peer, orders: SessionOptions, track: MavlinkSampler, now_ns: int) -> None:
@@ -75,32 +75,32 @@ class MavlinkSession:
         self._old_streams = False
         self._steps = deque(self._opening())
         self._request_ns: int | None = None
-        self._beat_ns = now_ns  # when our next heartbeat is due
+        self._beat_ns = now_ns  # time of the next heartbeat
         self._watch(peer.heartbeat)
 
-    # What the driver asks
+    # For the driver
 
     @property
     def ready(self) -> bool:
-        """All that was asked for at the start is done; once it is leaving: it may be left."""
+        """All requests are fulfilled; after `leave`: the vehicle may be left."""
         return not self._steps
 
     @property
     def waits_for(self) -> str:
-        """The step that is not done, with what the vehicle said to it."""
+        """Request that is not fulfilled, with the vehicle's answer."""
         last = self._texts.last
         notes = ", ".join(each for each in (self._refusal, last and f'it says "{last}"') if each)
         return (self._steps[0].what if self._steps else "nothing") + (f" ({notes})" if notes else "")
 
     @property
     def stopped(self) -> str:
-        """Why it does not follow commands; empty: it does."""
+        """Why the vehicle does not follow commands; empty: it does."""
         if not self.in_command:
             return f"it is in {self._mode or 'no mode that is known'}: it follows commands in {self._peer.autopilot.follows}"
         return self._repeater.stopped if self._armed else "it is not armed"
 
     def command(self, velocity: Velocity, now_ns: int) -> None:
-        """Move like this; nothing, where somebody else is in command, or it is not armed, or is taking off."""
+        """Move like this; ignored under another command, disarmed, or during a take-off."""
         finite(velocity)
         if self.in_command and self._armed and self.ready and not self._leaving:
             self._repeater.command((velocity.linear, velocity.yaw_rate), now_ns)
@@ -109,13 +109,13 @@ class MavlinkSession:
         """Zero speed with the next message."""
         self._repeater.stop(cause)
         self._climb_to = None
-        if self._steps and self._orders.switch_mode and not self._leaving:  # else nothing is asked of it that could move it
+        if self._steps and self._orders.switch_mode and not self._leaving:  # otherwise no request can move it
             self.interrupted = cause
 
     def leave(self) -> None:
-        """Zero speed, a mode in which it stays where it is; what we have armed and what stands on the ground, is disarmed.
+        """Zero speed, and a mode that holds the position; a vehicle on the ground that this driver armed is disarmed.
 
-        Nothing is disarmed in the air, and a vehicle that somebody else has in command is left to him.
+        Nothing is disarmed in the air, and a vehicle under another command is left unchanged.
         """
         self._leaving, self._climb_to, self._request_ns = True, None, None
         self._repeater.stop("the driver is being closed")
@@ -133,14 +133,14 @@ class MavlinkSession:
                 self._steps.append(_Step("it to disarm", lambda: not (self._armed and self._stands), lambda: [disarm]))
 
     def farewell(self) -> list[Message]:
-        """The last words to whoever still listens."""
+        """Last messages."""
         self._climb_to = None
         return self._points(STILL, 0.0)
 
     # Time and messages
 
     def advance(self, now_ns: int) -> list[Message]:
-        """What to send at this time."""
+        """Messages to send at this time."""
         self._now_ns = now_ns
         output: list[Message] = []
         if now_ns >= self._beat_ns:
@@ -159,12 +159,12 @@ class MavlinkSession:
 
     @property
     def due_ns(self) -> int:
-        """When `advance` has something to do."""
+        """Time of the next `advance`."""
         asks = [] if not self._steps else [0 if self._request_ns is None else self._request_ns + ASK_NS]
         return min(self._beat_ns, self._repeater.due_ns, *asks)
 
     def receive(self, message: Message, now_ns: int) -> Sample | None:
-        """A message of the vehicle; a sample, if it completes one."""
+        """Process a message of the vehicle; a sample, if it completes one."""
         self._now_ns = now_ns
         kind = message.get_type()
         if kind == self._track.position_message:
@@ -190,7 +190,7 @@ class MavlinkSession:
     # Steps
 
     def _opening(self) -> list[_Step]:
-        """What to ask for at the start, in this order."""
+        """Requests at the start, in order."""
         orders, autopilot = self._orders, self._peer.autopilot
         steps = [_Step(f"its position ({self._track.position_message} and ATTITUDE)", self._located, self._telemetry)]
         if orders.switch_mode:
@@ -222,7 +222,7 @@ class MavlinkSession:
         return [messages.arm(self._peer.sender, on=True)]
 
     def _telemetry(self) -> list[Message]:
-        """Ask for what is needed; in the old way too, if the new one did not help."""
+        """Request telemetry; with REQUEST_DATA_STREAM too, if message intervals had no effect."""
         to, hz = self._peer.sender, self._orders.telemetry_hz
         requests = messages.intervals(to, self._track.position_message, hz)
         if self._old_streams:
@@ -231,7 +231,7 @@ class MavlinkSession:
         return requests
 
     def _rise(self) -> list[Message]:
-        """PX4 climbs by set-points, which needs no global position; ArduPilot wants a command before it leaves the ground."""
+        """PX4 climbs by set-points, without a global position; ArduPilot needs a command to leave the ground."""
         state, height = self._track.state, self._orders.takeoff_m
         assert state is not None  # noqa: S101  its position is the first step
         assert height is not None  # noqa: S101  there is this step
@@ -250,15 +250,15 @@ class MavlinkSession:
 
     @property
     def _stands(self) -> bool:
-        """It is on the ground, and does not move."""
+        """The vehicle is on the ground, and does not move."""
         state = self._track.state
         still = state is not None and max(map(abs, state.velocity)) < STANDS
         return still and (self._peer.on_ground or self._landed == mavlink.MAV_LANDED_STATE_ON_GROUND)
 
-    # What the vehicle says
+    # Messages of the vehicle
 
     def _watch(self, beat: Message) -> None:
-        """A heartbeat: mode and arming."""
+        """Take mode and arming of a heartbeat."""
         autopilot = self._peer.autopilot
         self._mode = autopilot.mode(beat.custom_mode)
         self._terminated = beat.system_status == mavlink.MAV_STATE_FLIGHT_TERMINATION
@@ -268,7 +268,7 @@ class MavlinkSession:
         self._armed = armed
         follows = self._mode == autopilot.follows
         if follows and not self.in_command:
-            self._repeater.stop(f"it has just been switched to {self._mode}")  # an old command is none
+            self._repeater.stop(f"it has just been switched to {self._mode}")  # old commands do not count
             self.news.append(("connected", f"it is in {self._mode}: it follows commands"))
         elif self.in_command and not follows:
             self._halt(f"it was switched to {self._mode}, by its pilot or by itself: it is left to them")
@@ -280,7 +280,7 @@ class MavlinkSession:
             self.news.append(("stopped", cause))
 
     def _acknowledged(self, message: Message) -> None:
-        """A refusal is kept, for the message if nothing comes of it."""
+        """Store a refusal for a later message."""
         if message.result in _RESULTS:
             command = mavlink.enums["MAV_CMD"].get(message.command)
             name = command.name.removeprefix("MAV_CMD_") if command else f"command {message.command}"
@@ -289,7 +289,7 @@ class MavlinkSession:
     # Set-points
 
     def _points(self, linear: Vec3, yaw_rate: float) -> list[Message]:
-        """The set-point; while ArduPilot takes off there is none, as any would end that."""
+        """Set-point; none while ArduPilot takes off, as any would end that."""
         if self._climb_to is not None and self.in_command:
             if self._peer.autopilot.kind == "ardupilot":
                 return []
@@ -301,7 +301,7 @@ class MavlinkSession:
 
 
 class StatusTexts:
-    """Error messages (STATUSTEXT) of one vehicle, put together from their pieces; a repeated one is left out for a while.
+    """Error messages (STATUSTEXT) of one vehicle, joined from their chunks; a repeated one is dropped for a while.
 
     Attributes:
         last: newest message that was reported; empty: none.
@@ -310,10 +310,10 @@ class StatusTexts:
     def __init__(self) -> None:
         self.last = ""
         self._last_ns = -REPEAT_NS
-        self._piece: dict[int, str] = {}  # of a text, by its number
+        self._piece: dict[int, str] = {}  # start of a text, by its number
 
     def hear(self, message: Message, now_ns: int) -> str:
-        """Text to report now; empty: the text continues, is no error, or was reported lately."""
+        """Text to report now; empty: the text continues, is no error, or was reported recently."""
         text = self._piece.pop(message.id, "") + message.text if message.id and message.chunk_seq else message.text
         if message.id and len(message.text) == TEXT:
             self._piece = {message.id: text}

@@ -1,6 +1,6 @@
-"""Who speaks at an address, and which of them is the vehicle: heartbeats are listened to, and each wrong one has its message.
+"""Search for the vehicle at an address by its heartbeats; each mismatch has its own error.
 
-No clock and no line of its own: bytes and times come in, a `Peer` or an error comes out.
+It has no clock and no link: bytes and times are arguments, the result is a `Peer` or an error.
 """
 
 from vcmvsp.cosim.clock import seconds_to_ns
@@ -19,22 +19,22 @@ from vcmvsp.hardware.drivers.mavlink.autopilots import (
 from vcmvsp.hardware.drivers.mavlink.codec import Message, MessageReader, Sender, sender_of
 from vcmvsp.hardware.drivers.mavlink.link import Chunks
 
-LISTEN_S = 1.5  # after the first vehicle was heard, is there another? Heartbeats come once a second
-READERS = 32  # sources that are listened to at once
+LISTEN_S = 1.5  # after the first vehicle, for another; heartbeats come once a second
+READERS = 32  # maximum number of sources
 
 
 class Peer(Value, frozen=True, kw_only=True):
-    """The vehicle that was found."""
+    """The vehicle."""
 
     sender: Sender
     source: str
     vehicle_type: int
     autopilot: Autopilot
-    heartbeat: Message  # the last one
+    heartbeat: Message  # the newest
 
     @property
     def on_ground(self) -> bool:
-        """It drives or swims: its velocities are in the frame of its body."""
+        """It drives or swims: velocities are in its body frame."""
         return self.vehicle_type in GROUND
 
     @property
@@ -44,24 +44,24 @@ class Peer(Value, frozen=True, kw_only=True):
 
 
 class VehicleSearch:
-    """Listens for the vehicle.
+    """Searches the vehicle.
 
     Args:
         device: for messages.
-        system_id: of the vehicle; 0: the only one that speaks.
-        kind: of the autopilot; None: as its heartbeat says.
+        system_id: of the vehicle; 0: the only one.
+        kind: of the autopilot; None: from its heartbeat.
     """
 
     def __init__(self, device: str, system_id: int, kind: Kind | None) -> None:
         self._device, self._system_id, self._kind = device, system_id, kind
         self._readers: dict[str, MessageReader] = {}
-        self._found: dict[tuple[Sender, str], Message] = {}  # with its last heartbeat
-        self._others: dict[int, str] = {}  # systems that are no vehicle, or not the one that is meant
+        self._found: dict[tuple[Sender, str], Message] = {}  # newest heartbeat by sender and source
+        self._others: dict[int, str] = {}  # other systems
         self._first_ns = 0
         self._heard = 0
 
     def receive(self, chunks: Chunks, now_ns: int) -> Peer | None:
-        """Bytes have come; the vehicle, if that is clear now."""
+        """Process bytes; the vehicle, if it is determined now."""
         for source, data in chunks:
             self._heard += len(data)
             reader = self._readers.setdefault(source, MessageReader())
@@ -73,7 +73,7 @@ class VehicleSearch:
         return self.decide(now_ns)
 
     def decide(self, now_ns: int) -> Peer | None:
-        """The vehicle, if that is clear by now."""
+        """The vehicle, if it is determined by now."""
         if not self._found or now_ns < self.due_ns:
             return None
         if len(self._found) > 1:
@@ -88,13 +88,13 @@ class VehicleSearch:
 
     @property
     def due_ns(self) -> int:
-        """When `decide` may have an answer; far away, as long as no vehicle was heard."""
+        """Time at which `decide` may have an answer; far away without a vehicle."""
         if not self._first_ns:
             return 1 << 62
         return self._first_ns + (0 if self._system_id else seconds_to_ns(LISTEN_S))
 
     def failure(self, waited_s: float) -> HandshakeError:
-        """Why nothing was found."""
+        """Error of a search without result."""
         waited = f"within {waited_s:g} s"
         if not self._heard:
             return HandshakeError(self._device, f"nothing was heard {waited}", self._advice())

@@ -1,7 +1,7 @@
-"""The three messages that are spoken, as CDR bytes: Twist and TwistStamped out, Odometry in (and the other way in the robot).
+"""ROS 2 messages as CDR bytes: Twist and TwistStamped to the robot, Odometry from it.
 
-CDR here is what rmw implementations put on the wire: the header ``00 01 00 00`` (little-endian; ``00 00`` big-endian is read,
-too), then the fields aligned from behind it. The definitions are those of ROS 2 Jazzy, which have not changed since Foxy.
+CDR as rmw implementations send it: the header ``00 01 00 00`` (little-endian; ``00 00``, big-endian, is read, too), then the
+fields aligned from behind it. The definitions are those of ROS 2 Jazzy, unchanged since Foxy.
 """
 
 from functools import cache
@@ -20,8 +20,8 @@ from vcmvsp.cosim.types import Vec3
 TWIST, TWIST_STAMPED, ODOMETRY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry"
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 NO_COVARIANCE = (0.0,) * 36
-STAMPS_END_NS = 2**31 * SECOND_NS  # stamps have their seconds in 32 bits with a sign: until 2038, for clocks since 1970
-UNIT_WITHIN = 0.01  # by which the norm of a quaternion may differ from 1: more is no rounding
+STAMPS_END_NS = 2**31 * SECOND_NS  # stamps have 32-bit signed seconds: until 2038, for clocks since 1970
+UNIT_WITHIN = 0.01  # maximum error of a quaternion's norm
 
 
 class Twist(NamedTuple):
@@ -29,7 +29,7 @@ class Twist(NamedTuple):
 
     linear: Vec3  # m/s
     angular: Vec3  # rad/s
-    stamp_ns: int = 0  # of the clock of whoever sent it
+    stamp_ns: int = 0  # of the sender's clock
     frame: str = ""
 
 
@@ -40,7 +40,7 @@ class OdometryMessage(NamedTuple):
     attitude: Quaternion  # w, x, y, z; frame_from_child
     linear: Vec3 = ZERO  # m/s
     angular: Vec3 = ZERO  # rad/s
-    stamp_ns: int = 0  # of the robot's clock; 0: it tells none
+    stamp_ns: int = 0  # of the robot's clock; 0: none
     frame: str = "odom"
     child_frame: str = "base_link"
     pose_covariance: tuple[float, ...] = NO_COVARIANCE  # row by row: x, y, z, rotations about x, y, z
@@ -68,7 +68,7 @@ def encode_twist(twist: Twist, *, stamped: bool) -> bytes:
 
 
 def decode_twist(data: bytes, *, stamped: bool) -> Twist:
-    """The reverse; raises `ValueError`."""
+    """Twist or TwistStamped of CDR bytes; raises `ValueError`."""
     message = _decoded(data, TWIST_STAMPED if stamped else TWIST)
     twist = message.twist if stamped else message
     stamp_ns, frame = (_stamp(message.header.stamp), message.header.frame_id) if stamped else (0, "")
@@ -98,9 +98,9 @@ def encode_odometry(odometry: OdometryMessage) -> bytes:
 
 
 def decode_odometry(data: bytes) -> OdometryMessage:
-    """The reverse; raises `ValueError` for bytes that are none, for NaN and infinity, and for a quaternion that is no rotation.
+    """Odometry of CDR bytes; raises `ValueError` for invalid bytes, NaN, infinity, and a quaternion that is no rotation.
 
-    Covariances may hold anything: nodes that know none leave them at zero, or at NaN.
+    Covariances may have any value: nodes without covariances send zero or NaN.
     """
     message = _decoded(data, ODOMETRY)
     pose, twist, orientation = message.pose.pose, message.twist.twist, message.pose.pose.orientation

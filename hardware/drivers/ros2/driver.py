@@ -1,8 +1,8 @@
-"""The driver of robots that run ROS 2: Twist or TwistStamped out, Odometry in, over Eclipse Zenoh.
+"""Driver of robots with ROS 2: Twist or TwistStamped to the robot, Odometry from it, over Eclipse Zenoh.
 
-One thread decides: it takes what Zenoh's callbacks and the caller leave in a queue, and publishes. A robot counts as connected
-while its odometry is heard and something hears the commands. When that ends it is told to stand, and when it is back it is told
-so first; nothing that was commanded before moves it.
+One thread takes what Zenoh's callbacks and the caller put into a queue, and publishes. A robot is connected while odometry
+arrives and a node subscribes to the commands. A loss stops the robot, and each connection starts with zero speed; older
+commands do not move it.
 """
 
 import contextlib
@@ -33,18 +33,18 @@ from vcmvsp.hardware.drivers.ros2.samples import Pose, Ros2Sampler
 from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Release, RmwZenoh, Ros2Dds, topic_of
 from vcmvsp.hardware.drivers.threaded import ThreadedDriver
 
-OPEN_S = 5.0  # for a session: two seconds for a host that does not answer, and room
+OPEN_S = 5.0  # for a session: two seconds for a host that does not answer, and reserve
 CLOSE_S = 2.0
-WAITING = 256  # messages that may wait for the thread; more are left out
-ZERO_SPEEDS = (0.0, 0.0)  # m/s, forward, and rad/s
-_SHOWN = 6  # endpoints that an error names
+WAITING = 256  # maximum length of the queue
+ZERO_SPEEDS = (0.0, 0.0)  # m/s and rad/s
+_SHOWN = 6  # endpoints in an error text
 
 Domain = Annotated[int, msgspec.Meta(ge=0, le=232)]
-ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=30)]  # s; a station waits for its driver, but not forever
+ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=30)]  # s; less than a station allows its driver
 
 
 class _LeftOut(Exception):
-    """A message that nothing is made of."""
+    """A message that is rejected."""
 
     def __init__(self, cause: str, why: str) -> None:
         self.cause = cause
@@ -52,31 +52,30 @@ class _LeftOut(Exception):
 
 
 class Ros2Driver(ThreadedDriver):
-    """A robot that runs ROS 2 (`hardware.drivers.base.Driver`).
+    """A robot with ROS 2 (`hardware.drivers.base.Driver`).
 
     Args:
-        endpoint: of Zenoh, where rmw_zenohd or zenoh-bridge-ros2dds listens, or where this driver does.
-        mode: "connect", or "listen": be the router that the robot's nodes connect to.
+        endpoint: of Zenoh: where rmw_zenohd or zenoh-bridge-ros2dds listens, or this driver does.
+        mode: "connect", or "listen": be the router for the robot's nodes.
         mapping: "rmw_zenoh", or "ros2dds" for zenoh-bridge-ros2dds.
-        domain: ROS_DOMAIN_ID; "ros2dds" has none here.
-        release: of the robot's ROS 2, for "rmw_zenoh": "humble", whose keys have no type hashes, or "later".
+        domain: ROS_DOMAIN_ID; not used by "ros2dds".
+        release: of the robot's ROS 2, for "rmw_zenoh": "humble", without type hashes in keys, or "later".
         namespace: of the topics.
         command_topic: in the namespace, unless it begins with a slash.
-        odometry_topic: likewise.
-        stamped: publish TwistStamped, as ros2_control's diff_drive_controller wants it since Jazzy; by the robot's own clock.
+        odometry_topic: in the namespace, unless it begins with a slash.
+        stamped: publish TwistStamped, as ros2_control's diff_drive_controller needs since Jazzy; by the robot's own clock.
         command_frame: the frame in TwistStamped.
-        frame: the frame that odometry must be in; empty: any.
-        pose: "odometry": it begins anywhere and counts from the start pose that `open` is given; "world": it is where the
-            robot is (a localisation, or motion capture): samples have a ``state``.
+        frame: required frame of odometry; empty: any.
+        pose: "odometry": relative to the start pose of `open`; "world": in the world (a localisation, or motion
+            capture): samples have a ``state``.
         origin: x m, y m, yaw rad of the frame of odometry in the world, for "world".
-        max_speed: m/s; a greater step of odometry is left out: somebody has set it.
-        rate_hz: how often a command is said again.
-        connect_s: for the first odometry and a listener to commands.
-        silence_s: without odometry, or without a listener, the robot counts as lost.
-        reconnect_s: for so long a robot that was lost is waited for in silence; then `read` and `write` raise `LinkLost` until
-            it is back.
+        max_speed: m/s; larger steps of odometry are ignored: another program set it.
+        rate_hz: repetition rate of a command.
+        connect_s: for the first odometry and a subscriber to commands.
+        silence_s: without odometry, or without a subscriber, the robot counts as lost.
+        reconnect_s: time to wait for a lost robot without error; after it `read` and `write` raise `LinkLost` until it is back.
         command_timeout_s: without a command, the robot is stopped.
-        name: of the node that the robot sees.
+        name: of this driver's node.
     """
 
     ground_only = True
@@ -123,7 +122,7 @@ class Ros2Driver(ThreadedDriver):
     # What the caller does.
 
     def write(self, velocity: Velocity) -> None:
-        """Command a forward speed and a yaw rate; while the robot is lost, commands are dropped."""
+        """Command a forward speed and a yaw rate; ignored while the robot is lost."""
         v, w = checked(velocity)
         with self._lock:
             self._check()
@@ -132,14 +131,14 @@ class Ros2Driver(ThreadedDriver):
         self._wake()
 
     def _prepare(self, start: Vec3) -> None:
-        self.refused: Counter[str] = Counter()  # messages that were left out, by cause
+        self.refused: Counter[str] = Counter()  # rejected messages, by cause
         self._news: queue.SimpleQueue[ReceivedMessage | bool | None] = queue.SimpleQueue()
         self._track = Ros2Sampler(start, self._pose, self._origin, self._max_speed)
         self._pace = CommandRepeater(ZERO_SPEEDS, self._timeout_s, again_ns=round(SECOND_NS / self._rate_hz))
         self._presence = RobotPresence(self._silence_s)
         self._connected = False
-        self._lost = ""  # why the robot is away
-        self._spoke: bytes | None = None  # whose odometry the last connection followed
+        self._lost = ""  # reason of the loss
+        self._spoke: bytes | None = None  # node of the last connection's odometry
         self._lost_ns = 0
 
     def _hold(self, cause: str) -> bool:
@@ -164,7 +163,7 @@ class Ros2Driver(ThreadedDriver):
             try:
                 self._converse(node)
             finally:
-                self._say(ZERO_SPEEDS, 0)  # whatever there is amiss with the stamps
+                self._say(ZERO_SPEEDS, 0)  # without a stamp, which may be invalid
 
     def _hand_over(self, message: ReceivedMessage) -> None:
         """Called by Zenoh."""
@@ -172,7 +171,7 @@ class Ros2Driver(ThreadedDriver):
             self._news.put(message)
 
     def _converse(self, node: Node) -> None:
-        """Take what comes and say what is due until the caller closes it."""
+        """Receive and send until the caller closes the driver."""
         until_ns = time.monotonic_ns() + seconds_to_ns(self._connect_s)
         while not self._closing.is_set():
             due_ns = self._say_what_is_due()
@@ -189,7 +188,7 @@ class Ros2Driver(ThreadedDriver):
             now_ns = time.monotonic_ns()
             if isinstance(news, bool):
                 self._listened(news, now_ns)
-            self._look(now_ns)  # before another node is followed: that one has gone is to be told
+            self._look(now_ns)  # before another node is followed: report the loss of the first
             message = self._taken(news) if isinstance(news, ReceivedMessage) else None
             if message is None:
                 continue
@@ -199,7 +198,7 @@ class Ros2Driver(ThreadedDriver):
                     self._sample = self._track.add(*message, self._pace.stopped)
 
     def _say_what_is_due(self) -> int:
-        """When there is more to say."""
+        """Send velocities that are due; time of the next one."""
         while True:
             with self._lock:
                 before = self._pace.stopped
@@ -217,14 +216,14 @@ class Ros2Driver(ThreadedDriver):
         self._publish(encode_twist(twist, stamped=self._stamped))
 
     def _listened(self, listens: bool, now_ns: int) -> None:
-        """Whoever begins to listen hears zero first."""
+        """A subscriber came or went; each new one gets zero speed first."""
         self._presence.listen(listens, now_ns)
         if listens:
             with self._lock:
                 self._pace.stop(self._pace.stopped or NOT_YET)
 
     def _taken(self, message: ReceivedMessage) -> tuple[OdometryMessage, int] | None:
-        """A message that is to be made a sample of, and its arrival; of what is left out, tell of the first for each cause."""
+        """Odometry of a message, and its arrival; the first rejected message of each cause is reported."""
         try:
             return self._checked(message), message.arrived_ns
         except _LeftOut as left_out:
@@ -249,7 +248,7 @@ class Ros2Driver(ThreadedDriver):
         return odometry
 
     def _look(self, now_ns: int) -> None:
-        """Note that the robot is there, or is not any more."""
+        """Detect connection and loss of the robot."""
         silent, unheard = self._presence.missing(now_ns)
         if self._connected and (silent or unheard):
             what = f"odometry on {self._odometry.topic}" if silent else f"listener to {self._command.topic}"
@@ -268,7 +267,7 @@ class Ros2Driver(ThreadedDriver):
             self._ready.set()
 
     def _nobody(self, node: Node, silent: bool, unheard: bool) -> HandshakeError:
-        """Why nothing came about, and what there is instead."""
+        """Error without a connection, with the endpoints that exist."""
         missing = []
         if silent:
             refused = f" ({self.refused.total()} messages were left out)" if self.refused else ""

@@ -1,6 +1,6 @@
 """A node of ROS 2 on a Zenoh session: publishers, one subscriber, other nodes, and the presence of the robot.
 
-Zenoh calls back in threads of its own; callbacks are direct, and may do no more than hand over.
+Zenoh calls back in its own threads; callbacks only pass on.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from vcmvsp.hardware.drivers.base import PortError
 from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Origin, gid_of, origin_of
 
 Mode = Literal["connect", "listen"]
-GRAPH_S = 1.0  # for the answer to who is there
+GRAPH_S = 1.0  # for the list of other nodes
 _RETRY = {"period_init_ms": 100, "period_max_ms": 1000}
 _MOST_BYTES = 65536  # an Odometry message has some 700
 
@@ -27,9 +27,9 @@ _MOST_BYTES = 65536  # an Odometry message has some 700
 class ReceivedMessage(NamedTuple):
     """A message as it arrived."""
 
-    type: str  # empty: not told
+    type: str  # empty: unknown
     data: bytes
-    sender: bytes | None  # its id; None: not told
+    sender: bytes | None  # its id; None: unknown
     arrived_ns: int  # of this machine's monotonic clock
 
 
@@ -38,19 +38,19 @@ class Node:
 
     Args:
         endpoint: such as ``tcp/127.0.0.1:7447``.
-        mode: "connect": there is a router, or a bridge; "listen": be the router, which sessions of rmw_zenoh connect to.
-        mapping: how names become keys.
-        endpoints: what it publishes and hears.
+        mode: "connect": to a router, or a bridge; "listen": be the router for sessions of rmw_zenoh.
+        mapping: from names to keys.
+        endpoints: of the node.
 
     Raises:
-        PortError: no connection, or nothing can listen there.
+        PortError: no connection, or the endpoint cannot be bound.
     """
 
     def __init__(self, endpoint: str, mode: Mode, mapping: Mapping, endpoints: tuple[Endpoint, ...]) -> None:
         self._mapping = mapping
         self._session = _session(with_slash(endpoint), mode)
         self._ids: dict[Endpoint, bytes] = {}
-        self._kept: list[Any] = []  # whatever is undeclared when nobody holds it
+        self._kept: list[Any] = []  # Zenoh undeclares objects without references
         try:
             tokens = mapping.tokens(str(self._session.zid()), endpoints)
             for each, token in zip(endpoints, tokens, strict=False):
@@ -61,10 +61,10 @@ class Node:
             raise PortError(endpoint, f"the session failed ({error})", "open it again") from None
 
     def publisher(self, what: Endpoint, matched: Callable[[bool], None]) -> Callable[[bytes], None]:
-        """What publishes a message; ``matched`` is told, from Zenoh's thread, whether anybody hears it."""
+        """Function that publishes a message; ``matched`` gets, in Zenoh's thread, whether there is a subscriber."""
         publisher = self._session.declare_publisher(
             self._mapping.publishes(what.topic, what.type),
-            congestion_control=zenoh.CongestionControl.DROP,  # a robot that does not listen holds nobody up
+            congestion_control=zenoh.CongestionControl.DROP,  # a robot that does not listen must not block
             express=True,
         )
 
@@ -83,7 +83,7 @@ class Node:
         return publish
 
     def hear(self, what: Endpoint, heard: Callable[[ReceivedMessage], None], *, whatever: bool = False) -> None:
-        """Hand over what is said on a topic, from Zenoh's thread; ``whatever``: of other types, too."""
+        """Pass on messages of a topic, in Zenoh's thread; ``whatever``: of any type."""
 
         def took(sample: zenoh.Sample) -> None:
             arrived_ns = time.monotonic_ns()
@@ -97,7 +97,7 @@ class Node:
         self._kept.append(self._session.declare_subscriber(expression, Callback(took, indirect=False)))
 
     def others(self) -> list[Endpoint]:
-        """Publishers and subscribers that nodes have declared, this one's excepted."""
+        """Publishers and subscribers of other nodes."""
         own = {endpoint.topic for endpoint in self._ids}
         endpoints = set()
         mine = str(self._session.zid())
@@ -109,51 +109,48 @@ class Node:
         return sorted(endpoints, key=lambda each: (each.topic not in own, each))
 
     def close(self) -> None:
-        """Leave, and with it undeclare all. Never raises."""
-        with contextlib.suppress(zenoh.ZError):  # it is gone already
+        """End the session, which undeclares everything. Never raises."""
+        with contextlib.suppress(zenoh.ZError):  # already closed
             self._session.close()  # type: ignore[no-untyped-call]
 
 
 class RobotPresence:
-    """Whether a robot is there: one node sends its odometry, and something listens to its commands.
+    """Presence of a robot: a node publishes its odometry, and a node subscribes to its commands.
 
     Args:
-        silence_s: time for which either may be missing.
+        silence_s: maximum time without either.
 
     Attributes:
-        sender: node whose odometry is followed; None: it tells no id.
+        sender: node of the followed odometry; None: without id.
     """
 
     def __init__(self, silence_s: float) -> None:
         self.sender: bytes | None = None
         self._silence_ns = seconds_to_ns(silence_s)
-        self._heard_ns: int | None = None  # when odometry was last
-        self._listened_ns: int | None = None  # when something last listened to commands
+        self._heard_ns: int | None = None  # time of the newest odometry
+        self._listened_ns: int | None = None  # last time with a subscriber to commands
         self._listens = False
 
     def hear(self, sender: bytes | None, now_ns: int) -> bool:
-        """Odometry came; False: it is of another node than that which is followed, whose frame may be another.
-
-        Another is followed when the one has been silent.
-        """
+        """Odometry arrived; False: another node is followed, until it is silent."""
         if sender != self.sender and self._recent(self._heard_ns, now_ns):
             return False
         self.sender, self._heard_ns = sender, now_ns
         return True
 
     def listen(self, listens: bool, now_ns: int) -> None:
-        """Whether something listens to commands has changed."""
+        """A subscriber to commands came or went."""
         if listens or self._listens:
             self._listened_ns = now_ns
         self._listens = listens
 
     def missing(self, now_ns: int) -> tuple[bool, bool]:
-        """Whether odometry is missing, and whether a listener is."""
+        """Whether odometry is missing, and whether a subscriber is."""
         unheard = not self._listens and not self._recent(self._listened_ns, now_ns)
         return not self._recent(self._heard_ns, now_ns), unheard
 
     def due_ns(self, now_ns: int) -> int:
-        """When something may begin to be missing."""
+        """Time at which either may begin to be missing."""
         times = [self._heard_ns] if self._listens else [self._heard_ns, self._listened_ns]
         soon = [each + self._silence_ns for each in times if each is not None and each + self._silence_ns > now_ns]
         return min(soon, default=now_ns + SECOND_NS)
@@ -167,7 +164,7 @@ def _session(endpoint: str, mode: Mode) -> zenoh.Session:
         connect = {"endpoints": [endpoint], "timeout_ms": 0, "exit_on_failure": True, "retry": _RETRY}
         config: dict[str, Any] = {"mode": "client", "connect": connect, "listen": {"endpoints": []}}
         config["transport"] = {"unicast": {"open_timeout": 2000}}
-    else:  # with gossip: through it the nodes of a robot find each other, as they do with rmw_zenohd
+    else:  # gossip lets the nodes of a robot find each other, as with rmw_zenohd
         config = {"mode": "router", "listen": {"endpoints": [endpoint]}, "scouting": {"gossip": {"enabled": True}}}
     try:
         return opened(config, {}, "Zenoh")

@@ -1,4 +1,4 @@
-"""Samples of odometry messages: the pose from the start pose or in the world, and when it was measured by our clock."""
+"""Samples of ROS 2 odometry: pose from the start pose or in the world, time of measurement by this clock."""
 
 from typing import Literal
 
@@ -10,22 +10,22 @@ from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.ros2.cdr_messages import STAMPS_END_NS, OdometryMessage
 
 Pose = Literal["odometry", "world"]
-DRIFT_PPM = 500.0  # no clock runs away faster: by so much NTP slews at most
-JUMP_S = 0.2  # a clock that was set by less makes odometry seem older for a while
-LEAP_S = 1.0  # a step of the pose is believed up to what the greatest speed covers in the time since the last message and this
+DRIFT_PPM = 500.0  # maximum drift: the largest slew of NTP
+JUMP_S = 0.2  # smaller jumps of the clock make odometry seem older for a while
+LEAP_S = 1.0  # longest step of the pose: greatest speed times (time since the last message + this)
 
 
 class Ros2Sampler:
-    """What a robot's odometry says, over reconnections, too.
+    """Converts odometry messages to samples, over reconnections.
 
     Args:
-        start: where the robot stands at its first message, where ``pose`` is "odometry".
-        pose: "odometry": its frame is anywhere, and only its differences count; "world": it is the world, but for ``origin``.
-        origin: x m, y m, yaw rad of the frame of odometry in the world, where ``pose`` is "world".
-        max_speed: m/s; a greater step of odometry is left out.
+        start: start pose, for ``pose`` "odometry".
+        pose: "odometry": any frame, only differences count; "world": the world, moved by ``origin``.
+        origin: x m, y m, yaw rad of the frame of odometry in the world, for ``pose`` "world".
+        max_speed: m/s; larger steps of odometry are ignored.
 
     Attributes:
-        leaps: how many were.
+        leaps: number of ignored steps.
     """
 
     def __init__(self, start: Vec3, pose: Pose, origin: Vec3, max_speed: float) -> None:
@@ -38,14 +38,14 @@ class Ros2Sampler:
         self._arrived_ns = 0
 
     def connect(self, *, anew: bool) -> None:
-        """A connection begins; ``anew``: another node may speak, from somewhere else and by another clock."""
+        """A connection begins; ``anew``: perhaps another node, with another start and another clock."""
         self._link += 1
         if anew:
             self._base = None
             self._clock = _clock()
 
     def add(self, message: OdometryMessage, arrived_ns: int, stopped: str) -> Sample:
-        """The sample of a message."""
+        """Sample of a message."""
         measured_ns = self._clock.heard(message.stamp_ns, arrived_ns) if message.stamp_ns else arrived_ns
         state = self._state(message) if self._kind == "world" else None
         if state is None:
@@ -66,12 +66,12 @@ class Ros2Sampler:
         )
 
     def stamp_ns(self, now_ns: int) -> int:
-        """What the robot's clock shows now; 0: not known."""
+        """Present time of the robot's clock; 0: unknown."""
         offset_ns = self._clock.offset_ns(now_ns)
         return 0 if offset_ns is None or not 0 <= now_ns - offset_ns < STAMPS_END_NS else now_ns - offset_ns
 
     def _move(self, message: OdometryMessage, arrived_ns: int) -> None:
-        """Add the difference of two messages to the pose, seen from the heading at which the robot was."""
+        """Add the difference of two messages to the pose, rotated to its heading."""
         new = (message.position[0], message.position[1], yaw_of(message.attitude))
         last, self._base = self._base, new
         if last is None:
@@ -86,7 +86,7 @@ class Ros2Sampler:
         self._pose = (x + dx, y + dy, yaw + wrap(new[2] - last[2]))
 
     def _state(self, message: OdometryMessage) -> VehicleState:
-        """The velocity of odometry is in the body's frame, that of a state in the world's."""
+        """State in the world; the velocity of odometry is in the body's frame."""
         x, y, yaw = self._origin
         dx, dy = rotate2(message.position[0], message.position[1], yaw)
         attitude = product(quaternion_from_yaw(yaw), message.attitude)

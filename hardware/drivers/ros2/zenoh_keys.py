@@ -1,16 +1,16 @@
-"""How ROS 2 topics, nodes and their endpoints are written as Zenoh keys: two mappings, and what goes beside each message.
+"""Zenoh keys of ROS 2 topics, nodes and endpoints in two mappings, and attachments of messages.
 
 ``rmw_zenoh`` (the middleware of ROS 2 itself; its ``docs/design.md`` and ``liveliness_utils.cpp``)::
 
-    <domain>/<topic>/<type>/<hash of the type>                 data; the attachment tells number, time and sender
+    <domain>/<topic>/<type>/<hash of the type>                 data; the attachment has number, time and sender
     @ros2_lv/<domain>/<session>/<node>/<endpoint>/<kind>/...   liveliness tokens
 
-``ros2dds`` (zenoh-bridge-ros2dds beside robots that speak DDS; ``liveliness_mgt.rs`` of zenoh-plugin-ros2dds)::
+``ros2dds`` (zenoh-bridge-ros2dds beside robots with DDS; ``liveliness_mgt.rs`` of zenoh-plugin-ros2dds)::
 
     <topic>                                                    data; no attachment
     @/<session>/@ros2_lv/<kind>/<topic>/<type>/<qos>           liveliness tokens
 
-Data flows without tokens; they are what ``ros2 topic list`` shows, and what says which types a robot speaks.
+Data needs no tokens; ``ros2 topic list`` shows them, and they show the types of a robot.
 """
 
 import re
@@ -24,7 +24,7 @@ Kind = Literal["MP", "MS"]
 """A publisher of messages, or a subscriber."""
 Release = Literal["humble", "later"]
 
-NO_HASH = "TypeHashNotSupported"  # what stands in the place of the hash in Humble, which has none
+NO_HASH = "TypeHashNotSupported"  # in place of the hash in Humble, which has none
 DEPTH = 10  # of both queues, as rclpy and rclcpp examples have it
 
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -42,7 +42,7 @@ class Endpoint(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """What an attachment says of a message."""
+    """Content of an attachment."""
 
     number: int
     time_ns: int  # since 1970, by the sender's clock
@@ -58,28 +58,28 @@ class Mapping(Protocol):
         """The key for messages of this type."""
 
     def hears(self, topic: str) -> str:
-        """The key expression for a topic, of whatever type."""
+        """Key expression for a topic, of any type."""
 
     def type_of(self, key: str) -> str | None:
-        """The type of the messages under this key; empty: the key does not tell; None: it is no key for data."""
+        """Type of the messages under this key; empty: unknown; None: no key for data."""
 
     def tokens(self, session: str, endpoints: tuple[Endpoint, ...]) -> list[str]:
-        """What a node declares: one token for each endpoint, in their order, and then those for itself."""
+        """Tokens of a node: one for each endpoint, in their order, then those of the node."""
 
     def endpoint(self, token: str) -> Endpoint | None:
-        """The reverse, of one token; None: it is no publisher or subscriber of messages."""
+        """Endpoint of a token; None: no publisher or subscriber of messages."""
 
     def attachment(self, origin: Origin) -> bytes | None:
-        """What goes beside a message."""
+        """Attachment of a message."""
 
 
 class RmwZenoh:
-    """The keys of rmw_zenoh.
+    """Keys of rmw_zenoh.
 
     Args:
         domain: ROS_DOMAIN_ID.
         node: its name.
-        release: what the robot runs; Humble has no type hashes.
+        release: of the robot; Humble has no type hashes.
     """
 
     def __init__(self, domain: int, node: str, release: Release = "later") -> None:
@@ -117,7 +117,7 @@ class RmwZenoh:
         return Endpoint(kind, parts[9].replace("%", "/").lstrip("/"), _ros_type(parts[10]))
 
     def attachment(self, origin: Origin) -> bytes | None:
-        """33 bytes; a node that gets none drops the message, and one that gets a broken one may end."""
+        """33 bytes; a node without an attachment drops the message, and an invalid one may end a node."""
         return _ATTACHMENT.pack(origin.number, origin.time_ns, 16, origin.gid)
 
     def _hash(self, name: str) -> str:
@@ -138,7 +138,7 @@ class Ros2Dds:
         return topic
 
     def type_of(self, key: str) -> str | None:
-        """Not told."""
+        """Unknown."""
         return None if "*" in key else ""
 
     def tokens(self, session: str, endpoints: tuple[Endpoint, ...]) -> list[str]:
@@ -160,10 +160,7 @@ class Ros2Dds:
 
 
 def origin_of(attachment: bytes) -> Origin | None:
-    """What an attachment says: 33 bytes, or 77 with the names of the fields, as Jazzy's rmw_zenoh 0.2.0 to 0.2.3 sent them.
-
-    None: it is neither.
-    """
+    """Content of an attachment: 33 bytes, or 77 with field names (rmw_zenoh 0.2.0 to 0.2.3, Jazzy); None: neither."""
     if len(attachment) == _ATTACHMENT.size:
         number, time_ns, length, gid = _ATTACHMENT.unpack(attachment)
     elif len(attachment) == _NAMED.size:
@@ -176,15 +173,15 @@ def origin_of(attachment: bytes) -> Origin | None:
 
 
 def gid_of(token: str) -> bytes:
-    """16 bytes that are an endpoint's alone."""
+    """Unique 16 bytes of an endpoint."""
     return blake2b(token.encode(), digest_size=16).digest()
 
 
 def topic_of(namespace: str, topic: str) -> str:
-    """The full name of a topic, without the leading slash; one that begins with a slash is in no namespace.
+    """Full name of a topic, without the leading slash; a topic with a leading slash is in no namespace.
 
     Raises:
-        ValueError: one of both is no name.
+        ValueError: an invalid name.
     """
     if not _NAME.fullmatch(topic):
         raise ValueError(f"'{topic}' is no topic: write letters, digits, _ and /, such as cmd_vel or /robot1/cmd_vel")

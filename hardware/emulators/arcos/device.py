@@ -1,11 +1,11 @@
-"""An emulated robot as a pure state machine: bytes and times in, bytes out. It has no clock, no thread, no port.
+"""Emulated ARCOS robot as a state machine: bytes and times in, bytes out. It has no clock, no thread, no port.
 
-It does what clients rely on and what they have to survive: an old session that goes on sending, bytes lost on the way, a
-watchdog that stops the robot after 2 s **and lets it resume its last speed at the next command, whatever that is**. Where the
-manuals are silent the choice is the one that asks more of a client: a speed that came while the motors were off is remembered
-and counts once they are on; only STOP, ESTOP, ENABLE 0 and CLOSE make it forget.
+It has the behaviour that clients rely on and must survive: an old session that continues to send, lost bytes, a watchdog that
+stops the robot after 2 s **and lets it resume its last speed at the next command of any kind**. Where the manuals are silent,
+it is the more demanding choice for a client: a speed that came while the motors were off is stored and applies once they are
+on; only STOP, ESTOP, ENABLE 0 and CLOSE clear it.
 
-It moves on its own (`Wheels`), or somebody else moves it: whoever passes ``start=None`` asks `commanded` and tells `moved`.
+It moves on its own (`Wheels`), or, with ``start=None``, the caller reads `commanded` and calls `moved`.
 """
 
 import math
@@ -20,28 +20,28 @@ from vcmvsp.hardware.drivers.arcos.packet import PacketReader, frame, parse_comm
 from vcmvsp.hardware.drivers.arcos.robot_parameters import Robot
 from vcmvsp.hardware.emulators.arcos.motion import Pose, SetPoints, Wheels, relative
 
-TICK_NS = 5_000_000  # of the emulation: what it does at a tick depends on no other time
-GAP_NS = 200_000_000  # a packet is given up when the line is silent for so long; 200 bytes take that long at 9600 baud
+TICK_NS = 5_000_000  # time step of the emulation
+GAP_NS = 200_000_000  # silence that ends a packet; 200 bytes take that long at 9600 baud
 PINGS = 8  # sonars of an array, which take turns
 
 _SYNCED, _OPEN = 3, 4  # stages of a session: 0 to 2 is the SYNC that is awaited
 
 
 class Device:
-    """A Pioneer or AmigoBot on the far end of a line.
+    """A Pioneer or AmigoBot.
 
-    Times are nanoseconds of any clock that does not go back; what is earlier than what it was told before counts as now.
+    Times are nanoseconds of a monotonic clock; earlier times than before count as now.
 
     Attributes:
-        motion: set points and limits, as commands have set them.
-        heard: the last commands: time ns, number, argument.
-        commands: how many it has heard.
-        packets: how many information packets it has sent.
-        reader: counts what was lost on the way here.
-        baud: what the client has set, as HOSTBAUD does.
-        battery_v: what it says of its battery.
-        watchdog_stopped: the robot stands because it heard nothing; any command lets it resume.
-        estop_pressed: the red button of larger robots, bit 5 of the flags: motors off, however they are enabled.
+        motion: set points and limits from commands.
+        heard: newest commands: time ns, number, argument.
+        commands: number of commands.
+        packets: number of information packets.
+        reader: counts lost bytes.
+        baud: rate set by HOSTBAUD.
+        battery_v: reported battery voltage.
+        watchdog_stopped: stopped by the watchdog; any command lets it resume.
+        estop_pressed: the red button of larger robots, bit 5 of the flags: motors off, even if enabled.
     """
 
     def __init__(
@@ -80,16 +80,16 @@ class Device:
             self._open()
             self._enabled = True
 
-    # What a client sees
+    # Client side
 
     def receive(self, chunk: bytes, now_ns: int) -> bytes:
-        """Bytes from the client arrive; what the robot sends until then and at once."""
+        """Process bytes of the client; bytes that the robot sends until then and at once."""
         output = self.advance(now_ns)
         self._bytes_ns = max(now_ns, self._time_ns)
         return output + self._obey(self.reader.feed(chunk), self._bytes_ns)
 
     def advance(self, now_ns: int) -> bytes:
-        """Time passes; what the robot sends by itself."""
+        """Bytes that the robot sends until this time."""
         output = bytearray()
         while self._time_ns + TICK_NS <= now_ns:
             self._time_ns = (self._time_ns // TICK_NS + 1) * TICK_NS
@@ -98,7 +98,7 @@ class Device:
 
     @property
     def due_ns(self) -> int | None:
-        """When `advance` will have something to send; None: not before bytes arrive."""
+        """Time at which `advance` will have bytes to send; None: not before bytes arrive."""
         due = [self._next_sip_ns] if self._stage == _OPEN else []
         if self.reader.waiting:
             due.append(self._bytes_ns + GAP_NS)
@@ -119,25 +119,25 @@ class Device:
         """Whether the motors are enabled."""
         return self._enabled and not self.estop_pressed
 
-    # What moves it sees
+    # Side of the motion
 
     def commanded(self) -> tuple[float, float]:
         """Forward speed (m/s) and yaw rate (rad/s) that the motors are to reach, within `SetPoints.accel` and so on.
 
-        Where ``motion.emergency`` is set, they stop at once.
+        With ``motion.emergency`` they stop at once.
         """
         if not self.motors_on or self.watchdog_stopped:
             return 0.0, 0.0
         return self.motion.wanted(self.odometry[2])
 
     def moved(self, pose: Pose, v: float, w: float, ranges: Sequence[float] | None = None, stall: int = 0) -> None:
-        """Where it is now, by its wheels.
+        """Set the present motion of the wheels.
 
         Args:
-            pose: x m, y m, yaw rad, in any frame that stays; the first one is the origin of its odometry.
+            pose: x m, y m, yaw rad, in any fixed frame; the first one is the origin of odometry.
             v: forward speed, m/s.
             w: yaw rate, rad/s.
-            ranges: what each sonar would hear now, m; infinite: nothing. None: as before.
+            ranges: present range of each sonar, m; infinite: no echo. None: unchanged.
             stall: the word of stalled wheels and bumpers, see `Sip`.
         """
         if self._pose is None:
@@ -153,7 +153,7 @@ class Device:
 
     @property
     def pose(self) -> Pose | None:
-        """Where it is, in the frame of its start or of `moved`; None: nobody has said so yet."""
+        """Pose in the frame of its start or of `moved`; None: not set yet."""
         return self._pose
 
     @property
@@ -186,7 +186,7 @@ class Device:
         return self._open_ns + (self._sips + 1) * self._period_ns
 
     def _sip(self) -> sip.Sip:
-        """What it says now; readings of sonars are said once."""
+        """Present information packet; each sonar reading is sent once."""
         robot = self.robot
         x, y, yaw = self.odometry
         turning = self._w / robot.diff_factor  # mm/s, half the difference of the wheels
@@ -221,16 +221,16 @@ class Device:
             try:
                 number, argument = parse_command(data)
             except ValueError:
-                continue  # right checksum, wrong form: a robot says nothing
+                continue  # valid checksum, invalid content: a robot does not answer
             self.heard.append((now_ns, number, argument))
             self.commands += 1
             output += self._serve(number, argument, now_ns) if self.is_open else self._shake_hands(number, now_ns)
         return output
 
     def _shake_hands(self, number: int, now_ns: int) -> bytes:
-        """Before a session is open: SYNC0, 1, 2 are echoed, then OPEN is awaited.
+        """Before a session: echo SYNC0, 1, 2, then wait for OPEN.
 
-        A SYNC out of turn is answered as if it were SYNC0: clients take that for a reason to begin again.
+        A SYNC out of order is answered like SYNC0: clients then restart.
         """
         if self._stage == _SYNCED and number == Command.OPEN:
             self._heard_ns = now_ns
@@ -279,7 +279,7 @@ class Device:
             self.motion.stop()
 
     def _close(self) -> None:
-        """The end of a session: the robot stops, and forgets what the client has set."""
+        """End of a session: the robot stops, and its settings are reset."""
         self._stage, self.baud = 0, self.robot.baud
         self._enable(False)
         self.motion = SetPoints(self.robot)

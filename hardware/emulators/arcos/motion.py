@@ -1,4 +1,4 @@
-"""How the emulated robot moves: what its firmware asks of the motors, and wheels that follow within limits."""
+"""Motion of the emulated robot: set points of its firmware, and wheels that follow within limits."""
 
 import math
 
@@ -12,13 +12,13 @@ _ARRIVED_M = 1e-3  # MOVE ends this near to its goal; the firmware's own margin 
 
 
 def relative(pose: Pose, origin: Pose) -> Pose:
-    """A pose as seen from another."""
+    """A pose relative to another."""
     x, y = rotate2(pose[0] - origin[0], pose[1] - origin[1], -origin[2])
     return x, y, wrap(pose[2] - origin[2])
 
 
 class SetPoints:
-    """Set points of forward speed and yaw rate, from the commands for motion.
+    """Set points of forward speed and yaw rate, from motion commands.
 
     A forward command (VEL, MOVE) and a turning one (RVEL, ROTATE, HEAD, DHEAD) hold side by side; VEL2, STOP and
     ESTOP replace both.
@@ -34,15 +34,15 @@ class SetPoints:
     def stop(self) -> None:
         """Forget all commands for motion."""
         self._v = self._w = 0.0
-        self._left_m: float | None = None  # how far MOVE still has to go
-        self.heading: float | None = None  # rad, that HEAD or DHEAD turn to
+        self._left_m: float | None = None  # remaining distance of MOVE
+        self.heading: float | None = None  # rad, goal of HEAD or DHEAD
 
     def take(self, number: int, value: int, heading: float) -> None:
-        """Take a command; those that are not about motion do nothing.
+        """Take a command; commands without motion are ignored.
 
         Args:
             number: of the command.
-            value: its argument, in the unit of the line.
+            value: its argument, in the unit of the protocol.
             heading: the robot's own, rad.
         """
         if number in _MOTIONS:
@@ -91,7 +91,7 @@ class SetPoints:
                 self.yaw_decel = math.radians(-value)
 
     def travelled(self, forward_m: float) -> None:
-        """The robot went this far: for MOVE."""
+        """The robot moved this far: for MOVE."""
         if self._left_m is not None:
             self._left_m -= forward_m
             if abs(self._left_m) <= _ARRIVED_M:
@@ -140,7 +140,7 @@ class Wheels:
 
 
 def _towards(now: float, goal: float, up: float, down: float) -> float:
-    """A speed nearer to its goal: by at most ``down`` while its amount falls, else by at most ``up``; it pauses at zero."""
+    """A speed nearer to its goal: by at most ``down`` while it falls, else by at most ``up``; it pauses at zero."""
     if now * goal < 0.0:
         goal = 0.0
     most = up if abs(goal) > abs(now) else down

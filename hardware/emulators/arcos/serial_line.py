@@ -1,4 +1,4 @@
-"""One direction of a serial line as bytes and times: its baud rate, and faults that are drawn byte by byte. It has no clock."""
+"""One direction of a serial line as bytes and times: baud rate and random faults. It has no clock."""
 
 from collections import deque
 
@@ -12,7 +12,7 @@ BITS = 10  # of a byte on the line: start, 8 data, stop (8N1)
 
 
 class Faults(msgspec.Struct, frozen=True, kw_only=True):
-    """What may happen to each byte; draws are independent and depend on the seed and the bytes' numbers alone."""
+    """Probabilities of faults of each byte; draws depend on the seed and the bytes' numbers alone."""
 
     drop: Probability = 0.0  # it is lost
     flip: Probability = 0.0  # one of its bits is inverted
@@ -25,7 +25,7 @@ class Wire:
     """Bytes go in and come out later, in order, fewer or changed.
 
     Attributes:
-        baud: bits a second; None: bytes take no time.
+        baud: bits a second; None: no delay.
         dropped: bytes lost so far.
         flipped: bytes changed so far.
     """

@@ -1,13 +1,13 @@
-"""An emulated robot at a port, at the pace of the wall clock: on a pseudo-terminal or at a TCP port.
+"""Emulated robot on a pseudo-terminal or at a TCP port, at the pace of the wall clock.
 
 ::
 
     with serve_pty(Device(ROBOTS["amigo"])) as served:
         driver = connect(served.url)
 
-As with a real robot the session outlives the connection: who hangs up without CLOSE leaves a robot that goes on sending, and
-that its watchdog stops. What is sent while nobody is connected, or reads, is lost, except for the 4 kB that a terminal keeps
-until somebody opens it (pyserial then throws them away).
+As with a real robot the session outlives the connection: after a client disconnects without CLOSE the robot continues to
+send, and its watchdog stops it. Bytes without a reader are lost, except for the 4 kB that a terminal buffers until it is
+opened (pyserial then drops them).
 """
 
 import contextlib
@@ -25,20 +25,20 @@ from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.arcos.serial_line import Faults, Wire
 from vcmvsp.hardware.emulators.device_server import DeviceServer, TcpListener
 
-TCP_PORT = 8101  # of the first simulated robot, by the custom of MobileSim and ARIA; the next ones follow
+TCP_PORT = 8101  # first port of MobileSim and ARIA; further robots have the next ones
 
-_SPEEDS: dict[int, int] = {baud: getattr(termios, f"B{baud}") for baud in BAUDS}  # as terminals call them
+_SPEEDS: dict[int, int] = {baud: getattr(termios, f"B{baud}") for baud in BAUDS}  # termios constants
 
 
 class ArcosServer(DeviceServer):
-    """A robot that is being served.
+    """Serves a robot.
 
     Attributes:
-        url: what a driver connects to, ``/dev/pts/3`` or ``socket://127.0.0.1:8101``.
-        device: the robot; look at it and move it while holding ``lock``.
+        url: for a driver, ``/dev/pts/3`` or ``socket://127.0.0.1:8101``.
+        device: the robot; access it with ``lock`` held.
         lock: guards the device.
-        unsent: bytes that nobody took.
-        misread: bytes that became noise because the client was at another baud rate, where bytes are paced.
+        unsent: bytes without a reader.
+        misread: bytes that became noise because of different baud rates, if bytes are paced.
     """
 
     def __init__(self, device: Device, line: "Pty | TcpListener", faults: Faults, *, paced: bool) -> None:
@@ -77,7 +77,7 @@ class ArcosServer(DeviceServer):
             self.unsent += len(data) - self._line.write(data)
 
     def _at_rate(self, data: bytes) -> bytes:
-        """What is read of these bytes: noise where both ends are at different rates."""
+        """Received bytes: noise if both ends have different rates."""
         if not data or not self._paced or self._line.baud() in (None, self.device.baud):
             return data
         self.misread += len(data)
@@ -108,17 +108,17 @@ class Pty:
             self.url = str(link)
 
     def waits_on(self) -> int:
-        """The end that is here."""
+        """Descriptor of this end."""
         return self._here
 
     def read(self) -> bytes:
-        """What a client has written, or nothing."""
+        """Bytes of the client, or none."""
         with contextlib.suppress(BlockingIOError):
             return os.read(self._here, 4096)
         return b""
 
     def write(self, data: bytes) -> int:
-        """As much as goes without waiting; how many bytes went."""
+        """Write as much as possible without waiting; number of bytes."""
         with contextlib.suppress(BlockingIOError):
             return os.write(self._here, data)
         return 0
@@ -129,30 +129,30 @@ class Pty:
         return next((baud for baud, each in _SPEEDS.items() if each == speed), 0)
 
     def close(self) -> None:
-        """Unplug it: the link goes, too."""
+        """Close it, and remove the link."""
         if self._link is not None:
             self._link.unlink(missing_ok=True)
         self.close_ends()
 
     def close_ends(self) -> None:
-        """Free the pseudo-terminal alone."""
+        """Close the pseudo-terminal alone."""
         os.close(self._there)
         os.close(self._here)
 
 
 def _is_left(terminal: Path, own: str) -> bool:
-    """Whether an emulator that was killed left a link to this terminal, which is gone, or is ours by now."""
+    """Whether a killed emulator left a link to this terminal, which is gone, or is this one now."""
     return terminal.parent == Path("/dev/pts") and (not terminal.exists() or str(terminal) == own)
 
 
 def serve_pty(device: Device, *, link: Path | None = None, faults: Faults | None = None, paced: bool = False) -> ArcosServer:
-    """Serve it on a pseudo-terminal.
+    """Serve a robot on a pseudo-terminal.
 
     Args:
-        device: the robot; its time goes on from where it is.
-        link: a path that shall lead to the terminal as long as it is there, for clients that come back.
+        device: the robot; its time continues.
+        link: path of a link to the terminal while it exists, for clients that reconnect.
         faults: of the line, both ways.
-        paced: whether bytes take as long as the device's baud rate says, and become noise where the client has set another one.
+        paced: whether bytes take their time at the device's baud rate, and become noise at another rate of the client.
     """
     return ArcosServer(device, Pty(link, device.baud), faults or Faults(), paced=paced)
 

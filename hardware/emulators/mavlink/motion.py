@@ -1,4 +1,4 @@
-"""How the emulated vehicle moves: its velocity follows the commanded one with a lag of first order, within limits."""
+"""Motion of the emulated vehicle: its velocity follows the command with a first-order lag, within limits."""
 
 import math
 
@@ -14,7 +14,7 @@ GRAVITY = 9.80665  # m/s2
 
 
 class VehicleMotion:
-    """A body that knows no forces: a quadrotor leans as far as its acceleration needs, a rover follows its nose."""
+    """Motion without forces: a quadrotor tilts as its acceleration needs, a rover moves along its heading."""
 
     def __init__(self, start: VehicleState, *, on_ground: bool) -> None:
         self._position, self._yaw = start.position, start.yaw
@@ -23,7 +23,7 @@ class VehicleMotion:
         self._on_ground = on_ground
 
     def step(self, command: Velocity, dt: float, ground: float) -> VehicleState:
-        """Go on for ``dt`` seconds; nothing goes below ``ground``, m."""
+        """Advance by ``dt`` seconds; the height is at least ``ground``, m."""
         goal = self._in_world(command.linear)
         change = [(to - v) * min(1.0, dt / LAG_S) for to, v in zip(goal, self._velocity, strict=True)]
         size = math.hypot(*change)
@@ -43,7 +43,7 @@ class VehicleMotion:
         attitude = quaternion_from_yaw(self._yaw)
         if not self._on_ground:
             forward, leftward = rotate2(ax, ay, -self._yaw)
-            lean = math.atan2(forward, GRAVITY + az)  # its z axis points where the thrust is: along acceleration less gravity
+            lean = math.atan2(forward, GRAVITY + az)  # its z axis is along the thrust: acceleration minus gravity
             roll = -math.atan2(leftward * math.cos(lean), GRAVITY + az)
             attitude = attitude_from_euler(roll, -lean, 0.5 * math.pi - self._yaw)
         return VehicleState(
@@ -54,7 +54,7 @@ class VehicleMotion:
         )
 
     def _in_world(self, linear: Vec3) -> Vec3:
-        """The goal within the limits."""
+        """Velocity goal within the limits, in the world."""
         if self._on_ground:
             linear = (*rotate2(linear[0], 0.0, self._yaw), 0.0)
         x, y, z = linear

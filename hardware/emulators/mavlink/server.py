@@ -1,4 +1,4 @@
-"""An emulated vehicle at a port, at the pace of the wall clock: over UDP or at a TCP port.
+"""Emulated vehicle at a UDP or TCP port, at the pace of the wall clock.
 
 ::
 
@@ -20,7 +20,7 @@ _READ = 65_535  # bytes
 
 
 class _UdpPort:
-    """One datagram for each turn; it goes to a fixed place, or to whom it heard last."""
+    """One datagram per turn, to a fixed address or to the last sender."""
 
     _to: Any  # an address of the operating system
 
@@ -31,7 +31,7 @@ class _UdpPort:
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
-            self._socket.bind(("" if to else LOOPBACK, 0))  # what is bound to loopback reaches nobody else
+            self._socket.bind(("" if to else LOOPBACK, 0))  # a loopback port is reachable on this machine only
         except OSError:
             self._socket.close()
             raise
@@ -59,13 +59,13 @@ class _UdpPort:
 
 
 class MavlinkServer(DeviceServer):
-    """A vehicle that is being served.
+    """Serves a vehicle.
 
     Attributes:
-        url: what a driver connects to.
-        vehicle: look at it and move it while holding ``lock``.
+        url: for a driver.
+        vehicle: access it with ``lock`` held.
         lock: guards the vehicle.
-        mute: nothing is sent any more, and nothing heard: out of reach.
+        mute: out of reach: nothing is sent or received.
     """
 
     def __init__(self, vehicle: Vehicle, line: _UdpPort | TcpListener) -> None:
@@ -90,19 +90,18 @@ class MavlinkServer(DeviceServer):
 
 
 def serve_udp(vehicle: Vehicle, *, to: tuple[str, int] | None = None) -> MavlinkServer:
-    """Serve it over UDP.
+    """Serve a vehicle over UDP.
 
     Args:
-        vehicle: its time goes on from where it is.
-        to: where it sends, unasked, as PX4 does to port 14540; None: it answers whom it heard last, at a free port of
-            loopback.
+        vehicle: its time continues.
+        to: address of its messages, as PX4 sends to port 14540; None: it answers the last sender, at a free port of loopback.
 
     Raises:
-        OSError: there is no such place.
+        OSError: the address is invalid.
     """
     return MavlinkServer(vehicle, _UdpPort(to))
 
 
 def serve_tcp(vehicle: Vehicle, *, host: str = LOOPBACK, port: int = 0) -> MavlinkServer:
-    """Serve it at a TCP port, as ArduPilot's simulator does at 5760; 0: any that is free."""
+    """Serve a vehicle at a TCP port, as ArduPilot's simulator does at 5760; 0: any free port."""
     return MavlinkServer(vehicle, TcpListener("tcp:", host, port))

@@ -1,4 +1,4 @@
-"""What an emulated autopilot tells by itself, and how often: heartbeats, and the messages that it was asked for. No clock."""
+"""Telemetry of an emulated autopilot: heartbeats, and messages at requested rates. It has no clock."""
 
 import math
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from vcmvsp.hardware.drivers.mavlink.autopilots import Autopilot
 from vcmvsp.hardware.drivers.mavlink.codec import Message, mavlink
 from vcmvsp.hardware.drivers.mavlink.coordinate_frames import body_flipped, euler_from_attitude, world_flipped
 
-TICK_NS = 5_000_000  # of the emulation: what it does at a tick depends on no other time
+TICK_NS = 5_000_000  # time step of the emulation
 TELEMETRY_HZ, STATUS_HZ = 50.0, 1.0
 SITE = (47.397742, 8.545594, 488.0)  # latitude, longitude (deg), height (m): where PX4's simulators begin
 BATTERY_V = 15.8
@@ -31,24 +31,24 @@ _STREAMS = {
 
 
 class TelemetryState(NamedTuple):
-    """What there is to tell."""
+    """Content of telemetry."""
 
     mode: str
     armed: bool
     landed: bool
     state: VehicleState  # in the world
-    ground: float  # m: z of the world at which it stands when it has landed
-    blind: bool  # without an estimate of its position
+    ground: float  # m: world z of a landed vehicle
+    blind: bool  # no position estimate
 
 
 class Telemetry:
-    """Messages in their time; PX4 begins by itself, ArduPilot when it is asked.
+    """Messages at their rates; PX4 starts by itself, ArduPilot on request.
 
     Args:
-        autopilot: whose numbers it tells.
+        autopilot: kind and mode numbers.
         vehicle_type: MAV_TYPE.
-        origin: of the vehicle's local frame in the world, m; at the place `SITE` of the earth.
-        heartbeat_s: from one heartbeat to the next.
+        origin: of the vehicle's local frame in the world, m; at `SITE` on the earth.
+        heartbeat_s: period of heartbeats.
     """
 
     def __init__(self, autopilot: Autopilot, vehicle_type: int, origin: Vec3, heartbeat_s: float) -> None:
@@ -62,11 +62,11 @@ class Telemetry:
 
     @property
     def due_ns(self) -> int:
-        """When the next message is."""
+        """Time of the next message."""
         return min([self._beat_ns, *self._next_ns.values()])
 
     def messages(self, now_ns: int, now: TelemetryState) -> list[Message]:
-        """Those that are due at a tick."""
+        """Messages that are due at a tick."""
         output = []
         if now_ns >= self._beat_ns:
             self._beat_ns += self._heartbeat_ns
@@ -78,7 +78,7 @@ class Telemetry:
         return output
 
     def ask(self, number: int, microseconds: float, now_ns: int) -> bool:
-        """SET_MESSAGE_INTERVAL for the message of this number; whether it is one that can be told."""
+        """SET_MESSAGE_INTERVAL for the message of this number; whether it is supported."""
         kind = mavlink.mavlink_map.get(number)
         if kind is None or kind.msgname not in _INTERVALS or not math.isfinite(microseconds):
             return False
@@ -91,7 +91,7 @@ class Telemetry:
             self._tell_every(name, SECOND_NS // hz if hz else -1, now_ns)
 
     def _tell_every(self, name: str, period_ns: int, now_ns: int) -> None:
-        """Zero or less: not at all."""
+        """Set the period of a message; zero or less: off."""
         if period_ns > 0:
             self._period_ns[name] = max(TICK_NS, period_ns)
             self._next_ns.setdefault(name, now_ns)
@@ -106,7 +106,7 @@ class Telemetry:
         return mavlink.MAVLink_heartbeat_message(self._type, _NUMBERS[self._autopilot.kind], flags, number, status, 3)
 
     def _told(self, name: str, now_ns: int, now: TelemetryState) -> Message:
-        """A message of telemetry."""
+        """A telemetry message."""
         boot_ms, state = now_ns // 1_000_000, now.state
         here: Vec3 = tuple(a - b for a, b in zip(state.position, self._origin, strict=True))  # type: ignore[assignment]
         north, east, down = world_flipped(here) if not now.blind else (math.nan,) * 3
@@ -132,7 +132,7 @@ class Telemetry:
 
 
 def version() -> Message:
-    """AUTOPILOT_VERSION: what it can do."""
+    """AUTOPILOT_VERSION: capabilities."""
     capabilities = mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
     none = (0,) * 8
     return mavlink.MAVLink_autopilot_version_message(capabilities, 0, 0, 0, 0, none, none, none, 0, 0, 0)

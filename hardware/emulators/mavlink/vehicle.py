@@ -1,11 +1,10 @@
-"""An emulated vehicle with an autopilot, as a pure state machine: bytes and times in, bytes out. No clock, thread or port.
+"""Emulated vehicle with an autopilot as a state machine: bytes and times in, bytes out. No clock, thread or port.
 
-It does what a driver relies on and what it has to survive: modes that are refused (PX4: OFFBOARD before set-points have come
-for a second), a pilot who switches (`pilot_switches`), arming and its refusal, the end of OFFBOARD when set-points stay away,
-telemetry that has to be asked for (`telemetry`).
+It has the behaviour that a driver relies on and must survive: refused modes (PX4: OFFBOARD before set-points have come for a
+second), a pilot who switches (`pilot_switches`), arming and its refusal, the end of OFFBOARD without set-points, telemetry on
+request (`telemetry`).
 
-It moves on its own (`motion.Motion`), or somebody else moves it: whoever passes ``start=None`` asks `commanded` and tells
-`moved`.
+It moves on its own (`motion.VehicleMotion`), or, with ``start=None``, the caller reads `commanded` and calls `moved`.
 """
 
 import math
@@ -22,7 +21,7 @@ from vcmvsp.hardware.drivers.mavlink.coordinate_frames import body_flipped, worl
 from vcmvsp.hardware.emulators.mavlink.motion import VehicleMotion
 from vcmvsp.hardware.emulators.mavlink.telemetry import SITE, TICK_NS, Telemetry, TelemetryState, version
 
-LEAD_NS = 1_000_000_000  # PX4: set-points have to come for more than this before OFFBOARD [PX4 guide, Offboard mode]
+LEAD_NS = 1_000_000_000  # PX4: duration of set-points before OFFBOARD [PX4 guide, Offboard mode]
 GAP_NS = 500_000_000  # ... at more than 2 Hz
 LOSS_NS = {"px4": 500_000_000, "ardupilot": 3_000_000_000}  # without set-points (COM_OF_LOSS_T; GUID_TIMEOUT)
 TAKEOFF_MPS, LAND_MPS = 1.0, 0.7
@@ -34,29 +33,29 @@ _UNKNOWN = mavlink.MAV_RESULT_UNSUPPORTED
 
 
 class Vehicle:
-    """A quadrotor or a rover on the far end of a line.
+    """A quadrotor or a rover.
 
-    Times are nanoseconds of any clock that does not go back; what is earlier than what it was told before counts as now.
+    Times are nanoseconds of a monotonic clock; earlier times than before count as now.
 
     Args:
-        autopilot: whose modes it has, and whose rules for set-points.
+        autopilot: kind of autopilot: its modes and its rules for set-points.
         kind: of the vehicle.
         system_id: its number.
-        start: where it stands at first: x, y, z (m, world) and yaw (rad); None: somebody else moves it.
-        ground: where it stands when it has landed: z, m, world.
-        origin: of its local frame in the world, m; at the place `telemetry.SITE` of the earth.
-        mode: the first one; None: that of a pilot who holds the sticks.
-        armed: from the beginning.
-        can_arm: False: it refuses, and says why.
-        heartbeat_s: from one heartbeat to the next; real ones come once a second.
-        old: it does not know SET_MESSAGE_INTERVAL, only REQUEST_DATA_STREAM.
+        start: x, y, z (m, world) and yaw (rad); None: the caller moves it.
+        ground: height of a landed vehicle: z, m, world.
+        origin: of its local frame in the world, m; at `telemetry.SITE` on the earth.
+        mode: initial mode; None: POSITION (PX4) or LOITER (ArduPilot).
+        armed: whether it starts armed.
+        can_arm: False: it refuses to arm, with a text.
+        heartbeat_s: period of heartbeats; 1 s on real vehicles.
+        old: it supports REQUEST_DATA_STREAM instead of SET_MESSAGE_INTERVAL.
 
     Attributes:
         mode: by name.
         armed: its motors may turn.
-        state: where it is.
-        heard: the last messages, with their time.
-        blind: it tells NaN for its position, as without an estimate.
+        state: present state.
+        heard: newest messages, with their time.
+        blind: positions are NaN, as without an estimate.
     """
 
     def __init__(
@@ -91,15 +90,15 @@ class Vehicle:
         self._telemetry = Telemetry(self.autopilot, self.type, origin, heartbeat_s)
         self._time_ns = 0
         self._wanted, self._wanted_yaw_rate = STILL, 0.0
-        self._setpoint_ns: int | None = None  # of the last one
-        self._since_ns = 0  # set-points have come without a gap
+        self._setpoint_ns: int | None = None  # time of the last one
+        self._since_ns = 0  # start of set-points without a gap
         self._rise_to: float | None = None
         self._texts: list[Message] = []
 
-    # What a client sees
+    # Client side
 
     def receive(self, chunk: bytes, now_ns: int) -> bytes:
-        """Bytes arrive; what the vehicle sends until then and at once."""
+        """Process bytes; bytes that the vehicle sends until then and at once."""
         output = self.advance(now_ns)
         for message in self._reader.feed(chunk):
             self.heard.append((self._time_ns, message))
@@ -107,7 +106,7 @@ class Vehicle:
         return output + self._say()
 
     def advance(self, now_ns: int) -> bytes:
-        """Time passes; what the vehicle sends by itself."""
+        """Bytes that the vehicle sends until this time."""
         output = b""
         while self._time_ns + TICK_NS <= now_ns:
             self._time_ns += TICK_NS
@@ -120,7 +119,7 @@ class Vehicle:
 
     @property
     def due_ns(self) -> int:
-        """When `advance` will have something to send."""
+        """Time at which `advance` will have bytes to send."""
         return max(self._time_ns + TICK_NS, -(-self._telemetry.due_ns // TICK_NS) * TICK_NS)
 
     @property
@@ -128,31 +127,31 @@ class Vehicle:
         """The time of its last tick."""
         return self._time_ns
 
-    # What a pilot does
+    # Pilot
 
     def pilot_switches(self, mode: str) -> None:
-        """Somebody at a transmitter or another ground station chooses a mode."""
+        """Another transmitter or ground station selects a mode."""
         if mode not in self.autopilot.modes:
             raise ValueError(f"{self.autopilot.name} has no mode {mode}, only {', '.join(self.autopilot.modes)}")
         self._enter(mode)
 
     def pilot_arms(self, armed: bool = True) -> None:
-        """Somebody at a transmitter arms it, or disarms it."""
+        """Another transmitter arms or disarms it."""
         self.armed = armed
 
     def say(self, text: str, severity: int = mavlink.MAV_SEVERITY_CRITICAL) -> None:
-        """Tell a text, in pieces of 50 characters."""
+        """Send a text, in chunks of 50 characters."""
         data = text.encode("ascii", "replace")
         if len(data) < 50:
             self._texts.append(mavlink.MAVLink_statustext_message(severity, data))
             return
-        for piece, start in enumerate(range(0, len(data) + 1, 50)):  # a last piece that is full would not end it
+        for piece, start in enumerate(range(0, len(data) + 1, 50)):  # a full last chunk would not end the text
             self._texts.append(mavlink.MAVLink_statustext_message(severity, data[start : start + 50], 1, piece))
 
-    # What moves it sees
+    # Side of the motion
 
     def commanded(self) -> Velocity:
-        """The velocity that it is to reach: in the world; a rover's forward speed. Zero where nothing moves it."""
+        """Velocity to reach: in the world; on a rover the forward speed. Zero unless a mode moves the vehicle."""
         if not self.armed:
             return Velocity()
         if self.mode == self.autopilot.follows:
@@ -166,7 +165,7 @@ class Vehicle:
         return Velocity()
 
     def moved(self, state: VehicleState) -> None:
-        """Where it is now, in the world."""
+        """Set the present state, in the world."""
         self.state = state
 
     @property
@@ -199,7 +198,7 @@ class Vehicle:
     # Messages of clients
 
     def _serve(self, message: Message) -> list[Message]:
-        """Obey; what is for another system, or not known, is let pass."""
+        """Obey a message; messages for other systems and unknown ones are ignored."""
         if getattr(message, "target_system", self.system_id) not in (0, self.system_id):
             return []
         match message.get_type():
@@ -215,7 +214,7 @@ class Vehicle:
         return []
 
     def _follow(self, message: Message) -> None:
-        """A set-point: velocities and yaw rates alone are known here."""
+        """Take a set-point; only velocities and yaw rates are supported."""
         fields = (message.vx, message.vy, message.vz, message.yaw_rate)
         if message.type_mask & _NO_VELOCITY or not all(map(math.isfinite, fields)):
             return
@@ -231,7 +230,7 @@ class Vehicle:
         self._wanted_yaw_rate = 0.0 if message.type_mask & _NO_YAW_RATE else -message.yaw_rate
 
     def _obey(self, message: Message) -> tuple[int, list[Message]]:
-        """A command: its result, and what is sent with it."""
+        """Execute a command: result and extra messages."""
         match message.command:
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL if not self.old:
                 supported = self._telemetry.ask(_whole(message.param1), message.param2, self._time_ns)
@@ -275,7 +274,7 @@ class Vehicle:
         return int(_OK)
 
     def _take_off(self, height: float) -> int:
-        """PX4 goes to its own mode and to a height above the sea; ArduPilot stays in GUIDED and takes one above the ground."""
+        """PX4 enters its own mode with a height above the sea; ArduPilot stays in GUIDED with a height above the ground."""
         if not self.armed:
             return int(_DENIED)
         if self.autopilot.kind == "px4":
@@ -296,5 +295,5 @@ class Vehicle:
 
 
 def _whole(number: float) -> int:
-    """A parameter of a command as a whole number; clients leave those that they do not use at NaN."""
+    """A command's parameter as an integer; clients leave unused ones at NaN."""
     return int(number) if math.isfinite(number) else -1

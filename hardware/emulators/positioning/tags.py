@@ -1,6 +1,6 @@
-"""A positioning system that is emulated: fixes of a true position with errors, as Ubisense datagrams or as a DWM1001 tag.
+"""Emulated positioning system: positions with errors, as Ubisense datagrams or as a DWM1001 tag.
 
-`Tag` draws the fixes and has no clock; a `TagServer` gives them out in time, with a thread of its own, to an `Outlet`.
+`Tag` draws positions and has no clock; a `TagServer` sends them in time, with a thread, to an `Outlet`.
 """
 
 import contextlib
@@ -30,21 +30,21 @@ Metres = Annotated[float, msgspec.Meta(ge=0, le=1e4)]
 
 
 class Errors(msgspec.Struct, frozen=True, kw_only=True):
-    """How good a positioning system is. Usual for ultra-wideband: 1 to 10 Hz, 0.1 to 0.3 m, some answers far off."""
+    """Errors of a positioning system. Usual for ultra-wideband: 1 to 10 Hz, 0.1 to 0.3 m, some outliers."""
 
     fix_hz: Rate = 5.0
     sigma_m: Metres = 0.15  # standard deviation of each coordinate
-    outliers: Probability = 0.0  # of a fix to be `outlier_m` off, by a reflected path
+    outliers: Probability = 0.0  # of a fix that is `outlier_m` off, by a reflected path
     outlier_m: Metres = 2.0  # on average; from half of it to one and a half
-    drop_outs: Probability = 0.0  # of an answer that there is no position
-    latency_s: Seconds = 0.0  # from measuring to telling
+    drop_outs: Probability = 0.0  # of an answer without position
+    latency_s: Seconds = 0.0  # from measurement to sending
 
 
 class Tag:
-    """The fixes of one tag. Each takes the same draws, whatever the errors are, so that no parameter moves those of another.
+    """Positions of one tag. Each takes the same number of draws, so that no parameter changes the draws of another.
 
     Args:
-        name: of the tag, as the system calls it.
+        name: of the tag in the system.
         errors: of the system.
         seed: tags of different names draw different numbers.
     """
@@ -58,11 +58,11 @@ class Tag:
 
     @property
     def due_ns(self) -> int:
-        """When `advance` has something to do."""
+        """Time of the next `advance`."""
         return min(self._next_ns, self._under_way[0][0]) if self._under_way else self._next_ns
 
     def advance(self, now_ns: int, truth: Truth) -> list[Located]:
-        """What the system tells by now, ns since it began; answers that were missed meanwhile are not made up for."""
+        """Positions due by now, ns since the start; missed ones are skipped."""
         if now_ns >= self._next_ns:
             self._next_ns = self._ticks.after(now_ns)
             if (where := truth()) is not None:
@@ -90,13 +90,13 @@ class Tag:
 
 
 def standing(pose: Vec3) -> Truth:
-    """A tag that stays where it is: x m, y m, yaw rad."""
+    """Truth of a tag at rest: x m, y m, yaw rad."""
     x, y, yaw = pose
     return lambda: (x, y, 0.0, yaw)
 
 
 def circling(pose: Vec3, radius_m: float, speed: float, now: Callable[[], int] = time.monotonic_ns) -> Truth:
-    """A tag that goes round from this pose on, at ``speed`` m/s; to the right where the radius is negative."""
+    """Truth of a tag on a circle from this pose, at ``speed`` m/s; to the right for a negative radius."""
     began_ns = now()
 
     def truth() -> tuple[float, float, float, float]:
@@ -107,25 +107,25 @@ def circling(pose: Vec3, radius_m: float, speed: float, now: Callable[[], int] =
 
 
 class Outlet(Protocol):
-    """Where fixes go."""
+    """Destination of positions."""
 
     url: str
 
     def waits_on(self) -> int | None:
-        """The descriptor that becomes readable when there is something to `hear`."""
+        """Descriptor that becomes readable when there is something to `hear`."""
 
     def hear(self) -> None:
-        """What somebody says to the system."""
+        """Process input for the system."""
 
     def tell(self, located: Located) -> bool:
-        """Give out one fix; whether it went."""
+        """Send one position; whether it was sent."""
 
     def close(self) -> None:
         """Free the port."""
 
 
 class _Ubisense:
-    """Sends datagrams of the Ubisense protocol to one address, whether somebody listens there or not."""
+    """Sends datagrams of the Ubisense protocol to one address, with or without a receiver."""
 
     def __init__(self, host: str, port: int) -> None:
         self.url = f"udp://{host}:{port}"
@@ -142,10 +142,10 @@ class _Ubisense:
         return None
 
     def hear(self) -> None:
-        pass  # nobody answers
+        pass  # there are no answers
 
     def tell(self, located: Located) -> bool:
-        with contextlib.suppress(OSError):  # the network is gone: it may come back
+        with contextlib.suppress(OSError):  # the network may come back
             self._socket.sendto(ubisense.encode(located), self._to)
             return True
         return False
@@ -190,17 +190,17 @@ def dwm1001_outlet(link: Path | None = None) -> Outlet:
 
 
 class TagServer(DeviceServer):
-    """Gives out the fixes of a tag in time.
+    """Sends the positions of a tag in time.
 
     Attributes:
-        told: fixes given out.
+        told: number of positions sent.
     """
 
     def __init__(self, tag: Tag, truth: Truth, outlet: Outlet) -> None:
         self.told = 0
         self._tag, self._truth, self._outlet = tag, truth, outlet
         self._origin_ns = time.monotonic_ns()
-        self._unix_ns = time.time_ns()  # by which fixes are stamped
+        self._unix_ns = time.time_ns()  # for stamps of positions
         super().__init__(outlet.url, outlet.close)
 
     def _due_ns(self) -> int:

@@ -1,4 +1,4 @@
-"""An emulated robot at a port until it is interrupted, with tags of positioning systems on it if they are asked for."""
+"""Emulated robot at a port until it is interrupted, optionally with tags of positioning systems."""
 
 import contextlib
 import threading
@@ -32,16 +32,16 @@ KINDS = {"amigobot": "amigo", "p2dx": "p2dx", "amigo-sh": "amigo-sh"}
 
 Ready = Callable[[Mapping[str, Any]], object]
 
-_LOOK_S = 0.1  # how often it is looked whether the threads are alive
+_LOOK_S = 0.1  # period of checks of the threads
 
 
 def parameters(name: str, chosen: RobotOptions) -> Robot:
-    """The robot of this name as it is to be.
+    """Parameters of the robot with these options.
 
     Raises:
-        UsageError: it cannot be like that.
+        UsageError: an option is invalid.
     """
-    if not 4.0 <= chosen.rate_hz <= 100.0:  # its configuration tells the period in a byte of ms
+    if not 4.0 <= chosen.rate_hz <= 100.0:  # its configuration has the period in a byte of ms
         raise UsageError(f"--rate-hz {chosen.rate_hz:g}: must be from 4 to 100")
     if chosen.baud not in BAUDS:
         raise UsageError(f"--baud {chosen.baud}: must be one of {', '.join(map(str, BAUDS))}")
@@ -51,10 +51,10 @@ def parameters(name: str, chosen: RobotOptions) -> Robot:
 
 
 def serve(device: Device, chosen: RobotOptions) -> ArcosServer:
-    """Put it at its port.
+    """Serve a robot at its port.
 
     Raises:
-        UsageError: the port cannot be had.
+        UsageError: the port cannot be opened.
     """
     port = chosen.port
     try:
@@ -69,7 +69,7 @@ def serve(device: Device, chosen: RobotOptions) -> ArcosServer:
 
 
 def device_of(name: str, chosen: RobotOptions, start: Vec3 | None) -> Device:
-    """The robot; without a start it is moved by somebody else."""
+    """The robot; without a start the caller moves it."""
     robot = parameters(name, chosen)
     try:
         return Device(robot, name=f"emulated {robot.name}", start=start, ping_ms=chosen.ping_ms)
@@ -88,9 +88,9 @@ def truth_of(device: Device) -> Truth:
 
 
 class Rig:
-    """Everything that one emulated device consists of: a robot at its port, sources, and what they have done so far.
+    """An emulated device: a robot at its port, tag servers, and their counts.
 
-    It is a context manager; leaving it closes all. `ready` is called by `start`, when it can be connected to.
+    It is a context manager, which closes everything. `start` calls `ready` when the device can be connected to.
     """
 
     def __init__(self, ready: Ready) -> None:
@@ -104,25 +104,25 @@ class Rig:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for outlet in self._outlets.values():  # that never became a source
+        for outlet in self._outlets.values():  # not started yet
             outlet.close()
         self._all.close()
 
     def serve(self, device: Device, chosen: RobotOptions) -> ArcosServer:
-        """The robot is there from now on."""
+        """Serve the robot from now on."""
         self.served = serve(device, chosen)
         self._all.callback(_quietly, self.served)
         return self.served
 
     def fit(self, tags: Tags) -> None:
-        """Take the ports of tags."""
+        """Open the ports of tags."""
         if tags.ubisense is not None:
             self._outlets["ubisense"] = ubisense_outlet(*tags.ubisense)
         if tags.dwm1001 is not None:
             self._outlets["dwm1001"] = dwm1001_outlet(tags.dwm1001.link)
 
     def start(self, tags: Tags, truth: Truth) -> None:
-        """Let the tags speak, and say that all is there."""
+        """Start the tags, and call `ready`."""
         for name in [*self._outlets]:
             tag = Tag(tags.name, tags.errors, tags.seed)
             self.sources[name] = TagServer(tag, truth, self._outlets.pop(name))
@@ -132,13 +132,13 @@ class Rig:
         self._ready({**robot, "positioning": urls})
 
     def check(self) -> None:
-        """Raise what ended a thread before its time, if anything did."""
+        """Raise the error that ended a thread, if any."""
         threads: list[DeviceServer] = [*self.sources.values(), *([self.served] if self.served else [])]
         for each in threads:
             alive(each.url, each.error)
 
     def summary(self) -> dict[str, Any]:
-        """What happened so far."""
+        """Counts so far."""
         counts: dict[str, Any] = {}
         if (served := self.served) is not None:
             with served.lock:
@@ -151,19 +151,19 @@ class Rig:
 
 
 def _quietly(served: DeviceServer) -> None:
-    """Close it; what ended its thread has been told by `Rig.check`, and unplugging goes on."""
+    """Close a server; `Rig.check` reports errors of its thread."""
     with contextlib.suppress(Exception):
         served.close()
 
 
 def alive(url: str, error: Exception | None) -> None:
-    """Raise what ended the thread of a device before its time, if anything did."""
+    """Raise the error that ended a device's thread, if any."""
     if error is not None:
         raise VcmvspError(f"the device at {url} failed: {type(error).__name__}: {error}")
 
 
 def wait(duration_s: float | None, check: Callable[[], None]) -> None:
-    """Return when so much time has passed, never without it; ``check`` is called often, and may raise."""
+    """Wait for this time, forever without it; ``check`` is called often, and may raise."""
     until = float("inf") if duration_s is None else time.monotonic() + duration_s
     pause = threading.Event()
     while (remaining_s := until - time.monotonic()) > 0.0:
@@ -173,13 +173,13 @@ def wait(duration_s: float | None, check: Callable[[], None]) -> None:
 
 @contextlib.contextmanager
 def until_interrupted() -> Iterator[None]:
-    """Ctrl-C and SIGTERM are how an emulated device is meant to end."""
+    """Ctrl-C and SIGTERM end an emulated device normally."""
     with contextlib.suppress(KeyboardInterrupt, Interrupted):
         yield
 
 
 def emulate(name: str, chosen: RobotOptions, ready: Ready, pose: Vec3 | None = None) -> dict[str, Any]:
-    """A robot on an empty floor, at a port, until it is interrupted; the answer is what happened."""
+    """Serve a robot on an empty floor until it is interrupted; its counts."""
     device = device_of(name, chosen, pose or ORIGIN)
     with Rig(ready) as rig:
         with until_interrupted():
@@ -193,7 +193,7 @@ def emulate(name: str, chosen: RobotOptions, ready: Ready, pose: Vec3 | None = N
 def emulate_tag(
     tags: Tags, ready: Ready, *, pose: Vec3 = ORIGIN, circle: tuple[float, float] | None = None, duration_s: float | None = None
 ) -> dict[str, Any]:
-    """A tag alone, that stands or goes round (radius m, speed m/s), until it is interrupted; the answer is what happened."""
+    """Serve a tag alone, at rest or on a circle (radius m, speed m/s), until it is interrupted; its counts."""
     with Rig(ready) as rig:
         with until_interrupted():
             rig.fit(tags)

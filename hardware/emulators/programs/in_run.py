@@ -1,7 +1,7 @@
-"""A real vehicle whose ``driver.port`` is ``emulated``: a robot in software takes its place, in a process of its own.
+"""Emulated robot in place of a real vehicle with ``driver.port = "emulated"``, in a process of its own.
 
-Nothing else changes: driver, localisation and safety see a pseudo-terminal and datagrams, and cannot tell. The robot starts
-where the scenario says, and wears a tag that is as good as the positioning sensor of its simulated twin.
+Driver, localisation and safety use a pseudo-terminal and datagrams as with a real robot. The robot starts at the scenario's
+pose, with a tag as accurate as the positioning sensor of its simulated twin.
 """
 
 import socket
@@ -25,11 +25,11 @@ from vcmvsp.hardware.localisation.ubisense import tag_of
 
 EMULATED = "emulated"
 READY_S = 20.0
-SURVIVES_S = 5.0  # a robot outlives the run by so much, in which its driver, or its watchdog, stops it
+SURVIVES_S = 5.0  # time after the run in which the driver, or the watchdog, stops the robot
 
 
 class EmulatedRobot(Value, frozen=True, kw_only=True):
-    """The robot that is to be emulated."""
+    """Parameters of the emulated robot."""
 
     robot: str  # "amigobot", "p2dx", ...
     pose: Vec3
@@ -40,7 +40,7 @@ class EmulatedRobot(Value, frozen=True, kw_only=True):
 
 
 class Emulated:
-    """The emulated robot of a vehicle; `reached` is the vehicle with what its driver and localisation are to connect to."""
+    """Emulated robot of a vehicle; `reached` is the vehicle with the addresses of driver and localisation."""
 
     def __init__(self, vehicle: RealVehicle) -> None:
         if vehicle.driver != "arcos":
@@ -81,18 +81,18 @@ class Emulated:
 
 
 def _robot(subclass: str) -> str:
-    """What `hardware.emulators.programs` calls the robot that tells this subclass."""
+    """Name of the robot with this subclass."""
     return next((name for name, each in KINDS.items() if each == subclass), "amigobot")
 
 
 def _errors(positioning: dict[str, Any]) -> Errors:
-    """Those of the simulated sensor, under the names that they have here."""
+    """Errors of the simulated sensor, by their names here."""
     names = {"rate_hz": "fix_hz", "sigma_m": "sigma_m", "outlier_probability": "outliers", "outlier_m": "outlier_m"}
     return Errors(**{names[name]: value for name, value in positioning.items() if name in names})
 
 
 def _free(listen: str) -> tuple[str, int]:
-    """Where datagrams are to go that are listened for there; port 0 becomes one that is free."""
+    """Address of datagrams for this listener; port 0 becomes a free one."""
     _, port = address(listen)
     if port:
         return LOOPBACK, port

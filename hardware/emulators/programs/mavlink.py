@@ -1,4 +1,4 @@
-"""An emulated vehicle that speaks MAVLink, at a port until it is interrupted."""
+"""Emulated MAVLink vehicle at a port until it is interrupted."""
 
 import contextlib
 from typing import Any
@@ -28,20 +28,20 @@ def emulate(
     pose: Vec3 | None = None,
     duration_s: float | None = None,
 ) -> dict[str, Any]:
-    """A vehicle on an empty floor; the answer is what has become of it.
+    """Serve a vehicle on an empty floor; its final state.
 
     Args:
-        port: ``udp://HOST:PORT``, where its messages go, as PX4's do; or ``tcp://HOST:PORT``, where it listens.
+        port: ``udp://HOST:PORT``, destination of its messages, as with PX4; or ``tcp://HOST:PORT``, where it listens.
         ready: called when it can be connected to.
-        autopilot: whose modes and rules it has, one of `AUTOPILOTS`.
-        kind: what it is, one of `KINDS`.
+        autopilot: one of `AUTOPILOTS`.
+        kind: one of `KINDS`.
         system_id: its number.
-        armed: from the beginning.
-        pose: where it stands at first, x m, y m, yaw rad.
+        armed: whether it starts armed.
+        pose: start, x m, y m, yaw rad.
         duration_s: None: until it is interrupted.
 
     Raises:
-        UsageError: it cannot be like that.
+        UsageError: an option is invalid.
     """
     if autopilot not in AUTOPILOTS:
         raise UsageError(f"--autopilot {autopilot}: must be {' or '.join(AUTOPILOTS)}")
@@ -58,7 +58,7 @@ def emulate(
             ready({"url": served.url, "positioning": {}})
             wait(duration_s, lambda: alive(served.url, served.error))
         finally:
-            with contextlib.suppress(Exception):  # what ended its thread has been told
+            with contextlib.suppress(Exception):  # errors of its thread are reported by `alive`
                 served.close()
     x, y, z = vehicle.state.position
     return {
@@ -73,10 +73,10 @@ def emulate(
 
 
 def serve(vehicle: Vehicle, port: str) -> MavlinkServer:
-    """Put it at its port.
+    """Serve a vehicle at its port.
 
     Raises:
-        UsageError: the port cannot be had.
+        UsageError: the port cannot be opened.
     """
     protocol, host, number = endpoint_of(port) or ("", "", None)
     try:

@@ -1,4 +1,4 @@
-"""What a command line says of emulated devices, as text, into values; what cannot be read is one clear `UsageError`."""
+"""Command-line options of emulated devices; invalid text is a `UsageError`."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""An emulated robot that runs ROS 2, as it is seen over Zenoh, until it is interrupted."""
+"""Emulated ROS 2 robot over Zenoh until it is interrupted."""
 
 from typing import Any
 
@@ -13,17 +13,17 @@ from vcmvsp.hardware.emulators.ros2.robot import Ros2Robot
 def emulate(
     endpoint: str, ready: Ready, *, stamped: bool = False, pose: Vec3 | None = None, duration_s: float | None = None
 ) -> dict[str, Any]:
-    """A differential drive on an empty floor, and the router to it; the answer is what has become of it.
+    """Serve a differential drive on an empty floor, and its router; its final state.
 
     Args:
         endpoint: of Zenoh, where it listens, ``tcp/HOST:PORT``.
         ready: called when it can be connected to.
-        stamped: it hears TwistStamped, not Twist.
-        pose: where its odometry begins, x m, y m, yaw rad.
+        stamped: it takes TwistStamped, not Twist.
+        pose: start of its odometry, x m, y m, yaw rad.
         duration_s: None: until it is interrupted.
 
     Raises:
-        UsageError: it cannot be there.
+        UsageError: the endpoint cannot be opened.
     """
     duration_of(duration_s)
     robot = Ros2Robot(endpoint=endpoint, stamped=stamped, pose=pose or ORIGIN)

@@ -1,7 +1,7 @@
-"""An emulated robot that is a vehicle of a scenario: it drives in that world, among the others, and its sonars see the walls.
+"""Emulated robot as a vehicle of a scenario: it drives in that world, among the others, and its sonars measure the walls.
 
-The run goes on at wall pace; in the place of the vehicle's own agent, `DeviceAgent` carries speeds from the emulated robot to
-the vehicle, and poses and ranges back. The robot keeps its pace by a thread of its own, however slow the simulation is.
+The run is paced by the wall clock; in place of the vehicle's own agent, `DeviceAgent` passes speeds from the emulated robot to
+the vehicle, and poses and ranges back. The robot has a thread of its own, and keeps its pace with a slow simulation.
 """
 
 import math
@@ -26,22 +26,22 @@ SONAR = "sonar{}"
 """What the sensor is called that stands for the sonar of this number; a scenario may have ones of its own."""
 
 SONAR_HEIGHT_M = 0.1  # above the floor; assumed
-CONE_RAD = 0.35  # of a sonar, 20 degrees: an echo comes from what is nearest in it; assumed
-BEAMS = 5  # by which the cone is looked through
+CONE_RAD = 0.35  # of a sonar, 20 degrees: the echo is from the nearest object in it; assumed
+BEAMS = 5  # beams in the cone
 
-STILL, BLOCKED_S = 0.02, 0.3  # m/s and rad/s; wheels that are to turn and have stood for so long are stalled
-LEFT_AND_RIGHT = 0x0101  # of the word of stalls and bumpers: both wheels
-FRONT, REAR = 0x003E, 0x3E00  # ... and five bumpers each
+STILL, BLOCKED_S = 0.02, 0.3  # m/s and rad/s; commanded wheels at rest for this time are stalled
+LEFT_AND_RIGHT = 0x0101  # bits of stalls: both wheels
+FRONT, REAR = 0x003E, 0x3E00  # bits of five bumpers each
 
-PERIODS_S = (0.02, 0.025, 0.05, 0.1)  # between looks at the vehicle: the first that physics can keep
+PERIODS_S = (0.02, 0.025, 0.05, 0.1)  # periods of the agent: the first that physics can keep
 ENDLESS_S = 1e6
 
 
 class DeviceAgent(Agent):
-    """What it means to be driven by the emulated robot: its commanded speeds go to the vehicle, ramped as its firmware does.
+    """Agent driven by the emulated robot: its commanded speeds go to the vehicle, ramped like its firmware's.
 
     Attributes:
-        truth: x, y, z in m and yaw in rad, where the vehicle truly is; None before its first tick.
+        truth: x, y, z in m and yaw in rad of the vehicle; None before its first tick.
     """
 
     def __init__(self, served: ArcosServer, senses: "VehicleSensors", started: Ready, period_s: float) -> None:
@@ -56,7 +56,7 @@ class DeviceAgent(Agent):
         self._started({})
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """Tell the robot where it is, and obey it."""
+        """Pass the pose to the robot, and its speeds to the vehicle."""
         state = obs.state
         self.truth = (*state.position, state.yaw)
         pose, v, w = self._odometry(obs)
@@ -91,7 +91,7 @@ def forward(state: VehicleState) -> float:
 
 
 class VehicleSensors:
-    """Which of a vehicle's sensors stand for those of the robot, and what the robot makes of their readings."""
+    """Sensors of a vehicle as those of the robot."""
 
     def __init__(self, robot: Robot, fitted: Mapping[str, Mapping[str, Any]]) -> None:
         self._sonars = [SONAR.format(number) for number in range(len(robot.sonars))]
@@ -100,18 +100,18 @@ class VehicleSensors:
         self.names = (*self._sonars, self.odometer, *filter(None, [self._bumper]))
 
     def ranges(self, obs: Observation) -> list[float]:
-        """What each sonar hears, m; infinite: nothing."""
+        """Range of each sonar, m; infinite: no echo."""
         scans = [obs.readings.get(name) for name in self._sonars]
         return [max(0.0, float(each.ranges.min())) if isinstance(each, Scan) else math.inf for each in scans]
 
     def bumpers(self, obs: Observation) -> int:
-        """The bits of bumpers that are pressed."""
+        """Bits of pressed bumpers."""
         reading = obs.readings.get(self._bumper)
         return bumper_bits(list(reading.values.values())) if isinstance(reading, Measured) else 0
 
 
 def bumper_bits(segments: Sequence[float]) -> int:
-    """The word of bumpers, of segments that go round counter-clockwise from ahead; those at the sides press nothing."""
+    """Bits of bumpers from segments counter-clockwise from ahead; segments at the sides count for none."""
     bits = 0
     for number, pressed in enumerate(segments):
         ahead = math.cos(math.tau * number / len(segments))
@@ -121,7 +121,7 @@ def bumper_bits(segments: Sequence[float]) -> int:
 
 
 def sonars_of(robot: Robot, rate_hz: float) -> dict[str, dict[str, Any]]:
-    """Scanners that see what the sonars hear: a cone of beams each, of which the shortest counts."""
+    """Scanners for the sonars: a cone of beams each, of which the shortest counts."""
     return {
         SONAR.format(number): {
             "kind": "range_scanner",
@@ -192,7 +192,7 @@ def emulate(
 
 
 def vehicle_of(parsed: Scenario, name: str | None, kind: str) -> VehicleTable:
-    """The vehicle that is meant."""
+    """Vehicle of this name, or the only suitable one."""
     vehicles = {each.name: each for each in parsed.vehicle}
     if name is not None:
         if name not in vehicles:
@@ -206,20 +206,20 @@ def vehicle_of(parsed: Scenario, name: str | None, kind: str) -> VehicleTable:
 
 
 def period_of(parsed: Scenario) -> float:
-    """Between looks at the vehicle: as short as is useful, and a whole number of steps of physics."""
+    """Period of the agent: short, and a whole number of physics steps."""
     step = Ticks.rate(float(parsed.physics.get("rate_hz", 120.0)))
     return next((each for each in PERIODS_S if Ticks.every(each).is_multiple_of(step)), PERIODS_S[-1])
 
 
 def changes_of(parsed: Scenario, own: VehicleTable, robot: Robot, period_s: float, pose: Vec3 | None) -> dict[str, Any]:
-    """What has to be said otherwise in the scenario."""
+    """Changes of the scenario."""
     here = f"vehicle.{own.name}"
     agent: dict[str, Any] = {"period_s": period_s, "latency_s": 0.0}
     kind = f"{DeviceAgent.__module__}:{DeviceAgent.__qualname__}"
     changes: dict[str, Any] = {f"{here}.agent": agent, f"{here}.pose_source": "truth"}
     others = [each.agent for each in parsed.vehicle if each is not own and each.agent is not None]
     if "kind" in parsed.agents.defaults and all(each.kind for each in others):
-        changes["agents.kind"] = kind  # nobody else would take that default
+        changes["agents.kind"] = kind  # no other vehicle uses that default
     else:
         agent["kind"] = kind
     for number, content in sonars_of(robot, 1.0 / period_s).items():
@@ -233,5 +233,5 @@ def changes_of(parsed: Scenario, own: VehicleTable, robot: Robot, period_s: floa
 
 
 def _without_hardware(parsed: Scenario) -> dict[str, Any]:
-    """Vehicles that are real ones in the scenario are simulated here, and know where they are."""
+    """Real vehicles of the scenario are simulated, with true poses."""
     return {**parsed.twins, **{f"vehicle.{name}.pose_source": "truth" for name in parsed.real}}

@@ -1,6 +1,6 @@
-"""A small robot in software on ROS 2's side of the wire: hears Twist or TwistStamped, has two driven wheels, tells Odometry.
+"""Emulated ROS 2 robot: takes Twist or TwistStamped, has two driven wheels, publishes Odometry.
 
-It is what the driver is tested against where there is no ROS 2, and ``vcmvsp emulate ros2``.
+It serves ``vcmvsp emulate ros2`` and tests of the driver.
 """
 
 import queue
@@ -27,22 +27,22 @@ STEP_S = 0.01  # of the motion
 
 
 class Ros2Robot:
-    """A differential drive that obeys within its acceleration, and stands when it hears nothing; a context manager.
+    """A differential drive that obeys within its acceleration, and stops without commands; a context manager.
 
     Args:
-        endpoint: see `hardware.drivers.ros2.driver.Ros2Driver`, as for all that bears the same name there.
+        endpoint: see `hardware.drivers.ros2.driver.Ros2Driver`, also for other parameters of the same name.
         pose: x m, y m, yaw rad, in its odometry's frame.
         max_speed: m/s.
         max_yaw_rate: rad/s.
         accel: m/s2.
         yaw_accel: rad/s2.
         odometry_hz: messages a second.
-        watchdog_s: without a command it stands.
+        watchdog_s: time without a command until it stops.
         clock_ahead_s: of its clock, against the monotonic one of this machine.
 
     Attributes:
-        heard: what it was told, and when by the monotonic clock, ns.
-        silent: it tells no odometry.
+        heard: received commands, with monotonic arrival times, ns.
+        silent: it publishes no odometry.
     """
 
     def __init__(
@@ -95,11 +95,11 @@ class Ros2Robot:
         self._node.close()
 
     def say(self, data: bytes) -> None:
-        """Publish these bytes in the place of odometry."""
+        """Publish these bytes in place of odometry."""
         self._publish(data)
 
     def message(self) -> OdometryMessage:
-        """What it would tell now."""
+        """Present odometry message."""
         x, y, yaw = self.pose
         v, w = self.speeds
         stamp_ns = time.monotonic_ns() + self._ahead_ns

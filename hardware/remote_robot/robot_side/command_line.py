@@ -1,4 +1,4 @@
-"""What ``vcmvsp robot`` is told, as text, into a driver, a certificate and a `RobotProgram`."""
+"""Arguments of ``vcmvsp robot`` become a driver, a certificate and a `RobotProgram`."""
 
 import signal
 from collections.abc import Callable
@@ -30,21 +30,21 @@ def robot(
     pose: Vec3 | None = None,
     tell: Callable[[str], None],
 ) -> None:
-    """Serve runs until somebody ends it by Ctrl-C or SIGTERM.
+    """Serve runs until Ctrl-C or SIGTERM.
 
     Args:
-        vehicle: whose robot this is.
+        vehicle: vehicle of this robot.
         driver: ``KIND`` or ``KIND:ADDRESS``.
-        connect: where the driver of the run listens, e.g. ``tls/192.168.1.10:7448``.
+        connect: endpoint of the run's driver, e.g. ``tls/192.168.1.10:7448``.
         params: parameters of the driver.
         keys: file with the certificate of this machine.
-        insecure: do without one, although the run is on another machine.
-        pose: where the robot stands (x m, y m, yaw rad), if it is not where the run supposes it.
+        insecure: connect to another machine without certificate.
+        pose: pose of the robot (x m, y m, yaw rad); None: as the run says.
         tell: takes lines for the user.
 
     Raises:
-        UsageError: something is wrong with these, or the run refuses this robot for good.
-        ScenarioError: the driver cannot be built so.
+        UsageError: an argument is invalid, or the run rejects this robot permanently.
+        ScenarioError: the driver cannot be built.
     """
     try:
         key_names.robot_key(key_names.OPEN, vehicle, "0", "up")
@@ -62,7 +62,7 @@ def robot(
 
 
 def _bundle(keys: Path | None, vehicle: str, tell: Callable[[str], None]) -> "tuple[Bundle | None, str]":
-    """The certificate, and why it is not for this vehicle; empty: it is."""
+    """The certificate, and why it does not match this vehicle; empty: it does."""
     if keys is None:
         return None, ""
     from vcmvsp.cosim.security import certificates
@@ -70,7 +70,7 @@ def _bundle(keys: Path | None, vehicle: str, tell: Callable[[str], None]) -> "tu
     bundle = certificates.load_bundle(keys)
     if warning := bundle.check():
         tell(warning)
-    bundle.speaks_for(())  # it is for vehicles at all
+    bundle.speaks_for(())  # it is for vehicles
     try:
         bundle.speaks_for([vehicle])
     except UsageError as error:
@@ -79,10 +79,10 @@ def _bundle(keys: Path | None, vehicle: str, tell: Callable[[str], None]) -> "tu
 
 
 def built(text: str, params: dict[str, Any]) -> Driver:
-    """The driver that ``KIND``, ``KIND:ADDRESS`` and its parameters describe, not open.
+    """The driver of ``KIND`` or ``KIND:ADDRESS`` and its parameters, not open.
 
     Raises:
-        ScenarioError: there is none, or it does not take these parameters.
+        ScenarioError: unknown kind, or invalid parameters.
     """
     kind, address = kind_of(text)
     origin = binding.Named("--set")

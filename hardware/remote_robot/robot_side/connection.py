@@ -1,4 +1,4 @@
-"""The robot's end of Zenoh: a session with the driver that listens in a run, if there is one."""
+"""Zenoh session of the robot with the driver of a run."""
 
 import contextlib
 import queue
@@ -16,32 +16,32 @@ from vcmvsp.hardware.remote_robot.messages import RobotWelcome
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
 
-ANSWER_S = 1.0  # for the answer to a greeting
-WAITING = 256  # messages that may wait; more are left out, and said again
+ANSWER_S = 1.0  # for the answer to a request
+WAITING = 256  # messages that may wait; others are dropped, and replaced by later ones
 
 
 class RunUnreachable(Exception):
-    """There is no run yet; says why."""
+    """There is no run now; the text says why."""
 
 
 class RunMessage(NamedTuple):
-    """Something that the run said."""
+    """A message of the run."""
 
     data: bytes
     arrived_ns: int
 
 
 class RunConnection:
-    """A session.
+    """A session with a run.
 
     Args:
-        endpoint: where the driver of the run listens.
-        bundle: this machine's certificate; None: plain TCP.
-        vehicle: whose robot this is.
+        endpoint: endpoint of the run's driver.
+        bundle: certificate of this machine; None: plain TCP.
+        vehicle: vehicle of this robot.
 
     Raises:
-        NobodyThere: there is none now.
-        UsageError: there will be none: what is there is no run, or does not let this machine in.
+        RunUnreachable: there is no run now.
+        UsageError: no run can come: another program listens there, or it rejects this machine.
     """
 
     def __init__(self, endpoint: str, bundle: "Bundle | None", vehicle: str) -> None:
@@ -51,7 +51,7 @@ class RunConnection:
         self._news: queue.SimpleQueue[RunMessage | Literal["gone"]] = queue.SimpleQueue()
         try:
             down, up, alive = (key_names.robot_key(self._name, vehicle, self.id, each) for each in ("down", "up", "alive"))
-            drop = zenoh.CongestionControl.DROP  # what is not taken is said again
+            drop = zenoh.CongestionControl.DROP  # later messages replace dropped ones
             self._says = self._session.declare_publisher(up, congestion_control=drop, express=True)
             watch = Callback(self._on_hub, indirect=False)
             self._kept: list[Any] = [
@@ -64,7 +64,7 @@ class RunConnection:
             raise
 
     def greet(self, greeting: bytes) -> RobotWelcome | None:
-        """The answer to a greeting; None: there is none."""
+        """Answer to a request; None: none came."""
         for reply in self._session.get(key_names.greet_key(self._name), payload=greeting, timeout=ANSWER_S):
             if reply.ok is not None:
                 with contextlib.suppress(ValueError):
@@ -72,11 +72,11 @@ class RunConnection:
         return None
 
     def say(self, data: bytes) -> None:
-        """To the run."""
+        """Send to the run."""
         self._says.put(data)
 
     def next(self, wait_s: float) -> RunMessage | Literal["gone"] | None:
-        """What the run said next, "gone" when it has ended or is out of reach, None if nothing comes within this time."""
+        """Next message of the run; "gone" when it ended or is out of reach; None if none comes within this time."""
         try:
             return self._news.get(timeout=wait_s) if wait_s > 0.0 else self._news.get_nowait()
         except queue.Empty:
@@ -97,5 +97,5 @@ class RunConnection:
 
 
 def _give_up(why: str) -> None:
-    """Called by `dial` before it waits: whoever has a robot in hand looks after it meanwhile."""
+    """Called by `dial` before it waits: the caller has a robot to control meanwhile."""
     raise RunUnreachable(why)

@@ -1,7 +1,7 @@
-"""The program on the robot's own computer. It waits for runs, and serves one after the other.
+"""Program on the robot's own computer: it waits for runs, and serves one after the other.
 
-Its robot moves only while the run says so: it is stopped when the link ends, when no velocity comes for `DEADMAN_S`, when
-velocities may be older than that, and when this program is to end.
+The robot moves only on commands of a run: it is stopped when the link ends, when no velocity comes for `DEADMAN_S`, when
+velocities may be older than that, and when this program ends.
 """
 
 import secrets
@@ -28,27 +28,27 @@ from vcmvsp.hardware.remote_robot.robot_side.watchdog import DriverWatchdog
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
 
-POLL_S = 0.01  # from look to look for a sample
-DIAL_S = 0.2  # between two attempts to reach a run
-ASK_S = 0.5  # ... to be let in
-DOOR_S = 3.0  # for the answer to the first greeting
-SILENCE_S = 3.0  # without a word from the run, the link counts as lost; the robot stands long before
-KEEP_S = 10.0  # a driver stays open for a run that may come back
-HANG_S = 3.0  # for a turn, which should take a millisecond
-LINGER_S = 0.5  # for the run to hear the last
+POLL_S = 0.01  # period of reading samples
+DIAL_S = 0.2  # between two attempts to connect
+ASK_S = 0.5  # between two requests
+DOOR_S = 3.0  # for the answer to the first request
+SILENCE_S = 3.0  # without a message of the run the link counts as lost; the robot stands long before
+KEEP_S = 10.0  # a driver stays open for a lost run
+HANG_S = 3.0  # for a cycle, which takes about a millisecond
+LINGER_S = 0.5  # for the last message to the run
 LEFT = "the run is over"
 
 
 class RobotProgram:
-    """What ``vcmvsp robot`` does.
+    """Implements ``vcmvsp robot``.
 
     Args:
-        vehicle: whose robot this is.
+        vehicle: vehicle of this robot.
         driver: of the robot.
-        endpoint: where the driver of the run listens.
-        bundle: this machine's certificate.
-        pose: where the robot stands; None: as the run says.
-        foreign: why the certificate is not for this vehicle: a run that is there is left to say so itself, and hears of it.
+        endpoint: endpoint of the run's driver.
+        bundle: certificate of this machine.
+        pose: pose of the robot; None: as the run says.
+        foreign: why the certificate does not match this vehicle; a run, if there is one, rejects it itself.
         tell: takes lines for the user.
     """
 
@@ -69,19 +69,19 @@ class RobotProgram:
         self._driver = driver
         self._robot = secrets.token_hex(8)
         self._told = ""
-        self._ending = ""  # why it ends
-        self._lost_ns: int | None = None  # since when a run is out of reach that may come back
-        self._echo = (0, 0, 0)  # number, its time and ours of the newest that the run has said
+        self._ending = ""  # reason to end
+        self._lost_ns: int | None = None  # start of the loss of a run
+        self._echo = (0, 0, 0)  # newest order: number, its time, its arrival
         self._said_ns = 0
 
     def told_to_end(self, number: int, _frame: FrameType | None) -> None:
-        """A signal; the second one does not wait for the robot."""
+        """Signal handler; the second signal does not wait for the robot."""
         if self._ending:
             raise KeyboardInterrupt
         self._ending = f"ended by {signal.Signals(number).name}"
 
     def serve(self) -> None:
-        """Until it is told to end; the robot stands then, and its driver is closed."""
+        """Run until a signal; the robot stands then, and its driver is closed."""
         try:
             while not self._ending:
                 try:
@@ -101,7 +101,7 @@ class RobotProgram:
     # One run
 
     def _visit(self, dialled: RunConnection) -> None:
-        """What happens while there is a link."""
+        """Serve one run while there is a link."""
         welcome = self._greeted(dialled)
         if welcome is None:
             return
@@ -139,7 +139,7 @@ class RobotProgram:
             self._tell(f"the link to the run is lost ({ended}); the robot stands")
 
     def _greeted(self, dialled: RunConnection) -> RobotWelcome | None:
-        """Ask until the run lets this robot in; None: it does not answer, or is gone."""
+        """Request until the run accepts this robot; None: no answer, or the run ended."""
         driver = self._driver
         hello = RobotHello(
             protocol=messages.PROTOCOL,
@@ -175,7 +175,7 @@ class RobotProgram:
         return f"{access_control.silence(self._bundle.name)}; {wrong}"
 
     def _given_up(self, dialled: RunConnection) -> str:
-        """While the driver is opened: say that this takes time; why it is not needed any more."""
+        """Reason to abort the opening of the driver; sends the present status meanwhile."""
         self._say(dialled)
         while (news := dialled.next(0.0)) is not None:
             if news == "gone":
@@ -186,7 +186,7 @@ class RobotProgram:
         return self._ending
 
     def _drive(self, dialled: RunConnection) -> str:
-        """Follow the run until it leaves, its link ends, or this program is to end; why."""
+        """Follow the run until it leaves, its link ends, or this program ends; the reason."""
         aboard = self._aboard
         heard_ns = time.monotonic_ns()
         with within(HANG_S, self._driver.device, "a turn") as turned:
@@ -209,7 +209,7 @@ class RobotProgram:
         return self._ending
 
     def _taken(self, news: "RunMessage | str") -> RobotOrder | None:
-        """A message of the run; None: it cannot be read, or is not newer than the last."""
+        """Decoded order of the run; None: invalid, or not newer than the last."""
         if isinstance(news, str):
             return None
         try:
@@ -244,7 +244,7 @@ class RobotProgram:
         dialled.say(encode(up))
 
     def _say_last(self, dialled: RunConnection, *, left: bool) -> None:
-        """Until the run has heard it, and is gone."""
+        """Send until the run has ended its link."""
         until = time.monotonic() + LINGER_S
         while time.monotonic() < until and not self._ending:
             self._say(dialled, left=left)
@@ -257,7 +257,7 @@ class RobotProgram:
             self._tell(text)
 
     def _rest(self, seconds: float) -> None:
-        """Wait, and look after a robot whose run is out of reach."""
+        """Wait, and control a robot without link."""
         until_ns = time.monotonic_ns() + round(seconds * SECOND_NS)
         while not self._ending and (now_ns := time.monotonic_ns()) < until_ns:
             self._attend(now_ns)

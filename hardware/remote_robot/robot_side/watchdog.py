@@ -1,6 +1,6 @@
-"""The robot's own driver, as its run wants it: opened and closed with the run, stopped when nothing comes, watched.
+"""The robot's own driver under the control of a run: opened and closed with it, stopped without commands.
 
-All is called in one thread, the main one, where calls that hang are given up.
+All methods are called in the main thread, where calls that hang are aborted.
 """
 
 import math
@@ -20,13 +20,13 @@ from vcmvsp.hardware.drivers.call_timeout import within
 from vcmvsp.hardware.drivers.command_repeater import NOT_YET
 from vcmvsp.hardware.remote_robot.messages import DEADMAN_S, NOTICES_AT_ONCE, Failure, RobotOrder
 
-GRACE_S = 2.0  # beyond what a driver says of itself
-KEPT = 1000  # notices that nobody has heard yet
+GRACE_S = 2.0  # beyond the driver's own deadlines
+KEPT = 1000  # notices without acknowledgement
 _DEADMAN_NS = seconds_to_ns(DEADMAN_S)
 
 
 def _nothing() -> None:
-    """Nobody is there who would want to hear."""
+    """No operation."""
 
 
 class DriverWatchdog:
@@ -34,15 +34,15 @@ class DriverWatchdog:
 
     Args:
         driver: of the robot; not open.
-        pose: where the robot stands when a run begins; None: as the run says.
+        pose: pose of the robot when a run begins; None: as the run says.
         tell: takes lines for the user.
 
     Attributes:
-        run: by which it was opened last.
+        run: name of the last run.
         state: of the driver.
-        opened: how often it was opened.
-        failure: why it cannot go on; None: it can.
-        noticed: notices that the run has heard.
+        opened: number of openings.
+        failure: why it cannot continue; None: it can.
+        noticed: notices that the run acknowledged.
     """
 
     def __init__(self, driver: Driver, pose: Vec3 | None, tell: Callable[[str], None]) -> None:
@@ -52,18 +52,18 @@ class DriverWatchdog:
         self.opened = self.noticed = 0
         self.failure: Failure | None = None
         self._notices: deque[Notice] = deque(maxlen=KEPT)
-        self._stood = False  # since the run has come, it was told to stand
-        self._stopped = NOT_YET  # why it stands; empty: it drives
+        self._stood = False  # the run has commanded to stand since its link began
+        self._stopped = NOT_YET  # reason to stand; empty: it drives
         self._velocity_ns = 0
         self._late = False
 
     def open(self, run: str, start: Vec3, abort_reason: Callable[[], str]) -> None:
-        """Open the driver for a run, where the robot stands here; raises what is wrong.
+        """Open the driver for a run; raises `DriverError`.
 
         Args:
-            run: by which one that comes again is known.
+            run: name of the run.
             start: x m, y m, yaw rad.
-            given_up: is asked now and then for a reason not to go on.
+            abort_reason: called repeatedly; a text aborts the opening.
         """
         self.run, self.failure, self.state = run, None, "opening"
         self._forget()
@@ -77,12 +77,12 @@ class DriverWatchdog:
         self._gather()
 
     def meet(self) -> None:
-        """The link to the run has come about, or is back: stand until it has said so."""
+        """The link to the run is new: stand until the run has commanded to stand."""
         self._stood = False
         self.stop("its run has just come")
 
     def follow(self, down: RobotOrder, now_ns: int) -> None:
-        """Do what the run says; a velocity that may be too old, by our own clock, counts for nothing."""
+        """Obey an order; a velocity that may be too old, by this clock, is ignored."""
         self._heard(down.noticed)
         if self.state != "open":
             return
@@ -96,13 +96,13 @@ class DriverWatchdog:
             self._driver.write(down.velocity)
 
     def stop(self, cause: str) -> None:
-        """Stand; said once for each cause."""
+        """Stop the robot; reported once for each cause."""
         if self.state == "open" and self._stopped != cause:
             self._stopped = cause
             self._driver.stop(cause)
 
     def turn(self, now_ns: int) -> Sample | None:
-        """Look after the robot: the newest sample, if there is one."""
+        """Run one cycle; the newest sample, if there is one."""
         if self.state != "open":
             return None
         if not self._stopped and now_ns >= self._velocity_ns + _DEADMAN_NS:
@@ -112,19 +112,19 @@ class DriverWatchdog:
         return sample
 
     def fail(self, error: Exception, meanwhile: Callable[[], None] = _nothing) -> None:
-        """It cannot go on: note why, and close the driver."""
+        """Record a failure, and close the driver."""
         self.failure = _failure(self._driver.device, error)
         self._tell(f"{self.failure.device}: {self.failure.happened}; {self.failure.advice}")
         self.close(self.failure.happened, meanwhile)
 
     def end(self, why: str, meanwhile: Callable[[], None]) -> None:
-        """Close the driver for good, and have the run hear why."""
+        """Close the driver permanently, and report why."""
         if self.state != "closed":
             self.failure = Failure(kind="lost", device=self._driver.device, happened=why, advice="start it again")
             self.close(why, meanwhile)
 
     def close(self, cause: str, meanwhile: Callable[[], None] = _nothing) -> None:
-        """Stop the robot and close its driver, whatever has happened; ``meanwhile`` is called now and then."""
+        """Stop the robot and close its driver, in any state; ``meanwhile`` is called repeatedly."""
         if self.state == "closed":
             return
         self.state = "closed"
@@ -149,7 +149,7 @@ class DriverWatchdog:
         self._tell(f"closed {driver.device}")
 
     def notices(self) -> tuple[Notice, ...]:
-        """Those that the run has not heard, the oldest first."""
+        """Notices without acknowledgement, oldest first."""
         return tuple(self._notices)[:NOTICES_AT_ONCE]
 
     def _heard(self, noticed: int) -> None:
@@ -158,7 +158,7 @@ class DriverWatchdog:
             self.noticed += 1
 
     def _forget(self) -> None:
-        """What nobody heard of an earlier run is not for this one."""
+        """Drop notices of an earlier run."""
         self.noticed += len(self._notices)
         self._notices.clear()
         self._stood, self._stopped, self._late = False, NOT_YET, False
@@ -172,11 +172,11 @@ class DriverWatchdog:
         new = [msgspec.structs.replace(each, cause=plain(each.cause)) for each in new]
         for each in new:
             self._tell(f"{each.what}: {each.cause}")
-        self.noticed += max(0, len(self._notices) + len(new) - KEPT)  # the oldest are pushed out
+        self.noticed += max(0, len(self._notices) + len(new) - KEPT)  # the oldest are dropped
         self._notices.extend(new)
 
     def _is_fresh(self, down: RobotOrder, now_ns: int) -> bool:
-        """Whether this was said after something that we have said lately."""
+        """Whether the order answers a recent status of this program."""
         fresh = down.yours_ns > 0 and now_ns - down.yours_ns <= _DEADMAN_NS
         if not fresh and not self._late:
             self._late = True

@@ -1,4 +1,4 @@
-"""Which robots are let in, and what those are told that are not."""
+"""Admission of robots."""
 
 import time
 from pathlib import Path
@@ -13,23 +13,23 @@ from vcmvsp.hardware.remote_robot.messages import RobotHello
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
 
-RELOAD_S = 1.0  # certificates are looked up at most so often
+RELOAD_S = 1.0  # certificates are read at most once in this time
 
 
 class Admission:
-    """Lets in robots of one vehicle.
+    """Admits robots of one vehicle.
 
     Args:
-        vehicle: whose.
-        folder: of the authority whose certificates they must have; None: anybody may come.
+        vehicle: name of the vehicle.
+        folder: of the authority of their certificates; None: any robot may come.
     """
 
     def __init__(self, vehicle: str, folder: Path | None) -> None:
         self._vehicle, self._folder = vehicle, folder
-        self._current: tuple[float, Keys] | None = None  # when they were read, and the certificates
+        self._current: tuple[float, Keys] | None = None  # time of reading, and the certificates
 
     def keys(self) -> "Keys | None":
-        """The certificates as they are now, or a moment ago: somebody may be shut out while it listens.
+        """Present certificates, at most `RELOAD_S` old: one may be revoked while the driver listens.
 
         Raises:
             UsageError: they cannot be read.
@@ -44,7 +44,7 @@ class Admission:
         return self._current[1]
 
     def refusal(self, name: str, hello: RobotHello) -> str:
-        """Why a robot that greets so from the machine of this name is never driven here; empty: it may be."""
+        """Reason to reject a robot of the machine ``name`` permanently; empty: admitted."""
         if hello.protocol != messages.PROTOCOL:
             versions = f"this run speaks protocol {messages.PROTOCOL}, the robot {hello.protocol}"
             return f"{versions}: use the same vcmvsp version"

@@ -1,8 +1,8 @@
-"""The driver of robots that have a computer of their own, on which ``vcmvsp robot`` drives them, over Eclipse Zenoh.
+"""Driver of robots that run ``vcmvsp robot`` on their own computer, over Eclipse Zenoh.
 
-It listens, and the robot dials in, so that only the run's machine needs a known address and an open port. One thread says
-what `Orders` want and takes what comes; all that it shares with the caller is behind one lock, which nobody holds while
-waiting. Beyond this machine both ends show certificates, and who has none for this vehicle may greet, and no more.
+The driver listens and the robot connects, so that only the run's machine needs a known address and an open port. One thread
+sends `CommandState` and receives; everything shared with the caller is behind one lock, which is never held while waiting.
+Beyond this machine both ends need certificates; without one for this vehicle a robot can only send its request.
 """
 
 import contextlib
@@ -30,21 +30,21 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
 
 START_S = 5.0  # for the session
-INVITE_S = 2.0  # before it is said that the robot is waited for
+INVITE_S = 2.0  # before a message to the user
 
 
 class ZenohDriver(RobotSession):
-    """A robot whose own computer runs ``vcmvsp robot`` (`hardware.drivers.base.Driver`).
+    """A robot with ``vcmvsp robot`` on its own computer (`hardware.drivers.base.Driver`).
 
     Args:
-        listen: where the robot dials in, such as ``tls/0.0.0.0:7448``; each vehicle has a port of its own.
-        keys: folder of the authority ('vcmvsp keys init'), relative to the scenario's; a must beyond this machine.
-        insecure: do without certificates where everybody is trusted.
-        open_deadline_s: for the robot to dial in and to stand ready.
-        silence_s: without a word from the robot, it counts as lost.
-        reconnect_s: for so long a robot that was lost is waited for; 0: losing it is an error at once.
+        listen: endpoint for the robot, such as ``tls/0.0.0.0:7448``; each vehicle has a port of its own.
+        keys: folder of the authority ('vcmvsp keys init'), relative to the scenario's; required beyond this machine.
+        insecure: allow connections without certificates.
+        open_deadline_s: for the robot to connect and to be ready.
+        silence_s: without a message from the robot, it counts as lost.
+        reconnect_s: waiting time for a lost robot; 0: its loss is an error at once.
         command_timeout_s: without a command, the robot is stopped.
-        vehicle: whose robot is to come; given by the run.
+        vehicle: vehicle of the robot; given by the run.
         folder: of the scenario; given by the run.
     """
 
@@ -82,9 +82,9 @@ class ZenohDriver(RobotSession):
 
     @property
     def invitation(self) -> str:
-        """The command line that starts the robot's program."""
+        """Command line that starts the robot's program."""
         keys = f"--keys {self._vehicle}.keys" if self._secure else "--insecure"
-        with contextlib.suppress(UsageError):  # which opening it tells
+        with contextlib.suppress(UsageError):  # reported on opening
             if (certified := self._admission.keys()) is not None:
                 keys = f"--keys {certified.file_of(self._vehicle)}"
         where = re.sub(r"/(0\.0\.0\.0|\[::\]):", "/HOST:", self._listen)
@@ -95,8 +95,8 @@ class ZenohDriver(RobotSession):
             raise HandshakeError(self.device, "it was not told whose robot is to come", "give it a vehicle")
         super()._prepare(start)
         self._run_name = secrets.token_hex(8)
-        self._invited = False  # somebody was told that it waits
-        self._refused = ""  # why a robot was sent away last
+        self._invited = False  # the user was informed
+        self._refused = ""  # reason of the last rejection
 
     # What the thread does.
 
@@ -120,7 +120,7 @@ class ZenohDriver(RobotSession):
         return keys
 
     def _converse(self, open_until_ns: int) -> None:
-        """Take what comes and say what is due until the caller closes it."""
+        """Receive and send until the caller closes it."""
         due_ns = 0
         while not self._closing.is_set():
             now_ns = time.monotonic_ns()
@@ -150,7 +150,7 @@ class ZenohDriver(RobotSession):
                 self._heard(news)
 
     def _watch(self, now_ns: int, open_until_ns: int) -> None:
-        """Note silence, and what did not come in time."""
+        """Detect silence and missed deadlines."""
         if self._peer is not None and now_ns >= self._heard_ns + self._silence_ns:
             self._let_go(f"nothing was heard for {self._silence_s:g} s")
         if not self._ready.is_set():
@@ -166,7 +166,7 @@ class ZenohDriver(RobotSession):
     # Greetings
 
     def _greeted(self, knock: RobotGreeting) -> None:
-        """Let a robot in, or say why not."""
+        """Accept a robot, or answer why not."""
         try:
             hello = messages.hellos.decode(knock.payload)
             peer = Peer(knock.name, hello.session)
@@ -187,7 +187,7 @@ class ZenohDriver(RobotSession):
         knock.answer(RobotWelcome(run=self._run_name, start=self._track.pose))
 
     def _waits(self, name: str, hello: RobotHello) -> str:
-        """Why a robot that may come is not driven now; empty: it is."""
+        """Reason not to accept an admitted robot now; empty: accept it."""
         hello_before = self._hello
         if self._closing.is_set():
             return "the run is over"
@@ -198,7 +198,7 @@ class ZenohDriver(RobotSession):
     # What is said of a robot that is not there
 
     def _nobody(self) -> HandshakeError:
-        """Why no robot stands ready."""
+        """Why no robot is ready."""
         within = f"within {self._open_s:g} s"
         if self._peer is not None and self._hello is not None:
             happened = f"the robot has come, but its own driver ({plain(self._hello.device)}) is not open {within}"
@@ -216,7 +216,7 @@ class ZenohDriver(RobotSession):
 
 
 def _check(listen: str, keys: str, *, insecure: bool) -> str:
-    """Where it listens, if it may; the keys themselves are read when it is opened."""
+    """Endpoint after its checks; the keys themselves are read on opening."""
     if keys and insecure:
         raise UsageError("keys and insecure exclude one another: leave one of them out")
     return endpoints.endpoint_rules(listen, keys or None, insecure=insecure, side="driver")

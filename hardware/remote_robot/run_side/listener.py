@@ -1,6 +1,6 @@
-"""The run's end of Zenoh: listens, lets robots knock, hears one of them and speaks to it.
+"""Zenoh session of the run: listens, takes requests of robots, exchanges messages with one of them.
 
-Zenoh calls back in threads of its own; callbacks are direct, and do no more than hand over.
+Zenoh calls back in its own threads; callbacks only pass on.
 """
 
 import contextlib
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 
 class Peer(NamedTuple):
-    """Who speaks, by the key: for certain, where there are certificates."""
+    """Sender of a message, from its key: authentic if there are certificates."""
 
     name: str  # of the machine, as in its certificate
     session: str
 
 
 class RobotGreeting(NamedTuple):
-    """A robot that wants to be driven."""
+    """Request of a robot."""
 
     name: str
     payload: bytes
@@ -38,7 +38,7 @@ class RobotGreeting(NamedTuple):
 
 
 class RobotMessage(NamedTuple):
-    """Something that was said."""
+    """A message of a robot."""
 
     peer: Peer
     data: bytes
@@ -46,7 +46,7 @@ class RobotMessage(NamedTuple):
 
 
 class LinkEnded(NamedTuple):
-    """A robot whose link has ended."""
+    """The link of a robot ended."""
 
     peer: Peer
 
@@ -59,12 +59,12 @@ class RobotListener:
 
     Args:
         listen: endpoint, such as ``tls/0.0.0.0:7448``.
-        keys: certificates of those who may come; None: anybody may.
-        vehicle: whose robot is to come.
-        take: takes the news, in Zenoh's threads.
+        keys: certificates of admitted machines; None: no certificates.
+        vehicle: vehicle of the robot.
+        take: takes news, in Zenoh's threads.
 
     Raises:
-        PortError: nothing can listen there.
+        PortError: the endpoint cannot be bound.
     """
 
     def __init__(self, listen: str, keys: "Keys | None", vehicle: str, take: Callable[[News], None]) -> None:
@@ -89,16 +89,16 @@ class RobotListener:
         ]
 
     def follow(self, peer: Peer) -> None:
-        """Hear this robot from now on, and speak to it; raises `ValueError` if there can be no such robot."""
+        """Exchange messages with this robot from now on; raises `ValueError` for an invalid name."""
         up = key_names.robot_key(peer.name, self._vehicle, peer.session, "up")
         down = key_names.robot_key(peer.name, self._vehicle, peer.session, "down")
         self.leave()
         self._subscriber = self._session.declare_subscriber(up, Callback(self._on_sample, indirect=False))
-        drop = zenoh.CongestionControl.DROP  # a robot that does not listen holds nobody up
+        drop = zenoh.CongestionControl.DROP  # a robot that does not listen must not block
         self._publisher = self._session.declare_publisher(down, congestion_control=drop, express=True)
 
     def leave(self) -> None:
-        """Follow nobody."""
+        """Follow no robot."""
         for each in (self._subscriber, self._publisher):
             if each is not None:
                 with contextlib.suppress(zenoh.ZError):
@@ -106,12 +106,12 @@ class RobotListener:
         self._subscriber = self._publisher = None
 
     def say(self, data: bytes) -> None:
-        """To the robot that is followed."""
+        """Send to the followed robot."""
         if self._publisher is not None:
             self._publisher.put(data)
 
     def close(self) -> None:
-        """Leave; robots see that. Never raises."""
+        """End the session; robots see that. Never raises."""
         with contextlib.suppress(zenoh.ZError):
             self._session.close()  # type: ignore[no-untyped-call]
 
@@ -122,7 +122,7 @@ class RobotListener:
             return
 
         def answer(welcome: RobotWelcome) -> None:
-            with contextlib.suppress(zenoh.ZError), query:  # the robot may not be there any more
+            with contextlib.suppress(zenoh.ZError), query:  # the robot may have ended
                 query.reply(query.key_expr, encode(welcome))
 
         self._take(RobotGreeting(speaker[0], payload, answer))
@@ -139,6 +139,6 @@ class RobotListener:
             self._take(LinkEnded(peer))
 
     def _peer(self, key: zenoh.KeyExpr) -> Peer | None:
-        """Who has said it; None: a key with wildcards of its own, say."""
+        """Sender of a message; None for another vehicle, or a key with wildcards."""
         speaker = key_names.robot_speaker(str(key))
         return Peer(speaker[0], speaker[2]) if speaker is not None and speaker[1] == self._vehicle else None

@@ -1,4 +1,4 @@
-"""What a robot says with its own clock and numbers, in those of the run."""
+"""Samples and notices of a robot, with clock and numbers of the run."""
 
 import math
 from typing import Any
@@ -11,21 +11,21 @@ from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import Notice, Sample
 from vcmvsp.hardware.remote_robot.messages import RobotStatus
 
-WINDOW = 50  # exchanges of times that count: some two seconds
+WINDOW = 50  # number of exchanges in the window: some two seconds
 MOST_READINGS = 64  # of sonar, in a sample
-MOST_MISSED = 1_000_000  # samples between two that came
+MOST_MISSED = 1_000_000  # samples between two received ones
 
 
 class RemoteSampler:
-    """Makes samples and notices of what a robot says.
+    """Converts messages of a robot to samples and notices.
 
     Args:
-        start: where the robot stands, x m, y m, yaw rad.
+        start: pose of the robot, x m, y m, yaw rad.
 
     Attributes:
         clock: of the robot.
-        pose: where odometry has brought it, and where a robot that is opened anew begins.
-        link: connections so far.
+        pose: newest odometry pose; start of a robot that is opened again.
+        link: number of connections.
     """
 
     def __init__(self, start: Vec3) -> None:
@@ -38,7 +38,7 @@ class RemoteSampler:
         self._sonar: dict[int, float] = {}
 
     def connect(self, *, anew: bool) -> None:
-        """A robot has come; ``anew``: another one, or another clock, than before."""
+        """A robot connected; ``anew``: another robot or clock than before."""
         self.link += 1
         self._last = None
         if anew:
@@ -47,16 +47,16 @@ class RemoteSampler:
 
     @property
     def noticed(self) -> int:
-        """Notices of this robot that were taken."""
+        """Notices of this robot so far."""
         return self._noticed
 
     def hear(self, up: RobotStatus, arrived_ns: int) -> None:
-        """Take the times of a message."""
+        """Use the times of a message."""
         if up.heard:
             self.clock.add(up.yours_ns, up.heard_ns, up.said_ns, arrived_ns)
 
     def sample(self, up: RobotStatus, arrived_ns: int, stopped: str) -> Sample | None:
-        """The sample of a message; None: it has none, an old one, or one that is not finite, or its time is not known yet."""
+        """Sample of a message; None: it has none, an old one, one that is not finite, or the clock is unknown."""
         theirs, clock = up.sample, self.clock.best(arrived_ns)
         if theirs is None or clock is None or not _finite(theirs):
             return None
@@ -83,11 +83,11 @@ class RemoteSampler:
         )
 
     def taken(self) -> None:
-        """The newest sample was read: what sonar has said until then is not new any more."""
+        """The newest sample was read: its sonar readings are not repeated."""
         self._sonar.clear()
 
     def notices(self, up: RobotStatus, arrived_ns: int) -> list[Notice]:
-        """Those of a message that are new."""
+        """New notices of a message."""
         new = up.notices[max(0, self._noticed - up.noticed) :]
         self._noticed = max(self._noticed, up.noticed + len(up.notices))
         clock = self.clock.best(arrived_ns)
@@ -100,7 +100,7 @@ class RemoteSampler:
 
 
 def _finite(value: Any) -> bool:
-    """Whether all numbers in it are."""
+    """Whether all numbers in a value are finite."""
     plainly = msgspec.to_builtins(value)
     waiting = [plainly]
     while waiting:

@@ -1,7 +1,6 @@
-"""The talk with a robot that has come: orders to it, samples and notices from it, until it is gone or told to leave.
+"""Session with a connected robot: orders to it, samples and notices from it, until it is lost or must leave.
 
-All but `write` and `stop` is done by the driver's thread; who comes in, and when one that does not come is given up, is the
-driver's affair.
+All but `write` and `stop` runs in the driver's thread; admission and the final loss of a robot belong to the driver.
 """
 
 import math
@@ -22,22 +21,22 @@ from vcmvsp.hardware.remote_robot.messages import SAY_S, Failure, RobotHello, Ro
 from vcmvsp.hardware.remote_robot.run_side.listener import LinkEnded, News, Peer, RobotGreeting, RobotListener, RobotMessage
 from vcmvsp.hardware.remote_robot.run_side.samples import RemoteSampler
 
-GRACE_S = 2.0  # for a robot, beyond what its driver says of itself
-LONGEST_CLOSE_S = 30.0  # whatever it says
-FAREWELL_S = 0.5  # for a robot to hear that it is not needed, after a failure
-WAITING, AT_THE_DOOR = 256, 16  # how many messages may wait for the thread, with greetings among them; more are left out
+GRACE_S = 2.0  # for a robot, beyond its driver's own deadlines
+LONGEST_CLOSE_S = 30.0  # upper bound
+FAREWELL_S = 0.5  # for a robot to receive the end, after a failure
+WAITING, AT_THE_DOOR = 256, 16  # limits of waiting messages: in all, and for requests; others are dropped
 _FAILURES = {"driver": DriverError, "port": PortError, "handshake": HandshakeError, "lost": LinkLost}
 _ADVICE = "look at the program 'vcmvsp robot' on the robot's computer, and at the network"
 
 
 class RobotSession(ThreadedDriver):
-    """A driver that talks to the robot behind its `RobotListener`; a subclass opens the door, and decides whom it follows.
+    """A driver that exchanges messages with a robot through its `RobotListener`; a subclass opens it and admits robots.
 
     Args:
         device: for messages.
-        vehicle: likewise.
-        open_deadline_s: for the robot to come and to stand ready.
-        reconnect_s: for so long a robot that was lost is waited for; 0: losing it is an error at once.
+        vehicle: for messages.
+        open_deadline_s: for the robot to connect and to be ready.
+        reconnect_s: waiting time for a lost robot; 0: its loss is an error at once.
         command_timeout_s: without a command, the robot is stopped.
     """
 
@@ -53,7 +52,7 @@ class RobotSession(ThreadedDriver):
     # What the caller does.
 
     def write(self, velocity: Velocity) -> None:
-        """Command a velocity; while the robot is lost, commands are dropped."""
+        """Command a velocity; ignored while the robot is lost."""
         if not all(map(math.isfinite, (*velocity.linear, velocity.yaw_rate))):
             raise ValueError(f"a robot cannot follow {velocity.linear} m/s, {velocity.yaw_rate} rad/s: all must be finite")
         with self._lock:
@@ -66,9 +65,9 @@ class RobotSession(ThreadedDriver):
         self._news: queue.SimpleQueue[News | None] = queue.SimpleQueue()
         self._woken = threading.Event()
         self._track, self._orders = RemoteSampler(start), CommandState(self._timeout_s)
-        self._peer: Peer | None = None  # who is followed
-        self._hello: RobotHello | None = None  # of that, or of the one before
-        self._connected = False  # it stands ready
+        self._peer: Peer | None = None  # followed robot
+        self._hello: RobotHello | None = None  # of the followed robot, or of the previous one
+        self._connected = False  # the robot is ready
         self._lost: LinkLost | None = None
         self._lost_ns = self._heard_ns = self._yours_ns = 0
         self._number = 0
@@ -79,7 +78,7 @@ class RobotSession(ThreadedDriver):
 
     def _hold(self, cause: str) -> bool:
         self._orders.stop(cause)
-        return self._connected  # then the robot tells of it
+        return self._connected  # the robot reports it
 
     def _wake(self) -> None:
         if self._thread is not None and not self._woken.is_set():
@@ -89,13 +88,13 @@ class RobotSession(ThreadedDriver):
     # What the thread does.
 
     def _hand_over(self, news: News) -> None:
-        """Called by Zenoh. What is left out of news is said again, but for a link's end, which silence shows, too."""
+        """Called by Zenoh. Dropped messages are replaced by later ones; silence shows a dropped end of a link."""
         knocks = isinstance(news, RobotGreeting)
         if isinstance(news, LinkEnded) or self._news.qsize() < (AT_THE_DOOR if knocks else WAITING):
             self._news.put(news)
 
     def _follow(self, peer: Peer, hello: RobotHello) -> None:
-        """Begin to talk to this robot."""
+        """Start exchanging messages with this robot."""
         self._door.follow(peer)
         same = self._hello is not None and self._hello.robot == hello.robot
         with self._lock:
@@ -103,7 +102,7 @@ class RobotSession(ThreadedDriver):
             self._orders.connect(self._number + 1)
         self._peer, self._hello = peer, hello
         self._yours_ns, self._heard_ns = 0, time.monotonic_ns()
-        longest_s = max(0.0, min(hello.close_s, LONGEST_CLOSE_S))  # also of what is no number
+        longest_s = max(0.0, min(hello.close_s, LONGEST_CLOSE_S))  # also for NaN
         self.close_deadline_s = 2 * GRACE_S + longest_s
 
     def _say(self, *, leave: bool = False) -> None:
@@ -129,7 +128,7 @@ class RobotSession(ThreadedDriver):
         self._door.say(encode(down))
 
     def _heard(self, message: RobotMessage) -> None:
-        """Take what the robot says."""
+        """Process a status of the robot."""
         try:
             up = messages.ups.decode(message.data)
         except ValueError as error:
@@ -148,14 +147,14 @@ class RobotSession(ThreadedDriver):
             self._connect(message.arrived_ns)
 
     def _fail(self, error: DriverError) -> None:
-        """The robot's own driver has failed; one that had lost its robot may find it again."""
+        """Handle a failure of the robot's own driver, which may find a lost robot again."""
         may_come_back = self._ready.is_set() and self._reconnect_s
         if not may_come_back or not (isinstance(error, LinkLost) or self._lost is not None):
             raise error
         self._let_go(f"{error.device}: {error.happened}")
 
     def _connect(self, now_ns: int) -> None:
-        """The robot stands, ready to be driven."""
+        """The robot is ready."""
         clock = self._track.clock.best(now_ns)
         if clock is None or self._hello is None or self._peer is None:
             return
@@ -167,7 +166,7 @@ class RobotSession(ThreadedDriver):
         self._ready.set()
 
     def _let_go(self, happened: str) -> None:
-        """Note that the robot is away; its own program stops it."""
+        """Record the loss of the robot; its own program stops it."""
         was, self._peer = self._connected, None
         self._door.leave()
         with self._lock:
@@ -178,7 +177,7 @@ class RobotSession(ThreadedDriver):
             self._notice("lost", f"{happened}; its own computer stops it")
 
     def _say_goodbye(self) -> None:
-        """Have the robot's own driver closed."""
+        """Let the robot close its own driver."""
         patience_s = self.close_deadline_s - GRACE_S if self._failure is None else FAREWELL_S
         until_ns = time.monotonic_ns() + seconds_to_ns(patience_s)
         due_ns = 0
@@ -198,7 +197,7 @@ class RobotSession(ThreadedDriver):
                 return
 
     def _has_closed(self, message: RobotMessage) -> bool:
-        """Whether the robot says that its driver is closed, now that it was told that the run is over."""
+        """Whether the robot has closed its driver."""
         try:
             up = messages.ups.decode(message.data)
         except ValueError:
@@ -208,7 +207,7 @@ class RobotSession(ThreadedDriver):
         return up.state == "closed" and (up.left or up.failure is not None)
 
     def _failed_aboard(self, failure: Failure) -> DriverError:
-        """What the robot's own driver has said."""
+        """Error of the robot's own driver."""
         device = f"{plain(failure.device)} aboard {self._vehicle}"
         return _FAILURES[failure.kind](device, plain(failure.happened), plain(failure.advice))
 
@@ -220,16 +219,16 @@ class RobotSession(ThreadedDriver):
 
 
 class CommandState:
-    """Command for a robot: the newest velocity while it counts, else to stand; after each connection to stand first.
+    """Command for a robot: the newest velocity until its time-out, otherwise to stand; each connection starts with standing.
 
-    No clock and no link of its own: time comes in, velocities come out.
+    It has no clock and no link: times are arguments.
 
     Args:
-        timeout_s: zero speed after so long without a command.
+        timeout_s: zero speed after this time without a command.
 
     Attributes:
-        stopped: why the robot is held at zero speed; empty: it follows the commands.
-        held: the robot has not said yet that it was told to stand.
+        stopped: reason for zero speed; empty: the robot follows the commands.
+        held: the robot has not confirmed yet that it stands.
     """
 
     def __init__(self, timeout_s: float) -> None:
@@ -239,11 +238,11 @@ class CommandState:
         self._given_ns = self._stands_from = 0
 
     def connect(self, number: int) -> None:
-        """A robot has come: it is to stand, until it has acted upon a message of at least this number."""
+        """A robot connected: it must stand until it confirms a message of at least this number."""
         self.stopped, self.held, self._stands_from = NOT_YET, True, number
 
     def acknowledge(self, number: int) -> None:
-        """The robot has acted upon this message."""
+        """The robot has obeyed this message."""
         if number >= self._stands_from:
             self.held = False
 
@@ -252,11 +251,11 @@ class CommandState:
         self.stopped, self._velocity, self._given_ns = "", velocity, now_ns
 
     def stop(self, cause: str) -> None:
-        """Stand, ahead of a command that follows."""
+        """Stand, before any later command."""
         self.stopped = cause
 
     def at(self, now_ns: int) -> Velocity | None:
-        """What to say now; None: that it is to stand."""
+        """Velocity to send now; None: stand."""
         if not self.stopped and now_ns >= self._given_ns + self._timeout_ns:
             self.stop(f"no command for {self._timeout_s:g} s")
         return None if self.stopped or self.held else self._velocity

@@ -236,14 +236,14 @@ RUN = """
 import sys, time
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.station.process_client import Station
-from vcmvsp.hardware.station.messages import Order, missions
+from vcmvsp.hardware.station.messages import StationOrder, missions
 
 station = Station.start(missions.decode(bytes.fromhex(sys.argv[1])))
 station.wait_ready()
 print(station.pid, flush=True)
 for number in range(1, 10**6):
     now_ns = time.monotonic_ns()
-    station.order(Order(number=number, sent_ns=now_ns, command=Velocity(linear=(0.2, 0.0, 0.0)), command_ns=now_ns))
+    station.order(StationOrder(number=number, sent_ns=now_ns, command=Velocity(linear=(0.2, 0.0, 0.0)), command_ns=now_ns))
     station.reports()
     time.sleep(0.05)
 """
