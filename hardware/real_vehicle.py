@@ -187,7 +187,7 @@ class VehicleProxy:
     def _odometry(self, report: StationReport, now_ns: int) -> Odometry:
         """Newest odometry, extrapolated to this instant."""
         told = report.odometry
-        assert told is not None  # noqa: S101  asked for before
+        assert told is not None  # noqa: S101  checked by the caller
         since_ns = self._clock.monotonic_ns(now_ns) - report.measured_ns
         seconds = max(0, min(since_ns, LONGEST_NS)) / SECOND_NS
         return Odometry(pose=arc(told.pose, told.v, told.w, seconds), v=told.v, w=told.w)

@@ -84,9 +84,8 @@ def aligned(items: Items, prior: Array, noise: OdometryNoise, sigma_rad: float, 
         heading, sigma, _ = _rotation(path[remaining], [positions[each] for each in remaining])
         if sigma > sigma_rad:
             return None
-        start = fitted(
-            _without(items, [each for each in range(len(positions)) if each not in remaining]), prior, noise, heading
-        )
+        dropped = sorted(set(range(len(positions))) - set(remaining))
+        start = fitted(_without(items, dropped), prior, noise, heading)
         if start.fits(gate):
             return start
         residuals = [_rotation(path[rest], [positions[i] for i in rest])[2] for rest in _one_less(remaining)]

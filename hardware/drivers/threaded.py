@@ -135,7 +135,7 @@ class ThreadedDriver:
             self._work()
         except DriverError as error:
             self._failure = error
-        except Exception as error:  # whatever it is: the caller must be told
+        except Exception as error:  # any error: for the caller
             self._failure = self._broken(error)
         finally:
             self._ready.set()
@@ -228,7 +228,7 @@ class ReconnectingDriver(ThreadedDriver):
         except DriverError as error:
             self._failure = error
             self._give_up()
-        except Exception as error:  # whatever it is: the caller must be told, and the robot stopped
+        except Exception as error:  # any error: for the caller, and the robot must stop
             self._failure = self._broken(error)
         finally:
             try:

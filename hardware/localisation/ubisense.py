@@ -44,10 +44,11 @@ def decode(datagram: bytes) -> Located:
     _, _, tag, flags, x, y, z, variance, time_ns = struct.unpack(order + _FIELDS, datagram)
     if flags and not all(map(math.isfinite, (x, y, z))):
         raise ValueError("a valid position has finite coordinates")
+    sigma_m = math.sqrt(variance) if 0.0 < variance < math.inf else None
     return Located(
         tag=f"{tag:016X}",
         position=(x, y, z) if flags else None,
-        sigma_m=math.sqrt(variance) if 0.0 < variance < math.inf else None,
+        sigma_m=sigma_m,
         source_ns=time_ns,
     )
 

@@ -34,7 +34,7 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True):
     command: Velocity
     causes: tuple[Cause, ...] = ()  # all that act now
     began: tuple[Cause, ...] = ()  # not active at the step before
-    stop: bool = False  # the robot must stop; one with a deceleration of its own may be told zero at once
+    stop: bool = False  # the robot must stop; a robot with its own deceleration may get zero at once
 
 
 class Supervisor(ABC):

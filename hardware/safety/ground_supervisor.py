@@ -69,8 +69,8 @@ def slow_down(
 
     The command is within the limits. The speed is reduced for the requested yaw rate. A yaw rate that turns towards
     obstacles within the stopping distance at the present speed is reduced, towards that of a robot that stops turning,
-    until the robot is slower. The room for stopping at the last step is still there now (`hardware.safety.obstacle_distance`): stopping
-    always fits if poses are true.
+    until the robot is slower. The room for stopping at the last step is still there now
+    (`hardware.safety.obstacle_distance`): stopping always fits if poses are true.
     """
     (v, w), (last_v, last_w) = command, last
     speed, u, decel = abs(v), abs(last_v), limits.stop_mps2

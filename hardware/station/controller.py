@@ -274,14 +274,13 @@ class StationController:
             number=self._turns,
             time_ns=now_ns,
             order=order.number,
-            state=None if here is None else here.state,
-            covariance=None if here is None else here.covariance,
             fixes=tuple(self._fixes),
             gated=self._where.gated,
-            fix_age_s=None if here is None else here.fix_age_s,
             sonar=tuple(sorted(self._sonar.items())),
             notices=tuple(self._notices),
         )
+        if here is not None:
+            report = msgspec.structs.replace(report, state=here.state, covariance=here.covariance, fix_age_s=here.fix_age_s)
         if sample is None:
             return report
         return msgspec.structs.replace(

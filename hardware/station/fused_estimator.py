@@ -76,10 +76,13 @@ class FusedEstimator:
             self._turned = pose.heading - yaw
         heading = wrap(yaw + self._turned)
         has_fix = math.isfinite(pose.age_s)
-        fix_ns = now_ns - round(pose.age_s * SECOND_NS) if has_fix else 0
+        measured_ns = fix_age_s = None  # without a fix the state is a guess
+        if has_fix:
+            fix_age_s = pose.age_s
+            measured_ns = min(now_ns - round(pose.age_s * SECOND_NS), odometry_ns)
         return StateEstimate(
             state=planar((pose.x, pose.y, heading), pose.v, pose.w, self._height_m),
             covariance=pose.covariance,
-            measured_ns=min(fix_ns, odometry_ns) if has_fix else None,  # without a fix the state is a guess
-            fix_age_s=pose.age_s if has_fix else None,
+            measured_ns=measured_ns,
+            fix_age_s=fix_age_s,
         )

@@ -42,8 +42,7 @@ def intervals(to: Sender, position_message: str, hz: float) -> list[Message]:
 
 def streams(to: Sender, hz: float) -> list[Message]:
     """Requests by REQUEST_DATA_STREAM, for an autopilot without message intervals."""
-    rates = [max(1, round(hz if each != mavlink.MAV_DATA_STREAM_EXTENDED_STATUS else STATUS_HZ)) for each in _DATA_STREAMS]
-    return [
-        mavlink.MAVLink_request_data_stream_message(to.system, to.component, stream, rate, 1)
-        for stream, rate in zip(_DATA_STREAMS, rates, strict=True)
-    ]
+    rates = dict.fromkeys(_DATA_STREAMS, max(1, round(hz)))
+    rates[mavlink.MAV_DATA_STREAM_EXTENDED_STATUS] = round(STATUS_HZ)
+    request = mavlink.MAVLink_request_data_stream_message
+    return [request(to.system, to.component, stream, rate, 1) for stream, rate in rates.items()]

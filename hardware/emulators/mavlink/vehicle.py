@@ -79,9 +79,8 @@ class Vehicle:
         self.armed, self.can_arm, self.old = armed, can_arm, old
         self.heard: deque[tuple[int, Message]] = deque(maxlen=10_000)
         self.blind = False
-        self.state = VehicleState(
-            position=start[:3] if start else origin, attitude=quaternion_from_yaw(start[3] if start else 0.0)
-        )
+        x, y, z, yaw = start or (*origin, 0.0)
+        self.state = VehicleState(position=(x, y, z), attitude=quaternion_from_yaw(yaw))
         self.motion = VehicleMotion(self.state, on_ground=kind == "rover") if start is not None else None
         self._flies = kind != "rover"
         self._ground = ground

@@ -148,7 +148,7 @@ def emulate(
     vehicle: str | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """A robot in the world of a scenario, at a port, until it is interrupted or that time ends; what happened.
+    """Serve a robot in the world of a scenario until it is interrupted or its time ends; its counts.
 
     Args:
         name: of the robot, see `KINDS`.
@@ -158,7 +158,7 @@ def emulate(
         run: runs a scenario: `cosim.runs.api.run`.
         flies: whether vehicles of a class fly: `physics.vehicles.specification.flies`.
         scenario_name: a built-in name, or the path of a file.
-        vehicle: which one it is; None: the only one that can be meant.
+        vehicle: name of the vehicle; None: the only suitable one.
         settings: key path -> value, as for a run.
     """
     parsed, source = loader.load(scenario_name, settings=settings)

@@ -195,7 +195,7 @@ class ZenohDriver(RobotSession):
             return f"another program drives {self._vehicle} already"
         return ""
 
-    # What is said of a robot that is not there
+    # Errors of a missing robot
 
     def _nobody(self) -> HandshakeError:
         """Why no robot is ready."""
