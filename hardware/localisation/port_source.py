@@ -30,13 +30,13 @@ class PortSource(PositionSource):
         self,
         device: str,
         reader: DatagramReader | LineReader,
-        placing: WorldTransform,
+        transform: WorldTransform,
         words: Advice,
         *,
         open_line: Callable[[], ByteLink],
         say: Callable[[int], bytes] = lambda _: b"",
     ) -> None:
-        super().__init__(device, reader, placing, words)
+        super().__init__(device, reader, transform, words)
         self._open_line, self._say = open_line, say
         self._thread: threading.Thread | None = None
 

@@ -95,8 +95,8 @@ class ExternalPose(PositionSource):
             f"does a bridge publish poses under {key} at {endpoint}?",
             f'what comes under {key} are no poses: write {{"t": s, "x": m, "y": m}}, with "z", "yaw", "sigma" where known',
         )
-        placing = WorldTransform(sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
-        super().__init__(f"{key} at {endpoint}", PoseReader(sigma_rad), placing, words)
+        transform = WorldTransform(sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
+        super().__init__(f"{key} at {endpoint}", PoseReader(sigma_rad), transform, words)
         self._endpoint, self._mode = with_slash(endpoint), mode
         self._session: zenoh.Session | None = None
 

@@ -31,9 +31,9 @@ class Advice(NamedTuple):
 class PositionSource:
     """A source of positions without its port: see `hardware.localisation.systems.Localisation`."""
 
-    def __init__(self, device: str, reader: DatagramReader | LineReader, placing: WorldTransform, words: Advice) -> None:
+    def __init__(self, device: str, reader: DatagramReader | LineReader, transform: WorldTransform, words: Advice) -> None:
         self.device = device
-        self._reader, self._placing, self._words = reader, placing, words
+        self._reader, self._transform, self._words = reader, transform, words
         self._lock = threading.Lock()
         self._fixes: deque[Fix] = deque(maxlen=_MOST_WAITING)
         self._notices: list[Notice] = []
@@ -70,9 +70,9 @@ class PositionSource:
             answers = self._reader.feed(chunk)
             for located in answers:
                 self._told += 1
-                jumps = self._placing.jumps
-                fix = self._placing.place(located, arrived_ns)
-                if self._placing.jumps > jumps:
+                jumps = self._transform.jumps
+                fix = self._transform.place(located, arrived_ns)
+                if self._transform.jumps > jumps:
                     self._notice("warned", "the clock that stamps the positions has jumped; their times are estimated anew")
                 if fix is not None and self._is_ours(arrived_ns):
                     self._fixes.append(fix)
@@ -98,7 +98,7 @@ class PositionSource:
     def _begin(self) -> None:
         """Reset everything."""
         self._failure = self._first_tag_ns = None
-        self._placing.tags.clear()
+        self._transform.tags.clear()
         self._silent = True  # until the first position, which is reported
         self._fixes.clear()
         self._expect()
@@ -112,31 +112,31 @@ class PositionSource:
     def _zero(self) -> None:
         """Reset the counts of rejected messages."""
         self._bytes = self._told = 0
-        placing = self._placing
-        placing.unknown = placing.far = placing.old = placing.others = 0
+        transform = self._transform
+        transform.unknown = transform.far = transform.old = transform.others = 0
 
     def _good(self, now_ns: int) -> None:
         if self._silent:
-            tag = f" of tag {self._placing.tag}" if self._placing.tag else ""
+            tag = f" of tag {self._transform.tag}" if self._transform.tag else ""
             self._notice("connected", f"positions{tag} come")
         self._silent, self._told_why, self._since_ns = False, "", now_ns
         self._zero()
 
     def _is_ours(self, now_ns: int) -> bool:
         """Whether a position is the vehicle's: without a tag name there must be one tag only."""
-        placing = self._placing
-        if placing.tag or not placing.tags:
+        transform = self._transform
+        if transform.tag or not transform.tags:
             return True
         if self._first_tag_ns is None:
             self._first_tag_ns = now_ns
         waited = now_ns - self._first_tag_ns >= CENSUS_S * SECOND_NS
-        if waited and len(placing.tags) > 1 and self._failure is None:
+        if waited and len(transform.tags) > 1 and self._failure is None:
             self._failure = HandshakeError(
                 self.device,
-                f"positions of {len(placing.tags)} tags come: {_listed(placing.tags)}",
+                f"positions of {len(transform.tags)} tags come: {_listed(transform.tags)}",
                 "name the vehicle's: tag = ...",
             )
-        return waited and len(placing.tags) == 1
+        return waited and len(transform.tags) == 1
 
     def _look(self, now_ns: int) -> None:
         """Warn when positions stay away, and again for each new reason."""
@@ -148,20 +148,20 @@ class PositionSource:
             self._told_why, self._silent = why, True
 
     def _why(self) -> str:
-        placing = self._placing
+        transform = self._transform
         if not self._bytes:
             return f"nothing comes; {self._words.nothing}"
         if not self._told:
             return self._words.unreadable
-        if placing.far:
+        if transform.far:
             return (
                 f"positions are more than {FARTHEST_M / 1000.0:g} km from the world's origin; "
                 "are the origin, and the offset of the system's frame, right?"
             )
-        if placing.old:
+        if transform.old:
             return f"positions are more than {OLDEST_S:g} s old by the clock that stamps them; does it stand still?"
-        if placing.others and not placing.unknown:
-            return f"tag {placing.tag} is not among those that are heard: {_listed(placing.tags)}"
+        if transform.others and not transform.unknown:
+            return f"tag {transform.tag} is not among those that are heard: {_listed(transform.tags)}"
         return "the system says that it has none; is there an anchor, or a satellite, that is not in sight?"
 
     def _notice(self, what: Literal["connected", "lost", "warned"], cause: str) -> None:

@@ -84,11 +84,11 @@ class Ubisense(PortSource):
             f"does the location engine send datagrams to {listen}, and is the tag awake?",
             "datagrams come but none are Ubisense's: does something else send to this port?",
         )
-        placing = WorldTransform(
+        transform = WorldTransform(
             tag=_hexadecimal(tag), sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad, normal=_hexadecimal
         )
         self._url = listen
-        super().__init__(listen, DatagramReader(ubisense.decode), placing, words, open_line=self._bound)
+        super().__init__(listen, DatagramReader(ubisense.decode), transform, words, open_line=self._bound)
 
     def _bound(self) -> ByteLink:
         line = Datagrams(self._url)
@@ -123,7 +123,7 @@ class Dwm1001(PortSource):
         words = Advice(
             "is the module on, and is this its port?", "bytes come but none are lines of a DWM1001: wrong port or baud rate?"
         )
-        placing = WorldTransform(tag=tag, sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
+        transform = WorldTransform(tag=tag, sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
         self._waker = dwm1001.Waker()
 
         def opened() -> ByteLink:
@@ -131,7 +131,7 @@ class Dwm1001(PortSource):
             return open_line(port, baud)
 
         super().__init__(
-            port, LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES), placing, words, open_line=opened, say=self._asked
+            port, LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES), transform, words, open_line=opened, say=self._asked
         )
 
     def take(self, chunk: bytes, arrived_ns: int) -> bool:
@@ -171,8 +171,8 @@ class Nmea(PortSource):
     ) -> None:
         words = Advice("is the receiver on, and is this its port?", "bytes come but none are NMEA: wrong baud rate?")
         reader = nmea.NmeaReader(TangentPlane(latitude_deg, longitude_deg, height_m), range_sigma_m)
-        placing = WorldTransform(sigma_m=range_sigma_m, latency_s=latency_s)
-        super().__init__(port, reader, placing, words, open_line=lambda: open_line(port, baud))
+        transform = WorldTransform(sigma_m=range_sigma_m, latency_s=latency_s)
+        super().__init__(port, reader, transform, words, open_line=lambda: open_line(port, baud))
 
 
 def _hexadecimal(tag: str) -> str:

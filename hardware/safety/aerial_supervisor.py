@@ -120,17 +120,17 @@ class AerialSupervisor(Supervisor):
         return one.clearance <= 0.0 or (level.clear and not self._fits(across, one))
 
     def _slow_down(
-        self, target: Plane, requested: Plane, dt: float, arounds: Sequence[tuple[Cause, Obstacles]]
+        self, target: Plane, requested: Plane, dt: float, obstacles: Sequence[tuple[Cause, Obstacles]]
     ) -> tuple[Plane, list[Cause]]:
         """Largest share of the target velocity that lets the vehicle stop in time, by bisection."""
-        causes = [cause for cause, around in arounds if not self._fits(requested, around)]
+        causes = [cause for cause, around in obstacles if not self._fits(requested, around)]
         if not causes:
             return requested, []
         sure, beyond, best = 0.0, 1.0, _ramp((0.0, 0.0), self.last[:2], dt, self._p.limits)
         for _ in range(_HALVINGS):
             share = 0.5 * (sure + beyond)
             trial = _ramp((share * target[0], share * target[1]), self.last[:2], dt, self._p.limits)
-            if all(self._fits(trial, around) for _, around in arounds):
+            if all(self._fits(trial, around) for _, around in obstacles):
                 sure, best = share, trial
             else:
                 beyond = share

@@ -59,7 +59,7 @@ def slow_down(
     command: tuple[float, float],
     last: tuple[float, float],
     yaw: float,
-    arounds: Sequence[tuple[Cause, Obstacles]],
+    obstacles: Sequence[tuple[Cause, Obstacles]],
     *,
     dt: float,
     hold: float,
@@ -79,7 +79,7 @@ def slow_down(
     far, until_still = swept(speed, u, hold, decel), hold + max(speed, u) / decel
     near = [
         (cause, around, around.closing.tolist())
-        for cause, around in arounds  # other obstacles are out of reach in every direction
+        for cause, around in obstacles  # other obstacles are out of reach in every direction
         if far + float(around.closing.max(initial=0.0)) * until_still > around.clearance or speed > around.speed
     ]
     way = 1.0 if v > 0.0 or last_v > 0.0 else -1.0  # the limits stop it before it reverses

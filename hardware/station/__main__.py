@@ -53,8 +53,8 @@ class StationProcess:
 
     def __init__(self, link: Link) -> None:
         self._link = link
-        self._onboard: StationController | None = None
-        self._ear: StopListener | None = None
+        self._controller: StationController | None = None
+        self._stop_listener: StopListener | None = None
         self._driver: Driver | None = None
         self._localisation: Localisation | None = None
         self._order: tuple[StationOrder, int] | None = None  # newest order that no cycle has used, and its arrival
@@ -78,10 +78,10 @@ class StationProcess:
         except Exception as error:
             failed, advice = f"{words_of(error)}{place_of(error)}", "report this to who wrote the driver"
         finally:
-            halted = self._onboard.halted if self._onboard is not None else ""
+            halted = self._controller.halted if self._controller is not None else ""
             for problem in self._close(failed or halted or self._ending or "the station ends"):
                 failed, advice = failed or problem, advice or "look after the robot"
-        if self._leaves and self._onboard is None:
+        if self._leaves and self._controller is None:
             failed = ""  # the run ended before the robot was open
         elif not failed and not self._leaves:
             failed, advice = self._ending, "start the run again"
@@ -104,13 +104,13 @@ class StationProcess:
 
     def _open(self, mission: StationMission) -> None:
         vehicle = self._vehicle
-        self._ear = StopListener(vehicle)
+        self._stop_listener = StopListener(vehicle)
         localisation: Localisation | None = None
         with within(OPEN_S, vehicle, "building its driver", self._given_up):
             driver: Driver = _built(mission.driver, mission)
             if mission.localisation is not None:
                 localisation = _built(mission.localisation, mission)
-            onboard = StationController(mission, driver, localisation, time.monotonic_ns)
+            controller = StationController(mission, driver, localisation, time.monotonic_ns)
         self._driver = driver
         with within(driver.open_deadline_s + GRACE_S, driver.device, "opening it", self._given_up):
             driver.open(mission.start)
@@ -118,7 +118,7 @@ class StationProcess:
             self._localisation = localisation
             with within(OPEN_S, localisation.device, "opening it", self._given_up):
                 localisation.open()
-        self._onboard = onboard
+        self._controller = controller
         self._halt(self._early)
 
     def _given_up(self) -> str:
@@ -134,8 +134,8 @@ class StationProcess:
 
     def _turn(self, mission: StationMission) -> None:
         """Run cycles until there is a reason to end."""
-        onboard = self._onboard
-        assert onboard is not None  # noqa: S101  it is open
+        controller = self._controller
+        assert controller is not None  # noqa: S101  it is open
         _settle()
         period_ns = round(SECOND_NS / mission.rate_hz)
         due_ns = time.monotonic_ns()
@@ -145,22 +145,22 @@ class StationProcess:
                 turned()
                 now_ns = time.monotonic_ns()
                 late_ns = now_ns - due_ns
-                order, heard_ns = self._order or (None, None)
+                order, arrival_ns = self._order or (None, None)
                 self._order = None
-                report = onboard.turn(now_ns, order, heard_ns=heard_ns, late_s=late_ns / SECOND_NS)
+                report = controller.turn(now_ns, order, arrival_ns=arrival_ns, late_s=late_ns / SECOND_NS)
                 if self._link.send(encode(report)):
-                    onboard.delivered()
+                    controller.delivered()
                 if self._leaves:
                     leave_by_ns = leave_by_ns or now_ns + round(STAND_S * SECOND_NS)
-                    if onboard.stands or now_ns >= leave_by_ns:
+                    if controller.stands or now_ns >= leave_by_ns:
                         return
                 due_ns += period_ns * (1 + late_ns // period_ns)  # missed cycles are skipped
                 self._wait(due_ns)
 
     def _wait(self, until_ns: int) -> None:
         """Process messages until the next cycle; at least once, also if it is late."""
-        assert self._ear is not None  # noqa: S101  it is open
-        run, operator = self._link.fileno(), self._ear.fileno()  # the first may be any number: it was inherited
+        assert self._stop_listener is not None  # noqa: S101  it is open
+        run, operator = self._link.fileno(), self._stop_listener.fileno()  # the first may be any number: it was inherited
         remaining_s = 1.0
         while not self._ending and remaining_s > 0.0:
             remaining_s = max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS)
@@ -190,25 +190,27 @@ class StationProcess:
         self._order = order, time.monotonic_ns()
 
     def _halt(self, cause: str) -> None:
-        if self._onboard is None:
+        if self._controller is None:
             self._early = self._early or cause
         elif cause:
-            self._onboard.halt(cause)
+            self._controller.halt(cause)
 
     def _hear_operator(self) -> str:
         """Obey the operator, also while the robot is connected (which is aborted: it may be taking off) or released."""
-        if (ear := self._ear) is None:
+        if (listener := self._stop_listener) is None:
             return ""
-        for verb, address in ear.hear():
+        for verb, address in listener.hear():
             if verb == "stop":
                 self._halt(OPERATOR_STOP)
             if verb == "alive":
-                if self._onboard is not None:
-                    self._onboard.operator_heard()
+                if self._controller is not None:
+                    self._controller.operator_heard()
                 continue
-            cause = self._early if self._onboard is None else self._onboard.halted
+            cause = self._early if self._controller is None else self._controller.halted
             state: Literal["stopped", "driving"] = "stopped" if cause else "driving"
-            ear.answer(address, StationAnswer(vehicle=self._vehicle, run=self._run, pid=os.getpid(), state=state, cause=cause))
+            listener.answer(
+                address, StationAnswer(vehicle=self._vehicle, run=self._run, pid=os.getpid(), state=state, cause=cause)
+            )
         return ""
 
     # The end
@@ -229,15 +231,15 @@ class StationProcess:
             tried(driver.close, driver.close_deadline_s + GRACE_S, "closing it")
         if self._localisation is not None:
             tried(self._localisation.close, OPEN_S, "closing its localisation")
-        if self._ear is not None:
-            self._ear.close()
+        if self._stop_listener is not None:
+            self._stop_listener.close()
         return problems
 
     def _last_words(self, failed: str, advice: str) -> StationReport:
         now_ns = time.monotonic_ns()
-        if self._onboard is None:
+        if self._controller is None:
             return StationReport(number=1, time_ns=now_ns, failed=failed, advice=advice)
-        return self._onboard.last_words(now_ns, failed, advice)
+        return self._controller.last_words(now_ns, failed, advice)
 
 
 def _built(part: PartSpec, mission: StationMission) -> Any:

@@ -42,7 +42,7 @@ class StationController:
         self, mission: StationMission, driver: Driver, localisation: "Localisation | None", now: Callable[[], int]
     ) -> None:
         self._mission, self._driver, self._localisation, self._now = mission, driver, localisation, now
-        self._where, self._guard = estimator_of(mission), guard(mission)
+        self._estimator, self._supervisor = estimator_of(mission), guard(mission)
         self._order, self._order_heard_ns = StationOrder(number=0, sent_ns=0), 0
         self._operator_ns: int | None = None
         self._sample: Sample | None = None
@@ -84,7 +84,7 @@ class StationController:
     # One cycle
 
     def turn(
-        self, now_ns: int, order: StationOrder | None = None, *, heard_ns: int | None = None, late_s: float = 0.0
+        self, now_ns: int, order: StationOrder | None = None, *, arrival_ns: int | None = None, late_s: float = 0.0
     ) -> StationReport:
         """Run one cycle.
 
@@ -95,9 +95,9 @@ class StationController:
             late_s: lateness of this cycle, for the report.
         """
         if order is not None:
-            self._take(order, now_ns if heard_ns is None else heard_ns)
+            self._take(order, now_ns if arrival_ns is None else arrival_ns)
         self._listen(now_ns)
-        here = self._where.at(now_ns)
+        here = self._estimator.at(now_ns)
         if here is not None and not _finite(here.state):
             here = None
         self._look_for_jumps(here)
@@ -118,10 +118,10 @@ class StationController:
         """The last report was sent: its notices, fixes and ranges are not repeated."""
         self._notices, self._fixes, self._sonar = [], [], {}
 
-    def _take(self, order: StationOrder, heard_ns: int) -> None:
+    def _take(self, order: StationOrder, arrival_ns: int) -> None:
         if order.others is not None and (order.others.ndim != 2 or order.others.shape[1] != 7):
             raise ValueError(f"others must be rows of 7 numbers, not of shape {order.others.shape}")
-        self._order, self._order_heard_ns = order, heard_ns
+        self._order, self._order_heard_ns = order, arrival_ns
         if order.stop:
             self.halt(order.stop)
 
@@ -129,12 +129,12 @@ class StationController:
         """Read driver and localisation."""
         if (sample := self._driver.read()) is not None:
             self._sample = sample
-            self._where.sample(sample, now_ns)
+            self._estimator.sample(sample, now_ns)
             self._sonar.update(sample.sonar)
         if self._localisation is not None:
             for speed in self._localisation.read(now_ns):
                 fix = msgspec.structs.replace(speed, time_ns=min(speed.time_ns, now_ns))
-                self._where.fix(fix)
+                self._estimator.fix(fix)
                 self._fixes.append(fix)
         self._notices += self._gathered()
 
@@ -147,8 +147,8 @@ class StationController:
         if here is None:
             return
         before, self._place = self._place, here.state.position
-        if self._where.jumps > self._jumps:
-            self._jumps = self._where.jumps
+        if self._estimator.jumps > self._jumps:
+            self._jumps = self._estimator.jumps
             jump_m = math.dist(before, self._place) if before else 0.0
             if jump_m > self._mission.safety.jump_m:
                 self.halt(f"its position jumped by {jump_m:.1f} m: carried off, or is the positioning system astray?")
@@ -171,11 +171,11 @@ class StationController:
 
     def _decide(self, now_ns: int, here: StateEstimate | None) -> tuple[Velocity, tuple[str, ...]]:
         """Send a command; the command, and the causes of its difference from the requested one."""
-        order, heard = self._order, self._heard(now_ns, here)
+        order, received = self._order, self._heard(now_ns, here)
         command = Velocity() if self.halted else order.command  # the supervisor slows down with the robot
         others = others_at(order.others, (now_ns - self._order_heard_ns) / SECOND_NS)
-        pose = None if here is None else self._guard.pose(here.state)
-        decision = self._guard.step(now_ns, command, pose, others, heard)
+        pose = None if here is None else self._supervisor.pose(here.state)
+        decision = self._supervisor.step(now_ns, command, pose, others, received)
         causes = tuple(each.value for each in decision.causes)
         if not self.halted and not self._mission.flies and self._is_stuck(now_ns, order.command):
             if self._sent:
@@ -212,11 +212,11 @@ class StationController:
 
         Lateness of the run is not the agent's fault: the robot continues within its limits for as long as a run may be silent.
         """
-        order, heard_ns = self._order, min(self._order_heard_ns, now_ns)
+        order, arrival_ns = self._order, min(self._order_heard_ns, now_ns)
         command_ns: int | None = None
         if order.command is not None:
             sent_ns = order.sent_ns if order.command_ns is None else order.command_ns
-            age_ns = max(0, order.sent_ns - sent_ns) + now_ns - heard_ns
+            age_ns = max(0, order.sent_ns - sent_ns) + now_ns - arrival_ns
             own_ns = order.sent_ns - sent_ns if order.command_age_ns is None else order.command_age_ns
             late_ns = max(0, age_ns - max(0, own_ns))
             self._late_s = late_ns / SECOND_NS
@@ -225,7 +225,7 @@ class StationController:
             operator_ns=None if self._operator_ns is None else min(self._operator_ns, now_ns),
             command_ns=command_ns,
             positioning_ns=None if here is None else here.measured_ns,
-            federation_ns=heard_ns if order.number else None,
+            federation_ns=arrival_ns if order.number else None,
         )
 
     def _stop(self, cause: str) -> None:
@@ -275,7 +275,7 @@ class StationController:
             time_ns=now_ns,
             order=order.number,
             fixes=tuple(self._fixes),
-            gated=self._where.gated,
+            gated=self._estimator.gated,
             sonar=tuple(sorted(self._sonar.items())),
             notices=tuple(self._notices),
         )

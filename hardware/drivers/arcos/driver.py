@@ -101,13 +101,13 @@ class ArcosDriver(ReconnectingDriver):
 
     def _prepare(self, start: Vec3) -> None:
         super()._prepare(start)
-        self._track = ArcosSampler(start)
+        self._sampler = ArcosSampler(start)
         self._line: ByteLink | None = None
         self._repeater: CommandRepeater[tuple[float, float]] | None = None  # None: not connected
         self._motors = True
 
     def _was_read(self) -> None:
-        self._track.taken()
+        self._sampler.taken()
 
     def _hold(self, cause: str) -> bool:
         if self._repeater is not None:
@@ -134,7 +134,7 @@ class ArcosDriver(ReconnectingDriver):
         assert handshake.robot is not None  # noqa: S101  it is done
         with self._lock:
             self.robot = handshake.robot
-            self._track.connect(self.robot)
+            self._sampler.connect(self.robot)
             cycle_ns = seconds_to_ns(self.robot.period_s)
             self._repeater = CommandRepeater(STILL, self._timeout_s, again_ns=RESEND_NS, least_ns=cycle_ns)
         name = handshake.name or "a robot without a name"
@@ -180,7 +180,7 @@ class ArcosDriver(ReconnectingDriver):
         for sip in sips:
             with self._lock:
                 assert self._repeater is not None  # noqa: S101  it is connected
-                sample = self._sample = self._track.add(sip, time.monotonic_ns(), self._repeater.stopped)
+                sample = self._sample = self._sampler.add(sip, time.monotonic_ns(), self._repeater.stopped)
             if self._motors and not sample.motors:
                 button = ": its stop button is pressed" if sample.emergency_stop else ""
                 self._notice("stopped", f"the robot has switched its motors off{button}")

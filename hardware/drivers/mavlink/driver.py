@@ -114,7 +114,7 @@ class MavlinkDriver(ReconnectingDriver):
         self._orders = SessionOptions(
             telemetry_hz=telemetry_hz, timeout_s=command_timeout_s, switch_mode=switch_mode, arm=arm, takeoff_m=takeoff_m
         )
-        self._pilot: MavlinkSession | None = None  # None: not connected
+        self._session: MavlinkSession | None = None  # None: not connected
 
     # What the caller does.
 
@@ -123,18 +123,18 @@ class MavlinkDriver(ReconnectingDriver):
         finite(velocity)
         with self._lock:
             self._check()
-            if self._pilot is not None:
-                self._pilot.command(velocity, time.monotonic_ns())
+            if self._session is not None:
+                self._session.command(velocity, time.monotonic_ns())
 
     def _prepare(self, start: Vec3) -> None:
         super()._prepare(start)
-        self._track = MavlinkSampler(start, self._origin, self._plane)
+        self._sampler = MavlinkSampler(start, self._origin, self._plane)
         self.peer = None
         self._link: MavlinkLink | None = None
 
     def _hold(self, cause: str) -> bool:
-        if self._pilot is not None:
-            self._pilot.stop(cause)
+        if self._session is not None:
+            self._session.stop(cause)
         return False
 
     # What the thread does.
@@ -149,15 +149,15 @@ class MavlinkDriver(ReconnectingDriver):
         peer = self._find(self._link, began_ns + seconds_to_ns(within_s), within_s)
         self._link.answer(peer.source)
         self._reader = MessageReader()
-        pilot = MavlinkSession(peer, orders, self._track, time.monotonic_ns())
+        session = MavlinkSession(peer, orders, self._sampler, time.monotonic_ns())
         if peer.on_ground and orders.takeoff_m is not None:
             raise HandshakeError(self.device, f"{peer.name} does not fly", "leave takeoff_m out")
         with self._lock:
-            self.peer, self._pilot = peer, pilot
-            self._track.connect()
+            self.peer, self._session = peer, session
+            self._sampler.connect()
         self._notice("connected", peer.name)
         more_s = TAKEOFF_S if orders.takeoff_m is not None else 0.0
-        self._make_ready(pilot, began_ns + seconds_to_ns(within_s + more_s))
+        self._make_ready(session, began_ns + seconds_to_ns(within_s + more_s))
         self._ready.set()
 
     def _find(self, link: MavlinkLink, deadline_ns: int, within_s: float) -> Peer:
@@ -177,14 +177,14 @@ class MavlinkDriver(ReconnectingDriver):
                 return peer
         raise search.failure(within_s)
 
-    def _make_ready(self, pilot: MavlinkSession, deadline_ns: int) -> None:
+    def _make_ready(self, session: MavlinkSession, deadline_ns: int) -> None:
         """Wait for position, mode, arming and height as requested."""
-        while not pilot.ready:
-            if pilot.interrupted:
-                happened = f"{self._name} was not made ready: {pilot.interrupted}"
+        while not session.ready:
+            if session.interrupted:
+                happened = f"{self._name} was not made ready: {session.interrupted}"
                 raise HandshakeError(self.device, happened, "open it again when it is free")
             if time.monotonic_ns() >= deadline_ns:
-                happened = f"{self._name} did not do what was asked; waited for {pilot.waits_for}"
+                happened = f"{self._name} did not do what was asked; waited for {session.waits_for}"
                 raise HandshakeError(self.device, happened, "look at what its ground station says of it, or raise connect_s")
             self._exchange(deadline_ns)
 
@@ -213,12 +213,12 @@ class MavlinkDriver(ReconnectingDriver):
 
     def _exchange(self, until_ns: int) -> tuple[int, int]:
         """Send what is due, and receive until this time; number of messages and of samples."""
-        link, pilot = self._link, self._pilot
+        link, session = self._link, self._session
         assert link is not None  # noqa: S101  it is connected
-        assert pilot is not None  # noqa: S101  the same
+        assert session is not None  # noqa: S101  the same
         with self._lock:
-            messages = pilot.advance(time.monotonic_ns())
-            due_ns = pilot.due_ns
+            messages = session.advance(time.monotonic_ns())
+            due_ns = session.due_ns
         if messages:
             link.write(self._encode(*messages))
         count = samples = 0
@@ -228,15 +228,15 @@ class MavlinkDriver(ReconnectingDriver):
                     if sender_of(message) == self._peer_sender:
                         count += 1
                         with self._lock:
-                            sample = pilot.receive(message, time.monotonic_ns())
+                            sample = session.receive(message, time.monotonic_ns())
                             self._sample = sample or self._sample
                         samples += sample is not None
-        self._tell(pilot)
+        self._tell(session)
         return count, samples
 
-    def _tell(self, pilot: MavlinkSession) -> None:
+    def _tell(self, session: MavlinkSession) -> None:
         with self._lock:
-            news, pilot.news = pilot.news, []
+            news, session.news = session.news, []
         for what, cause in news:
             self._notice(what, cause)
 
@@ -257,29 +257,29 @@ class MavlinkDriver(ReconnectingDriver):
 
         Only a vehicle on the ground is disarmed, if this driver armed it.
         """
-        pilot = self._pilot
-        if pilot is None or self._link is None:
+        session = self._session
+        if session is None or self._link is None:
             return
         self._leaving = True
         until_ns = time.monotonic_ns() + seconds_to_ns(GOODBYE_S)
         with self._lock:
-            pilot.leave()
+            session.leave()
         try:
-            while not pilot.ready and time.monotonic_ns() < until_ns:
+            while not session.ready and time.monotonic_ns() < until_ns:
                 self._exchange(until_ns)
         except LinkLost:
             return  # it has gone by itself
-        if not pilot.ready:
-            self._notice("warned", f"it was left while we waited for {pilot.waits_for}: take it over")
+        if not session.ready:
+            self._notice("warned", f"it was left while we waited for {session.waits_for}: take it over")
 
     def _hang_up(self) -> None:
         """Release the port, with zero speed as the last message."""
         link, self._link = self._link, None
         with self._lock:
-            pilot, self._pilot = self._pilot, None
+            session, self._session = self._session, None
         if link is None:
             return
-        if pilot is not None:
+        if session is not None:
             with contextlib.suppress(LinkLost):
-                link.write(self._encode(*pilot.farewell()))
+                link.write(self._encode(*session.farewell()))
         link.close()

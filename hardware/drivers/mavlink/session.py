@@ -61,10 +61,10 @@ class MavlinkSession:
         interrupted: why preparation must end: the mode was changed, or the vehicle was stopped; empty: it continues.
     """
 
-    def __init__(self, peer: Peer, orders: SessionOptions, track: MavlinkSampler, now_ns: int) -> None:
+    def __init__(self, peer: Peer, orders: SessionOptions, sampler: MavlinkSampler, now_ns: int) -> None:
         self.in_command, self.interrupted = False, ""
         self.news: list[tuple[What, str]] = []
-        self._peer, self._orders, self._track = peer, orders, track
+        self._peer, self._orders, self._sampler = peer, orders, sampler
         self._repeater = CommandRepeater((STILL, 0.0), orders.timeout_s, again_ns=PERIOD_NS, least_ns=PERIOD_NS)
         self._boot_ns = self._now_ns = now_ns
         self._mode, self._armed, self._terminated = "", False, False
@@ -167,17 +167,17 @@ class MavlinkSession:
         """Process a message of the vehicle; a sample, if it completes one."""
         self._now_ns = now_ns
         kind = message.get_type()
-        if kind == self._track.position_message:
-            if not self._track.position(message, now_ns):
+        if kind == self._sampler.position_message:
+            if not self._sampler.position(message, now_ns):
                 return None
-            return self._track.sample(motors=self._armed, terminated=self._terminated, stopped=self.stopped)
+            return self._sampler.sample(motors=self._armed, terminated=self._terminated, stopped=self.stopped)
         match kind:
             case "ATTITUDE":
-                self._track.attitude(message, now_ns)
+                self._sampler.attitude(message, now_ns)
             case "HEARTBEAT":
                 self._watch(message)
             case "SYS_STATUS":
-                self._track.status(message)
+                self._sampler.status(message)
             case "EXTENDED_SYS_STATE":
                 self._landed = message.landed_state
             case "COMMAND_ACK":
@@ -192,7 +192,7 @@ class MavlinkSession:
     def _opening(self) -> list[_Step]:
         """Requests at the start, in order."""
         orders, autopilot = self._orders, self._peer.autopilot
-        steps = [_Step(f"its position ({self._track.position_message} and ATTITUDE)", self._located, self._telemetry)]
+        steps = [_Step(f"its position ({self._sampler.position_message} and ATTITUDE)", self._located, self._telemetry)]
         if orders.switch_mode:
             switch = messages.switch(self._peer.sender, autopilot, autopilot.follows)
             steps.append(_Step("set-points to have come for a while", self._led, list))
@@ -209,7 +209,7 @@ class MavlinkSession:
             self._request_ns, self._refusal = None, ""
 
     def _located(self) -> bool:
-        return self._track.state is not None and bool(self._mode)
+        return self._sampler.state is not None and bool(self._mode)
 
     def _led(self) -> bool:
         return self._now_ns - self._boot_ns >= seconds_to_ns(self._peer.autopilot.lead_s)
@@ -224,7 +224,7 @@ class MavlinkSession:
     def _telemetry(self) -> list[Message]:
         """Request telemetry; with REQUEST_DATA_STREAM too, if message intervals had no effect."""
         to, hz = self._peer.sender, self._orders.telemetry_hz
-        requests = messages.intervals(to, self._track.position_message, hz)
+        requests = messages.intervals(to, self._sampler.position_message, hz)
         if self._old_streams:
             requests += messages.streams(to, hz)
         self._old_streams = True
@@ -232,7 +232,7 @@ class MavlinkSession:
 
     def _rise(self) -> list[Message]:
         """PX4 climbs by set-points, without a global position; ArduPilot needs a command to leave the ground."""
-        state, height = self._track.state, self._orders.takeoff_m
+        state, height = self._sampler.state, self._orders.takeoff_m
         assert state is not None  # noqa: S101  its position is the first step
         assert height is not None  # noqa: S101  there is this step
         if self._climb_to is None:
@@ -242,7 +242,7 @@ class MavlinkSession:
         return [messages.command(self._peer.sender, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height)]
 
     def _high(self) -> bool:
-        state = self._track.state
+        state = self._sampler.state
         if self._climb_to is None or state is None or state.position[2] < self._climb_to:
             return False
         self._climb_to = None
@@ -251,7 +251,7 @@ class MavlinkSession:
     @property
     def _stands(self) -> bool:
         """The vehicle is on the ground, and does not move."""
-        state = self._track.state
+        state = self._sampler.state
         still = state is not None and max(map(abs, state.velocity)) < STANDS
         return still and (self._peer.on_ground or self._landed == mavlink.MAV_LANDED_STATE_ON_GROUND)
 

@@ -127,14 +127,14 @@ class Ros2Driver(ThreadedDriver):
         with self._lock:
             self._check()
             if self._connected:
-                self._pace.command((v, w), time.monotonic_ns())
+                self._repeater.command((v, w), time.monotonic_ns())
         self._wake()
 
     def _prepare(self, start: Vec3) -> None:
         self.refused: Counter[str] = Counter()  # rejected messages, by cause
         self._news: queue.SimpleQueue[ReceivedMessage | bool | None] = queue.SimpleQueue()
-        self._track = Ros2Sampler(start, self._pose, self._origin, self._max_speed)
-        self._pace = CommandRepeater(ZERO_SPEEDS, self._timeout_s, again_ns=round(SECOND_NS / self._rate_hz))
+        self._sampler = Ros2Sampler(start, self._pose, self._origin, self._max_speed)
+        self._repeater = CommandRepeater(ZERO_SPEEDS, self._timeout_s, again_ns=round(SECOND_NS / self._rate_hz))
         self._presence = RobotPresence(self._silence_s)
         self._connected = False
         self._lost = ""  # reason of the loss
@@ -142,7 +142,7 @@ class Ros2Driver(ThreadedDriver):
         self._lost_ns = 0
 
     def _hold(self, cause: str) -> bool:
-        self._pace.stop(cause)
+        self._repeater.stop(cause)
         return False
 
     def _wake(self) -> None:
@@ -195,20 +195,20 @@ class Ros2Driver(ThreadedDriver):
             self._look(now_ns)
             if self._connected:
                 with self._lock:
-                    self._sample = self._track.add(*message, self._pace.stopped)
+                    self._sample = self._sampler.add(*message, self._repeater.stopped)
 
     def _say_what_is_due(self) -> int:
         """Send velocities that are due; time of the next one."""
         while True:
             with self._lock:
-                before = self._pace.stopped
-                speeds = self._pace.advance(time.monotonic_ns())
-                stopped, due_ns = self._pace.stopped, self._pace.due_ns
+                before = self._repeater.stopped
+                speeds = self._repeater.advance(time.monotonic_ns())
+                stopped, due_ns = self._repeater.stopped, self._repeater.due_ns
             if stopped != before:
                 self._notice("stopped", stopped)
             if speeds is None:
                 return due_ns
-            self._say(speeds, self._track.stamp_ns(time.monotonic_ns()))
+            self._say(speeds, self._sampler.stamp_ns(time.monotonic_ns()))
 
     def _say(self, speeds: tuple[float, float], stamp_ns: int) -> None:
         v, w = speeds
@@ -220,7 +220,7 @@ class Ros2Driver(ThreadedDriver):
         self._presence.listen(listens, now_ns)
         if listens:
             with self._lock:
-                self._pace.stop(self._pace.stopped or NOT_YET)
+                self._repeater.stop(self._repeater.stopped or NOT_YET)
 
     def _taken(self, message: ReceivedMessage) -> tuple[OdometryMessage, int] | None:
         """Odometry of a message, and its arrival; the first rejected message of each cause is reported."""
@@ -255,14 +255,14 @@ class Ros2Driver(ThreadedDriver):
             happened = f"no {what} for {self._silence_s:g} s"
             with self._lock:
                 self._connected, self._lost, self._lost_ns = False, happened, now_ns
-                self._pace.stop(happened)
+                self._repeater.stop(happened)
             self._notice("lost", happened)
         elif not self._connected and not (silent or unheard):
             with self._lock:
                 sender = self._presence.sender
-                self._track.connect(anew=sender is None or sender != self._spoke)
+                self._sampler.connect(anew=sender is None or sender != self._spoke)
                 self._connected, self._lost, self._spoke = True, "", sender
-                self._pace.stop(NOT_YET)
+                self._repeater.stop(NOT_YET)
             self._notice("connected", f"odometry on {self._odometry.topic}, commands to {self._command.topic}")
             self._ready.set()
 

@@ -65,7 +65,7 @@ class RobotProgram:
     ) -> None:
         self._vehicle, self._endpoint, self._bundle = vehicle, endpoint, bundle
         self._foreign, self._tell = foreign, tell
-        self._aboard = DriverWatchdog(driver, pose, tell)
+        self._watchdog = DriverWatchdog(driver, pose, tell)
         self._driver = driver
         self._robot = secrets.token_hex(8)
         self._told = ""
@@ -85,74 +85,74 @@ class RobotProgram:
         try:
             while not self._ending:
                 try:
-                    dialled = RunConnection(self._endpoint, self._bundle, self._vehicle)
+                    connection = RunConnection(self._endpoint, self._bundle, self._vehicle)
                 except RunUnreachable as nobody:
                     self._say_once(str(nobody))
                     if self._foreign:
                         raise UsageError(self._foreign) from None
                     self._rest(DIAL_S)
                     continue
-                with closing(dialled):
-                    self._visit(dialled)
+                with closing(connection):
+                    self._visit(connection)
         finally:
-            self._aboard.close(self._ending or "its program ends")
+            self._watchdog.close(self._ending or "its program ends")
         self._tell(self._ending)
 
     # One run
 
-    def _visit(self, dialled: RunConnection) -> None:
+    def _visit(self, connection: RunConnection) -> None:
         """Serve one run while there is a link."""
-        welcome = self._greeted(dialled)
+        welcome = self._greeted(connection)
         if welcome is None:
             return
         self._told, self._lost_ns = "", None
         self._echo = (0, 0, 0)
-        aboard = self._aboard
+        watchdog = self._watchdog
 
         def say() -> None:
-            self._say(dialled)
+            self._say(connection)
 
         try:
-            if aboard.run == welcome.run and aboard.state == "open":
+            if watchdog.run == welcome.run and watchdog.state == "open":
                 self._tell("the run is back")
-                aboard.meet()
+                watchdog.meet()
             else:
                 self._tell(f"a run has come ({self._endpoint})")
-                aboard.close("another run has come", say)
-                aboard.open(welcome.run, welcome.start, lambda: self._given_up(dialled))
-            ended = self._drive(dialled)
-            aboard.stop(ended if ended in (LEFT, self._ending) else f"the link to the run is lost ({ended})")
+                watchdog.close("another run has come", say)
+                watchdog.open(welcome.run, welcome.start, lambda: self._given_up(connection))
+            ended = self._drive(connection)
+            watchdog.stop(ended if ended in (LEFT, self._ending) else f"the link to the run is lost ({ended})")
         except Exception as error:
-            aboard.fail(error, say)
+            watchdog.fail(error, say)
             ended = ""
         if self._ending:
-            aboard.end(f"its program was {self._ending}", say)
+            watchdog.end(f"its program was {self._ending}", say)
             say()
-        elif aboard.failure is not None:
-            self._say_last(dialled, left=False)
+        elif watchdog.failure is not None:
+            self._say_last(connection, left=False)
         elif ended == LEFT:
-            aboard.close(LEFT, say)
-            self._say_last(dialled, left=True)
+            watchdog.close(LEFT, say)
+            self._say_last(connection, left=True)
             self._tell(LEFT)
         else:
             self._lost_ns = time.monotonic_ns()
             self._tell(f"the link to the run is lost ({ended}); the robot stands")
 
-    def _greeted(self, dialled: RunConnection) -> RobotWelcome | None:
+    def _greeted(self, connection: RunConnection) -> RobotWelcome | None:
         """Request until the run accepts this robot; None: no answer, or the run ended."""
         driver = self._driver
         hello = RobotHello(
             protocol=messages.PROTOCOL,
             vehicle=self._vehicle,
             robot=self._robot,
-            session=dialled.id,
+            session=connection.id,
             device=driver.device,
             open_s=driver.open_deadline_s,
             close_s=driver.close_deadline_s,
         )
         until = time.monotonic() + DOOR_S
         while not self._ending:
-            welcome = dialled.greet(encode(hello))
+            welcome = connection.greet(encode(hello))
             if welcome is not None and not welcome.refused:
                 return welcome
             if welcome is not None:
@@ -164,7 +164,7 @@ class RobotProgram:
                 self._rest(ASK_S)
                 return None
             self._rest(ASK_S if welcome else DIAL_S)
-            if dialled.next(0.0) == "gone":
+            if connection.next(0.0) == "gone":
                 return None
         return None
 
@@ -174,38 +174,38 @@ class RobotProgram:
             return f"what listens there does not answer robots: another vcmvsp version, {wrong}"
         return f"{access_control.silence(self._bundle.name)}; {wrong}"
 
-    def _given_up(self, dialled: RunConnection) -> str:
+    def _given_up(self, connection: RunConnection) -> str:
         """Reason to abort the opening of the driver; sends the present status meanwhile."""
-        self._say(dialled)
-        while (news := dialled.next(0.0)) is not None:
+        self._say(connection)
+        while (news := connection.next(0.0)) is not None:
             if news == "gone":
                 return "the run has ended"
-            down = self._taken(news)
-            if down is not None and down.leave:
+            order = self._taken(news)
+            if order is not None and order.leave:
                 return "the run is over"
         return self._ending
 
-    def _drive(self, dialled: RunConnection) -> str:
+    def _drive(self, connection: RunConnection) -> str:
         """Follow the run until it leaves, its link ends, or this program ends; the reason."""
-        aboard = self._aboard
+        watchdog = self._watchdog
         heard_ns = time.monotonic_ns()
         with within(HANG_S, self._driver.device, "a turn") as turned:
-            while not self._ending and aboard.failure is None:
+            while not self._ending and watchdog.failure is None:
                 turned()
-                news = dialled.next(POLL_S)
+                news = connection.next(POLL_S)
                 now_ns = time.monotonic_ns()
                 if news == "gone":
                     return "it has ended, or the network broke"
-                if news is not None and (down := self._taken(news)) is not None:
+                if news is not None and (order := self._taken(news)) is not None:
                     heard_ns = now_ns
-                    if down.leave:
+                    if order.leave:
                         return LEFT
-                    aboard.follow(down, now_ns)
+                    watchdog.follow(order, now_ns)
                 if now_ns > heard_ns + seconds_to_ns(SILENCE_S):
                     return f"nothing was heard for {SILENCE_S:g} s"
-                sample = aboard.turn(now_ns)
+                sample = watchdog.turn(now_ns)
                 if sample is not None or now_ns >= self._said_ns + seconds_to_ns(SAY_S):
-                    self._say(dialled, sample)
+                    self._say(connection, sample)
         return self._ending
 
     def _taken(self, news: "RunMessage | str") -> RobotOrder | None:
@@ -213,42 +213,42 @@ class RobotProgram:
         if isinstance(news, str):
             return None
         try:
-            down = messages.downs.decode(news.data)
+            order = messages.downs.decode(news.data)
         except ValueError:
             self._say_once("the run says something that cannot be read: use the same vcmvsp version")
             return None
-        if down.number <= self._echo[0]:
+        if order.number <= self._echo[0]:
             return None
-        self._echo = down.number, down.sent_ns, news.arrived_ns
-        return down
+        self._echo = order.number, order.sent_ns, news.arrived_ns
+        return order
 
     # Talking
 
-    def _say(self, dialled: RunConnection, sample: Sample | None = None, *, left: bool = False) -> None:
-        aboard = self._aboard
+    def _say(self, connection: RunConnection, sample: Sample | None = None, *, left: bool = False) -> None:
+        watchdog = self._watchdog
         number, sent_ns, heard_ns = self._echo
         self._said_ns = time.monotonic_ns()
-        up = RobotStatus(
+        status = RobotStatus(
             said_ns=self._said_ns,
             heard=number,
             yours_ns=sent_ns,
             heard_ns=heard_ns,
-            state=aboard.state,
-            opened=aboard.opened,
+            state=watchdog.state,
+            opened=watchdog.opened,
             sample=sample,
-            notices=aboard.notices(),
-            noticed=aboard.noticed,
-            failure=aboard.failure,
+            notices=watchdog.notices(),
+            noticed=watchdog.noticed,
+            failure=watchdog.failure,
             left=left,
         )
-        dialled.say(encode(up))
+        connection.say(encode(status))
 
-    def _say_last(self, dialled: RunConnection, *, left: bool) -> None:
+    def _say_last(self, connection: RunConnection, *, left: bool) -> None:
         """Send until the run has ended its link."""
         until = time.monotonic() + LINGER_S
         while time.monotonic() < until and not self._ending:
-            self._say(dialled, left=left)
-            if dialled.next(SAY_S) == "gone":
+            self._say(connection, left=left)
+            if connection.next(SAY_S) == "gone":
                 return
 
     def _say_once(self, text: str) -> None:
@@ -264,13 +264,13 @@ class RobotProgram:
             time.sleep(min(DIAL_S, max(0.0, (until_ns - now_ns) / SECOND_NS)))
 
     def _attend(self, now_ns: int) -> None:
-        aboard = self._aboard
-        if aboard.state != "open":
+        watchdog = self._watchdog
+        if watchdog.state != "open":
             return
         try:
             with within(HANG_S, self._driver.device, "a turn"):
-                aboard.turn(now_ns)
+                watchdog.turn(now_ns)
         except Exception as error:
-            aboard.fail(error)
+            watchdog.fail(error)
         if self._lost_ns is not None and now_ns > self._lost_ns + seconds_to_ns(KEEP_S):
-            aboard.close(f"its run is not back after {KEEP_S:g} s")
+            watchdog.close(f"its run is not back after {KEEP_S:g} s")

@@ -81,19 +81,19 @@ class DriverWatchdog:
         self._stood = False
         self.stop("its run has just come")
 
-    def follow(self, down: RobotOrder, now_ns: int) -> None:
+    def follow(self, order: RobotOrder, now_ns: int) -> None:
         """Obey an order; a velocity that may be too old, by this clock, is ignored."""
-        self._heard(down.noticed)
+        self._heard(order.noticed)
         if self.state != "open":
             return
-        if down.velocity is None:
+        if order.velocity is None:
             self._stood = True
-            self.stop(plain(down.stop) or NOT_YET)
-        elif not all(map(math.isfinite, (*down.velocity.linear, down.velocity.yaw_rate))):
+            self.stop(plain(order.stop) or NOT_YET)
+        elif not all(map(math.isfinite, (*order.velocity.linear, order.velocity.yaw_rate))):
             self.stop("a velocity of the run is no number")
-        elif self._stood and self._is_fresh(down, now_ns):
+        elif self._stood and self._is_fresh(order, now_ns):
             self._stopped, self._velocity_ns = "", now_ns
-            self._driver.write(down.velocity)
+            self._driver.write(order.velocity)
 
     def stop(self, cause: str) -> None:
         """Stop the robot; reported once for each cause."""
@@ -175,12 +175,12 @@ class DriverWatchdog:
         self.noticed += max(0, len(self._notices) + len(new) - KEPT)  # the oldest are dropped
         self._notices.extend(new)
 
-    def _is_fresh(self, down: RobotOrder, now_ns: int) -> bool:
+    def _is_fresh(self, order: RobotOrder, now_ns: int) -> bool:
         """Whether the order answers a recent status of this program."""
-        fresh = down.yours_ns > 0 and now_ns - down.yours_ns <= _DEADMAN_NS
+        fresh = order.yours_ns > 0 and now_ns - order.yours_ns <= _DEADMAN_NS
         if not fresh and not self._late:
             self._late = True
-            way = f"{(now_ns - down.yours_ns) / 1e9:.1f} s for both ways" if down.yours_ns else "nothing of ours was heard"
+            way = f"{(now_ns - order.yours_ns) / 1e9:.1f} s for both ways" if order.yours_ns else "nothing of ours was heard"
             warned = Notice(
                 time_ns=time.monotonic_ns(), what="warned", cause=f"velocities come too late and do not count: {way}"
             )

@@ -101,8 +101,8 @@ class ZenohDriver(RobotSession):
     # What the thread does.
 
     def _work(self) -> None:
-        with contextlib.closing(RobotListener(self._listen, self._authority(), self._vehicle, self._hand_over)) as door:
-            self._door = door
+        with contextlib.closing(RobotListener(self._listen, self._authority(), self._vehicle, self._hand_over)) as listener:
+            self._listener = listener
             try:
                 self._converse(time.monotonic_ns() + seconds_to_ns(self._open_s))
             except DriverError as error:
@@ -165,26 +165,26 @@ class ZenohDriver(RobotSession):
 
     # Greetings
 
-    def _greeted(self, knock: RobotGreeting) -> None:
+    def _greeted(self, greeting: RobotGreeting) -> None:
         """Accept a robot, or answer why not."""
         try:
-            hello = messages.hellos.decode(knock.payload)
-            peer = Peer(knock.name, hello.session)
+            hello = messages.hellos.decode(greeting.payload)
+            peer = Peer(greeting.name, hello.session)
             key_names.robot_key(peer.name, self._vehicle, peer.session, "up")
         except ValueError:
-            knock.answer(RobotWelcome(refused="that was no greeting of a robot of this version", final=True))
+            greeting.answer(RobotWelcome(refused="that was no greeting of a robot of this version", final=True))
             return
-        final = self._admission.refusal(knock.name, hello)
-        if refused := final or self._waits(knock.name, hello):
+        final = self._admission.refusal(greeting.name, hello)
+        if refused := final or self._waits(greeting.name, hello):
             self._refused = refused
             self._warn_once(f"a robot was sent away: {refused}")
-            knock.answer(RobotWelcome(refused=refused, final=bool(final)))
+            greeting.answer(RobotWelcome(refused=refused, final=bool(final)))
             return
         if self._peer is not None and self._peer != peer:
             self._let_go("the robot has dialled anew")
         if self._peer is None:
             self._follow(peer, hello)
-        knock.answer(RobotWelcome(run=self._run_name, start=self._track.pose))
+        greeting.answer(RobotWelcome(run=self._run_name, start=self._sampler.pose))
 
     def _waits(self, name: str, hello: RobotHello) -> str:
         """Reason not to accept an admitted robot now; empty: accept it."""

@@ -50,22 +50,22 @@ class RemoteSampler:
         """Notices of this robot so far."""
         return self._noticed
 
-    def hear(self, up: RobotStatus, arrived_ns: int) -> None:
+    def hear(self, status: RobotStatus, arrived_ns: int) -> None:
         """Use the times of a message."""
-        if up.heard:
-            self.clock.add(up.yours_ns, up.heard_ns, up.said_ns, arrived_ns)
+        if status.heard:
+            self.clock.add(status.yours_ns, status.heard_ns, status.said_ns, arrived_ns)
 
-    def sample(self, up: RobotStatus, arrived_ns: int, stopped: str) -> Sample | None:
+    def sample(self, status: RobotStatus, arrived_ns: int, stopped: str) -> Sample | None:
         """Sample of a message; None: it has none, an old one, one that is not finite, or the clock is unknown."""
-        theirs, clock = up.sample, self.clock.best(arrived_ns)
+        theirs, clock = status.sample, self.clock.best(arrived_ns)
         if theirs is None or clock is None or not _finite(theirs):
             return None
-        key = (up.opened, theirs.link, theirs.number)
-        if self._last is not None and self._last[0] == up.opened and theirs.number <= self._last[2]:
+        key = (status.opened, theirs.link, theirs.number)
+        if self._last is not None and self._last[0] == status.opened and theirs.number <= self._last[2]:
             return None
         if self._last is not None and self._last[:2] != key[:2]:
             self.link += 1
-        goes_on = self._last is not None and self._last[0] == up.opened
+        goes_on = self._last is not None and self._last[0] == status.opened
         self._number += min(theirs.number - self._last[2], MOST_MISSED) if self._last is not None and goes_on else 1
         self._last = key
         came_ns = min(theirs.arrived_ns + clock.offset_ns, arrived_ns)
@@ -86,10 +86,10 @@ class RemoteSampler:
         """The newest sample was read: its sonar readings are not repeated."""
         self._sonar.clear()
 
-    def notices(self, up: RobotStatus, arrived_ns: int) -> list[Notice]:
+    def notices(self, status: RobotStatus, arrived_ns: int) -> list[Notice]:
         """New notices of a message."""
-        new = up.notices[max(0, self._noticed - up.noticed) :]
-        self._noticed = max(self._noticed, up.noticed + len(up.notices))
+        new = status.notices[max(0, self._noticed - status.noticed) :]
+        self._noticed = max(self._noticed, status.noticed + len(status.notices))
         clock = self.clock.best(arrived_ns)
 
         def here(notice: Notice) -> Notice:

@@ -40,7 +40,7 @@ class RobotSession(ThreadedDriver):
         command_timeout_s: without a command, the robot is stopped.
     """
 
-    _door: RobotListener
+    _listener: RobotListener
 
     def __init__(
         self, device: str, *, vehicle: str, open_deadline_s: float, reconnect_s: float, command_timeout_s: float
@@ -58,13 +58,13 @@ class RobotSession(ThreadedDriver):
         with self._lock:
             self._check()
             if self._connected:
-                self._orders.command(velocity, time.monotonic_ns())
+                self._command_state.command(velocity, time.monotonic_ns())
         self._wake()
 
     def _prepare(self, start: Vec3) -> None:
         self._news: queue.SimpleQueue[News | None] = queue.SimpleQueue()
         self._woken = threading.Event()
-        self._track, self._orders = RemoteSampler(start), CommandState(self._timeout_s)
+        self._sampler, self._command_state = RemoteSampler(start), CommandState(self._timeout_s)
         self._peer: Peer | None = None  # followed robot
         self._hello: RobotHello | None = None  # of the followed robot, or of the previous one
         self._connected = False  # the robot is ready
@@ -74,10 +74,10 @@ class RobotSession(ThreadedDriver):
         self._warned = set[str]()
 
     def _was_read(self) -> None:
-        self._track.taken()
+        self._sampler.taken()
 
     def _hold(self, cause: str) -> bool:
-        self._orders.stop(cause)
+        self._command_state.stop(cause)
         return self._connected  # the robot reports it
 
     def _wake(self) -> None:
@@ -95,11 +95,11 @@ class RobotSession(ThreadedDriver):
 
     def _follow(self, peer: Peer, hello: RobotHello) -> None:
         """Start exchanging messages with this robot."""
-        self._door.follow(peer)
+        self._listener.follow(peer)
         same = self._hello is not None and self._hello.robot == hello.robot
         with self._lock:
-            self._track.connect(anew=not same)
-            self._orders.connect(self._number + 1)
+            self._sampler.connect(anew=not same)
+            self._command_state.connect(self._number + 1)
         self._peer, self._hello = peer, hello
         self._yours_ns, self._heard_ns = 0, time.monotonic_ns()
         longest_s = max(0.0, min(hello.close_s, LONGEST_CLOSE_S))  # also for NaN
@@ -111,12 +111,12 @@ class RobotSession(ThreadedDriver):
         self._number += 1
         now_ns = time.monotonic_ns()
         with self._lock:
-            before = self._orders.stopped
-            velocity, stopped = self._orders.at(now_ns), self._orders.stopped
-            noticed = self._track.noticed
+            before = self._command_state.stopped
+            velocity, stopped = self._command_state.at(now_ns), self._command_state.stopped
+            noticed = self._sampler.noticed
         if stopped != before:
             self._notice("stopped", stopped)
-        down = RobotOrder(
+        order = RobotOrder(
             number=self._number,
             sent_ns=now_ns,
             yours_ns=self._yours_ns,
@@ -125,25 +125,25 @@ class RobotSession(ThreadedDriver):
             stop="" if velocity else stopped or NOT_YET,
             leave=leave,
         )
-        self._door.say(encode(down))
+        self._listener.say(encode(order))
 
     def _heard(self, message: RobotMessage) -> None:
         """Process a status of the robot."""
         try:
-            up = messages.ups.decode(message.data)
+            status = messages.ups.decode(message.data)
         except ValueError as error:
             self._warn_once(f"a message of the robot is left out: {error}")
             return
-        self._heard_ns, self._yours_ns = message.arrived_ns, up.said_ns
+        self._heard_ns, self._yours_ns = message.arrived_ns, status.said_ns
         with self._lock:
-            self._track.hear(up, message.arrived_ns)
-            self._orders.acknowledge(up.heard)
-            sample = self._track.sample(up, message.arrived_ns, self._orders.stopped)
+            self._sampler.hear(status, message.arrived_ns)
+            self._command_state.acknowledge(status.heard)
+            sample = self._sampler.sample(status, message.arrived_ns, self._command_state.stopped)
             self._sample = sample or self._sample
-            self._notices.extend(self._track.notices(up, message.arrived_ns))
-        if up.failure is not None and not self._closing.is_set():
-            self._fail(self._failed_aboard(up.failure))
-        elif up.state == "open" and not self._connected and not self._orders.held:
+            self._notices.extend(self._sampler.notices(status, message.arrived_ns))
+        if status.failure is not None and not self._closing.is_set():
+            self._fail(self._failed_aboard(status.failure))
+        elif status.state == "open" and not self._connected and not self._command_state.held:
             self._connect(message.arrived_ns)
 
     def _fail(self, error: DriverError) -> None:
@@ -155,7 +155,7 @@ class RobotSession(ThreadedDriver):
 
     def _connect(self, now_ns: int) -> None:
         """The robot is ready."""
-        clock = self._track.clock.best(now_ns)
+        clock = self._sampler.clock.best(now_ns)
         if clock is None or self._hello is None or self._peer is None:
             return
         with self._lock:
@@ -168,10 +168,10 @@ class RobotSession(ThreadedDriver):
     def _let_go(self, happened: str) -> None:
         """Record the loss of the robot; its own program stops it."""
         was, self._peer = self._connected, None
-        self._door.leave()
+        self._listener.leave()
         with self._lock:
             self._connected = False
-            self._orders.stop(happened)
+            self._command_state.stop(happened)
         if was:
             self._lost, self._lost_ns = LinkLost(self.device, happened, _ADVICE), time.monotonic_ns()
             self._notice("lost", f"{happened}; its own computer stops it")
@@ -184,7 +184,7 @@ class RobotSession(ThreadedDriver):
         while self._peer is not None and (now_ns := time.monotonic_ns()) < until_ns:
             if now_ns >= due_ns:
                 with self._lock:
-                    self._orders.stop("the run is over")
+                    self._command_state.stop("the run is over")
                 self._say(leave=True)
                 due_ns = now_ns + seconds_to_ns(SAY_S)
             try:
@@ -199,12 +199,12 @@ class RobotSession(ThreadedDriver):
     def _has_closed(self, message: RobotMessage) -> bool:
         """Whether the robot has closed its driver."""
         try:
-            up = messages.ups.decode(message.data)
+            status = messages.ups.decode(message.data)
         except ValueError:
             return False
         with self._lock:
-            self._notices.extend(self._track.notices(up, message.arrived_ns))
-        return up.state == "closed" and (up.left or up.failure is not None)
+            self._notices.extend(self._sampler.notices(status, message.arrived_ns))
+        return status.state == "closed" and (status.left or status.failure is not None)
 
     def _failed_aboard(self, failure: Failure) -> DriverError:
         """Error of the robot's own driver."""
