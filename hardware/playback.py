@@ -143,7 +143,8 @@ def _mixed(a: Vec3, b: Vec3, share: float) -> Vec3:
 
 def _turned(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
     """Normalised linear interpolation; its angle is off by less than 1e-4 of a turn by 0.3 rad."""
-    sign = 1.0 if sum(p * q for p, q in zip(a, b, strict=True)) >= 0.0 else -1.0  # q and -q are the same attitude
+    dot = sum(p * q for p, q in zip(a, b, strict=True))
+    sign = 1.0 if dot >= 0.0 else -1.0  # q and -q are the same attitude
     mixed = [p + share * (sign * q - p) for p, q in zip(a, b, strict=True)]
     norm = sqrt(sum(each * each for each in mixed))
     w, x, y, z = (each / norm for each in mixed)

@@ -146,9 +146,10 @@ class VehicleProxy:
 
     def _state(self, at_ns: int) -> VehicleState:
         reports = [each for each in self._history if each.state is not None]
-        report = next((each for each in reversed(reports) if each.time_ns <= at_ns), reports[0] if reports else None)
-        if report is None or report.state is None:
+        if not reports:
             return self._still
+        report = next((each for each in reversed(reports) if each.time_ns <= at_ns), reports[0])
+        assert report.state is not None  # noqa: S101  selected above
         return ahead(report.state, at_ns - report.time_ns, flies=self.vehicle.flies)
 
     def _report(self, now_ns: int) -> StationReport | None:

@@ -73,12 +73,7 @@ _BYTES = (
     {"four_motors", "sip_cycle", "host_baud", "aux_baud", "rear_sonar", "plain_packets", "front_bumpers", "rear_bumpers"}
     | {"charger", "sonar_cycle", "auto_baud", "gyro", "aux2_baud", "aux3_baud"}
 )  # fmt: skip
-_SIGNED = {"drift"}
-
-
-def _code(name: str) -> str:
-    """Format of a number for `struct`."""
-    return "<B" if name in _BYTES else "<h" if name in _SIGNED else "<H"
+_CODES = {**dict.fromkeys(_BYTES, "<B"), "drift": "<h"}  # formats for `struct`; others are "<H"
 
 
 def encode_config(config: Config) -> bytes:
@@ -91,7 +86,7 @@ def encode_config(config: Config) -> bytes:
     for name in Config.__struct_fields__:
         value = getattr(config, name)
         try:
-            data += value.encode("latin-1") + b"\0" if name in _STRINGS else struct.pack(_code(name), value)
+            data += value.encode("latin-1") + b"\0" if name in _STRINGS else struct.pack(_CODES.get(name, "<H"), value)
         except struct.error:
             raise ValueError(f"{name} = {value} does not fit into a configuration packet") from None
     return bytes(data)
@@ -115,7 +110,7 @@ def decode_config(data: bytes) -> Config:
             fields[name] = data[offset:end].decode("latin-1")
             offset = end + 1
         else:
-            code = _code(name)
+            code = _CODES.get(name, "<H")
             if offset + struct.calcsize(code) > len(data):
                 break
             (fields[name],) = struct.unpack_from(code, data, offset)

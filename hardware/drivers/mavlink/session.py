@@ -90,7 +90,8 @@ class MavlinkSession:
         """Request that is not fulfilled, with the vehicle's answer."""
         last = self._texts.last
         notes = ", ".join(each for each in (self._refusal, last and f'it says "{last}"') if each)
-        return (self._steps[0].what if self._steps else "nothing") + (f" ({notes})" if notes else "")
+        what = self._steps[0].what if self._steps else "nothing"
+        return f"{what} ({notes})" if notes else what
 
     @property
     def stopped(self) -> str:
@@ -160,8 +161,10 @@ class MavlinkSession:
     @property
     def due_ns(self) -> int:
         """Time of the next `advance`."""
-        asks = [] if not self._steps else [0 if self._request_ns is None else self._request_ns + ASK_NS]
-        return min(self._beat_ns, self._repeater.due_ns, *asks)
+        due_ns = min(self._beat_ns, self._repeater.due_ns)
+        if not self._steps:
+            return due_ns
+        return 0 if self._request_ns is None else min(due_ns, self._request_ns + ASK_NS)
 
     def receive(self, message: Message, now_ns: int) -> Sample | None:
         """Process a message of the vehicle; a sample, if it completes one."""

@@ -101,13 +101,16 @@ class VehicleSensors:
 
     def ranges(self, obs: Observation) -> list[float]:
         """Range of each sonar, m; infinite: no echo."""
-        scans = [obs.readings.get(name) for name in self._sonars]
-        return [max(0.0, float(each.ranges.min())) if isinstance(each, Scan) else math.inf for each in scans]
+        return [_least_range(obs.readings.get(name)) for name in self._sonars]
 
     def bumpers(self, obs: Observation) -> int:
         """Bits of pressed bumpers."""
         reading = obs.readings.get(self._bumper)
         return bumper_bits(list(reading.values.values())) if isinstance(reading, Measured) else 0
+
+
+def _least_range(reading: object) -> float:
+    return max(0.0, float(reading.ranges.min())) if isinstance(reading, Scan) else math.inf
 
 
 def bumper_bits(segments: Sequence[float]) -> int:
