@@ -46,11 +46,6 @@ class Verdict(msgspec.Struct, frozen=True):
     outcome: Outcome
     nis: float | None = None  # squared Mahalanobis length of the innovation; None without an estimate
 
-    @property
-    def accepted(self) -> bool:
-        """Whether the estimate uses it."""
-        return self.outcome in ("accepted", "collected", "restarted")
-
 
 class FusedPose(msgspec.Struct, frozen=True, kw_only=True):
     """Estimate at an instant."""
@@ -64,7 +59,6 @@ class FusedPose(msgspec.Struct, frozen=True, kw_only=True):
     v: float  # m/s, from the newest odometry
     w: float  # rad/s, from the newest odometry
     age_s: float  # since the last accepted position was measured; inf: none yet
-    odometry_age_s: float  # since odometry was measured; inf: none yet
     scale: float  # see `kalman`
     veer: float  # rad/m
     bias: float  # rad/s
@@ -175,11 +169,6 @@ class Fusion:
         self._speed, self._odometry_ns = (distance_m / seconds, turn_rad / seconds), time_ns
         self._insert(_LogEntry(time_ns, self._begin, odometry))
 
-    def twist(self, time_ns: int, v: float, w: float) -> None:
-        """Motion at v (m/s) and w (rad/s) since the last call."""
-        seconds = 0.0 if self._odometry_ns is None else max(time_ns - self._odometry_ns, 0) / SECOND_NS
-        self.odometry(time_ns, v * seconds, w * seconds)
-
     def fix(self, time_ns: int, x: float, y: float, sigma_m: float) -> Verdict:
         """Position of the robot at that time, with standard deviation sigma_m of x and of y."""
         _check(x, y, sigma_m)
@@ -203,7 +192,6 @@ class Fusion:
         )
         x, y, heading, scale, veer, bias = mean.tolist()
         odometry_ns = self._odometry_ns
-        odometry_age_s = math.inf if odometry_ns is None else max(now_ns - odometry_ns, 0) / SECOND_NS
         holds = odometry_ns is not None and now_ns - odometry_ns <= self._coast_ns
         v, w = self._speed if holds else (0.0, 0.0)
         return FusedPose(
@@ -216,7 +204,6 @@ class Fusion:
             v=v,
             w=w,
             age_s=math.inf if belief.position_ns is None else (now_ns - belief.position_ns) / SECOND_NS,
-            odometry_age_s=odometry_age_s,
             scale=scale,
             veer=veer,
             bias=bias,

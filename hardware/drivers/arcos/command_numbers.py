@@ -19,25 +19,14 @@ class Command(IntEnum):
     VEL = 11  # mm/s, + forward
     HEAD = 12  # deg, absolute
     DHEAD = 13  # deg, + counter-clockwise
-    SAY = 15  # string
     CONFIG = 18  # none or 1: ask for the configuration packet
-    ENCODER = 19  # 0/1/2: encoder packets
     RVEL = 21  # deg/s, + counter-clockwise
     SETRA = 23  # deg/s2, + acceleration, - deceleration
     SONAR = 28  # 0/1
     STOP = 29  # none: decelerate to standstill
-    DIGOUT = 30
     VEL2 = 32  # low byte right wheel, high byte left wheel, signed, 20 mm/s each
-    IOREQUEST = 40
-    BUMPSTALL = 44  # 0-3
     HOSTBAUD = 50  # 0-4: 9600, 19200, 38400, 57600, 115200
     ESTOP = 55  # none: stop at once
-    GYRO = 58
-    BATTERYINFO = 62
-    SOUND = 90
-    SIM_SET_POSE = 224  # simulators only: x mm, y mm, heading deg as int32
-    SIM_RESET = 225  # simulators only
-    SIM_STAT = 237  # simulators only
 
 
 SYNC0, SYNC1, SYNC2 = 0, 1, 2  # before a session is open, these numbers shake hands

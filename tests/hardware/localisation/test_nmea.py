@@ -2,7 +2,6 @@
 
 import datetime as dt
 import math
-from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -116,16 +115,6 @@ def test_other_sentences_are_counted_apart() -> None:
     assert (reader.invalid, reader.other) == (0, 3)
 
 
-@given(st.lists(st.integers(0, len(GGA + RMC + VTG)), max_size=20))
-def test_any_split_of_the_stream(cuts: list[int]) -> None:
-    stream = GGA + RMC + VTG
-    edges = [0, *sorted(cuts), len(stream)]
-    reader = _reader()
-    found = [each for a, b in pairwise(edges) for each in reader.feed(stream[a:b])]
-    assert found == _reader().feed(stream)
-    assert len(found) == 3
-
-
 @given(st.lists(st.binary(max_size=80)), st.text(alphabet="GPRMCA,0123456789.NEWSV-*", max_size=60))
 def test_garbage_never_raises(chunks: list[bytes], body: str) -> None:
     reader = _reader()
@@ -134,11 +123,3 @@ def test_garbage_never_raises(chunks: list[bytes], body: str) -> None:
     for kind in ("GPGGA,", "GPRMC,", "GPVTG,", ""):
         reader.feed(_sentence(kind + body))
     assert reader.feed(b"\r\n" + GGA)[-1].position is not None
-
-
-def test_a_line_without_end_is_dropped() -> None:
-    reader = _reader()
-    for _ in range(100):
-        reader.feed(b"$" * 100)
-    assert len(reader._rest) <= 256
-    assert reader.invalid > 0

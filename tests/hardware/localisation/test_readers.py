@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Literal
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
@@ -95,21 +95,14 @@ def _expected() -> list[Located]:
     ]
 
 
-def test_dwm1001_lines_of_tags_and_listeners() -> None:
-    reader = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES)
-    found = reader.feed(STREAM)
-    assert found == _expected()
-    assert reader.invalid == 3
-    assert reader.other == 2  # banner, echo
-
-
 @given(st.lists(st.integers(0, len(STREAM)), max_size=20))
+@example([])
 def test_dwm1001_reads_any_split_of_the_stream(cuts: list[int]) -> None:
     edges = [0, *sorted(cuts), len(STREAM)]
     reader = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES)
     found = [each for a, b in pairwise(edges) for each in reader.feed(STREAM[a:b])]
     assert found == _expected()
-    assert (reader.invalid, reader.other) == (3, 2)
+    assert (reader.invalid, reader.other) == (3, 2)  # others: banner, echo
 
 
 @given(st.lists(st.binary(max_size=80)))
