@@ -33,7 +33,7 @@ from vcmvsp.cosim.cli.robot import operator_command, stop_command
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import emergency_stop as control
 control.folders = lambda: [Path(os.environ["XDG_RUNTIME_DIR"]) / "vcmvsp"]
-control.Caller.answers.__defaults__ = (float(os.environ["ANSWER_S"]),)
+control.StopCaller.answers.__defaults__ = (float(os.environ["ANSWER_S"]),)
 app = typer.Typer()
 app.command("stop")(stop_command)
 app.command("operator")(operator_command)
