@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.analysis.coverage import without_own_layers
-from vcmvsp.cosim.analysis.links import NUMBERS, Frames, Log, Pair
+from vcmvsp.cosim.analysis.links import NUMBERS, LinkFrames, Log, Pair
 from vcmvsp.cosim.assembly.radio import channel_of
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config.user_classes import NO_CODE, only
@@ -66,7 +66,7 @@ def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True
     return {**report, "why": why(report)}
 
 
-def _find(log: Log, frames: Frames, pair: Pair, which: str) -> int:
+def _find(log: Log, frames: LinkFrames, pair: Pair, which: str) -> int:
     """Place of the frame among those of the link."""
     link, numbers = "/".join(pair), frames["frame"]
     if not len(frames):

@@ -87,9 +87,9 @@ class Log:
             raise UsageError(alone if len(self.vehicles) == 1 else f"--link {link}: a vehicle has no link to itself")
         return meant
 
-    def frames(self, pair: Pair) -> "Frames":
+    def frames(self, pair: Pair) -> "LinkFrames":
         """The frames of a link, in the order in which they were sent."""
-        return Frames(self, np.arange(*self._spans.get(pair, (0, 0))))
+        return LinkFrames(self, np.arange(*self._spans.get(pair, (0, 0))))
 
     def only(self, pairs: Sequence[Pair]) -> None:
         """Forget all other links: their rows take up no memory any more."""
@@ -135,7 +135,7 @@ class Log:
         return _spans(pairs, np.diff(first, append=len(link)).tolist()), order
 
 
-class Frames:
+class LinkFrames:
     """Some rows of the log."""
 
     def __init__(self, log: Log, rows: Array) -> None:
@@ -149,9 +149,9 @@ class Frames:
         values: Array = self._log.column(name)[self._rows]
         return values
 
-    def where(self, chosen: Array) -> "Frames":
+    def where(self, chosen: Array) -> "LinkFrames":
         """Those of them for which ``chosen`` (n,) is true."""
-        return Frames(self._log, self._rows[chosen])
+        return LinkFrames(self._log, self._rows[chosen])
 
     def words(self, name: str) -> list[str]:
         """A column of names."""
@@ -164,12 +164,12 @@ class Frames:
         return {names[code]: int(counts[code]) for code in np.argsort(-counts, kind="stable") if counts[code]}
 
     @property
-    def decided(self) -> "Frames":
+    def decided(self) -> "LinkFrames":
         """Those that were received or lost before the run ended."""
         return self.where(~self["under_way"])
 
     @property
-    def arrived(self) -> "Frames":
+    def arrived(self) -> "LinkFrames":
         """Those that were received before the run ended."""
         return self.decided.where(self.decided["received_ns"] >= 0)
 
@@ -214,7 +214,7 @@ def _spans(pairs: Sequence[Pair], counts: Sequence[int]) -> dict[Pair, tuple[int
     return dict(zip(pairs, pairwise(accumulate(counts, initial=0)), strict=True))
 
 
-def _counts(pair: Pair, frames: Frames) -> dict[str, Any]:
+def _counts(pair: Pair, frames: LinkFrames) -> dict[str, Any]:
     decided = frames.decided
     outcomes = decided.counts("outcome")
     received = outcomes.pop(RECEIVED, 0)
@@ -229,7 +229,7 @@ def _counts(pair: Pair, frames: Frames) -> dict[str, Any]:
     }
 
 
-def _medians(frames: Frames) -> dict[str, Any]:
+def _medians(frames: LinkFrames) -> dict[str, Any]:
     sent = frames.where(frames["air_time_ns"] > 0)
     return {
         "rssi_dbm": _median(sent["rssi_dbm"]),

@@ -12,7 +12,7 @@ import typer
 
 from vcmvsp.cosim.cli.options import AsJson
 from vcmvsp.cosim.errors import Interrupted, UsageError
-from vcmvsp.cosim.terminal.progress import Shown
+from vcmvsp.cosim.terminal.progress import StatusDisplay
 from vcmvsp.cosim.util.files import to_json, write_whole, writing
 from vcmvsp.cosim.util.text import stdout_to_stderr
 
@@ -132,7 +132,7 @@ def calibrate_recognition_command(
     sys.stdout.write(to_json({**about, **rates.plain()}) if json else _text(about, rates, taken))
 
 
-class _Pictures(Shown):
+class _Pictures(StatusDisplay):
     def on_picture(self, done: int, of: int) -> None:
         """Tell how many pictures are taken."""
         if self._is_due():

@@ -9,7 +9,7 @@ import typer
 from vcmvsp.cosim.cli.options import Trust, say
 from vcmvsp.cosim.cli.run import Quiet
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.terminal.progress import Shown
+from vcmvsp.cosim.terminal.progress import StatusDisplay
 
 RunDir = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left.")]
 
@@ -98,7 +98,7 @@ def _of_run(folder: Path, out: Path | None, *, trust: bool) -> Path:
     return run_page.write(folder, {name: svg(figure) for name, figure in figures.items()}, out)
 
 
-class _Exporting(Shown):
+class _Exporting(StatusDisplay):
     """How far an export is."""
 
     def on_part(self, name: str, part: float) -> None:

@@ -18,7 +18,7 @@ from vcmvsp.cosim.hosts.listener import Entrance, cut_deadline_s, indispensable,
 from vcmvsp.cosim.hosts.protocol import Built, Machine
 from vcmvsp.cosim.hosts.remote_host import RemoteHost
 from vcmvsp.cosim.hosts.server import BuildsHost, Desk, HostFederate
-from vcmvsp.cosim.hosts.session import Crew, Link, MemoryLink
+from vcmvsp.cosim.hosts.session import Crew, MemoryLink, SessionLink
 from vcmvsp.cosim.scenario.schema import AgentsTable
 from vcmvsp.cosim.util.text import Tell
 
@@ -244,7 +244,7 @@ class Hosts:
             self._elsewhere.append(host)
         self._add(host)
 
-    def _crew(self, link: Link, specs: Sequence[AgentSpec]) -> Crew:
+    def _crew(self, link: SessionLink, specs: Sequence[AgentSpec]) -> Crew:
         timeouts = {"deadline_s": self._agents.deadline_s, "build_s": self._agents.join_timeout_s}
         return Crew(link, specs, **timeouts, on_built=self._compare_code)
 

@@ -17,7 +17,7 @@ class LateError(LinkError, TimeoutError):
     """No answer came in time; it may still come."""
 
 
-class Link(Protocol):
+class SessionLink(Protocol):
     """One host, reachable: questions are answered in order."""
 
     leaving: bool  # set when it is let go, so that nobody wonders where it is
@@ -36,7 +36,7 @@ class Link(Protocol):
 
 
 class MemoryLink:
-    """A `Link` within the process: the same bytes as over a wire, without one. Proves that nothing is lost in translation."""
+    """A `SessionLink` within the process: the bytes that would cross a wire, encoded and decoded."""
 
     leaving = False
 
@@ -78,7 +78,7 @@ class Crew:
 
     def __init__(
         self,
-        link: Link,
+        link: SessionLink,
         specs: Sequence[AgentSpec],
         *,
         deadline_s: float,

@@ -22,7 +22,7 @@ from vcmvsp.cosim.tables.schema import Placement
 from vcmvsp.cosim.types import Array
 
 
-class Link(NamedTuple):
+class LinkHistory(NamedTuple):
     """What one vehicle received of another, in order of reception."""
 
     sent_ns: Array  # the newest sending time received so far
@@ -60,12 +60,12 @@ class _Stretch(NamedTuple):
     """A stretch of time, of which the age over a link counts."""
 
     receiver: str
-    link: Link
+    link: LinkHistory
     begin_ns: int  # not before the first reception
     end_ns: int
 
 
-def links(radio: pa.Table | Receptions) -> dict[tuple[str, str], Link]:
+def links(radio: pa.Table | Receptions) -> dict[tuple[str, str], LinkHistory]:
     """What was received of every vehicle by every other (receiver, sender), over whatever relays."""
     got = radio if isinstance(radio, Receptions) else informed(radio, receptions(radio))
     width = max(len(got.senders), 1)
@@ -81,7 +81,7 @@ def links(radio: pa.Table | Receptions) -> dict[tuple[str, str], Link]:
         received = got.received_ns[order]
     sent = got.sent_ns[order]
     return {
-        (got.receivers[link[begin] // width], got.senders[link[begin] % width]): Link(
+        (got.receivers[link[begin] // width], got.senders[link[begin] % width]): LinkHistory(
             np.maximum.accumulate(sent[begin:end]), received[begin:end]
         )
         for begin, end in pairwise([*starts.tolist(), len(order)])
@@ -113,7 +113,7 @@ def age_metrics(
 
 
 def _stretches(
-    heard: Mapping[tuple[str, str], Link], follows: Sequence[Placement], ticks: Mapping[str, Ticks]
+    heard: Mapping[tuple[str, str], LinkHistory], follows: Sequence[Placement], ticks: Mapping[str, Ticks]
 ) -> Iterator[_Stretch]:
     if follows:
         spans = [(name, *span) for name in followers(ticks, follows) for span in stretches(name, follows)]

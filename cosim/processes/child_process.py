@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 
-from vcmvsp.cosim.processes.local_link import Link, pair
+from vcmvsp.cosim.processes.local_link import LocalLink, pair
 
 LEAVE_S = 0.3  # for a host to leave by itself, before it is made to; its agents are closed by then
 
@@ -70,7 +70,7 @@ class HostProcess:
             self._process.wait()
 
 
-def linked(module: str, *arguments: str) -> tuple[subprocess.Popen[bytes], Link]:
+def linked(module: str, *arguments: str) -> tuple[subprocess.Popen[bytes], LocalLink]:
     """A process beside the run, ``python -m MODULE FD ARGUMENTS``, and the link to it, whose other end it inherits as FD."""
     here, there = pair()
     # The child looks for modules where this process does, and nowhere else: not in the current folder.

@@ -13,13 +13,13 @@ from vcmvsp.cosim.util.polling import readable
 LONGEST = 1 << 18  # bytes of a message; the operating system takes some 200 kB
 
 
-def pair() -> tuple["Link", socket.socket]:
+def pair() -> tuple["LocalLink", socket.socket]:
     """A link, and the end of it that a child process is to inherit."""
     here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    return Link(here), there
+    return LocalLink(here), there
 
 
-class Link:
+class LocalLink:
     """One end.
 
     Attributes:

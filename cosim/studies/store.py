@@ -39,7 +39,7 @@ SHARE = 0.02  # of the time may go into writing the table, and as much into wait
 SYNC_EVERY_S = 0.2  # at the most often: the journal, to the disk
 
 
-class Line(msgspec.Struct, frozen=True):
+class JournalLine(msgspec.Struct, frozen=True):
     """A line of the journal."""
 
     run: str
@@ -139,7 +139,7 @@ class Store(Answers):
         """Keep a run's row, in the journal at once."""
         super().add(run, row)
         with writing(self._folder):
-            self._journal.write(msgspec.json.encode(Line(run, msgspec.Raw(row))) + b"\n")
+            self._journal.write(msgspec.json.encode(JournalLine(run, msgspec.Raw(row))) + b"\n")
             begin = time.monotonic()
             if begin >= self._next:
                 self.write()
@@ -198,13 +198,13 @@ def so_far(folder: Path, plan: Plan) -> pa.Table:
         raise UsageError(f"{folder}: its rows cannot be read: {' '.join(str(error).split())}") from error
 
 
-def _journal(folder: Path) -> Iterator[Line]:
+def _journal(folder: Path) -> Iterator[JournalLine]:
     """The lines that can be read."""
     text = limits.read_bytes(folder / JOURNAL, limits.CSV_BYTES) if (folder / JOURNAL).exists() else b""
     limits.within(text.count(b"\n"), limits.MESSAGES, f"lines in {JOURNAL}")
     for line in text.split(b"\n"):
         with contextlib.suppress(ValueError):  # half a line, or what a power cut left of one: it is run again
-            yield read_json(line, Line)
+            yield read_json(line, JournalLine)
 
 
 def _opened(path: Path, mode: str) -> IO[bytes]:

@@ -41,7 +41,7 @@ class _Vehicle:
     error_m: float = math.nan
 
 
-class Line(NamedTuple):
+class TableLine(NamedTuple):
     """A line, and what it is: ``head``, ``bad``, ``halted``, ``more`` or nothing of these."""
 
     text: str
@@ -88,7 +88,7 @@ class LiveTable:
         if handler is not None:
             handler(event.key, event.time_ns, value)
 
-    def lines(self, now_ns: int, width: int, height: int) -> list[Line]:
+    def lines(self, now_ns: int, width: int, height: int) -> list[TableLine]:
         """The table, at most so many characters wide and lines high; of too many vehicles those that are worst off."""
         self._work_out()
         names, most = list(self._vehicles), max(1, min(MOST, height - 2))
@@ -104,9 +104,9 @@ class LiveTable:
             cells = [(rows[title][row], self._widths[title], left) for title, left in columns]
             lines.append(_joined(cells, width))
         kinds = ["head", *(_kind(each) for each in vehicles)]
-        table = [Line(text, kind) for text, kind in zip(lines, kinds, strict=True)]
+        table = [TableLine(text, kind) for text, kind in zip(lines, kinds, strict=True)]
         rest = len(names) - len(shown)
-        return [*table, Line(f"... and {rest} more"[:width], "more")] if rest else table
+        return [*table, TableLine(f"... and {rest} more"[:width], "more")] if rest else table
 
     # --- events -------------------------------------------------------------------------------------------------------------
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from vcmvsp.cosim.federate import Event
     from vcmvsp.cosim.runs.api import Result
-    from vcmvsp.cosim.terminal.live_table import Line, LiveTable
+    from vcmvsp.cosim.terminal.live_table import LiveTable, TableLine
 
 LOG_EVERY_S = 5.0
 DRAW_EVERY_S = 0.25
@@ -25,7 +25,7 @@ MIN_BAR = 8  # columns
 STYLES = {"head": "bold", "bad": "red", "halted": "yellow", "more": "dim"}
 
 
-class Shown:
+class StatusDisplay:
     """Something that takes its time, on stderr; drawing is rare.
 
     Args:
@@ -85,7 +85,7 @@ class Shown:
         ]
         screen.update(Group(self._bar.get_renderable(), *below), refresh=True)
 
-    def _below(self, width: int, height: int) -> "Sequence[Line]":
+    def _below(self, width: int, height: int) -> "Sequence[TableLine]":
         """What stands below the bar, at most so wide and so high."""
         return ()
 
@@ -103,7 +103,7 @@ class Shown:
         return self._screen
 
 
-class Progress(Shown):
+class Progress(StatusDisplay):
     """How far a run is, and on a terminal how its vehicles fare. The clock is looked at once an instant."""
 
     _table: "LiveTable | None" = None
@@ -140,11 +140,11 @@ class Progress(Shown):
         else:
             self.tell(f"{how_far} simulated ({100 * now_ns // end_ns} %, {pace} real time)")
 
-    def _below(self, width: int, height: int) -> "Sequence[Line]":
+    def _below(self, width: int, height: int) -> "Sequence[TableLine]":
         return () if self._table is None else self._table.lines(self._now_ns, width, height)
 
 
-class StudyProgress(Shown):
+class StudyProgress(StatusDisplay):
     """How far a study is, and within which bounds its first metric lies so far.
 
     Args:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 PROBE_S = 1.0  # for a connection, and for each step of the handshake
 
 
-class Shown(NamedTuple):
+class PeerCertificate(NamedTuple):
     """The certificate that a run shows."""
 
     names: tuple[str, ...]  # host names and addresses under which it may be dialled
@@ -47,7 +47,7 @@ def diagnose(endpoint: str, bundle: "Bundle | None") -> Refusal | None:
         return Refusal(f"nobody listens there ({error.strerror or 'timed out'})", final=False)
 
 
-def shown(endpoint: str, bundle: "Bundle") -> Shown:
+def shown(endpoint: str, bundle: "Bundle") -> PeerCertificate:
     """The certificate of the run at an endpoint where `diagnose` found nothing wrong."""
     _, host, port = parts(endpoint)
     with (
@@ -56,7 +56,7 @@ def shown(endpoint: str, bundle: "Bundle") -> Shown:
     ):
         says: dict[str, Any] = tls.getpeercert() or {}
     until = dt.datetime.fromtimestamp(ssl.cert_time_to_seconds(says["notAfter"]), dt.UTC)
-    return Shown(tuple(name for _, name in says["subjectAltName"]), until)
+    return PeerCertificate(tuple(name for _, name in says["subjectAltName"]), until)
 
 
 def _context(bundle: "Bundle") -> ssl.SSLContext:

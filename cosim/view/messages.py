@@ -1,7 +1,7 @@
-"""What passes between a run, or the recording of one, and the control station.
+"""Messages between a run, or a recording, and the control station.
 
-A run tells once what does not change (`Scenery`) and then, some thirty times a second at most, how things stand (`Shown`). The
-station answers with what the one who looks at it wants (`Order`). A recording is shown through the same three.
+`Scenery` is sent once and holds what does not change; `PageUpdate` follows at most thirty times a second; `Order` is the answer
+of the station with the user's input. A recording uses the same three messages.
 """
 
 from collections.abc import Mapping
@@ -67,7 +67,7 @@ class Scenery(Value, frozen=True, kw_only=True):
     keys: Mapping[str, float] = {}  # keys of the scenario that may be changed at run time, and their present values
 
 
-class Link(Value, frozen=True, kw_only=True):
+class LinkStatus(Value, frozen=True, kw_only=True):
     """The newest frame of a sender: what became of it at each receiver."""
 
     sender: str
@@ -78,7 +78,7 @@ class Link(Value, frozen=True, kw_only=True):
     outcome: tuple[str, ...]  # "received" or the cause of the loss
 
 
-class Line(Value, frozen=True, kw_only=True):
+class LogLine(Value, frozen=True, kw_only=True):
     """A line of the log."""
 
     time_ns: int
@@ -95,7 +95,7 @@ class Pace(Value, frozen=True, kw_only=True):
     over: str = ""  # why the run has ended; empty: it goes on
 
 
-class Shown(Value, frozen=True, kw_only=True):
+class PageUpdate(Value, frozen=True, kw_only=True):
     """How things stand at an instant. Mappings hold the newest of each key so far; what has not changed may be left out.
 
     One that is earlier than the one before it begins anew: nothing is left out.
@@ -113,14 +113,14 @@ class Shown(Value, frozen=True, kw_only=True):
     sightings: Mapping[str, Sightings] = {}  # by vehicle
     maps: Mapping[str, ProbabilityMap] = {}
     mosaics: Mapping[str, Mosaic] = {}
-    links: tuple[Link, ...] = ()  # of senders with a frame since the last time
+    links: tuple[LinkStatus, ...] = ()  # of senders with a frame since the last time
     sent: Array | None = None  # (n, n) int64: frames of the row's vehicle for the column's, as in `Scenery`
     received: Array | None = None  # (n, n) int64: of those
     heard_ns: Mapping[str, int] = {}  # when each vehicle received last
     presence: Mapping[str, Presence] = {}  # of agents that were lost, or are back
     real: Mapping[str, RealStatus] = {}
     halted: tuple[str, ...] = ()  # vehicles that the operator has stopped
-    lines: tuple[Line, ...] = ()  # since the last time
+    lines: tuple[LogLine, ...] = ()  # since the last time
     pace: Pace = Pace()
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError, place_of, words_of
-from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.cosim.processes.local_link import LocalLink
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import Driver, DriverError
@@ -51,7 +51,7 @@ FAILED = 3  # exit code
 class StationProcess:
     """The process around a `StationController`."""
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: LocalLink) -> None:
         self._link = link
         self._controller: StationController | None = None
         self._stop_listener: StopListener | None = None
@@ -261,6 +261,6 @@ def _settle() -> None:
 
 
 if __name__ == "__main__":
-    code = StationProcess(Link(socket.socket(fileno=int(sys.argv[1])))).serve()
+    code = StationProcess(LocalLink(socket.socket(fileno=int(sys.argv[1])))).serve()
     sys.stderr.flush()
     os._exit(code)  # a driver's thread that hangs must not keep the process alive

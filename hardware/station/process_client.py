@@ -19,7 +19,7 @@ import msgspec
 
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.processes.child_process import ending, linked
-from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.cosim.processes.local_link import LocalLink
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import messages
@@ -43,7 +43,7 @@ class StationError(DriverError):
 class Station:
     """A process that drives one robot; see `start`."""
 
-    def __init__(self, mission: StationMission, process: subprocess.Popen[bytes], end: Link) -> None:
+    def __init__(self, mission: StationMission, process: subprocess.Popen[bytes], end: LocalLink) -> None:
         self.vehicle = mission.vehicle
         self._process, self._link = process, end
         self._waiting: list[StationReport] = []  # received, not yet returned

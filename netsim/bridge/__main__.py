@@ -9,7 +9,7 @@ import socket
 import sys
 from pathlib import Path
 
-from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.cosim.processes.local_link import LocalLink
 from vcmvsp.netsim.bridge.process.bridge_process import BridgeProcess
 from vcmvsp.netsim.bridge.process.messages import WARY
 from vcmvsp.netsim.bridge.process.pacer import new_loop
@@ -31,7 +31,7 @@ def main() -> int:
     loop = new_loop()
     try:
         return loop.run_until_complete(
-            BridgeProcess(Link(socket.socket(fileno=int(sys.argv[1]))), loop, wary=WARY in sys.argv).serve()
+            BridgeProcess(LocalLink(socket.socket(fileno=int(sys.argv[1]))), loop, wary=WARY in sys.argv).serve()
         )
     finally:
         loop.close()

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.processes.child_process import ending, linked
-from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.cosim.processes.local_link import LocalLink
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.process import messages
 
@@ -25,9 +25,9 @@ ADVICE = "see its messages above, and start the run again"
 class BridgeClient:
     """Handle of the bridge process: `start`, `wait_ready`, `send` and `read`, `leave`, `close`; ``killed``: it had to be."""
 
-    _prepared: ClassVar["tuple[subprocess.Popen[bytes], Link] | None"] = None
+    _prepared: ClassVar["tuple[subprocess.Popen[bytes], LocalLink] | None"] = None
 
-    def __init__(self, process: subprocess.Popen[bytes], end: Link, opening: messages.Opening) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], end: LocalLink, opening: messages.Opening) -> None:
         self._process, self._link, self.killed = process, end, False
         self._close_s = CLOSE_S + VEHICLE_S * len(opening.vehicles)
         self._outbox: deque[bytes] = deque()

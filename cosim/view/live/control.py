@@ -12,7 +12,7 @@ from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.scenario.schema import HaltTable, InterventionTable, MoveTable, OutageTable, SetTable
 from vcmvsp.cosim.util.text import Tell
 from vcmvsp.cosim.view.live.feed import Feed
-from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Line, Move, Order, Outage, Pace
+from vcmvsp.cosim.view.messages import Change, End, Go, Halt, LogLine, Move, Order, Outage, Pace
 
 MAY = ("sensors", "halt", "outage", "end")
 """Orders that every run obeys."""
@@ -63,7 +63,7 @@ class Live:
             try:
                 self._obey(order)
             except ValueError as error:
-                self._feed.say(Line(time_ns=self._now_ns, level="warning", text=f"not done: {error}"))
+                self._feed.say(LogLine(time_ns=self._now_ns, level="warning", text=f"not done: {error}"))
         self._feed.pace(self._pace())
         if not self._feed.open and not self._alone:
             self._alone = True

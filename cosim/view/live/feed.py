@@ -14,7 +14,7 @@ from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.newest_values import Newest, Places, Poses
-from vcmvsp.cosim.view.messages import Line, Order, Pace, Scenery, Sensors, Shown
+from vcmvsp.cosim.view.messages import LogLine, Order, Pace, PageUpdate, Scenery, Sensors
 
 PERIOD_S = 1.0 / 30.0  # of the wall clock, between two messages at least
 AGAIN_S = 0.002  # between two tries to finish one
@@ -64,7 +64,7 @@ class Feed:
         self._pace = pace
         self._write_if_due()
 
-    def say(self, line: Line) -> None:
+    def say(self, line: LogLine) -> None:
         """Add a line to the log that is shown."""
         self._newest.say(line)
         self._fresh = True
@@ -108,8 +108,8 @@ class Feed:
             return protocol.fitting(codec.encode(self._newest.shown(self._now_ns, pace)))
         except ValueError as error:  # of a part of the user's own, or a vast mosaic
             self._newest.forget()
-            line = Line(time_ns=self._now_ns, level="error", text=f"what has happened cannot be shown: {error}")
-            return codec.encode(Shown(time_ns=self._now_ns, lines=(line,), pace=pace))
+            line = LogLine(time_ns=self._now_ns, level="error", text=f"what has happened cannot be shown: {error}")
+            return codec.encode(PageUpdate(time_ns=self._now_ns, lines=(line,), pace=pace))
 
     def _achieved(self, now_s: float) -> float | None:
         """Simulated seconds per second, over the last one."""
@@ -133,7 +133,7 @@ class Feed:
             try:
                 order = protocol.answers.decode(message)
             except ValueError:
-                self.say(Line(time_ns=self._now_ns, level="warning", text="the control station asked for what is no order"))
+                self.say(LogLine(time_ns=self._now_ns, level="warning", text="the control station asked for what is no order"))
                 continue
             if isinstance(order, Sensors):
                 self._newest.ask(order.names)

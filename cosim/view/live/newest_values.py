@@ -1,4 +1,4 @@
-"""The newest of everything that a run says: what a `Shown` is made of.
+"""The newest of everything that a run says: what a `PageUpdate` is made of.
 
 Nothing here grows with the length of a run. Frames are counted one by one, and of each sender the newest is kept.
 """
@@ -37,7 +37,7 @@ from vcmvsp.cosim.types import (
     Sightings,
     States,
 )
-from vcmvsp.cosim.view.messages import Line, Link, Pace, Scenery, Shown
+from vcmvsp.cosim.view.messages import LinkStatus, LogLine, Pace, PageUpdate, Scenery
 
 MOST_LINES = 200  # between two messages; older ones give way
 
@@ -77,7 +77,7 @@ class Newest:
         self._heard: dict[str, int] = {}
         self._noted: set[str] = set()
         self._pushed: dict[str, Pose] = {}
-        self._lines: deque[Line] = deque(maxlen=MOST_LINES)
+        self._lines: deque[LogLine] = deque(maxlen=MOST_LINES)
         # These are since the start.
         self._notes: dict[str, dict[str, float | str | bool]] = {}
         self._halted: set[str] = set()
@@ -105,7 +105,7 @@ class Newest:
         if handler is not None:
             handler(event.key, event.time_ns, event.value)
 
-    def say(self, line: Line) -> None:
+    def say(self, line: LogLine) -> None:
         """Add a line to the log."""
         self._lines.append(line)
 
@@ -130,7 +130,7 @@ class Newest:
                 self._values[key] = reading
         return True
 
-    def shown(self, time_ns: int, pace: Pace) -> Shown:
+    def shown(self, time_ns: int, pace: Pace) -> PageUpdate:
         """All that is new, and what is always told. It holds what is kept here: do not keep it."""
         fields: dict[str, dict[str, Any]] = {}
         for key, value in self._values.items():
@@ -140,7 +140,7 @@ class Newest:
                 fields.setdefault(_BY_VEHICLE[type(value)], {})[_vehicle(key)] = value
         time_s = time_ns / SECOND_NS
         counted = bool(self._frames)
-        return Shown(
+        return PageUpdate(
             time_ns=time_ns,
             states=self._states,
             obstacles={**{name: pose(time_s) for name, pose in self._moving.items()}, **self._pushed},
@@ -218,15 +218,15 @@ class Newest:
         self._tell(time_ns, *event_text.of_intervention(done, time_ns))
 
     def _tell(self, time_ns: int, level: str, text: str) -> None:
-        self.say(Line(time_ns=time_ns, level=level, text=text))
+        self.say(LogLine(time_ns=time_ns, level=level, text=text))
 
 
 def _vehicle(key: str) -> str:
     return key.partition("/")[0]
 
 
-def _link(report: FrameReport) -> Link:
-    return Link(
+def _link(report: FrameReport) -> LinkStatus:
+    return LinkStatus(
         sender=report.sender,
         sent_ns=report.sent_ns,
         receivers=report.receivers,

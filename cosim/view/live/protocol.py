@@ -1,6 +1,6 @@
-"""Between a run and the process that shows it: messages with their lengths, over a pair of sockets; the run never waits.
+"""Messages between a run and the process of its page: with their lengths, over a pair of sockets; the run never waits.
 
-The run says `Start` first and then `Shown` after `Shown`; the other end answers with `Up` or `Down`, and then with orders.
+The run sends `Start` and then `PageUpdate`s; the page process answers with `Up` or `Down`, and then with orders.
 """
 
 import contextlib
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from vcmvsp.cosim.types import Value
 from vcmvsp.cosim.util import codec
-from vcmvsp.cosim.view.messages import Order, Scenery, Shown
+from vcmvsp.cosim.view.messages import Order, PageUpdate, Scenery
 
 LARGEST = 1 << 28  # bytes of a message: a mosaic of the ground
 _CHUNK = 1 << 20
@@ -41,7 +41,7 @@ class Down(Value, frozen=True, kw_only=True, tag="down"):
 
 
 starts: codec.Decoder[Start] = codec.Decoder(Start)
-shows: codec.Decoder[Shown] = codec.Decoder(Shown)
+shows: codec.Decoder[PageUpdate] = codec.Decoder(PageUpdate)
 answers: codec.Decoder[Up | Down | Order] = codec.Decoder(Up | Down | Order)
 
 

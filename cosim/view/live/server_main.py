@@ -20,7 +20,7 @@ from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.view.auth import web_server
 from vcmvsp.cosim.view.live import protocol
-from vcmvsp.cosim.view.messages import Order, Shown
+from vcmvsp.cosim.view.messages import Order, PageUpdate
 
 GIVES_WAY = 5  # to the run, where cores are few: the niceness of a process
 MOST_LINES = 1000  # of the log, between two times at which the station is told
@@ -49,13 +49,13 @@ def main() -> NoReturn:
     os._exit(code)  # threads of the web server may still wait for their pages
 
 
-def merged(older: Shown | None, newer: Shown) -> Shown:
+def merged(older: PageUpdate | None, newer: PageUpdate) -> PageUpdate:
     """Two messages as one: of everything the newest, and every line."""
     if older is None:
         return newer
     mappings = {
         name: {**before, **getattr(newer, name)}
-        for name in Shown.__struct_fields__
+        for name in PageUpdate.__struct_fields__
         if isinstance(before := getattr(older, name), dict)
     }
     links = {link.sender: link for link in (*older.links, *newer.links)}
@@ -70,10 +70,10 @@ def merged(older: Shown | None, newer: Shown) -> Shown:
     )
 
 
-def pump(pipe: protocol.Pipe, show: Callable[[Shown], None]) -> None:
+def pump(pipe: protocol.Pipe, show: Callable[[PageUpdate], None]) -> None:
     """Show the newest of what comes, until nothing comes any more."""
     while pipe.open:
-        newest: Shown | None = None
+        newest: PageUpdate | None = None
         for message in pipe.take(wait_s=None):
             newest = merged(newest, protocol.shows.decode(message))
         if newest is not None:

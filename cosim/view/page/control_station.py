@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import viser
 
-from vcmvsp.cosim.view.messages import Order, Scenery, Shown
+from vcmvsp.cosim.view.messages import Order, PageUpdate, Scenery
 from vcmvsp.cosim.view.page.camera import Follower
 from vcmvsp.cosim.view.page.charts import Charts
 from vcmvsp.cosim.view.page.controls import controls
@@ -62,7 +62,7 @@ class Station:
             self._build(server, scenery)
         threading.Thread(target=self._keep, name="station", daemon=True).start()
 
-    def show(self, shown: Shown) -> None:
+    def show(self, shown: PageUpdate) -> None:
         """Show how things stand. To be called from one thread, some thirty times a second at most."""
         known, now_s = self._known, self._clock()
         with self._drawing:

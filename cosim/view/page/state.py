@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Fix, Follows, Image, Mosaic, Presence, ProbabilityMap, RealStatus, Scan, Sightings
-from vcmvsp.cosim.view.messages import Line, Pace, Scenery, Shown
+from vcmvsp.cosim.view.messages import LogLine, Pace, PageUpdate, Scenery
 
 NEVER_NS = -(2**62)
 LINES = 200  # of the log are kept
-MAPPINGS = tuple(each.name for each in msgspec.structs.fields(Shown) if get_origin(each.type) is Mapping)
-"""Fields of `Shown` of which the newest of each key counts."""
+MAPPINGS = tuple(each.name for each in msgspec.structs.fields(PageUpdate) if get_origin(each.type) is Mapping)
+"""Fields of `PageUpdate` of which the newest of each key counts."""
 
 
 class Known:
@@ -23,7 +23,7 @@ class Known:
     """
 
     time_ns: int
-    lines: deque[Line]
+    lines: deque[LogLine]
     told: int  # lines so far: tells whether there are new ones
     sent: Array | None
     received: Array | None
@@ -53,7 +53,7 @@ class Known:
         self._rows_of: tuple[tuple[str, ...], list[int], list[int]] = ((), [], [])
         self._forget(0)
 
-    def take(self, shown: Shown) -> None:
+    def take(self, shown: PageUpdate) -> None:
         """Learn how things stand."""
         if shown.time_ns < self.time_ns:
             self.times_back += 1
@@ -92,7 +92,7 @@ class Known:
         self.link_rssi_dbm = np.zeros((count, count))
         self.link_received = np.zeros((count, count), bool)
 
-    def _take_states(self, shown: Shown) -> None:
+    def _take_states(self, shown: PageUpdate) -> None:
         states = shown.states
         if states is None:
             return
@@ -104,7 +104,7 @@ class Known:
         self.velocity[rows] = states.velocity[columns]
         self.attitude[rows] = states.attitude[columns]
 
-    def _take_links(self, shown: Shown) -> None:
+    def _take_links(self, shown: PageUpdate) -> None:
         for link in shown.links:
             sender = self.row.get(link.sender)
             receivers = [self.row.get(name, -1) for name in link.receivers]

@@ -29,7 +29,7 @@ from vcmvsp.cosim.types import (
     frozen,
 )
 from vcmvsp.cosim.util.documents import json_reader
-from vcmvsp.cosim.view.messages import Line, Link
+from vcmvsp.cosim.view.messages import LinkStatus, LogLine
 
 _WORDS = {number: word for word, number in LEVELS.items()}
 _Numbers = tuple[float | None, ...]
@@ -187,10 +187,10 @@ def mosaic_of(data: bytes) -> Mosaic:
     return Mosaic(**_place(grid), pixels=frozen(grid.cells[..., :3]))
 
 
-def link_of(data: bytes) -> Link:
+def link_of(data: bytes) -> LinkStatus:
     """What became of a frame."""
     said = _read_frame(data)
-    return Link(
+    return LinkStatus(
         sender=said.sender,
         sent_ns=said.sent_ns,
         receivers=said.receivers,
@@ -200,10 +200,10 @@ def link_of(data: bytes) -> Link:
     )
 
 
-def line_of(data: bytes, time_ns: int) -> Line:
+def line_of(data: bytes, time_ns: int) -> LogLine:
     """A line of the log."""
     said = _read_log(data)
-    return Line(time_ns=time_ns, level=_WORDS[said.level], text=said.message)
+    return LogLine(time_ns=time_ns, level=_WORDS[said.level], text=said.message)
 
 
 def _number(said: float | None) -> float:

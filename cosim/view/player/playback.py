@@ -7,7 +7,7 @@ from collections.abc import Callable
 import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.view.messages import Go, Order, Pace, Seek, Sensors, Shown
+from vcmvsp.cosim.view.messages import Go, Order, Pace, PageUpdate, Seek, Sensors
 from vcmvsp.cosim.view.player.recording import Recording
 
 FASTEST, SLOWEST = 100.0, 0.01  # simulated seconds per second
@@ -34,7 +34,7 @@ class Player:
         """Obey at the next `show`; what a recording cannot obey is passed over. For any thread."""
         self._orders.put(order)
 
-    def show(self) -> Shown:
+    def show(self) -> PageUpdate:
         """How things stand now, without what has not changed since the last time. For one thread.
 
         Raises:

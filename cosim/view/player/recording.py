@@ -14,7 +14,7 @@ from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.recording.foxglove.agent_displays import PICTURE
 from vcmvsp.cosim.recording.run_mcap import CALIBRATION, MOVING, SCENE
 from vcmvsp.cosim.types import Fix, Image, Scan, Sightings, States
-from vcmvsp.cosim.view.messages import Line, Scenery, Shown
+from vcmvsp.cosim.view.messages import LogLine, PageUpdate, Scenery
 from vcmvsp.cosim.view.player import decoding as values
 from vcmvsp.cosim.view.player.frame_counts import Counts
 from vcmvsp.cosim.view.player.mcap_index import Messages, Taker, Topic
@@ -33,7 +33,7 @@ NEWEST: Mapping[str, tuple[str, Callable[[bytes], Any]]] = {
     "map": ("maps", values.map_of),
     "mosaic": ("mosaics", values.mosaic_of),
 }
-"""Of each vehicle: a topic, the field of `Shown` in which its newest message stands, and how it is read."""
+"""Of each vehicle: a topic, the field of `PageUpdate` in which its newest message stands, and how it is read."""
 
 
 class Recording:
@@ -76,7 +76,7 @@ class Recording:
         self.troubles = [f"{FILE} can be read up to {self.end_ns / SECOND_NS:.3f} s: {damage}"] if damage else []
         self.ending = damage or (collected.lines[-1].text if collected.lines else "the recording ends here")
         self._stage = self._staged()
-        collected.lines[:0] = [Line(time_ns=0, level="warning", text=text) for text in self.troubles]
+        collected.lines[:0] = [LogLine(time_ns=0, level="warning", text=text) for text in self.troubles]
 
     def close(self) -> None:
         """Let go of the file."""
@@ -89,7 +89,7 @@ class Recording:
         crafts = [msgspec.structs.replace(each, sensors=self._sensors(each.name, each.sensors)) for each in known.vehicles]
         return msgspec.structs.replace(known, vehicles=tuple(crafts), duration_ns=self.end_ns)
 
-    def at(self, time_ns: int, since_ns: int | None = None, sensors: Sequence[str] = ()) -> Shown:
+    def at(self, time_ns: int, since_ns: int | None = None, sensors: Sequence[str] = ()) -> PageUpdate:
         """How things stood at a time: the newest of everything that was recorded by then.
 
         Args:
@@ -104,7 +104,7 @@ class Recording:
         counts = self._collected.counts
         first, last = 0 if since_ns is None else counts.frames(since_ns), counts.frames(time_ns)
         sent, received = counts.at(time_ns) if since_ns is None or first < last else (None, None)
-        return Shown(
+        return PageUpdate(
             time_ns=time_ns,
             states=self._states(time_ns, since_ns),
             obstacles=_changed(self._obstacles, time_ns, since_ns),
@@ -242,7 +242,7 @@ class Accumulator:
     def __init__(self, about: Mapping[str, str]) -> None:
         self._about = about
         self.counts = Counts(())
-        self.lines: list[Line] = []
+        self.lines: list[LogLine] = []
         self.notes: dict[str, Notes] = {}  # by topic
         self._halted: list[tuple[int, tuple[str, ...]]] = []
 
@@ -269,7 +269,7 @@ class Accumulator:
         """Whom the operator has stopped."""
         return next((names for when_ns, names in reversed(self._halted) if when_ns <= time_ns), ())
 
-    def said(self, time_ns: int, since_ns: int | None) -> tuple[Line, ...]:
+    def said(self, time_ns: int, since_ns: int | None) -> tuple[LogLine, ...]:
         """The newest lines of the log; ``since_ns``: those that were later."""
         from_ns = -1 if since_ns is None else since_ns
         return tuple(line for line in self.lines if from_ns < line.time_ns <= time_ns)[-LINES:]

@@ -13,7 +13,7 @@ import msgspec
 
 from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.processes.child_process import linked
-from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.cosim.processes.local_link import LocalLink
 from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.cosim.types import Value, Vec3
 from vcmvsp.hardware.emulators.device_server import LOOPBACK
@@ -103,7 +103,7 @@ def _free(listen: str) -> tuple[str, int]:
 
 def main() -> None:
     """Entry point of the process: serves the robot until the link to the run ends, and `SURVIVES_S` longer."""
-    link = Link(socket.socket(fileno=int(sys.argv[1])))
+    link = LocalLink(socket.socket(fileno=int(sys.argv[1])))
     robot = msgspec.json.decode(sys.argv[2], type=EmulatedRobot)
     address = None if robot.ubisense is None else UdpAddress(*robot.ubisense)
     chosen = RobotOptions(

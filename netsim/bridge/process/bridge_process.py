@@ -18,7 +18,7 @@ import numpy as np
 
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError, place_of, words_of
-from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.cosim.processes.local_link import LocalLink
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.gateways.base import Gateway, GatewayError
 from vcmvsp.netsim.bridge.process import messages
@@ -38,7 +38,7 @@ MOST_COUNTED = 100  # vehicles in a message
 class BridgeProcess:
     """Main object of the process, from the first message to the last."""
 
-    def __init__(self, link: Link, loop: asyncio.AbstractEventLoop, *, wary: bool = False) -> None:
+    def __init__(self, link: LocalLink, loop: asyncio.AbstractEventLoop, *, wary: bool = False) -> None:
         self._link, self._loop, self._wary = link, loop, wary
         self._over: asyncio.Future[str] = loop.create_future()  # reason for the end; empty: requested
         self._gateways: list[tuple[str, Gateway]] = []

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.support.cosim.recordings import TENTH, follows, frame, recorded
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.metrics.age_of_information import Link, age_metrics
+from vcmvsp.cosim.metrics.age_of_information import LinkHistory, age_metrics
 from vcmvsp.cosim.metrics.connectivity import MOST_VEHICLES, adjacency, algebraic_connectivity
 from vcmvsp.cosim.metrics.radio import receptions
 from vcmvsp.cosim.types import Array
@@ -26,7 +26,7 @@ T, FRAMES, MS = 0.1, 4_000_000, 1_000_000
 def saw(received: Array, delay_s: float) -> tuple[float, float]:
     """Mean age over all time and mean peak of a message every 0.1 s, of which these arrive."""
     sent = np.flatnonzero(received) * seconds_to_ns(T)
-    link = Link(sent, sent + seconds_to_ns(delay_s))
+    link = LinkHistory(sent, sent + seconds_to_ns(delay_s))
     tooth = link.sawtooth(int(link.received_ns[0]), int(link.received_ns[-1]))
     return tooth.area / tooth.length, float(tooth.peaks.mean())
 

@@ -4,16 +4,16 @@ import socket
 
 import pytest
 
-from vcmvsp.cosim.processes.local_link import LONGEST, Link, pair
+from vcmvsp.cosim.processes.local_link import LONGEST, LocalLink, pair
 
 
 @pytest.fixture
-def ends() -> tuple[Link, socket.socket]:
+def ends() -> tuple[LocalLink, socket.socket]:
     return pair()
 
 
-def test_messages_come_whole_and_in_order_and_the_end_is_told(ends: tuple[Link, socket.socket]) -> None:
-    here, there = ends[0], Link(ends[1])
+def test_messages_come_whole_and_in_order_and_the_end_is_told(ends: tuple[LocalLink, socket.socket]) -> None:
+    here, there = ends[0], LocalLink(ends[1])
     messages = [b"x", bytes(100_000), b"last"]
     for message in messages:
         assert here.send(message)
@@ -24,8 +24,8 @@ def test_messages_come_whole_and_in_order_and_the_end_is_told(ends: tuple[Link, 
     there.close()
 
 
-def test_who_does_not_read_holds_up_nobody(ends: tuple[Link, socket.socket]) -> None:
-    here, there = ends[0], Link(ends[1])
+def test_who_does_not_read_holds_up_nobody(ends: tuple[LocalLink, socket.socket]) -> None:
+    here, there = ends[0], LocalLink(ends[1])
     sent = 0
     while here.send(b"%d" % sent):
         sent += 1
@@ -35,8 +35,8 @@ def test_who_does_not_read_holds_up_nobody(ends: tuple[Link, socket.socket]) -> 
     there.close()
 
 
-def test_a_message_that_is_too_long_is_refused_and_is_no_end(ends: tuple[Link, socket.socket]) -> None:
-    here, there = ends[0], Link(ends[1])
+def test_a_message_that_is_too_long_is_refused_and_is_no_end(ends: tuple[LocalLink, socket.socket]) -> None:
+    here, there = ends[0], LocalLink(ends[1])
     with pytest.raises(ValueError, match="a message of 10000000 bytes is longer than the link takes"):
         here.send(bytes(10_000_000))
     assert here.send(b"short")
@@ -46,9 +46,9 @@ def test_a_message_that_is_too_long_is_refused_and_is_no_end(ends: tuple[Link, s
 
 
 def test_a_message_of_which_the_end_is_missing_is_noticed(
-    ends: tuple[Link, socket.socket], monkeypatch: pytest.MonkeyPatch
+    ends: tuple[LocalLink, socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    here, there = ends[0], Link(ends[1])
+    here, there = ends[0], LocalLink(ends[1])
     monkeypatch.setattr("vcmvsp.cosim.processes.local_link.LONGEST", 1000)
     assert LONGEST > 1000
     assert here.send(bytes(1001))

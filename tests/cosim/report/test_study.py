@@ -12,7 +12,7 @@ from tests.support.cosim.html_pages import Reader
 from tests.support.cosim.studies import LOSS, mine, two
 from vcmvsp.cosim.studies.plan import Plan, Run
 from vcmvsp.cosim.studies.rows import Row, encode
-from vcmvsp.cosim.studies.store import JOURNAL, PLAN, Line
+from vcmvsp.cosim.studies.store import JOURNAL, PLAN, JournalLine
 
 METRIC = "formation.rms_m"
 
@@ -58,7 +58,7 @@ def test_of_a_study_that_was_cut_it_shows_what_is_done_also_in_the_journal(study
     longer = msgspec.structs.replace(plan, scenario="two.toml", seeds=[0, 1, 2])  # as if one more seed had been asked for
     (study / PLAN).write_text(longer.to_toml())
     row = msgspec.Raw(encode(Row(error="car1: <script>alert(1)</script>")))
-    (study / JOURNAL).write_bytes(msgspec.json.encode(Line(Run((0.5,), 2).key, row)) + b'\n{"run": "0.0')
+    (study / JOURNAL).write_bytes(msgspec.json.encode(JournalLine(Run((0.5,), 2).key, row)) + b'\n{"run": "0.0')
     assert vcmvsp_command("report", "out").code == 0
     page = read(study)
     assert "Of these only 5 are done yet" in page.words

@@ -35,7 +35,7 @@ from vcmvsp.cosim.types import (
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.feed import PERIOD_S, READING_S
-from vcmvsp.cosim.view.messages import End, Go, Order, Sensors, Shown
+from vcmvsp.cosim.view.messages import End, Go, Order, PageUpdate, Sensors
 from vcmvsp.cosim.view.scenery import scenery_of
 
 SCAN = Scan(ranges=frozen([1.0, 2.0], np.float32), angle_min=0.0, angle_step=0.1, range_max=5.0)
@@ -55,7 +55,7 @@ def slow() -> Iterator[Reader]:
         yield made
 
 
-def counts(shown: Shown) -> tuple[list[list[int]], list[list[int]]]:
+def counts(shown: PageUpdate) -> tuple[list[list[int]], list[list[int]]]:
     """Frames that were sent and received, so far."""
     assert shown.sent is not None
     assert shown.received is not None
@@ -241,7 +241,7 @@ def test_the_counts_are_those_of_the_recording_and_the_run_is_the_same(loss: flo
 def test_readings_are_worked_out_only_if_somebody_asks_and_then_in_turn(reader: Reader) -> None:
     scans, pictures = Counted(SCAN), Counted(Image(pixels=frozen(np.zeros((2, 2, 3), np.uint8))))
 
-    def go_on(seconds: float) -> Sequence[Shown]:
+    def go_on(seconds: float) -> Sequence[PageUpdate]:
         for _ in range(round(seconds / 0.01)):
             time_ns = round(reader.now_s * SECOND_NS)
             reader.on(time_ns, "a/scan", scans.later())

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.support.cosim.recorded_run import END_NS, SENSORS, Run, all_of, assert_same, looked_on, merged, seen, told
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.cosim.view.messages import Change, Go, Line, Seek, Sensors, Shown
+from vcmvsp.cosim.view.messages import Change, Go, LogLine, PageUpdate, Seek, Sensors
 from vcmvsp.cosim.view.player.playback import FASTEST, Player
 from vcmvsp.cosim.view.player.recording import Recording
 
@@ -61,7 +61,7 @@ def test_what_is_left_out_is_as_it_was(recording: Recording, time_ns: int, other
 @given(TIMES)
 def test_nothing_new_is_shown_where_no_time_has_gone_by(recording: Recording, time_ns: int) -> None:
     halted = recording.at(time_ns).halted
-    assert recording.at(time_ns, time_ns, SENSORS) == Shown(time_ns=time_ns, halted=halted)
+    assert recording.at(time_ns, time_ns, SENSORS) == PageUpdate(time_ns=time_ns, halted=halted)
 
 
 @settings(max_examples=20)
@@ -74,7 +74,7 @@ def test_to_have_looked_elsewhere_changes_nothing(run: Run, recording: Recording
 
 
 def test_interventions_are_shown_from_their_time_on(recording: Recording) -> None:
-    def at(time_s: float) -> Shown:
+    def at(time_s: float) -> PageUpdate:
         return recording.at(round(time_s * SECOND_NS))
 
     assert [at(time_s).halted for time_s in (1.0, 1.2, 2.7, 3.5)] == [(), ("car2",), (), ("car1", "car2", "car3")]
@@ -233,7 +233,7 @@ def test_seeking_back_and_forth_ends_where_going_straight_does(recording: Record
     assert_same(known, straight)
 
 
-def merged_into(known: dict[str, Any], shown: Shown) -> dict[str, Any]:
+def merged_into(known: dict[str, Any], shown: PageUpdate) -> dict[str, Any]:
     new = all_of(shown)
     both = {name: {**value, **new[name]} for name, value in known.items() if isinstance(value, Mapping)}
     rest = {name: known[name] if new[name] is None else new[name] for name in ("states", "sent", "received")}
@@ -242,7 +242,7 @@ def merged_into(known: dict[str, Any], shown: Shown) -> dict[str, Any]:
 
 def test_lines_are_told_once(player: Player, wall: Wall) -> None:
     player.order(Go(speed=1.0))
-    lines: list[Line] = []
+    lines: list[LogLine] = []
     for _ in range(50):
         lines += player.show().lines
         wall.now_s += 0.1

@@ -32,7 +32,7 @@ from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.server_main import pump
 from vcmvsp.cosim.view.live.server_process import Viewer
-from vcmvsp.cosim.view.messages import Halt, Line, Pace, Shown
+from vcmvsp.cosim.view.messages import Halt, LogLine, Pace, PageUpdate
 
 PATIENCE_S = 30.0
 SCENERY = view_pages.scenery()
@@ -107,7 +107,7 @@ def test_what_happens_is_on_the_page_and_what_is_pressed_comes_back(viewer: View
         page.send(msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": buttons["STOP ALL"], "updates": {"value": True}}))
         orders = until(feed.orders)
         assert orders == [Halt(halted=True)]
-        feed.say(Line(time_ns=0, level="warning", text="the bridge is up"))
+        feed.say(LogLine(time_ns=0, level="warning", text="the bridge is up"))
         feed.on(Event("world/states", SECOND_NS, view_pages.shown(SCENERY, 1.0).states))  # type: ignore[arg-type]  # there are
         feed.pace(Pace())
         assert until(lambda: "the bridge is up" in words(told(page)))
@@ -192,11 +192,11 @@ def is_running(pid: int) -> bool:
 
 def test_of_what_lies_waiting_only_the_newest_is_shown_and_no_line_is_lost() -> None:
     ours, theirs = protocol.pair()
-    shown: list[Shown] = []
+    shown: list[PageUpdate] = []
     for k in range(20):
-        line = Line(time_ns=k, level="info", text=str(k))
+        line = LogLine(time_ns=k, level="info", text=str(k))
         assert ours.offer(
-            codec.encode(Shown(time_ns=k, notes={"a": {"k": float(k)}}, targets={str(k): (0.0, 0.0)}, lines=(line,)))
+            codec.encode(PageUpdate(time_ns=k, notes={"a": {"k": float(k)}}, targets={str(k): (0.0, 0.0)}, lines=(line,)))
         )
     ours.close()
     end = protocol.Pipe(theirs)
@@ -211,7 +211,7 @@ def test_while_it_draws_the_run_goes_on() -> None:
     ours, theirs = protocol.pair()
     times, drawing, go_on = list[int](), threading.Event(), threading.Event()
 
-    def show(shown: Shown) -> None:
+    def show(shown: PageUpdate) -> None:
         times.append(shown.time_ns)
         drawing.set()
         go_on.wait(PATIENCE_S)
@@ -219,9 +219,9 @@ def test_while_it_draws_the_run_goes_on() -> None:
     end = protocol.Pipe(theirs)
     thread = threading.Thread(target=pump, args=(end, show))
     thread.start()
-    ours.offer(codec.encode(Shown(time_ns=0)))
+    ours.offer(codec.encode(PageUpdate(time_ns=0)))
     drawing.wait(PATIENCE_S)
-    taken = [k for k in range(1, 100_000) if ours.offer(codec.encode(Shown(time_ns=k)))]
+    taken = [k for k in range(1, 100_000) if ours.offer(codec.encode(PageUpdate(time_ns=k)))]
     assert taken[-1] < 99_999  # in the end there was no room
     ours.close()
     go_on.set()

@@ -13,7 +13,7 @@ from tests.support.cosim import view_pages
 from tests.support.cosim.view_pages import RECORDED, Looking, known_of, looking, scenery, shown, states
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Mosaic, ProbabilityMap
-from vcmvsp.cosim.view.messages import Craft, Sensors, Shown
+from vcmvsp.cosim.view.messages import Craft, PageUpdate, Sensors
 from vcmvsp.cosim.view.page.links import fresh_links
 from vcmvsp.cosim.view.page.scene import MOST_COLORS, by_color
 from vcmvsp.cosim.view.page.sensors import painted, points_of
@@ -40,7 +40,7 @@ def test_bodies_stand_where_the_vehicles_are() -> None:
         Craft(name="b", kind="p2dx", size=(1, 1, 1)),
     )
     with looking(scenery(vehicles=crafts)) as looked:
-        looked.station.show(Shown(time_ns=0, states=states([(2.0, 3.0, 0.0)], [math.pi / 2], ("a",))))
+        looked.station.show(PageUpdate(time_ns=0, states=states([(2.0, 3.0, 0.0)], [math.pi / 2], ("a",))))
         looked.station.draw()
         bodies = looked.node("/vehicles/ground")
     assert bodies.batched_positions[0] == pytest.approx((2.0, 2.9, 0.1), abs=1e-6)

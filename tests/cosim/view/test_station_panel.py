@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tests.support.cosim.view_pages import known_of, looking, scenery, shown
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Presence, RealStatus
-from vcmvsp.cosim.view.messages import Craft, Line, Pace, Shown
+from vcmvsp.cosim.view.messages import Craft, LogLine, Pace, PageUpdate
 from vcmvsp.cosim.view.page.charts import POINTS, History, round_above
 from vcmvsp.cosim.view.page.panel import log_page, run_page, vehicle_page
 from vcmvsp.cosim.view.page.state import Known
@@ -21,12 +21,12 @@ def test_what_others_say_is_text_and_no_part_of_the_page() -> None:
     scene = scenery(vehicles=crafts, scenario=bad)
     known = known_of(
         scene,
-        Shown(
+        PageUpdate(
             time_ns=0,
             notes={"v1": {"mode": bad, bad: bad}},
             presence={"v1": Presence(state="lost", since_ns=0, why=bad)},
             real={"v1": RealStatus(link=1, age_s=0.1, causes=(bad,))},
-            lines=(Line(time_ns=0, level=bad, text=bad),),
+            lines=(LogLine(time_ns=0, level=bad, text=bad),),
             pace=Pace(over=bad),
         ),
     )
@@ -85,7 +85,7 @@ def test_delivery_is_that_of_the_last_five_seconds() -> None:
     known = Known(scene)
     for second in range(21):  # all is received in the first ten seconds, nothing in the next ten
         sent, received = np.full((2, 2), 10 * second), np.full((2, 2), 10 * min(second, 10))
-        known.take(Shown(time_ns=second * SECOND_NS, sent=sent, received=received))
+        known.take(PageUpdate(time_ns=second * SECOND_NS, sent=sent, received=received))
         history.sample(known)
     delivery = np.array(history.numbers[2])[:, 0]
     assert delivery[[5, 10]].tolist() == [100.0, 100.0]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.support.cosim.view_pages import known_of, scenery, shown, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Follows, Presence
-from vcmvsp.cosim.view.messages import Line, Shown
+from vcmvsp.cosim.view.messages import LogLine, PageUpdate
 from vcmvsp.cosim.view.page.formation_slots import places_of
 
 ANGLES = st.floats(-3.0, 3.0)
@@ -20,7 +20,7 @@ METRES = st.floats(-50.0, 50.0)
 
 def test_what_is_left_out_is_as_it_was() -> None:
     scene = scenery(3)
-    known = known_of(scene, shown(scene, 1.0), Shown(time_ns=2 * SECOND_NS))
+    known = known_of(scene, shown(scene, 1.0), PageUpdate(time_ns=2 * SECOND_NS))
     assert np.array_equal(known.position, shown(scene, 1.0).states.position)  # type: ignore[union-attr]
     assert known.places.keys() == {"v2", "v3"}
     assert known.sent is not None
@@ -31,15 +31,15 @@ def test_of_each_key_the_newest_counts() -> None:
     scene = scenery(2)
     old: Notes = {"v1": {"mode": "old"}, "v2": {"mode": "old"}}
     new: Notes = {"v2": {"mode": "new"}}
-    known = known_of(scene, Shown(time_ns=0, notes=old), Shown(time_ns=1, notes=new))
+    known = known_of(scene, PageUpdate(time_ns=0, notes=old), PageUpdate(time_ns=1, notes=new))
     assert known.notes == {"v1": {"mode": "old"}, "v2": {"mode": "new"}}
 
 
 def test_where_time_goes_back_only_what_is_shown_then_counts() -> None:
     scene = scenery(3)
-    lines = tuple(Line(time_ns=second * SECOND_NS, level="info", text=f"line {second}") for second in range(5))
-    late = Shown(time_ns=4 * SECOND_NS, presence={"v1": Presence(state="lost", since_ns=3 * SECOND_NS)}, lines=lines)
-    known = known_of(scene, late, Shown(time_ns=2 * SECOND_NS, lines=lines[2:3]))
+    lines = tuple(LogLine(time_ns=second * SECOND_NS, level="info", text=f"line {second}") for second in range(5))
+    late = PageUpdate(time_ns=4 * SECOND_NS, presence={"v1": Presence(state="lost", since_ns=3 * SECOND_NS)}, lines=lines)
+    known = known_of(scene, late, PageUpdate(time_ns=2 * SECOND_NS, lines=lines[2:3]))
     assert known.presence == {}
     assert [line.text for line in known.lines] == ["line 0", "line 1", "line 2"]
     assert known.times_back == 1
@@ -48,7 +48,7 @@ def test_where_time_goes_back_only_what_is_shown_then_counts() -> None:
 def test_vehicles_are_found_by_name_in_any_order_and_strangers_left_out() -> None:
     scene = scenery(3)
     told = states([(3.0, 0.0, 0.0), (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)], [0.0] * 3, ("v3", "stranger", "v1"))
-    known = known_of(scene, Shown(time_ns=0, states=told))
+    known = known_of(scene, PageUpdate(time_ns=0, states=told))
     assert known.position[[0, 2], 0].tolist() == [1.0, 3.0]
     assert np.isnan(known.position[1]).all()
 
@@ -65,11 +65,11 @@ def test_who_is_in_place_and_turned_as_its_leader_has_no_error(
     place = (x + c * ahead - s * left, y + s * ahead + c * left, 0.5)
     follows = {"v2": Follows(leader="v1", slot=(ahead, left), handle_m=handle)}
     there = states([(x, y, 0.0), place], [yaw, yaw], ("v1", "v2"))
-    exact = places_of(known_of(scene, Shown(time_ns=0, states=there, places=follows)))
+    exact = places_of(known_of(scene, PageUpdate(time_ns=0, states=there, places=follows)))
     assert exact.place[0] == pytest.approx(place, abs=1e-9)
     assert exact.error_m[0] == pytest.approx(0.0, abs=1e-9)
     away = states([(x, y, 0.0), (place[0] + off, place[1], place[2])], [yaw, own], ("v1", "v2"))
-    places = places_of(known_of(scene, Shown(time_ns=0, states=away, places=follows)))
+    places = places_of(known_of(scene, PageUpdate(time_ns=0, states=away, places=follows)))
     error = places.error_m[0]
     assert math.dist(places.place[0], (place[0] + off, *place[1:])) == pytest.approx(
         error, abs=1e-9

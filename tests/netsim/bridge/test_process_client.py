@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.cosim.processes.local_link import LocalLink
 from vcmvsp.netsim.bridge import process_client
 from vcmvsp.netsim.bridge.process import messages
 from vcmvsp.netsim.bridge.process_client import BridgeClient
@@ -53,7 +53,7 @@ def silent() -> tuple[BridgeClient, Silent]:
     process = SimpleNamespace(pid=1, kill=lambda: None, wait=wait)
     link = Silent()
     opening = messages.Opening(run="run", folder=".", vehicles=("a",), gateways=(), payloads=False)
-    return BridgeClient(cast("Any", process), cast("Link", link), opening), link
+    return BridgeClient(cast("Any", process), cast("LocalLink", link), opening), link
 
 
 def test_doors_that_do_not_open_are_said_when_time_is_over(slow_clock: None) -> None:

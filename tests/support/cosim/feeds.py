@@ -14,7 +14,7 @@ from vcmvsp.cosim.types import Later, Message, Reading, Reception, frozen
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.feed import PERIOD_S, Feed
 from vcmvsp.cosim.view.live.server_main import merged
-from vcmvsp.cosim.view.messages import Craft, Obstacle, Pace, Scenery, Shown
+from vcmvsp.cosim.view.messages import Craft, Obstacle, Pace, PageUpdate, Scenery
 
 NAMES = ("a", "b", "c")
 NOTHING = frozen(np.zeros((0, 3)))
@@ -41,7 +41,7 @@ class Reader:
         self.now_s, self._got = 0.0, b""
         self._pipe = protocol.Pipe(ours)
         self.feed = Feed(self._pipe, more.pop("scenery", SCENERY), clock=lambda: self.now_s, **more)
-        self.newest: Shown | None = None
+        self.newest: PageUpdate | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -58,7 +58,7 @@ class Reader:
         self.now_s += wall_s
         self.feed.pace(Pace())
 
-    def read(self, most: int = 1 << 30) -> list[Shown]:
+    def read(self, most: int = 1 << 30) -> list[PageUpdate]:
         """Read no more than so many bytes; the messages that are whole now, each of which adds to what is known."""
         while most > 0:
             try:
@@ -71,7 +71,7 @@ class Reader:
             self.newest = merged(self.newest, each)
         return shown
 
-    def known(self) -> Shown:
+    def known(self) -> PageUpdate:
         self.read()
         assert self.newest is not None
         return self.newest
@@ -79,14 +79,14 @@ class Reader:
     def order(self, payload: bytes) -> None:
         self.sock.sendall(struct.pack("<I", len(payload)) + payload)
 
-    def read_all(self) -> Shown:
+    def read_all(self) -> PageUpdate:
         """Read until nothing is left, while time passes."""
         self.wait()
         while self.read() or self._got:
             self.wait()
         return self.known()
 
-    def _whole(self) -> Iterator[Shown]:
+    def _whole(self) -> Iterator[PageUpdate]:
         while len(self._got) >= 4 and len(self._got) >= 4 + (length := struct.unpack_from("<I", self._got)[0]):
             yield protocol.shows.decode(self._got[4 : 4 + length])
             self._got = self._got[4 + length :]

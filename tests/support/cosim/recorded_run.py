@@ -29,7 +29,7 @@ from vcmvsp.cosim.types import (
     States,
 )
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.cosim.view.messages import Shown
+from vcmvsp.cosim.view.messages import PageUpdate
 
 SCENARIO: dict[str, Any] = {
     "name": "shown-again",
@@ -140,7 +140,7 @@ def counted(frames: Sequence[FrameReport], names: tuple[str, ...]) -> tuple[Arra
     return sent, received
 
 
-def told(shown: Shown) -> dict[str, Any]:
+def told(shown: PageUpdate) -> dict[str, Any]:
     """The same of what is shown."""
     links = {each.sender: (each.sent_ns, each.receivers, each.rssi_dbm, each.outcome) for each in shown.links}
     for each in shown.links:
@@ -166,7 +166,7 @@ def assert_same(one: Any, other: Any, where: str = "") -> None:
         assert encode(one) == encode(other), where
 
 
-def merged(before: Shown, after: Shown) -> dict[str, Any]:
+def merged(before: PageUpdate, after: PageUpdate) -> dict[str, Any]:
     """What is known of two that follow each other; what the later one leaves out is as it was."""
     one, other = told(before), told(after)
     mappings = {name: {**value, **other[name]} for name, value in one.items() if isinstance(value, Mapping)}
@@ -175,7 +175,7 @@ def merged(before: Shown, after: Shown) -> dict[str, Any]:
     return {**mappings, **rest, **more, "lines": (*before.lines, *after.lines), "halted": after.halted}
 
 
-def all_of(shown: Shown) -> dict[str, Any]:
+def all_of(shown: PageUpdate) -> dict[str, Any]:
     return merged(shown, shown) | {"lines": shown.lines}
 
 

@@ -14,7 +14,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Array, Follows, Image, Scan, States
 from vcmvsp.cosim.view.auth.web_server import close_server, open_server
-from vcmvsp.cosim.view.messages import Craft, Line, Link, Obstacle, Order, Pace, Scenery, Shown
+from vcmvsp.cosim.view.messages import Craft, LinkStatus, LogLine, Obstacle, Order, Pace, PageUpdate, Scenery
 from vcmvsp.cosim.view.page.control_station import Station
 from vcmvsp.cosim.view.page.state import Known
 
@@ -84,7 +84,7 @@ def states(positions: list[tuple[float, float, float]], yaws: list[float], names
     return States(names=names, position=np.array(positions), velocity=zero, attitude=attitude, angular_velocity=zero)
 
 
-def shown(scene: Scenery, time_s: float, **more: Any) -> Shown:
+def shown(scene: Scenery, time_s: float, **more: Any) -> PageUpdate:
     """All go around a circle, the first one leads; every frame is received but those of the last vehicle."""
     names = tuple(each.name for each in scene.vehicles)
     count = len(names)
@@ -110,16 +110,16 @@ def shown(scene: Scenery, time_s: float, **more: Any) -> Shown:
         "received": received,
         "heard_ns": {name: int(time_s * SECOND_NS) for name in names},
         "pace": Pace(speed=1.0, achieved=0.98) if scene.live else Pace(speed=1.0),
-        "lines": (Line(time_ns=0, level="info", text="it begins"),) if time_s == 0.0 else (),
+        "lines": (LogLine(time_ns=0, level="info", text="it begins"),) if time_s == 0.0 else (),
     }
-    return Shown(time_ns=int(time_s * SECOND_NS), **{**content, **more})
+    return PageUpdate(time_ns=int(time_s * SECOND_NS), **{**content, **more})
 
 
-def link(names: tuple[str, ...], sender: int, time_s: float) -> Link:
+def link(names: tuple[str, ...], sender: int, time_s: float) -> LinkStatus:
     """A frame to all others."""
     others = tuple(name for name in names if name != names[sender])
     lost = sender == len(names) - 1
-    return Link(
+    return LinkStatus(
         sender=names[sender],
         sent_ns=int(time_s * SECOND_NS),
         receivers=others,
@@ -141,7 +141,7 @@ def scan(range_m: float = 1.0) -> Scan:
     )
 
 
-def known_of(scene: Scenery, *messages: Shown) -> Known:
+def known_of(scene: Scenery, *messages: PageUpdate) -> Known:
     """What a station knows that was told these."""
     known = Known(scene)
     for message in messages:
