@@ -155,7 +155,7 @@ def test_every_kind_is_documented_with_all_its_parameters(group: str, kind: str)
         ("Formations, and when their members report", "vfh", Vfh),
         ("Formations, and when their members report", "dynamic_window", DynamicWindow),
         ("`[radio.script]`", "change", Change),
-        ("`[radio.jammer]`", "source", Emitter),
+        ("`[radio.jammer]`", "emitter", Emitter),
     ],
 )
 def test_what_lists_and_vehicles_hold_is_documented(heading: str, item: str, target: Any) -> None:
