@@ -223,11 +223,11 @@ def _plan(
     listen = endpoint_rules(listen, keys, insecure=insecure)
     if listen.endswith(":0"):
         raise UsageError(f"--listen {listen}: hosts cannot know which port that will be: name one")
-    if any(host.ssh for host in listed.host) and shutil.which("ssh") is None:
-        raise UsageError(f"{path}: this machine has no ssh; install the client of OpenSSH")
     dialled = [_dialled(path, host, host.connect or listed.connect, listen) for host in listed.host]
     for host, connect in zip(listed.host, dialled, strict=True):
         _check_dialling(f"{path}: {host.where}", host, connect, listen, keys, insecure=insecure)
+    if any(host.ssh for host in listed.host) and shutil.which("ssh") is None:
+        raise UsageError(f"{path}: this machine has no ssh; install the client of OpenSSH")
     plans = []
     for host, connect in zip(listed.host, dialled, strict=True):
         bundle = _bundle(keys, host, tell) if keys and host.copy else ""
