@@ -193,7 +193,7 @@ def changed_results(draw: random.Random, folder: Path, results: Path) -> Case:
         [each for each in sorted((folder / "results").iterdir()) if each.is_file()], k=draw.choice([1, 2])
     ):
         match draw.choice(["garbled", "garbled", "cut", "gone", "empty", "json", "folder"]):
-            case "garbled" if path.exists():
+            case "garbled" if path.is_file():
                 path.write_bytes(_garbled(draw, path.read_bytes()))
             case "cut" if path.is_file():
                 path.write_bytes(path.read_bytes()[: draw.randrange(path.stat().st_size or 1)])
