@@ -3,6 +3,7 @@
 A module of this package holds the commands of one subject and loads heavy parts inside its functions.
 """
 
+import itertools
 import os
 import signal
 import sys
@@ -54,52 +55,63 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-PANELS = {
-    "Run": ("run", "check", "study", "replay", "drive"),
-    "Look": ("view", "report", "plot", "export"),
-    "Radio": ("radio", "channel", "pathloss", "per", "calibrate", "net"),
-    "Robots": ("robot", "operator", "stop", "emulate", "calibrate-recognition"),
-    "Machines": ("agent", "launch", "watch", "keys", "doctor"),
-    "Build your own": ("list", "show", "reference", "world", "new"),
-    "Proof": ("validate", "figure", "bench"),
+# Name, function or group, summary in one line, epilog.
+_Command = tuple[str, Callable[..., None] | typer.Typer, str, str | None]
+_COMMANDS: dict[str, tuple[_Command, ...]] = {
+    "Run": (
+        ("run", run_command, "Run a scenario", PROGRAM),
+        ("check", check_command, "Check the keys of a scenario without running it", PROGRAM),
+        ("study", study_command, "Run a scenario over a grid of values and seeds", PROGRAM),
+        ("replay", replay_command, "Repeat a recorded run, changed or unchanged", PROGRAM),
+        ("drive", drive_command, "Print the response of a vehicle to one command", PROGRAM),
+    ),
+    "Look": (
+        ("view", view_command, "Replay a recorded run in the browser", DATA),
+        ("report", report_command, "Make report.html of a run or study again", DATA),
+        ("plot", plot_command, "Make the figures of a run again", DATA),
+        ("export", export_command, "Convert a recording: ROS 2 bag, CSV, film, layout", DATA),
+    ),
+    "Radio": (
+        ("radio", radio_command, "Explain losses and link budgets; map coverage", f"{DATA} {PROGRAM}"),
+        ("channel", channel_command, "Simulate broadcasts of static radios alone", None),
+        ("pathloss", pathloss_command, "Tabulate loss, received power, SNR by distance", None),
+        ("per", per_command, "Tabulate packet error rates by SNR", None),
+        ("calibrate", calibrate_command, "Fit a channel model to measured levels", PROGRAM),
+        ("net", net_app, "Give each vehicle a network namespace (root)", None),
+    ),
+    "Robots": (
+        ("robot", robot_command, "Drive a robot from its own computer", None),
+        ("operator", operator_command, "Hold the operator's deadman for real robots", None),
+        ("stop", stop_command, "Stop all robots that this machine drives", None),
+        ("emulate", emulate_app, "Emulate robots and positioning at a real port", None),
+        ("calibrate-recognition", calibrate_recognition_command, "Measure detection and false-alarm rates", PROGRAM),
+    ),
+    "Machines": (
+        ("agent", agent_command, "Host agents for a run on another machine", None),
+        ("launch", launch_command, "Run a scenario and start its hosts over ssh", PROGRAM),
+        ("watch", watch_command, "Print the topics of a run, here or elsewhere", None),
+        ("keys", keys_app, "Make certificates for other machines", None),
+        ("doctor", doctor_command, "Check this installation or a connection", None),
+    ),
+    "Build your own": (
+        ("list", list_command, "List scenarios, or kinds of a group", None),
+        ("show", show_command, "Print a scenario, or the parameters of a kind", PROGRAM),
+        ("reference", reference_command, "Print the keys of a scenario", None),
+        ("world", world_command, "Draw a world", PROGRAM),
+        ("new", new_command, "Write a template of an agent, sensor or driver", None),
+    ),
+    "Proof": (
+        ("validate", validate_command, "Measure every law and outside reference anew", None),
+        ("figure", figure_command, "Make a figure of the thesis and compare it", None),
+        ("bench", bench_command, "Measure speed beside other tools", None),
+    ),
 }
-_COMMANDS: tuple[tuple[str, Callable[..., None], str, str | None], ...] = (  # name, function, summary in one line, epilog
-    ("run", run_command, "Run a scenario", PROGRAM),
-    ("check", check_command, "Check the keys of a scenario without running it", PROGRAM),
-    ("study", study_command, "Run a scenario over a grid of values and seeds", PROGRAM),
-    ("replay", replay_command, "Repeat a recorded run, changed or unchanged", PROGRAM),
-    ("drive", drive_command, "Print the response of a vehicle to one command", PROGRAM),
-    ("view", view_command, "Replay a recorded run in the browser", DATA),
-    ("report", report_command, "Make report.html of a run or study again", DATA),
-    ("plot", plot_command, "Make the figures of a run again", DATA),
-    ("export", export_command, "Convert a recording: ROS 2 bag, CSV, film, layout", DATA),
-    ("radio", radio_command, "Explain losses and link budgets; map coverage", f"{DATA} {PROGRAM}"),
-    ("channel", channel_command, "Simulate broadcasts of static radios alone", None),
-    ("pathloss", pathloss_command, "Tabulate loss, received power, SNR by distance", None),
-    ("per", per_command, "Tabulate packet error rates by SNR", None),
-    ("calibrate", calibrate_command, "Fit a channel model to measured levels", PROGRAM),
-    ("robot", robot_command, "Drive a robot from its own computer", None),
-    ("operator", operator_command, "Hold the operator's deadman for real robots", None),
-    ("stop", stop_command, "Stop all robots that this machine drives", None),
-    ("calibrate-recognition", calibrate_recognition_command, "Measure detection and false-alarm rates", PROGRAM),
-    ("agent", agent_command, "Host agents for a run on another machine", None),
-    ("launch", launch_command, "Run a scenario and start its hosts over ssh", PROGRAM),
-    ("watch", watch_command, "Print the topics of a run, here or elsewhere", None),
-    ("doctor", doctor_command, "Check this installation or a connection", None),
-    ("list", list_command, "List scenarios, or kinds of a group", None),
-    ("show", show_command, "Print a scenario, or the parameters of a kind", PROGRAM),
-    ("reference", reference_command, "Print the keys of a scenario", None),
-    ("world", world_command, "Draw a world", PROGRAM),
-    ("new", new_command, "Write a template of an agent, sensor or driver", None),
-    ("validate", validate_command, "Measure every law and outside reference anew", None),
-    ("figure", figure_command, "Make a figure of the thesis and compare it", None),
-    ("bench", bench_command, "Measure speed beside other tools", None),
-)
-for _name, _function, _summary, _epilog in _COMMANDS:
-    app.command(_name, short_help=_summary, epilog=_epilog)(_function)
-app.add_typer(emulate_app, short_help="Emulate robots and positioning at a real port")
-app.add_typer(keys_app, short_help="Make certificates for other machines")
-app.add_typer(net_app, short_help="Give each vehicle a network namespace (root)")
+PANELS = {panel: [name for name, *_ in commands] for panel, commands in _COMMANDS.items()}
+for _name, _target, _summary, _epilog in itertools.chain.from_iterable(_COMMANDS.values()):
+    if isinstance(_target, typer.Typer):
+        app.add_typer(_target, name=_name, short_help=_summary)
+    else:
+        app.command(_name, short_help=_summary, epilog=_epilog)(_target)
 
 
 def main(arguments: list[str] | None = None) -> None:
