@@ -171,6 +171,7 @@ def _as_written(table: pa.Table, fields: "Sequence[pa.Field[Any]]", name: str) -
         if field.type != table.schema.field(place).type:
             limits.within(_text_bytes(table.column(place)), limits.TABLE_TEXT_BYTES, f"bytes of {field.name} in {name}")
             table = table.set_column(place, field, table.column(place).cast(field.type))
+    table.validate(full=True)  # texts are UTF-8, codes have a text
     return table
 
 
