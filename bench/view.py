@@ -19,7 +19,7 @@ from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.scenario import loader as scenarios
-from vcmvsp.cosim.view.live.server_process import Viewer
+from vcmvsp.cosim.view.live.session import Viewer
 from vcmvsp.cosim.view.scenery import scenery_of
 
 VEHICLES, RUN_S, ROUNDS = 10, 60.0, 5

@@ -242,8 +242,8 @@ def conduct(
 
 def _viewing(page: tuple[str, int]) -> "Viewing":
     """Where the run is shown, once there is anything to show; its address is told even to who wants to hear nothing else."""
-    from vcmvsp.cosim.view.auth.rules import caution
     from vcmvsp.cosim.view.live.session import Viewing
+    from vcmvsp.cosim.view.web_server import caution
 
     def opened(url: str) -> None:
         sys.stderr.write(f"control station: {url}\n{caution(page[0])}")

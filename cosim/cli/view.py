@@ -47,10 +47,9 @@ def view_command(
 
 def _serve(player: "Player", recording: "Recording", host: str, port: int, *, as_json: bool) -> None:
     """Show it until Ctrl-C, which is a good end only once the page is there; it goes on as soon as somebody looks."""
-    from vcmvsp.cosim.view.auth.rules import caution, new_token, url_of
-    from vcmvsp.cosim.view.auth.web_server import close_server, open_server
     from vcmvsp.cosim.view.messages import Go
     from vcmvsp.cosim.view.page.control_station import Station
+    from vcmvsp.cosim.view.web_server import caution, close_server, new_token, open_server, url_of
 
     token = new_token()
     server = open_server(host, port, token)

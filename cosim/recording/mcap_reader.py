@@ -145,17 +145,31 @@ def indexed(stream: BinaryIO) -> Iterator[dict[int, int]]:
     return iter([counts for _, counts in chunks])
 
 
+def unpacked(data: bytes, compression: str, size: int, crc: int) -> bytes:
+    """What is in a chunk.
+
+    Raises:
+        ValueError: it is not what its head says, or too much.
+    """
+    limits.within(size, limits.CHUNK_BYTES, "bytes in a chunk")
+    if compression not in ("", "zstd"):
+        raise ValueError(f"a chunk is packed with {compression!r}, not with zstd")
+    if compression:
+        data = pa.Codec("zstd").decompress(data, size, asbytes=True)
+    if len(data) != size or (crc and zlib.crc32(data) != crc):
+        raise ValueError("a chunk has another checksum than it says")
+    return data
+
+
+def declared(record: bytes) -> records.McapRecord:
+    """A schema or a channel from its bytes."""
+    return next(StreamReader(io.BytesIO(record), skip_magic=True).records)
+
+
 def _unpacked(chunk: records.Chunk, most: int, passed: Container[int]) -> Iterator[records.McapRecord]:
     """What is in a chunk but for some channels, of which the index names so many messages; 0: there is none."""
-    limits.within(chunk.uncompressed_size, limits.CHUNK_BYTES, "bytes in a chunk")
-    if chunk.compression not in ("", "zstd"):
-        raise ValueError(f"a chunk is packed with {chunk.compression!r}, not with zstd")
-    data = chunk.data
     try:
-        if chunk.compression:
-            data = pa.Codec("zstd").decompress(data, chunk.uncompressed_size, asbytes=True)
-        if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-            raise ValueError("a chunk has another checksum than it says")
+        data = unpacked(chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc)
         yield from _inside(data, most or len(data), passed)
     except ValueError:
         raise
@@ -181,7 +195,7 @@ def _inside(data: bytes, most: int, passed: Container[int]) -> Iterator[records.
             else:
                 yield records.Message(channel, time_ns, data[start + _MESSAGE.size : end], published_ns, sequence)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            yield next(StreamReader(io.BytesIO(data[start - _RECORD.size : end]), skip_magic=True).records)
+            yield declared(data[start - _RECORD.size : end])
     if last_ns >= 0:
         yield records.Message(_PASSED, last_ns, b"", last_ns, 0)
 

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -134,9 +134,14 @@ def is_known(schema: str) -> bool:
 
 
 class Values:
-    """Messages as values; None: of a kind that no export looks into."""
+    """Messages as values; None: of a kind that no export looks into.
 
-    def __init__(self) -> None:
+    Args:
+        also: further schemas that are looked into, and the type of each.
+    """
+
+    def __init__(self, also: Mapping[str, Any] = {}) -> None:
+        self._read_as = {**_READ_AS, **also}
         self._decoders: dict[str, Callable[[bytes], Any]] = {}
 
     def of(self, message: Recorded) -> Any:
@@ -145,7 +150,7 @@ class Values:
         Raises:
             UsageError: it is not what its schema says.
         """
-        kind = _READ_AS.get(message.schema)
+        kind = self._read_as.get(message.schema)
         if kind is None:
             return None
         decode = self._decoders.get(message.schema)

@@ -1,10 +1,7 @@
-"""The vehicles of a run as lines of text, with the newest values only: what stands below the bar while the run goes on.
-
-An event costs a look into a dictionary and, where it tells something of a vehicle, a store; all else is done when the lines are
-asked for.
-"""
+"""The vehicles of a run as lines of text, with the newest values only: what stands below the bar while the run goes on."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -12,30 +9,30 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.metrics.formation import formation_errors
 from vcmvsp.cosim.metrics.motion import Motion
+from vcmvsp.cosim.recording.run_state import RunState
 from vcmvsp.cosim.tables.schema import Placement
-from vcmvsp.cosim.types import Array, Follows, FrameReport, Halted, Note, Presence, Reception, States
+from vcmvsp.cosim.types import States
 from vcmvsp.cosim.util.text import plain
 
 MOST = 20  # vehicles that are shown
 CELL = 24  # characters
 FLIES_M = 0.5  # from this height on heights are shown
 GAP = "  "
-COMMANDERS = ("commander", "mode")  # what agents call in their notes who commands
+STATES = {"lost": "lost", "removed": "gone", "back": ""}  # of agents
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Vehicle:
     """What is known of a vehicle."""
 
-    by: str = ""
-    state: str = ""
-    halted: bool = False
-    heard_ns: int | None = None
-    sent: int = 0  # frames that it could have heard
-    received: int = 0
+    by: str
+    state: str
+    halted: bool
+    heard_ns: int | None
+    sent: int  # frames that it could have heard
+    received: int
     position: Sequence[float] = ()
     speed: float = math.nan
     error_m: float = math.nan
@@ -64,38 +61,19 @@ class LiveTable:
 
     def __init__(self, agents: Mapping[str, str]) -> None:
         self._agents = agents
-        self._vehicles: dict[str, _Vehicle] = {}
-        self._states: States | None = None
-        self._follows: dict[str, Follows] = {}
-        self._frames: list[FrameReport] = []
-        self._heard: dict[str, int] = {}
+        self._run = RunState()
+        self.on = self._run.on  # takes an event
         self._flies = False
         self._widths: dict[str, int] = {}  # the largest so far: columns that move about are hard to read
-        self._handlers: dict[type, Callable[[str, int, Any], None]] = {
-            States: self._on_states,
-            FrameReport: self._on_frame,
-            Reception: self._on_reception,
-            Follows: self._on_follows,
-            Note: self._on_note,
-            Presence: self._on_presence,
-            Halted: self._on_halted,
-        }
-
-    def on(self, event: Event) -> None:
-        """Take an event."""
-        value = event.value
-        handler = self._handlers.get(type(value))
-        if handler is not None:
-            handler(event.key, event.time_ns, value)
 
     def lines(self, now_ns: int, width: int, height: int) -> list[TableLine]:
         """The table, at most so many characters wide and lines high; of too many vehicles those that are worst off."""
-        self._work_out()
-        names, most = list(self._vehicles), max(1, min(MOST, height - 2))
+        every, most = self._vehicles(), max(1, min(MOST, height - 2))
+        names = list(every)
         if not names or width < 1 or height < 3:
             return []
-        shown = names if len(names) <= most else sorted(names, key=lambda name: _rank(self._vehicles[name], now_ns))[:most]
-        vehicles = [self._vehicles[name] for name in shown]
+        shown = names if len(names) <= most else sorted(names, key=lambda name: _rank(every[name], now_ns))[:most]
+        vehicles = [every[name] for name in shown]
         rows = {column.title: [column.cell(each, now_ns) for each in vehicles] for column in self._columns()}
         rows = {"vehicle": [name[:CELL] for name in shown], **rows}
         columns = self._fitting(rows, width)
@@ -108,75 +86,41 @@ class LiveTable:
         rest = len(names) - len(shown)
         return [*table, TableLine(f"... and {rest} more"[:width], "more")] if rest else table
 
-    # --- events -------------------------------------------------------------------------------------------------------------
+    def _vehicles(self) -> dict[str, _Vehicle]:
+        """All vehicles that were heard of, in the order of the run."""
+        run, sent, received = self._run, Counter[str](), Counter[str]()
+        for (_, receivers), tally in run.tallies.items():
+            frames, *arrived = tally.tolist()
+            sent.update(dict.fromkeys(receivers, frames))
+            received.update(dict(zip(receivers, arrived, strict=True)))
+        states: States | None = run.newest["states"].get("")
+        motion = {} if states is None else self._motion(states)
+        presence, heard_ns = run.newest["presence"], run.newest["heard_ns"]
+        names = dict.fromkeys([*motion, *run.commanders, *presence, *sorted(run.halted), *heard_ns, *sent])
+        return {
+            name: _Vehicle(
+                plain(run.commanders[name], CELL) if name in run.commanders else self._agents.get(name, ""),
+                STATES[presence[name].state] if name in presence else "",
+                name in run.halted,
+                heard_ns.get(name),
+                sent[name],
+                received[name],
+                *motion.get(name, ()),
+            )
+            for name in names
+        }
 
-    def _on_states(self, key: str, time_ns: int, states: States) -> None:
-        self._states = states
-
-    def _on_frame(self, key: str, time_ns: int, report: FrameReport) -> None:
-        self._frames.append(report)
-
-    def _on_reception(self, key: str, time_ns: int, reception: Reception) -> None:
-        self._heard[key] = time_ns
-
-    def _on_follows(self, key: str, time_ns: int, follows: Follows) -> None:
-        self._follows[key.partition("/")[0]] = follows
-
-    def _on_note(self, key: str, time_ns: int, note: Note) -> None:
-        for name in COMMANDERS:
-            if name in note.values:
-                self._of(key).by = plain(str(note.values[name]), CELL)
-
-    def _on_presence(self, key: str, time_ns: int, presence: Presence) -> None:
-        self._of(key).state = {"lost": "lost", "removed": "gone", "back": ""}[presence.state]
-
-    def _on_halted(self, key: str, time_ns: int, halted: Halted) -> None:
-        for name in halted.vehicles:
-            self._vehicle(name).halted = halted.halted
-
-    def _of(self, key: str) -> _Vehicle:
-        return self._vehicle(key.partition("/")[0])
-
-    def _vehicle(self, name: str) -> _Vehicle:
-        if name not in self._vehicles:
-            self._vehicles[name] = _Vehicle(by=self._agents.get(name, ""))
-        return self._vehicles[name]
-
-    # --- the table ----------------------------------------------------------------------------------------------------------
-
-    def _work_out(self) -> None:
-        """Bring all vehicles up to date."""
-        if self._states is not None:
-            states, self._states = self._states, None
-            self._vehicles = {name: self._vehicle(name) for name in states.names} | self._vehicles  # in the order of the run
-            speeds = np.linalg.norm(states.velocity, axis=1).tolist()
-            errors = self._errors(states)
-            for name, position, speed in zip(states.names, states.position.tolist(), speeds, strict=True):
-                vehicle = self._vehicle(name)
-                vehicle.position, vehicle.speed, vehicle.error_m = position, speed, errors.get(name, math.nan)
-            self._flies = self._flies or bool((states.position[:, 2] > FLIES_M).any())
-        counts: dict[tuple[str, ...], Array] = {}  # by receivers: frames, and how many each of them received
-        for report in self._frames:
-            if report.receivers not in counts:
-                counts[report.receivers] = np.zeros((2, len(report.receivers)), np.int64)
-            counts[report.receivers] += (np.ones(len(report.receivers), np.int64), report.received_ns >= 0)
-        self._frames.clear()
-        for key, time_ns in self._heard.items():
-            self._of(key).heard_ns = time_ns
-        self._heard.clear()
-        for receivers, (sent, received) in counts.items():
-            for name, more, heard in zip(receivers, sent.tolist(), received.tolist(), strict=True):
-                vehicle = self._vehicle(name)
-                vehicle.sent += more
-                vehicle.received += heard
-
-    def _errors(self, states: States) -> dict[str, float]:
-        """How far each follower is off its place now, m."""
+    def _motion(self, states: States) -> dict[str, tuple[list[float], float, float]]:
+        """Position, speed and formation error of each vehicle."""
         w, x, y, z = states.attitude.T
         yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         moved = Motion(np.zeros(1, np.int64), states.names, states.position.T[:, np.newaxis], yaw[np.newaxis])
-        placements = [Placement(0, name, follows) for name, follows in self._follows.items()]
-        return {name: float(error[0]) for name, error in formation_errors(moved, placements).items()}
+        placements = [Placement(0, name, follows) for name, follows in self._run.newest["places"].items()]
+        errors = {name: float(error[0]) for name, error in formation_errors(moved, placements).items()}
+        self._flies = self._flies or bool((states.position[:, 2] > FLIES_M).any())
+        speeds = np.linalg.norm(states.velocity, axis=1).tolist()
+        rows = zip(states.names, states.position.tolist(), speeds, strict=True)
+        return {name: (position, speed, errors.get(name, math.nan)) for name, position, speed in rows}
 
     def _columns(self) -> tuple[_Column, ...]:
         axes = 3 if self._flies else 2

@@ -7,6 +7,7 @@ of the station with the user's input. A recording uses the same three messages.
 from collections.abc import Mapping
 from typing import Literal
 
+from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import (
     Array,
     Fix,
@@ -22,6 +23,9 @@ from vcmvsp.cosim.types import (
     Value,
     Vec3,
 )
+
+Pose = tuple[float, float, float, float]
+"""x, y, z m and yaw rad, world."""
 
 
 class Craft(Value, frozen=True, kw_only=True):
@@ -44,7 +48,7 @@ class Obstacle(Value, frozen=True, kw_only=True):
     name: str
     shape: Literal["box", "cylinder"]
     size: Vec3  # m; of a cylinder: its diameter twice, and its height
-    pose: tuple[float, float, float, float]  # centre x, y, z m, and yaw rad, at the start
+    pose: Pose  # of its centre, at the start
     color: tuple[int, int, int]
     may_be_moved: bool = False  # by the one who looks
 
@@ -78,14 +82,6 @@ class LinkStatus(Value, frozen=True, kw_only=True):
     outcome: tuple[str, ...]  # "received" or the cause of the loss
 
 
-class LogLine(Value, frozen=True, kw_only=True):
-    """A line of the log."""
-
-    time_ns: int
-    level: str  # debug, info, warning, error, fatal
-    text: str
-
-
 class Pace(Value, frozen=True, kw_only=True):
     """How a run goes on."""
 
@@ -103,7 +99,7 @@ class PageUpdate(Value, frozen=True, kw_only=True):
 
     time_ns: int
     states: States | None = None
-    obstacles: Mapping[str, tuple[float, float, float, float]] = {}  # x, y, z m, yaw rad
+    obstacles: Mapping[str, Pose] = {}
     targets: Mapping[str, tuple[float, float]] = {}
     places: Mapping[str, Follows] = {}  # who means to keep which place
     notes: Mapping[str, dict[str, float | str | bool]] = {}  # what each agent noted last, by vehicle: "mode" says who commands

@@ -1,20 +1,28 @@
-"""From a scenario to what the control station is told once: its vehicles, and what stands around them."""
+"""What the control station is told once, of a run or of a recording: its vehicles, and what stands around them."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import msgspec
 import numpy as np
 
 from vcmvsp.cosim.agent import AgentInfo
-from vcmvsp.cosim.assembly import worlds
+from vcmvsp.cosim.assembly import recorded_world, worlds
 from vcmvsp.cosim.assembly.parts.vehicles import Vehicle, flies
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.config import binding, factory, registry
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.config.user_classes import NO_CODE, only
+from vcmvsp.cosim.recording.foxglove.messages import SceneUpdate
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 from vcmvsp.cosim.types import frozen
+from vcmvsp.cosim.util.documents import read_json
 from vcmvsp.cosim.view.messages import Craft, Obstacle, Scenery
 
+RECORDED = ("pace", "seek", "sensors")
+"""Orders that a recording obeys."""
+DEFAULT_WIDTH_M = 0.5  # of a vehicle that is not drawn in the recording
 VehicleKinds = dict[str, type[Vehicle]]  # by their names in the scenario
 
 
@@ -119,3 +127,58 @@ def _obstacles(world: "worlds.World", may_be_moved: bool) -> tuple[Obstacle, ...
             shown = Obstacle(name=each.name, shape=kind, size=size, pose=each.pose(0.0), color=color, may_be_moved=movable)
             obstacles.append(shown)
     return tuple(obstacles)
+
+
+def recorded_stage(
+    path: Path, vehicles: Sequence[str], drawing: bytes | None, *, trust: bool = False
+) -> tuple[Scenery, "worlds.World"]:
+    """The scenery and the world that a run's resolved scenario describes; what is not built in, as the recording draws it.
+
+    Args:
+        path: of the scenario.
+        vehicles: in their order.
+        drawing: the message that draws them, if there is one.
+        trust: import classes that are not built in.
+
+    Raises:
+        ScenarioError, UsageError: it cannot be built any more.
+        ValueError: it has other vehicles than the recording.
+    """
+    scenario, source = scenarios.load(path)
+    if tuple(each.name for each in scenario.vehicle) != tuple(vehicles):
+        raise ValueError(f"{path} is of another run than the recording beside it")
+    with only(None if trust else NO_CODE):
+        world = recorded_world.world_in(path.parent, scenario, source)
+        return scenery_of(scenario, source, world=world, may=RECORDED, drawn=_drawn(vehicles, drawing)), world
+
+
+def bare_scenery(about: Mapping[str, str], vehicles: Sequence[str], drawing: bytes | None) -> Scenery:
+    """The vehicles alone, as big as they are drawn in the recording.
+
+    Args:
+        about: what the recording says of its run.
+        vehicles: in their order.
+        drawing: the message that draws them, if there is one.
+
+    Raises:
+        ValueError: it is no such message.
+    """
+    seed = about.get("seed", "")
+    return Scenery(
+        scenario=about.get("scenario", ""),
+        seed=int(seed) if seed.isdecimal() else 0,
+        duration_ns=0,
+        vehicles=tuple(_drawn(vehicles, drawing).values()),
+        vertices=frozen(np.zeros((0, 3)), np.float32),
+        triangles=frozen(np.zeros((0, 3)), np.uint32),
+        colors=frozen(np.zeros((0, 3)), np.uint8),
+        may=RECORDED,
+    )
+
+
+def _drawn(vehicles: Sequence[str], drawing: bytes | None) -> dict[str, Craft]:
+    """Vehicles as big as they are drawn."""
+    entities = () if drawing is None else read_json(drawing, SceneUpdate).entities
+    width_m = {each.id: each.cylinders[0].size.x for each in entities if each.cylinders}
+    sizes = {name: width_m.get(name, DEFAULT_WIDTH_M) for name in vehicles}
+    return {name: Craft(name=name, kind="", size=(size, size, 0.5 * size)) for name, size in sizes.items()}

@@ -1,30 +1,37 @@
 """The run's side of a view: an observer that hands on the newest of everything, when the other side can take it.
 
-Nothing here waits for the one who looks, grows while he does not, or changes the run.
+Nothing here waits for the other side, grows while it does not read, or changes the run.
 """
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import msgspec
+import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.recording.run_state import RunState
+from vcmvsp.cosim.types import FrameReport, Image, Later, Scan
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
-from vcmvsp.cosim.view.live.newest_values import Newest, Places, Poses
-from vcmvsp.cosim.view.messages import LogLine, Order, Pace, PageUpdate, Scenery, Sensors
+from vcmvsp.cosim.view.messages import LinkStatus, Order, Pace, PageUpdate, Pose, Scenery, Sensors
 
 PERIOD_S = 1.0 / 30.0  # of the wall clock, between two messages at least
 AGAIN_S = 0.002  # between two tries to finish one
 READING_S = 0.2  # between two readings that are worked out only to be shown
 FAREWELL_S = 1.0  # for the other side to take the last message
 MOST_ORDERS = 200  # that nobody has taken; older ones give way
+READINGS: Mapping[type, str] = {Scan: "scans", Image: "images"}
+
+Poses = Mapping[str, Callable[[float], Pose]]
+Places = Mapping[str, Callable[[float], tuple[float, float]]]
 
 
 class Feed:
-    """Shows a run to who is at the other end of a pipe.
+    """Shows a run at the other end of a pipe.
 
     Args:
         pipe: to the process that shows it.
@@ -44,7 +51,12 @@ class Feed:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pipe, self._clock = pipe, clock
-        self._newest = Newest(scenery, moving or {}, targets or {})
+        self._moving, self._targets = moving or {}, targets or {}
+        self._rows = {craft.name: row for row, craft in enumerate(scenery.vehicles)}
+        self._state = RunState()
+        self._state.newest |= {name: {} for name in READINGS.values()}  # of sensors that are asked for: vehicle/sensor
+        self._asked: frozenset[str] = frozenset()
+        self._later: dict[str, Later] = {}
         self._now_ns, self._fresh = 0, True  # something has happened that has not been shown
         self._due_s = self._read_s = -1e9
         self._pace, self._paces = Pace(), deque[tuple[float, int]]()  # where the run was within the last second
@@ -56,7 +68,10 @@ class Feed:
         if event.time_ns != self._now_ns:
             self._write_if_due()  # the instant that is over, whole
             self._now_ns, self._fresh = event.time_ns, True
-        self._newest.on(event)
+        if not isinstance(event.value, Later | Scan | Image):
+            self._state.on(event)
+        elif event.key in self._asked:
+            self._take_reading(event.key, event.value)
 
     def pace(self, pace: Pace) -> None:
         """Say how the run goes on; ``achieved`` is measured here. Call it while the run stands still, too: then it listens."""
@@ -64,13 +79,13 @@ class Feed:
         self._pace = pace
         self._write_if_due()
 
-    def say(self, line: LogLine) -> None:
+    def say(self, level: str, text: str) -> None:
         """Add a line to the log that is shown."""
-        self._newest.say(line)
+        self._state.say(self._now_ns, level, text)
         self._fresh = True
 
     def orders(self) -> list[Order]:
-        """What the one who looks has asked for since the last call, oldest first. `Sensors` have been obeyed already."""
+        """Orders since the last call, oldest first. `Sensors` have been obeyed already."""
         self._listen()
         orders = list(self._orders)
         self._orders.clear()
@@ -85,8 +100,31 @@ class Feed:
         """Show how the run ended, if the other end takes it within a second; the pipe stays open."""
         self._pace = msgspec.structs.replace(self._pace, over=why)
         self._pipe.offer_within(self._encoded(self._clock()), FAREWELL_S)
-        self._newest.forget()
-        self._fresh = False
+        self._forget()
+
+    def _take_reading(self, key: str, reading: Any) -> None:
+        if isinstance(reading, Later):
+            self._later[key] = reading
+        elif (collection := READINGS.get(type(reading))) is not None:
+            self._state.keep(collection, key, reading)
+
+    def _ask(self, names: Sequence[str]) -> None:
+        """Keep the readings of these sensors, and of no others."""
+        self._asked = frozenset(names)
+        state = self._state
+        state.fresh = {each: None for each in state.fresh if each[0] not in READINGS.values() or each[1] in self._asked}
+        self._later = {key: later for key, later in self._later.items() if key in self._asked}
+
+    def _work_out(self) -> bool:
+        """Work out one of the readings that nobody has looked at, in turn; whether there was one."""
+        if not self._later:
+            return False
+        key = next(iter(self._later))
+        try:
+            self._take_reading(key, self._later.pop(key).get())
+        except Exception as error:  # it fails again where the run itself looks at it, or nowhere
+            self.say("error", f"{key} could not be worked out: {type(error).__name__}: {error}")
+        return True
 
     def _write_if_due(self) -> None:
         now_s = self._clock()
@@ -94,22 +132,58 @@ class Feed:
             return
         self._due_s = now_s + PERIOD_S
         self._listen()
-        if now_s - self._read_s >= READING_S and self._newest.work_out(self._now_ns):
+        if now_s - self._read_s >= READING_S and self._work_out():
             self._read_s, self._fresh = now_s, True
         if not self._pipe.push():
             self._due_s = now_s + AGAIN_S
         elif self._fresh and self._pipe.offer(self._encoded(now_s)):
-            self._newest.forget()
-            self._fresh = False
+            self._forget()
+
+    def _forget(self) -> None:
+        """What has been shown need not be shown again."""
+        self._state.fresh.clear()
+        self._state.lines.clear()
+        self._fresh = False
 
     def _encoded(self, now_s: float) -> bytes:
         pace = msgspec.structs.replace(self._pace, achieved=self._achieved(now_s))
         try:
-            return protocol.fitting(codec.encode(self._newest.shown(self._now_ns, pace)))
+            return protocol.fitting(codec.encode(self._update(pace)))
         except ValueError as error:  # of a part of the user's own, or a vast mosaic
-            self._newest.forget()
-            line = LogLine(time_ns=self._now_ns, level="error", text=f"what has happened cannot be shown: {error}")
-            return codec.encode(PageUpdate(time_ns=self._now_ns, lines=(line,), pace=pace))
+            self._forget()
+            self.say("error", f"what has happened cannot be shown: {error}")
+            return codec.encode(PageUpdate(time_ns=self._now_ns, lines=tuple(self._state.lines), pace=pace))
+
+    def _update(self, pace: Pace) -> PageUpdate:
+        """All that is new, and what is always told."""
+        state, time_s = self._state, self._now_ns / SECOND_NS
+        news: dict[str, Any] = {}
+        for collection, key in state.fresh:
+            news.setdefault(collection, {})[key] = state.newest[collection][key]
+        moving = {name: pose(time_s) for name, pose in self._moving.items()}
+        frames = news.pop("frames", {})
+        counts = self._counts() if frames else {}
+        return PageUpdate(
+            time_ns=self._now_ns,
+            states=news.pop("states", {}).get(""),
+            obstacles=moving | news.pop("pushed", {}),
+            targets={name: place(time_s) for name, place in self._targets.items()},
+            links=tuple(map(_link, frames.values())),
+            halted=tuple(name for name in self._rows if name in state.halted),
+            lines=tuple(state.lines),
+            pace=pace,
+            **counts,
+            **news,
+        )
+
+    def _counts(self) -> dict[str, Any]:
+        """Frames that were sent and received so far, a row per sender."""
+        sent, received = (np.zeros((len(self._rows),) * 2, np.int64) for _ in range(2))
+        for (sender, receivers), tally in self._state.tallies.items():
+            row, columns = self._rows[sender], [self._rows[name] for name in receivers]
+            sent[row, columns] += tally[0]
+            received[row, columns] += tally[1:]
+        return {"sent": sent, "received": received}
 
     def _achieved(self, now_s: float) -> float | None:
         """Simulated seconds per second, over the last one."""
@@ -133,10 +207,10 @@ class Feed:
             try:
                 order = protocol.answers.decode(message)
             except ValueError:
-                self.say(LogLine(time_ns=self._now_ns, level="warning", text="the control station asked for what is no order"))
+                self.say("warning", "the control station asked for what is no order")
                 continue
             if isinstance(order, Sensors):
-                self._newest.ask(order.names)
+                self._ask(order.names)
             elif isinstance(order, protocol.Down):
                 self._lose(order.problem)
             elif not isinstance(order, protocol.Up):
@@ -145,3 +219,14 @@ class Feed:
     def _lose(self, problem: str) -> None:
         self.problem = problem
         self._pipe.close()
+
+
+def _link(report: FrameReport) -> LinkStatus:
+    return LinkStatus(
+        sender=report.sender,
+        sent_ns=report.sent_ns,
+        receivers=report.receivers,
+        rssi_dbm=report.rssi_dbm,
+        received=report.received_ns >= 0,
+        outcome=report.outcome,
+    )

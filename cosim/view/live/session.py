@@ -1,19 +1,38 @@
-"""Where a run is to be shown: made by whoever starts the run, opened by the run once it knows what there is to show."""
+"""The control station of a run that goes on: its process, the feed to it, and what its orders do.
 
+Orders are obeyed in the run's own thread, between two of its instants or while it waits: nothing here can disturb a step.
+"""
+
+import contextlib
+import json
+import subprocess
+import sys
+import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
+from vcmvsp.cosim.assembly.interventions import Operator
 from vcmvsp.cosim.assembly.run import AssembledRun
-from vcmvsp.cosim.clock import Clock, LiveClock
+from vcmvsp.cosim.clock import LISTEN_NS, Clock, LiveClock
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.processes.child_process import BOOT, ending
+from vcmvsp.cosim.scenario.schema import HaltTable, InterventionTable, MoveTable, OutageTable, SetTable
+from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.util.text import Tell
-from vcmvsp.cosim.view.live.control import Live, may
-from vcmvsp.cosim.view.live.server_process import Viewer
+from vcmvsp.cosim.view import HOST
+from vcmvsp.cosim.view.live import protocol
+from vcmvsp.cosim.view.live.feed import Feed, Places, Poses
+from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Move, Order, Outage, Pace, Scenery
 from vcmvsp.cosim.view.scenery import scenery_of
+from vcmvsp.cosim.view.web_server import new_token, url_of
+
+START_S = 60.0  # for the page to be there
+LEAVE_S = 3.0  # for the process to leave by itself
+MODULE = "vcmvsp.cosim.view.live.server"
 
 
-class Viewing:
-    """The control station of one run. Use it as a context manager: leaving it closes the page.
+class Viewing(contextlib.AbstractContextManager["Viewing"]):
+    """The control station of one run, opened by the run once it knows what there is to show; leaving it closes the page.
 
     Args:
         host: what the page is served on; another than loopback lets other machines see it, unencrypted.
@@ -25,13 +44,10 @@ class Viewing:
         self._host, self._port, self._opened = host, port, opened
         self._viewer: Viewer | None = None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def live(self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Tell) -> Live:
+    def live(self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Tell) -> "Live":
         """Open the page of a run.
 
         Args:
@@ -41,10 +57,11 @@ class Viewing:
             tell: takes lines for the user.
         """
         world, keys = run.world, run.radio.adjustable()
-        allowed = may(movables=world.movables, keys=tuple(keys), held_up=not run.has_outside)
-        scenery = scenery_of(run.scenario, run.source, world=world, infos=run.agents, live=True, may=allowed, keys=keys)
+        allowed = {"sensors": True, "halt": True, "outage": True, "end": True}
+        allowed |= {"move": bool(world.movables), "set": bool(keys), "pace": not run.has_outside}
+        may = tuple(order for order, is_obeyed in allowed.items() if is_obeyed)
         self._viewer = Viewer.open(
-            scenery,
+            scenery_of(run.scenario, run.source, world=world, infos=run.agents, live=True, may=may, keys=keys),
             self._host,
             port=self._port,
             moving={each.name: each.pose for each in world.moving},
@@ -66,3 +83,168 @@ class Viewing:
         """Close the page. May be called again."""
         if self._viewer is not None:
             self._viewer.close()
+
+
+class Live:
+    """What stands between a run and its feed.
+
+    Args:
+        feed: to the station.
+        operator: does what is asked for.
+        clock: makes the clock that paces the run, given what it calls while it waits; one that is no `LiveClock` cannot be
+            held up.
+        stop: ends the run, as Ctrl-C does.
+        tell: takes lines for the user.
+
+    Attributes:
+        clock: paces the run.
+    """
+
+    def __init__(
+        self,
+        feed: Feed,
+        operator: Operator,
+        *,
+        clock: Callable[[Callable[[], None]], Clock],
+        stop: Callable[[], None],
+        tell: Tell,
+    ) -> None:
+        self._feed, self._operator, self._stop, self._tell = feed, operator, stop, tell
+        self.on, self.close = feed.on, feed.close
+        self.clock = clock(self.listen)
+        self._listened_ns, self._alone = 0, False
+
+    def on_instant(self, now_ns: int) -> None:
+        """Listen if nobody has for a while: a clock that cannot be held up does not."""
+        if time.monotonic_ns() - self._listened_ns >= LISTEN_NS:
+            self.listen()
+
+    def listen(self) -> None:
+        """Do what the one who looks has asked for."""
+        self._listened_ns = time.monotonic_ns()
+        for order in self._feed.orders():
+            try:
+                self._obey(order)
+            except ValueError as error:
+                self._feed.say("warning", f"not done: {error}")
+        paused = isinstance(self.clock, LiveClock) and self.clock.paused
+        self._feed.pace(Pace(paused=paused, speed=self.clock.speed))
+        if not self._feed.open and not self._alone:
+            self._alone = True
+            self._tell(f"the control station has gone{self._feed.problem and f': {self._feed.problem}'}; the run goes on")
+            if isinstance(self.clock, LiveClock) and self.clock.paused:  # nobody is left who could let it
+                self.clock.go(paused=False, speed=self.clock.speed)
+
+    def _obey(self, order: Order) -> None:
+        if isinstance(order, Go):
+            if not isinstance(self.clock, LiveClock):
+                raise ValueError("robots and programs outside keep to the wall clock")  # noqa: TRY004  it is a wish, not a type
+            self.clock.go(paused=order.paused, speed=_checked(order.speed), step_ns=max(0, order.step_ns))
+        elif isinstance(order, End):
+            self._stop()
+        elif (table := _intervention(order)) is not None:
+            self._operator.ask(table)
+
+
+def _checked(speed: float | None) -> float | None:
+    if speed is not None and not 1e-3 <= speed <= 1e6:
+        raise ValueError(f"a speed of {speed:g}: it must be between 0.001 and 1 000 000")
+    return speed
+
+
+def _intervention(order: Order) -> InterventionTable | None:
+    """What an order asks the operator for; its time is that of the instant at which it is done."""
+    match order:
+        case Outage():
+            return OutageTable(at_s=0.0, for_s=order.for_s, vehicles=order.vehicles)
+        case Halt():
+            return HaltTable(at_s=0.0, vehicles=order.vehicles, halted=order.halted)
+        case Move():
+            return MoveTable(at_s=0.0, obstacle=order.obstacle, position=order.position, yaw=order.yaw)
+        case Change():
+            return SetTable(at_s=0.0, key=order.key, value=order.value)
+    return None
+
+
+class Viewer(contextlib.AbstractContextManager["Viewer"]):
+    """The process that serves the page of a run; leaving it ends the process."""
+
+    def __init__(self, process: "subprocess.Popen[bytes]", pipe: protocol.Pipe, url: str, feed: Feed) -> None:
+        self._process, self._pipe, self.url, self.feed = process, pipe, url, feed
+
+    @classmethod
+    def open(
+        cls,
+        scenery: Scenery,
+        host: str = HOST,
+        *,
+        port: int,
+        moving: Poses | None = None,
+        targets: Places | None = None,
+    ) -> Self:
+        """Start the process, and wait for the page; arguments as of `Viewing` and `Feed`.
+
+        Raises:
+            UsageError: the page cannot be served there, or its process does not start.
+        """
+        token = new_token()
+        pipe, theirs = protocol.pair()
+        with theirs:
+            process = _started(theirs.fileno())
+        try:
+            port = _up(process, pipe, protocol.Start(scenery=scenery, host=host, port=port, token=token)).port
+        except BaseException:
+            _end(process, pipe)
+            raise
+        return cls(process, pipe, url_of(host, port, token), Feed(pipe, scenery, moving=moving, targets=targets))
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def stay(self) -> None:
+        """Wait until the process ends or Ctrl-C is pressed: the page can be looked at although the run is over."""
+        with contextlib.suppress(KeyboardInterrupt):
+            self._process.wait()
+
+    def close(self) -> None:
+        """End the process. May be called again."""
+        _end(self._process, self._pipe)
+
+
+def _started(descriptor: int) -> "subprocess.Popen[bytes]":
+    """The process; it looks for modules where this one does, Ctrl-C does not reach it, and its output is not the run's."""
+    command = [sys.executable, "-P", "-c", BOOT.format(module=MODULE), str(descriptor)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.__stderr__, pass_fds=(descriptor,), process_group=0)
+    with contextlib.suppress(BrokenPipeError), process.stdin or contextlib.nullcontext():
+        if process.stdin:
+            process.stdin.write(f"{json.dumps(sys.path)}\n".encode())
+    return process
+
+
+def _up(process: "subprocess.Popen[bytes]", pipe: protocol.Pipe, start: protocol.Start) -> protocol.Up:
+    """Tell the process what to show, and wait until it does."""
+    until_s = time.monotonic() + START_S
+    pipe.offer_within(codec.encode(start), START_S)
+    while (left_s := until_s - time.monotonic()) > 0.0:
+        for message in pipe.take(wait_s=min(left_s, 0.2)):
+            answer = protocol.answers.decode(message)
+            if isinstance(answer, protocol.Up):
+                return answer
+            if isinstance(answer, protocol.Down):
+                raise UsageError(answer.problem)
+        if not pipe.open:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(LEAVE_S)
+            code = process.poll()
+            how = "has gone" if code is None else ending(code)
+            raise UsageError(f"the process of the view {how} before its page was there")
+    raise UsageError(f"the page of the view was not there within {START_S:g} s")
+
+
+def _end(process: "subprocess.Popen[bytes]", pipe: protocol.Pipe) -> None:
+    pipe.close()
+    try:
+        process.wait(LEAVE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

@@ -10,9 +10,9 @@ from viser import uplot
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Scenery
-from vcmvsp.cosim.view.page.formation_slots import places_of
+from vcmvsp.cosim.view.page.drawing import Every, css_of
 from vcmvsp.cosim.view.page.state import Known
-from vcmvsp.cosim.view.page.style import Every, css_of
+from vcmvsp.cosim.view.page.vehicles import places_of
 
 POINTS = 300  # of each curve
 PERIOD_S = 0.5

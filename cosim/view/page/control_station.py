@@ -10,19 +10,14 @@ from collections.abc import Callable
 import viser
 
 from vcmvsp.cosim.view.messages import Order, PageUpdate, Scenery
-from vcmvsp.cosim.view.page.camera import Follower
 from vcmvsp.cosim.view.page.charts import Charts
-from vcmvsp.cosim.view.page.controls import controls
-from vcmvsp.cosim.view.page.inputs import is_finite, picked
-from vcmvsp.cosim.view.page.links import WHICH, Links, legend
-from vcmvsp.cosim.view.page.marks import Fixes, Ghosts, Trails
+from vcmvsp.cosim.view.page.controls import Choice, controls, is_finite, picked
+from vcmvsp.cosim.view.page.drawing import Every
 from vcmvsp.cosim.view.page.panel import log_page, run_page, vehicle_page
-from vcmvsp.cosim.view.page.scene import Scene
-from vcmvsp.cosim.view.page.selection import Choice
+from vcmvsp.cosim.view.page.scene import Follower, Scene
 from vcmvsp.cosim.view.page.sensors import GROUNDS, Ground, Pictures, Scans
 from vcmvsp.cosim.view.page.state import Known
-from vcmvsp.cosim.view.page.style import Every
-from vcmvsp.cosim.view.page.vehicles import Vehicles
+from vcmvsp.cosim.view.page.vehicles import WHICH, Fixes, Ghosts, Links, Trails, Vehicles, legend
 
 LEFT_PX, RIGHT_PX = 300.0, 360.0
 WORDS_S = 0.2  # between two tellings of words
@@ -62,11 +57,12 @@ class Station:
             self._build(server, scenery)
         threading.Thread(target=self._keep, name="station", daemon=True).start()
 
-    def show(self, shown: PageUpdate) -> None:
+    def show(self, *updates: PageUpdate) -> None:
         """Show how things stand. To be called from one thread, some thirty times a second at most."""
         known, now_s = self._known, self._clock()
         with self._drawing:
-            known.take(shown)
+            for update in updates:
+                known.take(update)
             self._trails.sample(known)
             self._charts.sample(known, now_s)
             if not self._aimed:

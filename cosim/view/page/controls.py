@@ -3,16 +3,38 @@
 A control gives an order and shows nothing of its own: that it was obeyed is seen in what the run shows next.
 """
 
+import math
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
+import numpy as np
 import viser
 
-from vcmvsp.cosim.view.messages import Change, End, Halt, Order, Outage, Scenery
-from vcmvsp.cosim.view.page.inputs import picked, write
-from vcmvsp.cosim.view.page.obstacle_control import Mover
-from vcmvsp.cosim.view.page.pace_control import Pacing, Timeline
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.frames import quaternion_from_yaw, yaw_of
+from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Move, Order, Outage, Pace, Scenery, Seek, Sensors
+from vcmvsp.cosim.view.page.drawing import Every
 from vcmvsp.cosim.view.page.state import Known
+
+T = TypeVar("T")
+
+
+def picked(dropdown: viser.GuiDropdownHandle[str]) -> str:
+    """What is chosen of a list; the first, if a page has said what is not on it."""
+    return dropdown.value if dropdown.value in dropdown.options else dropdown.options[0]
+
+
+def write(part: viser.GuiInputHandle[T], value: T) -> None:
+    """Let an element of the page have this value."""
+    part.value = value  # type: ignore[misc]  # viser has a method between the property and its setter, so mypy misses the setter
+
+
+def is_finite(order: Order) -> bool:
+    """Whether all numbers of an order are such as can be meant."""
+    values: list[Any] = [getattr(order, field) for field in order.__struct_fields__]
+    flat = [part for value in values for part in (value if isinstance(value, tuple) else (value,))]
+    return all(math.isfinite(part) for part in flat if isinstance(part, float))
+
 
 ALL = "all vehicles"
 Give = Callable[[Order], None]
@@ -134,3 +156,228 @@ class Ends:
 
 def _named(choice: str) -> tuple[str, ...]:
     return () if choice == ALL else (choice,)
+
+
+STEP_NS = SECOND_NS // 10
+SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+FASTEST = "as fast as it can"
+HAND_S = 0.7  # after the hand has left the slider, the player moves it again
+
+
+class Pacing:
+    """Pause, go on, one step, and speed. To be made in the context of its container."""
+
+    def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Callable[[Order], None]) -> None:
+        self._give = give
+        self._told: Pace | None = None
+        self._go = gui.add_button("Go on" if scenery.live else "Play", icon=viser.Icon.PLAYER_PLAY)
+        self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+        self._step = gui.add_button("Step 0.1 s", icon=viser.Icon.PLAYER_TRACK_NEXT) if scenery.live else None
+        speeds = [_word(each) for each in SPEEDS] + ([FASTEST] if scenery.live else [])
+        self._speed = gui.add_dropdown("Speed", speeds, initial_value=FASTEST if scenery.live else _word(1.0))
+        self._go.on_click(lambda _: self._order(paused=False))
+        self._pause.on_click(lambda _: self._order(paused=True))
+        self._speed.on_update(self._chosen)
+        if self._step is not None:
+            self._step.on_click(lambda _: self._order(paused=True, step_ns=STEP_NS))
+
+    def draw(self, known: Known) -> None:
+        """Say what can be ordered now, and which speed is wanted if that has changed."""
+        pace = known.pace
+        over = bool(pace.over) and known.scenery.live
+        self._go.disabled, self._pause.disabled = over or not pace.paused, over or pace.paused
+        if self._step is not None:
+            self._step.disabled = over
+        self._speed.disabled = over
+        if self._told is None or self._told.speed != pace.speed:
+            word = FASTEST if pace.speed is None else _word(pace.speed)
+            if word not in self._speed.options:
+                self._speed.options = (*self._speed.options, word)
+            write(self._speed, word)
+        self._told = pace
+
+    def _chosen(self, event: viser.GuiEvent[viser.GuiDropdownHandle[str]]) -> None:
+        if event.client_id is not None:  # else it is what `draw` has set
+            self._order(paused=self._told is not None and self._told.paused)
+
+    def _order(self, *, paused: bool, step_ns: int = 0) -> None:
+        word = picked(self._speed)
+        self._give(Go(paused=paused, speed=None if word == FASTEST else float(word[:-1]), step_ns=step_ns))
+
+
+class Timeline:
+    """Which instant of a recording is shown. To be made in the context of its container.
+
+    Args:
+        gui: of the page.
+        scenery: of the recording.
+        give: takes orders.
+        clock: of the wall, s.
+    """
+
+    def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Callable[[Order], None], clock: Callable[[], float]) -> None:
+        self._give, self._clock = give, clock
+        self._end_s = max(scenery.duration_ns / SECOND_NS, 0.01)
+        self._hand_s = -HAND_S
+        self._often = Every(0.2)
+        self._slider = gui.add_slider("Time [s]", 0.0, self._end_s, step=0.01, initial_value=0.0)
+        self._slider.on_update(self._moved)
+
+    def draw(self, known: Known) -> None:
+        """Let the slider follow the recording, unless a hand is on it."""
+        now_s = self._clock()
+        if now_s - self._hand_s > HAND_S and self._often.due(now_s):
+            write(self._slider, min(round(known.time_ns / SECOND_NS, 2), self._end_s))
+
+    def _moved(self, event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
+        if event.client_id is not None:  # else it is what `draw` has set
+            self._hand_s = self._clock()
+            time_s = self._slider.value if math.isfinite(self._slider.value) else 0.0
+            self._give(Seek(time_ns=seconds_to_ns(min(max(time_s, 0.0), self._end_s))))
+
+
+def _word(speed: float) -> str:
+    return f"{speed:g}x"
+
+
+class Mover:
+    """Made in the context of its container; only for a scenery with obstacles that may be moved."""
+
+    def __init__(self, server: viser.ViserServer, scenery: Scenery, give: Callable[[Order], None]) -> None:
+        self._give = give
+        self._pose = {each.name: each.pose for each in scenery.obstacles if each.may_be_moved}
+        gui = server.gui
+        self._which = gui.add_dropdown("Obstacle", list(self._pose))
+        self._x = gui.add_number("x [m]", 0.0, step=0.1)
+        self._y = gui.add_number("y [m]", 0.0, step=0.1)
+        self._yaw = gui.add_number("yaw [rad]", 0.0, step=0.05)
+        self._move = gui.add_button("Move obstacle")
+        self._dragged = gui.add_checkbox("Drag", initial_value=False)
+        self._gizmo = server.scene.add_transform_controls(
+            "/gizmo", scale=1.5, active_axes=(True, True, False), disable_rotations=False, visible=False
+        )
+        self._which.on_update(lambda _: self._begin())
+        self._move.on_click(lambda _: self._send())
+        self._dragged.on_update(lambda _: self._begin())
+        self._gizmo.on_update(self._drag)
+        self._begin()
+
+    def draw(self, known: Known) -> None:
+        """Learn where the obstacles are, and whether the run is over."""
+        for name, pose in known.obstacles.items():
+            if name in self._pose:
+                self._pose[name] = pose
+        over = bool(known.pace.over)
+        self._move.disabled = self._dragged.disabled = over
+        if over:
+            self._gizmo.visible = False
+
+    def _begin(self) -> None:
+        """Start from where the obstacle is."""
+        x, y, z, yaw = self._pose[picked(self._which)]
+        self._write(x, y, yaw)
+        self._gizmo.position, self._gizmo.wxyz = (x, y, z), quaternion_from_yaw(yaw)
+        self._gizmo.visible = self._dragged.value and not self._dragged.disabled
+
+    def _drag(self, event: viser.TransformControlsEvent) -> None:
+        w, x, y, z = np.asarray(event.target.wxyz, float).tolist()
+        self._write(float(event.target.position[0]), float(event.target.position[1]), yaw_of((w, x, y, z)))
+        if event.phase == "end":
+            self._send()
+
+    def _write(self, x: float, y: float, yaw: float) -> None:
+        for part, number in ((self._x, x), (self._y, y), (self._yaw, yaw)):
+            write(part, round(number, 3))
+
+    def _send(self) -> None:
+        self._give(Move(obstacle=picked(self._which), position=(self._x.value, self._y.value), yaw=self._yaw.value))
+
+
+class Choice:
+    """The chosen vehicle; to be made in the context of its container.
+
+    What a sensor shows costs the run time: it is asked for by a `Sensors` order, of the chosen vehicle alone, and only while
+    somebody looks.
+    """
+
+    def __init__(self, server: viser.ViserServer, scenery: Scenery, give: Callable[[Order], None]) -> None:
+        self._server, self._scenery, self._give = server, scenery, give
+        self._row = {each.name: row for row, each in enumerate(scenery.vehicles)}
+        gui, may = server.gui, scenery.may
+        self._ticked: set[str] = set()  # names of sensors, of whichever vehicle
+        self._boxes: list[viser.GuiCheckboxHandle] = []
+        self._asked: tuple[str, ...] = ()
+        self._pages = len(server.get_clients())
+        self._which = gui.add_dropdown("Vehicle", list(self._row) or ["none"])
+        self._follows = gui.add_checkbox("Camera follows", initial_value=False)
+        self._stops = [gui.add_button("Stop this vehicle"), gui.add_button("Let it go")] if "halt" in may and self._row else []
+        self._sensors = gui.add_folder("Show its readings", visible=False)
+        self._which.on_update(lambda _: self._changed())
+        for button, halted in zip(self._stops, (True, False), strict=False):
+            button.on_click(self._halts(halted))
+        server.on_client_connect(lambda _: self._ask())
+        server.on_client_disconnect(lambda _: self._ask())
+        self._changed()
+
+    @property
+    def name(self) -> str:
+        """Of the chosen vehicle; empty if there are none."""
+        return picked(self._which) if self._row else ""
+
+    @property
+    def row(self) -> int:
+        """Its place among the scenery's."""
+        return self._row.get(self.name, 0)
+
+    @property
+    def follows(self) -> bool:
+        """Whether the camera goes along with it."""
+        return self._follows.value
+
+    @property
+    def readings(self) -> tuple[str, ...]:
+        """What is to be shown of it: vehicle/sensor."""
+        if not self._row:
+            return ()
+        sensors = self._scenery.vehicles[self.row].sensors
+        return tuple(f"{self.name}/{sensor}" for sensor in sensors if sensor in self._ticked)
+
+    def choose(self, row: int) -> None:
+        """Choose another one."""
+        write(self._which, self._scenery.vehicles[row].name)
+
+    def draw(self, known: Known) -> None:
+        """Say what can be ordered now."""
+        for button, stops in zip(self._stops, (True, False), strict=False):
+            button.disabled = bool(known.pace.over) or (self.name in known.halted) is stops
+
+    def _changed(self) -> None:
+        """Offer the sensors of the vehicle that is chosen now; those of the same names stay ticked."""
+        for box in self._boxes:
+            box.remove()
+        self._boxes = []
+        sensors = self._scenery.vehicles[self.row].sensors if self._row and "sensors" in self._scenery.may else {}
+        self._sensors.visible = bool(sensors)
+        with self._sensors:
+            for sensor, kind in sensors.items():
+                box = self._server.gui.add_checkbox(f"{sensor} ({kind})", initial_value=sensor in self._ticked)
+                box.on_update(self._ticks(sensor))
+                self._boxes.append(box)
+        self._ask()
+
+    def _halts(self, halted: bool) -> Callable[[object], None]:
+        return lambda _: self._give(Halt(vehicles=(self.name,), halted=halted))
+
+    def _ticks(self, sensor: str) -> Callable[[viser.GuiEvent[viser.GuiCheckboxHandle]], None]:
+        return lambda event: self._tick(sensor, event.target.value)
+
+    def _tick(self, sensor: str, ticked: bool) -> None:
+        (self._ticked.add if ticked else self._ticked.discard)(sensor)
+        self._ask()
+
+    def _ask(self) -> None:
+        """Order the readings that are wanted, if they are other ones."""
+        wanted = self.readings if self._server.get_clients() else ()
+        if wanted != self._asked:
+            self._asked = wanted
+            self._give(Sensors(names=wanted))

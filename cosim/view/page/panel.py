@@ -8,8 +8,8 @@ from html import escape
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.view.page.drawing import css_of
 from vcmvsp.cosim.view.page.state import Known
-from vcmvsp.cosim.view.page.style import css_of
 
 LINKS, LINES, NOTES = 12, 60, 12  # rows that are shown; of more, the number is told
 COMMANDING = "commander", "mode", "task"  # notes that say who commands a vehicle

@@ -1,5 +1,6 @@
-"""What stands around the vehicles, in the browser: the floor, the solids, obstacles that move, and targets."""
+"""What stands around the vehicles, in the browser, and the camera."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,8 @@ import viser
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Obstacle, Scenery
+from vcmvsp.cosim.view.page.drawing import EDGE_RGB, FLOOR, FLOOR_DARK, SKY_DARK, TARGET_RGB, WHITE, Every, disc
 from vcmvsp.cosim.view.page.state import Known
-from vcmvsp.cosim.view.page.style import EDGE_RGB, FLOOR, FLOOR_DARK, SKY_DARK, TARGET_RGB, WHITE, disc
 
 MOST_COLORS = 48  # of the solids; of more, similar ones become one
 MARGIN_M, WIDE_M = 5.0, 40.0
@@ -172,3 +173,53 @@ def _add_target(server: viser.ViserServer, name: str, x: float, y: float) -> vis
         f"/targets/{name}/name", name, position=(0.0, 0.0, 0.3), font_screen_scale=0.8, anchor="bottom-center"
     )
     return frame
+
+
+PERIOD_S = 0.06
+NEAR_M, FAR_M = 2.0, 12.0  # between which the camera begins
+HAND_S = 0.4  # after a hand has left the camera, it goes along again
+SETTLES_S = 0.5  # until a page says where its camera is by now
+TURNED = 0.02  # of the distance: a hand was on it
+LEAST_M = 0.005  # a vehicle that goes less far takes no camera along
+
+
+@dataclass
+class _Page:
+    """The camera of a page: where it is as seen from the vehicle, m, and when it may be looked at and moved, s."""
+
+    offset: Array
+    looked_at_s: float
+    moved_s: float
+
+
+class Follower:
+    """Keeps each page's camera where it is as seen from the vehicle, except where a hand turns it."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._pages: dict[int, _Page] = {}
+        self._often = Every(PERIOD_S)
+
+    def draw(self, place: Array, now_s: float) -> None:
+        """Go along with a vehicle that is here, m."""
+        if not np.isfinite(place).all() or not self._often.due(now_s):
+            return
+        clients = self._server.get_clients()
+        self._pages = {number: page for number, page in self._pages.items() if number in clients}
+        for number, client in clients.items():
+            offset = np.asarray(client.camera.position) - np.asarray(client.camera.look_at)
+            page = self._pages.get(number)
+            if page is None:
+                distance = max(float(np.linalg.norm(offset)), LEAST_M)
+                offset = offset * (min(max(distance, NEAR_M), FAR_M) / distance)
+                page = self._pages[number] = _Page(offset, looked_at_s=now_s + SETTLES_S, moved_s=now_s)
+            elif now_s >= page.looked_at_s and np.linalg.norm(offset - page.offset) > TURNED * np.linalg.norm(page.offset):
+                page.offset, page.moved_s = offset, now_s + HAND_S
+            if now_s >= page.moved_s and np.linalg.norm(place - np.asarray(client.camera.look_at)) > LEAST_M:
+                with client.atomic():
+                    client.camera.position = place + page.offset
+                    client.camera.look_at = place
+
+    def release(self) -> None:
+        """Let all cameras be."""
+        self._pages.clear()

@@ -11,8 +11,8 @@ from vcmvsp.cosim.types import Array, Image, Mosaic, ProbabilityMap, Scan, Sight
 from vcmvsp.cosim.util import pictures
 from vcmvsp.cosim.util.palette import PROBABILITY, rgb
 from vcmvsp.cosim.view.messages import Scenery
+from vcmvsp.cosim.view.page.drawing import TARGET_RGB, Every, colors_of, rotated
 from vcmvsp.cosim.view.page.state import Known
-from vcmvsp.cosim.view.page.style import TARGET_RGB, Every, colors_of, rotated
 
 GROUNDS = MAP, MOSAIC, NOTHING = "map of targets", "mosaic", "nothing"
 OVER_FLOOR_M = 0.01

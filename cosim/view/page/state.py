@@ -7,8 +7,9 @@ from typing import get_origin
 import msgspec
 import numpy as np
 
+from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Array, Fix, Follows, Image, Mosaic, Presence, ProbabilityMap, RealStatus, Scan, Sightings
-from vcmvsp.cosim.view.messages import LogLine, Pace, PageUpdate, Scenery
+from vcmvsp.cosim.view.messages import Pace, PageUpdate, Scenery
 
 NEVER_NS = -(2**62)
 LINES = 200  # of the log are kept

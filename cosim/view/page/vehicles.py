@@ -1,20 +1,25 @@
-"""The vehicles in the browser: their bodies and names, which one is chosen, and which ones are stopped."""
+"""The vehicles in the browser: bodies and names, where they came from, the places that they mean to keep, and their links."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import viser
 
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Scenery
-from vcmvsp.cosim.view.page.batches import Batch, Segments
-from vcmvsp.cosim.view.page.state import Known
-from vcmvsp.cosim.view.page.style import (
+from vcmvsp.cosim.view.page.drawing import (
     CHOSEN_RGB,
+    LOST_RGB,
     STOPPED_RGB,
+    STRONGEST_DBM,
     TINY,
+    WEAKEST_DBM,
     WHITE,
+    Batch,
     Every,
+    Segments,
     box,
     colors_of,
     disc,
@@ -22,7 +27,53 @@ from vcmvsp.cosim.view.page.style import (
     quadrotor,
     ring,
     rotated,
+    rssi_colors,
+    turned,
 )
+from vcmvsp.cosim.view.page.state import Known
+
+
+@dataclass(frozen=True)
+class Places:
+    """The places of those that follow one another.
+
+    Args:
+        row: of each follower, (k,).
+        place: where it belongs as it is turned now, (k, 3) m, world; at its own height.
+        yaw: its own, (k,) rad.
+        error_m: the formation error, (k,): see `cosim.types.Follows`.
+    """
+
+    row: Array
+    place: Array
+    yaw: Array
+    error_m: Array
+
+
+def places_of(known: Known) -> Places:
+    """The places that are kept at present, of vehicles that are known to be somewhere."""
+    kept = [
+        (known.row[name], known.row[each.leader], *each.slot, each.handle_m)
+        for name, each in known.places.items()
+        if name in known.row and each.leader in known.row
+    ]
+    table = np.array(kept, float).reshape(-1, 5)
+    row, leader = table[:, 0].astype(int), table[:, 1].astype(int)
+    slot, handle = table[:, 2:4], table[:, 4]
+    yaw, own = known.yaw[leader], known.yaw[row]
+    ahead, own_ahead = _unit(yaw), _unit(own)
+    left = ahead[:, ::-1] * (-1.0, 1.0)
+    centre = known.position[leader, :2] + slot[:, :1] * ahead + slot[:, 1:] * left
+    here = known.position[row]
+    off = here[:, :2] + handle[:, None] * own_ahead - (centre + handle[:, None] * ahead)
+    known_both = np.isfinite(off).all(axis=1)
+    place = np.column_stack([here[:, :2] - off, here[:, 2]])  # on a curve it is the handles that have to meet
+    return Places(*(part[known_both] for part in (row, place, own, np.hypot(off[:, 0], off[:, 1]))))
+
+
+def _unit(yaw: Array) -> Array:
+    return np.column_stack([np.cos(yaw), np.sin(yaw)])
+
 
 LABELS = 200  # vehicles; of more, the others' names are not written beside them
 LABELS_AT_ONCE = 16  # are moved: each costs a message
@@ -110,3 +161,183 @@ class Vehicles:
 def _clicked(rows: Array, choose: Callable[[int], None]) -> Callable[[int], None]:
     """What a click at one of these bodies does."""
     return lambda index: choose(int(rows[index]))
+
+
+SEGMENTS, LONGEST, SHORTEST = 4000, 150, 20
+"""Of all trails together, and of each of them."""
+TRAIL_NS = 30 * SECOND_NS  # which a trail reaches back, unless the run is so fast that it is more
+LEAST_M = 0.03  # radius of the mark of an exact position
+OVER_M = 0.02  # above the floor, so that it is seen
+
+
+class Trails:
+    """Where the vehicles were lately."""
+
+    def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
+        count = len(scenery.vehicles)
+        self._steps = min(max(SEGMENTS // max(count, 1), SHORTEST), LONGEST)
+        self._colors = colors_of(count)
+        # A slow fade to the floor's colour says which end is old.
+        share = np.linspace(0.25, 1.0, self._steps + 1)[None, :, None]
+        shades = (235.0 + share * (self._colors[:, None] - 235.0)).astype(np.uint8)
+        self._lines = Segments(server, "/trails", _pairs(shades), 2.0)
+        self._places = np.empty((count, 0, 3))
+        self._next_ns, self._times_back = 0, 0
+        self._often = Every(0.25)
+        self._new = False
+
+    def sample(self, known: Known) -> None:
+        """Take in where the vehicles are, if it is time."""
+        if known.times_back != self._times_back:
+            self._times_back, self._next_ns = known.times_back, 0
+            self._places = self._places[:, :0]
+        if known.time_ns < self._next_ns or not np.isfinite(known.position).any():
+            return
+        self._next_ns = known.time_ns + TRAIL_NS // self._steps
+        self._places = np.concatenate([self._places[:, -self._steps :], known.position[:, None]], axis=1)
+        self._new = True
+
+    def draw(self, now_s: float) -> None:
+        """Draw them, if they are longer than they were."""
+        if self._new and self._often.due(now_s):
+            self._new = False
+            missing = self._steps + 1 - self._places.shape[1]
+            padded = np.concatenate([np.repeat(self._places[:, :1], missing, axis=1), self._places], axis=1)
+            pairs = _pairs(padded)
+            unknown = ~np.isfinite(pairs).all(axis=(1, 2))
+            pairs[unknown] = 0.0
+            self._lines.put(pairs)
+
+    def show(self, visible: bool) -> None:
+        """Let them be seen, or not."""
+        self._lines.show(visible)
+
+
+class Ghosts:
+    """The places that followers mean to keep: bodies that can be seen through, and lines to them."""
+
+    def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
+        self._size = np.array([each.size for each in scenery.vehicles], float).reshape(-1, 3)
+        colors = colors_of(len(self._size))
+        self._bodies = Batch(server, "/places/bodies", box(), colors, opacity=0.3)
+        self._lines = Segments(server, "/places/lines", np.repeat(colors[:, None], 2, axis=1), 1.5)
+
+    def draw(self, known: Known) -> None:
+        """Put them where they are."""
+        places = places_of(known)
+        position, yaw = np.zeros_like(self._size), np.zeros(len(self._size))
+        scale = np.full_like(self._size, TINY)
+        points = np.zeros((len(self._size), 2, 3))
+        position[places.row], yaw[places.row] = places.place, places.yaw
+        scale[places.row] = self._size[places.row]
+        points[places.row] = np.stack([known.position[places.row], places.place], axis=1)
+        self._bodies.put(position, turned(yaw), scale)
+        self._lines.put(points)
+
+    def show(self, visible: bool) -> None:
+        """Let them be seen, or not."""
+        self._bodies.show(visible)
+        self._lines.show(visible)
+
+
+class Fixes:
+    """Where positioning systems say that vehicles are: a disc of one standard deviation on each, and what is seen of it."""
+
+    def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
+        colors = colors_of(len(scenery.vehicles))
+        self._discs = Batch(server, "/fixes", disc(), colors, opacity=0.35)
+        self._flies = [each.flies for each in scenery.vehicles]
+        self._often, self._any = Every(0.1), False
+
+    def draw(self, known: Known, now_s: float) -> None:
+        """Put them where they are."""
+        if not (known.fixes or self._any) or not self._often.due(now_s):
+            return
+        self._any = bool(known.fixes)
+        count = len(known.names)
+        position, scale = np.zeros((count, 3)), np.full((count, 3), TINY)
+        for name, fix in known.fixes.items():
+            if (row := known.row.get(name)) is not None:
+                position[row] = fix.position
+                if not self._flies[row]:  # on the floor, whatever its height was measured to be
+                    position[row, 2] = known.position[row, 2] + OVER_M
+                scale[row] = (max(fix.sigma_m, LEAST_M), max(fix.sigma_m, LEAST_M), 1.0)
+        self._discs.put(position, turned(np.zeros(count)), scale)
+
+    def show(self, visible: bool) -> None:
+        """Let them be seen, or not."""
+        self._discs.show(visible)
+
+
+def _pairs(points: Array) -> Array:
+    """Chains of points, (n, k + 1, 3), as the pieces between them, (n * k, 2, 3)."""
+    return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3)
+
+
+FRESH_NS = SECOND_NS  # how long a frame is shown
+MOST = 600  # half lines; of more, the newest are drawn
+BLINK_S = 0.25
+FEW = 12  # vehicles of which all links are drawn at first
+WHICH = ALL, OWN, NONE = "all", "of the chosen vehicle", "none"
+
+
+class Links:
+    """The links that had a frame in the last second: coloured by received power, blinking red where it was lost."""
+
+    def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
+        count = len(scenery.vehicles)
+        self._room = min(count * (count - 1), MOST)
+        self._lines = Segments(server, "/links", np.zeros((self._room, 2, 3), np.uint8), 2.5)
+        self._up = np.array([(0.0, 0.0, each.offset[2] + 0.5 * each.size[2]) for each in scenery.vehicles]).reshape(-1, 3)
+        self.which = ALL if count <= FEW else OWN
+
+    def draw(self, known: Known, chosen: int, now_s: float) -> None:
+        """Draw those that are fresh now."""
+        if not self._room:
+            return
+        of = {ALL: None, OWN: chosen, NONE: -1}[self.which]
+        sender, receiver = fresh_links(known, self._room, of)
+        tops = known.position + self._up  # else they would run through the bodies
+        here, there = tops[sender], tops[receiver]
+        points = np.zeros((self._room, 2, 3))
+        colors = np.zeros((self._room, 2, 3), np.uint8)
+        got = known.link_received[sender, receiver]
+        shade = np.where(got[:, None], rssi_colors(known.link_rssi_dbm[sender, receiver]), np.array(LOST_RGB, np.uint8))
+        blinks = ~got & bool(int(now_s / BLINK_S) % 2)  # away every other moment
+        points[: len(sender), 0] = here
+        points[: len(sender), 1] = np.where(blinks[:, None], here, 0.5 * (here + there))
+        colors[: len(sender)] = shade[:, None]
+        self._lines.put(points, colors)
+
+
+def fresh_links(known: Known, most: int, of: int | None = None) -> tuple[Array, Array]:
+    """Rows of senders and receivers with a frame in the last second, the newest if there are too many; in steady order.
+
+    Args:
+        known: so far.
+        most: how many there may be.
+        of: the row of a vehicle, for its own alone; None: of all.
+    """
+    age = known.time_ns - known.link_sent_ns
+    placed = np.isfinite(known.position).all(axis=1)
+    fresh = (age >= 0) & (age <= FRESH_NS) & placed[:, None] & placed[None, :]
+    sender, receiver = np.nonzero(fresh)
+    if of is not None:
+        own = (sender == of) | (receiver == of)
+        sender, receiver = sender[own], receiver[own]
+    if len(sender) > most:
+        newest = np.sort(np.argsort(age[sender, receiver], kind="stable")[:most])
+        sender, receiver = sender[newest], receiver[newest]
+    return sender, receiver
+
+
+def legend() -> str:
+    """What the colours mean, as HTML."""
+    stops = ", ".join(f"rgb({r}, {g}, {b})" for r, g, b in rssi_colors(np.linspace(WEAKEST_DBM, STRONGEST_DBM, 6)).tolist())
+    red = "rgb({}, {}, {})".format(*LOST_RGB)
+    bar = f"height: 0.6em; margin: 0.2em 0; background: linear-gradient(90deg, {stops})"
+    return (
+        f'<div style="padding: 0 0.75em 0.5em; font-size: 0.8em">Links: received power<div style="{bar}"></div>'
+        f'<div style="display: flex; justify-content: space-between"><span>{WEAKEST_DBM:.0f} dBm</span>'
+        f'<span style="color: {red}">blinking: lost</span><span>{STRONGEST_DBM:.0f} dBm</span></div></div>'
+    )

@@ -7,7 +7,6 @@ specification (https://mcap.dev/spec), as `cosim.recording.mcap_writer` writes i
 
 import os
 import struct
-import zlib
 from array import array
 from bisect import bisect_right
 from collections import OrderedDict
@@ -16,22 +15,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pyarrow as pa
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+from mcap.writer import MCAP0_MAGIC
 
-from vcmvsp.cosim.recording.mcap_reader import indexed
-from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.recording import mcap_reader
 
-MAGIC = b"\x89MCAP0\r\n"
-SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
 KEPT_BYTES = 32 << 20  # of chunks, for the next look
 TOO_SOON = "it ends too soon: its run goes on, or was killed"
 _RECORD = struct.Struct("<BQ")  # opcode, length of the rest
-_CHUNK = struct.Struct("<QQQI")  # first and last time; size and checksum of what is in it
+_CHUNK = struct.Struct("<QQQII")  # first and last time; size and checksum of what is in it; length of the codec's name
 _MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
 _START = _RECORD.size
 _HEAD_BYTES = _START + _MESSAGE.size + 8  # of a message, up to its content
-_LENGTH = struct.Struct("<I")
-_CHANNEL = struct.Struct("<HH")  # number, schema
-_DAMAGE = (ValueError, KeyError, struct.error, MemoryError, OverflowError, OSError, pa.ArrowException)
+_DAMAGE = (ValueError, KeyError, struct.error, MemoryError, OverflowError, OSError, pa.ArrowException, McapError)
 _OFFSET_BITS = 40  # of a message in its chunk, once unpacked
 
 Taker = Callable[[int, bytes], None]
@@ -43,6 +41,7 @@ class _Part(NamedTuple):
 
     start: int
     length: int
+    compression: str
     size: int
     crc: int
 
@@ -55,12 +54,10 @@ class Topic:
         self._times, self._places = array("q"), array("q")
         self.add_time, self.add_place = self._times.append, self._places.append
 
-    def __len__(self) -> int:
-        return len(self._times)
-
-    def newest(self, time_ns: int) -> int:
-        """The number of the newest message at that time; -1: there is none yet."""
-        return bisect_right(self._times, time_ns) - 1
+    def newest(self, time_ns: int, since_ns: int | None = None) -> int:
+        """The number of the newest message at a time; -1: there is none, or none that is later than ``since_ns``."""
+        number = bisect_right(self._times, time_ns) - 1
+        return -1 if number >= 0 and since_ns is not None and self._times[number] <= since_ns else number
 
     def time_ns(self, number: int) -> int:
         """When that message is in effect."""
@@ -79,7 +76,7 @@ class Messages:
 
     Attributes:
         topics: those that are wanted and have a message, by name.
-        about: what the file says of its run; known before the first message is.
+        about: what the file says of its run.
         end_ns: time of the last message of any topic.
 
     Raises:
@@ -88,15 +85,14 @@ class Messages:
 
     def __init__(self, path: Path) -> None:
         self.topics: dict[str, Topic] = {}
-        self.about: dict[str, str] = {}
         self.end_ns = 0
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[Topic, Taker | None] | None] = {}  # None: passed over
         self._parts: list[_Part] = []
         self._kept: OrderedDict[int, bytes] = OrderedDict()  # chunks, the newest last
         self._kept_bytes = 0
-        self._codec = pa.Codec("zstd")
         self._stream = path.open("rb")
+        self.about = mcap_reader.about(self._stream)
 
     def close(self) -> None:
         """Let go of the file."""
@@ -112,23 +108,23 @@ class Messages:
         self._wanted, self._taker = wanted, taker
         stream, size = self._stream, os.fstat(self._stream.fileno()).st_size
         try:
-            self._counts = indexed(stream)
+            self._counts = mcap_reader.indexed(stream)
         except ValueError as error:
             return str(error)
         stream.seek(0)
-        if stream.read(len(MAGIC)) != MAGIC:
-            return "it is no MCAP file" if size >= len(MAGIC) else TOO_SOON
-        place = len(MAGIC)
+        place = len(MCAP0_MAGIC)
+        if stream.read(place) != MCAP0_MAGIC:
+            return "it is no MCAP file" if size >= place else TOO_SOON
         while len(head := stream.read(_START)) == _START:
             opcode, length = _RECORD.unpack(head)
             place += _START + length
             if place > size:
                 break
-            if opcode == DATA_END:
+            if opcode == Opcode.DATA_END:
                 return ""
-            if opcode in (CHUNK, METADATA):
+            if opcode == Opcode.CHUNK:
                 try:
-                    self._take(opcode, place - length, length)
+                    self._take(place - length, length)
                 except _DAMAGE as error:
                     return f"it is damaged at byte {place - length} ({error})"
             stream.seek(place)
@@ -158,25 +154,15 @@ class Messages:
     def _unpacked(self, part: _Part) -> bytes:
         if part.length < 0:
             raise ValueError(f"a chunk of {part.size} bytes in {part.length}")
-        limits.within(part.size, limits.CHUNK_BYTES, "bytes in a chunk")
         self._stream.seek(part.start)
-        data = self._codec.decompress(self._stream.read(part.length), part.size, asbytes=True)
-        if len(data) != part.size or zlib.crc32(data) != part.crc:
-            raise ValueError("a chunk has another checksum than it says")
-        return data
+        return mcap_reader.unpacked(self._stream.read(part.length), part.compression, part.size, part.crc)
 
-    def _take(self, opcode: int, start: int, length: int) -> None:
-        if opcode == METADATA:
-            data = self._stream.read(length)
-            (_, place) = _word(data, 0)
-            self.about |= _pairs(data, place)
-            return
+    def _take(self, start: int, length: int) -> None:
         head = self._stream.read(min(length, 256))
-        _, _, size, crc = _CHUNK.unpack_from(head)
-        compression, place = _word(head, _CHUNK.size)
-        if compression != "zstd":
-            raise ValueError(f"a chunk is packed with {compression!r}, not with zstd")
-        part = _Part(start + place + 8, length - place - 8, size, crc)  # 8: the length, once more
+        _, _, size, crc, letters = _CHUNK.unpack_from(head)
+        name_end = _CHUNK.size + letters
+        compression = head[_CHUNK.size : name_end].decode()
+        part = _Part(start + name_end + 8, length - name_end - 8, compression, size, crc)  # 8: the length, once more
         raw = self._unpacked(part)
         self._parts.append(part)
         self._walk(raw, len(self._parts) - 1 << _OFFSET_BITS, sum(next(self._counts, {}).values()) or part.size)
@@ -184,10 +170,11 @@ class Messages:
     def _walk(self, raw: bytes, base: int, left: int) -> None:
         """Note the messages of a chunk, ``left`` at most; ``base`` stands for the chunk in what is noted."""
         place, size, channels = 0, len(raw), self._channels
-        record, head, time_ns = _RECORD.unpack_from, _MESSAGE.unpack_from, self.end_ns
+        record, head, time_ns, message = _RECORD.unpack_from, _MESSAGE.unpack_from, self.end_ns, int(Opcode.MESSAGE)
         while place < size:
             opcode, length = record(raw, place)
-            if opcode == MESSAGE:
+            end = place + _START + length
+            if opcode == message:
                 left -= 1
                 if left < 0:
                     raise ValueError("a chunk holds more messages than its index says")
@@ -197,37 +184,18 @@ class Messages:
                     topic.add_time(time_ns)
                     topic.add_place(base | place)
                     if taker is not None:
-                        taker(time_ns, raw[place + _HEAD_BYTES : place + _START + length])
-            elif opcode == SCHEMA:
-                (number,) = struct.unpack_from("<H", raw, place + _START)
-                self._schemas[number], _ = _word(raw, place + _START + 2)
-            elif opcode == CHANNEL:
-                self._declare(raw, place + _START)
-            place += _START + length
+                        taker(time_ns, raw[place + _HEAD_BYTES : end])
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._declare(mcap_reader.declared(raw[place:end]))
+            place = end
         self.end_ns = max(self.end_ns, time_ns)
 
-    def _declare(self, raw: bytes, place: int) -> None:
-        number, schema = _CHANNEL.unpack_from(raw, place)
-        name, _ = _word(raw, place + _CHANNEL.size)
-        self._channels[number] = None
-        if self._wanted(name, self._schemas[schema]):
-            topic = self.topics.setdefault(name, Topic(name, self._schemas[schema]))  # a channel for each type of message
-            self._channels[number] = topic, self._taker(name)
-
-
-def _word(data: bytes, place: int) -> tuple[str, int]:
-    """A text and where it ends."""
-    (length,) = _LENGTH.unpack_from(data, place)
-    end = place + _LENGTH.size + length
-    if end > len(data):
-        raise ValueError("a text is longer than what it is in")
-    return data[place + _LENGTH.size : end].decode(), end
-
-
-def _pairs(data: bytes, place: int) -> dict[str, str]:
-    """A mapping of texts."""
-    found, place = {}, place + _LENGTH.size
-    while place < len(data):
-        name, place = _word(data, place)
-        found[name], place = _word(data, place)
-    return found
+    def _declare(self, record: object) -> None:
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            name, schema = record.topic, self._schemas[record.schema_id]
+            self._channels[record.id] = None
+            if self._wanted(name, schema):
+                topic = self.topics.setdefault(name, Topic(name, schema))  # a channel for each type of message
+                self._channels[record.id] = topic, self._taker(name)

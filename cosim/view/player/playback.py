@@ -50,8 +50,8 @@ class Player:
         self._last_ns = now_ns
         shown = self._recording.at(now_ns, since_ns, self._sensors)
         if asked := [name for name in self._sensors if name not in before]:  # the newest, however old
-            scans, images = self._recording.readings(now_ns, None, asked)
-            shown = msgspec.structs.replace(shown, scans={**shown.scans, **scans}, images={**shown.images, **images})
+            readings = self._recording.readings(now_ns, None, asked)
+            shown = msgspec.structs.replace(shown, **{name: getattr(shown, name) | new for name, new in readings.items()})
         return msgspec.structs.replace(shown, pace=self._pace(now_ns))
 
     def _obey(self, order: Order) -> None:

@@ -66,9 +66,7 @@ def test_a_port_that_is_taken_is_said_in_one_line(run_dir: Path) -> None:
     assert port in err
 
 
-@pytest.mark.parametrize(
-    "place", ["vcmvsp.cosim.view.player.recording.Recording", "vcmvsp.cosim.view.auth.web_server.open_server"]
-)
+@pytest.mark.parametrize("place", ["vcmvsp.cosim.view.player.recording.Recording", "vcmvsp.cosim.view.web_server.open_server"])
 def test_what_ends_it_before_there_is_a_page_is_no_success(place: str, run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So that whoever waits for the page learns that there is none."""
 

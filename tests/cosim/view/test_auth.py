@@ -22,9 +22,8 @@ from websockets.sync.connection import Connection
 from websockets.typing import Origin, Subprotocol
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.view.auth import rules as gate_rules
-from vcmvsp.cosim.view.auth import web_server
-from vcmvsp.cosim.view.auth.rules import is_fit
+from vcmvsp.cosim.view import web_server
+from vcmvsp.cosim.view.web_server import is_fit
 
 TOKEN = "a-secret-of-this-test"
 PATIENCE_S = 30.0
@@ -237,7 +236,7 @@ def test_there_are_no_more_pages_than_can_be_served(page: Page) -> None:
                 stack.enter_context(page.connect())
             except InvalidStatus as error:
                 refused.append(error.response.status_code)
-        assert refused == [HTTPStatus.SERVICE_UNAVAILABLE] * (100 + 1 - gate_rules.MOST_PAGES)
+        assert refused == [HTTPStatus.SERVICE_UNAVAILABLE] * (100 + 1 - web_server.MOST_PAGES)
         assert page.hears(first)
     with page.connect() as later:
         assert page.hears(later)
@@ -270,7 +269,7 @@ def test_a_place_that_is_none_is_said(host: str, port: int) -> None:
 
 
 def test_a_gate_that_does_not_hold_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gate_rules.Gate, "_answer", lambda *_: None)
+    monkeypatch.setattr(web_server.Gate, "_answer", lambda *_: None)
     with pytest.raises(UsageError, match=r"cannot be guarded \(426\)"):
         web_server.open_server("127.0.0.1", 0, TOKEN)
 
@@ -305,7 +304,7 @@ parts = st.sampled_from([TOKEN, "Bearer ", "token.", ",", VERSION, "localhost", 
     values | st.lists(parts | st.just("?token="), max_size=4).map("".join),
 )
 def test_whatever_is_asked_only_the_token_passes(headers: list[tuple[str, str]], path: str) -> None:
-    gate = gate_rules.Gate("127.0.0.1", 8080, TOKEN, VERSION, "the page")
+    gate = web_server.Gate("127.0.0.1", 8080, TOKEN, VERSION, "the page")
     response = gate.answer(Asked(), Request("/" + path, Headers(headers)))  # type: ignore[arg-type]
     if response is None or response.body == b"the page":
         name, brings = ("Authorization", f"Bearer {TOKEN}") if response else ("Sec-WebSocket-Protocol", f"token.{TOKEN}")
@@ -343,7 +342,7 @@ def test_of_any_bytes_only_a_message_passes(message: bytes) -> None:
     ],
 )
 def test_by_which_names_a_page_may_be_dialled(host: str, name: str, let_in: bool) -> None:
-    gate = gate_rules.Gate(host, 8080, TOKEN, VERSION, "the page")
+    gate = web_server.Gate(host, 8080, TOKEN, VERSION, "the page")
     request = Request("/page", Headers({"Host": f"{name}:8080", "Authorization": f"Bearer {TOKEN}"}))
     response = gate.answer(Asked(), request)  # type: ignore[arg-type]
     assert response is not None

@@ -15,8 +15,8 @@ from vcmvsp.cosim.clock import SECOND_NS, LiveClock, seconds_to_ns
 from vcmvsp.cosim.errors import Interrupted
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
-from vcmvsp.cosim.view.live.control import Live
 from vcmvsp.cosim.view.live.feed import Feed
+from vcmvsp.cosim.view.live.session import Live
 from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Move, Order, Outage
 from vcmvsp.cosim.view.scenery import scenery_of
 

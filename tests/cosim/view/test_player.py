@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from tests.support.cosim.recorded_run import END_NS, SENSORS, Run, all_of, assert_same, looked_on, merged, seen, told
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.cosim.view.messages import Change, Go, LogLine, PageUpdate, Seek, Sensors
+from vcmvsp.cosim.view.messages import Change, Go, PageUpdate, Seek, Sensors
 from vcmvsp.cosim.view.player.playback import FASTEST, Player
 from vcmvsp.cosim.view.player.recording import Recording
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.view.player import frame_counts
-from vcmvsp.cosim.view.player.frame_counts import Counts
+from vcmvsp.cosim.view.player import collected
+from vcmvsp.cosim.view.player.collected import Counts
 
 NAMES = ("a", "b", "c")
 OTHERS = {"a": ("b", "c"), "b": ("c",), "c": ("b", "a")}
@@ -19,7 +19,7 @@ FRAMES = st.lists(st.tuples(st.integers(0, 3), st.sampled_from(NAMES), st.tuples
 @pytest.fixture(scope="module", autouse=True)
 def _sums_are_kept_often() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(frame_counts, "ROWS_BETWEEN", 1)
+        patch.setattr(collected, "ROWS_BETWEEN", 1)
         yield
 
 

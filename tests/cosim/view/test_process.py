@@ -30,9 +30,9 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
-from vcmvsp.cosim.view.live.server_main import pump
-from vcmvsp.cosim.view.live.server_process import Viewer
-from vcmvsp.cosim.view.messages import Halt, LogLine, Pace, PageUpdate
+from vcmvsp.cosim.view.live.server import pump
+from vcmvsp.cosim.view.live.session import Viewer
+from vcmvsp.cosim.view.messages import Halt, Pace, PageUpdate
 
 PATIENCE_S = 30.0
 SCENERY = view_pages.scenery()
@@ -107,7 +107,7 @@ def test_what_happens_is_on_the_page_and_what_is_pressed_comes_back(viewer: View
         page.send(msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": buttons["STOP ALL"], "updates": {"value": True}}))
         orders = until(feed.orders)
         assert orders == [Halt(halted=True)]
-        feed.say(LogLine(time_ns=0, level="warning", text="the bridge is up"))
+        feed.say("warning", "the bridge is up")
         feed.on(Event("world/states", SECOND_NS, view_pages.shown(SCENERY, 1.0).states))  # type: ignore[arg-type]  # there are
         feed.pace(Pace())
         assert until(lambda: "the bridge is up" in words(told(page)))
@@ -158,7 +158,7 @@ def test_a_port_that_is_taken_is_said() -> None:
 
 PARENT = """
 import contextlib
-from vcmvsp.cosim.view.live.server_process import Viewer
+from vcmvsp.cosim.view.live.session import Viewer
 from tests.support.cosim import view_pages
 with Viewer.open(view_pages.scenery(), port=0) as viewer, contextlib.suppress(KeyboardInterrupt):  # before it can stay, too
     print(viewer._process.pid, flush=True)
@@ -190,29 +190,23 @@ def is_running(pid: int) -> bool:
         return False
 
 
-def test_of_what_lies_waiting_only_the_newest_is_shown_and_no_line_is_lost() -> None:
+def test_what_lies_waiting_is_shown_at_once() -> None:
     ours, theirs = protocol.pair()
-    shown: list[PageUpdate] = []
-    for k in range(20):
-        line = LogLine(time_ns=k, level="info", text=str(k))
-        assert ours.offer(
-            codec.encode(PageUpdate(time_ns=k, notes={"a": {"k": float(k)}}, targets={str(k): (0.0, 0.0)}, lines=(line,)))
-        )
+    shown: list[list[int]] = []
+    assert all(ours.offer(codec.encode(PageUpdate(time_ns=k))) for k in range(20))
     ours.close()
     end = protocol.Pipe(theirs)
-    pump(end, shown.append)
+    pump(end, lambda *updates: shown.append([each.time_ns for each in updates]))
     end.close()
-    (one,) = shown
-    assert (one.time_ns, one.notes) == (19, {"a": {"k": 19.0}})
-    assert [line.text for line in one.lines] == [*one.targets] == [str(k) for k in range(20)]
+    assert shown == [[*range(20)]]
 
 
 def test_while_it_draws_the_run_goes_on() -> None:
     ours, theirs = protocol.pair()
     times, drawing, go_on = list[int](), threading.Event(), threading.Event()
 
-    def show(shown: PageUpdate) -> None:
-        times.append(shown.time_ns)
+    def show(*updates: PageUpdate) -> None:
+        times.append(updates[-1].time_ns)
         drawing.set()
         go_on.wait(PATIENCE_S)
 

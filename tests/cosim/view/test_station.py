@@ -14,10 +14,10 @@ from tests.support.cosim.view_pages import RECORDED, Looking, known_of, looking,
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Mosaic, ProbabilityMap
 from vcmvsp.cosim.view.messages import Craft, PageUpdate, Sensors
-from vcmvsp.cosim.view.page.links import fresh_links
+from vcmvsp.cosim.view.page.drawing import LOST_RGB, TINY, linear, rotated, rssi_colors
 from vcmvsp.cosim.view.page.scene import MOST_COLORS, by_color
 from vcmvsp.cosim.view.page.sensors import painted, points_of
-from vcmvsp.cosim.view.page.style import LOST_RGB, TINY, linear, rotated, rssi_colors
+from vcmvsp.cosim.view.page.vehicles import fresh_links
 
 ANGLES = st.floats(-3.0, 3.0)
 METRES = st.floats(-50.0, 50.0)

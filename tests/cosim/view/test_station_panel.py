@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from tests.support.cosim.view_pages import known_of, looking, scenery, shown
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Presence, RealStatus
-from vcmvsp.cosim.view.messages import Craft, LogLine, Pace, PageUpdate
+from vcmvsp.cosim.view.messages import Craft, Pace, PageUpdate
 from vcmvsp.cosim.view.page.charts import POINTS, History, round_above
 from vcmvsp.cosim.view.page.panel import log_page, run_page, vehicle_page
 from vcmvsp.cosim.view.page.state import Known

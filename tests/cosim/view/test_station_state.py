@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from tests.support.cosim.view_pages import known_of, scenery, shown, states
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Follows, Presence
-from vcmvsp.cosim.view.messages import LogLine, PageUpdate
-from vcmvsp.cosim.view.page.formation_slots import places_of
+from vcmvsp.cosim.view.messages import PageUpdate
+from vcmvsp.cosim.view.page.vehicles import places_of
 
 ANGLES = st.floats(-3.0, 3.0)
 Notes = dict[str, dict[str, float | str | bool]]

@@ -5,6 +5,7 @@ import struct
 from collections.abc import Iterator
 from typing import Any, Self
 
+import msgspec
 import numpy as np
 
 from tests.support.cosim.recordings import frame, states
@@ -13,7 +14,6 @@ from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Later, Message, Reading, Reception, frozen
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.feed import PERIOD_S, Feed
-from vcmvsp.cosim.view.live.server_main import merged
 from vcmvsp.cosim.view.messages import Craft, Obstacle, Pace, PageUpdate, Scenery
 
 NAMES = ("a", "b", "c")
@@ -90,6 +90,18 @@ class Reader:
         while len(self._got) >= 4 and len(self._got) >= 4 + (length := struct.unpack_from("<I", self._got)[0]):
             yield protocol.shows.decode(self._got[4 : 4 + length])
             self._got = self._got[4 + length :]
+
+
+def merged(older: PageUpdate | None, newer: PageUpdate) -> PageUpdate:
+    """Two messages as one: of everything the newest, and every line."""
+    if older is None:
+        return newer
+    fields = {name: getattr(older, name) for name in PageUpdate.__struct_fields__}
+    kept = {name: before | getattr(newer, name) for name, before in fields.items() if isinstance(before, dict)}
+    kept |= {name: fields[name] for name in ("states", "sent", "received") if getattr(newer, name) is None}
+    links = {link.sender: link for link in (*older.links, *newer.links)}
+    lines = (*older.lines, *newer.lines)
+    return msgspec.structs.replace(newer, **kept, links=tuple(links.values()), lines=lines)
 
 
 def at(x: float) -> Any:

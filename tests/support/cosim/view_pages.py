@@ -12,11 +12,12 @@ import viser
 from tests.support import requirements
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Array, Follows, Image, Scan, States
-from vcmvsp.cosim.view.auth.web_server import close_server, open_server
-from vcmvsp.cosim.view.messages import Craft, LinkStatus, LogLine, Obstacle, Order, Pace, PageUpdate, Scenery
+from vcmvsp.cosim.view.messages import Craft, LinkStatus, Obstacle, Order, Pace, PageUpdate, Scenery
 from vcmvsp.cosim.view.page.control_station import Station
 from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.web_server import close_server, open_server
 
 T = TypeVar("T")
 TOKEN = "a-secret-of-this-test"

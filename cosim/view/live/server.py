@@ -11,24 +11,18 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from typing import Any, NoReturn
-
-import msgspec
+from typing import NoReturn
 
 from vcmvsp.cosim.errors import VcmvspError
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.util.text import plain
-from vcmvsp.cosim.view.auth import web_server
+from vcmvsp.cosim.view import web_server
 from vcmvsp.cosim.view.live import protocol
-from vcmvsp.cosim.view.messages import Order, PageUpdate
+from vcmvsp.cosim.view.messages import Order
 
 GIVES_WAY = 5  # to the run, where cores are few: the niceness of a process
-MOST_LINES = 1000  # of the log, between two times at which the station is told
 LAST_S = 0.2  # for pages to be sent how it ended
 ORDER_S = 1.0  # for the run to take an order, before it is given up
-
-Station = Callable[[Any, Any, Callable[[Order], None]], Any]
-"""From a server, a `Scenery` and where orders go to something with ``show(shown)``."""
 
 
 def main() -> NoReturn:
@@ -37,7 +31,7 @@ def main() -> NoReturn:
     pipe = protocol.Pipe(socket.socket(fileno=int(sys.argv[1])))
     code = 0
     try:
-        _serve(pipe, _station())
+        _serve(pipe)
     except VcmvspError as error:
         _say_down(pipe, str(error))
         code = error.exit_code
@@ -49,51 +43,28 @@ def main() -> NoReturn:
     os._exit(code)  # threads of the web server may still wait for their pages
 
 
-def merged(older: PageUpdate | None, newer: PageUpdate) -> PageUpdate:
-    """Two messages as one: of everything the newest, and every line."""
-    if older is None:
-        return newer
-    mappings = {
-        name: {**before, **getattr(newer, name)}
-        for name in PageUpdate.__struct_fields__
-        if isinstance(before := getattr(older, name), dict)
-    }
-    links = {link.sender: link for link in (*older.links, *newer.links)}
-    return msgspec.structs.replace(
-        newer,
-        **mappings,
-        states=newer.states or older.states,
-        sent=older.sent if newer.sent is None else newer.sent,
-        received=older.received if newer.received is None else newer.received,
-        links=tuple(links.values()),
-        lines=(*older.lines, *newer.lines)[-MOST_LINES:],
-    )
-
-
-def pump(pipe: protocol.Pipe, show: Callable[[PageUpdate], None]) -> None:
-    """Show the newest of what comes, until nothing comes any more."""
+def pump(pipe: protocol.Pipe, show: Callable[..., None]) -> None:
+    """Show what comes, all at once that has come meanwhile, until nothing comes any more."""
     while pipe.open:
-        newest: PageUpdate | None = None
-        for message in pipe.take(wait_s=None):
-            newest = merged(newest, protocol.shows.decode(message))
-        if newest is not None:
-            show(newest)
+        if messages := pipe.take(wait_s=None):
+            show(*map(protocol.shows.decode, messages))
 
 
-def _serve(pipe: protocol.Pipe, make: Station) -> None:
+def _serve(pipe: protocol.Pipe) -> None:
+    from vcmvsp.cosim.view.page.control_station import Station
+
     start = _start(pipe)
     if start is None:
         return
     server = web_server.open_server(start.host, start.port, start.token)
     lock = threading.Lock()
 
-    def order(wanted: Order) -> None:  # from the threads of the web server
+    def order(wanted: Order | protocol.Up) -> None:  # from the threads of the web server
         with lock:
             pipe.offer_within(codec.encode(wanted), ORDER_S)
 
-    station = make(server, start.scenery, order)
-    with lock:
-        pipe.offer_within(codec.encode(protocol.Up(port=server.get_port())), ORDER_S)
+    station = Station(server, start.scenery, order)
+    order(protocol.Up(port=server.get_port()))
     pump(pipe, station.show)
     time.sleep(LAST_S)
 
@@ -104,12 +75,6 @@ def _start(pipe: protocol.Pipe) -> protocol.Start | None:
         if messages := pipe.take(wait_s=None):
             return protocol.starts.decode(messages[0])
     return None
-
-
-def _station() -> Station:
-    from vcmvsp.cosim.view.page.control_station import Station
-
-    return Station
 
 
 def _say_down(pipe: protocol.Pipe, problem: str) -> None:

@@ -1,0 +1,141 @@
+"""The newest values of a run, taken event by event: what the table of the terminal and the page of a run show.
+
+Nothing here grows with the length of a run: frames are counted, and of everything else the newest is kept.
+"""
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.frames import yaw_of
+from vcmvsp.cosim.recording import event_text
+from vcmvsp.cosim.types import (
+    Array,
+    Changed,
+    Contact,
+    Fix,
+    Follows,
+    FrameReport,
+    Halted,
+    Incident,
+    Mosaic,
+    Moved,
+    Note,
+    Outage,
+    Presence,
+    ProbabilityMap,
+    Pushed,
+    RealStatus,
+    Reception,
+    Sightings,
+    States,
+    Value,
+)
+
+MOST_LINES = 200  # of the log; older ones give way
+COMMANDERS = ("commander", "mode")  # what agents call in their notes who commands
+BY_VEHICLE: Mapping[type, str] = {
+    Follows: "places",
+    Fix: "fixes",
+    Sightings: "sightings",
+    ProbabilityMap: "maps",
+    Mosaic: "mosaics",
+    RealStatus: "real",
+    Presence: "presence",
+}
+"""Types of which the newest value of each vehicle is kept, and the name of each collection."""
+
+
+class LogLine(Value, frozen=True, kw_only=True):
+    """A line of the log."""
+
+    time_ns: int
+    level: str  # debug, info, warning, error, fatal
+    text: str
+
+
+class RunState:
+    """The newest of everything.
+
+    Attributes:
+        newest: collections of values by their keys: those of `BY_VEHICLE`; ``notes`` and ``heard_ns`` (the last reception) of
+            each vehicle; ``frames`` of each sender; ``pushed``, the pose of each obstacle (x, y, z m, yaw rad); ``states``.
+        fresh: collection and key of what is new since somebody emptied it, in order.
+        tallies: frames by sender and receivers: how many, and how many each receiver received, (1 + receivers,) int64.
+        commanders: who commands each vehicle, as its agent notes it.
+        halted: vehicles that the operator has stopped.
+        lines: what befell, and what the operator did.
+    """
+
+    def __init__(self) -> None:
+        collections = (*BY_VEHICLE.values(), "notes", "heard_ns", "frames", "pushed", "states")
+        self.newest: dict[str, dict[str, Any]] = {name: {} for name in collections}
+        self.fresh: dict[tuple[str, str], None] = {}
+        self.tallies: dict[tuple[str, tuple[str, ...]], Array] = {}
+        self.commanders: dict[str, str] = {}
+        self.halted: set[str] = set()
+        self.lines: deque[LogLine] = deque(maxlen=MOST_LINES)
+        self._handlers: dict[type, Callable[[str, int, Any], None]] = {
+            States: lambda _, __, states: self.keep("states", "", states),
+            FrameReport: self._on_frame,
+            Reception: lambda vehicle, time_ns, _: self.keep("heard_ns", vehicle, time_ns),
+            Note: self._on_note,
+            **dict.fromkeys(BY_VEHICLE, self._on_newest),
+            Presence: self._on_presence,
+            Incident: lambda vehicle, time_ns, it: self.say(time_ns, *event_text.of_incident(vehicle, it)),
+            Contact: lambda _, time_ns, it: self.say(time_ns, *event_text.of_contact(it)),
+            Halted: self._on_halted,
+            Pushed: self._on_pushed,
+            **dict.fromkeys((Outage, Changed, Moved), self._on_intervention),
+        }
+
+    def on(self, event: Event) -> None:
+        """Take an event; times never decrease."""
+        handler = self._handlers.get(type(event.value))
+        if handler is not None:
+            handler(event.key.partition("/")[0], event.time_ns, event.value)
+
+    def keep(self, collection: str, key: str, value: object) -> None:
+        """Keep a value as the newest of its key."""
+        self.newest[collection][key] = value
+        self.fresh[collection, key] = None
+
+    def say(self, time_ns: int, level: str, text: str) -> None:
+        """Add a line to the log."""
+        self.lines.append(LogLine(time_ns=time_ns, level=level, text=text))
+
+    def _on_frame(self, _: str, time_ns: int, report: FrameReport) -> None:
+        ends = report.sender, report.receivers
+        tally = self.tallies.get(ends)
+        if tally is None:
+            tally = self.tallies[ends] = np.zeros(1 + len(report.receivers), np.int64)
+        tally[0] += 1
+        tally[1:] += report.received_ns >= 0
+        self.keep("frames", report.sender, report)
+
+    def _on_note(self, vehicle: str, time_ns: int, note: Note) -> None:
+        self.keep("notes", vehicle, {**self.newest["notes"].get(vehicle, {}), **note.values})
+        for name in COMMANDERS:
+            if name in note.values:
+                self.commanders[vehicle] = str(note.values[name])
+
+    def _on_newest(self, vehicle: str, time_ns: int, value: object) -> None:
+        self.keep(BY_VEHICLE[type(value)], vehicle, value)
+
+    def _on_presence(self, vehicle: str, time_ns: int, presence: Presence) -> None:
+        self._on_newest(vehicle, time_ns, presence)
+        self.say(time_ns, *event_text.of_presence(vehicle, presence))
+
+    def _on_halted(self, _: str, time_ns: int, halted: Halted) -> None:
+        (self.halted.update if halted.halted else self.halted.difference_update)(halted.vehicles)
+        self._on_intervention(_, time_ns, halted)
+
+    def _on_pushed(self, _: str, time_ns: int, pushed: Pushed) -> None:
+        for name, place, attitude in zip(pushed.names, pushed.position.tolist(), pushed.attitude.tolist(), strict=True):
+            self.keep("pushed", name, (*place, yaw_of(attitude)))
+
+    def _on_intervention(self, _: str, time_ns: int, done: event_text.Intervention) -> None:
+        self.say(time_ns, *event_text.of_intervention(done, time_ns))

@@ -1,1 +1,0 @@
-"""Access to the page: tokens, origins, allowed messages. Nothing of what the page shows."""

@@ -1,0 +1,162 @@
+"""What only all messages of a topic tell, at any time of a recording: frames, lines of the log, notes, stopped vehicles."""
+
+from array import array
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.recording.foxglove.messages import LEVELS, Log
+from vcmvsp.cosim.recording.run_state import LogLine
+from vcmvsp.cosim.types import Array, Halted
+from vcmvsp.cosim.util.documents import json_reader
+from vcmvsp.cosim.view.player.mcap_index import Taker
+
+FRAMES, LOG, HALTED = "radio/frame", "log", "operator/halted"
+NOTE = "note"  # of each vehicle
+LINES = 200  # of the log, at once
+ROWS_BETWEEN = 1 << 17  # of frame and receiver, between two sums that are kept: counting so many takes a third of a millisecond
+_LEVEL = {number: word for word, number in LEVELS.items()}
+
+
+class _Frame(msgspec.Struct):
+    sender: str
+    receivers: tuple[str, ...]
+    received_ns: list[int]
+
+
+class _Names(msgspec.Struct):
+    values: dict[str, Any]
+
+
+_read_frame = json_reader(_Frame)
+_read_log = json_reader(Log)
+_read_halted = json_reader(Halted)
+_read_note = json_reader(_Names)
+
+
+class Collected:
+    """What is collected while the messages of a file are noted.
+
+    Args:
+        about: what the recording says of its run.
+    """
+
+    def __init__(self, about: Mapping[str, str]) -> None:
+        self.vehicles = tuple(about.get("vehicles", "").split())
+        self.counts = Counts(self.vehicles)
+        self.lines: list[LogLine] = []
+        self.notes: dict[str, Notes] = {}  # by topic
+        self._halted: list[tuple[int, tuple[str, ...]]] = []
+
+    def taker(self, topic: str) -> Taker | None:
+        """What takes all messages of a topic, if they are needed."""
+        if topic.partition("/")[2] == NOTE:
+            self.notes[topic] = Notes()
+            return self.notes[topic].take
+        return {FRAMES: self.counts.take, LOG: self._take_line, HALTED: self._take_halted}.get(topic)
+
+    def halted(self, time_ns: int) -> tuple[str, ...]:
+        """Vehicles that the operator has stopped."""
+        return next((names for when_ns, names in reversed(self._halted) if when_ns <= time_ns), ())
+
+    def said(self, time_ns: int, since_ns: int | None) -> tuple[LogLine, ...]:
+        """The newest lines of the log; ``since_ns``: those that were later."""
+        from_ns = -1 if since_ns is None else since_ns
+        return tuple(line for line in self.lines if from_ns < line.time_ns <= time_ns)[-LINES:]
+
+    def _take_line(self, time_ns: int, data: bytes) -> None:
+        said = _read_log(data)
+        self.lines.append(LogLine(time_ns=time_ns, level=_LEVEL[said.level], text=said.message))
+
+    def _take_halted(self, time_ns: int, data: bytes) -> None:
+        said = _read_halted(data)
+        before = self._halted[-1][1] if self._halted else ()
+        stand = {*before, *said.vehicles} if said.halted else {*before} - {*said.vehicles}
+        self._halted.append((time_ns, tuple(name for name in self.vehicles if name in stand)))
+
+
+class Notes:
+    """The notes of one vehicle. They are told apart by what they name, and of each sort only the newest is read."""
+
+    def __init__(self) -> None:
+        self._sorts: dict[tuple[str, ...], array[int]] = {}  # names -> numbers of the notes that have them
+        self._count = 0
+
+    def take(self, _: int, data: bytes) -> None:
+        """The next note."""
+        self._sorts.setdefault(tuple(_read_note(data).values), array("q")).append(self._count)
+        self._count += 1
+
+    def at(self, number: int, get: Callable[[int], Mapping[str, Any]]) -> dict[str, Any]:
+        """All that was noted up to the note of this number; ``get`` gives a note by its number."""
+        newest = [numbers[place - 1] for numbers in self._sorts.values() if (place := bisect_right(numbers, number))]
+        return {name: value for each in sorted(newest) for name, value in get(each).items()}
+
+
+class Counts:
+    """How many frames each vehicle had sent to each other one, and how many of them arrived, at any time.
+
+    Args:
+        vehicles: of the run: the rows and columns of what is counted.
+    """
+
+    def __init__(self, vehicles: Sequence[str]) -> None:
+        self._row = {name: i for i, name in enumerate(vehicles)}
+        self._times, self._ends = array("q"), array("q")  # of each frame: when it was reported, and rows up to and with it
+        self._senders = array("q")  # of each frame
+        self._rows: list[Array] = []  # of each frame: a code per receiver
+        self._codes = np.zeros(0, np.int32)  # of all: (sender, receiver) as one number, once more if it arrived
+        self._sums = np.zeros((1, 0), np.int64)
+        self._of: dict[tuple[str, ...], Array] = {}
+
+    def take(self, time_ns: int, data: bytes) -> None:
+        """Count a frame that was reported then; times do not decrease."""
+        frame = _read_frame(data)
+        receivers = self._of.get(frame.receivers)
+        if receivers is None:
+            receivers = self._of[frame.receivers] = np.array([self._row[name] for name in frame.receivers], np.int32)
+        arrived = np.array(frame.received_ns, np.int64) >= 0
+        sender = self._row[frame.sender]
+        codes = 2 * (sender * len(self._row) + receivers) + arrived
+        self._rows.append(codes.astype(np.int32))
+        self._senders.append(sender)
+        self._times.append(time_ns)
+        self._ends.append(len(codes) + (self._ends[-1] if self._ends else 0))
+
+    def close(self) -> None:
+        """There are no more: sum up."""
+        self._codes = np.concatenate([np.zeros(0, np.int32), *self._rows])
+        self._rows.clear()
+        between = self._between
+        parts = [self._count(self._codes[start : start + between]) for start in range(0, len(self._codes), between)]
+        self._sums = np.cumsum([self._count(self._codes[:0]), *parts], axis=0)
+
+    def frames(self, time_ns: int) -> int:
+        """How many frames were reported by then."""
+        return bisect_right(self._times, time_ns)
+
+    def newest(self, first: int, last: int) -> list[int]:
+        """Of the frames from number ``first`` up to ``last``, which is not one of them, the newest of each sender."""
+        numbers = np.full(len(self._row), -1)
+        numbers[np.array(self._senders[first:last], np.int64)] = np.arange(first, last)  # of equal ones the last counts
+        return sorted(numbers[numbers >= 0].tolist())
+
+    def at(self, time_ns: int) -> tuple[Array, Array]:
+        """Frames sent and received by then, (n, n) int64 each, a row per sender."""
+        frames = self.frames(time_ns)
+        rows = self._ends[frames - 1] if frames else 0
+        known = rows // self._between
+        both = (self._sums[known] + self._count(self._codes[known * self._between : rows])).reshape(-1, 2)
+        shape = len(self._row), len(self._row)
+        return both.sum(axis=1).reshape(shape), both[:, 1].reshape(shape)
+
+    @property
+    def _between(self) -> int:
+        """Rows between two sums, which need no more memory than the rows."""
+        return max(ROWS_BETWEEN, 4 * len(self._row) ** 2)
+
+    def _count(self, codes: Array) -> Array:
+        return np.bincount(codes, minlength=2 * len(self._row) ** 2)
