@@ -162,8 +162,15 @@ def unpacked(data: bytes, compression: str, size: int, crc: int) -> bytes:
 
 
 def declared(record: bytes) -> records.McapRecord:
-    """A schema or a channel from its bytes."""
-    return next(StreamReader(io.BytesIO(record), skip_magic=True).records)
+    """A schema or a channel from its bytes.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        return next(StreamReader(io.BytesIO(record), skip_magic=True).records)
+    except Exception as error:  # the library has many
+        raise ValueError(f"{type(error).__name__}: {error}") from error
 
 
 def _unpacked(chunk: records.Chunk, most: int, passed: Container[int]) -> Iterator[records.McapRecord]:

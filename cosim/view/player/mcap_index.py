@@ -12,16 +12,14 @@ from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pyarrow as pa
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
-from mcap.writer import MCAP0_MAGIC
 
 from vcmvsp.cosim.recording import mcap_reader
 
+MAGIC = b"\x89MCAP0\r\n"
+SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 KEPT_BYTES = 32 << 20  # of chunks, for the next look
 TOO_SOON = "it ends too soon: its run goes on, or was killed"
 _RECORD = struct.Struct("<BQ")  # opcode, length of the rest
@@ -29,7 +27,7 @@ _CHUNK = struct.Struct("<QQQII")  # first and last time; size and checksum of wh
 _MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
 _START = _RECORD.size
 _HEAD_BYTES = _START + _MESSAGE.size + 8  # of a message, up to its content
-_DAMAGE = (ValueError, KeyError, struct.error, MemoryError, OverflowError, OSError, pa.ArrowException, McapError)
+_DAMAGE = (ValueError, KeyError, struct.error, MemoryError, OverflowError, OSError, pa.ArrowException)
 _OFFSET_BITS = 40  # of a message in its chunk, once unpacked
 
 Taker = Callable[[int, bytes], None]
@@ -112,17 +110,17 @@ class Messages:
         except ValueError as error:
             return str(error)
         stream.seek(0)
-        place = len(MCAP0_MAGIC)
-        if stream.read(place) != MCAP0_MAGIC:
+        place = len(MAGIC)
+        if stream.read(place) != MAGIC:
             return "it is no MCAP file" if size >= place else TOO_SOON
         while len(head := stream.read(_START)) == _START:
             opcode, length = _RECORD.unpack(head)
             place += _START + length
             if place > size:
                 break
-            if opcode == Opcode.DATA_END:
+            if opcode == DATA_END:
                 return ""
-            if opcode == Opcode.CHUNK:
+            if opcode == CHUNK:
                 try:
                     self._take(place - length, length)
                 except _DAMAGE as error:
@@ -170,11 +168,11 @@ class Messages:
     def _walk(self, raw: bytes, base: int, left: int) -> None:
         """Note the messages of a chunk, ``left`` at most; ``base`` stands for the chunk in what is noted."""
         place, size, channels = 0, len(raw), self._channels
-        record, head, time_ns, message = _RECORD.unpack_from, _MESSAGE.unpack_from, self.end_ns, int(Opcode.MESSAGE)
+        record, head, time_ns = _RECORD.unpack_from, _MESSAGE.unpack_from, self.end_ns
         while place < size:
             opcode, length = record(raw, place)
             end = place + _START + length
-            if opcode == message:
+            if opcode == MESSAGE:
                 left -= 1
                 if left < 0:
                     raise ValueError("a chunk holds more messages than its index says")
@@ -185,17 +183,17 @@ class Messages:
                     topic.add_place(base | place)
                     if taker is not None:
                         taker(time_ns, raw[place + _HEAD_BYTES : end])
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._declare(mcap_reader.declared(raw[place:end]))
+            elif opcode in (SCHEMA, CHANNEL):
+                self._declare(opcode, mcap_reader.declared(raw[place:end]))
             place = end
         self.end_ns = max(self.end_ns, time_ns)
 
-    def _declare(self, record: object) -> None:
-        if isinstance(record, Schema):
+    def _declare(self, opcode: int, record: Any) -> None:
+        if opcode == SCHEMA:
             self._schemas[record.id] = record.name
-        elif isinstance(record, Channel):
-            name, schema = record.topic, self._schemas[record.schema_id]
-            self._channels[record.id] = None
-            if self._wanted(name, schema):
-                topic = self.topics.setdefault(name, Topic(name, schema))  # a channel for each type of message
-                self._channels[record.id] = topic, self._taker(name)
+            return
+        name, schema = record.topic, self._schemas[record.schema_id]
+        self._channels[record.id] = None
+        if self._wanted(name, schema):
+            topic = self.topics.setdefault(name, Topic(name, schema))  # a channel for each type of message
+            self._channels[record.id] = topic, self._taker(name)
