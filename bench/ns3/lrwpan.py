@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bench.ns3 import program
 from vcmvsp.cosim.rng import key64
 from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered, Renew
-from vcmvsp.netsim.mac.csma154.parameters import Csma154
+from vcmvsp.netsim.mac.csma154.medium import Csma154
 from vcmvsp.netsim.phy.ieee802154 import Ieee802154
 
 SOURCE = program.SOURCE.with_name("lrwpan.cc")

@@ -126,7 +126,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "mac": {
         "ideal": "vcmvsp.netsim.mac.ideal:Ideal",
         "dcf": "vcmvsp.netsim.mac.dcf.parameters:Dcf",
-        "csma154": "vcmvsp.netsim.mac.csma154.parameters:Csma154",
+        "csma154": "vcmvsp.netsim.mac.csma154.medium:Csma154",
     },
     "loss": {
         "bernoulli": "vcmvsp.netsim.impairments.loss:Bernoulli",

@@ -14,7 +14,7 @@ from vcmvsp.netsim.channel.mean_budget import MeanBudget
 from vcmvsp.netsim.channel.reception import TOO_WEAK, WORDS
 from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys, SenderLinks
 from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT
-from vcmvsp.netsim.interfaces.medium import Codes, Fate
+from vcmvsp.netsim.interfaces.medium import Codes, DecidedFrames, Fate
 
 _OWN = np.uint8(255)  # code at the sender itself
 
@@ -28,8 +28,8 @@ class BulkMedium(Protocol):
     ) -> None:
         """Offer k broadcasts: times, senders, numbers (k,), patience (k, n); levels (n, n) mW by sender and receiver."""
 
-    def advance_arrays(self, until_ns: int) -> tuple[Ints, Ints, Ints, Codes, Floats]:
-        """Decided frames: number, start_ns, end_ns (m,), fate (m, n), least SINR (m, n)."""
+    def advance_many(self, until_ns: int) -> Sequence[DecidedFrames]:
+        """All decisions up to ``until_ns``."""
 
 
 class BroadcastCounts(NamedTuple):
@@ -66,9 +66,12 @@ class Bulk:
         patience[np.arange(len(sender)), sender] = 0.0
         self._medium.offer_many(time_ns, sender, size_bytes, self._power_mw, patience, numbers)
 
-    def advance(self, until_ns: int) -> BroadcastCounts:
-        """Outcomes that are decided up to a time."""
-        number, _, end_ns, fate, _ = self._medium.advance_arrays(until_ns)
+    def advance(self, until_ns: int) -> BroadcastCounts | None:
+        """Outcomes that are decided up to a time, if there are any."""
+        decided = self._medium.advance_many(until_ns)
+        if not decided:
+            return None
+        number, end_ns, fate = (np.concatenate([batch[column] for batch in decided]) for column in (0, 2, 4))
         sender = self._sender[number]
         code = np.where(fate == np.uint8(Fate.UNDETECTED), TOO_WEAK + self._weakness[sender], fate)
         code[np.arange(len(sender)), sender] = _OWN

@@ -128,8 +128,8 @@ def _run_bulk(bulk: Bulk, plan: Broadcasts, tally: FrameTally, progress: Progres
     others = len(plan.position) - 1
 
     def note(until_ns: int) -> None:
-        done = bulk.advance(until_ns)
-        tally.add_many(done.end_ns - sent_ns[done.number], done.receptions, others * len(done.number), done.losses)
+        if (done := bulk.advance(until_ns)) is not None:
+            tally.add_many(done.end_ns - sent_ns[done.number], done.receptions, others * len(done.number), done.losses)
         if progress is not None:
             progress(min(until_ns, plan.end_ns), plan.end_ns)
 

@@ -5,15 +5,15 @@ decided: its `Fate` at every radio. Frames are offered at times that never decre
 a time, inclusive, in order; events of the medium precede offers of the same nanosecond. So the number of steps has no effect.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.interfaces.layers import Floats, Ints
 
 Codes = NDArray[np.uint8]
 
@@ -65,6 +65,23 @@ class Decided(msgspec.Struct, frozen=True):
     attempts: int
     fate: Codes  # (n,) `Fate`; of a unicast frame valid at its destination
     least_sinr: Floats  # (n,) minimum ratio of powers during the last attempt
+
+
+class DecidedFrames(NamedTuple):
+    """Decisions of m frames at n radios, in the order of time; fields: see `Decided`."""
+
+    number: Ints  # (m,)
+    start_ns: Ints  # (m,)
+    end_ns: Ints  # (m,)
+    attempts: Ints  # (m,)
+    fate: Codes  # (m, n)
+    least_sinr: Floats  # (m, n)
+
+    def frames(self) -> Iterator[Decided]:
+        """One by one."""
+        columns = (column.tolist() for column in self[:4])
+        for k, (number, start_ns, end_ns, attempts) in enumerate(zip(*columns, strict=True)):
+            yield Decided(number, start_ns, end_ns, attempts, self.fate[k], self.least_sinr[k])
 
 
 @runtime_checkable

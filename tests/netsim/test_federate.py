@@ -10,7 +10,7 @@ from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
 from vcmvsp.cosim.types import FrameReport, Message, Reception, States
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.federate import RadioFederate
-from vcmvsp.netsim.mac.dcf import events
+from vcmvsp.netsim.mac.dcf import access
 
 MS = 1_000_000
 NAMES = ("a", "b", "c")
@@ -125,7 +125,7 @@ def code_is_had(patch: pytest.MonkeyPatch, told: Callable[[], None]) -> None:
 
     def load(*core: object) -> Callable[..., int]:
         told()
-        return events.run
+        return access.run
 
     patch.setattr("vcmvsp.netsim.mac.dcf.medium.available", lambda: True)
     patch.setattr("vcmvsp.netsim.mac.dcf.medium.is_loaded", lambda *_: False)

@@ -12,14 +12,13 @@ After ns-3.44 (``PhyEntity``, ``InterferenceHelper``, ``ThresholdPreambleDetecti
 
 Powers are added in the order in which frames began: the same to the last bit at one radio or at all. What is done at all
 radios alike is written twice, with vectors for NumPy, and as loops, which are quicker when compiled: compiled code calls
-``f_loop`` for ``f`` (see `netsim.mac.jit.cache`). Both do the same operations on the same numbers in the same order, and leave
-the same bits behind; but a loop leaves out what changes nothing at a radio.
+``f_loop`` for ``f`` (see `netsim.mac.dcf.machine_code`). Both do the same operations on the same numbers in the same order, and
+leave the same bits behind; but a loop leaves out what changes nothing at a radio.
 """
 
 import numpy as np
 
-from vcmvsp.netsim.interfaces.layers import Floats, Ints
-from vcmvsp.netsim.mac.dcf.backoff import defer, defer_one
+from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints
 from vcmvsp.netsim.mac.dcf.state import (
     COLLISION,
     EIFS_OVER,
@@ -326,6 +325,19 @@ def let_go_loop(s: DcfState, rules: DcfRules, i: int, now: int, reserved_ns: int
                 defer_one(s, rules, j)
             if others:
                 busy[j] = max(busy[j], energy_end_at(s, rules.busy_mw, j))
+
+
+def defer(s: DcfState, rules: DcfRules, who: Bools) -> None:
+    """Start or end EIFS for some radios, (n,), whose medium is busy until now at least."""
+    over = np.maximum(s.idle_ns, s.eifs_ns) + s.slots * rules.slot_ns + rules.difs_ns
+    np.putmask(s.over_ns, who, over)
+    np.putmask(s.due[: len(who)], who, np.maximum(over, s.wake_ns))
+
+
+def defer_one(s: DcfState, rules: DcfRules, i: int) -> None:
+    """The same for radio i."""
+    s.over_ns[i] = max(s.idle_ns[i], s.eifs_ns[i]) + s.slots[i] * rules.slot_ns + rules.difs_ns
+    s.due[i] = max(s.over_ns[i], s.wake_ns[i])
 
 
 def interference(s: DcfState, rules: DcfRules, i: int) -> Floats | float:

@@ -1,51 +1,47 @@
 """The air that radios of IEEE 802.11 share, from outside: frames are offered, time goes on, frames are decided.
 
-What happens in between is `netsim.mac.dcf.events`, which works on arrays; here frames get their places in them, and those that
+What happens in between is `netsim.mac.dcf.access`, which works on arrays; here frames get their places in them, and those that
 are decided are taken out again.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys
 from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
-from vcmvsp.netsim.interfaces.medium import Answer, Codes, Decided, Offered, Renew
-from vcmvsp.netsim.mac.dcf import events
-from vcmvsp.netsim.mac.dcf.batch import DecidedFrames
-from vcmvsp.netsim.mac.dcf.events import DRAWS, LEVELS, OUTPUT
-from vcmvsp.netsim.mac.dcf.power_rows import PowerRows, free_numbers, take
+from vcmvsp.netsim.interfaces.medium import Answer, Decided, DecidedFrames, Offered, Renew
+from vcmvsp.netsim.mac.dcf import access, capture
+from vcmvsp.netsim.mac.dcf.access import DRAWS, LEVELS, OUTPUT
+from vcmvsp.netsim.mac.dcf.machine_code import Compiled, available, is_cached, is_loaded, looped
 from vcmvsp.netsim.mac.dcf.state import (
     ARRIVED,
     DECIDED,
     DECISION,
     EXPIRED,
     FEW,
+    NEVER,
     NOBODY,
     OFFERED,
     SCARCE,
+    SHAPES,
     SOONEST,
     WANTED,
     DcfRules,
     DcfState,
     new_state,
 )
-from vcmvsp.netsim.mac.jit.cache import Compiled, available, is_cached, is_loaded, looped
+from vcmvsp.netsim.phy import error_table
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.ofdm import Ofdm
 
 LOAD_AFTER = 400  # frames: what they take longer without compiled code, 0.1 ms each of 3 to 50 radios, is what it takes to load
 COMPILE_AFTER = 5000  # the same, where it must be compiled first: once for each computer
-PER_FRAME = (
-    *("behind", "sender", "to", "priority", "offered_ns", "air_ns", "frame_bits", "frame_curve"),
-    *("attempts", "row", "began_ns", "told", "outcome", "least_there", "patiences"),
-)
-CORE = (
-    "vcmvsp.netsim.phy.error_table",
-    *(f"vcmvsp.netsim.mac.dcf.{name}" for name in ("backoff", "capture", "queues", "events")),
-)
+PER_FRAME = tuple(name for name, shape in SHAPES.items() if shape[0] == "c")
+CORE = error_table, capture, access
 
 
 class DcfMedium:
@@ -74,12 +70,11 @@ class DcfMedium:
         compile_core: bool | None = None,
     ) -> None:
         self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
-        self._run: Callable[[DcfState, DcfRules, int], int] = looped(CORE, "run") if count <= FEW else events.run
+        self._run: Callable[[DcfState, DcfRules, int], int] = looped(CORE) if count <= FEW else access.run
         self._done, self._faster_at = 0, LOAD_AFTER if compile_core is None and available() else None  # frames
         self._curves = list(curves)  # of the rows of `DcfState.tables`
         self._state = new_state(rules, count, sensitivity_mw, np.stack([each.table for each in curves]))
-        self._free = free_numbers(0, len(self._state.behind))  # places of frames
-        self._levels = PowerRows(self._state.levels)
+        self._free = list(range(len(self._state.behind)))[::-1]  # places of frames, the lowest last
         self._number = np.zeros(len(self._state.behind), np.int64)  # of the frame at each place
         self._renew: dict[int, tuple[Renew, Answer | None]] = {}  # by their places
         self._undecided = 0
@@ -89,7 +84,7 @@ class DcfMedium:
         self._state.slots[:] = (self._state.backoff[:, 0] * (rules.cw_min + 1)).astype(np.int64)
         self._state.over_ns[:] = rules.difs_ns + self._state.slots * rules.slot_ns
         self._state.drawn[:] = 1
-        seen = self._faster_at is not None and is_loaded(CORE, "run", self._state, self._rules)  # by an earlier run
+        seen = self._faster_at is not None and is_loaded(CORE, self._state, self._rules)  # by an earlier run
         if (compile_core or seen) and count:
             self._go_faster(COMPILE_AFTER)
 
@@ -124,55 +119,45 @@ class DcfMedium:
     def offer(self, frame: Offered) -> None:
         """Hand over a frame; nothing happens yet."""
         (place,) = self._take(1)
-        row = NOBODY
-        if frame.power_mw is not None and frame.patience is not None:
-            row = self._levels.keep(frame.power_mw)
-            self._state.patiences[place] = frame.patience
+        known = frame.power_mw is not None and frame.patience is not None
+        if known:
+            self._state.levels[place], self._state.patiences[place] = frame.power_mw, frame.patience
         self._renew[place] = frame.renew, frame.answer
-        self._put(place, frame.number, frame.time_ns, frame.sender, frame.size_bytes, row)
+        self._put(place, frame.number, frame.time_ns, frame.sender, frame.size_bytes, known=known)
         self._state.to[place], self._state.priority[place] = frame.to, frame.priority
         self._arrive(place, 1, frame.time_ns)
 
     def offer_many(
         self, time_ns: Ints, sender: Ints, size_bytes: int, power_mw: Floats, patience: Floats, numbers: Ints
     ) -> None:
-        """Hand over broadcast frames of one size, whose levels do not change from frame to frame.
+        """Hand over k broadcast frames of one size.
 
         Args:
             time_ns: (k,) when, never decreasing.
             sender: (k,) rows.
             size_bytes: payload.
-            power_mw: (n, n) level of every sender (row) at every radio. The same array object means the same levels.
+            power_mw: (n, n) level of every sender (row) at every radio.
             patience: (k, n), see `Offered`.
             numbers: (k,) name the frames.
         """
         if not len(sender):
             return
         places = np.array(self._take(len(sender)))
-        rows = self._levels.of_senders(sender, power_mw)
-        self._state.patiences[places] = patience
-        self._put(places, numbers, time_ns, sender, size_bytes, rows)
+        self._state.levels[places], self._state.patiences[places] = power_mw[sender], patience
+        self._put(places, numbers, time_ns, sender, size_bytes, known=True)
         self._state.to[places], self._state.priority[places] = NOBODY, 0
         self._arrive(places, len(places), int(time_ns[0]))
 
     def _put(
-        self,
-        places: Ints | int,
-        number: Ints | int,
-        time_ns: Ints | int,
-        sender: Ints | int,
-        size_bytes: int,
-        rows: Ints | int,
+        self, places: Ints | int, number: Ints | int, time_ns: Ints | int, sender: Ints | int, size_bytes: int, *, known: bool
     ) -> None:
         """Write down what is known of a frame, or of several."""
-        if self._state.levels is not self._levels.table:  # it has grown
-            self._state = self._state._replace(levels=self._levels.table)
         if size_bytes not in self._sizes:
             curve, bits = self._phy.errors.payload(size_bytes)
             self._sizes[size_bytes] = self._phy.air_time_ns(size_bytes), bits, self._row_of(curve)
         s = self._state
         s.air_ns[places], s.frame_bits[places], s.frame_curve[places] = self._sizes[size_bytes]
-        s.sender[places], s.offered_ns[places], s.row[places], self._number[places] = sender, time_ns, rows, number
+        s.sender[places], s.offered_ns[places], s.known[places], self._number[places] = sender, time_ns, known, number
         s.attempts[places], s.began_ns[places], s.told[places] = 0, -1, False
         s.outcome[places], s.least_there[places] = EXPIRED, np.nan
 
@@ -204,21 +189,19 @@ class DcfMedium:
             s, places = self._state, len(self._state.behind)
             self._state = s._replace(**{name: np.concatenate([getattr(s, name)] * 2) for name in PER_FRAME})
             self._number = np.concatenate([self._number] * 2)
-            self._free += free_numbers(places, 2 * places)
-        return take(self._free, count)
+            self._free += range(2 * places - 1, places - 1, -1)
+        taken = self._free[-count:]
+        del self._free[-count:]
+        return taken
 
     # --- time goes on ---
 
     def advance(self, until_ns: int) -> Sequence[Decided]:
         """Everything that is decided up to ``until_ns``, in the order of its time."""
-        return [each for batch in self._decide(until_ns) for each in batch.frames()]
+        return [each for batch in self.advance_many(until_ns) for each in batch.frames()]
 
-    def advance_arrays(self, until_ns: int) -> tuple[Ints, Ints, Ints, Codes, Floats]:
-        """The same, as arrays: number (m,), start_ns (m,), end_ns (m,), fate (m, n), least_sinr (m, n)."""
-        every = DecidedFrames.all_of(self._decide(until_ns), len(self._keys))
-        return every.number, every.start_ns, every.end_ns, every.fate, every.least_sinr
-
-    def _decide(self, until_ns: int) -> list[DecidedFrames]:
+    def advance_many(self, until_ns: int) -> Sequence[DecidedFrames]:
+        """The same, as arrays."""
         self._work_off(until_ns)
         decided, self._decided = self._decided, []
         return decided
@@ -259,13 +242,15 @@ class DcfMedium:
         if not count:
             return
         s.counts[DECIDED] = 0
-        batch = DecidedFrames.untold(s, self._number, count)
+        which: Any = slice(count)
+        if NEVER in s.out_end[:count].tolist():  # told before
+            which = (s.out_end[:count] != NEVER).nonzero()[0]
+        columns = (s.out_start, s.out_end, s.out_attempts, s.out_fate, s.out_least)
+        batch = DecidedFrames(self._number[s.out_frame[which]], *(column[which].copy() for column in columns))
         if len(batch.number):
             self._decided.append(batch)
             self._undecided -= len(batch.number)
-        done = s.out_frame[:count][s.out_done[:count]]
-        self._levels.leave(s.row[done])
-        freed = done.tolist()
+        freed = s.out_frame[:count][s.out_done[:count]].tolist()
         self._free += freed
         for place in freed if self._renew else ():
             self._renew.pop(place, None)
@@ -275,7 +260,7 @@ class DcfMedium:
 
     def _go_faster(self, frames: int) -> None:
         """The same state goes on at another speed, where that pays for so many frames; else later."""
-        core = CORE, "run", self._state, self._rules
+        core = CORE, self._state, self._rules
         if frames >= COMPILE_AFTER or (frames >= LOAD_AFTER and is_cached(*core)):
             self._run, self._faster_at = Compiled(*core), None
         else:

@@ -4,7 +4,7 @@ Radios are rows 0..n-1. Times are integer nanoseconds. A radio sends one frame a
 their senders: row i of an (n, n) array is about the frame that i is sending, or sent last, at each of the n radios.
 """
 
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -71,171 +71,121 @@ class DcfRules(NamedTuple):
     draws: int  # of each radio, in store
 
 
+# Arrays of `DcfState` with a letter for the size of each dimension, see `new_state`.
+FrameBools = Annotated[Bools, "c"]
+FrameInts = Annotated[Ints, "c"]
+LinkBools = Annotated[Bools, "nn"]
+LinkFloats = Annotated[Floats, "nn"]
+OutputInts = Annotated[Ints, "o"]
+RadioBools = Annotated[Bools, "n"]
+RadioFloats = Annotated[Floats, "n"]
+RadioInts = Annotated[Ints, "n"]
+
+
 class DcfState(NamedTuple):
-    """Everything that changes. n radios, c places for frames, r rows of levels, k draws in store, o of output."""
+    """Everything that changes. n radios, c places for frames, k draws in store, o of output."""
 
     # The radios' view of the medium, (n,)
-    idle_ns: Ints  # busy until then, as far as known: sending, receiving, carrier sense, reservation
-    header_ns: Ints  # the same, while it receives no more than the header of what it is locked to
-    eifs_ns: Ints  # until then a frame that could not be decoded may be acknowledged
-    sensitivity_mw: Floats
-    power_mw: Floats  # with which it sends
-    lock: Ints  # whose frame it is receiving, or NOBODY
+    idle_ns: RadioInts  # busy until then, as far as known: sending, receiving, carrier sense, reservation
+    header_ns: RadioInts  # the same, while it receives no more than the header of what it is locked to
+    eifs_ns: RadioInts  # until then a frame that could not be decoded may be acknowledged
+    sensitivity_mw: RadioFloats
+    power_mw: RadioFloats  # with which it sends
+    lock: RadioInts  # whose frame it is receiving, or NOBODY
     # Their contention, (n,)
-    slots: Ints  # of its backoff that were left when it last learnt that the medium is busy for longer
-    over_ns: Ints  # when the last of them is over, for what it knows
-    wake_ns: Ints  # access timer: next check whether it may send; NEVER: nothing to send
-    window: Ints  # contention window: a backoff is one of 0..window
-    failures: Ints  # attempts since the last acknowledgement
-    drawn: Ints  # draws used
-    store: Ints  # number of the first draw in store
-    backoff: Floats  # (n, k) uniform
-    doubt: Floats  # (n, k) exponential variates: patience of acknowledgements
-    due: Ints  # (3 n,) when it starts to send; sends an acknowledgement; gives one up
+    slots: RadioInts  # of its backoff that were left when it last learnt that the medium is busy for longer
+    over_ns: RadioInts  # when the last of them is over, for what it knows
+    wake_ns: RadioInts  # access timer: next check whether it may send; NEVER: nothing to send
+    window: RadioInts  # contention window: a backoff is one of 0..window
+    failures: RadioInts  # attempts since the last acknowledgement
+    drawn: RadioInts  # draws used
+    store: RadioInts  # number of the first draw in store
+    backoff: Annotated[Floats, "nk"]  # (n, k) uniform
+    doubt: Annotated[Floats, "nk"]  # (n, k) exponential variates: patience of acknowledgements
+    due: Annotated[Ints, "t"]  # (3 n,) when it starts to send; sends an acknowledgement; gives one up
     # Their queues, (n,)
-    head: Ints  # first frame that waits, or NOBODY
-    tail: Ints
-    waiting: Ints  # frames in the queue
-    sending: Ints  # frame that is being sent, or whose acknowledgement is waited for, or NOBODY
-    acked: Ints  # frame that it is about to acknowledge
+    head: RadioInts  # first frame that waits, or NOBODY
+    tail: RadioInts
+    waiting: RadioInts  # frames in the queue
+    sending: RadioInts  # frame that is being sent, or whose acknowledgement is waited for, or NOBODY
+    acked: RadioInts  # frame that it is about to acknowledge
     # What they send, (n,)
-    kind: Ints
-    start_ns: Ints
-    end_ns: Ints
-    payload_bits_per_ns: Floats
-    curve: Ints  # row of `tables` for its payload
-    settled_ns: Ints  # until then `hazard` has been added up
-    detected: Bools  # the time in which it may be noticed is over
-    shared: Bools  # something else was on the air at some time
-    air: Ints  # (n,) those who are sending, in the order of their starts; the first counts[ON_AIR] count
+    kind: RadioInts
+    start_ns: RadioInts
+    end_ns: RadioInts
+    payload_bits_per_ns: RadioFloats
+    curve: RadioInts  # row of `tables` for its payload
+    settled_ns: RadioInts  # until then `hazard` has been added up
+    detected: RadioBools  # the time in which it may be noticed is over
+    shared: RadioBools  # something else was on the air at some time
+    air: RadioInts  # (n,) those who are sending, in the order of their starts; the first counts[ON_AIR] count
     # ... at each radio, (n, n)
-    level: Floats  # mW
-    heard: Floats  # mW, of acknowledgements
-    answer: Floats  # (n,) fading of the acknowledgement to each radio over that of its data frame, a ratio
-    patience: Floats
-    hazard: Floats
-    least: Floats  # SINR
-    pending: Bools  # heard begin by a radio that is free, not yet detected
-    deaf: Bools  # the radio was sending itself
-    spoiled: Bools  # the header is over, and could not be decoded
-    fate: Codes
+    level: LinkFloats  # mW
+    heard: LinkFloats  # mW, of acknowledgements
+    answer: RadioFloats  # (n,) fading of the acknowledgement to each radio over that of its data frame, a ratio
+    patience: LinkFloats
+    hazard: LinkFloats
+    least: LinkFloats  # SINR
+    pending: LinkBools  # heard begin by a radio that is free, not yet detected
+    deaf: LinkBools  # the radio was sending itself
+    spoiled: LinkBools  # the header is over, and could not be decoded
+    fate: Annotated[Codes, "nn"]
     tables: Floats  # (k, 2^16 + 1) hazards of `HEADER`, `ACKNOWLEDGEMENT` and payloads
     # Frames that wait or are being sent, (c,)
-    behind: Ints  # the next in the queue, or NOBODY
-    sender: Ints
-    to: Ints
-    priority: Ints
-    offered_ns: Ints
-    air_ns: Ints
-    frame_bits: Ints
-    frame_curve: Ints  # row of `tables` for its payload
-    attempts: Ints
-    row: Ints  # of its levels; NOBODY: they are asked for
-    began_ns: Ints  # last attempt; -1: none yet
-    told: Bools  # unicast and received; that is decided, whatever becomes of the acknowledgement
-    outcome: Ints  # fate of a unicast frame where it is meant for, at the last attempt
-    least_there: Floats  # SINR, of the last attempt
-    patiences: Floats  # (c, n)
-    levels: Floats  # (r, n)
-    placed: Ints  # (n,) frame whose levels have been put in the place of what this radio sends
-    arrivals: Ints  # frames that are offered, by time
-    counts: Ints
+    behind: FrameInts  # the next in the queue, or NOBODY
+    sender: FrameInts
+    to: FrameInts
+    priority: FrameInts
+    offered_ns: FrameInts
+    air_ns: FrameInts
+    frame_bits: FrameInts
+    frame_curve: FrameInts  # row of `tables` for its payload
+    attempts: FrameInts
+    known: FrameBools  # levels and patience of its first attempt; else they are asked for
+    began_ns: FrameInts  # last attempt; -1: none yet
+    told: FrameBools  # unicast and received; that is decided, whatever becomes of the acknowledgement
+    outcome: FrameInts  # fate of a unicast frame where it is meant for, at the last attempt
+    least_there: Annotated[Floats, "c"]  # SINR, of the last attempt
+    patiences: Annotated[Floats, "cn"]  # (c, n)
+    levels: Annotated[Floats, "cn"]  # (c, n) mW
+    placed: RadioInts  # (n,) frame whose levels have been put in the place of what this radio sends
+    arrivals: Annotated[Ints, "a"]  # frames that are offered, by time
+    counts: Annotated[Ints, "e"]
     # What functions leave for those who called them, (n,)
-    busy: Ints  # until when the medium is busy, for what each radio learns now
-    order: Ints  # those who are sending, by the ends of their frames; the first counts[ON_AIR] count
+    busy: RadioInts  # until when the medium is busy, for what each radio learns now
+    order: RadioInts  # those who are sending, by the ends of their frames; the first counts[ON_AIR] count
     # Decided frames, (o,) and (o, n)
-    out_frame: Ints
-    out_start: Ints
-    out_end: Ints  # NEVER: was told before
-    out_attempts: Ints
-    out_done: Bools  # the frame needs its place no more
-    out_fate: Codes
-    out_least: Floats
+    out_frame: OutputInts
+    out_start: OutputInts
+    out_end: OutputInts  # NEVER: was told before
+    out_attempts: OutputInts
+    out_done: Annotated[Bools, "o"]  # the frame needs its place no more
+    out_fate: Annotated[Codes, "on"]
+    out_least: Annotated[Floats, "on"]
 
 
-def new_state(
-    rules: DcfRules, count: int, sensitivity_mw: float, tables: Floats, *, frames: int = 256, output: int = 256
-) -> DcfState:
+SHAPES = {name: get_args(hint)[1] for name, hint in DcfState.__annotations__.items() if hint is not Floats}
+"""Shapes of the fields of `DcfState`, in letters; without `tables`."""
+
+_INITIAL: dict[str, Any] = {
+    **dict.fromkeys(("lock", "head", "tail", "sending", "acked", "air", "order", "placed", "arrivals"), NOBODY),
+    **dict.fromkeys(("behind", "to"), NOBODY),
+    **dict.fromkeys(("wake_ns", "due"), NEVER),
+    **dict.fromkeys(("curve", "frame_curve"), ACKNOWLEDGEMENT),
+    **dict.fromkeys(("power_mw", "answer"), 1.0),
+    "began_ns": -1,
+    "outcome": EXPIRED,
+}
+"""Values of the fields that do not begin at 0."""
+
+
+def new_state(rules: DcfRules, count: int, sensitivity_mw: float, tables: Floats) -> DcfState:
     """Nobody sends, nothing waits; the medium has been idle since time 0."""
-    n = count
-
-    def ints(value: int, size: int = n) -> Ints:
-        return np.full(size, value, np.int64)
-
-    def floats(*shape: int) -> Floats:
-        return np.zeros(shape)
-
-    def bools(*shape: int) -> Bools:
-        return np.zeros(shape, np.bool_)
-
-    return DcfState(
-        idle_ns=ints(0),
-        header_ns=ints(0),
-        eifs_ns=ints(0),
-        sensitivity_mw=np.full(n, sensitivity_mw),
-        power_mw=np.ones(n),
-        lock=ints(NOBODY),
-        slots=ints(0),
-        over_ns=ints(0),
-        wake_ns=ints(NEVER),
-        window=ints(rules.cw_min),
-        failures=ints(0),
-        drawn=ints(0),
-        store=ints(0),
-        backoff=floats(n, rules.draws),
-        doubt=floats(n, rules.draws),
-        due=ints(NEVER, 3 * n),
-        head=ints(NOBODY),
-        tail=ints(NOBODY),
-        waiting=ints(0),
-        sending=ints(NOBODY),
-        acked=ints(NOBODY),
-        kind=ints(BROADCAST),
-        start_ns=ints(0),
-        end_ns=ints(0),
-        payload_bits_per_ns=floats(n),
-        curve=ints(ACKNOWLEDGEMENT),
-        settled_ns=ints(0),
-        detected=bools(n),
-        shared=bools(n),
-        air=ints(NOBODY),
-        level=floats(n, n),
-        heard=floats(n, n),
-        answer=np.ones(n),
-        patience=floats(n, n),
-        hazard=floats(n, n),
-        least=floats(n, n),
-        pending=bools(n, n),
-        deaf=bools(n, n),
-        spoiled=bools(n, n),
-        fate=np.zeros((n, n), np.uint8),
-        tables=tables,
-        behind=ints(NOBODY, frames),
-        sender=ints(0, frames),
-        to=ints(NOBODY, frames),
-        priority=ints(0, frames),
-        offered_ns=ints(0, frames),
-        air_ns=ints(0, frames),
-        frame_bits=ints(0, frames),
-        frame_curve=ints(ACKNOWLEDGEMENT, frames),
-        attempts=ints(0, frames),
-        row=ints(NOBODY, frames),
-        began_ns=ints(-1, frames),
-        told=bools(frames),
-        outcome=ints(EXPIRED, frames),
-        least_there=floats(frames),
-        patiences=floats(frames, n),
-        levels=floats(64, n),
-        placed=ints(NOBODY),
-        arrivals=ints(NOBODY, frames),
-        counts=ints(0, 9),
-        busy=ints(0),
-        order=ints(NOBODY),
-        out_frame=ints(0, output),
-        out_start=ints(0, output),
-        out_end=ints(0, output),
-        out_attempts=ints(0, output),
-        out_done=bools(output),
-        out_fate=np.zeros((output, n), np.uint8),
-        out_least=floats(output, n),
-    )
+    size = {"n": count, "t": 3 * count, "k": rules.draws, "c": 256, "a": 256, "o": 256, "e": 9}
+    first = {**_INITIAL, "window": rules.cw_min, "sensitivity_mw": sensitivity_mw}
+    arrays: dict[str, Any] = {"tables": tables}
+    for name, shape in SHAPES.items():
+        array = get_args(get_args(DcfState.__annotations__[name])[0])  # of np.ndarray[shape, np.dtype[number]]
+        (number,) = get_args(array[1])
+        arrays[name] = np.full([size[letter] for letter in shape], first.get(name, 0), number)
+    return DcfState(**arrays)

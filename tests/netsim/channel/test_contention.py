@@ -21,7 +21,7 @@ from vcmvsp.netsim.impairments.loss import NoLoss
 from vcmvsp.netsim.interfaces.layers import Draw, Fading, Floats, Frame, Phy
 from vcmvsp.netsim.interfaces.medium import Decided, Offered
 from vcmvsp.netsim.interfaces.radio import Radio
-from vcmvsp.netsim.mac.csma154.parameters import Csma154
+from vcmvsp.netsim.mac.csma154.medium import Csma154
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.mac.ideal import Mac
 from vcmvsp.netsim.phy.dsss import Dsss

@@ -8,7 +8,7 @@ import pytest
 from tests.support.netsim.csma154_runs import MS, NOISE_DBM, PHY, US, World, backoffs, keys, levels
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.medium import Fate
-from vcmvsp.netsim.mac.csma154.parameters import Csma154
+from vcmvsp.netsim.mac.csma154.medium import Csma154
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 

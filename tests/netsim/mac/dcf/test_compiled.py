@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from tests.support.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, mixed, open_air, periodic, run, square
-from vcmvsp.netsim.mac.dcf import backoff, capture, events, queues
+from vcmvsp.netsim.mac.dcf import access, capture, machine_code
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.mac.dcf.state import DcfState
-from vcmvsp.netsim.mac.jit import cache
 
-TWICE = (capture, backoff, queues, events)  # what is written as vectors and as loops
-LOOPS = {name: loop for each in TWICE for name, loop in vars(each).items() if name.endswith("_loop")}
+LOOPS = {name: loop for each in (capture, access) for name, loop in vars(each).items() if name.endswith("_loop")}
 MACS = [Dcf(), Dcf(capture_margin_db=5.0), Dcf(queue_frames=4, lifetime_s=0.02), Dcf(preamble_time_us=30.0)]
 
 
@@ -27,7 +25,7 @@ def test_loops_leave_the_same_bits_everywhere_as_vectors(monkeypatch: pytest.Mon
         by_vectors = run(vectors, now, until)
         with monkeypatch.context() as patch:
             for name, loop in LOOPS.items():
-                for module in (capture, events):
+                for module in (capture, access):
                     if hasattr(module, name.removesuffix("_loop")):
                         patch.setattr(module, name.removesuffix("_loop"), loop)
             by_loops = run(loops, now, until)
@@ -60,15 +58,15 @@ def test_compiled_many_at_once_that_are_hidden_from_each_other() -> None:
 
 def test_compilation_can_be_turned_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VCMVSP_COMPILED", "0")
-    assert not cache.available()
+    assert not machine_code.available()
 
 
 def test_code_is_kept_whole_or_not_at_all(tmp_path: Path) -> None:
     path, code = tmp_path / "folder" / "it.code", bytes(range(256)) * 100
-    assert cache._read_code(path) is None
-    cache._write_code(path, code)
-    assert cache._read_code(path) == code
+    assert machine_code._read_code(path) is None
+    machine_code._write_code(path, code)
+    assert machine_code._read_code(path) == code
     assert [each.name for each in path.parent.iterdir()] == ["it.code"]
     path.write_bytes(path.read_bytes()[:-1])
-    assert cache._read_code(path) is None
-    cache._write_code(path / "not a folder", code)  # it goes on without
+    assert machine_code._read_code(path) is None
+    machine_code._write_code(path / "not a folder", code)  # it goes on without

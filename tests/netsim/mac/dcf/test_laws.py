@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.support.netsim.dcf_runs import MS, PHYS, UNTIL, US, bytes_of, frame, mixed, open_air, periodic, run, square
 from vcmvsp.netsim.interfaces.medium import Decided, Fate
-from vcmvsp.netsim.mac.dcf import events
+from vcmvsp.netsim.mac.dcf import access
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.mac.dcf.state import DcfRules, DcfState
 from vcmvsp.netsim.phy.dsss import Dsss
@@ -56,14 +56,14 @@ def test_what_is_received_took_its_time_and_a_radio_sends_one_frame_at_a_time(se
 @pytest.mark.parametrize("seed", [142, 149, 160])  # who overslept gets up at the very end of a frame that it does not hear
 def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     times: list[int] = []
-    upcoming = events.upcoming
+    upcoming = access.upcoming
 
     def watched(s: DcfState, rules: DcfRules) -> tuple[int, int, int]:
         what, who, now = upcoming(s, rules)
         times.append(now)
         return what, who, now
 
-    monkeypatch.setattr(events, "upcoming", watched)
+    monkeypatch.setattr(access, "upcoming", watched)
     frames = [msgspec.structs.replace(each, time_ns=each.time_ns // (20 * US) * (20 * US)) for each in mixed(seed, frames=100)]
     run(open_air(6, Ofdm(54e6), Dcf(cw_min=7, cca_threshold_dbm=-70.0), seed=seed), frames, UNTIL)
     assert len(times) > 300
@@ -148,7 +148,7 @@ def test_many_at_once_as_arrays_are_the_same_as_one_by_one(cuts: list[int], seed
     levels, frames = square(n, 200.0, 3.0, seed), periodic(square(n, 200.0, 3.0, seed), 60.0, 300 * MS, size=1000, seed=seed)
     singly, together = open_air(n, mac=mac, seed=seed), open_air(n, mac=mac, seed=seed)
     decided: list[Decided] = []
-    arrays: list[tuple[object, ...]] = []
+    arrays: list[Decided] = []
     offered = 0
     for k, cut in enumerate([*sorted(cuts), UNTIL]):
         now = frames[offered : max(bisect(frames, cut, key=lambda one: one.time_ns), offered)]
@@ -164,10 +164,8 @@ def test_many_at_once_as_arrays_are_the_same_as_one_by_one(cuts: list[int], seed
             ],
             cut,
         )
-        batch = together.advance_arrays(cut)
-        assert batch[3].shape == batch[4].shape == (len(batch[0]), n)
-        arrays += zip(*(each.tolist() for each in batch[:3]), map(bytes, batch[3]), map(bytes, batch[4]), strict=True)
+        arrays += together.advance(cut)
         offered += len(now)
-    assert arrays == [(number, start, end, fate, least) for number, start, end, _, fate, least in bytes_of(decided)]
+    assert bytes_of(arrays) == bytes_of(decided)
     assert len(arrays) == len(frames)
     assert together.next_ns() is None

@@ -1,7 +1,7 @@
 """Compilation by numba.
 
 Numba passes a named tuple of arrays field by field: every call moves hundreds of words. Here a
-`netsim.mac.jit.argument_block.Block` is a type of numba, one pointer: ``block.field`` in compiled code reads its words.
+`netsim.mac.dcf.machine_code.Block` is a type of numba, one pointer: ``block.field`` in compiled code reads its words.
 """
 
 # numba is only partly typed.
@@ -20,8 +20,7 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, lower_getattr_generic, models, register_model
 from numba.np.arrayobj import make_array, populate_array
 
-from vcmvsp.netsim.mac.jit.argument_block import WORD, Layout
-from vcmvsp.netsim.mac.jit.loader import ENTRY, host
+from vcmvsp.netsim.mac.dcf.machine_code import ENTRY, WORD, Layout, host
 
 # The code allocates nothing and is not called by Python, so it needs no runtime of numba.
 OPTIONS: dict[str, Any] = {

@@ -4,14 +4,14 @@ After ns-3.44 (``ChannelAccessManager``, ``Txop``, ``FrameExchangeManager``): a 
 end of the last busy time, stands still while the medium is busy, and is drawn anew after every transmission, whether another
 frame waits or not. A frame that finds the medium idle and no backoff left waits DIFS from then on.
 
-Written for NumPy and for compilation alike, see `netsim.mac.jit.cache`: what changes is in the arrays of a `DcfState`.
+Written for NumPy and for compilation alike, see `netsim.mac.dcf.machine_code`: what changes is in the arrays of a `DcfState`.
 """
+
+import numpy as np
 
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 from vcmvsp.netsim.interfaces.medium import Codes
-from vcmvsp.netsim.mac.dcf.backoff import back_off, count_down, defer_one, doze, draw, request, sense, wait
-from vcmvsp.netsim.mac.dcf.capture import detect, put_on_air, settle, take_off_air
-from vcmvsp.netsim.mac.dcf.queues import decide, enqueue, expire, insert, leave, next_decision
+from vcmvsp.netsim.mac.dcf.capture import defer_one, detect, put_on_air, settle, take_off_air
 from vcmvsp.netsim.mac.dcf.state import (
     ACK,
     ACKNOWLEDGEMENT,
@@ -146,8 +146,8 @@ def start(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
     if f == NOBODY:  # all expired while it waited
         release(s, rules, i, now, now)
         return True
-    if s.attempts[f] == 0 and s.row[f] != NOBODY:
-        copy(s.levels[s.row[f]], s.level[i])
+    if s.attempts[f] == 0 and s.known[f]:
+        copy(s.levels[f], s.level[i])
         copy(s.patiences[f], s.patience[i])
         s.answer[i] = 1.0
     elif s.placed[i] != f:
@@ -276,3 +276,191 @@ def copy_loop(values: Floats | Codes, to: Floats | Codes) -> None:
     """See `copy`."""
     for j in range(len(to)):
         to[j] = values[j]
+
+
+def sense(s: DcfState, rules: DcfRules, now: int) -> None:
+    """The medium is busy until the times in `DcfState.busy`, (n,): freeze backoffs and move due times.
+
+    A radio that already had a later end of the busy time is unchanged: if its access timer has expired, it sends now.
+    """
+    busy = s.busy
+    longer = busy > s.idle_ns
+    if not np.count_nonzero(longer):
+        return
+    left = np.minimum(np.maximum((s.over_ns + (rules.slot_ns - 1 - now)) // rules.slot_ns, 0), s.slots)
+    np.putmask(s.slots, longer, left)
+    np.putmask(s.idle_ns, longer, busy)
+    np.putmask(s.over_ns, longer, np.maximum(s.over_ns, busy + left * rules.slot_ns + rules.difs_ns))
+    np.putmask(s.due[: len(busy)], longer, np.maximum(s.over_ns, s.wake_ns))
+
+
+def sense_loop(s: DcfState, rules: DcfRules, now: int) -> None:
+    """See `sense`."""
+    busy, slots, idle_ns, over_ns, due = s.busy, s.slots, s.idle_ns, s.over_ns, s.due
+    for j in range(len(busy)):
+        if busy[j] > idle_ns[j]:
+            count_down(s, rules, j, now)
+            idle_ns[j] = busy[j]
+            over_ns[j] = max(over_ns[j], busy[j] + slots[j] * rules.slot_ns + rules.difs_ns)
+            due[j] = max(over_ns[j], s.wake_ns[j])
+
+
+def doze(s: DcfState, rules: DcfRules, now: int) -> None:
+    """Re-arm the access timers that expired while the medium was busy, before any other event.
+
+    In ns-3.44 the access timer is set to the end of the backoff by the state of the medium at that time. A longer busy time
+    re-arms it at its expiry, but nothing shortens it: if EIFS ends early, because a payload begins to be received, the radio
+    sends late, at the expiry of the timer. By the standard it would send earlier.
+    """
+    if s.wake_ns[s.wake_ns.argmin()] > now:
+        return
+    woken, receiving = s.over_ns, s.lock != NOBODY
+    if np.count_nonzero(receiving):
+        left = s.slots * rules.slot_ns + rules.difs_ns
+        woken = np.where(receiving, s.idle_ns + left, woken)
+        before = np.maximum(s.header_ns, s.eifs_ns) + left
+        in_header = s.wake_ns <= s.start_ns[s.lock] + rules.header_end_ns
+        np.putmask(woken, receiving & in_header & (before > now), before)
+    np.putmask(s.wake_ns, s.wake_ns <= now, woken)
+
+
+def doze_loop(s: DcfState, rules: DcfRules, now: int) -> None:
+    """See `doze`."""
+    wake_ns = s.wake_ns
+    for j in range(len(wake_ns)):
+        if wake_ns[j] <= now:
+            wake_ns[j] = expected_ns(s, rules, j, wake_ns[j])
+            if wake_ns[j] <= now:
+                wake_ns[j] = expected_ns(s, rules, j, now)
+
+
+def expected_ns(s: DcfState, rules: DcfRules, i: int, now: int) -> int:
+    """End of the backoff of radio i by its carrier sense; the length of a frame is unknown until its header is received."""
+    held = s.lock[i]
+    if held == NOBODY:
+        return int(s.over_ns[i])
+    in_header = now <= s.start_ns[held] + rules.header_end_ns
+    busy_ns = max(s.header_ns[i], s.eifs_ns[i]) if in_header else s.idle_ns[i]
+    return int(busy_ns + s.slots[i] * rules.slot_ns + rules.difs_ns)
+
+
+def count_down(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
+    """The slots of radio i that have passed; those that have begun have not."""
+    s.slots[i] = min(max((s.over_ns[i] + (rules.slot_ns - 1 - now)) // rules.slot_ns, 0), s.slots[i])
+
+
+def request(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
+    """Radio i has a frame to send: set its access timer to the end of the backoff."""
+    s.wake_ns[i] = expected_ns(s, rules, i, now)
+    s.due[i] = s.over_ns[i]
+
+
+def draw(s: DcfState, i: int) -> int:
+    """Place of the next draw of radio i in store."""
+    place = int(s.drawn[i] - s.store[i])
+    s.drawn[i] += 1
+    if place + 1 == s.backoff.shape[1]:
+        s.counts[SCARCE] = 1
+    return place
+
+
+def back_off(s: DcfState, rules: DcfRules, i: int, counting_ns: int) -> None:
+    """Radio i draws a new backoff, which counts from a time on, if the medium is idle."""
+    s.slots[i] = int(s.backoff[i, draw(s, i)] * (s.window[i] + 1))
+    wait(s, rules, i, counting_ns)
+
+
+def wait(s: DcfState, rules: DcfRules, i: int, counting_ns: int) -> None:
+    """The slots that radio i has left count from a time on, if the medium is idle."""
+    begins = max(counting_ns, max(s.idle_ns[i], s.eifs_ns[i]) + rules.difs_ns)
+    s.over_ns[i] = begins + s.slots[i] * rules.slot_ns
+
+
+def enqueue(s: DcfState, i: int, f: int) -> None:
+    """Behind all frames of at least its priority."""
+    before, after = s.tail[i], NOBODY
+    if before != NOBODY and s.priority[before] < s.priority[f]:
+        before, after = NOBODY, s.head[i]
+        while s.priority[after] >= s.priority[f]:
+            before, after = after, s.behind[after]
+    insert(s, i, f, before, after)
+
+
+def insert(s: DcfState, i: int, f: int, before: int, after: int) -> None:
+    """Between two neighbours in the queue of radio i."""
+    s.behind[f] = after
+    if before == NOBODY:
+        s.head[i] = f
+    else:
+        s.behind[before] = f
+    if after == NOBODY:
+        s.tail[i] = f
+    s.waiting[i] += 1
+
+
+def leave(s: DcfState, i: int) -> int:
+    """Take the first frame out of the queue of radio i."""
+    f = int(s.head[i])
+    s.head[i] = s.behind[f]
+    if s.head[i] == NOBODY:
+        s.tail[i] = NOBODY
+    s.waiting[i] -= 1
+    return f
+
+
+def expire(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
+    """Whether the first frame that waits was too old, and is gone."""
+    f = s.head[i]
+    if f == NOBODY or now - s.offered_ns[f] <= rules.lifetime_ns:
+        return False
+    decide(s, leave(s, i), now, s.outcome[f])
+    return True
+
+
+def decide(s: DcfState, f: int, now: int, fate: int) -> None:
+    """The fate of a frame, at all radios the same; what became of a broadcast one that was sent follows.
+
+    Of one that was received before, and told so, it says that its place is free.
+    """
+    k = s.counts[DECIDED]
+    s.counts[DECIDED] = k + 1
+    s.out_frame[k] = f
+    s.out_end[k] = NEVER if s.told[f] else now
+    s.out_start[k] = s.began_ns[f]
+    s.out_attempts[k] = s.attempts[f]
+    s.out_done[k] = True
+    s.out_fate[k] = fate
+    s.out_least[k] = s.least_there[f]
+
+
+def next_decision(s: DcfState, rules: DcfRules) -> int:
+    """When a frame may be decided next, if nothing else comes."""
+    n = len(s.lock)
+    soonest = int(s.due[n + s.due[n:].argmin()])
+    for at in range(s.counts[ON_AIR]):
+        soonest = min(soonest, int(s.end_ns[s.air[at]]))
+    wanting = (s.due[:n] < NEVER).nonzero()[0]
+    if len(wanting) == 1:  # most often
+        i = wanting[0]
+        begin, f = s.due[i], s.head[i]
+        late = f == NOBODY or begin > s.offered_ns[f] + rules.lifetime_ns
+        soonest = min(soonest, int(begin if late else begin + s.air_ns[f]))
+    elif len(wanting):
+        heads, due = s.head[wanting], s.due[wanting]
+        expired = (heads == NOBODY) | (due > s.offered_ns[heads] + rules.lifetime_ns)
+        soonest = min(soonest, int(np.where(expired, due, due + s.air_ns[heads]).min()))
+    return soonest
+
+
+def next_decision_loop(s: DcfState, rules: DcfRules) -> int:
+    """See `next_decision`."""
+    n, soonest = len(s.lock), NEVER
+    for at in range(s.counts[ON_AIR]):
+        soonest = min(soonest, s.end_ns[s.air[at]])
+    for i in range(n):
+        soonest = min(soonest, s.due[n + i], s.due[2 * n + i])
+        begin, f = s.due[i], s.head[i]
+        if begin < NEVER:
+            late = f == NOBODY or begin > s.offered_ns[f] + rules.lifetime_ns
+            soonest = min(soonest, begin if late else begin + s.air_ns[f])
+    return soonest

@@ -10,17 +10,26 @@ after one that it has given up. All this is what ns-3.44 does.
 """
 
 import heapq
+import math
 from collections import deque
 from collections.abc import Sequence
-from enum import IntEnum
+from dataclasses import dataclass
+from enum import Enum, IntEnum, auto
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.rng import link_uniform
+from vcmvsp.cosim.types import Decibels, Seconds
 from vcmvsp.netsim.interfaces.layers import US, Floats, Keys, Phy
-from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered
+from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
+from vcmvsp.netsim.interfaces.medium import Codes, Decided, Fate, Medium, Offered
 from vcmvsp.netsim.mac.csma154.receivers import AirborneFrame, Csma154Air
-from vcmvsp.netsim.mac.csma154.sender import Csma154Radio, Csma154Rules, RadioState
 from vcmvsp.netsim.phy.error_rate import ErrorRate
+from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 
 TURNAROUND_NS = 192 * US  # aTurnaroundTime, 12 symbols
 ACK_NS = 352 * US  # an acknowledgement on the air: 11 bytes
@@ -28,6 +37,71 @@ ACK_BITS = 88
 ACK_WAIT_NS = 864 * US  # macAckWaitDuration, 54 symbols
 SHORT_NS = 768 * US  # on the air: a PSDU of 18 bytes (aMaxSIFSFrameSize)
 SIFS_NS, LIFS_NS = 192 * US, 640 * US  # after a frame of at most that, and of more
+UNIT_NS = 320_000  # aUnitBackoffPeriod, 20 symbols
+CCA_NS = 128_000  # 8 symbols
+
+_BLOCK = 16  # contentions planned at once
+
+Exponent = Annotated[int, msgspec.Meta(ge=0, le=16)]
+Few = Annotated[int, msgspec.Meta(ge=0, le=28)]
+Many = Annotated[int, msgspec.Meta(ge=1)]
+
+
+class RadioState(Enum):
+    """What a radio is at."""
+
+    NOTHING = auto()
+    CONTENDING = auto()  # backoff and assessment
+    SENDING = auto()  # turnaround included
+    AWAITING = auto()  # an acknowledgement
+    RESTING = auto()  # interframe space
+    ANSWERING = auto()  # acknowledgement and both turnarounds
+
+
+class Csma154Radio:
+    """One sender: its queue, the frame it is at, and how far it has come with it."""
+
+    def __init__(self, row: int, key: Keys, rules: "Csma154") -> None:
+        self.row = row
+        self.doing = RadioState.NOTHING
+        self.stamp = 0  # events of earlier stamps are cancelled
+        self.queue: list[tuple[int, int, Offered]] = []  # heap: higher priorities first, then first come, first served
+        self.ready_ns = 0  # end of the interframe space
+        self.frame: Offered | None = None
+        self.air_ns = 0  # of the frame
+        self.assessments_ns: list[int] = []  # ends of all that this contention may take
+        self.found_busy = 0  # of these
+        self.attempts = 0  # on the air
+        self.flight: AirborneFrame | None = None  # on the air
+        self.last: tuple[AirborneFrame, Codes] | None = None  # attempt, and its fate
+        self.received_ns = -1  # of a unicast frame: when it was received; of any other, when it was sent
+        self.answers: tuple[int, int] | None = None  # row and frame that it acknowledges now
+        self._key = key  # (1,)
+        self._windows = 2.0 ** np.minimum(rules.min_be + np.arange(rules.max_backoffs + 1), rules.max_be)
+        self._contentions = 0
+        self._plans: list[list[int]] = []
+        self._luck: list[list[float]] = []
+
+    def plan(self) -> list[int]:
+        """Contend once more: when each assessment ends if those before it find the air busy, from now on, in ns.
+
+        Draw k is a pure function of the radio's key and k. Contention c uses draws c m to c m + m - 1, m = max_backoffs + 1,
+        whether it needs them all or not.
+        """
+        place = self._contentions % _BLOCK
+        if place == 0:
+            shape = _BLOCK, len(self._windows)
+            first = self._contentions * len(self._windows)
+            draws = link_uniform(self._key, np.arange(first, first + shape[0] * shape[1], dtype=np.uint64), BACKOFF_SLOT)
+            units = (draws[:, 0].reshape(shape) * self._windows).astype(np.int64)
+            self._plans = np.cumsum(units * UNIT_NS + CCA_NS, axis=1).tolist()
+            self._luck = draws[:, 1].reshape(shape).tolist()
+        self._contentions += 1
+        return self._plans[place]
+
+    def luck(self) -> float:
+        """The patience (`netsim.interfaces.medium.Offered`) with the acknowledgement of the last attempt."""
+        return -math.log1p(-self._luck[(self._contentions - 1) % _BLOCK][0])
 
 
 class _Kind(IntEnum):
@@ -43,11 +117,18 @@ class _Kind(IntEnum):
 class Csma154Medium:
     """The `netsim.interfaces.medium.Medium`: an event queue over the radios' state machines."""
 
-    def __init__(self, rules: Csma154Rules, air: Csma154Air, phy: Phy, errors: ErrorRate, keys: Keys) -> None:
+    def __init__(self, rules: "Csma154", air: Csma154Air, phy: Phy, errors: ErrorRate, keys: Keys) -> None:
         self._rules, self._air, self._phy, self._errors = rules, air, phy, errors
+        self._lifetime_ns = math.inf if rules.lifetime_s is None else seconds_to_ns(rules.lifetime_s)
         self._radios = [Csma154Radio(row, keys[row : row + 1], rules) for row in range(len(keys))]
         self._events: list[tuple[int, _Kind, int, Csma154Radio, int]] = []  # heap: time, kind, running number, radio, its stamp
         self._offers: deque[Offered] = deque()
+        self._handlers = {
+            _Kind.ASSESSED: self._assessed,
+            _Kind.LANDED: self._landed,
+            _Kind.READY: self._ready,
+            _Kind.UNANSWERED: self._unanswered,
+        }
         self._running = 0
         self._waiting: dict[int, None] = {}  # numbers of frames, in the order in which they were offered
         self._soonest: dict[int, int] = {}  # row: when its frame can be decided at the earliest
@@ -102,14 +183,7 @@ class Csma154Medium:
                 radios.append(heapq.heappop(self._events)[3])
             self._take_off(now_ns, radios)
         elif stamp == radio.stamp:
-            if kind is _Kind.ASSESSED:
-                self._assessed(now_ns, radio)
-            elif kind is _Kind.LANDED:
-                self._landed(now_ns, radio)
-            elif kind is _Kind.READY:
-                self._ready(now_ns, radio)
-            else:
-                self._unanswered(now_ns, radio)
+            self._handlers[kind](now_ns, radio)
 
     def _schedule(self, time_ns: int, kind: _Kind, radio: Csma154Radio) -> None:
         self._running += 1
@@ -131,7 +205,7 @@ class Csma154Medium:
         """Turn to the next frame of the queue, if there is one."""
         while radio.queue:
             frame = heapq.heappop(radio.queue)[2]
-            if self._rules.lifetime_ns is not None and now_ns - frame.time_ns > self._rules.lifetime_ns:
+            if now_ns - frame.time_ns > self._lifetime_ns:
                 self._never(now_ns, frame, Fate.EXPIRED)
                 continue
             radio.frame, radio.air_ns = frame, self._phy.air_time_ns(frame.size_bytes)
@@ -176,10 +250,9 @@ class Csma154Medium:
     def _attempt(self, now_ns: int, radio: Csma154Radio) -> AirborneFrame:
         frame = radio.frame
         assert frame is not None  # noqa: S101 -- it is at one
-        power_mw, patience = (frame.power_mw, frame.patience) if radio.attempts == 0 else (None, None)
-        if power_mw is None or patience is None:
-            renewed_mw, renewed = frame.renew(radio.attempts, now_ns)
-            power_mw, patience = renewed_mw if power_mw is None else power_mw, renewed if patience is None else patience
+        power_mw, patience = frame.power_mw, frame.patience
+        if radio.attempts or power_mw is None or patience is None:
+            power_mw, patience = frame.renew(radio.attempts, now_ns)
         radio.attempts += 1
         _, bits = self._errors.payload(frame.size_bytes)
         flight = AirborneFrame(radio.row, now_ns, now_ns + radio.air_ns, power_mw, patience, bits)
@@ -221,7 +294,6 @@ class Csma154Medium:
             self._acknowledge(now_ns, self._radios[frame.to], radio)
 
     def _finish(self, now_ns: int, radio: Csma154Radio) -> None:
-        """The frame is done with: rest."""
         ifs_ns = SIFS_NS if radio.air_ns <= SHORT_NS else LIFS_NS
         self._give_up(now_ns, radio)
         self._rest(radio, now_ns + ifs_ns)
@@ -292,3 +364,70 @@ class Csma154Medium:
     def _decide(self, decided: Decided) -> None:
         del self._waiting[decided.number]
         self._decided.append(decided)
+
+
+@dataclass(frozen=True)
+class Csma154:
+    """Unslotted CSMA/CA of IEEE 802.15.4 at 2.4 GHz, as ns-3.44 ``LrWpanMac`` and ``LrWpanPhy``.
+
+    The sensitivity is no threshold of reception: it sets the noise (`netsim.phy.noise.ThermalNoise.ieee802154`). Messages that
+    need several frames contend once, and are received or lost as one.
+
+    Args:
+        min_be: exponent of the first backoff (macMinBE).
+        max_be: of the longest (macMaxBE).
+        max_backoffs: a frame that finds the air busy this often and once more is given up (macMaxCSMABackoffs).
+        acknowledge: unicast frames are acknowledged, and repeated where no acknowledgement comes.
+        max_retries: how often (macMaxFrameRetries).
+        queue_frames: that may wait at a sender, with the one that is being sent; None: no limit.
+        lifetime_s: a frame that has waited longer when its turn comes is not sent; None: no limit.
+        cca_above_sensitivity_db: level of all frames together, above the phy's sensitivity, at which the air is busy; it is so
+            too to a radio that is receiving a frame.
+        preamble_snr_db: least ratio to noise and interference at which a frame is noticed.
+        forget_interference: a disturbance that is over before another frame begins or this one ends has no effect, as in
+            ns-3.44; false: it counts.
+    """
+
+    min_be: Exponent = 3
+    max_be: Exponent = 5
+    max_backoffs: Few = 4
+    acknowledge: bool = True
+    max_retries: Few = 3
+    queue_frames: Many | None = None
+    lifetime_s: Seconds | None = None
+    cca_above_sensitivity_db: Decibels = 10.0
+    preamble_snr_db: Decibels = -5.0
+    forget_interference: bool = True
+
+    def __post_init__(self) -> None:
+        if self.min_be > self.max_be:
+            raise ScenarioError(f"min_be = {self.min_be} is more than max_be = {self.max_be}", key="min_be")
+
+    @property
+    def needs_snr_db(self) -> float:
+        """What a frame needs to be noticed, whatever the phy's sensitivity."""
+        return self.preamble_snr_db
+
+    def open(self, phy: Phy, count: int, keys: Keys, noise_mw: float) -> Medium:
+        """The air for ``count`` radios.
+
+        Args:
+            phy: `netsim.phy.ieee802154.Ieee802154`.
+            count: n.
+            keys: random keys of the radios, (n,): a backoff is a pure function of its radio's key and of its number.
+            noise_mw: at every receiver.
+        """
+        errors = getattr(phy, "errors", None)
+        if not isinstance(errors, OqpskErrors):
+            raise ScenarioError(
+                f"mac csma154 is that of IEEE 802.15.4: it needs phy ieee802154, not {type(phy).__name__}", key="kind"
+            )
+        air = Csma154Air(
+            count,
+            noise_mw,
+            errors,
+            preamble_snr_db=self.preamble_snr_db,
+            busy_dbm=phy.sensitivity_dbm + self.cca_above_sensitivity_db,
+            forgetful=self.forget_interference,
+        )
+        return Csma154Medium(self, air, phy, errors, keys)
