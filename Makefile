@@ -35,7 +35,7 @@ check: setup
 
 docs: setup
 	$(BIN)/python -m vcmvsp.cosim.reference.markdown --write
-	$(BIN)/python -m vcmvsp.cosim.reference.index --write
+	$(BIN)/python -m vcmvsp.cosim.reference.markdown --write
 	$(BIN)/python -m tests.support.docs.package_map --write
 
 # Files go to workers in their order, so that none that takes long comes last.

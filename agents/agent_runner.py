@@ -11,7 +11,7 @@ import msgspec
 from vcmvsp.agents.factory import Kinds, build, files_of
 from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
-from vcmvsp.cosim.config import binding, messages
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import AgentError, ScenarioError, place_of, words_of
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.hosts.lost_agent import Absence
@@ -192,7 +192,7 @@ class AgentRunner:
     def _checked(self, command: Any) -> Velocity | Waypoint:
         """The command in plain floats, as over a wire."""
         if not isinstance(command, COMMANDS):
-            raise self._error(f"returned {messages.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
+            raise self._error(f"returned {binding.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
         try:
             plain_command, total = _plain(command)
         except (TypeError, ValueError):
@@ -208,7 +208,7 @@ class AgentRunner:
         try:
             place = msgspec.convert(msgspec.to_builtins(follows, enc_hook=lambda number: number.item()), Follows)
         except (msgspec.ValidationError, TypeError, AttributeError):
-            raise self._error(f"has set follows to {messages.show(follows)}; it must be a Follows, or None") from None
+            raise self._error(f"has set follows to {binding.show(follows)}; it must be a Follows, or None") from None
         if place.leader == self.vehicle or place.leader not in self._vehicles:
             raise self._error(f"has set follows.leader to {place.leader!r}, which is not another vehicle of this run")
         return place

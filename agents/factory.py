@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from vcmvsp.cosim.agent import Agent, AgentSpec
-from vcmvsp.cosim.config import binding, builtin_kinds, messages, registry
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import AgentTable
 
@@ -19,7 +20,7 @@ class Kinds:
     def find(self, spec: AgentSpec) -> Any:
         """The class of an agent."""
         if (spec.kind, spec.folder) not in self._found:
-            key, origin = f"vehicle.{spec.vehicle}.agent.kind", binding.Named(spec.source)
+            key, origin = f"vehicle.{spec.vehicle}.agent.kind", Source(spec.source)
             agent_class = registry.find("agent", spec.kind, folder=Path(spec.folder), key=key, origin=origin)
             self._found[spec.kind, spec.folder] = agent_class
         return self._found[spec.kind, spec.folder]
@@ -44,7 +45,7 @@ def files_of(kind: Any, params: Mapping[str, Any]) -> tuple[str, ...]:
 
 def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[str, ...]]:
     """Build the agent of a spec: (agent, all its parameters, the [agents] defaults that it takes)."""
-    key, origin = f"vehicle.{spec.vehicle}.agent", binding.Named(spec.source)
+    key, origin = f"vehicle.{spec.vehicle}.agent", Source(spec.source)
     kind = kinds.find(spec)
     check_acts(kind, spec.kind, f"{key}.kind", spec.source)
     parameters = binding.parameters(kind)
@@ -68,7 +69,7 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
 
 def build_nested(described: Mapping[str, Any], key: str) -> Agent:
     """Build the agent that a table in another agent's parameters describes; errors name its keys as ``key`` + "."."""
-    kind, where = described.get("kind"), messages.join(key, "kind")
+    kind, where = described.get("kind"), binding.join(key, "kind")
     if not isinstance(kind, str):
         allowed = ", ".join(builtin_kinds.KINDS["agent"])
         raise ScenarioError(f"must be a string, one of {allowed}, module:Class or file.py:Class", key=where)

@@ -16,7 +16,8 @@ from threadpoolctl import threadpool_limits
 
 from vcmvsp.agents.factory import check_acts
 from vcmvsp.agents.federate import AgentHost
-from vcmvsp.cosim.config import binding, registry, user_classes
+from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.hosts.host_client import serve
 from vcmvsp.cosim.hosts.protocol import PROTOCOL, Hello
@@ -62,11 +63,11 @@ def host(
             raise UsageError(f"--vehicle {vehicle!r}: a name has letters, digits, _ and -")
     if strange := [name for name in params or {} if name in binding.parameters(AgentTable)]:
         raise UsageError(f"--set {strange[0]}: that is for the scenario to say; a host sets parameters of its agent")
-    named = user_classes.classes_in([*allow, kind, params])
-    may_load = user_classes.only(None if token else user_classes.OwnCode(named, code_folder, on_state))
+    named = registry.classes_in([*allow, kind, params])
+    may_load = registry.only(None if token else registry.OwnCode(named, code_folder, on_state))
     if kind is not None:  # errors of the class are reported here: the run goes on waiting
-        with user_classes.only(user_classes.OwnCode(named, code_folder)):
-            check_acts(registry.find("agent", kind, key="", origin=binding.Named("vcmvsp agent")), kind, "")
+        with registry.only(registry.OwnCode(named, code_folder)):
+            check_acts(registry.find("agent", kind, key="", origin=Source("vcmvsp agent")), kind, "")
     bundle = None
     if keys is not None:
         from vcmvsp.cosim.security import certificates

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.clock import Ticks
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import unknown
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Instants, RunInfo
 from vcmvsp.cosim.frames import yaw_of

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.clock import Ticks, seconds_to_ns
-from vcmvsp.cosim.config.messages import show
+from vcmvsp.cosim.config.binding import show
 from vcmvsp.cosim.errors import FederateError, ScenarioError, VcmvspError, place_of, words_of
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.rng import stream

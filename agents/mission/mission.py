@@ -25,7 +25,7 @@ from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
 from vcmvsp.agents.reconnaissance.state_table import TASKS, MissionFacts, MissionState, step
 from vcmvsp.agents.reconnaissance.watch import Watch, Watching
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import unknown
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import NonNegative, Positive, Velocity, Waypoint
 

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, TypeGuard
 from vcmvsp.agents.reconnaissance.state_table import TASKS, Task
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import unknown
 
 Point = tuple[float, float]
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from vcmvsp.cosim.assembly import radio, worlds
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config import messages, registry
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.builtin_kinds import KINDS
 from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.config.user_classes import NO_CODE, only
+from vcmvsp.cosim.config.registry import NO_CODE, only
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.recording.run_tables import tables_of
@@ -134,7 +134,7 @@ def coverage(
         with only(None if trust else NO_CODE):
             site = recorded_site(folder, parsed, source)
     if vehicle not in site.places:
-        raise UsageError(messages.unknown("vehicle", vehicle, site.places))
+        raise UsageError(binding.unknown("vehicle", vehicle, site.places))
     if at_s is not None:
         if folder is None:
             raise UsageError("a time can be given for a run only: name the directory that a run left")

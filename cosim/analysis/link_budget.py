@@ -16,7 +16,7 @@ from vcmvsp.cosim.analysis.coverage import without_own_layers
 from vcmvsp.cosim.analysis.links import NUMBERS, LinkFrames, Log, Pair
 from vcmvsp.cosim.assembly.radio import channel_of
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config.user_classes import NO_CODE, only
+from vcmvsp.cosim.config.registry import NO_CODE, only
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY

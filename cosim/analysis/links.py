@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config import messages
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.run_tables import radio_columns
 from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
@@ -75,7 +75,7 @@ class Log:
             raise UsageError(f"--link {link}: must be SENDER/RECEIVER, e.g. car1/car2, or car1/* for all that car1 sends")
         for name in (sender, receiver):
             if not any(fnmatchcase(each, name) for each in self.vehicles):
-                raise UsageError(f"--link {link}: {messages.unknown('vehicle', name, self.vehicles)}")
+                raise UsageError(f"--link {link}: {binding.unknown('vehicle', name, self.vehicles)}")
         meant = [
             (a, b)
             for a in self.vehicles

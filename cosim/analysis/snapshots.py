@@ -25,7 +25,7 @@ from vcmvsp.cosim.assembly.parts.recognition import (
 )
 from vcmvsp.cosim.assembly.parts.search_map import Grid, Rectangle, of_picture
 from vcmvsp.cosim.clock import seconds_to_ns
-from vcmvsp.cosim.config import binding, factory, messages, registry
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw, wrap
 from vcmvsp.cosim.rng import stream
@@ -126,7 +126,7 @@ class Snapshots:
         """The vehicle, and the key of what it looks for."""
         vehicles = {each.name: each for each in self._scenario.vehicle}
         if name is not None and name not in vehicles:
-            raise ScenarioError(messages.unknown("vehicle", name, vehicles), key="vehicle", source=self._source.name)
+            raise ScenarioError(binding.unknown("vehicle", name, vehicles), key="vehicle", source=self._source.name)
         for each in [vehicles[name]] if name else vehicles.values():
             if self._params(each).get("watching") is not None:
                 own = each.agent is not None and "watching" in each.agent.params
@@ -153,11 +153,11 @@ class Snapshots:
         self._camera_name = settings.camera
         where = f"vehicle.{vehicle.name}.sensors"
         if settings.camera not in vehicle.sensors:
-            problem = f"{messages.unknown('sensor', settings.camera, vehicle.sensors)} (of {vehicle.name})"
+            problem = f"{binding.unknown('sensor', settings.camera, vehicle.sensors)} (of {vehicle.name})"
             raise ScenarioError(problem, key=f"{key}.camera", source=self._source.of(f"{key}.camera"))
         sensor = {**vehicle.sensors[settings.camera], "depth": True}  # tells what is hidden
         self._camera: Camera
-        self._camera, _ = factory.build("sensor", sensor, key=f"{where}.{settings.camera}", source=self._source)
+        self._camera, _ = registry.build("sensor", sensor, key=f"{where}.{settings.camera}", source=self._source)
         if not hasattr(self._camera, "focal_px"):
             kind = f"{where}.{settings.camera}.kind"
             raise ScenarioError("must take pictures", key=kind, source=self._source.of(kind))
@@ -190,7 +190,7 @@ class Snapshots:
             raise ScenarioError(problem, key=f"{self.table}.area", source=self._source.name)
         left, bottom, right, top = map(float, found)
         if not (left < right and bottom < top):
-            key, problem = f"{self.table}.area", f"must be left, bottom, right, top, not {messages.show(list(found))}"
+            key, problem = f"{self.table}.area", f"must be left, bottom, right, top, not {binding.show(list(found))}"
             raise ScenarioError(problem, key=key, source=self._source.of(key))
         return left, bottom, right, top
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec
 from vcmvsp.cosim.assembly.vehicles import Fleet
-from vcmvsp.cosim.config import binding, messages, registry
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import AgentsTable, AgentTable, Scenario, VehicleTable
@@ -37,10 +37,10 @@ class Placement:
         self._scenario, self._source, self._fleet, self.objects = scenario, source, fleet, objects
         names = [each.name for each in scenario.vehicle]
         if unknown := [name for name in objects if name not in names]:
-            raise ScenarioError(messages.unknown("vehicle", unknown[0], names), key="agents")
+            raise ScenarioError(binding.unknown("vehicle", unknown[0], names), key="agents")
         for name, each in objects.items():
             if not isinstance(each, Agent):
-                made = f"a class: write {each.__name__}(...)" if isinstance(each, type) else messages.show(each)
+                made = f"a class: write {each.__name__}(...)" if isinstance(each, type) else binding.show(each)
                 raise ScenarioError(f"must be an object of a class derived from vcmvsp.Agent, not {made}", key=f"agents.{name}")
         self.specs: dict[str, list[AgentSpec]] = {}
         self.where: dict[str, str] = {}
@@ -63,7 +63,7 @@ class Placement:
                 if not infos:
                     why = "no vehicle has an agent (a vehicle gets one by an agent table, which may be empty: agent = {})"
                 allowed = {*known, *binding.parameters(AgentsTable), "kind"} - {"defaults"}
-                problem = f"no agent takes this default: {why or messages.unknown('key', name, allowed)}"
+                problem = f"no agent takes this default: {why or binding.unknown('key', name, allowed)}"
                 raise ScenarioError(problem, key=key, source=self._source.of(key))
 
     def _place(self, vehicle: VehicleTable, runs: str | None) -> str | None:

@@ -7,7 +7,7 @@ import msgspec
 
 from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.clock import WallClock
-from vcmvsp.cosim.config import binding, builtin_kinds, messages
+from vcmvsp.cosim.config import binding, builtin_kinds
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Log
@@ -100,12 +100,12 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> list
         key = f"bridge.{name}"
         if not isinstance(content, dict):
             if name in builtin_kinds.KINDS["door"]:
-                raise ScenarioError(f"must be a table, not {messages.show(content)}", key=key, source=source.of(key))
+                raise ScenarioError(f"must be a table, not {binding.show(content)}", key=key, source=source.of(key))
             allowed = [
                 *(each for each in binding.parameters(type(scenario.bridge)) if each != "doors"),
                 *builtin_kinds.KINDS["door"],
             ]
-            raise ScenarioError(messages.unknown("key", name, allowed), key=key, source=source.of(key))
+            raise ScenarioError(binding.unknown("key", name, allowed), key=key, source=source.of(key))
         kind = kind_of(name, content)
         door, full = resolution.component("door", {**content, "kind": kind}, key)
         if getattr(door, "only_one", False) and (first := alone.setdefault(type(door), key)) != key:
@@ -128,7 +128,7 @@ def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, t
     wanted, names, key = scenario.sockets, [each.name for each in scenario.vehicle], "sockets.vehicles"
     for name in wanted.vehicles:
         if name not in names:
-            raise ScenarioError(messages.unknown("vehicle", name, names), key=key, source=source.of(key))
+            raise ScenarioError(binding.unknown("vehicle", name, names), key=key, source=source.of(key))
         if wanted.vehicles.count(name) > 1:
             raise ScenarioError(f"names {name} twice; each has one program", key=key, source=source.of(key))
     if not wanted.vehicles:

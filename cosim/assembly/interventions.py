@@ -11,8 +11,7 @@ from operator import attrgetter
 import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.config.binding import problem_of, unfit_number
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import problem_of, unfit_number, unknown
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vcmvsp.cosim.assembly.resolved import Resolution
-from vcmvsp.cosim.config import binding, builtin_kinds, factory, messages
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import Scenario
@@ -65,8 +65,8 @@ def channel_of(
     source: Source,
     *,
     solids: "Sequence[AnySolid]",
-    portable: factory.Portable = str,
-    keep: factory.Keep = factory.name_of,
+    portable: registry.Portable = str,
+    keep: registry.Keep = registry.name_of,
 ) -> "tuple[Channel, Mapping[str, Radio], dict[str, Any]]":
     """The channel of a scenario, the radio of each vehicle, and the complete ``[radio]``; arguments as for `build`."""
     from vcmvsp.netsim.interfaces.radio import Radio
@@ -97,8 +97,8 @@ def build(
     solids: "Sequence[AnySolid]" = (),
     radios: "Mapping[str, Radio] | None" = None,
     vehicles: Sequence[str] = (),
-    portable: factory.Portable = str,
-    keep: factory.Keep = factory.name_of,
+    portable: registry.Portable = str,
+    keep: registry.Keep = registry.name_of,
     also: Sequence[str] = (),
 ) -> "tuple[Channel, dict[str, Any]]":
     """Build a channel.
@@ -123,22 +123,22 @@ def build(
 
     for name in radio:
         if name not in ("preset", *LAYERS):
-            where = messages.join(key, name)
-            problem = messages.unknown("key", name, ["preset", *also, *LAYERS])
+            where = binding.join(key, name)
+            problem = binding.unknown("key", name, ["preset", *also, *LAYERS])
             raise ScenarioError(problem, key=where, source=source.of(where))
     preset = radio.get("preset", "ideal")
     if preset not in PRESETS:
-        where = messages.join(key, "preset")
-        raise ScenarioError(messages.unknown("preset", str(preset), PRESETS), key=where, source=source.of(where))
+        where = binding.join(key, "preset")
+        raise ScenarioError(binding.unknown("preset", str(preset), PRESETS), key=where, source=source.of(where))
     base, layers, resolved = preset_of(preset), {}, {"preset": preset}
     offered: dict[str, Any] = {"sightline": Sightline(solids)}
     try:
         for name in LAYERS:
-            where, own = messages.join(key, name), radio.get(name, {})
+            where, own = binding.join(key, name), radio.get(name, {})
             if not isinstance(own, dict):
-                raise ScenarioError(f"must be a table, not {messages.show(own)}", key=where, source=source.of(where))
+                raise ScenarioError(f"must be a table, not {binding.show(own)}", key=where, source=source.of(where))
             content, guard = _merged(name, base[name], own), partial(user_layers.guarded, name)
-            layers[name], resolved[name] = factory.build(
+            layers[name], resolved[name] = registry.build(
                 name, content, key=where, source=source, portable=portable, offered=offered, keep=keep, guard=guard
             )
             user_layers.check_attributes(name, layers[name])
@@ -148,7 +148,7 @@ def build(
         _check_names(layers, vehicles, key, source)
         return Channel(**layers, radios=radios), resolved
     except user_layers.LayerError as error:
-        where = messages.join(key, error.layer)
+        where = binding.join(key, error.layer)
         raise ScenarioError(error.cause, key=where, source=source.of(where)) from error
 
 
@@ -165,9 +165,9 @@ def _check_mac(layers: Mapping[str, Any], key: str, source: Source) -> None:
     try:
         layers["mac"].open(layers["phy"], 2, np.zeros(2, np.uint64), 1e-9)
     except ScenarioError as error:
-        where = messages.join(key, "mac.kind")
+        where = binding.join(key, "mac.kind")
         named = source.of(where)
-        named = source.of(messages.join(key, "phy")) if named == source.name else named  # one of both was changed
+        named = source.of(binding.join(key, "phy")) if named == source.name else named  # one of both was changed
         raise ScenarioError(error.problem, key=where, source=named) from error
 
 
@@ -176,9 +176,9 @@ def _check_names(layers: Mapping[str, Any], vehicles: Sequence[str], key: str, s
     for layer in ("trace", "jammer"):
         for name in getattr(layers[layer], "names", tuple)():  # one's own may name none
             if name not in vehicles:
-                where = messages.join(key, layer)
-                raise ScenarioError(messages.unknown("vehicle", name, vehicles), key=where, source=source.of(where))
+                where = binding.join(key, layer)
+                raise ScenarioError(binding.unknown("vehicle", name, vehicles), key=where, source=source.of(where))
     for expression in getattr(layers["script"], "unmatched", lambda _: ())(vehicles):
-        where = messages.join(key, "script.changes")
+        where = binding.join(key, "script.changes")
         problem = f"links = {expression!r} stands for no link; vehicles: {', '.join(vehicles)}"
         raise ScenarioError(problem, key=where, source=source.of(where))

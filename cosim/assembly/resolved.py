@@ -10,8 +10,8 @@ from typing import Any
 
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config import binding, registry, user_classes
-from vcmvsp.cosim.config import factory as component
+from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config import registry as component
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import ClockTable, Scenario, VehicleTable
@@ -47,7 +47,7 @@ class Resolution:
         given: Mapping[str, Any] | None = None,
         offered: Mapping[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
-        """Build what a table describes, keep its files; the object and the complete table (`cosim.config.factory.build`)."""
+        """Build what a table describes, keep its files; the object and the complete table (`cosim.config.registry.build`)."""
         return component.build(
             group, content, key=key, source=self._source, portable=self.portable, given=given, offered=offered, keep=self.keep
         )
@@ -59,7 +59,7 @@ class Resolution:
             kind: as it is written.
             foreign: a host elsewhere says so, which may name any file of this machine: only those beside the scenario are kept.
         """
-        if not user_classes.is_file_kind(kind):
+        if not registry.is_file_kind(kind):
             return kind
         path = registry.located(kind.rpartition(":")[0], self._source.folder)
         if not path.is_file():  # that of a host elsewhere is not on this machine

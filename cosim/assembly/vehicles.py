@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from vcmvsp.cosim.agent import SHOWN
 from vcmvsp.cosim.assembly.resolved import Resolution
-from vcmvsp.cosim.config import binding, factory, messages, registry
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
@@ -73,8 +73,11 @@ class Fleet:
 
     def _model(self, vehicle: VehicleTable) -> "Vehicle":
         key, kind = f"vehicle.{vehicle.name}", self._class(vehicle)
-        own, also = factory.found(kind, self._own(vehicle), self._source, key), {*binding.parameters(VehicleTable)} - {"params"}
-        self._resolution.vehicles[vehicle.name] = factory.kept(kind, binding.complete(kind, own), self._resolution.keep)
+        own, also = (
+            registry.found(kind, self._own(vehicle), self._source, key),
+            {*binding.parameters(VehicleTable)} - {"params"},
+        )
+        self._resolution.vehicles[vehicle.name] = registry.kept(kind, binding.complete(kind, own), self._resolution.keep)
         model: Vehicle = binding.call(kind, own, key=key, origin=self._source, also=also)
         return model
 
@@ -127,11 +130,11 @@ class Fleet:
         for name in self._scenario.vehicles:
             if name not in VehicleTable.__struct_fields__ and name not in known:
                 key, allowed = f"vehicles.{name}", {*known, *binding.parameters(VehicleTable)} - _NOT_SHARED
-                problem = f"no vehicle takes this default: {messages.unknown('key', name, allowed)}"
+                problem = f"no vehicle takes this default: {binding.unknown('key', name, allowed)}"
                 raise ScenarioError(problem, key=key, source=self._source.of(key))
 
     def _check_recorded(self) -> None:
         fitted = {name for each in self.sensors.values() for name in each}
         if unfit := [name for name in self._scenario.record.sensors if name not in fitted | {"*"}]:
-            problem = f"no vehicle carries it: {messages.unknown('sensor', unfit[0], fitted | {'*'})}"
+            problem = f"no vehicle carries it: {binding.unknown('sensor', unfit[0], fitted | {'*'})}"
             raise ScenarioError(problem, key="record.sensors", source=self._source.of("record.sensors"))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vcmvsp.cosim.config import builtin_kinds, factory, messages
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError, place_of, words_of
 from vcmvsp.cosim.scenario import loader as scenarios
@@ -38,7 +38,7 @@ def world_of(what: str, settings: Mapping[str, Any]) -> "tuple[World, str]":
         parsed, source = scenarios.load(what, settings=settings)
         table_, name, seed, settings = dict(parsed.world), parsed.name, parsed.seed, {}
     else:
-        known = messages.unknown("world", what, [*builtin_kinds.KINDS["world"], *scenarios.names()])
+        known = binding.unknown("world", what, [*builtin_kinds.KINDS["world"], *scenarios.names()])
         raise UsageError(f"{known}; or give a file: a world or scenario (.toml), a map (.yaml), GeoJSON, or a mesh")
     world, _ = build({**table_, **settings}, source, seed=seed)
     return world, name
@@ -49,14 +49,14 @@ def build(
     source: Source,
     *,
     seed: int = 0,
-    portable: factory.Portable = str,
-    keep: factory.Keep = factory.name_of,
+    portable: registry.Portable = str,
+    keep: registry.Keep = registry.name_of,
 ) -> "tuple[World, dict[str, Any]]":
     """The world that a table ``[world]`` describes, and the table with all its defaults.
 
     Args:
         table: the table.
-        source, portable, keep: as for `cosim.config.factory.build`.
+        source, portable, keep: as for `cosim.config.registry.build`.
         seed: of the run: that of a world whose own ``seed`` is None by default, and is not given.
 
     Raises:
@@ -65,7 +65,7 @@ def build(
     from vcmvsp.physics.world.world import World
 
     content = {"kind": "empty", **table}
-    maker, resolved = factory.build(
+    maker, resolved = registry.build(
         "world", content, key="world", source=source, portable=portable, absent={"seed": seed}, keep=keep
     )
     try:
@@ -73,7 +73,7 @@ def build(
     except ScenarioError as error:
         if error.source:
             raise  # in a file that the scenario names
-        where = messages.join("world", error.key)
+        where = binding.join("world", error.key)
         raise ScenarioError(error.problem, key=where, source=source.of(where)) from error
     except KeyboardInterrupt:
         raise
@@ -81,7 +81,7 @@ def build(
         problem = f"{type(maker).__name__}.build raised {words_of(error)}{place_of(error)}"
         raise ScenarioError(problem, key="world", source=source.of("world")) from error
     if not isinstance(world, World):
-        problem = f"{type(maker).__name__}.build must return a World, not {messages.show(world)}"
+        problem = f"{type(maker).__name__}.build must return a World, not {binding.show(world)}"
         raise ScenarioError(problem, key="world", source=source.of("world"))
     return world, resolved
 

@@ -29,7 +29,7 @@ from vcmvsp.cosim.cli.robot import operator_command, robot_command, stop_command
 from vcmvsp.cosim.cli.run import check_command, drive_command, launch_command, replay_command, run_command
 from vcmvsp.cosim.cli.study import study_command
 from vcmvsp.cosim.cli.view import view_command
-from vcmvsp.cosim.config.messages import show
+from vcmvsp.cosim.config.binding import show
 from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
 
 HANGS_UP = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)

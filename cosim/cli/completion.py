@@ -24,7 +24,7 @@ from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import read_toml
 
 VARIABLE = "_VCMVSP_COMPLETE"
-INDEX = Path(__file__).resolve().parents[1] / "reference" / "reference_keys.tsv"  # of `cosim.reference.index`
+INDEX = Path(__file__).resolve().parents[1] / "reference" / "reference_keys.tsv"  # of `cosim.reference.markdown`
 BREAKS = {"=", ":"}  # characters at which bash divides words
 PREFIXES = {"world": "world.", "channel": "radio.", "pathloss": "radio.", "agent": "agents.", "robot": "vehicle.x.driver."}
 """Of the keys that ``--set`` means, by command; elsewhere it means keys of a scenario."""

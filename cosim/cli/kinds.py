@@ -29,16 +29,17 @@ def list_command(
 
     Example: vcmvsp list vehicles
     """
-    from vcmvsp.cosim.config import builtin_kinds, messages, param_docs, registry
+    from vcmvsp.cosim.config import binding, builtin_kinds, registry
+    from vcmvsp.cosim.reference import describe
     from vcmvsp.cosim.scenario import loader as scenarios
 
     if what == "scenarios":
         about = {name: scenarios.first_words(name) for name in scenarios.names()}
     elif what in GROUPS:
         kinds = builtin_kinds.KINDS[GROUPS[what]]
-        about = {kind: param_docs.summary(registry.find(GROUPS[what], kind)) for kind in kinds}
+        about = {kind: describe.summary(registry.find(GROUPS[what], kind)) for kind in kinds}
     else:
-        raise UsageError(f"vcmvsp list {what}: {messages.unknown('word', what, ['scenarios', *GROUPS])}")
+        raise UsageError(f"vcmvsp list {what}: {binding.unknown('word', what, ['scenarios', *GROUPS])}")
     if json:
         sys.stdout.write(to_json(about))
     else:
@@ -86,18 +87,18 @@ def reference_command(
 
     Example: vcmvsp reference radio.loss
     """
-    from vcmvsp.cosim.reference import query, terminal_text, tree
+    from vcmvsp.cosim.reference import tree
 
     if json:
         import msgspec
 
-        found = tree.Reference(sections=tuple(query.asked(section)))
+        found = tree.Reference(sections=tuple(tree.asked(section)))
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(found), indent=2).decode() + "\n")
         return
     on_terminal = sys.stdout.isatty()
     width = shutil.get_terminal_size().columns if on_terminal else None
-    for number, each in enumerate(query.asked(section)):
-        shown = terminal_text.lines(each, width, _strong if on_terminal else str)
+    for number, each in enumerate(tree.asked(section)):
+        shown = tree.lines(each, width, _strong if on_terminal else str)
         typer.echo(("\n" if number else "") + "\n".join(shown))
 
 
@@ -131,15 +132,15 @@ def world_command(
 
 def parameters_of(group: str, kind: str | None) -> dict[str, Any]:
     """A kind: what it is, and each parameter with unit, default and meaning (which names its source)."""
-    from vcmvsp.cosim.config import binding, builtin_kinds, messages, param_docs, registry
+    from vcmvsp.cosim.config import binding, builtin_kinds, registry
     from vcmvsp.cosim.reference import describe
 
     if group not in GROUPS.values():
-        raise UsageError(f"vcmvsp show {group} {kind}: {messages.unknown('word', group, GROUPS.values())}")
+        raise UsageError(f"vcmvsp show {group} {kind}: {binding.unknown('word', group, GROUPS.values())}")
     if kind is None:
         raise UsageError(f"vcmvsp show {group}: which one? ({', '.join(builtin_kinds.KINDS[group])})")
     found = registry.find(group, kind, folder=Path.cwd())
-    means = param_docs.meanings(found, joined=True)
+    means = describe.meanings(found, joined=True)
     parameters = {
         name: {
             "type": describe.type_of(name, parameter.annotation),
@@ -149,7 +150,7 @@ def parameters_of(group: str, kind: str | None) -> dict[str, Any]:
         }
         for name, parameter in binding.parameters(found).items()
     }
-    return {"kind": kind, "summary": param_docs.summary(found), "about": inspect.getdoc(found) or "", "parameters": parameters}
+    return {"kind": kind, "summary": describe.summary(found), "about": inspect.getdoc(found) or "", "parameters": parameters}
 
 
 def _text(about: dict[str, Any]) -> str:

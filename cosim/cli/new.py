@@ -40,10 +40,10 @@ def new_command(
 
     Example: vcmvsp new agent follow-wall
     """
-    from vcmvsp.cosim.config import messages
+    from vcmvsp.cosim.config import binding
 
     if part not in PARTS:
-        raise UsageError(f"vcmvsp new {part}: {messages.unknown('part', part, PARTS)}")
+        raise UsageError(f"vcmvsp new {part}: {binding.unknown('part', part, PARTS)}")
     snake, camel = names_of(part, name)
     texts = rendered(part, snake, camel)
     _refuse_taken(part, snake, camel, out)

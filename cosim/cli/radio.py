@@ -239,7 +239,7 @@ def _channel(
     """A channel of a preset with some keys changed, its tables with everything filled in, and where keys came from."""
     from vcmvsp.cosim.assembly import radio
     from vcmvsp.cosim.assembly.parts.presets import LAYERS
-    from vcmvsp.cosim.config import messages
+    from vcmvsp.cosim.config import binding
     from vcmvsp.cosim.config.provenance import Source
     from vcmvsp.cosim.scenario.loader import value_of
 
@@ -253,7 +253,7 @@ def _channel(
         source.note_set(key, f"--set {argument}")
         layer, *inner = key.split(".")
         if layer not in LAYERS:
-            raise ScenarioError(messages.unknown("layer", layer, LAYERS), key=key, source=source.of(key))
+            raise ScenarioError(binding.unknown("layer", layer, LAYERS), key=key, source=source.of(key))
         if not inner:
             raise ScenarioError(f"write LAYER.KEY=VALUE, e.g. {layer}.kind=...", key=key, source=source.of(key))
         here = tables.setdefault(layer, {})

@@ -4,6 +4,8 @@ Everything that a scenario configures, from the scenario itself to somebody's ow
 for defaults (the signature), and one form of error: what is wrong, at which key of which file, and what is allowed.
 """
 
+import collections.abc
+import difflib
 import functools
 import inspect
 import math
@@ -12,32 +14,14 @@ import types
 import typing
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, TypeVar
 
 import msgspec
 
-from vcmvsp.cosim.config.messages import describe, join, unknown, unlike
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, place_of, said_by, words_of
 
 T = TypeVar("T")
-
-
-class Origin(Protocol):
-    """Knows where a key was written."""
-
-    def of(self, key: str) -> str:
-        """File and line, or the ``--set`` that gave the value of ``key``."""
-
-
-class Named:
-    """An origin that is one name for all keys."""
-
-    def __init__(self, name: str = "") -> None:
-        self.name = name
-
-    def of(self, key: str) -> str:
-        """The name."""
-        return self.name
 
 
 class Parameter(msgspec.Struct, frozen=True):
@@ -86,7 +70,7 @@ def call(
     table: Mapping[str, Any],
     *,
     key: str = "",
-    origin: Origin | None = None,
+    origin: Source | None = None,
     given: Mapping[str, Any] | None = None,
     also: Iterable[str] = (),
 ) -> T:
@@ -103,7 +87,7 @@ def call(
     Raises:
         ScenarioError: unknown or missing key, wrong type or range, or whatever ``target`` itself raises.
     """
-    origin, given = origin or Named(), given or {}
+    origin, given = origin or Source(), given or {}
     known = {name: each for name, each in parameters(target).items() if name not in given}
     for name in table:
         if name not in known:
@@ -128,7 +112,7 @@ def call(
         raise ScenarioError(problem, key=where, source=origin.of(where)) from error
 
 
-def _values(known: Mapping[str, Parameter], table: Mapping[str, Any], key: str, origin: Origin) -> Iterator[tuple[str, Any]]:
+def _values(known: Mapping[str, Parameter], table: Mapping[str, Any], key: str, origin: Source) -> Iterator[tuple[str, Any]]:
     """The values that a table gives to known parameters, by name."""
     for name, parameter in known.items():
         where = join(key, name)
@@ -227,7 +211,7 @@ def _without_none(value: object) -> object:
     return value
 
 
-def convert(value: object, annotation: object, *, key: str = "", origin: Origin | None = None) -> Any:
+def convert(value: object, annotation: object, *, key: str = "", origin: Source | None = None) -> Any:
     """The value as its annotation wants it, or a `ScenarioError` that says what is allowed."""
     if (bad := unfit_number(value)) is not None:
         raise _refused(problem_of(bad), key, origin)
@@ -300,8 +284,8 @@ def structs(annotation: object) -> list[type[msgspec.Struct]]:
     return [each for inner in typing.get_args(annotation) for each in structs(inner)]
 
 
-def _refused(problem: str, key: str, origin: Origin | None) -> ScenarioError:
-    return ScenarioError(problem, key=key, source=(origin or Named()).of(key))
+def _refused(problem: str, key: str, origin: Source | None) -> ScenarioError:
+    return ScenarioError(problem, key=key, source=(origin or Source()).of(key))
 
 
 def unfit_number(value: object) -> float | None:
@@ -315,3 +299,69 @@ def unfit_number(value: object) -> float | None:
 def problem_of(bad: float) -> str:
     """What is wrong with an unfit number, in words."""
     return "must fit into 64 bits" if isinstance(bad, int) else f"must be finite, not {bad}"
+
+
+def unknown(what: str, name: str, allowed: Iterable[str]) -> str:
+    """``unknown key 'probabilty'; did you mean 'probability'? (allowed: ...)``."""
+    names = sorted(set(allowed))
+    near = difflib.get_close_matches(name, names, n=1)
+    guess = f"; did you mean '{near[0]}'?" if near else ""
+    return f"unknown {what} '{name}'{guess} (allowed: {', '.join(names) or 'none'})"
+
+
+def unlike(value: object, annotation: object) -> str:
+    """What is allowed instead of this value, and which of a choice is nearly it."""
+    problem = f"must be {describe(annotation)}, not {show(value)}"
+    choices = [each for each in typing.get_args(annotation) if isinstance(each, str)]
+    near = difflib.get_close_matches(value, choices, n=1) if isinstance(value, str) else []
+    return f"{problem}; did you mean '{near[0]}'?" if near else problem
+
+
+def describe(annotation: object) -> str:
+    """What values an annotation allows, in words."""
+    origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is typing.Annotated:
+        limits = [(sign, getattr(meta, name)) for meta in inner[1:] for name, sign in _SIGNS]
+        bounds = [
+            f"{sign} {limit if isinstance(limit, str) else format(limit, 'g')}" for sign, limit in limits if limit is not None
+        ]
+        return f"{describe(inner[0])} {' and '.join(bounds)}".rstrip()
+    if origin is typing.Literal:
+        return f"one of {', '.join(map(repr, inner))}"
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(dict.fromkeys(describe(each) for each in inner if each is not type(None)))
+    if origin is tuple and inner[-1] is not Ellipsis:
+        return f"a list of {len(inner)} values, each {' / '.join(dict.fromkeys(map(describe, inner)))}"
+    if origin in (tuple, list, collections.abc.Sequence):
+        return f"a list, each item {describe(inner[0])}"
+    if origin in (dict, collections.abc.Mapping) or annotation is dict:
+        return "a table"
+    if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
+        tag = annotation.__struct_config__.tag_field
+        return f"a table with its {tag}" if tag else "a table"
+    return _WORDS.get(annotation, f"a {getattr(annotation, '__name__', annotation)}")
+
+
+def join(*parts: str) -> str:
+    """A key path of the parts that are not empty."""
+    return ".".join(part for part in parts if part)
+
+
+def show(value: object) -> str:
+    """The value for a message, cut where it is long; what fails to show itself, as integers of 4301 digits do, by its type."""
+    try:
+        text = repr(value)
+    except Exception:
+        text = f"a {type(value).__name__} that cannot be shown"
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+_SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("pattern", "matching"))
+_WORDS: dict[object, str] = {
+    Any: "any value",
+    float: "a number",
+    int: "a whole number",
+    str: "a string",
+    Path: "the name of a file",
+    bool: "true or false",
+}

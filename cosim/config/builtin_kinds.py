@@ -32,7 +32,7 @@ VERBS: Mapping[str, str] = {
 }
 """What a class of each group must have."""
 
-NOTHING = "vcmvsp.cosim.config.factory:nothing"
+NOTHING = "vcmvsp.cosim.config.registry:nothing"
 """A kind of a layer that may be left out."""
 
 KINDS: Mapping[str, Mapping[str, str]] = {

@@ -6,13 +6,129 @@ from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from vcmvsp.cosim.config.key_lines import lines_of, prefixes
+from vcmvsp.cosim.util.documents import read_toml, toml_tokens
+
+_VEHICLE = re.compile(r"^vehicle\[\d+\]")
+
+
+def lines_of(text: str) -> dict[str, int]:
+    """Key path -> line in a valid document: ``radio.loss``, ``world.boxes[2].size``, ``vehicle.car1.kind``.
+
+    A vehicle without a name is ``vehicle[0]``. The line of a table without a header is that of its first key.
+    """
+    document = _Document(text)
+    document.read()
+    names = document.vehicles
+    return {_VEHICLE.sub(lambda match: names.get(match[0], match[0]), path, 1): n for path, n in document.lines.items()}
+
+
+def prefixes(key: str) -> Iterator[str]:
+    """The key path, and those of what it is in, from the inside out."""
+    ends = [match.start() for match in re.finditer(r"[.\[]", key)]
+    return (key[:end] for end in (len(key), *reversed(ends)))
+
+
+class _Document:
+    """Walks through the tokens of a document once."""
+
+    def __init__(self, text: str) -> None:
+        self.lines: dict[str, int] = {}
+        self.vehicles: dict[str, str] = {}  # ``vehicle[0]`` -> ``vehicle.car1``
+        self._counts: dict[str, int] = {}  # of the tables in each array of tables
+        self._tokens = toml_tokens(text)
+        self._next, self._line = next(self._tokens, ("", 0))
+
+    def read(self) -> None:
+        """Find the lines of all keys."""
+        here = ""
+        while self._next:
+            if self._next == "\n":
+                self._take()
+            elif self._next == "[":
+                here = self._header()
+            else:
+                self._pair(here)
+
+    def _take(self) -> str:
+        """The next token; empty at the end."""
+        token = self._next
+        self._next, self._line = next(self._tokens, ("", 0))
+        return token
+
+    def _header(self) -> str:
+        """A ``[table]`` or a ``[[table]]``: its path."""
+        line = self._line
+        self._take()
+        if is_array := self._next == "[":
+            self._take()
+        path = self._key("", "]")
+        if is_array:
+            self._take()
+            self._counts[path] = self._counts.get(path, 0) + 1
+            path = self._last(path)
+        self.lines[path] = line
+        return path
+
+    def _pair(self, here: str) -> None:
+        """``key = value``."""
+        self._value(self._key(here, "="))
+
+    def _key(self, here: str, end: str) -> str:
+        """The path of a key up to the sign behind it."""
+        line = self._line
+        while self._next and (part := self._take()) not in (end, "\n"):
+            if part != ".":
+                here = ".".join(filter(None, (self._last(here), _text(part))))
+                self.lines.setdefault(here, line)
+        return here
+
+    def _last(self, path: str) -> str:
+        """The newest table, where a path names an array of tables."""
+        return f"{path}[{self._counts[path] - 1}]" if path in self._counts else path
+
+    def _value(self, path: str) -> None:
+        if self._next in ("[", "{"):
+            self._inside(path)
+            return
+        table, _, name = path.rpartition(".")
+        if name == "name" and _VEHICLE.fullmatch(table) and self._next[:1] in ("'", '"'):
+            self.vehicles[table] = f"vehicle.{_text(self._next)}"
+        while self._next not in ("", "\n", ",", "]", "}"):
+            self._take()
+
+    def _inside(self, path: str) -> None:
+        """The items of a list, or the pairs of an inline table."""
+        opening, number = self._take(), 0
+        while self._next not in ("", "]", "}"):
+            if self._next in (",", "\n"):
+                self._take()
+            elif opening == "{":
+                self._pair(path)
+            else:
+                item, number = f"{path}[{number}]", number + 1
+                self.lines[item] = self._line
+                self._value(item)
+        self._take()
+
+
+def _text(token: str) -> str:
+    """A key, or a string, without its quotes."""
+    try:
+        return str(read_toml(f"text = {token}")["text"]) if token[0] in "'\"" else token
+    except ValueError:
+        return token
 
 
 class Source:
-    """Where a scenario was read from: a `cosim.config.binding.Origin` that knows lines and ``--set`` arguments."""
+    """Where a scenario was read from; knows lines and ``--set`` arguments of keys.
 
-    def __init__(self, name: str, folder: Path, text: str = "") -> None:
+    Args:
+        name: of the file; of what is no file, one name for all keys.
+        folder: to which files in the scenario are relative.
+        text: TOML, for lines.
+    """
+
+    def __init__(self, name: str = "", folder: Path = Path(), text: str = "") -> None:
         self.name, self.folder = name, folder
         self._text = text
         self._set: dict[str, str] = {}

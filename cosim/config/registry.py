@@ -1,7 +1,8 @@
-"""From the ``kind`` of a scenario to a class: a short name (`cosim.config.builtin_kinds`), ``module:Class``, ``file.py:Class``.
+"""From the ``kind`` of a table to a class, and to an object of it, built from the table.
 
-A kind is imported when a scenario names it, so that ``import vcmvsp`` stays light. Other distributions add short
-names through the entry-point groups ``vcmvsp.<group>``, e.g. ``vcmvsp.agent``.
+A kind is a short name (`cosim.config.builtin_kinds`), ``module:Class`` or ``file.py:Class``. It is imported when a scenario
+names it, so that ``import vcmvsp`` stays light; `only` limits which classes may be. Other distributions add short names through
+the entry-point groups ``vcmvsp.<group>``, e.g. ``vcmvsp.agent``.
 """
 
 import contextlib
@@ -15,15 +16,15 @@ import os
 import platform
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from vcmvsp.cosim.config.binding import Named, Origin
+from vcmvsp.cosim.config import binding, builtin_kinds
+from vcmvsp.cosim.config.binding import show, unknown
 from vcmvsp.cosim.config.builtin_kinds import KINDS, NOTHING, VERBS
-from vcmvsp.cosim.config.messages import show, unknown
-from vcmvsp.cosim.config.user_classes import NO_CODE, allowed_code, is_file_kind
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, place_of, words_of
 
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
@@ -65,7 +66,7 @@ def may_import(group: str, kind: object) -> bool:
     return allowed_code.get() is not NO_CODE or (isinstance(kind, str) and kind in KINDS[group])
 
 
-def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind", origin: Origin | None = None) -> Any:
+def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind", origin: Source | None = None) -> Any:
     """The class that ``kind`` names.
 
     Args:
@@ -78,7 +79,7 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
     Raises:
         ScenarioError: there is no such kind, what it names cannot be imported, or may not be (`user_classes.only`).
     """
-    origin = origin or Named()
+    origin = origin or Source()
     aim = target(group, kind, key=key, origin=origin)
     where, _, name = aim.rpartition(":")
     is_own = kind not in KINDS[group]
@@ -107,7 +108,7 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
     return found
 
 
-def target(group: str, kind: str, *, key: str = "kind", origin: Origin | None = None) -> str:
+def target(group: str, kind: str, *, key: str = "kind", origin: Source | None = None) -> str:
     """``module:Class`` or ``file.py:Class`` of a kind that may be a short name."""
     if ":" in kind:
         return kind
@@ -117,7 +118,7 @@ def target(group: str, kind: str, *, key: str = "kind", origin: Origin | None = 
     if kind not in others:
         names = [*KINDS[group], *others]
         problem = unknown(f"{group.replace('_', '-')} kind", kind, names) + "; or give module:Class or file.py:Class"
-        raise ScenarioError(problem, key=key, source=(origin or Named()).of(key))
+        raise ScenarioError(problem, key=key, source=(origin or Source()).of(key))
     return others[kind]
 
 
@@ -158,3 +159,164 @@ def _lies_in(module: ModuleType, folder: Path) -> bool:
 
 def _entry_points(group: str) -> dict[str, str]:
     return {entry.name: entry.value for entry in importlib.metadata.entry_points(group=f"vcmvsp.{group}")}
+
+
+Portable = Callable[[str], str]
+"""From a kind to how the resolved scenario names it."""
+
+Keep = Callable[[Path], str]
+"""Keeps a file that the scenario uses; how the resolved scenario names it."""
+
+
+def name_of(path: Path) -> str:
+    """For a scenario that is not kept: the file where it is."""
+    return str(path)
+
+
+def nothing() -> None:
+    """Leaves the layer out."""
+
+
+def build(
+    group: str,
+    content: Mapping[str, Any],
+    *,
+    key: str,
+    source: Source,
+    portable: Portable = str,
+    given: Mapping[str, Any] | None = None,
+    offered: Mapping[str, Any] | None = None,
+    absent: Mapping[str, Any] | None = None,
+    keep: Keep = name_of,
+    guard: Callable[[Any], Any] = lambda kind: kind,
+) -> tuple[Any, dict[str, Any]]:
+    """Build what a table with a ``kind`` describes.
+
+    Args:
+        group: of the registry.
+        content: the table.
+        key: path of the table in the scenario.
+        source: where the scenario came from.
+        portable: how the resolved scenario names the kind.
+        given: arguments that come from the program, not from the table.
+        offered: the same, for those who have such a parameter.
+        absent: arguments for parameters whose default is None, where the table has none.
+        keep: what becomes of files that it names.
+        guard: from the class that was found to the one that is built.
+
+    Returns:
+        The object, and the table with all its defaults.
+    """
+    kind = content.get("kind")
+    if not isinstance(kind, str):
+        allowed = ", ".join(builtin_kinds.KINDS[group])
+        raise ScenarioError(f"must be a string, one of {allowed}", key=f"{key}.kind", source=source.of(f"{key}.kind"))
+    maker = guard(find(group, kind, folder=source.folder, key=f"{key}.kind", origin=source))
+    known = binding.parameters(maker)
+    given = {**(given or {}), **{name: value for name, value in (offered or {}).items() if name in known}}
+    params = found(maker, source.kept(content, key, known), source, key)
+    unset = {name for name, each in known.items() if each.default is None and not each.required} - {*params, *given}
+    given |= {name: value for name, value in (absent or {}).items() if name in unset}
+    built = binding.call(maker, params, key=key, origin=source, given=given)
+    for path in getattr(built, "files", tuple)():  # those that its own files name
+        if path.is_file():  # else whoever reads it says so
+            keep(path)
+    return built, {"kind": portable(kind), **kept(maker, binding.complete(maker, params, without=given), keep)}
+
+
+def found(target: Callable[..., Any], params: Mapping[str, Any], source: Source, key: str) -> dict[str, Any]:
+    """The parameters of ``target``, at a key path, with the files that they name where these really are."""
+    try:
+        return binding.with_files(target, params, lambda name: str(located(name, source.folder)))
+    except ScenarioError as error:
+        raise ScenarioError(error.problem, key=key, source=source.of(key)) from error
+
+
+def kept(target: Callable[..., Any], params: Mapping[str, Any], keep: Keep) -> dict[str, Any]:
+    """The parameters with the files that they name kept, as far as there are such, by the names under which they are."""
+    return binding.with_files(target, params, lambda name: keep(Path(name)) if Path(name).is_file() else name)
+
+
+_MODULE_KIND = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
+def classes_in(value: object) -> list[str]:
+    """All ``module:Class`` and ``file.py:Class`` among the strings of a value, as TOML has it."""
+    if isinstance(value, str):
+        return [value] if is_file_kind(value) or _MODULE_KIND.fullmatch(value) else []
+    if not isinstance(value, Mapping | list | tuple):
+        return []
+    inside = value.values() if isinstance(value, Mapping) else value
+    return list(dict.fromkeys(found for each in inside for found in classes_in(each)))
+
+
+def host_options(tables: object, folder: str) -> list[str]:
+    """The options with which ``vcmvsp agent`` lets a run ask for the classes that these tables name.
+
+    Args:
+        tables: of the agents.
+        folder: where their Python files are on the host's machine.
+    """
+    classes = classes_in(tables)
+    options = [f"--allow={kind}" for kind in classes if not is_file_kind(kind)]
+    return options if len(options) == len(classes) else [f"--folder={folder}", *options]
+
+
+def is_file_kind(kind: str) -> bool:
+    """Whether a kind names a file rather than a module or a short name."""
+    return kind.rpartition(":")[0].endswith(".py")
+
+
+class OwnCode:
+    """The classes that may be loaded beside those that are built in or, but for `NO_CODE`, installed under a short name.
+
+    Args:
+        kinds: ``module:Class`` or ``file.py:Class``, as they stand on the host's command line.
+        folder: of Python files that a run may ask for by file name; None: none.
+        tell: takes a line for the user about each class that is loaded.
+    """
+
+    def __init__(self, kinds: Collection[str], folder: Path | None, tell: Callable[[str], None] = lambda _: None) -> None:
+        self._kinds, self._folder, self._tell = frozenset(kinds), folder, tell
+
+    def file_of(self, kind: str) -> Path | None:
+        """Where the file of this kind is on this machine; None: it is a module's.
+
+        Raises:
+            ScenarioError: the user has not allowed this class.
+        """
+        if self is NO_CODE:
+            raise ScenarioError(f"'{kind}' is not built in, and reading results executes nothing of theirs; --trust does")
+        if ":" not in kind:
+            return None
+        known, own = kind in self._kinds, Path(kind.rpartition(":")[0])
+        if not is_file_kind(kind):
+            if not known:
+                raise ScenarioError(f"the run asks for '{kind}', which this host's command line does not allow: --allow {kind}")
+            return None
+        if known and (own.is_file() or self._folder is None):
+            return own.resolve()
+        if self._folder is None:
+            raise ScenarioError(
+                f"the run asks for '{kind}', and this host has no folder of files to run: --folder DIR with {own.name}"
+            )
+        return (self._folder / own.name).resolve()
+
+    def took(self, kind: str, module: ModuleType) -> None:
+        """Tell the user which file a class comes from."""
+        self._tell(f"{kind.rpartition(':')[2]} comes from {module.__file__}")
+
+
+NO_CODE = OwnCode((), None)
+"""None but the built-in classes: results are read."""
+allowed_code: contextvars.ContextVar[OwnCode | None] = contextvars.ContextVar("allowed_code", default=None)
+
+
+@contextlib.contextmanager
+def only(code: OwnCode | None) -> Iterator[None]:
+    """While a host answers a run, or results are read: load these classes alone; None: whatever may be loaded now."""
+    token = allowed_code.set(code or allowed_code.get())
+    try:
+        yield
+    finally:
+        allowed_code.reset(token)

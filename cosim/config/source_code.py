@@ -14,7 +14,7 @@ from pathlib import Path
 
 from vcmvsp.cosim.agent import AgentSpec
 from vcmvsp.cosim.config import registry
-from vcmvsp.cosim.config.user_classes import classes_in, is_file_kind
+from vcmvsp.cosim.config.registry import classes_in, is_file_kind
 from vcmvsp.cosim.errors import ScenarioError
 
 LIBRARIES = ("vcmvsp", "numpy")

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from vcmvsp.cosim.agent import AgentSpec
-from vcmvsp.cosim.config import messages, registry, user_classes
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import VcmvspError
 from vcmvsp.cosim.hosts.protocol import Hello
 
@@ -19,7 +19,7 @@ def refusal(hello: Hello, waiting: Mapping[str, AgentSpec], expected: Collection
         return "it names a vehicle twice"
     for vehicle in hello.vehicles:
         if vehicle not in expected:
-            return f"{messages.unknown('vehicle', vehicle, expected)}, or its agent runs elsewhere"
+            return f"{binding.unknown('vehicle', vehicle, expected)}, or its agent runs elsewhere"
         if vehicle not in waiting:
             return f"the agent of '{vehicle}' has joined already, or is not to come back"
         if hello.kind is None and not waiting[vehicle].kind:
@@ -71,7 +71,7 @@ def _same(one: str, other: str) -> bool:
 
 
 def _target(kind: str) -> str:
-    if user_classes.is_file_kind(kind):
+    if registry.is_file_kind(kind):
         return os.path.basename(kind)  # noqa: PTH119  of "folder/file.py:Class", which is no path
     with contextlib.suppress(VcmvspError):
         return registry.target("agent", kind)

@@ -19,7 +19,7 @@ from typing import Any
 import msgspec
 import tomli_w
 
-from vcmvsp.cosim.config import binding, messages
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.types import Name
@@ -67,7 +67,7 @@ class HostTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
         Args:
             connect: endpoint to dial.
-            code: options that name the classes which it may run (`cosim.config.user_classes.host_options`).
+            code: options that name the classes which it may run (`cosim.config.registry.host_options`).
             insecure: dial without a certificate.
         """
         words = ["agent", *(f"--vehicle={vehicle}" for vehicle in self.vehicles), f"--connect={connect}", *code]
@@ -121,7 +121,7 @@ def _fault(host: HostTable, names: Mapping[str, int], hosted: Mapping[str, str])
     if host.called in names:
         return "name", f"host[{names[host.called]}] is called '{host.called}' too: give them names that differ"
     if host.ssh.startswith("-") or re.search(r"\s", host.ssh):
-        return "ssh", f"must be a destination that ssh takes, e.g. 'anna@laptop', not {messages.show(host.ssh)}"
+        return "ssh", f"must be a destination that ssh takes, e.g. 'anna@laptop', not {binding.show(host.ssh)}"
     if host.keys and host.copy:
         return "keys", "is a file that is there already; copy sends one: leave one of them out"
     if not host.words or not host.words[0]:

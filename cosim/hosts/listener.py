@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vcmvsp.cosim.agent import AgentSpec
-from vcmvsp.cosim.config import user_classes
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import AgentError, UsageError
 from vcmvsp.cosim.scenario.schema import AgentsTable
 from vcmvsp.cosim.util.text import Tell
@@ -100,7 +100,7 @@ class Entrance:
                 if self._insecure
                 else []
             )
-            how += user_classes.host_options([spec.kind, spec.params, spec.defaults], spec.folder)
+            how += registry.host_options([spec.kind, spec.params, spec.defaults], spec.folder)
             self._tell(shlex.join(["vcmvsp", "agent", spec.kind or "MODULE_OR_FILE:Class", *how]))
 
     def let_in(self, knock: "Knock", refusal: str | None) -> "ZenohLink | None":

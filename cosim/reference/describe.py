@@ -1,7 +1,7 @@
 """What the code says of the keys of one class: types, units, ranges, defaults, meanings, in the words of the reference.
 
 Types, ranges and defaults are those of its signature (`cosim.config.binding`), meanings those of its docstrings and comments
-(`cosim.config.param_docs`).
+(`cosim.reference.describe`).
 """
 
 import functools
@@ -14,8 +14,8 @@ from decimal import Decimal
 
 import msgspec
 
-from vcmvsp.cosim.config import binding, messages
-from vcmvsp.cosim.config.param_docs import meanings, summary
+from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.reference.describe import meanings, summary
 
 Described = Callable[..., object]
 """A class with parameters, or the function that stands for a kind."""
@@ -133,7 +133,7 @@ def said(parameter: binding.Parameter, words: str) -> tuple[str, str]:
 def type_of(name: str, annotation: object) -> str:
     """Unit, by the end of the name, and what values are allowed."""
     unit = unit_of(name)
-    words = re.sub(r">= (\S+) and <= (\S+)", r"\1 to \2", messages.describe(annotation))
+    words = re.sub(r">= (\S+) and <= (\S+)", r"\1 to \2", binding.describe(annotation))
     listed = "list of tables" if typing.get_origin(annotation) is tuple else "table"
     words = f"{listed}: see below" if binding.structs(annotation) else _short(words)
     words = re.sub(r"^a number ?", "", words) if unit or words != "a number" else words

@@ -1,7 +1,7 @@
 """The keys that ``--set`` can give, for completion, which has no time to look through the code: ``reference_keys.tsv``.
 
 A line for each: its path, with NAME and SENSOR for names of one's own, and values that it may have, divided by tabs.
-``python -m vcmvsp.cosim.reference.index --write`` brings it up to date.
+``python -m vcmvsp.cosim.reference.markdown --write`` brings it up to date.
 """
 
 import functools
@@ -14,7 +14,7 @@ from vcmvsp.cosim.reference.describe import toml
 from vcmvsp.cosim.reference.tree import VEHICLE, Key, Section, places, whole
 
 INDEX = Path(__file__).resolve().with_name("reference_keys.tsv")
-UPDATE = "python -m vcmvsp.cosim.reference.index --write"
+UPDATE = "python -m vcmvsp.cosim.reference.markdown --write"
 OWN = ("name", "pose", "position", "agent", "driver", "localisation", "count", "columns", "spacing")  # no defaults for all
 
 

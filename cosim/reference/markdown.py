@@ -18,7 +18,6 @@ import numpy as np
 
 from vcmvsp.cosim.assembly.parts.presets import LAYERS, PRESETS, preset
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
-from vcmvsp.cosim.config.param_docs import summary
 from vcmvsp.cosim.reference import tree
 from vcmvsp.cosim.reference.describe import (
     Described,
@@ -29,6 +28,7 @@ from vcmvsp.cosim.reference.describe import (
     keys,
     markdown,
     said,
+    summary,
     toml,
     type_of,
 )

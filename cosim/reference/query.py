@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import msgspec
 
-from vcmvsp.cosim.config import binding, messages
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.reference.tree import Place, Section, of_place, places, steps_of, whole
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
@@ -92,8 +92,8 @@ def _nearest(section: str, wanted: tuple[str, ...]) -> str:
         size = len(place.steps)
         keys = {key.name for each in of_place(place) if each.path == place.path for key in each.keys}
         keys |= {each.steps[size] for each in places() if each.steps[:size] == place.steps and len(each.steps) > size}
-        return messages.unknown(f"key or kind of {place.name}", ".".join(wanted[size:]), {*keys, *place.kinds})
+        return binding.unknown(f"key or kind of {place.name}", ".".join(wanted[size:]), {*keys, *place.kinds})
     _, *others = places()
     kinds = {kind for place in others for kind in place.kinds}
     near = difflib.get_close_matches(section, kinds, n=1)
-    return messages.unknown("section", section, {*binding.parameters(Scenario), *(place.name for place in others), *near})
+    return binding.unknown("section", section, {*binding.parameters(Scenario), *(place.name for place in others), *near})

@@ -17,7 +17,7 @@ from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.reference import describe
 from vcmvsp.cosim.reference.describe import Described
 from vcmvsp.cosim.scenario import schema as scenario_tables
-from vcmvsp.cosim.scenario.expand import Repeat
+from vcmvsp.cosim.scenario.loader import Repeat
 from vcmvsp.cosim.scenario.schema import AgentTable, SafetyTable, Scenario, VehicleTable
 
 SCHEMA = "vcmvsp.reference/1"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from vcmvsp.cosim.agent import Agent
 from vcmvsp.cosim.assembly import real_vehicles
 from vcmvsp.cosim.assembly.run import assemble, clock_of
-from vcmvsp.cosim.config import messages
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import Interrupted, UsageError
 from vcmvsp.cosim.kernel.event_bus import Observer
 from vcmvsp.cosim.kernel.kernel import Kernel
@@ -83,7 +83,7 @@ def run(
     """
     objects, runs = (None, agents) if agents is None or isinstance(agents, str) else (agents, None)
     if runs is not None and runs not in (*get_args(Runs), "encoded"):  # the last as `assemble` has it, for who tests the wire
-        raise UsageError(f"agents: must be {messages.describe(Runs)}, not {runs!r}")
+        raise UsageError(f"agents: must be {binding.describe(Runs)}, not {runs!r}")
     folder = None if out is None else Folder(Path(out), force=force, numbered=numbered)
     if folder and not mcap:
         raise UsageError("mcap = False: what is written into a folder includes the MCAP file")

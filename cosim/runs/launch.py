@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
-from vcmvsp.cosim.config import messages, user_classes
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.endpoints import with_slash
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.hosts import hosts_file, ssh
@@ -72,8 +72,7 @@ def launch(
     listen = listen or _listening(parsed.agents, listed)
     tables = [parsed.agents.defaults, *(msgspec.to_builtins(each.agent) for each in parsed.vehicle)]
     code = {
-        host.called: user_classes.host_options(tables, "." if host.folder else str(source.folder.resolve()))
-        for host in listed.host
+        host.called: registry.host_options(tables, "." if host.folder else str(source.folder.resolve())) for host in listed.host
     }
     plans = _plan(path, listed, listen, folder, code, insecure=insecure, tell=tell)
     result: api.Result | None = None
@@ -189,7 +188,7 @@ def _placing(path: Path, listed: HostsTable, parsed: Scenario) -> dict[str, Any]
     named = [vehicle for host in listed.host for vehicle in host.vehicles]
     for vehicle in named:
         if vehicle not in agents:
-            raise UsageError(f"{path}: {messages.unknown('vehicle', vehicle, agents)}")
+            raise UsageError(f"{path}: {binding.unknown('vehicle', vehicle, agents)}")
         if agents[vehicle] is None:
             raise UsageError(f"{path}: '{vehicle}' has no agent in the scenario (agent = {{}} gives it the default one)")
     remote = [name for name, agent in agents.items() if agent and (agent.runs or parsed.agents.runs) == "zenoh"]

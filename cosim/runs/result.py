@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import tomli_w
 
 from vcmvsp.cosim.assembly import worlds
-from vcmvsp.cosim.config.user_classes import NO_CODE, only
+from vcmvsp.cosim.config.registry import NO_CODE, only
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.metrics import routing
 from vcmvsp.cosim.metrics.motion import motion

@@ -12,7 +12,7 @@ from vcmvsp.cosim.agent import Agent, Observation, Radio
 from vcmvsp.cosim.assembly.parts.vehicles import flies
 from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config import messages, registry
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import yaw_of
@@ -106,7 +106,7 @@ def drive(
         parsed, source = scenarios.load(what, settings={**(settings or {}), **parsed.twins, "duration_s": seconds})
     names = [each.name for each in parsed.vehicle]
     if vehicle not in names:
-        raise UsageError(f"--vehicle {messages.unknown('vehicle', vehicle, names)}")
+        raise UsageError(f"--vehicle {binding.unknown('vehicle', vehicle, names)}")
     mine = parsed.vehicle[names.index(vehicle)]
     kind = registry.find("vehicle", mine.kind, folder=source.folder, key=f"vehicle.{vehicle}.kind", origin=source)
     flying = flies(kind)

@@ -5,14 +5,13 @@ import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
-from vcmvsp.cosim.config import binding, messages, registry
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError
-from vcmvsp.cosim.scenario.expand import names_copy, repeated
 from vcmvsp.cosim.scenario.schema import (
     AgentsTable,
     AgentTable,
@@ -26,8 +25,64 @@ from vcmvsp.cosim.scenario.schema import (
     StudyTable,
     VehicleTable,
 )
+from vcmvsp.cosim.types import Vec3
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import DEEPEST, check_depth, read_toml
+
+MOST = 10_000  # vehicles of a scenario: what they need grows with them, and with their pairs
+_PLACES = {"pose": Vec3, "position": Vec3}
+
+
+class Repeat(msgspec.Struct, frozen=True, kw_only=True):
+    """How a vehicle is repeated."""
+
+    count: Annotated[int, msgspec.Meta(ge=1, le=MOST)]  # how many there are; their names get numbers, from 1 on
+    columns: Annotated[int, msgspec.Meta(ge=1)] | None = None  # in each row; None: all in one
+    spacing: tuple[float, float] = (1.0, 1.0)  # m, between columns (along x) and between rows (along y)
+
+
+KEYS = tuple(binding.parameters(Repeat))
+
+
+def repeated(listed: Sequence[Any], source: Source) -> list[Any]:
+    """The vehicles, each that has a ``count`` as often as it says."""
+    counts = [one.get("count", 1) if isinstance(one, dict) else 1 for one in listed]
+    if (total := sum(each for each in counts if isinstance(each, int))) > MOST:
+        problem = f"there may be {MOST} vehicles in all, not {total}: give fewer, or a smaller count"
+        raise ScenarioError(problem, key="vehicle", source=source.of("vehicle"))
+    return [each for one in listed for each in (_copies(one, source) if isinstance(one, dict) else [one])]
+
+
+def names_copy(raw: Mapping[str, Any], key: str) -> bool:
+    """Whether a key path is of one copy of a repeated vehicle: ``vehicle.uav7.kind``."""
+    group, _, rest = key.partition(".")
+    name, listed = rest.partition(".")[0], raw.get("vehicle")
+    stems = (
+        [str(each.get("name")) for each in listed if isinstance(each, dict) and "count" in each]
+        if isinstance(listed, list)
+        else []
+    )
+    return group == "vehicle" and any(name.startswith(stem) and name[len(stem) :].isdigit() for stem in stems)
+
+
+def _copies(one: dict[str, Any], source: Source) -> list[dict[str, Any]]:
+    key = f"vehicle.{one.get('name', '')}"
+    said = {name: one[name] for name in KEYS if name in one}
+    if not said:
+        return [one]
+    if "count" not in said:
+        where = f"{key}.{next(iter(said))}"
+        raise ScenarioError("means nothing without a count", key=where, source=source.of(where))
+    repeat = binding.call(Repeat, said, key=key, origin=source)
+    rest = {name: value for name, value in one.items() if name not in KEYS}
+    place = next((name for name in _PLACES if name in rest), "position")
+    x, y, last = binding.convert(rest.get(place, (0.0, 0.0, 0.0)), Vec3, key=f"{key}.{place}", origin=source)
+    columns, (dx, dy) = repeat.columns or repeat.count, repeat.spacing
+    return [
+        {**rest, "name": f"{one.get('name', '')}{i + 1}", place: [x + i % columns * dx, y + i // columns * dy, last]}
+        for i in range(repeat.count)
+    ]
+
 
 RESERVED = ("world", "radio", "bridge", "operator", "log", "tf")  # first chunks of keys that belong to no vehicle
 BUILT_IN = registry.SHIPPED
@@ -52,9 +107,9 @@ def load(
     _check_depth(settings, "--set")
     for key in sorted(settings, key=lambda key: names_copy(raw, key)):  # those of one copy after those of all
         if key.count(".") >= DEEPEST:
-            raise ScenarioError(f"the key has more than {DEEPEST} parts", source=f"--set {messages.show(key)}")
+            raise ScenarioError(f"the key has more than {DEEPEST} parts", source=f"--set {binding.show(key)}")
         value = settings[key]
-        source.note_set(key, f"--set {key}={value if isinstance(value, str) and len(value) < 60 else messages.show(value)}")
+        source.note_set(key, f"--set {key}={value if isinstance(value, str) and len(value) < 60 else binding.show(value)}")
         _assign(raw, key, value, source)
     if seed is not None:
         source.note_set("seed", f"--seed {seed}")
@@ -133,7 +188,7 @@ def path_of(scenario: str | Path) -> Path:
         raise ScenarioError(f"cannot be read: {error.strerror}", source=text) from error
     if path.suffix == ".toml" or "/" in text:
         raise ScenarioError("there is no such file" if not path.is_dir() else "is a folder, not a scenario file", source=text)
-    raise ScenarioError(messages.unknown("scenario", text, names()) + "; or give the path of a .toml file")
+    raise ScenarioError(binding.unknown("scenario", text, names()) + "; or give the path of a .toml file")
 
 
 def text_of(scenario: str | Path) -> str:
@@ -199,7 +254,7 @@ def _number(value: object) -> object:
     """NumPy's numbers and arrays, as a notebook may give them, in plain ones."""
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise ScenarioError(f"holds a {type(value).__name__}, {messages.show(value)}, which is no value that TOML could say")
+    raise ScenarioError(f"holds a {type(value).__name__}, {binding.show(value)}, which is no value that TOML could say")
 
 
 def _assign(raw: dict[str, Any], key: str, value: object, source: Source) -> None:
@@ -216,7 +271,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, source: Source) -> Non
                 raw["vehicle"] = repeated(raw["vehicle"], source)  # one of many is to be unlike the others
             here = {str(each.get("name")): each for each in raw.get("vehicle", []) if isinstance(each, dict)}
         elif depth == 1 and parents[0] == "vehicle" and part not in here:
-            raise ScenarioError(messages.unknown("vehicle", part, here), key=key, source=source.of(key))
+            raise ScenarioError(binding.unknown("vehicle", part, here), key=key, source=source.of(key))
         elif depth == 2 and parents[0] == "vehicle":  # one key of a table that it shares with all others
             here = here.setdefault(part, copy.deepcopy(raw.get("vehicles", {}).get(part, {})))
         else:
@@ -228,7 +283,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, source: Source) -> Non
 
 def _mapping(value: object, key: str, source: Source) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ScenarioError(f"must be a table, not {messages.show(value)}", key=key, source=source.of(key))
+        raise ScenarioError(f"must be a table, not {binding.show(value)}", key=key, source=source.of(key))
     return value
 
 

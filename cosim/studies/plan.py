@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import msgspec
 import tomli_w
 
-from vcmvsp.cosim.config import binding, messages
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.studies.grid import EXAMPLE, MOST, label, values_of
@@ -176,7 +176,7 @@ def check_same(plan: Plan, stored: Plan, out: Path) -> None:
 
 def _vary(vary: Mapping[str, Any]) -> dict[str, list[Any]]:
     if not isinstance(vary, Mapping):
-        raise UsageError(f"vary: must be a mapping, e.g. {{'radio.loss.probability': [0.0, 0.3]}}, not {messages.show(vary)}")
+        raise UsageError(f"vary: must be a mapping, e.g. {{'radio.loss.probability': [0.0, 0.3]}}, not {binding.show(vary)}")
     full: dict[str, list[Any]] = {}
     for key, values in vary.items():
         try:
@@ -191,7 +191,7 @@ def _plain(value: object) -> object:
     """The value in TOML's types, of Python's or NumPy's."""
     found = binding.plain(value.tolist() if hasattr(value, "tolist") else value)
     if found is None:
-        raise ValueError(f"{messages.show(value)} is no value that a scenario can have")
+        raise ValueError(f"{binding.show(value)} is no value that a scenario can have")
     return found
 
 
@@ -205,7 +205,7 @@ def _check_values(key: str, values: Sequence[Any], settings: Mapping[str, Any]) 
     seen: set[str] = set()
     for value in values:
         if (bad := binding.unfit_number(value)) is not None:
-            raise UsageError(f"--vary {key}={messages.show(value)}: {binding.problem_of(bad)}")
+            raise UsageError(f"--vary {key}={binding.show(value)}: {binding.problem_of(bad)}")
         if label(value) in seen:
             raise UsageError(f"{key} is varied over {label(value)} twice")
         seen.add(label(value))
@@ -226,12 +226,12 @@ def _difference(now: object, then: object, key: str = "") -> str | None:
     """The first thing in which two nested values differ."""
     if isinstance(now, dict) and isinstance(then, dict):
         names = [*then, *(name for name in now if name not in then)]
-        inside = (_difference(now.get(name), then.get(name), messages.join(key, name)) for name in names)
+        inside = (_difference(now.get(name), then.get(name), binding.join(key, name)) for name in names)
         return next((each for each in inside if each is not None), None)
     if isinstance(now, list) and isinstance(then, list) and len(now) == len(then):
         pairs = enumerate(zip(now, then, strict=True))
         return next((each for i, (a, b) in pairs if (each := _difference(a, b, f"{key}[{i}]")) is not None), None)
     if now == then:
         return None
-    now_shown, then_shown = ("nothing" if value is None else messages.show(value) for value in (now, then))
+    now_shown, then_shown = ("nothing" if value is None else binding.show(value) for value in (now, then))
     return f"{key}: {now_shown} now, {then_shown} then"

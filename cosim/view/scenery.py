@@ -10,9 +10,9 @@ from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.assembly import recorded_world, worlds
 from vcmvsp.cosim.assembly.parts.vehicles import Vehicle, flies
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.config import binding, factory, registry
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.config.user_classes import NO_CODE, only
+from vcmvsp.cosim.config.registry import NO_CODE, only
 from vcmvsp.cosim.recording.foxglove.messages import SceneUpdate
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
@@ -105,7 +105,7 @@ def _model(vehicle: VehicleTable, source: Source, kinds: VehicleKinds) -> Vehicl
         kinds[vehicle.kind] = registry.find("vehicle", vehicle.kind, folder=source.folder, key=f"{key}.kind", origin=source)
     kind = kinds[vehicle.kind]
     params = {name: value for name, value in vehicle.params.items() if name in binding.parameters(kind)}
-    return binding.call(kind, factory.found(kind, params, source, key), key=key, origin=source)
+    return binding.call(kind, registry.found(kind, params, source, key), key=key, origin=source)
 
 
 def _agent(vehicle: VehicleTable, scenario: Scenario, info: AgentInfo | None) -> tuple[str, float | None]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.cosim.config.messages import show
+from vcmvsp.cosim.config.binding import show
 from vcmvsp.cosim.errors import FederateError, VcmvspError, place_of, words_of
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.netsim.channel.reception import RECEIVED

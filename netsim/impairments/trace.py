@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pyarrow import csv
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import unknown
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.tables.schema import read_table
 from vcmvsp.cosim.types import FileName

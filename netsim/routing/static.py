@@ -6,8 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 from vcmvsp.cosim.clock import seconds_to_ns
-from vcmvsp.cosim.config.binding import convert
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import convert, unknown
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Seconds
 from vcmvsp.netsim.routing.router import HopLimit, Router

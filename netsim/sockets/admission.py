@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import unknown
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.sockets.messages import MOST_UP, PIECE, VERSION, Hello, Refused, Stream, Up, Welcome, WireError, parsed, up
 from vcmvsp.cosim.transport.endpoints import is_loopback

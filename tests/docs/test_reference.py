@@ -17,7 +17,7 @@ from vcmvsp.cosim.assembly.parts.radio import Radio
 from vcmvsp.cosim.assembly.parts.vehicles import Positioning
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.reference import describe, markdown
-from vcmvsp.cosim.scenario import expand, loader, schema
+from vcmvsp.cosim.scenario import loader, schema
 from vcmvsp.netsim.impairments.jammer import Emitter
 from vcmvsp.netsim.impairments.script import Change
 from vcmvsp.netsim.propagation.walls import ITU_MATERIALS
@@ -106,7 +106,7 @@ def assert_documents(documented: dict[str, str], target: Any, without: set[str])
         ("Top level", schema.Scenario, ""),
         ("`[agents]`", schema.AgentsTable, "defaults"),
         ("`[[vehicle]]` and `[vehicles]`", schema.VehicleTable, "params"),
-        ("Many at once", expand.Repeat, ""),
+        ("Many at once", loader.Repeat, ""),
         ("`agent = { ... }` of a vehicle", schema.AgentTable, "params"),
         ("`[clock]`", schema.ClockTable, ""),
         ("`[safety]`", schema.SafetyTable, ""),

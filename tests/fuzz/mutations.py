@@ -16,7 +16,7 @@ import typer.main
 
 from tests.support.paths import SCENARIOS
 from vcmvsp.cosim.cli.app import app
-from vcmvsp.cosim.reference.index import INDEX
+from vcmvsp.cosim.reference.markdown import INDEX
 
 SMALL = """
 name = "small"

@@ -10,8 +10,7 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from vcmvsp.agents.formation.reports.report import LeaderState, Report, accelerations, plan_of
-from vcmvsp.cosim.config.binding import call, parameters
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import call, parameters, unknown
 from vcmvsp.cosim.config.registry import find
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import arc

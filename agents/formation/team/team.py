@@ -16,7 +16,7 @@ from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.agents.formation.team.shape import SHAPES, Slot, Slots, slots, width
 from vcmvsp.agents.formation.team.topology import ancestors, named_parents, parents, ranks
 from vcmvsp.cosim.clock import seconds_to_ns
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import unknown
 
 JUMP = 10_000  # larger increments of ``sn`` are implausible
 

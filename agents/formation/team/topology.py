@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 from vcmvsp.agents.formation.team.formation import TopologyName
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import unknown
 
 ROOT = -1  # the parent of the place that leads
 

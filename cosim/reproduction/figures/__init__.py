@@ -9,7 +9,7 @@ import importlib
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import unknown
 from vcmvsp.cosim.errors import UsageError
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ Start reading in `cosim.reproduction.validation.check`.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import unknown
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.reproduction import figures
 from vcmvsp.cosim.reproduction.validation.check import Check

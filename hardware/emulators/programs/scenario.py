@@ -10,7 +10,7 @@ from typing import Any
 
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import Ticks
-from vcmvsp.cosim.config import messages, registry
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import Interrupted, UsageError
 from vcmvsp.cosim.frames import rotate2
 from vcmvsp.cosim.scenario import loader
@@ -199,7 +199,7 @@ def vehicle_of(parsed: Scenario, name: str | None, kind: str) -> VehicleTable:
     vehicles = {each.name: each for each in parsed.vehicle}
     if name is not None:
         if name not in vehicles:
-            raise UsageError(f"--vehicle {name}: {messages.unknown('vehicle', name, vehicles)}")
+            raise UsageError(f"--vehicle {name}: {binding.unknown('vehicle', name, vehicles)}")
         return vehicles[name]
     own_kind = "p2dx" if kind == "p2dx" else "amigobot"
     alike = [each for each in parsed.vehicle if each.kind == own_kind] or list(parsed.vehicle)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.transport import endpoints, key_names
 from vcmvsp.cosim.types import Vec3
@@ -85,10 +86,10 @@ def built(text: str, params: dict[str, Any]) -> Driver:
         ScenarioError: unknown kind, or invalid parameters.
     """
     kind, address = kind_of(text)
-    origin = binding.Named("--set")
+    origin = Source("--set")
     if kind == "zenoh":
         raise ScenarioError("zenoh is the run's end of this program: name the driver of the robot itself", source="--driver")
-    driver_class = registry.find("driver", kind, key="", origin=binding.Named("--driver"))
+    driver_class = registry.find("driver", kind, key="", origin=Source("--driver"))
     if address:
         where = next((each for each in ADDRESSES if each in binding.parameters(driver_class)), None)
         if where is None:

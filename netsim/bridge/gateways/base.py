@@ -10,7 +10,7 @@ from typing import Annotated, Protocol
 
 import msgspec
 
-from vcmvsp.cosim.config.messages import unknown
+from vcmvsp.cosim.config.binding import unknown
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.transport.endpoints import is_loopback
 

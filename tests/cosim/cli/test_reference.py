@@ -12,10 +12,10 @@ import pytest
 
 from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
-from vcmvsp.cosim.reference import describe, query, terminal_text, tree
-from vcmvsp.cosim.reference import index as reference_index
+from vcmvsp.cosim.reference import describe, tree
+from vcmvsp.cosim.reference import markdown as reference_index
 from vcmvsp.cosim.reference.tree import Key, Reference, Section
-from vcmvsp.cosim.scenario import expand, schema
+from vcmvsp.cosim.scenario import loader, schema
 from vcmvsp.netsim.federate import RadioFederate
 
 KEY = Key(name="size", type="> 0", unit="", schema={}, required=False, default=2.5, without="", meaning="of it, " * 20 + "all")
@@ -29,7 +29,7 @@ def whole() -> Reference:
 
 def keys(section: str) -> dict[str, list[Key]]:
     """What is found for a section: keys by the path and kind of their tables."""
-    return {f"{each.path} {each.kind}".strip(): list(each.keys) for each in query.asked(section)}
+    return {f"{each.path} {each.kind}".strip(): list(each.keys) for each in tree.asked(section)}
 
 
 def names(section: str) -> dict[str, list[str]]:
@@ -43,7 +43,7 @@ def test_every_key_of_every_table_is_there() -> None:
     found = {(each.path, each.kind): {key.name for key in each.keys} for each in whole().sections}
     assert found["", ""] == {*binding.parameters(schema.Scenario)}
     assert found["agents", ""] == {*binding.parameters(schema.AgentsTable)} - {"defaults"}
-    assert found["vehicle.NAME", ""] == {*binding.parameters(schema.VehicleTable), *expand.KEYS} - {"params"}
+    assert found["vehicle.NAME", ""] == {*binding.parameters(schema.VehicleTable), *loader.KEYS} - {"params"}
     assert found["vehicle.NAME.agent", ""] == {*binding.parameters(schema.AgentTable)} - {"params"}
     assert found["intervention", "outage"] == {*binding.parameters(schema.OutageTable)}
     for name in ("clock", "safety", "record", "metrics", "study"):
@@ -170,10 +170,10 @@ def test_it_is_plain_where_nobody_looks() -> None:
 @pytest.mark.parametrize("width", [40, 80, 200])
 def test_on_a_terminal_it_fits_and_nothing_is_lost(width: int) -> None:
     for section in whole().sections:
-        wide, fitted = (" ".join(terminal_text.lines(section, each)).split() for each in (None, width))
+        wide, fitted = (" ".join(tree.lines(section, each)).split() for each in (None, width))
         assert wide == fitted
     section = Section(path="a.b", kind="c", listed=False, about="What it is.", keys=(KEY,))
-    lines = list(terminal_text.lines(section, width, lambda word: f"<{word}>"))
+    lines = list(tree.lines(section, width, lambda word: f"<{word}>"))
     assert max(len(re.sub("[<>]", "", line)) for line in lines) <= width
     assert lines[0].startswith('<a.b, kind = "c">:')
     assert any(line.startswith("  <size>  > 0  2.5") for line in lines)
@@ -182,9 +182,9 @@ def test_on_a_terminal_it_fits_and_nothing_is_lost(width: int) -> None:
 def test_meanings_stand_in_one_column() -> None:
     long = msgspec.structs.replace(KEY, name="breadth", default=None, without="as wide as it is", meaning="from side to side")
     section = Section(path="a", kind="", listed=False, about="", keys=(KEY, long))
-    _, first, *_, last = terminal_text.lines(section, 100, lambda word: word)
+    _, first, *_, last = tree.lines(section, 100, lambda word: word)
     assert first.index("of it") == last.index("from side")
-    assert next(terminal_text.lines(section)) == "a:"
+    assert next(tree.lines(section)) == "a:"
 
 
 def test_json_is_what_its_types_say() -> None:

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.config.key_lines import lines_of
-from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.config.provenance import Source, lines_of
 from vcmvsp.cosim.scenario.loader import BUILT_IN
 
 GALLERY = sorted(BUILT_IN.glob("*.toml"))

@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 
-from vcmvsp.cosim.config.param_docs import meanings, summary
+from vcmvsp.cosim.reference.describe import meanings, summary
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ import pytest
 
 from tests.support.paths import ROOT
 from vcmvsp.cosim.config import builtin_kinds, registry
-from vcmvsp.cosim.config.binding import Named
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 
-ORIGIN = Named("s.toml line 3")
+ORIGIN = Source("s.toml line 3")
 
 
 def refusal(group: str, kind: str, folder: Path | None = None) -> ScenarioError:

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.config import binding, messages
+from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Count, Name, NonNegative, Positive, Probability
 
@@ -30,8 +31,8 @@ class Rain:
         self.content: tuple[Any, ...] = (db_per_km, seed, size, heavy, places, season)
 
 
-class Lines:
-    """An origin that says which key it was asked for."""
+class Lines(Source):
+    """Says which key it was asked for."""
 
     def of(self, key: str) -> str:
         return f"<{key}>"
@@ -275,7 +276,7 @@ def test_complete_leaves_out_what_is_not_for_toml() -> None:
     ],
 )
 def test_annotations_in_words(annotation: Any, words: str) -> None:
-    assert messages.describe(annotation) == words
+    assert binding.describe(annotation) == words
 
 
 @pytest.mark.parametrize(
@@ -294,11 +295,11 @@ def test_where_a_number_is_unfit(value: Any, bad: float | None) -> None:
 
 
 def test_suggestions_are_near_and_lists_are_sorted() -> None:
-    assert messages.unknown("key", "probabilty", ["rate", "probability"]) == (
+    assert binding.unknown("key", "probabilty", ["rate", "probability"]) == (
         "unknown key 'probabilty'; did you mean 'probability'? (allowed: probability, rate)"
     )
-    assert messages.unknown("key", "zzz", ["b", "a"]) == "unknown key 'zzz' (allowed: a, b)"
-    assert messages.unknown("key", "zzz", []) == "unknown key 'zzz' (allowed: none)"
+    assert binding.unknown("key", "zzz", ["b", "a"]) == "unknown key 'zzz' (allowed: a, b)"
+    assert binding.unknown("key", "zzz", []) == "unknown key 'zzz' (allowed: none)"
 
 
 class Base:

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.scenario.expand import repeated
-from vcmvsp.cosim.scenario.loader import load
+from vcmvsp.cosim.scenario.loader import load, repeated
 
 SWARM = {
     "name": "swarm",

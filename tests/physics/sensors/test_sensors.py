@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.physics.sensor_scenes import readings, scene_of, still
 from vcmvsp.cosim.config import binding
-from vcmvsp.cosim.config.param_docs import meanings
+from vcmvsp.cosim.reference.describe import meanings
 from vcmvsp.physics.sensors.altimeter import Altimeter
 from vcmvsp.physics.sensors.bumper import Bumper
 from vcmvsp.physics.sensors.compass import Compass
