@@ -35,7 +35,6 @@ check: setup
 
 docs: setup
 	$(BIN)/python -m vcmvsp.cosim.reference.markdown --write
-	$(BIN)/python -m vcmvsp.cosim.reference.markdown --write
 	$(BIN)/python -m tests.support.docs.package_map --write
 
 # Files go to workers in their order, so that none that takes long comes last.

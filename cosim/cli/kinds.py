@@ -82,6 +82,7 @@ def reference_command(
         str, typer.Argument(metavar="[SECTION]", help="A table, a kind or a key, e.g. radio.loss, leader_follower, seed.")
     ] = "",
     json: AsJson = False,
+    json_schema: Annotated[bool, typer.Option("--json-schema", help="Print a JSON Schema of scenarios, for editors.")] = False,
 ) -> None:
     """Print every key of a scenario, or those of a section: type and range, default, unit, meaning.
 
@@ -89,6 +90,13 @@ def reference_command(
     """
     from vcmvsp.cosim.reference import tree
 
+    if json_schema:
+        from vcmvsp.cosim.reference.json_schema import scenario_schema
+
+        if section:
+            raise UsageError(f"--json-schema is about a whole scenario: leave {section} out")
+        sys.stdout.write(to_json(scenario_schema()))
+        return
     if json:
         import msgspec
 

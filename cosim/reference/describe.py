@@ -4,21 +4,82 @@ Types, ranges and defaults are those of its signature (`cosim.config.binding`), 
 (`cosim.reference.describe`).
 """
 
+import ast
 import functools
+import inspect
+import io
 import json
 import re
+import textwrap
+import tokenize
 import typing
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from decimal import Decimal
+from typing import Any
 
 import msgspec
 
 from vcmvsp.cosim.config import binding
-from vcmvsp.cosim.reference.describe import meanings, summary
+from vcmvsp.cosim.scenario import schema
+from vcmvsp.cosim.scenario.loader import Repeat
+
+
+def meanings(target: Callable[..., object], *, joined: bool = False) -> Mapping[str, str]:
+    """The meaning of each parameter of a class or function that has one, without a final period; those of base classes first.
+
+    ::
+
+        exponent: NonNegative = 3.0  # 2 in free space, about 3 among obstacles
+
+    With ``joined``, what a class says of a parameter comes after what its base has said, instead of in its place.
+    """
+    found: dict[str, str] = {}
+    for base in reversed(getattr(target, "__mro__", (target,))):
+        own = _comments(base) if isinstance(base, type) and "__annotations__" in vars(base) else {}
+        for name, said in {**own, **_arguments(base.__doc__ or "")}.items():
+            words, before = said.strip().removesuffix("."), found.get(name, "") if joined else ""
+            if words:
+                found[name] = f"{before}; {words}" if before and before != words else words
+    return found
+
+
+def summary(target: object) -> str:
+    """The first line of its docstring."""
+    return (inspect.getdoc(target) or "").partition("\n")[0]
+
+
+def _comments(target: type[Any]) -> dict[str, str]:
+    """The comments of fields: those in the lines of the field, after those that fill the lines above it."""
+    source = textwrap.dedent(inspect.getsource(target))
+    lines = source.splitlines()
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    comments = {token.start[0]: token.string.lstrip("# ") for token in tokens if token.type == tokenize.COMMENT}
+    fields = next(node.body for node in ast.parse(source).body if isinstance(node, ast.ClassDef))
+    found = {}
+    for field in fields:
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
+            first, last = field.lineno, field.end_lineno or field.lineno
+            while lines[first - 2].lstrip().startswith("#"):
+                first -= 1
+            found[field.target.id] = " ".join(comments[line] for line in range(first, last + 1) if line in comments)
+    return found
+
+
+def _arguments(docstring: str) -> dict[str, str]:
+    """The entries of ``Args``: ``name: words`` or ``one, other: words``, and what is indented below."""
+    section = re.search(r"^Args:\n(.*?)(?=^\S|\Z)", inspect.cleandoc(docstring), re.DOTALL | re.MULTILINE)
+    if section is None:
+        return {}
+    entries = re.findall(r"^(\w[\w, ]*): (.*(?:\n .*)*)", textwrap.dedent(section[1]), re.MULTILINE)
+    return {name: re.sub(r"\s+", " ", words) for names, words in entries for name in names.split(", ")}
+
 
 Described = Callable[..., object]
 """A class with parameters, or the function that stands for a kind."""
+
+REST = ("defaults", "params", "doors", "channel", "router", "programs")  # what is no key of the table itself
+"""Parameters that hold what is no key of the table itself."""
 
 OFFERED = ("sightline", "noise_dbm", "world", "outside")
 """Parameters that come from the rest of the scenario (`cosim.assembly.radio`, `cosim.assembly.run`), not from a key."""
@@ -180,3 +241,54 @@ def markdown(text: str) -> str:
 def _short(numbers: str) -> str:
     """Numbers without what their exponents need not have: 1e+09 is 1e9; and whole numbers without the largest that there is."""
     return re.sub(r"(?<=\d)[eE]\+?(-?)0*(?=\d)", r"e\1", numbers).replace("0 to 9.22337e18", ">= 0")
+
+
+class Key(msgspec.Struct, frozen=True, kw_only=True):
+    """One key of a table."""
+
+    name: str
+    type: str  # unit and allowed values in words: "s, 0 to 1e9"
+    unit: str  # "s", "m", ...; empty: it has none, or `meaning` says it
+    schema: dict[str, Any]  # JSON Schema of its values; empty: the code says no more than `type`
+    required: bool
+    default: object  # None: there is none
+    without: str  # what holds without it, where it has no default: "no limit"
+    meaning: str
+
+
+def table_keys(target: Described, common: type | None = None) -> Mapping[str, binding.Parameter]:
+    """The parameters that are keys of a table."""
+    ours = target.__module__ in (schema.__name__, Repeat.__module__)  # nothing else offers what these name
+    known = binding.parameters(target) if ours else keys(target, common)
+    return {name: each for name, each in known.items() if name not in REST}
+
+
+def keys_of(target: Described, common: type | None = None) -> Iterator[tuple[Key, binding.Parameter]]:
+    """The keys of a class and its parameters, in its order."""
+    means = {**first_meanings(target), **EXTRA_DOCS.get(target.__name__, {})}
+    for name, parameter in table_keys(target, common).items():
+        meaning, without = said(parameter, means.get(name, ""))
+        key = Key(
+            name=name,
+            type=type_of(name, parameter.annotation).replace(": see below", ""),
+            unit=unit_of(name),
+            schema=schema_of(parameter.annotation),
+            required=parameter.required,
+            default=None if parameter.required else binding.plain(changed(parameter.default)),
+            without=markdown(without),
+            meaning=markdown(meaning),
+        )
+        yield key, parameter
+
+
+def schema_of(annotation: object) -> dict[str, Any]:
+    """JSON Schema of the values; tables have sections of their own."""
+    if binding.structs(annotation):
+        return {"type": "array" if typing.get_origin(annotation) is tuple else "object"}
+    try:
+        text = msgspec.json.encode(msgspec.json.schema(annotation))
+    except TypeError:  # what only Python objects meet
+        return {}
+    found: dict[str, Any] = msgspec.json.decode(text.replace(rb"\\A", b"^").replace(rb"\\Z", b"$"))  # as ECMAScript has it
+    choices = [each for each in found.get("anyOf", []) if each != {"type": "null"}]  # TOML has no null
+    return choices[0] if len(choices) == 1 else found

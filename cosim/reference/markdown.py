@@ -1,15 +1,17 @@
-"""Reference of worlds, vehicles, sensors and radio, from the code: ``python -m vcmvsp.cosim.reference.markdown --write``.
+"""What is generated from the reference of keys: ``python -m vcmvsp.cosim.reference.markdown --write`` brings it up to date.
 
-Between two comments of ``scenarios/README.md`` stand the tables that this module makes of what the code says of keys
-(`cosim.reference.describe`): what a key means is said where its type and default are, and nowhere else.
+Between two comments of ``scenarios/README.md`` stand tables of what the code says of keys (`cosim.reference.describe`).
+``reference_keys.tsv`` has the keys that ``--set`` can give, for completion, which has no time to look through the code: a line
+for each, with its path (NAME and SENSOR for names of one's own) and values that it may have, divided by tabs.
 """
 
 import argparse
+import functools
 import inspect
 import math
 import sys
 import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.reference import tree
 from vcmvsp.cosim.reference.describe import (
     Described,
+    Key,
     about,
     common_of,
     default_of,
@@ -32,10 +35,12 @@ from vcmvsp.cosim.reference.describe import (
     toml,
     type_of,
 )
+from vcmvsp.cosim.reference.tree import NOT_SHARED, VEHICLE, Section, places, whole
 from vcmvsp.cosim.scenario.loader import BUILT_IN
 from vcmvsp.cosim.scenario.schema import ClockTable, SafetyTable, SocketsTable
 
 PAGE = BUILT_IN / "README.md"
+INDEX = Path(__file__).resolve().with_name("reference_keys.tsv")
 UPDATE = "python -m vcmvsp.cosim.reference.markdown --write"
 
 VEHICLES: Mapping[str, Sequence[Sequence[str]]] = {
@@ -61,19 +66,19 @@ def updated(page: str) -> str:
     return page
 
 
-def main(arguments: Sequence[str] | None = None, page: Path = PAGE) -> None:
-    """Bring the page up to date, or say that it is not."""
-    parser = argparse.ArgumentParser(
-        prog="python -m vcmvsp.cosim.reference.markdown", description="The reference of keys, from the code."
-    )
-    parser.add_argument("--write", action="store_true", help="update the page instead of checking it")
+def main(arguments: Sequence[str] | None = None, page: Path = PAGE, index: Path = INDEX) -> None:
+    """Bring page and index up to date, or say what is not."""
+    about = "The reference of keys, from the code."
+    parser = argparse.ArgumentParser(prog="python -m vcmvsp.cosim.reference.markdown", description=about)
+    parser.add_argument("--write", action="store_true", help="update the files instead of checking them")
     write: bool = parser.parse_args(arguments).write
-    old = page.read_text("utf-8")
-    new = updated(old)
-    if write:
-        page.write_text(new, "utf-8")
-    elif new != old:
-        sys.exit(f"{page} is not what the code says; update it: {UPDATE}")
+    for path, fresh in ((page, updated), (index, lambda _: index_text())):
+        old = path.read_text("utf-8") if path.exists() else ""
+        new = fresh(old)
+        if write:
+            path.write_text(new, "utf-8")
+        elif new != old:
+            sys.exit(f"{path} is not what the code says; update it: {UPDATE}")
 
 
 def physics() -> str:
@@ -276,6 +281,56 @@ def parameter_table(columns: Mapping[str, Described], common: type | None = None
 def grid(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table in Markdown."""
     return "\n".join(f"| {' | '.join(row)} |" for row in [heads, *rows]).replace("\n", f"\n|{'---|' * len(heads)}\n", 1)
+
+
+@functools.cache
+def index_text() -> str:
+    """The index as it should be."""
+    found: dict[str, dict[str, None]] = {}
+    for path, values in _entries():
+        found.setdefault(path, {}).update(dict.fromkeys(values))
+    tables = {path.rpartition(".")[0] for path in found} | {each.path for each in whole().sections if each.listed} | {"vehicle"}
+    return "".join("\t".join([path, *values]) + "\n" for path, values in found.items() if path not in tables)
+
+
+def _entries() -> Iterator[tuple[str, list[str]]]:
+    """All keys, some of them several times."""
+    kinds = [(place.path, list(place.kinds)) for place in places() if place.kinds]
+    kinds += [(each.path, [each.kind]) for each in whole().sections if each.kind and _is_set(each)]
+    for path, names in kinds:
+        yield from ((f"{where}.kind", names) for where in _paths(path, "kind"))
+    for section in whole().sections:
+        if _is_set(section):
+            for key in section.keys:
+                yield from ((_join(where, key.name), _values(key)) for where in _paths(section.path, key.name))
+
+
+def _paths(path: str, key: str) -> list[str]:
+    """The tables in which a key of this table may stand: agents and vehicles have theirs, and defaults for all."""
+    first, _, rest = path.partition(".")
+    if first == "agents":
+        return [path, _join(f"{VEHICLE}.agent", rest)]
+    if path == VEHICLE:
+        return [path] if key in NOT_SHARED else [path, "vehicles"]
+    return [path]
+
+
+def _is_set(section: Section) -> bool:
+    """Whether ``--set`` reaches it: it is no table of a list, nor within one, as the solid of an obstacle is."""
+    return not any(each.listed and f"{section.path}.".startswith(f"{each.path}.") for each in whole().sections)
+
+
+def _values(key: Key) -> list[str]:
+    """Values that can be completed: the choice that there is, or the default."""
+    choice: list[Any] = key.schema.get("enum", [True, False] if key.schema.get("type") == "boolean" else [])
+    words = [each if isinstance(each, str) else toml(each) for each in choice]
+    if not words and isinstance(key.default, str | float | int):
+        words = [key.default if isinstance(key.default, str) else toml(key.default)]
+    return [word for word in words if word and not set(word) & set(" \t\n'\"")]
+
+
+def _join(*parts: str) -> str:
+    return ".".join(each for each in parts if each)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ import functools
 import itertools
 import json
 import re
-import sys
 from typing import Any
 
 import msgspec
@@ -13,8 +12,8 @@ import pytest
 from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.reference import describe, tree
-from vcmvsp.cosim.reference import markdown as reference_index
-from vcmvsp.cosim.reference.tree import Key, Reference, Section
+from vcmvsp.cosim.reference.describe import Key
+from vcmvsp.cosim.reference.tree import Reference, Section
 from vcmvsp.cosim.scenario import loader, schema
 from vcmvsp.netsim.federate import RadioFederate
 
@@ -204,17 +203,3 @@ def test_schemas_allow_the_defaults() -> None:
             assert isinstance(key.default, kinds[kind]), key
         if choice := key.schema.get("enum"):
             assert key.default in choice, key
-
-
-def test_the_index_of_keys_is_up_to_date() -> None:
-    assert reference_index.INDEX.read_text("utf-8") == reference_index.text(), reference_index.UPDATE
-
-
-def test_an_index_that_is_not_is_noticed_and_repaired(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    index = tmp_path / "keys.tsv"
-    monkeypatch.setattr(sys, "argv", ["vcmvsp.cosim.reference.markdown"])
-    with pytest.raises(SystemExit, match="is not what the code says"):
-        reference_index.main(index=index)
-    reference_index.main(["--write"], index)
-    reference_index.main([], index)
-    assert index.read_text("utf-8") == reference_index.text()

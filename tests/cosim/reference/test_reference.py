@@ -97,24 +97,28 @@ def blocks() -> Iterator[dict[str, str]]:
 # --- the page -----------------------------------------------------------------------------------------------------------------
 
 
-def test_the_page_is_up_to_date() -> None:
+def test_page_and_index_are_up_to_date() -> None:
     assert reference.updated(reference.PAGE.read_text("utf-8")) == reference.PAGE.read_text("utf-8"), reference.UPDATE
+    assert reference.INDEX.read_text("utf-8") == reference.index_text(), reference.UPDATE
 
 
 @pytest.mark.parametrize(
     "change", [("`40.052`", "`40.05`"), ("| 85.6 m |", "| 86 m |"), ("<!-- end -->", "more\n<!-- end -->")]
 )
 def test_a_page_that_is_not_is_noticed_and_repaired(tmp_path: Path, change: tuple[str, str]) -> None:
-    page, fresh = tmp_path / "README.md", reference.PAGE.read_text("utf-8")
+    page, index, fresh = tmp_path / "README.md", tmp_path / "keys.tsv", reference.PAGE.read_text("utf-8")
     page.write_text(fresh.replace(*change, 1), "utf-8")
     assert page.read_text("utf-8") != fresh
     with pytest.raises(
         SystemExit, match=re.escape("is not what the code says; update it: python -m vcmvsp.cosim.reference.markdown --write")
     ):
-        reference.main([], page)
-    reference.main(["--write"], page)
-    assert page.read_text("utf-8") == fresh
-    reference.main([], page)
+        reference.main([], page, index)
+    reference.main(["--write"], page, index)
+    assert (page.read_text("utf-8"), index.read_text("utf-8")) == (fresh, reference.index_text())
+    reference.main([], page, index)
+    index.write_text("seed\n")
+    with pytest.raises(SystemExit, match="is not what the code says"):
+        reference.main([], page, index)
 
 
 def test_what_people_wrote_around_it_stays() -> None:

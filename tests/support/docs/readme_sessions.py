@@ -114,6 +114,7 @@ STORIES = (
             Step("vcmvsp show formation-circle > mine.toml"),
             Step("vcmvsp check mine.toml"),
             Step("vcmvsp run mine.toml", f"{HERE} {BRIEF}"),
+            Step("vcmvsp reference --json-schema > scenario.schema.json"),
             Step("vcmvsp show vehicle p2dx"),
             Step("vcmvsp world plant.geojson"),
         ),

@@ -1,0 +1,150 @@
+"""JSON Schema (draft 2020-12) of a scenario, from the same text, units and ranges as the reference.
+
+A table with a ``kind`` has the keys of that kind (``if``, ``then``); of a class of your own (``module:Class``) any. Where the
+kind is left out, as that of one table may stand in another, keys are checked by their types alone.
+"""
+
+import types
+import typing
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import msgspec
+
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
+from vcmvsp.cosim.reference import describe
+from vcmvsp.cosim.reference.describe import Described, Key, keys_of
+from vcmvsp.cosim.reference.tree import NOT_SHARED, VEHICLE, Place, extra_keys, places
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+AGENTS = ("agents", f"{VEHICLE}.agent")
+OPEN = (*AGENTS, VEHICLE)
+"""Tables whose kind may stand in another table: without it, they may have any key."""
+
+Schema = dict[str, Any]
+
+
+def scenario_schema() -> Schema:
+    """The schema of a whole scenario, as it stands in a TOML file."""
+    tables = _Tables()
+    root: Schema = {"$schema": DRAFT, "title": "VCMVSP scenario", **tables.of_place(places()[0])}
+    for place in places()[1:]:
+        *parents, last = place.path.split(".")
+        here = root
+        for step in parents:
+            here = _inside(here, step)
+        _put(here, last, tables.of_place(place))
+    vehicle = _inside(_inside(root, "vehicle"), "NAME")
+    shared = {name: each for name, each in vehicle["properties"].items() if name not in NOT_SHARED}
+    root["properties"]["vehicles"] |= {"properties": shared}
+    return {**root, "$defs": tables.definitions}
+
+
+def _inside(schema: Schema, step: str) -> Schema:
+    """The schema of a table in a table; a step in capitals stands for names of one's own."""
+    found: Schema = (
+        schema["items" if step == "NAME" else "additionalProperties"] if step.isupper() else schema["properties"][step]
+    )
+    return found
+
+
+def _put(schema: Schema, step: str, table: Schema) -> None:
+    """Say more of a table of which the schema says only that it is one."""
+    if step == "NAME":
+        schema["items"] = table
+    elif step.isupper():
+        schema["additionalProperties"] = table
+    else:
+        known = schema["properties"].get(step, {})
+        schema["properties"][step] = {**table, **{name: known[name] for name in ("description", "default") if name in known}}
+
+
+class _Tables:
+    """Schemas of tables; those within others are definitions, each once."""
+
+    def __init__(self) -> None:
+        self.definitions: dict[str, Schema] = {}
+
+    def of_place(self, place: Place) -> Schema:
+        """The table of a place: keys that count whatever its kind, and those of each kind."""
+        table = self._object(place.own())
+        table["properties"] |= {key.name: _described(key, key.schema) for key in extra_keys(place)}
+        if place.path == VEHICLE:
+            table["required"].remove("count")
+            table["dependentRequired"] = {name: ["count"] for name in ("columns", "spacing")}
+        if place.path == "bridge":
+            table["additionalProperties"] = {"type": "object"}  # gateways by names of one's own
+        group = "agent" if place.path in AGENTS else place.group
+        if place.path.startswith("bridge."):  # with a kind, the name of the table is but a name
+            return {"type": "object", "if": {"not": {"required": ["kind"]}}, "then": {**table, "additionalProperties": False}}
+        if not group:
+            return table if "additionalProperties" in table else {**table, "additionalProperties": False}
+        kinds = {kind: self._kind(group, kind, is_whole=place.path not in AGENTS) for kind in builtin_kinds.KINDS[group]}
+        table["properties"]["kind"] = {"anyOf": [{"enum": [*kinds]}, {"type": "string", "pattern": ":"}]}
+        table["required"] = [name for name in table.get("required", []) if name != "kind"]
+        branches = [{"if": _has_kind({"const": kind}), "then": {"$ref": f"#/$defs/{name}"}} for kind, name in kinds.items()]
+        branches.append({"if": _has_kind({"not": {"enum": [*kinds]}}), "then": {"additionalProperties": True}})
+        names = {name for each in kinds.values() for name in self.definitions[each]["properties"]}
+        known = {} if place.path in OPEN else {"propertyNames": {"enum": sorted({*names, *table["properties"]})}}
+        branches.append({"if": {"not": {"required": ["kind"]}}, "then": {**known, "additionalProperties": True}})
+        rest = {} if place.path == "agents" else {"unevaluatedProperties": False}
+        return {**table, "allOf": branches, **rest}
+
+    def _kind(self, group: str, kind: str, *, is_whole: bool) -> str:
+        """The name of the definition of a kind's keys; ``is_whole``: none of them may stand in another table."""
+        name = f"{group}.{kind}"
+        found = self.definitions[name] = self._object([registry.find(group, kind)])
+        if not is_whole:
+            found.pop("required", None)
+        return name
+
+    def _object(self, targets: Iterable[Described]) -> Schema:
+        """The keys of some classes, as those of one table."""
+        found: Schema = {"type": "object", "properties": {}}
+        required = []
+        for target in targets:
+            for key, parameter in keys_of(target):
+                found["properties"][key.name] = _described(key, self._values(parameter.annotation))
+                required += [key.name] if key.required else []
+        return {**found, "required": required} if required else found
+
+    def _values(self, annotation: object) -> Schema:
+        """The values of a key."""
+        if not binding.structs(annotation):
+            return describe.schema_of(annotation)
+        origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
+        if origin in (typing.Union, types.UnionType):
+            choices = [each for each in inner if each is not type(None)]
+            return self._values(choices[0]) if len(choices) == 1 else {"oneOf": [*map(self._choice, choices)]}
+        if origin is tuple:
+            return {"type": "array", "items": self._values(inner[0])}
+        if isinstance(origin, type) and issubclass(origin, Mapping):
+            return {"type": "object", "additionalProperties": self._values(inner[1])}
+        return self._reference(annotation) if isinstance(annotation, type) else self._values(inner[0])
+
+    def _choice(self, annotation: object) -> Schema:
+        """One of several: a table says by its kind that it is meant."""
+        tag = next((each.__struct_config__.tag_field for each in binding.structs(annotation)), None)
+        return self._values(annotation) | ({"required": [tag]} if tag else {})
+
+    def _reference(self, target: type[msgspec.Struct]) -> Schema:
+        name, config = f"{target.__module__.removeprefix('vcmvsp.')}.{target.__name__}", target.__struct_config__
+        if name not in self.definitions:
+            table = self.definitions[name] = {}
+            table |= {**self._object([target]), "description": describe.about(target)}
+            if config.tag_field:
+                table["properties"][config.tag_field] = {"const": config.tag}
+            if config.forbid_unknown_fields:
+                table["additionalProperties"] = False
+        return {"$ref": f"#/$defs/{name}"}
+
+
+def _described(key: Key, values: Schema) -> Schema:
+    """The schema of a key's values, with what it means, its unit, and its default."""
+    words = key.meaning + (f"; default: {key.without}" if key.without else "")
+    about = {"description": words, "unit": key.unit, "default": key.default}
+    return {**values, **{name: value for name, value in about.items() if value not in ("", None)}}
+
+
+def _has_kind(values: Schema) -> Schema:
+    return {"required": ["kind"], "properties": {"kind": values}}
