@@ -47,13 +47,9 @@ def layout_of(source: Source) -> dict[str, Any]:
     left = _stacked(["3D!scene", *(name for name in panels if name.startswith("StateTransitions!"))], "column", 78)
     above = [_stacked(list(images), "row")] if images else []
     right = _stacked([*above, *(name for name in panels if name.partition("!")[0] in {"Plot", "RosOut"})], "column")
-    return {
-        "configById": panels,
-        "globalVariables": {},
-        "userNodes": {},
-        "playbackConfig": {"speed": 1},
-        "layout": {"first": left, "second": right, "direction": "row", "splitPercentage": 58},
-    }
+    layout = {"first": left, "second": right, "direction": "row", "splitPercentage": 58}
+    fixed = {"globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 1}}
+    return {"configById": panels, **fixed, "layout": layout}
 
 
 class _Seen:
@@ -85,17 +81,11 @@ class _Seen:
     def curves(self, paths: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
         """Curves of vehicles: who, and the path of the number behind its name."""
         numbers = {name: number for number, name in enumerate(self.vehicles)}
+        look = {"enabled": True, "timestampMethod": "receiveTime", "lineSize": 1.5, "showLine": True}
+        named = [(vehicle, path, f"{vehicle} {path.rpartition('.')[2]}") for vehicle, path in paths[:MOST_CURVES]]
         return [
-            {
-                "value": f"{vehicle}/{path}",
-                "label": f"{vehicle} {path.rpartition('.')[2]}",
-                "color": color_of(numbers[vehicle]),
-                "enabled": True,
-                "timestampMethod": "receiveTime",
-                "lineSize": 1.5,
-                "showLine": True,
-            }
-            for vehicle, path in paths[:MOST_CURVES]
+            {"value": f"{vehicle}/{path}", "label": label, "color": color_of(numbers[vehicle]), **look}
+            for vehicle, path, label in named
         ]
 
     def of(self, schema: str) -> list[tuple[str, str]]:
@@ -138,38 +128,38 @@ def _scene(seen: _Seen) -> dict[str, Any]:
             topics[topic] = {"visible": False, **colors}
     step_m = 1.0 if seen.size_m < 20.0 else 10.0
     squares = 2 * math.ceil(seen.size_m / step_m)
+    camera = {
+        "perspective": True,
+        "distance": 1.6 * seen.size_m,
+        "phi": 40,
+        "thetaOffset": 0,
+        "target": [0, 0, 0],
+        "targetOffset": [*seen.middle, 0],
+        "targetOrientation": [0, 0, 0, 1],
+        "fovy": 45,
+        "near": 0.1,
+        "far": 5000,
+    }
+    grid = {
+        "layerId": "foxglove.Grid",
+        "instanceId": "grid",
+        "label": f"floor, {step_m:g} m",
+        "visible": True,
+        "frameId": "world",
+        "size": step_m * squares,
+        "divisions": squares,
+        "color": "#80808080",
+        "order": 1,
+    }
     return {
         "title": "scene",
         "followMode": "follow-none",
         "followTf": "world",
-        "cameraState": {
-            "perspective": True,
-            "distance": 1.6 * seen.size_m,
-            "phi": 40,
-            "thetaOffset": 0,
-            "target": [0, 0, 0],
-            "targetOffset": [*seen.middle, 0],
-            "targetOrientation": [0, 0, 0, 1],
-            "fovy": 45,
-            "near": 0.1,
-            "far": 5000,
-        },
+        "cameraState": camera,
         "scene": {"transforms": {"showLabel": False, "axisScale": 0.5}},
         "transforms": {},
         "topics": topics,
-        "layers": {
-            "grid": {
-                "layerId": "foxglove.Grid",
-                "instanceId": "grid",
-                "label": f"floor, {step_m:g} m",
-                "visible": True,
-                "frameId": "world",
-                "size": step_m * squares,
-                "divisions": squares,
-                "color": "#80808080",
-                "order": 1,
-            }
-        },
+        "layers": {"grid": grid},
     }
 
 
@@ -181,16 +171,8 @@ def _image(topic: str, seen: _Seen) -> dict[str, Any]:
 
 
 def _plot(title: str, curves: list[dict[str, Any]]) -> dict[str, Any]:
-    return {
-        "title": title,
-        "paths": curves,
-        "isSynced": True,
-        "xAxisVal": "timestamp",
-        "showLegend": True,
-        "legendDisplay": "floating",
-        "showXAxisLabels": True,
-        "showYAxisLabels": True,
-    }
+    look = {"isSynced": True, "xAxisVal": "timestamp", "showLegend": True, "legendDisplay": "floating"}
+    return {"title": title, "paths": curves, **look, "showXAxisLabels": True, "showYAxisLabels": True}
 
 
 def _stacked(parts: Sequence[Panels], direction: str, first_percent: float | None = None) -> Panels:

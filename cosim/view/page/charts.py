@@ -40,9 +40,9 @@ class History:
             self._counts.clear()
             for numbers in self.numbers:
                 numbers.clear()
-        if self.time_s and known.time_ns / SECOND_NS <= self.time_s[-1]:
+        if self.time_s and known.now.time_ns / SECOND_NS <= self.time_s[-1]:
             return False
-        self.time_s.append(known.time_ns / SECOND_NS)
+        self.time_s.append(known.now.time_ns / SECOND_NS)
         places = places_of(known)
         error = np.full(self._count, np.nan)
         error[places.row] = places.error_m
@@ -53,12 +53,12 @@ class History:
 
     def _delivery(self, known: Known) -> Array:
         """Per vehicle, how much of what was sent to it in the last 5 s it received, in per cent; not a number: nothing was."""
-        if known.sent is None or known.received is None:
+        if known.now.sent is None or known.now.received is None:
             return np.full(self._count, np.nan)
-        sent, received = known.sent.sum(axis=0), known.received.sum(axis=0)
-        while len(self._counts) > 1 and self._counts[1][0] <= known.time_ns - WINDOW_NS:
+        sent, received = known.now.sent.sum(axis=0), known.now.received.sum(axis=0)
+        while len(self._counts) > 1 and self._counts[1][0] <= known.now.time_ns - WINDOW_NS:
             self._counts.popleft()
-        self._counts.append((known.time_ns, sent, received))
+        self._counts.append((known.now.time_ns, sent, received))
         _, sent_then, received_then = self._counts[0]
         new = sent - sent_then
         return np.where(new > 0, 100.0 * (received - received_then) / np.maximum(new, 1), np.nan)

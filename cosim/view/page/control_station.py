@@ -5,7 +5,7 @@ What changes all the time is told as a few arrays, and only to pages that are op
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import viser
 
@@ -113,8 +113,8 @@ class Station:
         if known.told != self._told:
             self._told = known.told
             self._log.content = log_page(known)
-        for part in (self._choice, *self._controls):
-            part.draw(known)
+        for draw in (self._choice.draw, *self._controls):
+            draw(known)
 
     def _clicked(self, row: int) -> None:
         self._choice.choose(row)
@@ -149,14 +149,14 @@ class Station:
 
     def _build_view(self, gui: viser.GuiApi) -> None:
         """What of the scene is seen, and how."""
-        shown: list[tuple[str, Callable[[bool], None]]] = [
-            ("Names", self._vehicles.name),
-            ("Trails", self._trails.show),
-            ("Places", self._ghosts.show),
-            ("Fixes", self._fixes.show),
-        ]
-        for label, show in shown:
-            _tick(gui, label, show)
+        shown: dict[str, Sequence[viser.SceneNodeHandle]] = {
+            "Names": self._vehicles.labels,
+            "Trails": self._trails.nodes,
+            "Places": self._ghosts.nodes,
+            "Fixes": self._fixes.nodes,
+        }
+        for label, nodes in shown.items():
+            _tick(gui, label, nodes)
         links = gui.add_dropdown("Links", WHICH, initial_value=self._links.which)
         links.on_update(lambda _: setattr(self._links, "which", picked(links)))
         ground = gui.add_dropdown("On the floor", GROUNDS)
@@ -171,6 +171,11 @@ class Station:
         self._charts.darken(dark)
 
 
-def _tick(gui: viser.GuiApi, label: str, show: Callable[[bool], None]) -> None:
-    box = gui.add_checkbox(label, initial_value=True)
-    box.on_update(lambda event: show(event.target.value))
+def _tick(gui: viser.GuiApi, label: str, nodes: Sequence[viser.SceneNodeHandle]) -> None:
+    """A box by which these nodes are seen, or not."""
+
+    def show(event: viser.GuiEvent[viser.GuiCheckboxHandle]) -> None:
+        for node in nodes:
+            node.visible = event.target.value
+
+    gui.add_checkbox(label, initial_value=True).on_update(show)

@@ -5,7 +5,7 @@ A control gives an order and shows nothing of its own: that it was obeyed is see
 
 import math
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import viser
@@ -17,6 +17,15 @@ from vcmvsp.cosim.view.page.drawing import Every
 from vcmvsp.cosim.view.page.state import Known
 
 T = TypeVar("T")
+Give = Callable[[Order], None]
+Draw = Callable[[Known], None]
+"""Says what can be ordered now."""
+
+ALL = "all vehicles"
+STEP_NS = SECOND_NS // 10
+SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+FASTEST = "as fast as it can"
+HAND_S = 0.7  # after the hand has left the slider, the player moves it again
 
 
 def picked(dropdown: viser.GuiDropdownHandle[str]) -> str:
@@ -36,18 +45,7 @@ def is_finite(order: Order) -> bool:
     return all(math.isfinite(part) for part in flat if isinstance(part, float))
 
 
-ALL = "all vehicles"
-Give = Callable[[Order], None]
-
-
-class Part(Protocol):
-    """A group of controls."""
-
-    def draw(self, known: Known) -> None:
-        """Say what can be ordered now."""
-
-
-def controls(server: viser.ViserServer, scenery: Scenery, give: Give, clock: Callable[[], float]) -> list[Part]:
+def controls(server: viser.ViserServer, scenery: Scenery, give: Give, clock: Callable[[], float]) -> list[Draw]:
     """The controls of all that is obeyed, made in the present container of the page.
 
     Args:
@@ -56,125 +54,111 @@ def controls(server: viser.ViserServer, scenery: Scenery, give: Give, clock: Cal
         give: takes orders, in threads of the page's server.
         clock: of the wall, s.
     """
-    gui, may, parts = server.gui, scenery.may, list[Part]()
+    gui, may, parts = server.gui, scenery.may, list[Draw]()
     if "halt" in may:
-        parts.append(Stops(gui, give))
+        parts.append(_stops(gui, give))
     if "pace" in may:
-        parts.append(Pacing(gui, scenery, give))
+        parts.append(Pacing(gui, scenery, give).draw)
     if "seek" in may:
-        parts.append(Timeline(gui, scenery, give, clock))
+        parts.append(Timeline(gui, scenery, give, clock).draw)
     if "outage" in may:
         with gui.add_folder("Radio outage", expand_by_default=False):
-            parts.append(Outages(gui, scenery, give))
+            parts.append(_outages(gui, scenery, give))
     if "move" in may and any(each.may_be_moved for each in scenery.obstacles):
         with gui.add_folder("Obstacles", expand_by_default=False):
-            parts.append(Mover(server, scenery, give))
+            parts.append(Mover(server, scenery, give).draw)
     if "set" in may and scenery.keys:
         with gui.add_folder("Keys of the scenario", expand_by_default=False):
-            parts.append(Changes(gui, scenery, give))
+            parts.append(_changes(gui, scenery, give))
     if "end" in may:
-        parts.append(Ends(gui, give))
+        parts.append(_ends(gui, give))
     return parts
 
 
-class Stops:
-    """Stop all vehicles, or let them go."""
+def _until_over(*buttons: viser.GuiButtonHandle) -> Draw:
+    """What these buttons order is possible for as long as the run goes on."""
 
-    def __init__(self, gui: viser.GuiApi, give: Give) -> None:
-        self._stop = gui.add_button("STOP ALL", color="red", icon=viser.Icon.HAND_STOP)
-        self._go = gui.add_button("Let all go", color="gray")
-        self._stop.on_click(lambda _: give(Halt(halted=True)))
-        self._go.on_click(lambda _: give(Halt(halted=False)))
+    def draw(known: Known) -> None:
+        for button in buttons:
+            button.disabled = bool(known.now.pace.over)
 
-    def draw(self, known: Known) -> None:
-        """Stopping is possible for as long as the run goes on, letting go if anything is stopped."""
-        self._stop.disabled = bool(known.pace.over)
-        self._go.disabled = bool(known.pace.over) or not known.halted
+    return draw
 
 
-class Outages:
+def _stops(gui: viser.GuiApi, give: Give) -> Draw:
+    """Stop all vehicles, or let them go, if any is stopped."""
+    stop = gui.add_button("STOP ALL", color="red", icon=viser.Icon.HAND_STOP)
+    go = gui.add_button("Let all go", color="gray")
+    stop.on_click(lambda _: give(Halt(halted=True)))
+    go.on_click(lambda _: give(Halt(halted=False)))
+
+    def draw(known: Known) -> None:
+        stop.disabled = bool(known.now.pace.over)
+        go.disabled = stop.disabled or not known.now.halted
+
+    return draw
+
+
+def _outages(gui: viser.GuiApi, scenery: Scenery, give: Give) -> Draw:
     """Let frames be lost."""
+    of = gui.add_dropdown("Frames from and to", [ALL, *(each.name for each in scenery.vehicles)])
+    for_s = gui.add_number("are lost for [s]", 5.0, min=0.1, max=3600.0, step=0.1)
+    inject = gui.add_button("Inject outage")
 
-    def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Give) -> None:
-        of = gui.add_dropdown("Frames from and to", [ALL, *(each.name for each in scenery.vehicles)])
-        for_s = gui.add_number("are lost for [s]", 5.0, min=0.1, max=3600.0, step=0.1)
-        self._inject = gui.add_button("Inject outage")
-        self._inject.on_click(lambda _: give(Outage(vehicles=_named(picked(of)), for_s=for_s.value)))
+    def order(_: object) -> None:
+        vehicle = picked(of)
+        give(Outage(vehicles=() if vehicle == ALL else (vehicle,), for_s=for_s.value))
 
-    def draw(self, known: Known) -> None:
-        """Possible for as long as the run goes on."""
-        self._inject.disabled = bool(known.pace.over)
+    inject.on_click(order)
+    return _until_over(inject)
 
 
-class Changes:
+def _changes(gui: viser.GuiApi, scenery: Scenery, give: Give) -> Draw:
     """Give a key of the scenario another value."""
+    values = {name: float(value) for name, value in scenery.keys.items()}
+    key = gui.add_dropdown("Key", list(values))
+    new = gui.add_number("New value", values[picked(key)], step=0.001)
+    send = gui.add_button("Set")
 
-    def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Give) -> None:
-        self._give = give
-        self._values = {key: float(value) for key, value in scenery.keys.items()}
-        self._key = gui.add_dropdown("Key", list(self._values))
-        self._value = gui.add_number("New value", self._values[picked(self._key)], step=0.001)
-        self._set = gui.add_button("Set")
-        self._key.on_update(lambda _: self._begin())
-        self._set.on_click(lambda _: self._send())
+    def order(_: object) -> None:
+        values[picked(key)] = new.value
+        give(Change(key=picked(key), value=new.value))
 
-    def draw(self, known: Known) -> None:
-        """Possible for as long as the run goes on."""
-        self._set.disabled = bool(known.pace.over)
-
-    def _begin(self) -> None:
-        write(self._value, self._values[picked(self._key)])
-
-    def _send(self) -> None:
-        key, value = picked(self._key), self._value.value
-        self._values[key] = value
-        self._give(Change(key=key, value=value))
+    key.on_update(lambda _: write(new, values[picked(key)]))
+    send.on_click(order)
+    return _until_over(send)
 
 
-class Ends:
+def _ends(gui: viser.GuiApi, give: Give) -> Draw:
     """End the run, when it was said twice."""
+    end = gui.add_button("End the run", color="gray")
+    yes = gui.add_button("Yes, end it now", color="red", visible=False)
+    no = gui.add_button("No, let it go on", color="gray", visible=False)
 
-    def __init__(self, gui: viser.GuiApi, give: Give) -> None:
-        self._end = gui.add_button("End the run", color="gray")
-        self._yes = gui.add_button("Yes, end it now", color="red", visible=False)
-        self._no = gui.add_button("No, let it go on", color="gray", visible=False)
-        self._end.on_click(lambda _: self._ask(asking=True))
-        self._no.on_click(lambda _: self._ask(asking=False))
-        self._yes.on_click(lambda _: self._confirmed(give))
+    def ask(*, asking: bool) -> None:
+        end.visible, yes.visible, no.visible = not asking, asking, asking
 
-    def draw(self, known: Known) -> None:
-        """Possible for as long as the run goes on."""
-        self._end.disabled = self._yes.disabled = bool(known.pace.over)
-
-    def _ask(self, *, asking: bool) -> None:
-        self._end.visible, self._yes.visible, self._no.visible = not asking, asking, asking
-
-    def _confirmed(self, give: Give) -> None:
+    def confirmed(_: object) -> None:
         give(End())
-        self._ask(asking=False)
+        ask(asking=False)
 
-
-def _named(choice: str) -> tuple[str, ...]:
-    return () if choice == ALL else (choice,)
-
-
-STEP_NS = SECOND_NS // 10
-SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
-FASTEST = "as fast as it can"
-HAND_S = 0.7  # after the hand has left the slider, the player moves it again
+    end.on_click(lambda _: ask(asking=True))
+    no.on_click(lambda _: ask(asking=False))
+    yes.on_click(confirmed)
+    return _until_over(end, yes)
 
 
 class Pacing:
-    """Pause, go on, one step, and speed. To be made in the context of its container."""
+    """Pause, go on, one step, and speed."""
 
-    def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Callable[[Order], None]) -> None:
-        self._give = give
+    def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Give) -> None:
+        self._give, self._live = give, scenery.live
         self._told: Pace | None = None
-        self._go = gui.add_button("Go on" if scenery.live else "Play", icon=viser.Icon.PLAYER_PLAY)
+        self._go = gui.add_button("Go on" if self._live else "Play", icon=viser.Icon.PLAYER_PLAY)
         self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
-        self._step = gui.add_button("Step 0.1 s", icon=viser.Icon.PLAYER_TRACK_NEXT) if scenery.live else None
-        speeds = [_word(each) for each in SPEEDS] + ([FASTEST] if scenery.live else [])
-        self._speed = gui.add_dropdown("Speed", speeds, initial_value=FASTEST if scenery.live else _word(1.0))
+        self._step = gui.add_button("Step 0.1 s", icon=viser.Icon.PLAYER_TRACK_NEXT) if self._live else None
+        speeds = [*map(_word, SPEEDS), *([FASTEST] if self._live else [])]
+        self._speed = gui.add_dropdown("Speed", speeds, initial_value=FASTEST if self._live else _word(1.0))
         self._go.on_click(lambda _: self._order(paused=False))
         self._pause.on_click(lambda _: self._order(paused=True))
         self._speed.on_update(self._chosen)
@@ -183,14 +167,14 @@ class Pacing:
 
     def draw(self, known: Known) -> None:
         """Say what can be ordered now, and which speed is wanted if that has changed."""
-        pace = known.pace
-        over = bool(pace.over) and known.scenery.live
+        pace = known.now.pace
+        over = bool(pace.over) and self._live
         self._go.disabled, self._pause.disabled = over or not pace.paused, over or pace.paused
         if self._step is not None:
             self._step.disabled = over
         self._speed.disabled = over
         if self._told is None or self._told.speed != pace.speed:
-            word = FASTEST if pace.speed is None else _word(pace.speed)
+            word = _word(pace.speed)
             if word not in self._speed.options:
                 self._speed.options = (*self._speed.options, word)
             write(self._speed, word)
@@ -205,17 +189,14 @@ class Pacing:
         self._give(Go(paused=paused, speed=None if word == FASTEST else float(word[:-1]), step_ns=step_ns))
 
 
+def _word(speed: float | None) -> str:
+    return FASTEST if speed is None else f"{speed:g}x"
+
+
 class Timeline:
-    """Which instant of a recording is shown. To be made in the context of its container.
+    """Which instant of a recording is shown."""
 
-    Args:
-        gui: of the page.
-        scenery: of the recording.
-        give: takes orders.
-        clock: of the wall, s.
-    """
-
-    def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Callable[[Order], None], clock: Callable[[], float]) -> None:
+    def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Give, clock: Callable[[], float]) -> None:
         self._give, self._clock = give, clock
         self._end_s = max(scenery.duration_ns / SECOND_NS, 0.01)
         self._hand_s = -HAND_S
@@ -227,7 +208,7 @@ class Timeline:
         """Let the slider follow the recording, unless a hand is on it."""
         now_s = self._clock()
         if now_s - self._hand_s > HAND_S and self._often.due(now_s):
-            write(self._slider, min(round(known.time_ns / SECOND_NS, 2), self._end_s))
+            write(self._slider, min(round(known.now.time_ns / SECOND_NS, 2), self._end_s))
 
     def _moved(self, event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
         if event.client_id is not None:  # else it is what `draw` has set
@@ -236,14 +217,10 @@ class Timeline:
             self._give(Seek(time_ns=seconds_to_ns(min(max(time_s, 0.0), self._end_s))))
 
 
-def _word(speed: float) -> str:
-    return f"{speed:g}x"
-
-
 class Mover:
-    """Made in the context of its container; only for a scenery with obstacles that may be moved."""
+    """Put an obstacle somewhere else: by numbers, or by dragging it; at least one must be movable."""
 
-    def __init__(self, server: viser.ViserServer, scenery: Scenery, give: Callable[[Order], None]) -> None:
+    def __init__(self, server: viser.ViserServer, scenery: Scenery, give: Give) -> None:
         self._give = give
         self._pose = {each.name: each.pose for each in scenery.obstacles if each.may_be_moved}
         gui = server.gui
@@ -264,10 +241,10 @@ class Mover:
 
     def draw(self, known: Known) -> None:
         """Learn where the obstacles are, and whether the run is over."""
-        for name, pose in known.obstacles.items():
+        for name, pose in known.now.obstacles.items():
             if name in self._pose:
                 self._pose[name] = pose
-        over = bool(known.pace.over)
+        over = bool(known.now.pace.over)
         self._move.disabled = self._dragged.disabled = over
         if over:
             self._gizmo.visible = False
@@ -300,7 +277,7 @@ class Choice:
     somebody looks.
     """
 
-    def __init__(self, server: viser.ViserServer, scenery: Scenery, give: Callable[[Order], None]) -> None:
+    def __init__(self, server: viser.ViserServer, scenery: Scenery, give: Give) -> None:
         self._server, self._scenery, self._give = server, scenery, give
         self._row = {each.name: row for row, each in enumerate(scenery.vehicles)}
         gui, may = server.gui, scenery.may
@@ -349,7 +326,7 @@ class Choice:
     def draw(self, known: Known) -> None:
         """Say what can be ordered now."""
         for button, stops in zip(self._stops, (True, False), strict=False):
-            button.disabled = bool(known.pace.over) or (self.name in known.halted) is stops
+            button.disabled = bool(known.now.pace.over) or (self.name in known.now.halted) is stops
 
     def _changed(self) -> None:
         """Offer the sensors of the vehicle that is chosen now; those of the same names stay ticked."""

@@ -6,6 +6,7 @@ A hundred vehicles then cost the browser as few messages as three.
 import math
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 import viser
@@ -174,11 +175,11 @@ class Batch:
         clicked: Callable[[int], None] | None = None,
     ) -> None:
         count = len(colors)
-        self._handle: viser.BatchedMeshHandle | None = None
+        self.nodes: list[viser.BatchedMeshHandle] = []
         if not count:
             return
         vertices, faces = mesh
-        self._handle = handle = server.scene.add_batched_meshes_simple(
+        handle = server.scene.add_batched_meshes_simple(
             name,
             vertices,
             faces,
@@ -191,6 +192,7 @@ class Batch:
             lod="off",
             cast_shadow=False,
         )
+        self.nodes.append(handle)
         if clicked is not None:
             take = clicked
 
@@ -201,15 +203,8 @@ class Batch:
 
     def put(self, position: Array, wxyz: Array, scale: Array) -> None:
         """Where each is, (count, 3) m, how it is turned, (count, 4), and its size, (count, 3); `TINY`: it is not seen."""
-        if self._handle is not None:
-            self._handle.batched_positions = position
-            self._handle.batched_wxyzs = wxyz
-            self._handle.batched_scales = scale
-
-    def show(self, visible: bool) -> None:
-        """Let all be seen, or none."""
-        if self._handle is not None:
-            self._handle.visible = visible
+        for node in self.nodes:
+            node.batched_positions, node.batched_wxyzs, node.batched_scales = position, wxyz, scale
 
 
 class Segments:
@@ -223,20 +218,14 @@ class Segments:
     """
 
     def __init__(self, server: viser.ViserServer, name: str, colors: Array, width_px: float) -> None:
-        self._handle: viser.LineSegmentsHandle | None = None
+        self.nodes: list[viser.LineSegmentsHandle] = []
         if len(colors):
-            self._handle = server.scene.add_line_segments(
-                name, np.zeros((len(colors), 2, 3)), linear(colors), thickness=width_px, thickness_units="screen"
-            )
+            look: dict[str, Any] = {"thickness": width_px, "thickness_units": "screen"}
+            self.nodes.append(server.scene.add_line_segments(name, np.zeros((len(colors), 2, 3)), linear(colors), **look))
 
     def put(self, points: Array, colors: Array | None = None) -> None:
         """Where each begins and ends, (count, 2, 3) m, and its colours if they are other ones."""
-        if self._handle is not None:
-            self._handle.points = points
+        for node in self.nodes:
+            node.points = points
             if colors is not None:
-                self._handle.colors = linear(colors)
-
-    def show(self, visible: bool) -> None:
-        """Let all be seen, or none."""
-        if self._handle is not None:
-            self._handle.visible = visible
+                node.colors = linear(colors)

@@ -35,8 +35,8 @@ def vehicle_page(known: Known, row: int) -> str:
 
 def run_page(known: Known) -> str:
     """Which run it is, when it is, and how fast it goes on."""
-    scenery, pace = known.scenery, known.pace
-    now, end = known.time_ns / SECOND_NS, scenery.duration_ns / SECOND_NS
+    scenery, pace = known.scenery, known.now.pace
+    now, end = known.now.time_ns / SECOND_NS, scenery.duration_ns / SECOND_NS
     if pace.over:
         state = f"over: {_text(pace.over)}"
     elif pace.paused:
@@ -69,21 +69,21 @@ def _who(known: Known, row: int) -> Rows:
     craft = known.scenery.vehicles[row]
     mark = f'<span style="color: {css_of(row)}; -webkit-text-stroke: 0.5px #888">&#9632;</span>'
     period = f", every {craft.period_s:g} s" if craft.period_s else ""
-    note = known.notes.get(craft.name, {})
+    note = known.now.notes.get(craft.name, {})
     commands = ", ".join(dict.fromkeys(_text(note[key]) for key in COMMANDING if note.get(key)))
     rows = [("vehicle", f"{mark} <b>{_text(craft.name)}</b>, {_text(craft.kind)}{', real' if craft.real else ''}")]
     rows.append(("agent", f"{_text(craft.agent)}{period}" if craft.agent else "none"))
     if commands:
         rows.append(("commands", f"<b>{commands}</b>"))
-    follows = known.places.get(craft.name)
+    follows = known.now.places.get(craft.name)
     if follows is not None and follows.leader is not None:
         rows.append(("follows", f"{_text(follows.leader)} at ({follows.slot[0]:.2f}, {follows.slot[1]:.2f}) m"))
-    seen = known.sightings.get(craft.name)
+    seen = known.now.sightings.get(craft.name)
     if seen is not None and seen.found:
         found = [
             f"{_text(each.target)} at ({each.place[0]:.1f}, {each.place[1]:.1f}) m, {each.score:.2f}" for each in seen.found
         ]
-        rows.append((f"recognised {max(known.time_ns - seen.time_ns, 0) / SECOND_NS:.0f} s ago", "<br>".join(found)))
+        rows.append((f"recognised {max(known.now.time_ns - seen.time_ns, 0) / SECOND_NS:.0f} s ago", "<br>".join(found)))
     return rows
 
 
@@ -102,18 +102,18 @@ def _motion(known: Known, row: int) -> Rows:
 
 def _health(known: Known, row: int) -> Rows:
     """Whether it is there, hears, and is let go."""
-    name, now = known.names[row], known.time_ns
+    name, now = known.names[row], known.now.time_ns
     rows = []
-    if name in known.halted:
+    if name in known.now.halted:
         rows.append(("stopped", '<b style="color: #c92a2a">by the operator</b>'))
-    presence = known.presence.get(name)
+    presence = known.now.presence.get(name)
     if presence is not None:
         why = f": {_text(presence.why)}" if presence.why else ""
         rows.append(("presence", f"{presence.state} since {presence.since_ns / SECOND_NS:.2f} s{why}"))
-    heard = known.heard_ns.get(name)
+    heard = known.now.heard_ns.get(name)
     if heard is not None:
         rows.append(("last message", f"{max(now - heard, 0) / SECOND_NS:.2f} s ago"))
-    status = known.real.get(name)
+    status = known.now.real.get(name)
     if status is not None:
         if status.battery_v is not None:
             rows.append(("battery", f"{status.battery_v:.1f} V"))
@@ -126,25 +126,23 @@ def _health(known: Known, row: int) -> Rows:
 
 
 def _notes(known: Known, name: str) -> Rows:
-    notes = [(key, value) for key, value in known.notes.get(name, {}).items() if key not in COMMANDING]
+    notes = [(key, value) for key, value in known.now.notes.get(name, {}).items() if key not in COMMANDING]
     rows = [(_text(key), f"{value:.4g}" if isinstance(value, float) else _text(value)) for key, value in notes[:NOTES]]
     return rows + ([("...", f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else [])
 
 
 def _links(known: Known, row: int) -> Rows:
-    if known.sent is None or known.received is None:
+    sent, received = known.now.sent, known.now.received
+    if sent is None or received is None:
         return []
-    to, back = known.sent[row], known.sent[:, row]
+    to, back = sent[row], sent[:, row]
     others = [other for other in range(len(known.names)) if other != row and (to[other] or back[other])]
-    heard = known.received[row] + known.received[:, row]
+    heard = received[row] + received[:, row]
     busiest = sorted(others, key=lambda other: (-int(heard[other]), other))[:LINKS]
-    rows = [
-        (
-            f"{_text(known.names[other])}",
-            f"to {_share(known.received[row, other], to[other])}, from {_share(known.received[other, row], back[other])}",
-        )
-        for other in sorted(busiest)
-    ]
+    rows = []
+    for other in sorted(busiest):
+        there, here = _share(received[row, other], to[other]), _share(received[other, row], back[other])
+        rows.append((_text(known.names[other]), f"to {there}, from {here}"))
     return rows + ([("...", f"and {len(others) - LINKS} more")] if len(others) > LINKS else [])
 
 

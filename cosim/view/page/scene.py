@@ -58,10 +58,10 @@ class Scene:
         seen = known.position[np.isfinite(known.position).all(axis=1), :2]
         if len(seen):
             self._widen(*seen.min(axis=0).tolist(), *seen.max(axis=0).tolist())
-        for name, (x, y, z, yaw) in known.obstacles.items():
+        for name, (x, y, z, yaw) in known.now.obstacles.items():
             if handle := self._obstacles.get(name):
                 handle.position, handle.wxyz = (x, y, z), quaternion_from_yaw(yaw)
-        for name, (x, y) in known.targets.items():
+        for name, (x, y) in known.now.targets.items():
             if handle := self._targets.get(name):
                 handle.position = (x, y, 0.0)
 

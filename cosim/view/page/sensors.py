@@ -32,9 +32,9 @@ class Scans:
     def draw(self, known: Known, wanted: tuple[str, ...]) -> None:
         """Draw the new ones of those that are wanted, vehicle/sensor, and put the others away."""
         for key, node in self._nodes.items():
-            node.visible = key in wanted and key in known.scans
+            node.visible = key in wanted and key in known.now.scans
         for key in wanted:
-            scan, row = known.scans.get(key), known.row.get(key.partition("/")[0])
+            scan, row = known.now.scans.get(key), known.row.get(key.partition("/")[0])
             if scan is None or row is None or self._drawn.get(key) is scan:
                 continue
             self._drawn[key] = scan
@@ -65,8 +65,8 @@ class Pictures:
         """Show the new ones of the chosen vehicle."""
         if not self._often.due(now_s):
             return
-        pictures: dict[str, Image | Sightings] = {key: known.images[key] for key in wanted if key in known.images}
-        seen = known.sightings.get(chosen)
+        pictures: dict[str, Image | Sightings] = {key: known.now.images[key] for key in wanted if key in known.now.images}
+        seen = known.now.sightings.get(chosen)
         if seen is not None and seen.jpeg:
             pictures[f"{chosen}/{seen.sensor}, examined"] = seen
         for key, node in self._nodes.items():
@@ -97,7 +97,7 @@ class Ground:
 
     def draw(self, known: Known, chosen: str, now_s: float) -> None:
         """Draw that of the chosen vehicle, if it is new."""
-        told: dict[str, Mapping[str, ProbabilityMap | Mosaic]] = {MAP: known.maps, MOSAIC: known.mosaics}
+        told: dict[str, Mapping[str, ProbabilityMap | Mosaic]] = {MAP: known.now.maps, MOSAIC: known.now.mosaics}
         ground = told.get(self.kind, {}).get(chosen)
         if self._node is not None:
             self._node.visible = ground is not None

@@ -2,14 +2,14 @@
 
 from collections import deque
 from collections.abc import Mapping
-from typing import get_origin
+from typing import Any, get_origin
 
 import msgspec
 import numpy as np
 
 from vcmvsp.cosim.recording.run_state import LogLine
-from vcmvsp.cosim.types import Array, Fix, Follows, Image, Mosaic, Presence, ProbabilityMap, RealStatus, Scan, Sightings
-from vcmvsp.cosim.view.messages import Pace, PageUpdate, Scenery
+from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.view.messages import PageUpdate, Scenery
 
 NEVER_NS = -(2**62)
 LINES = 200  # of the log are kept
@@ -21,58 +21,47 @@ class Known:
     """The newest of each thing. Where time goes back, in a recording, all is forgotten but what is shown then.
 
     Rows are vehicles in the order of the scenery; a vehicle that was never shown is somewhere that is not a number.
+
+    Attributes:
+        now: all updates as one; its states, links and lines are those of the last one.
+        lines: of the log, and ``told``, how many there were so far.
+        times_back: how often time went back.
+        position, velocity, attitude: (n, 3) m and m/s, world; (n, 4) w, x, y, z, world_from_body.
+        link_sent_ns, link_rssi_dbm, link_received: (n, n), of the newest frame of the row's vehicle for the column's.
     """
 
-    time_ns: int
-    lines: deque[LogLine]
-    told: int  # lines so far: tells whether there are new ones
-    sent: Array | None
-    received: Array | None
-    obstacles: dict[str, tuple[float, float, float, float]]
-    targets: dict[str, tuple[float, float]]
-    places: dict[str, Follows]
-    notes: dict[str, dict[str, float | str | bool]]
-    fixes: dict[str, Fix]
-    scans: dict[str, Scan]
-    images: dict[str, Image]
-    sightings: dict[str, Sightings]
-    maps: dict[str, ProbabilityMap]
-    mosaics: dict[str, Mosaic]
-    heard_ns: dict[str, int]
-    presence: dict[str, Presence]
-    real: dict[str, RealStatus]
+    now: PageUpdate
+    told: int
 
     def __init__(self, scenery: Scenery) -> None:
         self.scenery = scenery
         self.names = [each.name for each in scenery.vehicles]
         self.row = {name: index for index, name in enumerate(self.names)}
-        self.times_back = 0  # how often time went back
+        self.times_back = 0
         count = len(self.names)
-        self.position = np.full((count, 3), np.nan)  # m, world
-        self.velocity = np.zeros((count, 3))  # m/s, world
-        self.attitude = np.tile((1.0, 0.0, 0.0, 0.0), (count, 1))  # w, x, y, z; world_from_body
+        self.position = np.full((count, 3), np.nan)
+        self.velocity = np.zeros((count, 3))
+        self.attitude = np.tile((1.0, 0.0, 0.0, 0.0), (count, 1))
         self._rows_of: tuple[tuple[str, ...], list[int], list[int]] = ((), [], [])
         self._forget(0)
 
-    def take(self, shown: PageUpdate) -> None:
+    def take(self, update: PageUpdate) -> None:
         """Learn how things stand."""
-        if shown.time_ns < self.time_ns:
+        if update.time_ns < self.now.time_ns:
             self.times_back += 1
-            kept = [line for line in self.lines if line.time_ns <= shown.time_ns]
-            self._forget(shown.time_ns)
+            kept = [line for line in self.lines if line.time_ns <= update.time_ns]
+            self._forget(update.time_ns)
             self.lines.extend(kept)
-        self.time_ns = shown.time_ns
-        self.pace, self.halted = shown.pace, shown.halted
-        for field in MAPPINGS:
-            getattr(self, field).update(getattr(shown, field))
-        for line in shown.lines:
+        for line in update.lines:
             if line not in self.lines:  # a recording may tell those again that stand there still
                 self.lines.append(line)
                 self.told += 1
-        if shown.sent is not None and shown.received is not None:
-            self.sent, self.received = shown.sent, shown.received
-        self._take_states(shown)
-        self._take_links(shown)
+        merged: dict[str, Any] = {name: {**getattr(self.now, name), **getattr(update, name)} for name in MAPPINGS}
+        if update.sent is None or update.received is None:
+            merged |= {"sent": self.now.sent, "received": self.now.received}
+        self.now = msgspec.structs.replace(update, **merged)
+        self._take_states(update)
+        self._take_links(update)
 
     @property
     def yaw(self) -> Array:
@@ -81,20 +70,16 @@ class Known:
         return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
     def _forget(self, time_ns: int) -> None:
-        self.time_ns = time_ns
-        self.pace, self.halted = Pace(), ()
-        self.lines = deque(maxlen=LINES)
+        self.now = PageUpdate(time_ns=time_ns)
+        self.lines: deque[LogLine] = deque(maxlen=LINES)
         self.told = 0
-        for field in MAPPINGS:
-            setattr(self, field, {})
-        self.sent = self.received = None
         count = len(self.names)
-        self.link_sent_ns = np.full((count, count), NEVER_NS, np.int64)  # newest frame of the row's vehicle for the column's
+        self.link_sent_ns = np.full((count, count), NEVER_NS, np.int64)
         self.link_rssi_dbm = np.zeros((count, count))
         self.link_received = np.zeros((count, count), bool)
 
-    def _take_states(self, shown: PageUpdate) -> None:
-        states = shown.states
+    def _take_states(self, update: PageUpdate) -> None:
+        states = update.states
         if states is None:
             return
         if self._rows_of[0] != states.names:
@@ -105,8 +90,8 @@ class Known:
         self.velocity[rows] = states.velocity[columns]
         self.attitude[rows] = states.attitude[columns]
 
-    def _take_links(self, shown: PageUpdate) -> None:
-        for link in shown.links:
+    def _take_links(self, update: PageUpdate) -> None:
+        for link in update.links:
             sender = self.row.get(link.sender)
             receivers = [self.row.get(name, -1) for name in link.receivers]
             if sender is None or -1 in receivers:

@@ -1,7 +1,7 @@
 """The vehicles in the browser: bodies and names, where they came from, the places that they mean to keep, and their links."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import viser
@@ -32,29 +32,36 @@ from vcmvsp.cosim.view.page.drawing import (
 )
 from vcmvsp.cosim.view.page.state import Known
 
+LABELS = 200  # vehicles; of more, the others' names are not written beside them
+LABELS_AT_ONCE = 16  # are moved: each costs a message
+ABOVE_M = 0.12  # a name over its body
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+SEGMENTS, LONGEST, SHORTEST = 4000, 150, 20
+"""Of all trails together, and of each of them."""
+TRAIL_NS = 30 * SECOND_NS  # which a trail reaches back, unless the run is so fast that it is more
+LEAST_M = 0.03  # radius of the mark of an exact position
+OVER_M = 0.02  # above the floor, so that it is seen
+FRESH_NS = SECOND_NS  # how long a frame is shown
+MOST = 600  # half lines; of more, the newest are drawn
+BLINK_S = 0.25
+FEW = 12  # vehicles of which all links are drawn at first
+WHICH = ALL, OWN, NONE = "all", "of the chosen vehicle", "none"
 
-@dataclass(frozen=True)
-class Places:
-    """The places of those that follow one another.
 
-    Args:
-        row: of each follower, (k,).
-        place: where it belongs as it is turned now, (k, 3) m, world; at its own height.
-        yaw: its own, (k,) rad.
-        error_m: the formation error, (k,): see `cosim.types.Follows`.
-    """
+class Places(NamedTuple):
+    """The places of the k vehicles that follow one another."""
 
-    row: Array
-    place: Array
-    yaw: Array
-    error_m: Array
+    row: Array  # (k,) of each follower
+    place: Array  # (k, 3) m, world: where it belongs as it is turned now, at its own height
+    yaw: Array  # (k,) rad, its own
+    error_m: Array  # (k,), the formation error: see `cosim.types.Follows`
 
 
 def places_of(known: Known) -> Places:
     """The places that are kept at present, of vehicles that are known to be somewhere."""
     kept = [
         (known.row[name], known.row[each.leader], *each.slot, each.handle_m)
-        for name, each in known.places.items()
+        for name, each in known.now.places.items()
         if name in known.row and each.leader in known.row
     ]
     table = np.array(kept, float).reshape(-1, 5)
@@ -73,12 +80,6 @@ def places_of(known: Known) -> Places:
 
 def _unit(yaw: Array) -> Array:
     return np.column_stack([np.cos(yaw), np.sin(yaw)])
-
-
-LABELS = 200  # vehicles; of more, the others' names are not written beside them
-LABELS_AT_ONCE = 16  # are moved: each costs a message
-ABOVE_M = 0.12  # a name over its body
-UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 class Vehicles:
@@ -111,7 +112,7 @@ class Vehicles:
         self._chosen = server.scene.add_mesh_simple(
             "/chosen", vertices, faces, color=CHOSEN_RGB, side="double", visible=False, cast_shadow=False
         )
-        self._labels = [
+        self.labels = [
             server.scene.add_label(f"/names/{each.name}", each.name, font_screen_scale=0.8, anchor="bottom-center")
             for each in crafts[:LABELS]
         ]
@@ -138,36 +139,24 @@ class Vehicles:
             self._draw_stopped(known, floor, reach)
         self._draw_labels(centre)
 
-    def name(self, visible: bool) -> None:
-        """Let the names be seen, or not."""
-        for each in self._labels:
-            each.visible = visible
-
     def _draw_stopped(self, known: Known, floor: Array, reach: Array) -> None:
         """A red disc under each vehicle that the operator has stopped."""
         radius = np.full(len(reach), TINY)
-        rows = [known.row[name] for name in known.halted if name in known.row]
+        rows = [known.row[name] for name in known.now.halted if name in known.row]
         radius[rows] = 1.5 * reach[rows]
         upright = np.tile(UPRIGHT, (len(reach), 1))
         self._stopped.put(floor, upright, np.column_stack([radius, radius, np.ones(len(reach))]))
 
     def _draw_labels(self, centre: Array) -> None:
         """Move names along; of many vehicles some at a time, in turn."""
-        for _ in range(min(LABELS_AT_ONCE, len(self._labels))):
-            row = self._label = (self._label + 1) % len(self._labels)
-            self._labels[row].position = centre[row] + (0.0, 0.0, 0.5 * float(self._size[row, 2]) + ABOVE_M)
+        for _ in range(min(LABELS_AT_ONCE, len(self.labels))):
+            row = self._label = (self._label + 1) % len(self.labels)
+            self.labels[row].position = centre[row] + (0.0, 0.0, 0.5 * float(self._size[row, 2]) + ABOVE_M)
 
 
 def _clicked(rows: Array, choose: Callable[[int], None]) -> Callable[[int], None]:
     """What a click at one of these bodies does."""
     return lambda index: choose(int(rows[index]))
-
-
-SEGMENTS, LONGEST, SHORTEST = 4000, 150, 20
-"""Of all trails together, and of each of them."""
-TRAIL_NS = 30 * SECOND_NS  # which a trail reaches back, unless the run is so fast that it is more
-LEAST_M = 0.03  # radius of the mark of an exact position
-OVER_M = 0.02  # above the floor, so that it is seen
 
 
 class Trails:
@@ -176,11 +165,11 @@ class Trails:
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         count = len(scenery.vehicles)
         self._steps = min(max(SEGMENTS // max(count, 1), SHORTEST), LONGEST)
-        self._colors = colors_of(count)
         # A slow fade to the floor's colour says which end is old.
         share = np.linspace(0.25, 1.0, self._steps + 1)[None, :, None]
-        shades = (235.0 + share * (self._colors[:, None] - 235.0)).astype(np.uint8)
+        shades = (235.0 + share * (colors_of(count)[:, None] - 235.0)).astype(np.uint8)
         self._lines = Segments(server, "/trails", _pairs(shades), 2.0)
+        self.nodes = self._lines.nodes
         self._places = np.empty((count, 0, 3))
         self._next_ns, self._times_back = 0, 0
         self._often = Every(0.25)
@@ -191,9 +180,9 @@ class Trails:
         if known.times_back != self._times_back:
             self._times_back, self._next_ns = known.times_back, 0
             self._places = self._places[:, :0]
-        if known.time_ns < self._next_ns or not np.isfinite(known.position).any():
+        if known.now.time_ns < self._next_ns or not np.isfinite(known.position).any():
             return
-        self._next_ns = known.time_ns + TRAIL_NS // self._steps
+        self._next_ns = known.now.time_ns + TRAIL_NS // self._steps
         self._places = np.concatenate([self._places[:, -self._steps :], known.position[:, None]], axis=1)
         self._new = True
 
@@ -208,10 +197,6 @@ class Trails:
             pairs[unknown] = 0.0
             self._lines.put(pairs)
 
-    def show(self, visible: bool) -> None:
-        """Let them be seen, or not."""
-        self._lines.show(visible)
-
 
 class Ghosts:
     """The places that followers mean to keep: bodies that can be seen through, and lines to them."""
@@ -221,6 +206,7 @@ class Ghosts:
         colors = colors_of(len(self._size))
         self._bodies = Batch(server, "/places/bodies", box(), colors, opacity=0.3)
         self._lines = Segments(server, "/places/lines", np.repeat(colors[:, None], 2, axis=1), 1.5)
+        self.nodes = [*self._bodies.nodes, *self._lines.nodes]
 
     def draw(self, known: Known) -> None:
         """Put them where they are."""
@@ -234,11 +220,6 @@ class Ghosts:
         self._bodies.put(position, turned(yaw), scale)
         self._lines.put(points)
 
-    def show(self, visible: bool) -> None:
-        """Let them be seen, or not."""
-        self._bodies.show(visible)
-        self._lines.show(visible)
-
 
 class Fixes:
     """Where positioning systems say that vehicles are: a disc of one standard deviation on each, and what is seen of it."""
@@ -246,17 +227,18 @@ class Fixes:
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         colors = colors_of(len(scenery.vehicles))
         self._discs = Batch(server, "/fixes", disc(), colors, opacity=0.35)
+        self.nodes = self._discs.nodes
         self._flies = [each.flies for each in scenery.vehicles]
         self._often, self._any = Every(0.1), False
 
     def draw(self, known: Known, now_s: float) -> None:
         """Put them where they are."""
-        if not (known.fixes or self._any) or not self._often.due(now_s):
+        if not (known.now.fixes or self._any) or not self._often.due(now_s):
             return
-        self._any = bool(known.fixes)
+        self._any = bool(known.now.fixes)
         count = len(known.names)
         position, scale = np.zeros((count, 3)), np.full((count, 3), TINY)
-        for name, fix in known.fixes.items():
+        for name, fix in known.now.fixes.items():
             if (row := known.row.get(name)) is not None:
                 position[row] = fix.position
                 if not self._flies[row]:  # on the floor, whatever its height was measured to be
@@ -264,21 +246,10 @@ class Fixes:
                 scale[row] = (max(fix.sigma_m, LEAST_M), max(fix.sigma_m, LEAST_M), 1.0)
         self._discs.put(position, turned(np.zeros(count)), scale)
 
-    def show(self, visible: bool) -> None:
-        """Let them be seen, or not."""
-        self._discs.show(visible)
-
 
 def _pairs(points: Array) -> Array:
     """Chains of points, (n, k + 1, 3), as the pieces between them, (n * k, 2, 3)."""
     return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3)
-
-
-FRESH_NS = SECOND_NS  # how long a frame is shown
-MOST = 600  # half lines; of more, the newest are drawn
-BLINK_S = 0.25
-FEW = 12  # vehicles of which all links are drawn at first
-WHICH = ALL, OWN, NONE = "all", "of the chosen vehicle", "none"
 
 
 class Links:
@@ -318,7 +289,7 @@ def fresh_links(known: Known, most: int, of: int | None = None) -> tuple[Array, 
         most: how many there may be.
         of: the row of a vehicle, for its own alone; None: of all.
     """
-    age = known.time_ns - known.link_sent_ns
+    age = known.now.time_ns - known.link_sent_ns
     placed = np.isfinite(known.position).all(axis=1)
     fresh = (age >= 0) & (age <= FRESH_NS) & placed[:, None] & placed[None, :]
     sender, receiver = np.nonzero(fresh)

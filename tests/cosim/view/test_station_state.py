@@ -23,9 +23,9 @@ def test_what_is_left_out_is_as_it_was() -> None:
     scene = scenery(3)
     known = known_of(scene, shown(scene, 1.0), PageUpdate(time_ns=2 * SECOND_NS))
     assert np.array_equal(known.position, shown(scene, 1.0).states.position)  # type: ignore[union-attr]
-    assert known.places.keys() == {"v2", "v3"}
-    assert known.sent is not None
-    assert known.time_ns == 2 * SECOND_NS
+    assert known.now.places.keys() == {"v2", "v3"}
+    assert known.now.sent is not None
+    assert known.now.time_ns == 2 * SECOND_NS
 
 
 def test_of_each_key_the_newest_counts() -> None:
@@ -33,7 +33,7 @@ def test_of_each_key_the_newest_counts() -> None:
     old: Notes = {"v1": {"mode": "old"}, "v2": {"mode": "old"}}
     new: Notes = {"v2": {"mode": "new"}}
     known = known_of(scene, PageUpdate(time_ns=0, notes=old), PageUpdate(time_ns=1, notes=new))
-    assert known.notes == {"v1": {"mode": "old"}, "v2": {"mode": "new"}}
+    assert known.now.notes == {"v1": {"mode": "old"}, "v2": {"mode": "new"}}
 
 
 def test_where_time_goes_back_only_what_is_shown_then_counts() -> None:
@@ -41,7 +41,7 @@ def test_where_time_goes_back_only_what_is_shown_then_counts() -> None:
     lines = tuple(LogLine(time_ns=second * SECOND_NS, level="info", text=f"line {second}") for second in range(5))
     late = PageUpdate(time_ns=4 * SECOND_NS, presence={"v1": Presence(state="lost", since_ns=3 * SECOND_NS)}, lines=lines)
     known = known_of(scene, late, PageUpdate(time_ns=2 * SECOND_NS, lines=lines[2:3]))
-    assert known.presence == {}
+    assert known.now.presence == {}
     assert [line.text for line in known.lines] == ["line 0", "line 1", "line 2"]
     assert known.times_back == 1
 
