@@ -173,7 +173,7 @@ def draw(found: Mapping[str, Mapping[str, Sequence[float]]], folder: Path) -> li
     """The costs over N, on logarithmic axes."""
     from PIL import Image
 
-    from vcmvsp.cosim.reproduction.figures import files
+    from vcmvsp.cosim.reproduction.figures import figure as files
     from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 
     panels = []

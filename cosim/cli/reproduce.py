@@ -44,7 +44,7 @@ def figure_command(
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: there is a file of that name; name a folder")
     from vcmvsp.cosim.processes.worker_pool import cores
-    from vcmvsp.cosim.reproduction.figures import files
+    from vcmvsp.cosim.reproduction.figures import figure as files
     from vcmvsp.cosim.reproduction.runner import Runner
     from vcmvsp.cosim.terminal.progress import StudyProgress
 
@@ -93,12 +93,12 @@ def validate_command(
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: there is a file of that name; name a folder")
     from vcmvsp.cosim.processes.worker_pool import cores
-    from vcmvsp.cosim.reproduction.validation import check, document
+    from vcmvsp.cosim.reproduction.validation import document
     from vcmvsp.cosim.terminal.progress import StudyProgress
 
     try:
         with stdout_to_stderr(), StudyProgress(quiet=quiet, what="checks") as progress:
-            outcomes = check.run_all(checks, jobs or cores(), lambda done, of: progress.on_run(done, 0, of))
+            outcomes = validation.run_all(checks, jobs or cores(), lambda done, of: progress.on_run(done, 0, of))
     except KeyboardInterrupt:
         raise Interrupted("interrupted") from None
     written = document.write(outcomes, out)

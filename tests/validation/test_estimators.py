@@ -26,8 +26,8 @@ import vcmvsp
 from tests.support.step_responses import Floats
 from tests.support.validation.fleets import ASIDE, errors, fleet, lossy
 from vcmvsp.cosim.reproduction.figures.formation import loss_integration as plain
-from vcmvsp.cosim.reproduction.figures.formation.delay import DELAYS_S
-from vcmvsp.cosim.reproduction.figures.formation.delay import REFERENCE as DELAY
+from vcmvsp.cosim.reproduction.figures.formation.messages import DELAYS_S
+from vcmvsp.cosim.reproduction.figures.formation.messages import REFERENCE as DELAY
 from vcmvsp.cosim.reproduction.figures.scenarios import AHEAD, LEFT_BEHIND, RIGHT_BEHIND, T
 
 ALL, BOTH, PATHS = ("hold", "dr", "acc", "plan"), ("hold", "dr"), ("slalom", "random")

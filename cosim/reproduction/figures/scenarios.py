@@ -27,7 +27,7 @@ RIGHT_BEHIND, LEFT_BEHIND = {"bearing_deg": 30.0}, {"bearing_deg": -30.0}
 TRIANGLE = (RIGHT_BEHIND, LEFT_BEHIND)
 UNLIMITED = {"max_reverse": 1e9, "timeout_s": 1e9, "horizon_s": 1e9}  # closed forms know no such limits
 IDEAL: Mapping[str, Any] = {"preset": "ideal"}
-STEP = "vcmvsp.cosim.reproduction.figures.formation.step_agent:StepFollower"
+STEP = "vcmvsp.cosim.reproduction.figures.formation.steps:StepFollower"
 
 
 @dataclass(frozen=True)

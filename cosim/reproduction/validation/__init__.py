@@ -2,27 +2,88 @@
 
 A check is a function of a module here that measures and gives rows (`cosim.reproduction.row.Row`). Expected numbers are
 computed where there is a formula, and stored with their source where they come from another program, a standard or a book.
-Start reading in `cosim.reproduction.validation.check`.
 """
 
-from collections.abc import Mapping, Sequence
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from vcmvsp.cosim.config.binding import unknown
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.reproduction import figures
-from vcmvsp.cosim.reproduction.validation.check import Check
+from vcmvsp.cosim.reproduction.row import Row
+from vcmvsp.cosim.reproduction.runner import Runner
 
 TOH, OWN, NS3 = "Toh 2012", "independent simulation", "ns-3.44"
 TIME, LINK, AIR = "Time and determinism", "Radio: one link", "Radio: shared air"
 FORMATION, BODIES, AVOIDANCE, SEARCH = "Formation control", "Vehicles and sensors", "Avoidance", "Reconnaissance"
-
 FEW_LOSSES: Mapping[str, Any] = {"probabilities": (0.0, 0.3, 0.7, 0.9), "followers": 12}
 
 
+@dataclass(frozen=True)
+class Check:
+    """A measurement and the source of its expected numbers."""
+
+    name: str
+    area: str
+    title: str
+    source: str  # of what is expected
+    measure: str  # "module:function" of this package, which gives a sequence of `Row`; or the name of a figure
+    seconds: float = 2.0  # about, on one core: the longest begin first
+    settings: Mapping[str, Any] = field(default_factory=dict)  # what the function is given
+    reduced: str = ""  # in which way it is less than it could be
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Rows of a check; without rows, its problem."""
+
+    check: Check
+    rows: Sequence[Row] = ()
+    problem: str = ""
+
+    @property
+    def missed(self) -> Sequence[Row]:
+        """Rows outside their tolerance."""
+        return [row for row in self.rows if not row.ok]
+
+    @property
+    def ok(self) -> bool:
+        """Whether there are rows, and all hold."""
+        return bool(self.rows) and not self.missed
+
+
+def run_all(checks: Sequence[Check], jobs: int, progress: Callable[[int, int], None]) -> list[Outcome]:
+    """Run checks, longest first; the outcomes are in the order of ``checks``.
+
+    Args:
+        checks: to run.
+        jobs: number of processes; 1: this one.
+        progress: called after every check with the finished and the total number.
+    """
+    order = sorted(range(len(checks)), key=lambda place: -checks[place].seconds)
+    done = Runner(jobs, progress)([partial(measured, checks[place]) for place in order])
+    outcomes = dict(zip(order, done, strict=True))
+    return [outcomes[place] for place in range(len(checks))]
+
+
+def measured(check: Check) -> Outcome:
+    """Run one check. An exception becomes its problem."""
+    module, _, function = check.measure.partition(":")
+    try:
+        if function:
+            rows = getattr(importlib.import_module(f"{__name__}.{module}"), function)(**check.settings)
+        else:
+            rows = figures.find(module)(Runner(), **check.settings).rows
+    except Exception as error:
+        return Outcome(check, problem=f"{type(error).__name__}: {error}")
+    return Outcome(check, rows, "" if rows else "gave no rows")
+
+
 def _figure(area: str, name: str, source: str, seconds: float, reduced: str = "", **settings: object) -> Check:
-    settings = {"name": name, **settings}
-    return Check(f"figure-{name}", area, figures.NAMES[name][1], source, "check:figure_rows", seconds, settings, reduced)
+    return Check(f"figure-{name}", area, figures.NAMES[name][1], source, name, seconds, settings, reduced)
 
 
 def _ns3(name: str, case: str, seconds: float) -> Check:
@@ -35,17 +96,17 @@ _ALL = (
     Check("same-bytes", TIME, "A digest, wherever agents run.", "one scenario, one digest", "timing:same_bytes", 5),
     Check("late-loop", TIME, "A loop that is closed late, and when it is stable.", "z' = -k z(t - d)", "timing:late_loop", 4),
     Check("old-reports", TIME, "What a leader's reports cost by their age.", "v a; 2 R sin(w a / 2)", "timing:old_reports"),
-    Check("path-loss", LINK, "Laws of distance, ranges.", "Friis; Rappaport 4.52; Toh 2012, 6.2.3", "levels:path_loss"),
-    Check("walls", LINK, "Slabs of usual walls.", "ITU-R P.2040-3, averaged over the phase", "levels:walls"),
-    Check("shadowing", LINK, "Spread, correlation, there and back.", "Gudmundson 1991", "levels:shadowing"),
-    Check("fading", LINK, "Quantiles, mean, variance.", f"{NS3} (Nakagami); chi-squared; exponential", "levels:fading", 8),
-    Check("doppler", LINK, "Fading in time: correlation of the power.", "Clarke 1968, J0 squared", "levels:doppler", 4),
-    Check("success", LINK, "Success by SINR of every modulation.", NS3, "error_rates:success"),
-    Check("received", LINK, "Frames received over one link.", f"{NS3}, 20,000 frames each", "error_rates:received"),
-    Check("air-time", LINK, "Time on the air.", NS3, "error_rates:air_time"),
-    Check("chance", LINK, "Losses on their own and in bursts.", "Bernoulli; Gilbert and Elliott", "losses:chance", 4),
-    Check("queue", LINK, "Waiting behind one's own frames.", "Lindley; Pollaczek and Khinchine", "losses:queue", 12),
-    Check("age", LINK, "Age of information by loss and delay.", "Kaul, Yates and Gruteser 2012", "losses:age"),
+    Check("path-loss", LINK, "Laws of distance, ranges.", "Friis; Rappaport 4.52; Toh 2012, 6.2.3", "radio:path_loss"),
+    Check("walls", LINK, "Slabs of usual walls.", "ITU-R P.2040-3, averaged over the phase", "radio:walls"),
+    Check("shadowing", LINK, "Spread, correlation, there and back.", "Gudmundson 1991", "radio:shadowing"),
+    Check("fading", LINK, "Quantiles, mean, variance.", f"{NS3} (Nakagami); chi-squared; exponential", "radio:fading", 8),
+    Check("doppler", LINK, "Fading in time: correlation of the power.", "Clarke 1968, J0 squared", "radio:doppler", 4),
+    Check("success", LINK, "Success by SINR of every modulation.", NS3, "radio:success"),
+    Check("received", LINK, "Frames received over one link.", f"{NS3}, 20,000 frames each", "radio:received"),
+    Check("air-time", LINK, "Time on the air.", NS3, "radio:air_time"),
+    Check("chance", LINK, "Losses on their own and in bursts.", "Bernoulli; Gilbert and Elliott", "radio:chance", 4),
+    Check("queue", LINK, "Waiting behind one's own frames.", "Lindley; Pollaczek and Khinchine", "radio:queue", 12),
+    Check("age", LINK, "Age of information by loss and delay.", "Kaul, Yates and Gruteser 2012", "radio:age"),
     Check("bianchi", AIR, "Saturated radios.", "Bianchi 2000", "medium_access:bianchi", 8),
     Check("periodic", AIR, "10 to 100 radios that broadcast at 10 Hz.", NS3, "medium_access:periodic", 25),
     _ns3("dcf-b-50", "802.11b, 50 in one domain", 3),
@@ -67,11 +128,11 @@ _ALL = (
     _figure(FORMATION, "estimators", OWN, 20),
     _figure(FORMATION, "chain", f"|G| of a hop; {OWN}", 42),
     _figure(FORMATION, "consensus-delay", "sampled modes of the Laplacian", 30, "2 of 4 ages at 1 kHz", shares=(0.98, 1.02)),
-    Check("wheels", BODIES, "Differential drives in PyBullet.", "what was commanded", "vehicles:wheels"),
-    Check("quadrotor", BODIES, "Steady flight, limits, wind.", "balance of forces", "vehicles:quadrotor", 4),
-    Check("scanner", BODIES, "Beams in a room and among pillars.", "exact geometry", "sensors:scanner"),
-    Check("inertial", BODIES, "An inertial unit on a circle.", "v w and g", "sensors:inertial"),
-    Check("positions", BODIES, "Errors of positioning.", "what its parameters say", "sensors:positions"),
+    Check("wheels", BODIES, "Differential drives in PyBullet.", "what was commanded", "bodies:wheels"),
+    Check("quadrotor", BODIES, "Steady flight, limits, wind.", "balance of forces", "bodies:quadrotor", 4),
+    Check("scanner", BODIES, "Beams in a room and among pillars.", "exact geometry", "bodies:scanner"),
+    Check("inertial", BODIES, "An inertial unit on a circle.", "v w and g", "bodies:inertial"),
+    Check("positions", BODIES, "Errors of positioning.", "what its parameters say", "bodies:positions"),
     _figure(AVOIDANCE, "28", f"{TOH}, Fig. 28; {OWN}", 4),
     _figure(AVOIDANCE, "29", f"{TOH}, Fig. 29; {OWN}", 10),
     _figure(AVOIDANCE, "41", f"{TOH}, Figs. 40 and 41; geometry", 19),

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from vcmvsp.cosim.reproduction.row import COLUMNS, write_csv
-from vcmvsp.cosim.reproduction.validation import CHECKS
-from vcmvsp.cosim.reproduction.validation.check import Outcome
+from vcmvsp.cosim.reproduction.validation import CHECKS, Outcome
 from vcmvsp.cosim.util.files import to_json, write_whole, writing
 
 SCHEMA = "vcmvsp.validation/1"

@@ -8,7 +8,7 @@ import numpy as np
 from vcmvsp.cosim.assembly.parts import channel_trial
 from vcmvsp.cosim.assembly.parts.radio import Channel
 from vcmvsp.cosim.reproduction.row import Row, absolute, relative
-from vcmvsp.cosim.reproduction.validation.channel_setup import channel, decided, send
+from vcmvsp.cosim.reproduction.validation.radio import channel, decided, send
 from vcmvsp.cosim.types import Array, FrameReport
 
 SATURATED: Mapping[str, Any] = {"kind": "dcf", "lifetime_s": 1e6, "queue_frames": 1_000_000}

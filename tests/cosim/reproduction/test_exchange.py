@@ -9,8 +9,16 @@ import pytest
 from tests.support.cosim.figures import drawn
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.reproduction.figures.search import map_exchange
-from vcmvsp.cosim.reproduction.figures.search.map_exchange import sequential, sequential_rows
-from vcmvsp.cosim.reproduction.figures.search.map_exchange_runs import CELL_M, SURE, Watcher, places, search, searched
+from vcmvsp.cosim.reproduction.figures.search.map_exchange import (
+    CELL_M,
+    SURE,
+    Watcher,
+    places,
+    search,
+    searched,
+    sequential,
+    sequential_rows,
+)
 from vcmvsp.cosim.types import Note, ProbabilityMap
 
 QUICK = 15  # a seed whose targets four vehicles find within seconds

@@ -9,8 +9,7 @@ import pytest
 from tests.support.paths import SCENARIOS
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.avoidance import potential_fields
-from vcmvsp.cosim.reproduction.figures.figure import Figure
-from vcmvsp.cosim.reproduction.figures.files import write
+from vcmvsp.cosim.reproduction.figures.figure import Figure, write
 from vcmvsp.cosim.reproduction.runner import Runner
 from vcmvsp.cosim.runs.api import run
 
