@@ -47,11 +47,7 @@ _FOREVER = QosTime(2147483647, 4294967295)
 
 
 class Bag:
-    """Writes one bag.
-
-    Args:
-        writer: open.
-    """
+    """Writes one bag."""
 
     def __init__(self, writer: Writer) -> None:
         self._writer, self._values = writer, Values()

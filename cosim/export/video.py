@@ -39,11 +39,6 @@ FONT = 0  # cv2.FONT_HERSHEY_SIMPLEX
 def write_video(source: Source, path: Path, progress: Callable[[float], None]) -> None:
     """Write an MP4 file (`cosim.util.film`).
 
-    Args:
-        source: the recording.
-        path: of the file, ending in ``.mp4``.
-        progress: called with the part of the film that is done, 0 to 1.
-
     Raises:
         UsageError: the recording shows no vehicle.
         OSError: the file cannot be written.

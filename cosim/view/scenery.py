@@ -134,12 +134,6 @@ def recorded_stage(
 ) -> tuple[Scenery, "worlds.World"]:
     """The scenery and the world that a run's resolved scenario describes; what is not built in, as the recording draws it.
 
-    Args:
-        path: of the scenario.
-        vehicles: in their order.
-        drawing: the message that draws them, if there is one.
-        trust: import classes that are not built in.
-
     Raises:
         ScenarioError, UsageError: it cannot be built any more.
         ValueError: it has other vehicles than the recording.
@@ -154,11 +148,6 @@ def recorded_stage(
 
 def bare_scenery(about: Mapping[str, str], vehicles: Sequence[str], drawing: bytes | None) -> Scenery:
     """The vehicles alone, as big as they are drawn in the recording.
-
-    Args:
-        about: what the recording says of its run.
-        vehicles: in their order.
-        drawing: the message that draws them, if there is one.
 
     Raises:
         ValueError: it is no such message.

@@ -98,15 +98,7 @@ def is_fit(message: object) -> bool:
 
 
 class Gate:
-    """Decides who is let in.
-
-    Args:
-        host: that is listened on.
-        port: likewise.
-        token: what those who are let in bring.
-        protocol: what their page speaks.
-        page: its HTML.
-    """
+    """Decides who is let in."""
 
     def __init__(self, host: str, port: int, token: str, protocol: str, page: str) -> None:
         self.port, self._token, self._protocol, self._page = port, token.encode(), protocol, page
@@ -211,11 +203,6 @@ def _is_address(name: str) -> bool:
 
 def open_server(host: str, port: int, token: str) -> "viser.ViserServer":
     """A web server that lets in those who bring the token.
-
-    Args:
-        host: what to listen on: 127.0.0.1, ::1, an address or name of this machine, or 0.0.0.0 or :: for all of them.
-        port: 0: any that is free.
-        token: not empty.
 
     Raises:
         UsageError: it cannot listen there, or the gate does not hold.

@@ -49,24 +49,6 @@ def test_loss_on_a_straight_line(p: float) -> None:
     assert continuous == pytest.approx(radio["delay_s"]["mean"] + T * (1 + p) / (2 * (1 - p)), rel=0.015)
 
 
-@pytest.mark.parametrize(("exponent", "range_m"), [(2.0, 293.4), (2.5, 108.2), (3.0, 55.6), (4.0, 24.2)])
-def test_the_range_of_the_wireless_simulation_server(exponent: float, range_m: float) -> None:
-    """d_max = d0 10^((Pd0 - cutoff)/(10 N)) (Toh 2012, 6.2.3): a millionth nearer all is heard, a millionth farther nothing."""
-    reach = 2.0 * 10.0 ** ((-49.67 + 93.0) / (10.0 * exponent))
-    assert reach == pytest.approx(range_m, abs=0.06)
-    leader = {"kind": "trajectory", "path": "straight"}
-    scenario = fleet(5.0, [], path="straight", radio={"preset": "wss", "path_loss": {"exponent": exponent}})
-    # Abreast of the leader, at its speed: the distance stays what it is.
-    scenario["vehicle"] += [
-        {"name": "near", "pose": (0.0, -reach * (1 - 1e-6), 0.0), "agent": leader},
-        {"name": "far", "pose": (0.0, reach * (1 + 1e-6), 0.0), "agent": leader},
-    ]
-    rows = vcmvsp.run(scenario, mcap=False).radio.to_pandas()
-    outcomes = rows[rows.sender == "car1"].groupby("receiver", observed=True).outcome
-    assert outcomes.unique().map(list).to_dict() == {"near": ["received"], "far": ["below sensitivity"]}
-    assert (outcomes.size() == 50).all()
-
-
 def test_a_link_keeps_its_draws_when_vehicles_are_added() -> None:
     """Losses and delays from car1 to car2 are the same in a fleet of three and of six that all talk."""
     radio = lossy(0.3, 0.05, 0.04)

@@ -46,11 +46,7 @@ answers: codec.Decoder[Up | Down | Order] = codec.Decoder(Up | Down | Order)
 
 
 class Pipe:
-    """One end of the pair. A message goes whole, but not always at once: what has begun is finished before the next.
-
-    Args:
-        sock: connected, a stream; it becomes this object's own.
-    """
+    """One end of the pair. A message goes whole, but not always at once: what has begun is finished before the next."""
 
     def __init__(self, sock: socket.socket) -> None:
         sock.setblocking(False)

@@ -48,14 +48,7 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
         self.close()
 
     def live(self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Tell) -> "Live":
-        """Open the page of a run.
-
-        Args:
-            run: its federates.
-            speed: simulated seconds per second at first; robots and programs at wall pace keep to that of their clock.
-            stop: ends the run, as Ctrl-C does.
-            tell: takes lines for the user.
-        """
+        """Open the page of a run."""
         world, keys = run.world, run.radio.adjustable()
         allowed = {"sensors": True, "halt": True, "outage": True, "end": True}
         allowed |= {"move": bool(world.movables), "set": bool(keys), "pace": not run.has_outside}
@@ -86,19 +79,7 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
 
 
 class Live:
-    """What stands between a run and its feed.
-
-    Args:
-        feed: to the station.
-        operator: does what is asked for.
-        clock: makes the clock that paces the run, given what it calls while it waits; one that is no `LiveClock` cannot be
-            held up.
-        stop: ends the run, as Ctrl-C does.
-        tell: takes lines for the user.
-
-    Attributes:
-        clock: paces the run.
-    """
+    """What stands between a run and its feed; a clock that is no `LiveClock` cannot be held up."""
 
     def __init__(
         self,

@@ -25,14 +25,7 @@ IDLE_S = 0.1  # after which it is drawn again, though nothing was shown
 
 
 class Station:
-    """The page of a run.
-
-    Args:
-        server: whose page it becomes.
-        scenery: what does not change.
-        order: takes what the ones who look want, one at a time, in threads of the server.
-        clock: of the wall, s.
-    """
+    """The page of a run."""
 
     def __init__(
         self,

@@ -46,14 +46,7 @@ def is_finite(order: Order) -> bool:
 
 
 def controls(server: viser.ViserServer, scenery: Scenery, give: Give, clock: Callable[[], float]) -> list[Draw]:
-    """The controls of all that is obeyed, made in the present container of the page.
-
-    Args:
-        server: of the page.
-        scenery: of the run.
-        give: takes orders, in threads of the page's server.
-        clock: of the wall, s.
-    """
+    """The controls of all that is obeyed, made in the present container of the page."""
     gui, may, parts = server.gui, scenery.may, list[Draw]()
     if "halt" in may:
         parts.append(_stops(gui, give))

@@ -153,16 +153,7 @@ def _viridis() -> Array:
 
 
 class Batch:
-    """One shape, drawn ``count`` times in colours of their own; nothing at all for a count of 0.
-
-    Args:
-        server: of the page.
-        name: of the node.
-        mesh: the shape.
-        colors: (count, 3) uint8.
-        opacity: of all; None: opaque.
-        clicked: called with the number of the one that is clicked at.
-    """
+    """One shape, drawn ``count`` times in colours of their own, (count, 3) uint8; ``clicked`` takes the number of one."""
 
     def __init__(
         self,
@@ -208,14 +199,7 @@ class Batch:
 
 
 class Segments:
-    """So many straight lines; those that are not wanted begin and end at the same place.
-
-    Args:
-        server: of the page.
-        name: of the node.
-        colors: of both ends, (count, 2, 3) uint8.
-        width_px: of the lines.
-    """
+    """So many straight lines; those that are not wanted begin and end at one place; colours (count, 2, 3) uint8."""
 
     def __init__(self, server: viser.ViserServer, name: str, colors: Array, width_px: float) -> None:
         self.nodes: list[viser.LineSegmentsHandle] = []

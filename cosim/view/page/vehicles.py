@@ -83,13 +83,7 @@ def _unit(yaw: Array) -> Array:
 
 
 class Vehicles:
-    """All vehicles of a run, a few nodes together.
-
-    Args:
-        server: of the page.
-        scenery: of the run.
-        choose: called with the row of a vehicle that is clicked at.
-    """
+    """All vehicles of a run, a few nodes together."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery, choose: Callable[[int], None]) -> None:
         crafts = scenery.vehicles
@@ -282,13 +276,7 @@ class Links:
 
 
 def fresh_links(known: Known, most: int, of: int | None = None) -> tuple[Array, Array]:
-    """Rows of senders and receivers with a frame in the last second, the newest if there are too many; in steady order.
-
-    Args:
-        known: so far.
-        most: how many there may be.
-        of: the row of a vehicle, for its own alone; None: of all.
-    """
+    """Rows of senders and receivers with a frame in the last second, the newest ``most``, in steady order; ``of`` one row."""
     age = known.now.time_ns - known.link_sent_ns
     placed = np.isfinite(known.position).all(axis=1)
     fresh = (age >= 0) & (age <= FRESH_NS) & placed[:, None] & placed[None, :]

@@ -38,11 +38,7 @@ _read_note = json_reader(_Names)
 
 
 class Collected:
-    """What is collected while the messages of a file are noted.
-
-    Args:
-        about: what the recording says of its run.
-    """
+    """What is collected while the messages of a file are noted."""
 
     def __init__(self, about: Mapping[str, str]) -> None:
         self.vehicles = tuple(about.get("vehicles", "").split())
@@ -97,11 +93,7 @@ class Notes:
 
 
 class Counts:
-    """How many frames each vehicle had sent to each other one, and how many of them arrived, at any time.
-
-    Args:
-        vehicles: of the run: the rows and columns of what is counted.
-    """
+    """How many frames each vehicle had sent to each other one, and how many of them arrived, at any time."""
 
     def __init__(self, vehicles: Sequence[str]) -> None:
         self._row = {name: i for i, name in enumerate(vehicles)}

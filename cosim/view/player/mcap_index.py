@@ -69,9 +69,6 @@ class Topic:
 class Messages:
     """An open file, for one thread. `read` it before anything else.
 
-    Args:
-        path: of the file.
-
     Attributes:
         topics: those that are wanted and have a message, by name.
         about: what the file says of its run.

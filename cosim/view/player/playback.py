@@ -14,12 +14,7 @@ FASTEST, SLOWEST = 100.0, 0.01  # simulated seconds per second
 
 
 class Player:
-    """Shows a recording, from its start on once it is told to go; at its end it stands.
-
-    Args:
-        recording: what is shown.
-        clock: of the wall, s, monotonic.
-    """
+    """Shows a recording, from its start on once it is told to go; at its end it stands."""
 
     def __init__(self, recording: Recording, clock: Callable[[], float] = time.monotonic) -> None:
         self._recording, self._clock = recording, clock

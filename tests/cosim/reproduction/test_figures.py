@@ -19,7 +19,7 @@ from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
 from vcmvsp.cosim.reproduction import figures
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel, as_json, table, write
-from vcmvsp.cosim.reproduction.figures.formation import circle, loss, loss_integration, step_responses
+from vcmvsp.cosim.reproduction.figures.formation import circle, loss_integration, messages, steps
 from vcmvsp.cosim.reproduction.figures.scenarios import (
     ASIDE,
     K1,
@@ -294,12 +294,12 @@ def fewer(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the starts of figure 24's proof, one gain of 30 at its fine period, less time before the steps of 33."""
     monkeypatch.setattr(circle, "PARTS", 1)
     monkeypatch.setattr(circle, "STARTS", 50)
-    monkeypatch.setattr(step_responses, "FINE_GAINS", (2.0,))
-    monkeypatch.setattr(step_responses, "BEFORE_S", 60.0)
+    monkeypatch.setattr(steps, "FINE_GAINS", (2.0,))
+    monkeypatch.setattr(steps, "BEFORE_S", 60.0)
 
 
 @pytest.mark.usefixtures("fewer")
-@pytest.mark.parametrize("name", ["24", "25", "28", "30", "31", "32", "33", "stall", "levels"])
+@pytest.mark.parametrize("name", ["24", "25", "26", "28", "30", "31", "32", "33", "stall", "levels"])
 def test_figure(name: str, tmp_path: Path) -> None:
     given = vcmvsp_command("figure", name, "--jobs", "1", "--json", "--out", str(tmp_path))
     answer = json.loads(given.out)
@@ -311,7 +311,7 @@ def test_figure(name: str, tmp_path: Path) -> None:
 
 def test_loss_and_the_same_losses_integrated() -> None:
     """Some followers of each estimator, and what the platform lost on their links: equal to the last digits."""
-    (each,) = Runner(1)([loss.team("random", radio(0.8, 0.2), 4, loss_integration.ESTIMATORS)])
+    (each,) = Runner(1)([messages.team("random", radio(0.8, 0.2), 4, loss_integration.ESTIMATORS)])
     assert each.age == 2
     assert each.missed[:-1].mean() == pytest.approx(0.8, abs=0.01)
-    assert loss.by_estimator(each) == pytest.approx(loss.integrated("random", each), rel=1e-9)
+    assert messages.by_estimator(each) == pytest.approx(messages.integrated("random", each), rel=1e-9)

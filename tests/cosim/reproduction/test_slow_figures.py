@@ -10,23 +10,23 @@ from pathlib import Path
 import pytest
 
 from tests.support.cosim.figures import made
-from vcmvsp.cosim.reproduction.figures.avoidance import gap_gauge, passages, potential_fields
-from vcmvsp.cosim.reproduction.figures.formation import consensus, delay, loss, loss_integration
+from vcmvsp.cosim.reproduction.figures.avoidance import gaps, passages, potential_fields
+from vcmvsp.cosim.reproduction.figures.formation import consensus, loss_integration, messages
 
 DELAYS_S = (0.5,)
 
 
 @pytest.fixture
 def one_delay(monkeypatch: pytest.MonkeyPatch) -> None:
-    at = [delay.DELAYS_S.index(each) for each in DELAYS_S]
-    few = {path: {who: tuple(of[i] for i in at) for who, of in table.items()} for path, table in delay.REFERENCE.items()}
-    monkeypatch.setattr(delay, "DELAYS_S", DELAYS_S)
-    monkeypatch.setattr(delay, "REFERENCE", few)
+    at = [messages.DELAYS_S.index(each) for each in DELAYS_S]
+    few = {path: {who: tuple(of[i] for i in at) for who, of in table.items()} for path, table in messages.REFERENCE.items()}
+    monkeypatch.setattr(messages, "DELAYS_S", DELAYS_S)
+    monkeypatch.setattr(messages, "REFERENCE", few)
 
 
 def test_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loss_integration, "PATHS", ("random",))
-    monkeypatch.setattr(loss, "MANY", 20)
+    monkeypatch.setattr(messages, "MANY", 20)
     figure = made(
         "loss", tmp_path, 2, [*loss_integration.ESTIMATORS, "straight"], followers=4, probabilities=(0.3,), straight=4
     )
@@ -46,9 +46,9 @@ def test_estimators(tmp_path: Path) -> None:
 
 
 def test_loss_and_delay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(delay, "MAP_P", (0.0, 0.6))
-    monkeypatch.setattr(delay, "MAP_S", DELAYS_S)
-    monkeypatch.setattr(delay, "NAMED", {(0.6, 0.5): delay.NAMED[0.6, 0.5]})
+    monkeypatch.setattr(messages, "MAP_P", (0.0, 0.6))
+    monkeypatch.setattr(messages, "MAP_S", DELAYS_S)
+    monkeypatch.setattr(messages, "NAMED", {(0.6, 0.5): messages.NAMED[0.6, 0.5]})
     figure = made("loss-delay", tmp_path, 3, ["p = 0.6, delay 0.5 s", "map of hold", "map of dr"], followers=4)
     assert len(figure.rows) == 2 + 2 + 1
     assert all(panel.heat is not None and panel.heat.values.shape == (1, 2) for panel in figure.panels)
@@ -70,9 +70,9 @@ def test_29(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_41(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gap_gauge, "DOORS", 80)
-    monkeypatch.setattr(gap_gauge, "PARTS", 1)
-    monkeypatch.setattr(gap_gauge, "DISTANCES", 10)
+    monkeypatch.setattr(gaps, "DOORS", 80)
+    monkeypatch.setattr(gaps, "PARTS", 1)
+    monkeypatch.setattr(gaps, "DISTANCES", 10)
     figure = made("41", tmp_path, 5, ["left door", "narrow door", "behind the robot", "40 doors", "80 random doors"])
     assert len(figure.rows) == 2 * (3 + 2 + 2) + 4
 
