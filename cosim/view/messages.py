@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from vcmvsp.cosim.recording.run_state import LogLine
+from vcmvsp.cosim.scenario.schema import InterventionTable
 from vcmvsp.cosim.types import (
     Array,
     Fix,
@@ -120,13 +121,13 @@ class PageUpdate(Value, frozen=True, kw_only=True):
     pace: Pace = Pace()
 
 
-class Sensors(Value, frozen=True, kw_only=True, tag="sensors"):
+class Sensors(Value, frozen=True, kw_only=True, tag_field="kind", tag="sensors"):
     """Show these readings, and no others: they cost the run time."""
 
     names: tuple[str, ...]  # vehicle/sensor
 
 
-class Go(Value, frozen=True, kw_only=True, tag="pace"):
+class Go(Value, frozen=True, kw_only=True, tag_field="kind", tag="pace"):
     """Go on at this pace."""
 
     paused: bool = False
@@ -134,43 +135,15 @@ class Go(Value, frozen=True, kw_only=True, tag="pace"):
     step_ns: int = 0  # paused: go on for so long, then stand again
 
 
-class Seek(Value, frozen=True, kw_only=True, tag="seek"):
+class Seek(Value, frozen=True, kw_only=True, tag_field="kind", tag="seek"):
     """Show this instant of a recording."""
 
     time_ns: int
 
 
-class Halt(Value, frozen=True, kw_only=True, tag="halt"):
-    """Let these vehicles stand still, or go on."""
-
-    vehicles: tuple[str, ...] = ()  # none named: all
-    halted: bool = True
-
-
-class Outage(Value, frozen=True, kw_only=True, tag="outage"):
-    """Let all frames from and to these vehicles be lost."""
-
-    vehicles: tuple[str, ...] = ()  # none named: all
-    for_s: float
-
-
-class Move(Value, frozen=True, kw_only=True, tag="move"):
-    """Put an obstacle somewhere else."""
-
-    obstacle: str
-    position: tuple[float, float]  # x, y m
-    yaw: float = 0.0  # rad
-
-
-class Change(Value, frozen=True, kw_only=True, tag="set"):
-    """Give a key of the scenario another value."""
-
-    key: str
-    value: float
-
-
-class End(Value, frozen=True, kw_only=True, tag="end"):
+class End(Value, frozen=True, kw_only=True, tag_field="kind", tag="end"):
     """End the run, as Ctrl-C does."""
 
 
-Order = Sensors | Go | Seek | Halt | Outage | Move | Change | End
+Order = Sensors | Go | Seek | End | InterventionTable
+"""What the station asks for; the time of an intervention is that of the instant at which it is done."""

@@ -11,11 +11,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from vcmvsp.cosim.metrics.motion import motion
+from vcmvsp.cosim.metrics.formation import formation_errors
+from vcmvsp.cosim.metrics.motion import Motion, motion
 from vcmvsp.cosim.reproduction.runner import Job
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
@@ -42,6 +43,34 @@ class Tracks:
     def error(self) -> Array:
         """``|z|`` (m, followers) in m."""
         return np.hypot(self.z[..., 0], self.z[..., 1])
+
+
+class TeamRun(NamedTuple):
+    """What is read of a run of a team that may change its shape: m instants, n vehicles, the leader first."""
+
+    time_s: Array  # (m,)
+    place: Array  # (m, n, 2) m, from above
+    error: Array  # (m, n - 1) m, |z| of the followers
+    is_column: Array  # (m,) bool: the slot of the first follower is right behind
+    metrics: Mapping[str, Any]
+
+
+def team_run(result: Result, names: Sequence[str]) -> TeamRun:
+    """Tracks, errors and shape of these vehicles, car1 first."""
+    movement = motion(result.states)
+    errors = formation_errors(movement, result.follows)
+    is_column = np.zeros(len(movement.time_ns), bool)
+    for each in result.follows:
+        if each.vehicle == names[1]:
+            is_column[movement.time_ns >= each.time_ns] = each.follows.slot[1] == 0.0
+    followers = np.stack([errors[name] for name in names[1:]], axis=-1)
+    return TeamRun(movement.time_ns / 1e9, places_of(movement, names), followers, is_column, result.metrics)
+
+
+def places_of(movement: Motion, names: Sequence[str]) -> Array:
+    """Where these vehicles were, from above, (m, n, 2) m."""
+    columns = [movement.column(name) for name in names]
+    return np.stack([movement.position[axis][:, columns] for axis in (0, 1)], axis=-1)
 
 
 def fleet(

@@ -19,7 +19,7 @@ HEIGHT_M = 10.0
 HALF_M = (4.0, 3.0)  # a room of 8 x 6 m, in its middle
 POSES = ((0.0, 0.0, 0.0), (1.5, -2.0, -2.2), (-3.0, 1.0, 3.1))  # x m, y m, yaw rad
 GRAVITY_M_S2 = 9.81
-ABOVE: Mapping[str, Any] = {"position": (0.0, 0.0, 0.5)}  # the floor
+SCANNER: Mapping[str, Any] = {"kind": "range_scanner", "position": (0.0, 0.0, 0.5)}
 STILL: Mapping[str, Any] = {"speed": 0.0, "yaw_rate": 0.0}
 
 
@@ -101,13 +101,7 @@ def scanner() -> Sequence[Row]:
     room += [{"center": (0.0, side * long, 1.0), "size": (9.0, 1.0, 2.0)} for side in (-1, 1)]
     rows = []
     for beams, view in ((32, 2.0 * math.pi), (181, math.pi), (512, 4.0)):
-        sensor = {
-            "kind": "range_scanner",
-            "beams": beams,
-            "field_of_view": view,
-            "range_max": 20.0,
-            "position": (0.0, 0.0, 0.5),
-        }
+        sensor = {**SCANNER, "beams": beams, "field_of_view": view, "range_max": 20.0}
         for pose in POSES:
             scan = _readings({"kind": "boxes", "boxes": room}, pose, sensor)[-1]
             off = np.abs(np.asarray(scan.ranges, float) / _room(pose, _bearings(scan)) - 1.0).max()
@@ -115,13 +109,7 @@ def scanner() -> Sequence[Row]:
             rows.append(absolute(case, 0.0, off, 1e-6))
     centres = ((3.0, 0.0), (0.0, -2.0), (-4.0, 3.0))
     pillars = [{"center": (x, y, 1.0), "radius": 0.5, "height": 2.0} for x, y in centres]
-    sensor = {
-        "kind": "range_scanner",
-        "beams": 720,
-        "field_of_view": 2.0 * math.pi,
-        "range_max": 9.0,
-        "position": (0.0, 0.0, 0.5),
-    }
+    sensor = {**SCANNER, "beams": 720, "field_of_view": 2.0 * math.pi, "range_max": 9.0}
     scan = _readings({"kind": "empty", "cylinders": pillars}, (0.0, 0.0, 0.4), sensor)[-1]
     ranges, exact = np.asarray(scan.ranges, float), _pillars(centres, 0.5, 0.4 + _bearings(scan))
     both = np.isfinite(ranges) & np.isfinite(exact)

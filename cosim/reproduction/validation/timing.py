@@ -10,6 +10,7 @@ from scipy.special import lambertw
 
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.reproduction.figures.formation.consensus import growth
 from vcmvsp.cosim.reproduction.figures.scenarios import ASIDE, UNLIMITED, R, T, V, W, fleet, lossy, tracks
 from vcmvsp.cosim.reproduction.row import Row, absolute, relative
 from vcmvsp.cosim.rng import philox4x32
@@ -73,7 +74,9 @@ def late_loop() -> Sequence[Row]:
         time_s, z = _alone(k_d / delay_s, delay_s, 12.0, period_s=period_s)
         age_s = delay_s + 0.5 * period_s
         exact = math.exp((lambertw(-k_d / delay_s * age_s) / age_s).real)
-        rows.append(relative(f"k d = {k_d:g}: growth a second, exp(W(-k d) / d)", exact, _growth(z[time_s > 4.0]) ** 100, 0.01))
+        rows.append(
+            relative(f"k d = {k_d:g}: growth a second, exp(W(-k d) / d)", exact, growth(z[time_s > 4.0], 20) ** 100, 0.01)
+        )
     return rows
 
 
@@ -94,13 +97,6 @@ def _recursion(gain: float, late: float, count: int) -> Array:
         old, older = (z[j] if j >= 1 else 0.0 for j in (i - int(whole), i - int(whole) - 1))
         z.append(z[i] - gain * T * ((1.0 - part) * old + part * older))
     return np.array(z)
-
-
-def _growth(z: Array, step: int = 20) -> float:
-    """Growth per tick of what swings as one pair of roots: ``z[n + 2 s] = a z[n + s] + b z[n]`` has ``|root|^(2 s) = -b``."""
-    past = np.stack([z[step:-step], z[: -2 * step]], axis=1)
-    _, b = np.linalg.lstsq(past, z[2 * step :], rcond=None)[0]
-    return float(math.sqrt(-b) ** (1.0 / step))
 
 
 def old_reports() -> Sequence[Row]:

@@ -28,13 +28,13 @@ class Start(Value, frozen=True, kw_only=True):
     token: str
 
 
-class Up(Value, frozen=True, kw_only=True, tag="up"):
+class Up(Value, frozen=True, kw_only=True, tag_field="kind", tag="up"):
     """The page is there."""
 
     port: int
 
 
-class Down(Value, frozen=True, kw_only=True, tag="down"):
+class Down(Value, frozen=True, kw_only=True, tag_field="kind", tag="down"):
     """It is not, or not any more."""
 
     problem: str

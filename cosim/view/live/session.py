@@ -16,13 +16,13 @@ from vcmvsp.cosim.assembly.run import AssembledRun
 from vcmvsp.cosim.clock import LISTEN_NS, Clock, LiveClock
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.processes.child_process import BOOT, ending
-from vcmvsp.cosim.scenario.schema import HaltTable, InterventionTable, MoveTable, OutageTable, SetTable
+from vcmvsp.cosim.scenario.schema import InterventionTable
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.util.text import Tell
 from vcmvsp.cosim.view import HOST
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.feed import Feed, Places, Poses
-from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Move, Order, Outage, Pace, Scenery
+from vcmvsp.cosim.view.messages import End, Go, Order, Pace, Scenery
 from vcmvsp.cosim.view.scenery import scenery_of
 from vcmvsp.cosim.view.web_server import new_token, url_of
 
@@ -123,28 +123,14 @@ class Live:
             self.clock.go(paused=order.paused, speed=_checked(order.speed), step_ns=max(0, order.step_ns))
         elif isinstance(order, End):
             self._stop()
-        elif (table := _intervention(order)) is not None:
-            self._operator.ask(table)
+        elif isinstance(order, InterventionTable):
+            self._operator.ask(order)
 
 
 def _checked(speed: float | None) -> float | None:
     if speed is not None and not 1e-3 <= speed <= 1e6:
         raise ValueError(f"a speed of {speed:g}: it must be between 0.001 and 1 000 000")
     return speed
-
-
-def _intervention(order: Order) -> InterventionTable | None:
-    """What an order asks the operator for; its time is that of the instant at which it is done."""
-    match order:
-        case Outage():
-            return OutageTable(at_s=0.0, for_s=order.for_s, vehicles=order.vehicles)
-        case Halt():
-            return HaltTable(at_s=0.0, vehicles=order.vehicles, halted=order.halted)
-        case Move():
-            return MoveTable(at_s=0.0, obstacle=order.obstacle, position=order.position, yaw=order.yaw)
-        case Change():
-            return SetTable(at_s=0.0, key=order.key, value=order.value)
-    return None
 
 
 class Viewer(contextlib.AbstractContextManager["Viewer"]):

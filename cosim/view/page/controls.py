@@ -12,7 +12,8 @@ import viser
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.frames import quaternion_from_yaw, yaw_of
-from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Move, Order, Outage, Pace, Scenery, Seek, Sensors
+from vcmvsp.cosim.scenario.schema import HaltTable, MoveTable, OutageTable, SetTable
+from vcmvsp.cosim.view.messages import End, Go, Order, Pace, Scenery, Seek, Sensors
 from vcmvsp.cosim.view.page.drawing import Every
 from vcmvsp.cosim.view.page.state import Known
 
@@ -82,8 +83,8 @@ def _stops(gui: viser.GuiApi, give: Give) -> Draw:
     """Stop all vehicles, or let them go, if any is stopped."""
     stop = gui.add_button("STOP ALL", color="red", icon=viser.Icon.HAND_STOP)
     go = gui.add_button("Let all go", color="gray")
-    stop.on_click(lambda _: give(Halt(halted=True)))
-    go.on_click(lambda _: give(Halt(halted=False)))
+    stop.on_click(lambda _: give(HaltTable(at_s=0.0, halted=True)))
+    go.on_click(lambda _: give(HaltTable(at_s=0.0, halted=False)))
 
     def draw(known: Known) -> None:
         stop.disabled = bool(known.now.pace.over)
@@ -100,7 +101,7 @@ def _outages(gui: viser.GuiApi, scenery: Scenery, give: Give) -> Draw:
 
     def order(_: object) -> None:
         vehicle = picked(of)
-        give(Outage(vehicles=() if vehicle == ALL else (vehicle,), for_s=for_s.value))
+        give(OutageTable(at_s=0.0, vehicles=() if vehicle == ALL else (vehicle,), for_s=for_s.value))
 
     inject.on_click(order)
     return _until_over(inject)
@@ -115,7 +116,7 @@ def _changes(gui: viser.GuiApi, scenery: Scenery, give: Give) -> Draw:
 
     def order(_: object) -> None:
         values[picked(key)] = new.value
-        give(Change(key=picked(key), value=new.value))
+        give(SetTable(at_s=0.0, key=picked(key), value=new.value))
 
     key.on_update(lambda _: write(new, values[picked(key)]))
     send.on_click(order)
@@ -260,7 +261,9 @@ class Mover:
             write(part, round(number, 3))
 
     def _send(self) -> None:
-        self._give(Move(obstacle=picked(self._which), position=(self._x.value, self._y.value), yaw=self._yaw.value))
+        self._give(
+            MoveTable(at_s=0.0, obstacle=picked(self._which), position=(self._x.value, self._y.value), yaw=self._yaw.value)
+        )
 
 
 class Choice:
@@ -336,7 +339,7 @@ class Choice:
         self._ask()
 
     def _halts(self, halted: bool) -> Callable[[object], None]:
-        return lambda _: self._give(Halt(vehicles=(self.name,), halted=halted))
+        return lambda _: self._give(HaltTable(at_s=0.0, vehicles=(self.name,), halted=halted))
 
     def _ticks(self, sensor: str) -> Callable[[viser.GuiEvent[viser.GuiCheckboxHandle]], None]:
         return lambda event: self._tick(sensor, event.target.value)

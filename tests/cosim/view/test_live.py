@@ -13,11 +13,12 @@ import vcmvsp
 from vcmvsp.cosim.assembly.run import AssembledRun
 from vcmvsp.cosim.clock import SECOND_NS, LiveClock, seconds_to_ns
 from vcmvsp.cosim.errors import Interrupted
+from vcmvsp.cosim.scenario.schema import HaltTable, MoveTable, OutageTable, SetTable
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.feed import Feed
 from vcmvsp.cosim.view.live.session import Live
-from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Move, Order, Outage
+from vcmvsp.cosim.view.messages import End, Go, Order
 from vcmvsp.cosim.view.scenery import scenery_of
 
 PATIENCE_NS = 60 * SECOND_NS  # of the wall that moves
@@ -103,14 +104,14 @@ def test_a_run_does_not_stand_still_for_one_who_has_gone() -> None:
 
 
 def test_what_is_ordered_while_it_stands_still_is_done_when_it_goes_on() -> None:
-    result = run({0.5: [Go(paused=True)], 1.0: [Halt(vehicles=("car1",))], 3.0: [Go(speed=1.0)]})
+    result = run({0.5: [Go(paused=True)], 1.0: [HaltTable(at_s=0.0, vehicles=("car1",))], 3.0: [Go(speed=1.0)]})
     (halt,) = done(result)
     assert (halt["kind"], halt["vehicles"]) == ("halt", ["car1"])
     assert halt["at_s"] == pytest.approx(0.5, abs=0.1)
 
 
 def test_two_things_are_not_put_into_one_place_while_it_stands_still() -> None:
-    moves = [Move(obstacle=name, position=(9.0, 9.0)) for name in ("crate", "chest")]
+    moves = [MoveTable(at_s=0.0, obstacle=name, position=(9.0, 9.0)) for name in ("crate", "chest")]
     result = run({0.5: [Go(paused=True)], 1.0: moves, 3.0: [Go(speed=1.0)]})
     assert [each["obstacle"] for each in done(result)] == ["crate"]
 
@@ -118,7 +119,7 @@ def test_two_things_are_not_put_into_one_place_while_it_stands_still() -> None:
 def test_nothing_is_changed_that_would_make_impossible_what_is_planned() -> None:
     radio = {"delay": {"kind": "uniform", "from_s": 0.01, "to_s": 0.3}}
     planned = {"kind": "set", "at_s": 1.5, "key": "radio.delay.from_s", "value": 0.2}
-    change = Change(key="radio.delay.to_s", value=0.1)
+    change = SetTable(at_s=0.0, key="radio.delay.to_s", value=0.1)
     result = run({0.5: [change]}, {**SCENARIO, "radio": radio, "intervention": [planned]})
     assert [each["key"] for each in done(result)] == ["radio.delay.from_s"]
     result = run({1.7: [msgspec.structs.replace(change, value=0.25)]}, {**SCENARIO, "radio": radio, "intervention": [planned]})
@@ -128,14 +129,14 @@ def test_nothing_is_changed_that_would_make_impossible_what_is_planned() -> None
 @pytest.mark.parametrize(
     "order",
     [
-        Halt(vehicles=("nobody",)),
-        Halt(vehicles=("nobody",) * 10_000),
-        Outage(for_s=1e12),
-        Outage(for_s=-1.0),
-        Change(key="radio.loss.probability", value=1e300),
-        Change(key="duration_s", value=1.0),
-        Move(obstacle="crate", position=(float("nan"), 0.0)),
-        Move(obstacle="nothing", position=(0.0, 0.0)),
+        HaltTable(at_s=0.0, vehicles=("nobody",)),
+        HaltTable(at_s=0.0, vehicles=("nobody",) * 10_000),
+        OutageTable(at_s=0.0, for_s=1e12),
+        OutageTable(at_s=0.0, for_s=-1.0),
+        SetTable(at_s=0.0, key="radio.loss.probability", value=1e300),
+        SetTable(at_s=0.0, key="duration_s", value=1.0),
+        MoveTable(at_s=0.0, obstacle="crate", position=(float("nan"), 0.0)),
+        MoveTable(at_s=0.0, obstacle="nothing", position=(0.0, 0.0)),
         Go(speed=1e-300),
         Go(speed=float("nan")),
         Go(speed=-1.0),
@@ -150,7 +151,15 @@ def test_what_cannot_be_done_is_not_done_and_the_run_goes_on(order: Order) -> No
 
 @pytest.mark.parametrize("when_s", [0.021, 1.0, 1.97])
 def test_what_was_ordered_at_any_instant_is_repeated_to_the_byte(when_s: float) -> None:
-    live = run({when_s: [Halt(), Outage(for_s=0.3), Change(key="radio.loss.probability", value=0.9)]})
+    live = run(
+        {
+            when_s: [
+                HaltTable(at_s=0.0),
+                OutageTable(at_s=0.0, for_s=0.3),
+                SetTable(at_s=0.0, key="radio.loss.probability", value=0.9),
+            ]
+        }
+    )
     assert len(done(live)) == 3
     again = vcmvsp.run(tomllib.loads(live.scenario), mcap=False)
     assert again.metrics == live.metrics

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from tests.support.cosim.recorded_run import END_NS, SENSORS, Run, all_of, assert_same, looked_on, merged, seen, told
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.recording.run_state import LogLine
+from vcmvsp.cosim.scenario.schema import SetTable
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.cosim.view.messages import Change, Go, PageUpdate, Seek, Sensors
+from vcmvsp.cosim.view.messages import Go, PageUpdate, Seek, Sensors
 from vcmvsp.cosim.view.player.playback import FASTEST, Player
 from vcmvsp.cosim.view.player.recording import Recording
 
@@ -181,7 +182,9 @@ def test_at_its_end_it_stands_says_why_and_begins_again_only_if_told(player: Pla
     assert player.show().time_ns == 0
 
 
-@pytest.mark.parametrize("order", [Change(key="radio.loss.probability", value=0.5), Go(speed=-1.0), Go(speed=math.nan)])
+@pytest.mark.parametrize(
+    "order", [SetTable(at_s=0.0, key="radio.loss.probability", value=0.5), Go(speed=-1.0), Go(speed=math.nan)]
+)
 def test_it_passes_over_what_a_recording_cannot_do(player: Player, wall: Wall, order: Any) -> None:
     player.order(Go(speed=1.0))
     player.show()

@@ -28,11 +28,12 @@ from tests.support.paths import ROOT
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.scenario.schema import HaltTable
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.server import pump
 from vcmvsp.cosim.view.live.session import Viewer
-from vcmvsp.cosim.view.messages import Halt, Pace, PageUpdate
+from vcmvsp.cosim.view.messages import Pace, PageUpdate
 
 PATIENCE_S = 30.0
 SCENERY = view_pages.scenery()
@@ -106,7 +107,7 @@ def test_what_happens_is_on_the_page_and_what_is_pressed_comes_back(viewer: View
         assert until(press)
         page.send(msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": buttons["STOP ALL"], "updates": {"value": True}}))
         orders = until(feed.orders)
-        assert orders == [Halt(halted=True)]
+        assert orders == [HaltTable(at_s=0.0, halted=True)]
         feed.say("warning", "the bridge is up")
         feed.on(Event("world/states", SECOND_NS, view_pages.shown(SCENERY, 1.0).states))  # type: ignore[arg-type]  # there are
         feed.pace(Pace())

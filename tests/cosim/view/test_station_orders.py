@@ -9,7 +9,10 @@ import viser
 from tests.support.cosim.view_pages import LIVE, RECORDED, Looking, looking, scenery, shown
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import quaternion_from_yaw
-from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Move, Order, Outage, Pace, Seek
+from vcmvsp.cosim.scenario.schema import HaltTable, MoveTable, OutageTable, SetTable
+from vcmvsp.cosim.view.messages import End, Go, Order, Pace, Seek
+
+MOVE = MoveTable(at_s=0.0, obstacle="crate", position=(1.0, -2.0), yaw=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -41,22 +44,25 @@ def test_only_what_is_obeyed_can_be_ordered(may: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     ("acts", "order"),
     [
-        ([("STOP ALL", True)], Halt(halted=True)),
-        ([("Let all go", True)], Halt(halted=False)),
-        ([("Vehicle", "v2"), ("Stop this vehicle", True)], Halt(vehicles=("v2",), halted=True)),
-        ([("Let it go", True)], Halt(vehicles=("v1",), halted=False)),
+        ([("STOP ALL", True)], HaltTable(at_s=0.0, halted=True)),
+        ([("Let all go", True)], HaltTable(at_s=0.0, halted=False)),
+        ([("Vehicle", "v2"), ("Stop this vehicle", True)], HaltTable(at_s=0.0, vehicles=("v2",), halted=True)),
+        ([("Let it go", True)], HaltTable(at_s=0.0, vehicles=("v1",), halted=False)),
         ([("Pause", True)], Go(paused=True, speed=1.0)),
         ([("Go on", True)], Go(paused=False, speed=1.0)),
         ([("Step 0.1 s", True)], Go(paused=True, speed=1.0, step_ns=100_000_000)),
         ([("Speed", "0.2x")], Go(paused=False, speed=0.2)),
         ([("Speed", "as fast as it can")], Go(paused=False, speed=None)),
-        ([("Inject outage", True)], Outage(vehicles=(), for_s=5.0)),
+        ([("Inject outage", True)], OutageTable(at_s=0.0, vehicles=(), for_s=5.0)),
         (
             [("Frames from and to", "v3"), ("are lost for [s]", 2.5), ("Inject outage", True)],
-            Outage(vehicles=("v3",), for_s=2.5),
+            OutageTable(at_s=0.0, vehicles=("v3",), for_s=2.5),
         ),
-        ([("x [m]", 1.0), ("y [m]", -2.0), ("Move obstacle", True)], Move(obstacle="crate", position=(1.0, -2.0), yaw=0.2)),
-        ([("New value", 0.5), ("Set", True)], Change(key="radio.loss.probability", value=0.5)),
+        (
+            [("x [m]", 1.0), ("y [m]", -2.0), ("Move obstacle", True)],
+            MOVE,
+        ),
+        ([("New value", 0.5), ("Set", True)], SetTable(at_s=0.0, key="radio.loss.probability", value=0.5)),
     ],
 )
 def test_controls_give_their_orders(live: Looking, acts: list[tuple[str, object]], order: Order) -> None:
@@ -80,7 +86,7 @@ def test_an_obstacle_that_was_dragged_is_ordered_where_it_was_let_go(live: Looki
     for phase in ("start", "update", "end"):
         for callback in gizmo._impl_aux.update_cb:
             callback(viser.TransformControlsEvent(client=None, client_id=1, target=gizmo, phase=phase))
-    assert live.orders == [Move(obstacle="crate", position=(2.5, 3.5), yaw=-0.4)]
+    assert live.orders == [MoveTable(at_s=0.0, obstacle="crate", position=(2.5, 3.5), yaw=-0.4)]
     live.use("Drag", False)
     assert not gizmo.visible
 
@@ -99,7 +105,7 @@ def test_what_no_list_offers_and_no_number_is_orders_nothing_of_the_kind(live: L
         live.use("Move obstacle")
     assert live.orders == []
     live.use("Stop this vehicle")
-    assert live.orders == [Halt(vehicles=("v1",), halted=True)]
+    assert live.orders == [HaltTable(at_s=0.0, vehicles=("v1",), halted=True)]
     for label, value in (("Vehicle", "v1"), ("Obstacle", "crate"), ("Links", "all"), ("are lost for [s]", 5.0), ("x [m]", 0.0)):
         live.use(label, value)
 

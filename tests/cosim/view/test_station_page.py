@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from tests.support.cosim.view_pages import TOKEN, Looking, browser, looking, picture, positions, scenery, shown
+from vcmvsp.cosim.scenario.schema import OutageTable
 from vcmvsp.cosim.types import Array, Mosaic
-from vcmvsp.cosim.view.messages import Outage, Sensors
+from vcmvsp.cosim.view.messages import Sensors
 
 PATIENCE_S = 30.0  # a browser that draws without a graphics card, on a machine that does other things
 
@@ -109,7 +110,7 @@ def test_a_press_of_inject_gives_the_order(page: Page) -> None:
         return bool(page.looked.orders)
 
     page.until(pressed)
-    assert page.looked.orders == [Outage(vehicles=(), for_s=5.0)] * len(page.looked.orders)
+    assert page.looked.orders == [OutageTable(at_s=0.0, vehicles=(), for_s=5.0)] * len(page.looked.orders)
     assert len(page.looked.orders) <= presses
 
 

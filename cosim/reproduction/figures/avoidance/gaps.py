@@ -20,6 +20,7 @@ import numpy as np
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.metrics.motion import motion
+from vcmvsp.cosim.reproduction.figures.avoidance.speed_limits import TOWARDS
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL, T
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most
@@ -72,19 +73,6 @@ class WallDoor(NamedTuple):
         """A point of it as seen from the origin, m; -1: its right jamb, 1: its left one."""
         along = self.middle + 0.5 * share * self.width
         return self.distance - along * math.sin(self.tilt), along * math.cos(self.tilt)
-
-
-class Towards(Agent):
-    """Flies into one direction for ever."""
-
-    def __init__(self, direction: tuple[float, float]) -> None:
-        self.direction = direction
-
-    def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """The same at every tick, 1 m/s."""
-        x, y = self.direction
-        away = math.hypot(x, y)
-        return Velocity(linear=(x / away, y / away, 0.0))
 
 
 class Gauge(Agent):
@@ -141,7 +129,7 @@ class Gauge(Agent):
             "margin_m": 0.0,
             "keep_m": 0.5 * needed,
         }
-        task = {"kind": f"{HERE}:Towards", "direction": door.at(ASIDE)}
+        task = {"kind": TOWARDS, "direction": door.at(ASIDE)}
         agent: Agent = binding.call(registry.find("agent", "avoid"), {"task": task, "avoidance": avoidance})
         agent.start(self._info)
         command = agent.act(obs, radio)

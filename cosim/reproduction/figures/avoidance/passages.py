@@ -10,19 +10,15 @@ for what they are (`agents.formation.passage`); rows with low scanners show that
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.metrics.formation import formation_errors
-from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
-from vcmvsp.cosim.reproduction.figures.scenarios import V, lossy, settling_s
+from vcmvsp.cosim.reproduction.figures.scenarios import TeamRun, V, lossy, settling_s, team_run
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most, relative
 from vcmvsp.cosim.reproduction.runner import Job, Runner
-from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 
 SPACING, COLUMN, PASSAGE = 1.0, 0.8, 0.9  # m
@@ -59,35 +55,6 @@ EXPECTED: Mapping[str, Mapping[str, tuple[int, int, float, float, float]]] = {
         "all-clear": (2, 7, 0.7, 0.217, math.nan),
     },
 }
-
-
-@dataclass(frozen=True)
-class PassageRun:
-    """Data of a run."""
-
-    time_s: Array  # (m,)
-    place: Array  # (m, 3, 2) m, of the robots
-    error: Array  # (m, 2) m, |z| of the followers
-    narrow: Array  # (m,) bool: the slot of car2 is in the column
-    out_s: float  # when all of the leader is out of the passage
-    clearance_m: float
-    counts: Mapping[str, Any]  # metrics.formation
-
-    @property
-    def apart_m(self) -> Array:
-        """How far all are apart across, (m,) m, where the leader drives east."""
-        return np.asarray(np.ptp(self.place[..., 1], axis=1))
-
-    @property
-    def is_late(self) -> Array:
-        """When the leader is out, and the team is wide, (m,) bool."""
-        return np.asarray((self.time_s >= self.out_s) & ~self.narrow)
-
-    @property
-    def formed_s(self) -> float:
-        """From when the leader is out until both followers are in place, and stay there; NaN: they do not."""
-        late = self.time_s >= self.out_s
-        return settling_s(self.time_s[late], self.error[late].max(axis=1), NEAR) if late.any() else math.nan
 
 
 def walls(world: str) -> list[tuple[float, float, float, float]]:
@@ -149,32 +116,20 @@ def team(world: str, policy: str, *, loss: float = 0.1, scanner_m: float = 0.3) 
     }
 
 
-def passed(result: Result, world: str) -> PassageRun:
-    """The data of a run of `team`."""
-    movement = motion(result.states)
-    time_s = movement.time_ns / 1e9
-    columns = [movement.column(name) for name in NAMES]
-    place = np.stack([movement.position[0][:, columns], movement.position[1][:, columns]], axis=-1)
-    errors = formation_errors(movement, result.follows)
-    narrow = np.zeros(len(time_s), bool)
-    for each in result.follows:
-        if each.vehicle == NAMES[1]:
-            narrow[movement.time_ns >= each.time_ns] = each.follows.slot[1] == 0.0
-    out = np.flatnonzero(place[:, 0, 0] > BODY + max(east for _, east, _, _ in walls(world)))
-    return PassageRun(
-        time_s,
-        place,
-        np.stack([errors[name] for name in NAMES[1:]], axis=-1),
-        narrow,
-        float(time_s[out[0]]) if out.size else math.nan,
-        float(result.metrics["safety"]["min_clearance_m"]),
-        result.metrics["formation"],
-    )
+def is_late(run: TeamRun, world: str) -> Array:
+    """When all of the leader is out of the passage, (m,) bool."""
+    return np.maximum.accumulate(run.place[:, 0, 0] > BODY + max(east for _, east, _, _ in walls(world)))
+
+
+def formed_s(run: TeamRun, world: str) -> float:
+    """From when the leader is out until both followers are in place, and stay there; NaN: they do not."""
+    late = is_late(run, world)
+    return settling_s(run.time_s[late], run.error[late].max(axis=1), NEAR) if late.any() else math.nan
 
 
 def job(world: str, policy: str, seed: int, **more: Any) -> Job:
     """A run."""
-    return Job(team(world, policy, **more), partial(passed, world=world), seed=seed)
+    return Job(team(world, policy, **more), partial(team_run, names=NAMES), seed=seed)
 
 
 def fig_42(runner: Runner) -> Figure:
@@ -197,7 +152,7 @@ def passage_policies(runner: Runner) -> Figure:
     answers = iter(runner(jobs))
     trials = {case: [next(answers) for _ in SEEDS] for case in cases}
     rows = [row for (world, policy), runs in trials.items() for row in _rows(world, policy, runs)]
-    late = [_mean(each.formed_s for each in trials["corridor", policy]) for policy in POLICIES]
+    late = [_mean(formed_s(each, "corridor") for each in trials["corridor", policy]) for policy in POLICIES]
     rows.append(at_most("corridor: formed again with B later than with A by, s", 5.0, late[2] - late[0]))
     for world, name in more:
         runs = [next(answers) for _ in SEEDS]
@@ -207,7 +162,8 @@ def passage_policies(runner: Runner) -> Figure:
             absolute(f"{case}: changes of mode", 0.0, _count(runs, "mode_toggles"), 0.0),
         ]
         if name == "p = 0.9":  # reports stay away for longer than followers extrapolate them, time and again
-            nearest = max(each.error[each.is_late].max(axis=1).min(initial=math.inf) for each in runs)
+            wide = [each.error[is_late(each, world) & ~each.is_column] for each in runs]
+            nearest = max(error.max(axis=1).min(initial=math.inf) for error in wide)
             rows.append(absolute(f"{case}: least |z| once wide again, m", 0.0, nearest, NEAR))
         else:
             rows.append(absolute(f"{case}: largest |z| at the end, m", 0.0, _left(runs), NEAR))
@@ -219,8 +175,8 @@ def _corridor(runner: Runner, policy: str, title: str) -> Figure:
     runs = runner([job("corridor", policy, seed) for seed in SEEDS])
     trial = runs[0]
     errors = [Curve(trial.time_s, trial.error[:, i], name, i + 2) for i, name in enumerate(NAMES[1:])]
-    across = np.where(trial.narrow, 0.0, SPACING)
-    shape = [Curve(trial.time_s, across, "as called", 0, "dashed"), Curve(trial.time_s, trial.apart_m, "driven", 1)]
+    across, driven = np.where(trial.is_column, 0.0, SPACING), np.ptp(trial.place[..., 1], axis=1)
+    shape = [Curve(trial.time_s, across, "as called", 0, "dashed"), Curve(trial.time_s, driven, "driven", 1)]
     panels = [
         _map("corridor", policy, trial),
         Panel("Formation error", "time [s]", "|z| [m]", errors, levels={"5 cm": NEAR}),
@@ -229,16 +185,16 @@ def _corridor(runner: Runner, policy: str, title: str) -> Figure:
     return Figure(title, panels, _rows("corridor", policy, runs), columns=3)
 
 
-def _rows(world: str, policy: str, runs: Sequence[PassageRun]) -> list[Row]:
+def _rows(world: str, policy: str, runs: Sequence[TeamRun]) -> list[Row]:
     """The row of `EXPECTED`.
 
     Among offset gates much depends on how the leader gets around them, which here it does with more room: there the clearance,
     and all of the other rules than the first, are bounds.
     """
-    changes, toggles, avoid_s, clearance_m, formed_s = EXPECTED[world][policy]
+    changes, toggles, avoid_s, clearance_m, expected_s = EXPECTED[world][policy]
     case, exact = f"{world}, {LETTERS[policy]}", world != "offset gates" or policy == "immediate"
     counted, away_s = _count(runs, "mode_toggles"), _count(runs, "avoid_s")
-    nearest = _mean(each.clearance_m for each in runs)
+    nearest = _mean(each.metrics["safety"]["min_clearance_m"] for each in runs)
     rows = [absolute(f"{case}: changes of shape, mean of {len(runs)} runs", changes, _count(runs, "shape_changes"), 0.0)]
     if exact:
         spread = 0.0 if world != "offset gates" else 0.1 * toggles
@@ -255,12 +211,12 @@ def _rows(world: str, policy: str, runs: Sequence[PassageRun]) -> list[Row]:
         rows.append(absolute(f"{case}: least clearance, m", clearance_m, nearest, 0.02))
     else:
         rows.append(at_least(f"{case}: least clearance, m", clearance_m - 0.02, nearest))
-    if not math.isnan(formed_s):
-        rows.append(relative(f"{case}: formed again after, s", formed_s, _mean(each.formed_s for each in runs), 0.05))
+    if not math.isnan(expected_s):
+        rows.append(relative(f"{case}: formed again after, s", expected_s, _mean(formed_s(each, world) for each in runs), 0.05))
     return [*rows, absolute(f"{case}: largest |z| at the end, m", 0.0, _left(runs), NEAR)]
 
 
-def _map(world: str, policy: str, trial: PassageRun) -> Panel:
+def _map(world: str, policy: str, trial: TeamRun) -> Panel:
     """Walls as far as they matter, tracks, and the team every 3 s."""
     blocks = [(west, east, max(south, -SHOWN), min(north, SHOWN)) for west, east, south, north in walls(world)]
     around = [
@@ -270,15 +226,16 @@ def _map(world: str, policy: str, trial: PassageRun) -> Panel:
     place = trial.place[trial.place[:, 0, 0] < max(east for _, east, _, _ in blocks) + 5.0]
     tracks = [Curve(place[:, i, 0], place[:, i, 1], name, i + 1, "pose") for i, name in enumerate(NAMES)]
     teams = [Curve(each[:, 0], each[:, 1], "every 3 s", 0, "thin") for each in place[:: round(3.0 / TICK_S), [0, 1, 2, 0]]]
-    title = f"{world}, {LETTERS[policy]}: {trial.counts['mode_toggles']} changes of mode, {trial.counts['avoid_s']:.1f} s"
+    counts = trial.metrics["formation"]
+    title = f"{world}, {LETTERS[policy]}: {counts['mode_toggles']} changes of mode, {counts['avoid_s']:.1f} s"
     return Panel(title, "x east [m]", "y north [m]", [*around, *teams, *tracks], equal=True)
 
 
-def _count(runs: Sequence[PassageRun], name: str) -> float:
-    return _mean(each.counts[name] for each in runs)
+def _count(runs: Sequence[TeamRun], name: str) -> float:
+    return _mean(each.metrics["formation"][name] for each in runs)
 
 
-def _left(runs: Sequence[PassageRun]) -> float:
+def _left(runs: Sequence[TeamRun]) -> float:
     """The largest error at the end, m."""
     return float(max(each.error[-1].max() for each in runs))
 

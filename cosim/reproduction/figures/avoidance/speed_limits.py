@@ -33,6 +33,7 @@ LAG_S, START = 0.5, (-9.0, 0.2, 1.0)  # m: so far away that it flies steadily wh
 RECORD_S = 0.02
 SHOWN = (-3.0, 3.4)  # m, x: what is drawn of the tracks
 HERE = "vcmvsp.cosim.reproduction.figures.avoidance.speed_limits"
+TOWARDS = f"{HERE}:Towards"
 NAMES = {1: "the field alone", 2: "with level 2"}
 STYLES: Mapping[int, Style] = {1: "dotted", 2: "line"}
 LAGS: Mapping[bool, tuple[str, Style]] = {True: ("", "line"), False: (", exact lag", "dashed")}
@@ -40,15 +41,16 @@ LAGS: Mapping[bool, tuple[str, Style]] = {True: ("", "line"), False: (", exact l
 Case = tuple[bool, int, float]  # whether the servo is stepped, the highest level, m/s
 
 
-class Ahead(Agent):
-    """Flies east for ever."""
+class Towards(Agent):
+    """Flies into one direction, (x, y), for ever, at ``speed`` m/s."""
 
-    def __init__(self, speed: Positive) -> None:
-        self.speed = speed
+    def __init__(self, direction: tuple[float, float], speed: Positive = 1.0) -> None:
+        self.direction, self.speed = direction, speed
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """The same at every tick."""
-        return Velocity(linear=(self.speed, 0.0, 0.0))
+        x, y = (self.speed * part / math.hypot(*self.direction) for part in self.direction)
+        return Velocity(linear=(x, y, 0.0))
 
 
 class ServoAgent(Agent):
@@ -93,7 +95,7 @@ def fig_levels(runner: Runner) -> Figure:
 
 def _scenario(stepped: bool, level: int, speed: float) -> dict[str, Any]:
     field = {"kind": "potential_field", "tang": 0.0, "max_speed": speed, "level": level}
-    task = {"kind": f"{HERE}:Ahead", "speed": speed}
+    task = {"kind": TOWARDS, "direction": (1.0, 0.0), "speed": speed}
     agent: dict[str, Any] = {"kind": "vcmvsp.agents.avoidance.avoid:Avoid", "task": task, "avoidance": field}
     if stepped:
         agent = {"kind": f"{HERE}:ServoAgent", "agent": agent, "lag_s": LAG_S}

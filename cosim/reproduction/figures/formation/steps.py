@@ -52,14 +52,7 @@ KNOWN_AT_ONCE_S = (0.0, 2.6, 2.8, 3.8, 5.9)
 
 
 class StepFollower(Agent):
-    """Two followers in one: the first decides until ``at_s``, the second from then on.
-
-    Args:
-        leader: of both.
-        at_s: when the step is, s.
-        before: parameters of the `leader_follower` before the step.
-        after: those of the one after it.
-    """
+    """Two of `leader_follower` in one, with parameters ``before`` and ``after``: the second decides from ``at_s`` on."""
 
     def __init__(self, leader: str, at_s: NonNegative, before: Mapping[str, Any], after: Mapping[str, Any]) -> None:
         follower = find("agent", "leader_follower")

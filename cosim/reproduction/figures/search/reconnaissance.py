@@ -11,6 +11,7 @@ import numpy as np
 from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
+from vcmvsp.cosim.reproduction.figures.scenarios import places_of
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_least
 from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
@@ -45,11 +46,10 @@ class MissionRun:
 def scouted(result: Result) -> MissionRun:
     """The data of a run."""
     movement = motion(result.states)
-    columns = [movement.column(name) for name in NAMES]
     mission, safety = result.metrics["mission"], result.metrics["safety"]
     return MissionRun(
         movement.time_ns / 1e9,
-        np.stack([movement.position[axis][:, columns] for axis in (0, 1)], axis=-1),
+        places_of(movement, NAMES),
         {name: float("nan") if at_s is None else at_s for name, at_s in mission["found_s"].items()},
         mission["targets_tracked"],
         mission["false_finds"],

@@ -17,6 +17,7 @@ from vcmvsp.agents.formation.team.formation import Formation, Passage
 from vcmvsp.agents.formation.team.team import Team
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.reproduction.figures.avoidance import passages
+from vcmvsp.cosim.reproduction.figures.scenarios import team_run
 from vcmvsp.cosim.reproduction.runner import Runner
 from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.types import Message, Scan
@@ -244,17 +245,18 @@ def test_a_corridor_is_passed(policy: str, toggles: range) -> None:
     for car in scenario["vehicle"][1:]:
         car["agent"] = {**car["agent"], "avoidance": {"kind": "gap"}}
     result = run(scenario, mcap=False)
-    seen = passages.passed(result, "corridor")
-    assert seen.counts["shape_changes"] == 2
-    assert seen.counts["mode_toggles"] in toggles
-    assert seen.clearance_m > 0.18
-    assert seen.error[-1].max() < 0.05
+    counts = result.metrics["formation"]
+    assert counts["shape_changes"] == 2
+    assert counts["mode_toggles"] in toggles
+    assert result.metrics["safety"]["min_clearance_m"] > 0.18
+    assert team_run(result, passages.NAMES).error[-1].max() < 0.05
 
 
 def test_the_figure_of_the_corridor_with_all_clear() -> None:
     """One run of it, as it is there: scanners that look over robots, each follower on its own way at 0.35 m/s at most."""
     (seen,) = Runner(1)([passages.job("corridor", "all-clear", 1)])
-    assert (seen.counts["mode_toggles"], seen.counts["shape_changes"]) == (0, 2)
-    assert seen.counts["reformed_s"] is not None
-    assert seen.clearance_m == pytest.approx(0.438, abs=0.02)
+    counts = seen.metrics["formation"]
+    assert (counts["mode_toggles"], counts["shape_changes"]) == (0, 2)
+    assert counts["reformed_s"] is not None
+    assert seen.metrics["safety"]["min_clearance_m"] == pytest.approx(0.438, abs=0.02)
     assert seen.error[-1].max() < 0.05
