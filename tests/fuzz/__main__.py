@@ -23,6 +23,7 @@ PROGRESS_EVERY = 500  # cases
 def fuzz() -> int:
     parser = argparse.ArgumentParser("python -m tests.fuzz", description=(__doc__ or "").partition("\n\n")[2])
     parser.add_argument("--cases", type=int, default=300, help="how many [300]")
+    parser.add_argument("--first", type=int, default=0, help="number of the first case, to go on with a seed [0]")
     parser.add_argument("--seed", type=int, default=0, help="of all cases [0]")
     parser.add_argument("--case", type=int, help="only this one, with its command and what it says")
     parser.add_argument("--keep", type=Path, help="folder for the files of that case")
@@ -32,7 +33,8 @@ def fuzz() -> int:
         results = _whole_run(Path(name))
         _import_all()
         Result._figures = lambda self, shown: {}  # type: ignore[method-assign]  # `plot` and `report` draw; a run's would take 1 s
-        for number in range(chosen.cases) if chosen.case is None else [chosen.case]:
+        numbers = range(chosen.first, chosen.first + chosen.cases) if chosen.case is None else [chosen.case]
+        for number in numbers:
             folder = (chosen.keep or Path(name)) / str(number) / "case"
             folder.mkdir(parents=True)
             words = mutations.make(number, chosen.seed, folder, results)
@@ -43,8 +45,8 @@ def fuzz() -> int:
                 _say(*(f"    {each}" for each in found), *(f"    | {each[:300]}" for each in said))
             failed += bool(found)
             if number % PROGRESS_EVERY == PROGRESS_EVERY - 1:
-                _say(f"{number + 1} of {chosen.cases} cases, {failed} failed")
-    _say(f"{failed} of {chosen.cases if chosen.case is None else 1} cases failed (seed {chosen.seed})")
+                _say(f"{number + 1 - chosen.first} of {len(numbers)} cases, {failed} failed")
+    _say(f"{failed} of {len(numbers)} cases failed (seed {chosen.seed})")
     return bool(failed)
 
 
