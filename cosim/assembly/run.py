@@ -14,10 +14,9 @@ import msgspec
 
 from vcmvsp.cosim.agent import Agent, AgentInfo
 from vcmvsp.cosim.assembly import bridge, radio, real_vehicles, worlds
-from vcmvsp.cosim.assembly.agents import Placement
 from vcmvsp.cosim.assembly.interventions import Operator, check_planned, checks, nothing_moves
 from vcmvsp.cosim.assembly.resolved import Resolution
-from vcmvsp.cosim.assembly.vehicles import Fleet
+from vcmvsp.cosim.assembly.vehicles import Fleet, Placement
 from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, Ticks, WallClock, seconds_to_ns
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError, VcmvspError

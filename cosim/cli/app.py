@@ -13,22 +13,24 @@ from typing import Any
 import typer
 import typer.core
 
-from vcmvsp.cosim.cli.calibrate import calibrate_command, calibrate_recognition_command
-from vcmvsp.cosim.cli.doctor import doctor_command
 from vcmvsp.cosim.cli.emulate import emulate_app
 from vcmvsp.cosim.cli.keys import keys_app
-from vcmvsp.cosim.cli.kinds import list_command, reference_command, show_command, world_command
+from vcmvsp.cosim.cli.kinds import list_command, new_command, reference_command, show_command, world_command
 from vcmvsp.cosim.cli.net import net_app
-from vcmvsp.cosim.cli.new import new_command
 from vcmvsp.cosim.cli.options import DATA, PROGRAM, say
-from vcmvsp.cosim.cli.outputs import export_command, plot_command, report_command
-from vcmvsp.cosim.cli.radio import channel_command, pathloss_command, per_command, radio_command
-from vcmvsp.cosim.cli.remote import agent_command, watch_command
+from vcmvsp.cosim.cli.outputs import export_command, plot_command, report_command, view_command
+from vcmvsp.cosim.cli.radio import (
+    calibrate_command,
+    calibrate_recognition_command,
+    channel_command,
+    pathloss_command,
+    per_command,
+    radio_command,
+)
+from vcmvsp.cosim.cli.remote import agent_command, doctor_command, watch_command
 from vcmvsp.cosim.cli.reproduce import bench_command, figure_command, validate_command
 from vcmvsp.cosim.cli.robot import operator_command, robot_command, stop_command
-from vcmvsp.cosim.cli.run import check_command, drive_command, launch_command, replay_command, run_command
-from vcmvsp.cosim.cli.study import study_command
-from vcmvsp.cosim.cli.view import view_command
+from vcmvsp.cosim.cli.run import check_command, drive_command, launch_command, replay_command, run_command, study_command
 from vcmvsp.cosim.config.binding import show
 from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
 

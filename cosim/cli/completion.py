@@ -17,8 +17,7 @@ from typing import Any
 import typer
 from typer.models import ParameterInfo
 
-from vcmvsp.cosim.cli.kinds import GROUPS
-from vcmvsp.cosim.cli.new import PARTS
+from vcmvsp.cosim.cli.kinds import GROUPS, PARTS
 from vcmvsp.cosim.config import builtin_kinds, registry
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import read_toml

@@ -57,7 +57,6 @@ def up_command(
     """
     from vcmvsp.cosim.assembly import bridge
     from vcmvsp.cosim.assembly.parts import networks
-    from vcmvsp.cosim.runs import api
     from vcmvsp.cosim.scenario import loader as scenarios
 
     _check_rights()
@@ -78,7 +77,7 @@ def up_command(
     elif not doors:
         sets.append("bridge.ip={}")
     page = (view_host, view_port) if view else None
-    conduct(api.run, scenario, sets, out, seed=seed, realtime=1.0, force=force, json=json, quiet=quiet, page=page)
+    conduct(None, scenario, sets, out, seed=seed, realtime=1.0, force=force, json=json, quiet=quiet, page=page)
 
 
 @net_app.command("exec", short_help="Start a program in a vehicle's namespace")

@@ -1,9 +1,9 @@
-"""``vcmvsp run``, ``launch``, ``replay``, ``drive`` and ``check``; `conduct` is what commands that run a scenario share."""
+"""``vcmvsp run``, ``study``, ``launch``, ``replay``, ``drive``, ``check``; `conduct` is what they share."""
 
 import contextlib
 import functools
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +17,7 @@ from vcmvsp.cosim.view import HOST, PORT
 if TYPE_CHECKING:
     from vcmvsp.cosim.runs.api import Result
     from vcmvsp.cosim.view.live.session import Viewing
+
 
 Sets = Annotated[
     list[str] | None,
@@ -66,12 +67,10 @@ def run_command(
 
     Example: vcmvsp run formation-circle --set radio.loss.probability=0.5 --seed 7 --out lossy
     """
-    from vcmvsp.cosim.runs import api
-
     sets = simulated(scenario, set_ or []) if twin else set_ or []
     page = (view_host, view_port) if view else None
     options: dict[str, Any] = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure, "force": force}
-    conduct(api.run, scenario, sets, out, seed=seed, realtime=realtime, json=json, quiet=quiet, page=page, **options)
+    conduct(None, scenario, sets, out, seed=seed, realtime=realtime, json=json, quiet=quiet, page=page, **options)
 
 
 def launch_command(
@@ -190,7 +189,7 @@ def simulated(scenario: str, sets: Sequence[str]) -> list[str]:
 
 
 def conduct(
-    run: "Callable[..., Result]",
+    start: "Callable[..., Result] | None",
     scenario: str,
     sets: Sequence[str],
     out: Path | None,
@@ -202,7 +201,8 @@ def conduct(
     page: tuple[str, int] | None = None,
     **options: object,
 ) -> "Result":
-    """Call `vcmvsp.run`, or what takes its place; show progress and what came out, on a page too where there is one."""
+    """Call `vcmvsp.run`, or ``start`` in its place; show progress and what came out, on a page too where there is one."""
+    from vcmvsp.cosim.runs import api
     from vcmvsp.cosim.scenario import loader as scenarios
     from vcmvsp.cosim.terminal.progress import Progress, lateness, summary
     from vcmvsp.cosim.util.files import to_json
@@ -210,21 +210,23 @@ def conduct(
     if out is not None and str(out) == ".":
         raise UsageError("--out: name a folder; the current one is not a good place for the files of a run")
     settings = scenarios.settings_of(sets)
+    loaded = scenarios.load(scenario, settings=settings, seed=seed)
+    parsed = loaded.scenario
+    kinds = {each.name: each.agent.kind or "" for each in parsed.vehicle if each.agent is not None}
+    default = Path("runs") / f"{parsed.name}-{parsed.seed}"
+    run = functools.partial(start, scenario, seed=seed, set=settings) if start else functools.partial(api.run, loaded)
     with contextlib.ExitStack() as stack:
         viewing = None if page is None else stack.enter_context(_viewing(page))
         if viewing is not None:
             options["view"] = viewing
         with stdout_to_stderr(), Progress(quiet=quiet) as progress:
             result = run(
-                scenario,
-                seed=seed,
-                set=settings,
                 realtime=realtime,
-                out=out if out is not None else _default_folder(scenario, settings, seed),
+                out=out or default,
                 numbered=out is None,
                 progress=progress.on_instant,
                 tell=progress.tell,
-                observe=progress.observer(lambda: _agents(scenario, settings)),
+                observe=progress.observer(lambda: kinds),
                 **options,
             )
         if json:
@@ -252,19 +254,102 @@ def _viewing(page: tuple[str, int]) -> "Viewing":
     return Viewing(*page, opened=opened)
 
 
-def _agents(scenario: str, settings: dict[str, Any]) -> dict[str, str]:
-    """The kind of each vehicle's agent; nothing where the scenario cannot be read, which the run itself says better."""
+SHOWN = 40  # points
+
+
+def study_command(
+    scenario: ScenarioName,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUES", help="KEY=a,b,c or KEY=start:stop:step; repeat for a grid [the scenario's [study] table]."
+        ),
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(metavar="N", help="Runs of each point of the grid [20].")] = None,
+    metric: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="What is drawn and summarised, e.g. formation.rms_m; repeat for several."),
+    ] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario for all runs.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="The first seed, instead of the scenario's.")] = None,
+    jobs: Annotated[int | None, typer.Option(metavar="N", help="Runs at once [as many as there are cores].")] = None,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Run on the workers of this Dask scheduler, e.g. tcp://10.0.0.1:8786.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [runs/NAME-study].")] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the study in DIR; values and seeds may be added.")
+    ] = False,
+    force: Force = False,
+    twin: Twin = False,
+    json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a scenario over a grid of values, with the same seeds at each point.
+
+    Example: vcmvsp study formation-slalom --vary radio.loss.probability=0:0.8:0.2 --vary agents.estimator=hold,dr --seeds 5
+    """
     from vcmvsp.cosim.scenario import loader as scenarios
+    from vcmvsp.cosim.studies import engine
+    from vcmvsp.cosim.studies.plan import vary_of
+    from vcmvsp.cosim.studies.summary import rows, summarise
+    from vcmvsp.cosim.terminal.progress import StudyProgress
+    from vcmvsp.cosim.util.files import to_json
+    from vcmvsp.cosim.util.text import stdout_to_stderr
 
-    with contextlib.suppress(VcmvspError):
-        parsed, _ = scenarios.load(scenario, settings=settings)
-        return {each.name: each.agent.kind or "" for each in parsed.vehicle if each.agent is not None}
-    return {}
+    if out is not None and str(out) == ".":
+        raise UsageError("--out: name a folder; the current one is not a good place for the files of a study")
+    settings = scenarios.settings_of(simulated(scenario, set_ or []) if twin else set_ or [])
+    with stdout_to_stderr(), StudyProgress(quiet=quiet) as progress:
+        studied = engine.conduct(
+            scenario,
+            vary=vary_of(vary or []),
+            seeds=seeds,
+            seed=seed,
+            settings=settings,
+            metrics=metric,
+            jobs=jobs,
+            cluster=cluster,
+            out=out or (None if resume else Path("runs") / f"{Path(scenario).stem}-study"),
+            numbered=out is None,
+            resume=resume,
+            force=force,
+            progress=progress.on_run,
+            checking=progress.on_check,
+            noted=progress.on_value,
+        )
+    plan, table = studied.plan, studied.table
+    summary = summarise(table, list(plan.vary), plan.metrics)
+    failed = [text for text in table["error"].to_pylist() if text is not None]
+    points = rows(summary, list(plan.vary), plan.metrics)
+    if json:
+        about = {"scenario": plan.scenario, "vary": plan.vary, "seeds": plan.seeds, "runs": plan.size, "failed": len(failed)}
+        sys.stdout.write(to_json({**about, "rows": points, "out": str(studied.folder)}))
+    elif not quiet:
+        sys.stdout.write(f"{plan.scenario}: {plan.size} runs, {len(points)} points with {len(plan.seeds)} seeds each\n")
+        sys.stdout.write(_table(points, list(plan.vary), plan.metrics))
+        sys.stdout.write(f"results: {studied.folder}\n")
+    if failed:
+        which = "every run" if len(failed) == plan.size else f"{len(failed)} of {plan.size} runs"
+        raise VcmvspError(f"{which} failed, the first with: {failed[0]}")
 
 
-def _default_folder(scenario: str, settings: dict[str, Any], seed: int | None) -> Path:
-    """``runs/NAME-SEED``."""
-    from vcmvsp.cosim.scenario import loader as scenarios
+def _table(points: Sequence[Mapping[str, Any]], keys: Sequence[str], metrics: Sequence[str]) -> str:
+    """Mean and band of each metric at each point, in columns."""
+    lines = [[*keys, "n", *metrics]]
+    lines += [
+        [*(str(point[key]) for key in keys), str(point["n"]), *(_band(point[name]) for name in metrics)]
+        for point in points[:SHOWN]
+    ]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    text = "".join("  ".join(map(str.ljust, line, widths)).rstrip() + "\n" for line in lines)
+    return text + (f"... and {len(points) - SHOWN} more points, in summary.csv\n" if len(points) > SHOWN else "")
 
-    parsed, _ = scenarios.load(scenario, settings=settings, seed=seed)
-    return Path("runs") / f"{parsed.name}-{parsed.seed}"
+
+def _band(found: Mapping[str, float | None]) -> str:
+    if found["mean"] is None:
+        return "-"
+    band = "" if found["low"] is None else f" [{found['low']:.4g}, {found['high']:.4g}]"
+    return f"{found['mean']:.4g}{band}"

@@ -30,7 +30,7 @@ __all__ = ["Result", "Runs", "check", "plot", "run"]
 
 
 def run(
-    scenario: str | Path | Mapping[str, Any],
+    scenario: str | Path | Mapping[str, Any] | scenarios.Loaded,
     *,
     seed: int | None = None,
     set: Mapping[str, Any] | None = None,  # noqa: A002  the word of the command line
@@ -54,7 +54,7 @@ def run(
     """Run a scenario to its end.
 
     Args:
-        scenario: a built-in name, the path of a TOML file, or its content as a mapping.
+        scenario: a built-in name, the path of a TOML file, its content as a mapping, or one that is loaded.
         seed: instead of the scenario's.
         set: key path -> value, e.g. ``{"radio.loss.probability": 0.3}``.
         agents: agents as objects, by vehicle; or where all agents run: ``"inprocess"``, ``"process"`` or ``"zenoh"``.
@@ -87,7 +87,8 @@ def run(
     folder = None if out is None else Folder(Path(out), force=force, numbered=numbered)
     if folder and not mcap:
         raise UsageError("mcap = False: what is written into a folder includes the MCAP file")
-    parsed, source = scenarios.load(scenario, settings=set, seed=seed)
+    loaded = scenario if isinstance(scenario, scenarios.Loaded) else scenarios.load(scenario, settings=set, seed=seed)
+    parsed, source = loaded
     started, cpu = datetime.now(UTC), time.process_time()
     replayed = None if playback is None else external_inputs.read_inputs(Path(playback) / external_inputs.FILE, tell=tell)
     try:

@@ -5,7 +5,7 @@ import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import msgspec
 
@@ -89,9 +89,16 @@ BUILT_IN = registry.SHIPPED
 T = TypeVar("T")
 
 
+class Loaded(NamedTuple):
+    """A scenario, and where it was read from."""
+
+    scenario: Scenario
+    source: Source
+
+
 def load(
     scenario: str | Path | Mapping[str, Any], *, settings: Mapping[str, Any] | None = None, seed: int | None = None
-) -> tuple[Scenario, Source]:
+) -> Loaded:
     """Read, override and check a scenario.
 
     Args:
@@ -114,7 +121,7 @@ def load(
     if seed is not None:
         source.note_set("seed", f"--seed {seed}")
         raw["seed"] = seed
-    return parse(raw, source), source
+    return Loaded(parse(raw, source), source)
 
 
 def parse(raw: Mapping[str, Any], source: Source) -> Scenario:

@@ -14,8 +14,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from vcmvsp.cosim.studies.grid import label
-from vcmvsp.cosim.studies.plan import Plan, Run
+from vcmvsp.cosim.studies.plan import Plan, Run, label
 from vcmvsp.cosim.tables.columns import column
 from vcmvsp.cosim.types import Array
 

@@ -11,9 +11,9 @@ import pytest
 
 from tests.support.cosim.command_line import contents, vcmvsp_command
 from tests.support.paths import ROOT
-from vcmvsp.cosim.cli import new
+from vcmvsp.cosim.cli import kinds
 
-OWN = [part for part in new.PARTS if part != "scenario"]
+OWN = [part for part in kinds.PARTS if part != "scenario"]
 
 
 @pytest.fixture(autouse=True)
@@ -31,7 +31,7 @@ def python(*arguments: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("part", new.PARTS)
+@pytest.mark.parametrize("part", kinds.PARTS)
 def test_it_runs_and_passes_its_own_test_unedited(folder: Path, part: str) -> None:
     printed = vcmvsp_command("new", part, f"my-own-{part}").out
     run, test = re.search(r"next: vcmvsp (run \S+)\n +pytest (\S+)\n", printed).groups()  # type: ignore[union-attr]
@@ -42,7 +42,7 @@ def test_it_runs_and_passes_its_own_test_unedited(folder: Path, part: str) -> No
     assert not re.search("failed|skipped|warning", passed)
 
 
-@pytest.mark.parametrize("part", new.PARTS)
+@pytest.mark.parametrize("part", kinds.PARTS)
 def test_it_says_what_it_has_written(folder: Path, part: str) -> None:
     code, out, err = vcmvsp_command("new", part, "thing", "--out", "some/where")
     assert (code, err) == (0, "")
@@ -59,9 +59,9 @@ def test_one_name_in_any_spelling_gives_one_module_and_one_class(folder: Path, n
     assert tomllib.loads((folder / "follow_wall.toml").read_text())["agents"]["kind"] == "follow_wall.py:FollowWall"
 
 
-@pytest.mark.parametrize("part", new.PARTS)
+@pytest.mark.parametrize("part", kinds.PARTS)
 def test_nothing_of_the_template_is_left_over(part: str) -> None:
-    texts = new.rendered(part, "some_thing", "SomeThing")
+    texts = kinds.rendered(part, "some_thing", "SomeThing")
     assert not any("$" in text or "\t" in text for text in texts.values())
     assert max(len(line) for text in texts.values() for line in text.splitlines()) <= 128
 

@@ -11,7 +11,7 @@ import pytest
 import vcmvsp
 from tests.support.cosim.command_line import two_cars, vcmvsp_command
 from vcmvsp.cosim.errors import ScenarioError, UsageError
-from vcmvsp.cosim.runs import slow_agents
+from vcmvsp.cosim.runs import simulation
 from vcmvsp.cosim.util import documents
 
 OWN = """
@@ -180,7 +180,7 @@ def test_an_agent_that_computes_on_is_named() -> None:
     (line,) = [line for line in told if "has computed" in line]
     assert line.startswith("agent Still of vehicle car3 has computed for ")
     assert "Ctrl-C" in line
-    assert slow_agents.computing(None) == ("", "")
+    assert simulation.computing(None) == ("", "")
 
 
 def test_a_result_says_that_it_cannot_be_pickled(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.studies.grid import label, values_of, vary_of
+from vcmvsp.cosim.studies.plan import label, values_of, vary_of
 
 # Written as JSON these are TOML too: strings without control characters and lone surrogates, numbers, lists of them.
 texts = st.text(st.characters(exclude_categories=("Cs", "Cc")), max_size=12)

@@ -22,9 +22,8 @@ from tests.support.cosim.studies import two
 from vcmvsp.cosim.plots import study_plot
 from vcmvsp.cosim.plots.study_plot import label_of
 from vcmvsp.cosim.scenario.loader import settings_of
-from vcmvsp.cosim.studies.grid import vary_of
 from vcmvsp.cosim.studies.outputs import command_of, toml_of, write
-from vcmvsp.cosim.studies.plan import Plan
+from vcmvsp.cosim.studies.plan import Plan, vary_of
 from vcmvsp.cosim.studies.summary import summarise
 
 LOSS, DELAY, WHO, METRIC = "radio.loss.probability", "radio.delay.seconds", "agents.estimator", "formation.rms_m"

@@ -22,7 +22,7 @@ from vcmvsp.cosim.errors import AgentError, FederateError, UsageError, VcmvspErr
 from vcmvsp.cosim.processes import worker_pool
 from vcmvsp.cosim.processes.child_process import BOOT
 from vcmvsp.cosim.processes.worker_pool import Pool, Worker
-from vcmvsp.cosim.studies import checks, rows
+from vcmvsp.cosim.studies import engine, rows
 from vcmvsp.cosim.studies import plan as plans
 from vcmvsp.cosim.studies.engine import study
 from vcmvsp.cosim.studies.plan import Plan
@@ -247,19 +247,19 @@ def test_of_many_points_each_value_of_each_key_is_checked_once(monkeypatch: pyte
     base = plans.base_of(two())
     seen: list[tuple[Any, ...]] = []
     told: list[tuple[int, int]] = []
-    check = checks._check
+    check = engine._check
 
     def noted(plan: Plan, base: plans.Base, point: tuple[Any, ...]) -> Any:
         seen.append(point)
         return check(plan, base, point)
 
-    monkeypatch.setattr(checks, "_check", noted)
+    monkeypatch.setattr(engine, "_check", noted)
     for losses, count in ((25, 50), (26, 27)):
         seen.clear()
         told.clear()
         vary: dict[str, list[Any]] = {LOSS: [i / 100 for i in range(losses)], ESTIMATOR: ["hold", "dr"]}
         plan = plans.make(base, vary=vary, seeds=3, seed=None, settings={}, metrics=None, stored=None)
-        checks.examined(plan, base, lambda done, of: told.append((done, of)))
+        engine.examined(plan, base, lambda done, of: told.append((done, of)))
         assert told == [(number, count) for number in range(count)]
         assert len(set(seen)) == count
         assert [{point[key] for point in seen} for key in (0, 1)] == [{*values} for values in vary.values()]

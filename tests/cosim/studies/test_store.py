@@ -20,8 +20,7 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.studies import plan as plans
 from vcmvsp.cosim.studies import rows
 from vcmvsp.cosim.studies import store as stores
-from vcmvsp.cosim.studies.checks import examined
-from vcmvsp.cosim.studies.engine import study
+from vcmvsp.cosim.studies.engine import examined, study
 from vcmvsp.cosim.studies.plan import Plan
 from vcmvsp.cosim.studies.store import Store, so_far
 from vcmvsp.cosim.studies.worker import failed

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.netsim.links import Line, even_uniforms, linked_frame
 from tests.support.netsim.measured_links import BOXES, mean_of, points, tour
-from vcmvsp.cosim.cli.calibrate import write_calibration
+from vcmvsp.cosim.cli.radio import write_calibration
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.netsim.calibration.design_matrix import sample

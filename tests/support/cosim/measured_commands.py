@@ -19,7 +19,7 @@ SHARED = (
     "vcmvsp.cosim.cli.app",
     *("vcmvsp.cosim.runs.api", "vcmvsp.cosim.report.run_page", "vcmvsp.cosim.plots.run_plots", "vcmvsp.cosim.plots.style"),
     *("vcmvsp.cosim.analysis.links", "vcmvsp.cosim.export.formats", "vcmvsp.cosim.studies.outputs"),
-    *("vcmvsp.cosim.cli.view", "vcmvsp.cosim.view.player.playback"),
+    *("vcmvsp.cosim.cli.outputs", "vcmvsp.cosim.view.player.playback"),
 )
 """Modules that the readers of results import."""
 CPU_S, MOST_BYTES = 10, 1 << 30
@@ -67,5 +67,5 @@ def _run(command: str) -> Measured:
 if __name__ == "__main__":
     for _name in SHARED:
         importlib.import_module(_name)
-    sys.modules["vcmvsp.cosim.cli.view"]._serve = lambda player, *_, **__: player.show()  # type: ignore[attr-defined]
+    sys.modules["vcmvsp.cosim.cli.outputs"]._serve = lambda player, *_, **__: player.show()  # type: ignore[attr-defined]
     sys.stdout.write(json.dumps([_run(each) for each in sys.argv[1:]]))
