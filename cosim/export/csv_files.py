@@ -64,7 +64,6 @@ def write_csv(source: Source, folder: Path) -> None:
 
 
 def _read(source: Source) -> Iterator[tuple[Recorded, Any]]:
-    """Messages with their values, but for those of frames."""
     values = Values()
     for said in source.only(lambda _, schema: is_known(schema)):
         yield said, None if said.topic == FRAMES else values.of(said)
@@ -82,7 +81,6 @@ def _headers(source: Source) -> tuple[dict[str, list[str]], int, tuple[int, int]
 
 
 def _place(topic: str) -> tuple[str, str]:
-    """The vehicle that a topic tells of, and the file in which that stands."""
     vehicle, _, what = topic.partition("/")
     if what in FILES:
         return vehicle, FILES[what]
@@ -154,7 +152,6 @@ def _write_recorded(source: Source, path: Path, count: int, end_ns: int, why: st
 
 
 def _write_parts(parts: Iterator[pa.Table], path: Path) -> None:
-    """Parts of the table of the radio one behind the other, with times in s."""
     with ExitStack() as stack:
         writer: arrow_csv.CSVWriter | None = None
         for part in map(_for_csv, parts):

@@ -53,8 +53,6 @@ def layout_of(source: Source) -> dict[str, Any]:
 
 
 class _Seen:
-    """What there is to show."""
-
     def __init__(self, source: Source) -> None:
         values, low, high = Values(), np.full(2, np.inf), np.full(2, -np.inf)
         self.vehicles = source.vehicles
@@ -99,7 +97,6 @@ class _Seen:
 
 
 def _plots(seen: _Seen) -> dict[str, tuple[str, list[dict[str, Any]]]]:
-    """Title and curves of each plot."""
     wheels = [(vehicle, f"{what}.v") for vehicle, what in seen.of("vcmvsp.Odometry")]
     known = {vehicle for vehicle, _ in wheels}
     flown = [(name, f"state.velocity[{axis}]") for name in seen.vehicles if name not in known for axis in range(2)]
@@ -164,7 +161,6 @@ def _scene(seen: _Seen) -> dict[str, Any]:
 
 
 def _image(topic: str, seen: _Seen) -> dict[str, Any]:
-    """A panel with the pictures of a topic, and what was recognised in them."""
     shown = topic.removesuffix(f"/{PICTURE}")
     marks = {shown: {"visible": True}} if seen.topics.get(shown) == "foxglove.ImageAnnotations" else {}
     return {"title": topic, "imageMode": {"imageTopic": topic, "annotations": marks}}

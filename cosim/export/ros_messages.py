@@ -268,7 +268,6 @@ def _marker(head: RosMessage, name: str, number: int, **fields: object) -> RosMe
 
 
 def _drawn(kind: int, at: messages.Pose, scale: Vec3, color: messages.Color, **more: object) -> dict[str, Any]:
-    """Fields of a marker that draws something."""
     paint = make("std_msgs/ColorRGBA", color.r, color.g, color.b, color.a)
     return {"type": kind, "pose": _pose_of(at), "scale": vector(*scale), "color": paint, **more}
 

@@ -54,8 +54,6 @@ def write_video(source: Source, path: Path, progress: Callable[[float], None]) -
 
 
 class _Ways:
-    """Where each vehicle was when."""
-
     def __init__(self) -> None:
         self.time_ns: list[int] = []
         self.poses: list[tuple[float, float, float]] = []  # x, y m, yaw rad
@@ -66,8 +64,6 @@ class _Ways:
 
 
 class _Film:
-    """The pictures of one recording."""
-
     def __init__(self, source: Source) -> None:
         self._vehicles = source.vehicles
         self._ways: dict[str, _Ways] = {}
@@ -143,7 +139,6 @@ class _Film:
         return rounded
 
     def _ground(self) -> Array:
-        """The world without what moves."""
         import cv2
 
         picture = np.full((self._height, self._width, 3), PAPER, np.uint8)
@@ -185,13 +180,11 @@ class _Film:
         return dict(reversed(found.items()))
 
     def _place(self, name: str, now_ns: int) -> Array:
-        """The newest pose, x, y, yaw."""
         time_ns, poses = self._arrays[name]
         place: Array = poses[max(0, bisect_right(time_ns, now_ns) - 1)]
         return place
 
     def _draw_vehicle(self, picture: Array, name: str, now_ns: int) -> None:
-        """Its trail, and a triangle that points ahead."""
         import cv2
 
         time_ns, poses = self._arrays[name]

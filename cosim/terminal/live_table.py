@@ -25,8 +25,6 @@ STATES = {"lost": "lost", "removed": "gone", "back": ""}  # of agents
 
 @dataclass(frozen=True, slots=True)
 class _Vehicle:
-    """What is known of a vehicle."""
-
     by: str
     state: str
     halted: bool
@@ -111,7 +109,6 @@ class LiveTable:
         }
 
     def _motion(self, states: States) -> dict[str, tuple[list[float], float, float]]:
-        """Position, speed and formation error of each vehicle."""
         w, x, y, z = states.attitude.T
         yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         moved = Motion(np.zeros(1, np.int64), states.names, states.position.T[:, np.newaxis], yaw[np.newaxis])

@@ -57,7 +57,6 @@ class StatusDisplay:
             sys.stderr.flush()
 
     def _is_due(self) -> bool:
-        """Whether it is time to show how far it is."""
         now = time.monotonic()
         if self._quiet or now - self._last < self._every_s:
             return False
@@ -65,7 +64,6 @@ class StatusDisplay:
         return True
 
     def _draw(self, completed: float, total: float, words: str) -> None:
-        """Show the bar, on a terminal, and what stands below it."""
         try:
             screen = self._open_screen() if self._screen is None else self._screen
             begin = time.monotonic()
@@ -236,7 +234,6 @@ def lateness(late: Mapping[str, Any]) -> str:
 
 
 def _of_bridge(carried: Mapping[str, Any]) -> str:
-    """What crossed the bridge to programs outside, how late it left, and what did not cross it."""
     words = f"{carried['datagrams']} datagrams, {carried['delivered']} deliveries"
     if carried["delivered"]:
         late = f"late by {1000 * carried['p50_s']:.2f} ms median, {1000 * carried['p99_s']:.2f} ms p99"
@@ -246,7 +243,6 @@ def _of_bridge(carried: Mapping[str, Any]) -> str:
 
 
 def _of_radio(radio: Mapping[str, Any]) -> str:
-    """What became of the frames."""
     if not radio["frames"]:
         return ""
     lost = ", ".join(f"{count} {cause}" for cause, count in radio["losses"].items()) or "none lost"
@@ -259,7 +255,6 @@ def _of_radio(radio: Mapping[str, Any]) -> str:
 
 
 def _of_routing(routing: Mapping[str, Any]) -> str:
-    """How far messages got over others, and what that cost."""
     if not routing["messages"]:
         return ""
     words, ratio = f"{routing['messages']} messages", routing["delivery_ratio"]
@@ -272,7 +267,6 @@ def _of_routing(routing: Mapping[str, Any]) -> str:
 
 
 def _of_formation(formation: Mapping[str, Any]) -> str:
-    """How well it was kept."""
     if formation["rms_m"] is None:
         return ""
     settled = "not settled" if formation["settling_s"] is None else f"settled after {formation['settling_s']:.1f} s"
@@ -282,17 +276,14 @@ def _of_formation(formation: Mapping[str, Any]) -> str:
 
 
 def _of_safety(safety: Mapping[str, Any]) -> str:
-    """What went wrong, if anything did."""
     return f"{safety['collisions']} collisions" if safety["collisions"] else ""
 
 
 def _of_lost(agents: Mapping[str, Mapping[str, Any]]) -> str:
-    """Whose agents were away, and for how long."""
     return ", ".join(f"{name} for {each['lost_s']:.1f} s" for name, each in agents.items() if each["lost_s"])
 
 
 def _of_mission(mission: Mapping[str, Any]) -> str:
-    """What was found, and when."""
     times = mission["found_s"]
     found = ", ".join(f"{name} {'never' if time_s is None else f'{time_s:.1f} s'}" for name, time_s in times.items())
     words = f"{mission['targets_found']} of {len(times)} targets found ({found}), {mission['targets_tracked']} tracked"
@@ -301,7 +292,6 @@ def _of_mission(mission: Mapping[str, Any]) -> str:
 
 
 def _of_real(real: Mapping[str, Any]) -> str:
-    """How a real vehicle was known and driven, in a line."""
     age_s, fixes = real["age_s"]["p50"], real["fixes"]
     words = [f"real, {1000 * age_s:.0f} ms old" if age_s is not None else "real, never heard"]
     if fixes:

@@ -166,7 +166,6 @@ def bare_scenery(about: Mapping[str, str], vehicles: Sequence[str], drawing: byt
 
 
 def _drawn(vehicles: Sequence[str], drawing: bytes | None) -> dict[str, Craft]:
-    """Vehicles as big as they are drawn."""
     entities = () if drawing is None else read_json(drawing, SceneUpdate).entities
     width_m = {each.id: each.cylinders[0].size.x for each in entities if each.cylinders}
     sizes = {name: width_m.get(name, DEFAULT_WIDTH_M) for name in vehicles}

@@ -303,7 +303,6 @@ def _calm(handler: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[No
 
 
 def _try_gate(host: str, port: int) -> None:
-    """Refuse to go on where a stranger is let in."""
     upgrade = {
         "Connection": "Upgrade",
         "Upgrade": "websocket",

@@ -362,40 +362,6 @@ def test_noise_of_the_leaders_pose(tmp_path: Path) -> None:
     assert rms(result) == pytest.approx(expected, rel=1e-6)
 
 
-# --- ages ---
-
-
-def mean_age_s(result: vcmvsp.Result) -> float:
-    """Age of the newest report that has arrived, averaged over time and receivers: the sawtooth, integrated from 1 s on."""
-    table = result.radio.to_pandas()
-    reports = table[(table.sender == "car1") & (table.received_ns >= 0)].sort_values("received_ns")
-    whole, long = 0.0, 0.0
-    for _, heard in reports.groupby("receiver", observed=True):
-        sent, received = (heard[name].to_numpy() / 1e9 for name in ("sent_ns", "received_ns"))
-        ages_from, ages_to = received[:-1] - sent[:-1], received[1:] - sent[:-1]
-        counted = received[:-1] >= 1.0
-        whole += float((0.5 * (ages_to**2 - ages_from**2))[counted].sum())
-        long += float(np.diff(received)[counted].sum())
-    return whole / long
-
-
-@pytest.mark.parametrize(("p", "share"), [(0.3, 0.02), (0.5, 0.02), (0.8, 0.05)])
-def test_the_age_of_what_is_known(p: float, share: float) -> None:
-    """Continuous mean T (1 + p) / (2 (1 - p)) for reports every T, independent losses p and no delay."""
-    runs = [mixed(path, p) for path in PATHS]
-    assert mean_age_s(runs[0]) == mean_age_s(runs[1])  # the same draws: what a leader does is nothing to the radio
-    assert mean_age_s(runs[0]) == pytest.approx(T * (1 + p) / (2 * (1 - p)), rel=share)
-
-
-@pytest.mark.parametrize("mean_frames", [5, 10])
-def test_the_age_in_bursts(mean_frames: int) -> None:
-    """T/2 (1 + 2 q/r + q (2 - r)/r^2) / (1 + q/r), q and r being the chances to turn bad and good from frame to frame."""
-    r = q = 1.0 / mean_frames
-    expected = T / 2 * (1 + 2 * q / r + q * (2 - r) / r**2) / (1 + q / r)
-    assert expected == pytest.approx({5: 0.3, 10: 0.55}[mean_frames])
-    assert mean_age_s(in_bursts(mean_frames)) == pytest.approx(expected, rel=0.15)
-
-
 def test_an_estimator_in_a_file_beside_the_scenario_is_kept_with_the_result(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         "class Still:\n"

@@ -109,11 +109,3 @@ def test_recorded_radio_gives_the_same_table(kind: str, tmp_path: Path) -> None:
     again = replay(tmp_path / "one", radio="recorded", out=tmp_path / "two")
     assert first.radio.equals(again.radio)
     assert first.metrics["routing"] == again.metrics["routing"]
-
-
-def test_it_runs_again_from_what_it_has_left(tmp_path: Path) -> None:
-    first = vcmvsp.run("relay-chain", set={**SETTINGS, "duration_s": 3.0, **KINDS["static"]}, out=tmp_path / "one")
-    again = vcmvsp.run(tmp_path / "one" / "scenario.toml", out=tmp_path / "two")
-    assert first.metrics == again.metrics
-    for name in ("run.mcap", "radio.parquet", "scenario.toml"):
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()

@@ -65,7 +65,6 @@ def _is_map(panel: "Panel") -> bool:
 
 
 def _draw_panel(axes: Axes, panel: "Panel") -> int:
-    """Draw a panel; returns the rows of its legend."""
     axes.set_title(panel.title, loc="left")
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
@@ -93,7 +92,6 @@ def _draw_curves(axes: Axes, panel: "Panel") -> None:
 
 
 def _draw_legend(axes: Axes) -> int:
-    """Draw the legend below the axes; returns its rows."""
     handles, labels = axes.get_legend_handles_labels()
     if not labels:
         return 0

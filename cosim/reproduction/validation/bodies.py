@@ -183,7 +183,6 @@ def _readings(
     drives: Mapping[str, Any] = STILL,
     duration_s: float = 0.3,
 ) -> list[Any]:
-    """Readings of a sensor of one vehicle, in order."""
     scenario = {
         "name": "sensing",
         "duration_s": duration_s,

@@ -204,7 +204,6 @@ def lrwpan() -> Sequence[Row]:
 
 
 def _random(on: Channel, position: Array, hz: float, seconds: float, size: int, rng: np.random.Generator) -> list[FrameReport]:
-    """Frames of random senders at random times, and their outcomes."""
     count = len(position)
     frames = round(count * hz * seconds)
     times = np.sort(rng.integers(0, round(seconds * 1e9), frames)).tolist()

@@ -109,7 +109,6 @@ class Feed:
             self._state.keep(collection, key, reading)
 
     def _ask(self, names: Sequence[str]) -> None:
-        """Keep the readings of these sensors, and of no others."""
         self._asked = frozenset(names)
         state = self._state
         state.fresh = {each: None for each in state.fresh if each[0] not in READINGS.values() or each[1] in self._asked}
@@ -140,7 +139,6 @@ class Feed:
             self._forget()
 
     def _forget(self) -> None:
-        """What has been shown need not be shown again."""
         self._state.fresh.clear()
         self._state.lines.clear()
         self._fresh = False
@@ -155,7 +153,6 @@ class Feed:
             return codec.encode(PageUpdate(time_ns=self._now_ns, lines=tuple(self._state.lines), pace=pace))
 
     def _update(self, pace: Pace) -> PageUpdate:
-        """All that is new, and what is always told."""
         state, time_s = self._state, self._now_ns / SECOND_NS
         news: dict[str, Any] = {}
         for collection, key in state.fresh:
@@ -177,7 +174,6 @@ class Feed:
         )
 
     def _counts(self) -> dict[str, Any]:
-        """Frames that were sent and received so far, a row per sender."""
         sent, received = (np.zeros((len(self._rows),) * 2, np.int64) for _ in range(2))
         for (sender, receivers), tally in self._state.tallies.items():
             row, columns = self._rows[sender], [self._rows[name] for name in receivers]
@@ -195,7 +191,6 @@ class Feed:
         return (self._now_ns - then_ns) / SECOND_NS / (now_s - then_s) if now_s > then_s else None
 
     def _listen(self) -> None:
-        """Take orders, and obey those that ask for readings."""
         if not self._pipe.open:
             return
         try:

@@ -189,7 +189,6 @@ def _started(descriptor: int) -> "subprocess.Popen[bytes]":
 
 
 def _up(process: "subprocess.Popen[bytes]", pipe: protocol.Pipe, start: protocol.Start) -> protocol.Up:
-    """Tell the process what to show, and wait until it does."""
     until_s = time.monotonic() + START_S
     pipe.offer_within(codec.encode(start), START_S)
     while (left_s := until_s - time.monotonic()) > 0.0:

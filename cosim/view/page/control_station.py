@@ -99,7 +99,6 @@ class Station:
             time.sleep(IDLE_S)
 
     def _write(self) -> None:
-        """Words, and what can be ordered."""
         known = self._known
         self._run.content = run_page(known)
         self._vehicle.content = vehicle_page(known, self._choice.row)
@@ -141,7 +140,6 @@ class Station:
         self._look(dark=False)
 
     def _build_view(self, gui: viser.GuiApi) -> None:
-        """What of the scene is seen, and how."""
         shown: dict[str, Sequence[viser.SceneNodeHandle]] = {
             "Names": self._vehicles.labels,
             "Trails": self._trails.nodes,
@@ -165,7 +163,6 @@ class Station:
 
 
 def _tick(gui: viser.GuiApi, label: str, nodes: Sequence[viser.SceneNodeHandle]) -> None:
-    """A box by which these nodes are seen, or not."""
 
     def show(event: viser.GuiEvent[viser.GuiCheckboxHandle]) -> None:
         for node in nodes:

@@ -94,7 +94,6 @@ def _stops(gui: viser.GuiApi, give: Give) -> Draw:
 
 
 def _outages(gui: viser.GuiApi, scenery: Scenery, give: Give) -> Draw:
-    """Let frames be lost."""
     of = gui.add_dropdown("Frames from and to", [ALL, *(each.name for each in scenery.vehicles)])
     for_s = gui.add_number("are lost for [s]", 5.0, min=0.1, max=3600.0, step=0.1)
     inject = gui.add_button("Inject outage")
@@ -108,7 +107,6 @@ def _outages(gui: viser.GuiApi, scenery: Scenery, give: Give) -> Draw:
 
 
 def _changes(gui: viser.GuiApi, scenery: Scenery, give: Give) -> Draw:
-    """Give a key of the scenario another value."""
     values = {name: float(value) for name, value in scenery.keys.items()}
     key = gui.add_dropdown("Key", list(values))
     new = gui.add_number("New value", values[picked(key)], step=0.001)
@@ -244,7 +242,6 @@ class Mover:
             self._gizmo.visible = False
 
     def _begin(self) -> None:
-        """Start from where the obstacle is."""
         x, y, z, yaw = self._pose[picked(self._which)]
         self._write(x, y, yaw)
         self._gizmo.position, self._gizmo.wxyz = (x, y, z), quaternion_from_yaw(yaw)
@@ -349,7 +346,6 @@ class Choice:
         self._ask()
 
     def _ask(self) -> None:
-        """Order the readings that are wanted, if they are other ones."""
         wanted = self.readings if self._server.get_clients() else ()
         if wanted != self._asked:
             self._asked = wanted

@@ -101,7 +101,6 @@ def _motion(known: Known, row: int) -> Rows:
 
 
 def _health(known: Known, row: int) -> Rows:
-    """Whether it is there, hears, and is let go."""
     name, now = known.names[row], known.now.time_ns
     rows = []
     if name in known.now.halted:

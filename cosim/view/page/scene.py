@@ -158,7 +158,6 @@ def _add_obstacle(server: viser.ViserServer, obstacle: Obstacle) -> viser.SceneN
 
 
 def _add_target(server: viser.ViserServer, name: str, x: float, y: float) -> viser.SceneNodeHandle:
-    """A yellow disc with a dark rim, and its name."""
     frame = server.scene.add_frame(f"/targets/{name}", show_axes=False, position=(x, y, 0.0))
     for part, radius, thickness, color in (("rim", 1.0, 0.02, EDGE_RGB), ("disc", 0.85, 0.04, TARGET_RGB)):
         vertices, faces = disc(thickness=thickness)

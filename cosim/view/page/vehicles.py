@@ -134,7 +134,6 @@ class Vehicles:
         self._draw_labels(centre)
 
     def _draw_stopped(self, known: Known, floor: Array, reach: Array) -> None:
-        """A red disc under each vehicle that the operator has stopped."""
         radius = np.full(len(reach), TINY)
         rows = [known.row[name] for name in known.now.halted if name in known.row]
         radius[rows] = 1.5 * reach[rows]
@@ -149,7 +148,6 @@ class Vehicles:
 
 
 def _clicked(rows: Array, choose: Callable[[int], None]) -> Callable[[int], None]:
-    """What a click at one of these bodies does."""
     return lambda index: choose(int(rows[index]))
 
 

@@ -66,7 +66,6 @@ def _fix_of(said: PoseInFrame) -> Fix:
 
 
 def _poses_of(said: FrameTransforms) -> dict[str, Pose]:
-    """Where obstacles are, by name."""
     found = {}
     for each in said.transforms:
         at, turn = each.translation, each.rotation

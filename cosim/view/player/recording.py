@@ -146,7 +146,6 @@ class Recording:
             raise UsageError(f"{self._folder / FILE}: the message that draws the vehicles cannot be read: {error}") from error
 
     def _sensors(self, vehicle: str, kinds: Mapping[str, str]) -> dict[str, str]:
-        """Names and kinds of a vehicle's sensors that there are readings of."""
         read = [name.partition("/") for name, topic in self._file.topics.items() if _is_reading(topic.schema)]
         return {sensor: kinds.get(sensor, "") for who, _, sensor in read if who == vehicle}
 
@@ -158,14 +157,12 @@ class Recording:
             raise UsageError(f"{said}: {error}") from error
 
     def _value(self, topic: Topic, number: int) -> Any:
-        """A message as it is shown."""
         message = Recorded(topic.name, topic.schema, topic.time_ns(number), self._content(topic, number))
         value = self._values.of(message)
         shown = decoding.SHOWN_AS.get(type(value))
         return value if shown is None else shown(value)
 
     def _first(self, name: str) -> Any:
-        """The first message of a topic; None: there is none."""
         topic = self._file.topics.get(name)
         return None if topic is None else self._value(topic, 0)
 
@@ -204,7 +201,6 @@ class Recording:
         return decoding.sightings_of(self._value(topic, number), picture)
 
     def _obstacles(self, time_ns: int) -> dict[str, Pose]:
-        """Where those are that keep to a time-table, and those that can be pushed."""
         moving = () if self._world is None else self._world.moving
         topic = self._file.topics.get(MOVING)
         number = -1 if topic is None else topic.newest(time_ns)
@@ -232,7 +228,6 @@ def _is_reading(schema: str) -> bool:
 
 
 def _is_wanted(topic: str, schema: str) -> bool:
-    """Whether messages of a topic are shown."""
     what = topic.partition("/")[2]
     of_vehicle = what in NEWEST or what in (STATE, HEARD, NOTE, SIGHTINGS, f"{SIGHTINGS}/{PICTURE}")
     of_run = topic in (FRAMES, LOG, HALTED, MOVING, SCENE)

@@ -19,7 +19,7 @@ from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
 from vcmvsp.cosim.reproduction import figures
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel, as_json, table, write
-from vcmvsp.cosim.reproduction.figures.formation import circle, loss_integration, messages, steps
+from vcmvsp.cosim.reproduction.figures.formation import circle, loss_integration, steps
 from vcmvsp.cosim.reproduction.figures.scenarios import (
     ASIDE,
     K1,
@@ -33,7 +33,6 @@ from vcmvsp.cosim.reproduction.figures.scenarios import (
     step_follower,
     track,
 )
-from vcmvsp.cosim.reproduction.figures.scenarios import lossy as radio
 from vcmvsp.cosim.reproduction.row import Row, at_least, at_most, relative
 from vcmvsp.cosim.reproduction.runner import Job, Runner
 
@@ -307,11 +306,3 @@ def test_figure(name: str, tmp_path: Path) -> None:
     assert given.code == 0
     assert answer["name"] == name
     assert (tmp_path / f"{name}.json").read_text() == given.out
-
-
-def test_loss_and_the_same_losses_integrated() -> None:
-    """Some followers of each estimator, and what the platform lost on their links: equal to the last digits."""
-    (each,) = Runner(1)([messages.team("random", radio(0.8, 0.2), 4, loss_integration.ESTIMATORS)])
-    assert each.age == 2
-    assert each.missed[:-1].mean() == pytest.approx(0.8, abs=0.01)
-    assert messages.by_estimator(each) == pytest.approx(messages.integrated("random", each), rel=1e-9)

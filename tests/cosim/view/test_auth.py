@@ -216,17 +216,6 @@ def test_frames_that_break_the_protocol_end_their_own_connection_quietly(page: P
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_control_that_a_page_sets_is_set(page: Page) -> None:
-    box = page.server.gui.add_checkbox("a box", initial_value=False)
-    update = {"type": "GuiUpdateMessage", "uuid": box._impl.uuid, "updates": {"value": True}}
-    with page.connect() as client:
-        client.send(msgspec.msgpack.encode(update))
-        until_s = time.monotonic() + PATIENCE_S
-        while not box.value and time.monotonic() < until_s:
-            time.sleep(0.01)
-    assert box.value
-
-
 def test_there_are_no_more_pages_than_can_be_served(page: Page) -> None:
     with contextlib.ExitStack() as stack:
         first = stack.enter_context(page.connect())

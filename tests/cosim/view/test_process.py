@@ -3,7 +3,6 @@
 import http.client
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -26,7 +25,6 @@ from tests.support.cosim import view_pages
 from tests.support.cosim.run_processes import reserved
 from tests.support.paths import ROOT
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.scenario.schema import HaltTable
 from vcmvsp.cosim.util import codec
@@ -148,13 +146,6 @@ def test_a_run_outlives_it() -> None:
             time.sleep(0.05)
         assert not viewer.feed.open
         viewer.stay()
-
-
-def test_a_port_that_is_taken_is_said() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(UsageError, match=f"cannot listen on 127.0.0.1:{port}: Address already in use"):
-            Viewer.open(SCENERY, port=port)
 
 
 PARENT = """

@@ -353,7 +353,6 @@ def _panels(passages: Mapping[str, GapRun], four: GaugeReading, parts: Sequence[
 
 
 def _map(title: str, doors: Sequence[tuple[float, float]], ways: Sequence[tuple[str, GapRun]]) -> Panel:
-    """The wall, tracks, and the leaders' positions in the same colours."""
     curves = [Curve(np.array([WALL_M, WALL_M]), np.array(end), "wall") for end in wall_pieces(doors, END_M)]
     for color, (_, each) in enumerate(ways, 1):
         moves = np.hypot(*(each.place - each.place[-1]).T) > 0.01

@@ -60,7 +60,6 @@ def _rows(case: str, tour: TeamRun) -> list[Row]:
 
 
 def _map(tour: TeamRun) -> Panel:
-    """The room, tracks, and the team every few seconds."""
     world, _ = worlds.world_of(SCENARIO, {})
     solids = [each for each in worlds.outlines(world) if np.ptp(each, axis=0).min() >= SMALL_M]
     closed = [np.vstack([each, each[:1]]) for each in solids]

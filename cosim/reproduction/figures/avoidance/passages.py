@@ -217,7 +217,6 @@ def _rows(world: str, policy: str, runs: Sequence[TeamRun]) -> list[Row]:
 
 
 def _map(world: str, policy: str, trial: TeamRun) -> Panel:
-    """Walls as far as they matter, tracks, and the team every 3 s."""
     blocks = [(west, east, max(south, -SHOWN), min(north, SHOWN)) for west, east, south, north in walls(world)]
     around = [
         Curve(np.array([west, east, east, west, west]), np.array([south, south, north, north, south]), "walls", 0)
@@ -236,7 +235,6 @@ def _count(runs: Sequence[TeamRun], name: str) -> float:
 
 
 def _left(runs: Sequence[TeamRun]) -> float:
-    """The largest error at the end, m."""
     return float(max(each.error[-1].max() for each in runs))
 
 

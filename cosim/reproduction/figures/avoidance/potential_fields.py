@@ -183,17 +183,14 @@ def stall(runner: Runner) -> Figure:
 
 
 def _alone(y0: float, *, goal: tuple[float, float] | None = None, beams: int = 32, **field: object) -> Job:
-    """One vehicle from (-3, y0)."""
     return _job(30.0 if goal is None else 40.0, (-3.0, y0), _leader(goal, **field), (), beams=beams)
 
 
 def _triangle(tang: float, goal: tuple[float, float]) -> Job:
-    """Three, 2 m apart, past the pillar."""
     return _job(75.0, (-4.0, goal[1]), _leader(goal, tang=tang), _slots(2.0), tang=tang)
 
 
 def _free(spacing: float, radius: float) -> Job:
-    """Three without obstacles."""
     return _job(50.0, (0.0, 0.0), _leader(None), _slots(spacing), boxes=[], radius=radius)
 
 
@@ -203,7 +200,6 @@ def _leader(goal: tuple[float, float] | None, **field: object) -> dict[str, Any]
 
 
 def _slots(spacing: float) -> list[tuple[float, float]]:
-    """Right and left behind in an equilateral triangle."""
     return [(-math.sqrt(0.75) * spacing, side * 0.5 * spacing) for side in (-1, 1)]
 
 

@@ -134,12 +134,10 @@ def _clearance(track: Array) -> Array:
 
 
 def _between(track: Array, west: float, east: float) -> Array:
-    """The drawn part of a track."""
     return track[(track[:, 0] >= west) & (track[:, 0] <= east)]
 
 
 def _from_above(tracks: Mapping[Case, Array], level: int) -> Panel:
-    """Tracks, the pillar, and the border of the clearance."""
     around = np.linspace(0.0, math.tau, 401) + 1e-6  # no corner of the pillar is met exactly
     cos, sin = np.cos(around), np.sin(around)
     lines = [
@@ -155,7 +153,6 @@ def _from_above(tracks: Mapping[Case, Array], level: int) -> Panel:
 
 
 def _fast(tracks: Mapping[Case, Array]) -> Panel:
-    """Speed by distance, up to the closest point."""
     lines = []
     for (stepped, level, speed), track in tracks.items():
         if stepped:

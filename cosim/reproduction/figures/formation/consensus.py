@@ -154,7 +154,6 @@ def _age(graph: str, share: float) -> int:
 
 
 def _bounds(graph: str, swings: Mapping[tuple[str, int], float]) -> Sequence[Row]:
-    """The last stable and the first unstable age at 10 Hz, and the growth at both."""
     name, last = f"{graph} {GRAPHS[graph]}, 10 Hz", LAST_STABLE[graph]
     stable = [age for age in AGES if swings[graph, age] < 1.0]
     unstable = [age for age in AGES if swings[graph, age] >= 1.0]
@@ -226,6 +225,5 @@ def _continuous(fast: Mapping[tuple[str, float], float], shares: Sequence[float]
 
 
 def _marked(x: Array, y: Array, stable: Array, color: int) -> list[Curve]:
-    """Filled where it is stable, hollow elsewhere."""
     parts = ((stable, "markers"), (~stable, "hollow"))
     return [Curve(x[chosen], y[chosen], "", color, style) for chosen, style in parts if chosen.any()]  # type: ignore[arg-type]

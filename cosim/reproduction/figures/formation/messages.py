@@ -248,7 +248,6 @@ def loss_delay(runner: Runner, followers: int = CELL_FOLLOWERS) -> Figure:
 
 
 def _curved(errors: list[dict[str, float]], names: tuple[str, ...], scale: str) -> tuple[list[Panel], list[Row]]:
-    """Panels and rows of the slalom and the random path; ``errors`` by path and delay."""
     panels, rows = [], []
     parts = [errors[: len(DELAYS_S)], errors[len(DELAYS_S) :]]
     for path, part in zip(loss_integration.PATHS, parts, strict=True):

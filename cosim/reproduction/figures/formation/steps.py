@@ -191,7 +191,6 @@ def _bound(period_s: float) -> float:
 
 
 def _step(at_s: float, for_s: float, *, kind: str = "kinematic", period_s: float = T, **step: float) -> Job:
-    """A leader on a straight line, and one follower that steps; both at the same rate."""
     agents, record = {"period_s": period_s}, {"period_s": period_s}
     return track(fleet(at_s + for_s, [step_follower(at_s, **step)], path="straight", kind=kind, agents=agents, record=record))
 

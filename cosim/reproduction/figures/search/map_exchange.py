@@ -212,7 +212,6 @@ def search_exchange(runner: Runner, seeds: int = SEEDS, losses: Sequence[float] 
 
 
 def _rows(count: int, searches: Mapping[tuple[int, str, float], list[SearchRun]], losses: Sequence[float]) -> list[Row]:
-    """Medians compared with the independent simulation and with the ledger; searches that never end."""
     rows, reference, best = [], REFERENCE[count], _median(searches[count, "ledger", losses[0]])
     for kind in KINDS:
         for loss in losses:

@@ -82,7 +82,6 @@ def recognition(runner: Runner, frames: int = FRAMES) -> Figure:
 
 
 def _joined(parts: Sequence[Sequence[Tally]]) -> list[Tally]:
-    """Merged tallies, by stage."""
     return [together(each) for each in zip(*parts, strict=True)]
 
 
@@ -106,7 +105,6 @@ def _shares(title: str, by_height: list[list[Tally]], cameras: list[Rates], requ
 
 
 def _errors(tallies: list[Tally]) -> Panel:
-    """Medians, as shares of the required values."""
     x = np.array(HEIGHTS)
     curves = [
         Curve(x, np.array([_degrees(each) / ANGLE_DEG for each in tallies]), f"angle, in {ANGLE_DEG:g} deg", 1, "both"),
@@ -116,7 +114,6 @@ def _errors(tallies: list[Tally]) -> Panel:
 
 
 def _example(height_m: float, number: int) -> Panel:
-    """A picture with its targets and the detections."""
     frame = made_up(height_m, number)
     detector = Detector([target()])
     detections = detector.detect(frame.image, height_m, frame.seen.focal_px)
@@ -128,7 +125,6 @@ def _example(height_m: float, number: int) -> Panel:
 
 
 def _photo() -> Panel:
-    """A picture of a town from the platform's camera, and the detections."""
     with tempfile.TemporaryDirectory() as folder:
         snapshots = Snapshots(town(Path(folder), 20.0, TOWNS[-1])).take(*PHOTO)
     boxes = [

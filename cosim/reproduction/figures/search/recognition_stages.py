@@ -62,7 +62,6 @@ def _ranks(height_m: float, numbers: Sequence[int]) -> Array:
 
 
 def _maps() -> list[Panel]:
-    """A picture, and the scores of all places by one and by four colours."""
     height_m, number = SHOWN
     frame = made_up(height_m, number)
     (truth,) = frame.seen.truths
@@ -173,7 +172,6 @@ def _shifted(shifts_px: Sequence[float]) -> list[inspection.Scores]:
 
 
 def _likenesses() -> Panel:
-    """The target and what resembles it, side by side."""
     pictures = [ground.glyph(), *ground.likenesses(ground.glyph(), np.random.default_rng(1))]
     edge = np.full((pictures[0].shape[0], 12, 3), 255, np.uint8)
     upper, lower = (np.hstack([part for each in pictures[i : i + 3] for part in (each, edge)]) for i in (0, 3))
@@ -184,7 +182,6 @@ def _likenesses() -> Panel:
 
 
 def _moved(title: str, by: str, amounts: Sequence[int], scores: Sequence[inspection.Scores], named: Mapping[str, str]) -> Panel:
-    """Scores of a single target by rotation or shift; ``named`` selects the scores."""
     x = np.array(amounts, float)
     curves = [
         Curve(x, np.array([getattr(each, name) for each in scores]), label, 1 + i)
@@ -213,5 +210,4 @@ def _angles(judgements: Sequence[PlaceScores], errors: Array) -> list[Panel]:
 
 
 def _by_height(runner: Runner, work: Callable[[float, Sequence[int]], T], frames: int) -> list[T]:
-    """Answers for the pictures of each height."""
     return runner([partial(work, height, range(frames)) for height in HEIGHTS])

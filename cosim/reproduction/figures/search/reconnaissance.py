@@ -102,7 +102,6 @@ def rows_of(case: str, mission: MissionRun, once_s: float, away: dict[str, Array
 
 
 def _map(title: str, world: "worlds.World", mission: MissionRun, targets: dict[str, Array]) -> Panel:
-    """Buildings, targets, tracks with their ends."""
     closed = [np.vstack([each, each[:1]]) for each in worlds.outlines(world)]
     around = [Curve(each[:, 0], each[:, 1], style="thin") for each in closed]
     curves = [Curve(at[-1:, 0], at[-1:, 1], "target", 2, "hollow") for at in targets.values()]
