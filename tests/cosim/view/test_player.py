@@ -1,7 +1,7 @@
 """A recorded run in the control station shows what one who looked on had seen, at any time, at the pace that is ordered."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
 
@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.recorded_run import END_NS, SENSORS, Run, all_of, assert_same, looked_on, merged, seen, told
+from tests.support.cosim.feeds import merged
+from tests.support.cosim.recorded_run import END_NS, SENSORS, Run, all_of, assert_same, looked_on, seen, told
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.scenario.schema import SetTable
@@ -57,7 +58,7 @@ def test_the_example_shows_all_that_a_run_can(recording: Recording) -> None:
 def test_what_is_left_out_is_as_it_was(recording: Recording, time_ns: int, other_ns: int | None) -> None:
     first, last = sorted((time_ns, time_ns if other_ns is None else other_ns))
     before, after = recording.at(first, sensors=SENSORS), recording.at(last, first, SENSORS)
-    assert_same(merged(before, after), all_of(recording.at(last, sensors=SENSORS)))
+    assert_same(all_of(merged(before, after)), all_of(recording.at(last, sensors=SENSORS)))
 
 
 @given(TIMES)
@@ -222,26 +223,16 @@ def test_readings_are_shown_when_they_are_asked_for_however_old_and_then_when_th
     )
 )
 def test_seeking_back_and_forth_ends_where_going_straight_does(recording: Recording, orders: list[Any]) -> None:
-    wall, known, last = Wall(), dict[str, Any](), -1
+    wall = Wall()
+    known: PageUpdate | None = None
     player = Player(recording, wall)
     for order in [*orders, Sensors(names=SENSORS)]:
         player.order(order)
         wall.now_s += 0.35
         shown = player.show()
-        if shown.time_ns < last or not known:  # then all is shown
-            known, last = all_of(shown), shown.time_ns
-        else:
-            known = merged_into(known, shown)
-            last = shown.time_ns
-    straight = all_of(recording.at(last, sensors=SENSORS))
-    assert_same(known, straight)
-
-
-def merged_into(known: dict[str, Any], shown: PageUpdate) -> dict[str, Any]:
-    new = all_of(shown)
-    both = {name: {**value, **new[name]} for name, value in known.items() if isinstance(value, Mapping)}
-    rest = {name: known[name] if new[name] is None else new[name] for name in ("states", "sent", "received")}
-    return {**both, **rest, "lines": (*known["lines"], *new["lines"]), "halted": new["halted"]}
+        known = merged(None if known is None or shown.time_ns < known.time_ns else known, shown)  # going back, all is shown
+    assert known is not None
+    assert_same(all_of(known), all_of(recording.at(known.time_ns, sensors=SENSORS)))
 
 
 def test_lines_are_told_once(player: Player, wall: Wall) -> None:

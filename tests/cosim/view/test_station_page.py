@@ -1,6 +1,5 @@
 """The page of the control station, as a browser has it."""
 
-import contextlib
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -9,10 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support.cosim.view_pages import TOKEN, Looking, browser, looking, picture, positions, scenery, shown
-from vcmvsp.cosim.scenario.schema import OutageTable
+from tests.support.cosim.view_pages import TOKEN, Looking, browser, looking, positions, scenery, shown
 from vcmvsp.cosim.types import Array, Mosaic
-from vcmvsp.cosim.view.messages import Sensors
 
 PATIENCE_S = 30.0  # a browser that draws without a graphics card, on a machine that does other things
 
@@ -93,39 +90,6 @@ def test_words_are_written(page: Page) -> None:
     page.show(5.0)
     page.page.get_by_text("5.00 s", exact=True).first.wait_for(timeout=PATIENCE_S * 1e3)
     page.page.get_by_text("circle, every 0.1 s").wait_for(timeout=PATIENCE_S * 1e3)
-
-
-def test_a_press_of_inject_gives_the_order(page: Page) -> None:
-    page.looked.orders.clear()
-    page.page.get_by_text("Radio outage").click()
-    presses = 0
-
-    def pressed() -> bool:
-        """It may miss a button that still moves."""
-        nonlocal presses
-        presses += 1
-        page.page.get_by_role("button", name="Inject outage").click()
-        with contextlib.suppress(AssertionError):
-            page.until(lambda: bool(page.looked.orders), 5.0)
-        return bool(page.looked.orders)
-
-    page.until(pressed)
-    assert page.looked.orders == [OutageTable(at_s=0.0, vehicles=(), for_s=5.0)] * len(page.looked.orders)
-    assert len(page.looked.orders) <= presses
-
-
-def test_a_camera_is_asked_for_and_its_picture_changes(page: Page) -> None:
-    page.looked.orders.clear()
-    box = page.looked.part("down (nadir_camera)")
-    page.page.locator(f"[id='{box._impl.uuid}']").check()
-    page.until(lambda: bool(page.looked.orders))
-    assert page.looked.orders == [Sensors(names=("v1/down",))]
-    page.show(6.0, images={"v1/down": picture((200, 30, 30))})
-    page.until(lambda: bool(_sources(page)))
-    first = _sources(page)
-    page.show(6.0, images={"v1/down": picture((30, 200, 30))})
-    page.until(lambda: _sources(page) not in ([], first))
-    assert len(_sources(page)) == len(first) == 1
 
 
 def test_a_click_at_a_vehicle_chooses_it(page: Page) -> None:
@@ -234,10 +198,3 @@ def test_nothing_comes_from_elsewhere_and_nothing_fails(page: Page) -> None:
     assert foreign == []
     assert page.problems == []
     assert any(url.startswith(own) for url in page.requests)
-
-
-def _sources(page: Page) -> list[str]:
-    sources: list[str] = page.page.evaluate(
-        "Array.from(document.images).map(image => image.src).filter(src => src.startsWith('blob:'))"
-    )
-    return sources

@@ -166,17 +166,9 @@ def assert_same(one: Any, other: Any, where: str = "") -> None:
         assert encode(one) == encode(other), where
 
 
-def merged(before: PageUpdate, after: PageUpdate) -> dict[str, Any]:
-    """What is known of two that follow each other; what the later one leaves out is as it was."""
-    one, other = told(before), told(after)
-    mappings = {name: {**value, **other[name]} for name, value in one.items() if isinstance(value, Mapping)}
-    rest = {name: one[name] if other[name] is None else other[name] for name in ("states", "sent", "received")}
-    more = {name: {**getattr(before, name), **getattr(after, name)} for name in ("obstacles", "targets")}
-    return {**mappings, **rest, **more, "lines": (*before.lines, *after.lines), "halted": after.halted}
-
-
 def all_of(shown: PageUpdate) -> dict[str, Any]:
-    return merged(shown, shown) | {"lines": shown.lines}
+    """All that is shown, but for the pace."""
+    return told(shown) | {name: getattr(shown, name) for name in ("obstacles", "targets", "lines", "halted")}
 
 
 def chunk_ends(data: bytes) -> list[int]:
