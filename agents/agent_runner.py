@@ -14,7 +14,7 @@ from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import AgentError, ScenarioError, place_of, words_of
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.hosts.lost_agent import Absence
+from vcmvsp.cosim.hosts.remote_host import Absence
 from vcmvsp.cosim.types import Follows, Note, Period, Readings, Reception, VehicleState, Velocity, Waypoint
 from vcmvsp.cosim.util.text import plain
 

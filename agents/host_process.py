@@ -19,11 +19,10 @@ from vcmvsp.agents.federate import AgentHost
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import UsageError, VcmvspError
-from vcmvsp.cosim.hosts.host_client import serve
+from vcmvsp.cosim.hosts.host_client import Desk, serve
 from vcmvsp.cosim.hosts.protocol import PROTOCOL, Hello
-from vcmvsp.cosim.hosts.server import Desk
 from vcmvsp.cosim.scenario.schema import AgentTable
-from vcmvsp.cosim.transport import local_secret
+from vcmvsp.cosim.transport import endpoints
 from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
 GRACE_S = 0.2
@@ -55,7 +54,7 @@ def host(
         token: proof that the run started this host.
         keys: file with the certificate of this machine.
         insecure: work without a certificate even if the run is on another machine or of another user.
-        secret: file with the secret of a run without certificates (`cosim.transport.local_secret`); None: the user's own.
+        secret: file with the secret of a run without certificates (`cosim.transport.endpoints`); None: the user's own.
         on_state: receives texts about the current state.
     """
     for vehicle in vehicles:
@@ -83,7 +82,7 @@ def host(
         return Hello(host_id, PROTOCOL, vehicles, kind=kind, folder=str(Path.cwd()), params=params or {}, token=token)
 
     with may_load, threadpool_limits(1):  # as in the run: sums come out the same on any number of cores
-        known = local_secret.given(secret, insecure=insecure or bool(token))
+        known = endpoints.given(secret, insecure=insecure or bool(token))
         return serve(hello, Desk(AgentHost), endpoint, bundle=bundle, secret=known, on_state=on_state)
 
 

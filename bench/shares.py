@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.measure import Row, table
-from vcmvsp.cosim.kernel.event_bus import Observer
-from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.kernel.kernel import Kernel, Observer
 from vcmvsp.cosim.runs import api
 
 FOLDER = Path("runs") / "shares"

@@ -1,7 +1,9 @@
 """What holds for all tests."""
 
+import asyncio
 import contextlib
 import functools
+import inspect
 import os
 from collections.abc import Iterator
 
@@ -49,3 +51,13 @@ def figures(_no_figures: None) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Result, "_figures", DRAWN)
         yield
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a test that is a coroutine on a loop of its own."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    names = inspect.signature(pyfuncitem.obj).parameters
+    asyncio.run(pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in names}))
+    return True

@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import msgspec
-
 from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.clock import WallClock
 from vcmvsp.cosim.config import binding, builtin_kinds
@@ -16,18 +14,10 @@ from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
-    from vcmvsp.netsim.bridge.federate import Bridge
-    from vcmvsp.netsim.bridge.playback import BridgePlayback
+    from vcmvsp.netsim.bridge.federate import Bridge, BridgePlayback
+    from vcmvsp.netsim.bridge.messages import GatewaySpec
     from vcmvsp.netsim.federate import RadioFederate
     from vcmvsp.netsim.sockets.federate import Programs
-
-
-class DoorTable(msgspec.Struct, frozen=True):
-    """One door."""
-
-    name: str  # of its table, ``bridge.NAME``
-    kind: str  # as it is written; default: the name
-    params: dict[str, Any]  # complete
 
 
 class ProgramFederates(NamedTuple):
@@ -65,7 +55,7 @@ def of_scenario(
     programs = programs_of(scenario, source, resolution, tell=tell, connect=connect or bridged is not None)
     doors = doors_of(scenario, source, resolution)
     if bridged is not None:
-        from vcmvsp.netsim.bridge.playback import BridgePlayback
+        from vcmvsp.netsim.bridge.federate import BridgePlayback
 
         return ProgramFederates(programs, None, BridgePlayback(bridged))
     if not doors:
@@ -78,7 +68,7 @@ def of_scenario(
         folder=str(source.folder.resolve()),
         vehicles=[each.name for each in scenario.vehicle],
         agents=scenario.bridge.agents,
-        air=air,
+        levels_dbm=air.levels_dbm,
         clock=clock,
         tell=tell,
         log=log,
@@ -92,8 +82,10 @@ def kind_of(name: str, content: Any) -> Any:
     return content.get("kind", name) if isinstance(content, dict) else name
 
 
-def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> list[DoorTable]:
+def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> "list[GatewaySpec]":
     """The doors of ``[bridge]``, each built once to be checked."""
+    if scenario.bridge.doors:
+        from vcmvsp.netsim.bridge.messages import GatewaySpec
     names, found, resolved = [each.name for each in scenario.vehicle], [], dict[str, Any]()
     alone: dict[type, str] = {}  # keys of those of which there is one at most
     for name, content in scenario.bridge.doors.items():
@@ -116,7 +108,7 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> list
         except ValueError as error:
             raise ScenarioError(str(error), key=key, source=source.of(key)) from error
         written = full.pop("kind")
-        found.append(DoorTable(name, kind, full))
+        found.append(GatewaySpec(name=name, kind=kind, params=full))
         resolved[name] = full if written == name else {"kind": written, **full}
     if found:
         resolution.tables["bridge"] = {"agents": scenario.bridge.agents, **resolved}

@@ -19,8 +19,7 @@ from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.util.text import plain, stdout_to_stderr
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.hosts.observers.reachability import Check
-    from vcmvsp.cosim.hosts.observers.watcher import Seen
+    from vcmvsp.cosim.hosts.observers import Check, Seen
 
 
 REFRESH_S = 0.5  # of a terminal
@@ -92,8 +91,8 @@ def watch_command(
 
     Example: vcmvsp watch tls/192.168.1.10:7447 --keys anna.keys --topic 'car2/*'
     """
-    from vcmvsp.cosim.hosts.observers.watcher import watch
-    from vcmvsp.cosim.transport import local_secret
+    from vcmvsp.cosim.hosts.observers import watch
+    from vcmvsp.cosim.transport import endpoints
     from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
     bundle = None
@@ -105,7 +104,7 @@ def watch_command(
             say(warning)
     endpoint = endpoint_rules(endpoint, bundle, insecure=insecure, side="observer")
     newest_only = not json and sys.stdout.isatty()
-    every_s, password = REFRESH_S if newest_only else 0.0, local_secret.given(secret, insecure=insecure)
+    every_s, password = REFRESH_S if newest_only else 0.0, endpoints.given(secret, insecure=insecure)
     batches = watch(endpoint, topic or ["**"], bundle=bundle, secret=password, every_s=every_s, on_state=say)
     left = sys.maxsize if count is None else count
     with contextlib.closing(batches):
@@ -315,8 +314,8 @@ def connection(
     Raises:
         UsageError: the endpoint is none, or may not be dialled so, or the file is none of a machine.
     """
-    from vcmvsp.cosim.hosts.observers.reachability import examine
-    from vcmvsp.cosim.transport import local_secret
+    from vcmvsp.cosim.hosts.observers import examine
+    from vcmvsp.cosim.transport import endpoints
     from vcmvsp.cosim.transport.endpoints import Side, endpoint_rules
 
     bundle = None
@@ -326,7 +325,7 @@ def connection(
         bundle = certificates.load_bundle(keys)
     side: Side = "observer" if bundle and bundle.role == "observer" else "host"
     endpoint = endpoint_rules(endpoint, bundle, insecure=insecure, side=side)
-    return examine(endpoint, bundle, local_secret.given(secret, insecure=insecure))
+    return examine(endpoint, bundle, endpoints.given(secret, insecure=insecure))
 
 
 def _python() -> str:

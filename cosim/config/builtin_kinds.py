@@ -148,14 +148,14 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "zenoh": "vcmvsp.hardware.localisation.pose_topic:ExternalPose",
     },
     "door": {
-        "udp": "vcmvsp.netsim.bridge.gateways.udp.gateway:Udp",
-        "wss": "vcmvsp.netsim.bridge.gateways.wss.gateway:Wss",
+        "udp": "vcmvsp.netsim.bridge.gateways.udp:Udp",
+        "wss": "vcmvsp.netsim.bridge.gateways.wss:Wss",
         "ip": "vcmvsp.netsim.bridge.gateways.ip.gateway:Ip",
         "zenoh": "vcmvsp.netsim.bridge.gateways.zenoh:ZenohGateway",
     },
     "routing": {
-        "flooding": "vcmvsp.netsim.routing.flooding:Flooding",
-        "static": "vcmvsp.netsim.routing.static:Static",
+        "flooding": "vcmvsp.netsim.routing.router:Flooding",
+        "static": "vcmvsp.netsim.routing.router:Static",
         "distance_vector": "vcmvsp.netsim.routing.distance_vector:DistanceVector",
         "none": NOTHING,
     },

@@ -18,8 +18,8 @@ from vcmvsp.cosim.recording.foxglove.messages import FrameTransforms, SceneEntit
 from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.tables.schema import NOT_LOST
 from vcmvsp.cosim.types import Array, FrameReport, VehicleState
-from vcmvsp.cosim.util.film import write_film
 from vcmvsp.cosim.util.palette import rgb_of
+from vcmvsp.cosim.util.pictures import write_film
 
 FPS = 20
 MOST_FRAMES = 1800
@@ -37,7 +37,7 @@ FONT = 0  # cv2.FONT_HERSHEY_SIMPLEX
 
 
 def write_video(source: Source, path: Path, progress: Callable[[float], None]) -> None:
-    """Write an MP4 file (`cosim.util.film`).
+    """Write an MP4 file (`cosim.util.pictures`).
 
     Raises:
         UsageError: the recording shows no vehicle.

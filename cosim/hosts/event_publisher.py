@@ -59,7 +59,6 @@ class Topics:
     """Shows a run on the hub's session: an observer of the kernel, beside the recording.
 
     Args:
-        session: the hub's.
         about: ``scenario``, ``seed``, ``duration_s``, ``vehicles`` and ``missing`` of `About`. A callable is called at each
             answer, in a thread of Zenoh's.
         keys: the certificates of those who may come, for `You`.
@@ -100,9 +99,7 @@ class Topics:
         if set(key).isdisjoint("*$?#"):  # of a part of the user's own
             with contextlib.suppress(zenoh.ZError):
                 publisher = self._session.declare_publisher(
-                    key_names.TOPIC + key,
-                    congestion_control=zenoh.CongestionControl.DROP,
-                    priority=zenoh.Priority.DATA_LOW,
+                    key_names.TOPIC + key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA_LOW
                 )
                 self._publishers[key] = publisher
                 publisher.declare_matching_listener(Callback(on_matching, indirect=False))
@@ -143,54 +140,9 @@ class Topics:
     def _answer(self, name: str) -> dict[str, Any]:
         entry = None if self._keys is None else self._keys.index.find(name)
         facts = {key: value() if callable(value) else value for key, value in self._about.items()}
-        own = {
-            "version": self._version,
-            "protocol": protocol.PROTOCOL,
-            "time_ns": self._now_ns,
-            "wall_ns": time.time_ns(),
-            "you": You(name) if entry is None else You(name, entry.role, entry.vehicles),
-        }
-        return facts | own
-
-
-class _Picture(Value, frozen=True, kw_only=True, tag="image"):
-    """An `Image` as JSON has it: numbers in bytes, as base64."""
-
-    width: int
-    height: int
-    pixels: str  # rows from top to bottom, 3 bytes a pixel: red, green, blue
-    time_ns: int
-    focal_px: float
-    depth_m: str | None  # rows likewise, little-endian float32
-
-
-class _Map(Value, frozen=True, kw_only=True, tag="map"):
-    """A `ProbabilityMap` likewise."""
-
-    left: float
-    bottom: float
-    cell_m: float
-    columns: int
-    rows: int
-    probability: str  # rows from south to north, a byte a cell
-    seen: str  # likewise, 0 or 1
-
-
-class _Mosaic(Value, frozen=True, kw_only=True, tag="mosaic"):
-    """A `Mosaic` likewise."""
-
-    left: float
-    bottom: float
-    cell_m: float
-    columns: int
-    rows: int
-    pixels: str  # rows from south to north, 3 bytes a cell
-
-
-class _Unreadable(Value, frozen=True, kw_only=True, tag="error"):
-    """In place of a value that cannot be shown."""
-
-    message: str
+        you = You(name) if entry is None else You(name, entry.role, entry.vehicles)
+        now = {"time_ns": self._now_ns, "wall_ns": time.time_ns(), "you": you}
+        return facts | {"version": self._version, "protocol": protocol.PROTOCOL, **now}
 
 
 def _encoded(value: Value | Later) -> tuple[str, bytes]:
@@ -198,40 +150,23 @@ def _encoded(value: Value | Later) -> tuple[str, bytes]:
     try:
         if isinstance(value, Later):
             value = value.get()
-        if isinstance(value, Image):
-            value = _picture(value)
-        elif isinstance(value, ProbabilityMap | Mosaic):
-            value = _cells(value)
-        return str(type(value).__struct_config__.tag), _encode(value)
+        tag = str(type(value).__struct_config__.tag)
+        return tag, _encode({"type": tag, **_picture(value)} if isinstance(value, Image | ProbabilityMap | Mosaic) else value)
     except Exception as error:
-        return "error", _encode(_Unreadable(message=f"{type(error).__name__}: {error}"))
+        return "error", _encode({"type": "error", "message": f"{type(error).__name__}: {error}"})
 
 
-def _picture(image: Image) -> _Picture:
-    height, width, _ = image.pixels.shape
-    return _Picture(
-        width=width,
-        height=height,
-        pixels=_base64(image.pixels),
-        time_ns=image.time_ns,
-        focal_px=image.focal_px,
-        depth_m=None if image.depth_m is None else _base64(image.depth_m.astype("<f4", copy=False)),
-    )
-
-
-def _cells(shown: ProbabilityMap | Mosaic) -> _Map | _Mosaic:
-    cells = shown.pixels if isinstance(shown, Mosaic) else shown.probability
-    rows, columns = cells.shape[:2]
-    grid: dict[str, Any] = {
-        "left": shown.left,
-        "bottom": shown.bottom,
-        "cell_m": shown.cell_m,
-        "columns": columns,
-        "rows": rows,
-    }
-    if isinstance(shown, Mosaic):
-        return _Mosaic(**grid, pixels=_base64(cells))
-    return _Map(**grid, probability=_base64(cells), seen=_base64(shown.seen))
+def _picture(shown: Image | ProbabilityMap | Mosaic) -> dict[str, Any]:
+    """A picture, or cells that an agent shows, as JSON has it: arrays as base64 of their bytes (README.md)."""
+    if isinstance(shown, Image):
+        height, width, _ = shown.pixels.shape
+        depth_m = None if shown.depth_m is None else _base64(shown.depth_m.astype("<f4", copy=False))
+        own = {"width": width, "height": height, "pixels": _base64(shown.pixels)}
+        return own | {"time_ns": shown.time_ns, "focal_px": shown.focal_px, "depth_m": depth_m}
+    arrays = {"pixels": shown.pixels} if isinstance(shown, Mosaic) else {"probability": shown.probability, "seen": shown.seen}
+    rows, columns = next(iter(arrays.values())).shape[:2]
+    grid = {"left": shown.left, "bottom": shown.bottom, "cell_m": shown.cell_m, "columns": columns, "rows": rows}
+    return grid | {name: _base64(array) for name, array in arrays.items()}
 
 
 def _base64(array: Array) -> str:

@@ -1,17 +1,20 @@
-"""The host's end of Eclipse Zenoh: dial in, join a run, answer its questions until it ends."""
+"""A host of agents where the agents are: it answers questions (`Desk`), and dials in to a run over Eclipse Zenoh (`serve`)."""
 
 import queue
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
 
 import zenoh
 from zenoh.handlers import Callback
 
-from vcmvsp.cosim.errors import FederateError, UsageError
+from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec
+from vcmvsp.cosim.config.source_code import fingerprint
+from vcmvsp.cosim.errors import FederateError, Interrupted, UsageError, VcmvspError, words_of
+from vcmvsp.cosim.federate import Federate
 from vcmvsp.cosim.hosts import protocol
-from vcmvsp.cosim.hosts.server import Desk
-from vcmvsp.cosim.transport import access_control, key_names, local_secret, tls_diagnosis
+from vcmvsp.cosim.transport import access_control, endpoints, key_names, tls_diagnosis
 from vcmvsp.cosim.transport.zenoh_session import UNIX, common_names, opened, threads
 
 if TYPE_CHECKING:
@@ -31,24 +34,78 @@ NO_RUN = "what listens there is no run of this user; --secret FILE or --insecure
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a link that broke
 
 
+class BuildsHost(Protocol):
+    """How a `Desk` makes its federate: `agents.federate.AgentHost`, without this module knowing that part."""
+
+    def __call__(self, name: str, specs: Sequence[AgentSpec], objects: Mapping[str, Agent] | None = None, /) -> "HostFederate":
+        """A federate with these agents; ``objects``: those that exist already, by vehicle."""
+
+
+class HostFederate(Federate, Protocol):
+    """A federate that says which agents it holds."""
+
+    agents: tuple[AgentInfo, ...]
+
+
+class Desk:
+    """The host's side: answers one question after the other with the federate that it builds."""
+
+    def __init__(self, builds: BuildsHost) -> None:
+        self._builds = builds
+        self._federate: HostFederate | None = None
+        self.ended: str | None = None  # why there will be no more questions
+        self.failure: VcmvspError | None = None  # ... if something went wrong here
+
+    def handle(self, question: bytes | memoryview) -> bytes:
+        """The answer to a question; whatever goes wrong becomes a `Failed`."""
+        try:
+            return protocol.encode(self._answer(protocol.questions.decode(question)))
+        except VcmvspError as error:
+            self.failure = error
+        except KeyboardInterrupt:
+            self.failure = Interrupted("interrupted at its host")
+        except BaseException as error:  # a host must answer, whatever its agents do
+            details = "".join(traceback.format_exception(error))
+            self.failure = FederateError("host", words_of(error), details=details)
+        self.ended = str(self.failure)
+        return protocol.encode(protocol.Failed.of(self.failure))
+
+    def _answer(self, question: protocol.Question) -> protocol.Answer:
+        if isinstance(question, protocol.Build):
+            if self._federate is not None:
+                raise FederateError("host", "was asked to build twice")
+            self._federate = self._builds("host", question.specs)
+            code = {spec.vehicle: fingerprint(spec) for spec in question.specs}
+            return protocol.Built(self._federate.agents, self._federate.reads, self._federate.latest, code)
+        if isinstance(question, protocol.End):
+            self.ended = question.reason
+            self.close()
+            return protocol.Ended()
+        if self._federate is None:
+            raise FederateError("host", "was asked to step before it was told what to build")
+        if isinstance(question, protocol.Begin):
+            self._federate.start(question.run)
+            return protocol.Stepped([])
+        step = self._federate.step(question.now_ns, question.inbox)
+        return protocol.Stepped(list(step.events))
+
+    def close(self) -> None:
+        """Close the federate, once."""
+        federate, self._federate = self._federate, None
+        if federate is not None:
+            federate.close()
+
+
 def serve(
-    hello: Callable[[str], protocol.Hello],
+    hello: Callable[[str], protocol.Hello],  # makes the greeting, given the host's own id
     desk: Desk,
-    endpoint: str,
+    endpoint: str,  # of the hub, e.g. ``tls/192.168.1.10:7447``; it need not be there yet
     *,
-    bundle: "Bundle | None" = None,
-    secret: Secret = None,
+    bundle: "Bundle | None" = None,  # certificate of this host; None: plain TCP
+    secret: Secret = None,  # as of `dial`
     on_state: Callable[[str], None] = lambda _: None,
 ) -> str:
     """Run a host: dial in, wait for a run, answer its questions until it ends, and give the reason for its end.
-
-    Args:
-        hello: makes the greeting, given the host's own id.
-        desk: answers the questions.
-        endpoint: of the hub, e.g. ``tls/192.168.1.10:7447``; it need not be there yet.
-        bundle: certificate of this host; None: plain TCP.
-        secret: as of `dial`.
-        on_state: told what is being waited for.
 
     Raises:
         UsageError: the endpoint is none, or the hub refuses this host.
@@ -120,16 +177,13 @@ class _Answers:
 
     A question that was cut off may come after the one that followed it. That one then gets no answer, and the run asks both
     again, in order.
-
-    Attributes:
-        known: the run has the last of them, or does not want it.
     """
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
         self._kept: dict[int, bytes] = {}  # those that the run may ask for again
         self._last = 0
-        self.known = False
+        self.known = False  # the run has the last of them, or does not want it
 
     def to(self, content: bytes) -> bytes | None:
         """The answer; None: there is none to be given."""
@@ -147,7 +201,6 @@ class _Answers:
 
 
 def _next(questions: "queue.SimpleQueue[zenoh.Sample | bool]", seconds: float) -> "zenoh.Sample | bool | None":
-    """What comes within so long; None: nothing."""
     try:
         return questions.get(timeout=seconds)
     except queue.Empty:
@@ -159,19 +212,11 @@ def hub_of(session: zenoh.Session) -> str:
     return "".join(str(each) for each in session.info.routers_zid()[:1])
 
 
-def dial(
-    endpoint: str,
-    bundle: "Bundle | None",
-    on_state: Callable[[str], None],
-    *,
-    secret: Secret = None,
-) -> zenoh.Session:
+def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None], *, secret: Secret = None) -> zenoh.Session:
     """A client session to the hub, as soon as there is one. Short attempts, so that Ctrl-C is heard in between.
 
     Args:
-        endpoint: of the hub.
         bundle: certificate of this machine; None: plain TCP.
-        on_state: told what is being waited for.
         secret: of the run, where there is no certificate; None: that which this user's run has left on this machine.
     """
     connect = {"endpoints": [endpoint], "timeout_ms": 0, "retry": _RETRY}
@@ -208,14 +253,13 @@ def dialling(endpoint: str, bundle: "Bundle | None", secret: Secret) -> dict[str
     """What the configuration of a client needs; None: it has neither certificate nor secret (arguments as of `dial`)."""
     if bundle is not None:
         return access_control.machine_security(bundle)
-    password = local_secret.found(endpoint) if secret is None else secret
+    password = endpoints.found(endpoint) if secret is None else secret
     if password is None:
         return None
     return access_control.client_secret(password) if password else {}
 
 
 def _join(session: zenoh.Session, name: str, hello: protocol.Hello) -> protocol.Welcome:
-    """Greet the hub until it answers."""
     greeting = protocol.encode(hello)
     if len(greeting) > access_control.MAX_JOIN:
         raise UsageError(f"the greeting is too long ({len(greeting)} bytes; at most {access_control.MAX_JOIN}): fewer --set")

@@ -1,7 +1,11 @@
-"""The run's end of Eclipse Zenoh: the kernel's session is a router-mode hub, hosts dial in as clients."""
+"""The run's end of Eclipse Zenoh: the kernel's session is a router-mode hub, hosts dial in as clients.
+
+Questions to a host and its answers are publications, which Zenoh loses in silence when a link breaks. So they are numbered, and
+a host keeps its last answers: one whose token comes back, or that has been silent for a second, is asked again all that is
+open, and does nothing twice.
+"""
 
 import contextlib
-import functools
 import json
 import math
 import os
@@ -9,6 +13,7 @@ import queue
 import secrets
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,14 +22,18 @@ import zenoh
 from zenoh.handlers import Callback
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.hosts import answer_checks, protocol
-from vcmvsp.cosim.hosts.host_link import QUIET, LinkCallbacks, ZenohLink
+from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.protocol import Machine
+from vcmvsp.cosim.hosts.remote_host import LateError, LinkError
 from vcmvsp.cosim.transport import access_control, key_names
 from vcmvsp.cosim.transport.zenoh_session import UNIX, closed, opened, threads
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
+
+_RETRY_S = 0.02
+_SPARE = 10  # answers that may wait beyond those that were asked for: some are given twice
+_SLICE_S = 1.0  # after so long without an answer a question is asked again: a link that breaks may lose one in silence
 
 LOOPBACK = "tcp/127.0.0.1:0"
 """A free port of this machine."""
@@ -33,20 +42,191 @@ _READS = "(rx: (handover: acc))"
 """Of Zenoh's threads in a hub for children, that which waits for their sockets also reads what comes, and calls back: as Zenoh
 has it, it would wake another one for each message. Where strangers knock, it has them to deal with, and others read."""
 
-QUEUES: dict[str, Any] = {
-    "transport": {
-        "link": {
-            "tx": {
-                "queue": {
-                    "size": {"data_low": 16},  # 64 KiB each: room for one picture
-                    "congestion_control": {"drop": {"max_wait_before_drop_fragments": 5000}},  # us that it may wait for more
-                }
-            }
-        }
-    }
+_QUEUE = {
+    "size": {"data_low": 16},  # 64 KiB each: room for one picture
+    "congestion_control": {"drop": {"max_wait_before_drop_fragments": 5000}},  # us that it may wait for more
 }
+QUEUES: dict[str, Any] = {"transport": {"link": {"tx": {"queue": _QUEUE}}}}
 """Of the hub, so that an observer that takes no more pictures holds the run up for 5 ms, not 50."""
 _DOOR = 64  # who may wait at the door
+BEGUN = "it has begun, and nobody is missing"
+
+
+class LinkCallbacks(NamedTuple):
+    """What a link to a host asks and reports."""
+
+    why_lost: Callable[[], str] = lambda: ""
+    """Says how the host has ended; an empty answer: that is not known, and it may come back."""
+    noticed: Callable[[bool], None] = lambda _: None
+    """Called by Zenoh's thread, at once, when the host gets out of reach (False), and when it is back."""
+    forged: Callable[[], None] = lambda: None
+    """Called when another session first answers in the host's place; its answers are dropped."""
+    released: Callable[[bool], None] = lambda _: None
+    """Releases whatever runs the host; told whether it has answered to the last."""
+
+
+QUIET = LinkCallbacks()
+
+
+class ZenohLink:
+    """A `cosim.hosts.remote_host.Link` to one host.
+
+    Args:
+        seal: key of the seals on its answers (`protocol.sealed`); empty for a child of this run, which needs none. Answers of
+            strangers are also limited in number, for they may answer what nobody has asked.
+
+    Attributes:
+        forged: answers of another session than the one that joined.
+    """
+
+    leaving = False
+    _closed = False
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,  # under which the host is asked
+        callbacks: LinkCallbacks = QUIET,
+        *,
+        seal: bytes,
+        cut_deadline_s: float = math.inf,  # for how long it may be out of reach, whatever it was asked
+    ) -> None:
+        self._news: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()  # answers, and whether the host is there
+        self._open: deque[_Question] = deque()
+        self._ask = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+        self._answers = zenoh.KeyExpr(key_names.answer_key(key))
+        # A callback in Python costs more than it does: in a thread of Zenoh's, each call has memory mapped for its frames.
+        take = self._on_answer if seal else self._news.put
+        self._seal, self.forged = seal, 0
+        self._hears = session.declare_subscriber(self._answers, Callback(take, indirect=False))
+        self._number = 0
+        self._asked_at = 0.0  # when all that is open was last asked
+        self._there = True
+        self._cut: float | None = None  # since when nobody is there
+        self._failed = False
+        self._callbacks, self._cut_deadline_s = callbacks, cut_deadline_s
+        self.cuts_s: list[float] = []  # for how long it was out of reach, each time that the run waited for it
+
+    def there(self, there: bool) -> None:
+        """Told by Zenoh's thread whether the host can be reached."""
+        self._news.put(there)
+        self._callbacks.noticed(there)
+
+    def _on_answer(self, sample: zenoh.Sample) -> None:
+        if not protocol.is_sealed(self._seal, sample.payload.to_bytes()):
+            self.forged += 1
+            if self.forged == 1:
+                self._callbacks.forged()
+            return
+        if self._news.qsize() < len(self._open) + _SPARE:
+            self._news.put(sample)
+
+    def ask(self, question: bytes, deadline_s: float) -> None:
+        """Send a question; a host that is out of reach is asked again as soon as it is back."""
+        self._number += 1
+        now = time.monotonic()
+        if not self._open:
+            self._asked_at = now
+        asked = _Question(self._number, question, deadline_s, now + deadline_s)
+        self._open.append(asked)
+        self._send(asked)
+
+    def answer(self) -> bytes:
+        """Wait for the answer to the oldest open question."""
+        while True:  # a question stays open if Ctrl-C ends the waiting
+            now, oldest = time.monotonic(), self._open[0]
+            waits_s = min(oldest.last - now, _SLICE_S if self._there else _RETRY_S)
+            if waits_s <= 0.0 or (not self._there and self._cut is not None and now - self._cut > self._cut_deadline_s):
+                return self._last_look(oldest)
+            try:
+                answer = self._taken(self._news.get(timeout=waits_s))
+            except queue.Empty:
+                answer = None
+                if self._there:
+                    self._ask_again()
+                else:
+                    self._check_whether_ended()
+            if answer is not None:
+                return answer
+
+    def look(self) -> bytes | None:
+        """The answer to the oldest open question, if it is there, however late."""
+        for _ in range(self._news.qsize()):
+            if (answer := self._taken(self._news.get())) is not None:
+                return answer
+        if time.monotonic() - self._asked_at > _SLICE_S:
+            self._ask_again()
+        return None
+
+    def _last_look(self, oldest: "_Question") -> bytes:
+        """The answer, if it came while others were waited for."""
+        answer = self.look()
+        if answer is None:
+            self._failed = True
+            deadline_s = oldest.deadline_s if self._there else min(oldest.deadline_s, self._cut_deadline_s)
+            gone = "" if self._cut is None else ": it left the run, or is cut off from it"
+            raise LateError(f"did not answer within the deadline of {deadline_s:g} s{gone}")
+        return answer
+
+    def close(self) -> None:
+        """Let go of whatever runs the host."""
+        self.leaving = self._closed = True
+        with contextlib.suppress(zenoh.ZError):  # the session may be closed
+            self._farewell()
+            self._hears.undeclare()  # type: ignore[no-untyped-call]
+        self._callbacks.released(not self._failed)
+
+    def _taken(self, news: "zenoh.Sample | bool") -> bytes | None:
+        """The answer to the oldest question, if this is it."""
+        if isinstance(news, bool):  # whether anybody is there who could answer
+            self._there = news
+            if news:
+                self._ask_again()
+            else:
+                self._cut = self._cut or time.monotonic()
+                self._check_whether_ended()
+            return None
+        content = news.payload.to_bytes()[protocol.SEAL if self._seal else 0 :]
+        if len(content) < protocol.number.size or news.key_expr != self._answers:
+            return None  # no answer of ours: a key with wildcards may be meant for many
+        number, oldest = protocol.number.unpack_from(content)[0], self._open[0]
+        if number != oldest.number:  # asked twice, answered twice
+            return None
+        if self._cut is not None:
+            self.cuts_s.append(time.monotonic() - self._cut)
+        self._cut, self._failed = None, False
+        self._open.popleft()
+        return content[protocol.number.size :]
+
+    def _check_whether_ended(self) -> None:
+        if ended := self._callbacks.why_lost():
+            self._failed = True
+            raise LinkError(ended)
+
+    def repeat(self) -> None:
+        """Ask once more all that is open; a host that was let go while it was out of reach is told so when it is back."""
+        for each in list(self._open):
+            self._send(each)
+        if self._closed:
+            self._farewell()
+
+    def _farewell(self) -> None:
+        """Say that no answer is waited for any more: it may leave, and need not give its last one again."""
+        self._ask.put(protocol.numbers.pack(protocol.FAREWELL, self._number + 1))
+
+    def _ask_again(self) -> None:
+        self._asked_at = time.monotonic()
+        self.repeat()
+
+    def _send(self, asked: "_Question") -> None:
+        self._ask.put(protocol.numbers.pack(asked.number, self._open[0].number) + asked.content)
+
+
+class _Question(NamedTuple):
+    number: int
+    content: bytes
+    deadline_s: float
+    last: float
 
 
 class Hub:
@@ -55,13 +235,8 @@ class Hub:
     Args:
         endpoint: Zenoh endpoint to listen on, e.g. ``tls/0.0.0.0:7447``; port 0 takes a free one. None: a Unix socket without a
             name, for child processes of this one.
-        keys: the certificates of those who may come; None: anybody may.
-        secret: of those who may come, where there are no certificates; None: anybody may.
-        patience_s: wall-clock seconds for which hosts are to wait for a run that they are cut off from.
-        cut_deadline_s: wall-clock seconds after which a host out of reach is given up.
 
     Attributes:
-        endpoint: where hosts dial.
         files: file descriptors that a child process has to inherit in order to dial.
 
     Raises:
@@ -71,11 +246,11 @@ class Hub:
     def __init__(
         self,
         endpoint: str | None = LOOPBACK,
-        keys: "Keys | None" = None,
+        keys: "Keys | None" = None,  # the certificates of those who may come; None: anybody may
         *,
-        secret: str | None = None,
-        patience_s: float = 2.0,
-        cut_deadline_s: float = math.inf,
+        secret: str | None = None,  # of those who may come, where there are no certificates; None: anybody may
+        patience_s: float = 2.0,  # wall-clock seconds for which hosts are to wait for a run that they are cut off from
+        cut_deadline_s: float = math.inf,  # wall-clock seconds after which a host out of reach is given up
     ) -> None:
         if keys is not None:
             zenoh.init_log_from_env_or(access_control.LOG)
@@ -94,7 +269,7 @@ class Hub:
             self.session = opened(config, secure, f"cannot listen on '{place}'")
             stack.callback(closed, self.session)
             self.files = [_opened(stack, folder / "hub")] if folder else []
-            self.endpoint = f"{UNIX}{self.files[0]}" if folder else self._locator()
+            self.endpoint = f"{UNIX}{self.files[0]}" if folder else self._locator()  # where hosts dial
             self._stack = stack.pop_all()
         self._keys, self._patience_s, self._cut_deadline_s = keys, patience_s, cut_deadline_s
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
@@ -117,12 +292,12 @@ class Hub:
             hello = protocol.hellos.decode(query.payload.to_bytes() if query.payload else b"")
             machine = speaker[0] if speaker else "", hello.host
             key = key_names.host_key(*machine, "ask")
-            answer_checks.greeting(hello)
+            protocol.check_greeting(hello)
         except ValueError:
             self._reply(query, "that was no greeting of a vcmvsp host")
             return None
 
-        denied, proof = None, secrets.token_bytes(protocol.SEAL)
+        denied, seal = None, secrets.token_bytes(protocol.SEAL) if self._strangers else b""
         if hello.protocol != protocol.PROTOCOL:
             denied = f"this run speaks protocol {protocol.PROTOCOL}, the host {hello.protocol}: use the same vcmvsp version"
         elif self._keys is not None:
@@ -131,15 +306,16 @@ class Hub:
             current = certificates.load(self._keys.folder)  # somebody may have been shut out since the run began to listen
             denied = access_control.admission(current, machine[0], hello.vehicles)
 
-        def link(callbacks: LinkCallbacks) -> ZenohLink:
-            seal = proof if self._strangers else b""
-            made = ZenohLink(self.session, key, callbacks, seal=seal, cut_deadline_s=self._cut_deadline_s)
-            self._links[machine] = made
-            return made
+        def settle(refused: str | None, callbacks: LinkCallbacks) -> ZenohLink | None:
+            self._reply(query, refused, seal=seal)
+            if refused is not None:
+                return None
+            link = self._links[machine] = ZenohLink(
+                self.session, key, callbacks, seal=seal, cut_deadline_s=self._cut_deadline_s
+            )
+            return link
 
-        return Knock(
-            hello, machine, denied, functools.partial(self._reply, query, seal=proof if self._strangers else b""), link
-        )
+        return Knock(hello, machine, denied, settle)
 
     def open(self) -> None:
         """Somebody is missing: let those who come wait to be heard (`next_hello`)."""
@@ -178,21 +354,17 @@ class Hub:
         return self._missing or any(link is not None and not link.leaving for link in gone)
 
     def _send_away(self) -> None:
-        """Refuse those who wait, if nobody is needed."""
         with contextlib.suppress(queue.Empty):
             while not self._is_open():
-                self._refuse(self._joins.get_nowait())
+                self._reply(self._joins.get_nowait(), BEGUN)
 
     def _on_join(self, query: zenoh.Query) -> None:
         if not self._is_open():
-            self._refuse(query)
+            self._reply(query, BEGUN)
         elif self._joins.qsize() < _DOOR:
             self._joins.put(query)
         else:
             self._reply(query, "too many knock at once; try again")
-
-    def _refuse(self, query: zenoh.Query) -> None:
-        self._reply(query, "it has begun, and nobody is missing")
 
     def _reply(self, query: zenoh.Query, refused: str | None, *, seal: bytes = b"") -> None:
         welcome = protocol.Welcome(refused, self._patience_s, b"" if refused else seal)
@@ -222,11 +394,8 @@ class Knock(NamedTuple):
     hello: protocol.Hello
     machine: Machine
     denied: str | None  # why its version or its certificate does not let it; None: they do
-    reply: Callable[[str | None], None]  # the reason of a refusal, or None for welcome
-    link: Callable[[LinkCallbacks], ZenohLink]
+    settle: Callable[[str | None, LinkCallbacks], ZenohLink | None]  # given why it is refused, or None for welcome
 
     def answer(self, refused: str | None, callbacks: LinkCallbacks = QUIET) -> ZenohLink | None:
         """Let the host in, or tell it the reason of its refusal; the link to a host that was let in."""
-        why = self.denied or refused
-        self.reply(why)
-        return self.link(callbacks) if why is None else None
+        return self.settle(self.denied or refused, callbacks)

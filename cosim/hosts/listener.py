@@ -1,23 +1,26 @@
-"""Where machines dial in to a run: hosts of agents that somebody starts, and those who only watch."""
+"""Where machines dial in to a run: hosts of agents that somebody starts, of which some are let in, and those who only watch."""
 
 import contextlib
+import os
 import queue
 import shlex
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from vcmvsp.cosim.agent import AgentSpec
-from vcmvsp.cosim.config import registry
-from vcmvsp.cosim.errors import AgentError, UsageError
+from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.errors import AgentError, UsageError, VcmvspError
+from vcmvsp.cosim.hosts.protocol import Hello
 from vcmvsp.cosim.scenario.schema import AgentsTable
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.hosts.host_link import ZenohLink
-    from vcmvsp.cosim.hosts.hub import Hub, Knock
+    from vcmvsp.cosim.hosts.hub import Hub, Knock, ZenohLink
     from vcmvsp.cosim.security.certificates import Keys
 
 POLL_S = 0.05
@@ -26,20 +29,66 @@ GONE_S = 10.0  # a host that is out of reach for so long while it is to build it
 MOST_TOLD = 100  # different reasons for which hosts were refused
 
 
+def refusal(hello: Hello, waiting: Mapping[str, AgentSpec], expected: Collection[str]) -> str | None:
+    """Why a host that knocks may not come in; None: it may."""
+    if len(set(hello.vehicles)) < len(hello.vehicles):
+        return "it names a vehicle twice"
+    for vehicle in hello.vehicles:
+        if vehicle not in expected:
+            return f"{binding.unknown('vehicle', vehicle, expected)}, or its agent runs elsewhere"
+        if vehicle not in waiting:
+            return f"the agent of '{vehicle}' has joined already, or is not to come back"
+        if hello.kind is None and not waiting[vehicle].kind:
+            return f"the scenario names no agent for '{vehicle}': start the host with MODULE_OR_FILE:Class"
+    return None if hello.vehicles else "it names no vehicle"
+
+
+def late_refusal(hello: Hello, specs: Mapping[str, AgentSpec], lost: Collection[str], *, together: bool) -> str | None:
+    """Why a host that comes when the run has begun may not come in; None: it may.
+
+    Args:
+        specs: the agents that are hosted elsewhere.
+        lost: vehicles that may have another host.
+        together: whether all that it names were at one host.
+    """
+    free = {vehicle: spec for vehicle, spec in specs.items() if vehicle in lost}
+    if why := refusal(hello, free, specs):
+        return why
+    for vehicle in hello.vehicles:
+        spec = specs[vehicle]
+        if hello.kind is not None and _target(hello.kind) != _target(spec.kind):
+            return f"the run has begun with {spec.kind} for '{vehicle}', and takes no other agent"
+        if any(spec.params.get(name) != value for name, value in hello.params.items()):
+            return "the run has begun, and takes no other parameters: leave out --set"
+    return None if together else f"the run has begun with {', '.join(hello.vehicles)} at several hosts: start one for each"
+
+
+def as_host_says(spec: AgentSpec, hello: Hello, kinds: dict[str, str]) -> AgentSpec:
+    """The spec with what the host was told on its own command line; another class than the scenario's is noted in ``kinds``."""
+    params: dict[str, Any] = dict(hello.params)
+    if hello.kind is None or _target(hello.kind) == _target(spec.kind):
+        kind, folder = (hello.kind, hello.folder) if hello.kind else (spec.kind, spec.folder)
+        return msgspec.structs.replace(spec, kind=kind, folder=folder, params={**spec.params, **params})
+    kinds[spec.vehicle] = hello.kind
+    # Another class than the scenario's: the scenario's parameters are for it where it takes them.
+    defaults = {**spec.defaults, **spec.params}
+    return msgspec.structs.replace(spec, kind=hello.kind, folder=hello.folder, params=params, defaults=defaults)
+
+
+def _target(kind: str) -> str:
+    """The class that a kind names; of files only the name counts, since folders differ between machines."""
+    if registry.is_file_kind(kind):
+        return os.path.basename(kind)  # noqa: PTH119  of "folder/file.py:Class", which is no path
+    with contextlib.suppress(VcmvspError):
+        return registry.target("agent", kind)
+    return kind
+
+
 class Entrance:
     """Listens, and tells the user who is refused; closing it lets nobody in any more.
 
-    Args:
-        agents: the scenario's ``[agents]``.
-        specs: the agents whose hosts come this way; none: it is for those who watch.
-        tell: takes lines for the user.
-        keys: folder with the certificates of those who may come; None: whoever can reach it.
-        insecure: let anybody come from other machines.
-        about: of the run, for those who watch (`cosim.hosts.event_publisher.About`).
-
     Attributes:
         hub: the run's end of the network.
-        topics: what those see who watch.
 
     Raises:
         UsageError: nobody may listen there, or a vehicle has no certificate.
@@ -48,31 +97,31 @@ class Entrance:
     def __init__(
         self,
         agents: AgentsTable,
-        specs: Sequence[AgentSpec],
+        specs: Sequence[AgentSpec],  # the agents whose hosts come this way; none: it is for those who watch
         tell: Tell,
         *,
-        keys: Path | None,
-        insecure: bool,
+        keys: Path | None,  # folder with the certificates of those who may come; None: whoever can reach it
+        insecure: bool,  # let anybody come from other machines
         about: Mapping[str, Any],
     ) -> None:
         from vcmvsp.cosim.hosts.event_publisher import Topics
         from vcmvsp.cosim.hosts.hub import Hub
-        from vcmvsp.cosim.transport import local_secret
+        from vcmvsp.cosim.transport import endpoints
 
         self._tell, self._keys, self._insecure = tell, keys, insecure
         self._news: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # of Zenoh's threads, for the user
         self._refused: set[str] = set()  # what has been said of those who were refused
         self._certified, listen = self._certificates(agents.listen, specs)
         with contextlib.ExitStack() as stack:
-            secret = None if self._certified or insecure else local_secret.made()
+            secret = None if self._certified or insecure else endpoints.made()
             wait_s, cut_s = patience_s(agents, specs), cut_deadline_s(agents)
             self.hub = Hub(listen, self._certified, secret=secret, patience_s=wait_s, cut_deadline_s=cut_s)
             stack.callback(self.hub.close)
             if secret:
-                stack.enter_context(local_secret.published(self.hub.endpoint, secret))
+                stack.enter_context(endpoints.published(self.hub.endpoint, secret))
             elif not self._certified:
                 tell(f"caution: whoever can reach {self.hub.endpoint} can host agents of this run and watch it (--insecure)")
-            self.topics = Topics(self.hub.session, about, self._certified)
+            self.topics = Topics(self.hub.session, about, self._certified)  # what those see who watch
             stack.callback(self.topics.close)
             threading.Thread(target=self._tell_news, daemon=True).start()
             stack.callback(self._news.put, None)
@@ -84,22 +133,15 @@ class Entrance:
         """Let go of the network."""
         self._stack.close()
 
-    def note(self, text: str) -> None:
-        """Tell the user something, from a thread that has no time to wait until it is told."""
-        self._news.put(text)
-
     def tell_how(self, specs: Sequence[AgentSpec]) -> None:
         """Tell how to start a host for each of these agents."""
         self._tell(f"waiting for {len(specs)} agents at {self.hub.endpoint}; start each with")
         for spec in specs:
             how = ["--vehicle", spec.vehicle, "--connect", self.hub.endpoint]
-            how += (
-                ["--keys", self._certified.file_of(spec.vehicle)]
-                if self._certified
-                else ["--insecure"]
-                if self._insecure
-                else []
-            )
+            if self._certified:
+                how += ["--keys", self._certified.file_of(spec.vehicle)]
+            elif self._insecure:
+                how += ["--insecure"]
             how += registry.host_options([spec.kind, spec.params, spec.defaults], spec.folder)
             self._tell(shlex.join(["vcmvsp", "agent", spec.kind or "MODULE_OR_FILE:Class", *how]))
 
@@ -110,15 +152,15 @@ class Entrance:
             if words not in self._refused and len(self._refused) < MOST_TOLD:
                 self._refused.add(words)
                 self._tell(words)
-        from vcmvsp.cosim.hosts.host_link import LinkCallbacks
+        from vcmvsp.cosim.hosts.hub import LinkCallbacks
 
         who = ", ".join(knock.hello.vehicles)
 
         def noticed(there: bool) -> None:
-            self.note(f"the host of {who} is {'back' if there else 'out of reach'}")
+            self._news.put(f"the host of {who} is {'back' if there else 'out of reach'}")
 
         def forged() -> None:
-            self.note(f"another session answers in place of the host of {who}: its answers are dropped and counted")
+            self._news.put(f"another session answers in place of the host of {who}: its answers are dropped and counted")
 
         return knock.answer(refusal, LinkCallbacks(noticed=noticed, forged=forged))
 
@@ -147,19 +189,12 @@ class Entrance:
 
 def knocking(
     hub: "Hub",
-    timeout_s: float,
-    missing: Callable[[], Sequence[str]],
+    timeout_s: float,  # when it is too late, from now on
+    missing: Callable[[], Sequence[str]],  # whose hosts have not joined yet, asked again and again
     tell: Tell,
-    indispensable: Callable[[str], bool] = lambda _: True,
+    indispensable: Callable[[str], bool] = lambda _: True,  # whether the run cannot begin without this vehicle's agent
 ) -> "Iterator[Knock]":
     """Hosts that want to join, until nobody is missing.
-
-    Args:
-        hub: where they knock.
-        timeout_s: when it is too late, from now on.
-        missing: whose hosts have not joined yet, asked again and again.
-        tell: takes lines for the user.
-        indispensable: whether the run cannot begin without this vehicle's agent.
 
     Raises:
         AgentError: it is too late; naming those of the missing whom the run needs.

@@ -1,6 +1,7 @@
 """Where agents run: in this process, in child processes, or in hosts that somebody starts elsewhere."""
 
 import contextlib
+import functools
 import secrets
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -13,49 +14,43 @@ from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec
 from vcmvsp.cosim.config.source_code import difference, fingerprint
 from vcmvsp.cosim.errors import AgentError, ScenarioError
 from vcmvsp.cosim.federate import Federate
-from vcmvsp.cosim.hosts import admission
+from vcmvsp.cosim.hosts import listener
 from vcmvsp.cosim.hosts.listener import Entrance, cut_deadline_s, indispensable, knocking, patience_s, telling_of
 from vcmvsp.cosim.hosts.protocol import Built, Machine
-from vcmvsp.cosim.hosts.remote_host import RemoteHost
-from vcmvsp.cosim.hosts.server import BuildsHost, Desk, HostFederate
-from vcmvsp.cosim.hosts.session import Crew, MemoryLink, SessionLink
+from vcmvsp.cosim.hosts.remote_host import Crew, MemoryLink, RemoteHost, SessionLink
 from vcmvsp.cosim.scenario.schema import AgentsTable
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.hosts.event_publisher import Topics
-    from vcmvsp.cosim.hosts.host_link import ZenohLink
+    from vcmvsp.cosim.hosts.host_client import BuildsHost, HostFederate
+    from vcmvsp.cosim.hosts.hub import ZenohLink
+    from vcmvsp.cosim.processes.child_process import ChildProcess
 
 HOST_PROCESS = "vcmvsp.agents.host_process"
+LEAVE_S = 0.3  # for a child to leave by itself, before it is made to; its agents are closed by then
 
 
 class Hosts:
     """All hosts of a run; closing it lets go of processes and sockets.
 
     Args:
-        agents: the scenario's ``[agents]``.
-        builder: makes the federate of agents that run in this process.
         kinds: classes of agents that are objects instead of what the scenario names, by vehicle.
-        listen: endpoint for hosts and observers, instead of ``agents.listen``.
-        tell: takes lines for the user, such as how to start a host by hand.
-        keys: folder with the certificates of those who may come from elsewhere.
-        insecure: let anybody come from elsewhere.
         watch: asked while hosts are waited for; an answer is why there is no use in it. None: the user starts them, told how.
-        about: of the run, for those who watch (`cosim.hosts.event_publisher.About`).
     """
 
     def __init__(
         self,
         agents: AgentsTable,
-        builder: BuildsHost,
+        builder: "BuildsHost",  # makes the federate of agents that run in this process
         *,
         tell: Tell,
         kinds: Mapping[str, str] | None = None,
-        listen: str | None = None,
-        keys: Path | None = None,
+        listen: str | None = None,  # endpoint for hosts and observers, instead of ``agents.listen``
+        keys: Path | None = None,  # folder with the certificates of those who may come from elsewhere
         insecure: bool = False,
         watch: Callable[[], str | None] | None = None,
-        about: Mapping[str, Any] | None = None,
+        about: Mapping[str, Any] | None = None,  # of the run, for those who watch (`cosim.hosts.event_publisher.About`)
     ) -> None:
         self._about = {**(about or {}), "missing": self._absent}
         self._agents = agents if listen is None else msgspec.structs.replace(agents, listen=listen)
@@ -108,7 +103,7 @@ class Hosts:
             objects: agents that exist already, by vehicle.
         """
         start: dict[str, Callable[[Sequence[AgentSpec]], None]] = {
-            "inprocess": lambda group: self.run_here(group, objects),
+            "inprocess": lambda group: self._add(self._builder("agents", group, objects)),
             "encoded": self.run_encoded,
             "process": self.run_in_processes,
             "zenoh": self.await_by_hand,
@@ -131,12 +126,10 @@ class Hosts:
         self._stack.callback(self.entrance.close)
         return self.entrance
 
-    def run_here(self, specs: Sequence[AgentSpec], objects: Mapping[str, Agent]) -> None:
-        """Host agents in this process."""
-        self._add(self._builder("agents", specs, objects))
-
     def run_encoded(self, specs: Sequence[AgentSpec]) -> None:
         """Host agents in this process, but behind the same bytes as over a wire (for tests of the wire)."""
+        from vcmvsp.cosim.hosts.host_client import Desk
+
         desk = Desk(self._builder)
         self._stack.callback(desk.close)
         crew = self._crew(MemoryLink(desk.handle), specs)
@@ -144,9 +137,8 @@ class Hosts:
 
     def run_in_processes(self, specs: Sequence[AgentSpec]) -> None:
         """Spawn hosts, deal the agents out to them in order, and wait until all have joined."""
-        from vcmvsp.cosim.hosts.host_link import LinkCallbacks
-        from vcmvsp.cosim.hosts.hub import Hub
-        from vcmvsp.cosim.processes.child_process import HostProcess
+        from vcmvsp.cosim.hosts.hub import Hub, LinkCallbacks
+        from vcmvsp.cosim.processes.child_process import ChildProcess
 
         count = min(self._agents.processes or len(specs), len(specs))
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
@@ -154,10 +146,12 @@ class Hosts:
         # No port: whoever else is on this machine can neither hold it up, nor ask the children or answer in their place.
         hub = Hub(None, patience_s=patient_s, cut_deadline_s=cut_s)
         self._stack.callback(hub.close)
-        children: dict[str, HostProcess] = {}
+        children: dict[str, ChildProcess] = {}
         for token, group in groups.items():
-            children[token] = HostProcess(HOST_PROCESS, hub.endpoint, [spec.vehicle for spec in group], token, hub.files)
-            self._stack.callback(children[token].close)
+            vehicles = (f"--vehicle={spec.vehicle}" for spec in group)
+            where = "--connect", hub.endpoint
+            children[token] = ChildProcess(HOST_PROCESS, *where, *vehicles, first=f"{token}\n", files=hub.files)
+            self._stack.callback(children[token].close, LEAVE_S)
         links: dict[str, ZenohLink] = {}
         for knock in knocking(hub, self._agents.join_timeout_s, lambda: _missing(groups, links, children), self._tell):
             token = knock.hello.token
@@ -165,7 +159,7 @@ class Hosts:
                 knock.answer("this run starts its own hosts")
                 continue
             child = children[token]
-            if link := knock.answer(None, LinkCallbacks(why_lost=child.why_ended, released=child.close)):
+            if link := knock.answer(None, LinkCallbacks(why_lost=child.why_ended, released=functools.partial(_release, child))):
                 links[token] = link
         hub.shut()
         self._add_remote([(links[token], group) for token, group in groups.items()])
@@ -198,9 +192,10 @@ class Hosts:
         for knock in knocking(hub, timeout_s, missing, self._tell, needed):
             hello = knock.hello
             # Whoever comes in place of one that is out of reach need not wait until that is given up.
-            give_up({host for host in hub.gone.keys() & joined.keys() if _runs(joined[host][1], hello.vehicles)})
-            if link := entrance.let_in(knock, admission.refusal(hello, waiting, wanted)):
-                specs_of = [admission.as_host_says(waiting.pop(vehicle), hello, self.kinds) for vehicle in hello.vehicles]
+            away = {host: {spec.vehicle for spec in joined[host][1]} for host in hub.gone.keys() & joined.keys()}
+            give_up({host for host, vehicles in away.items() if vehicles.intersection(hello.vehicles)})
+            if link := entrance.let_in(knock, listener.refusal(hello, waiting, wanted)):
+                specs_of = [listener.as_host_says(waiting.pop(vehicle), hello, self.kinds) for vehicle in hello.vehicles]
                 joined[knock.machine] = link, specs_of
                 self._tell(f"{', '.join(hello.vehicles)} joined; still waiting for: {', '.join(waiting) or 'none'}")
         self._waiting, self._wanted = {}, wanted
@@ -264,7 +259,7 @@ class Hosts:
                 self._other_code[vehicle] = how
                 self._tell(f"the host of {vehicle} runs other code than this machine: {how}")
 
-    def _add(self, host: HostFederate) -> None:
+    def _add(self, host: "HostFederate") -> None:
         self.federates.append(host)
         self.infos.extend(host.agents)
 
@@ -273,7 +268,6 @@ class Hosts:
         return list(dict.fromkeys((*self._waiting, *self._lost())))
 
     def _lost(self) -> list[str]:
-        """Who may have another host."""
         return [vehicle for vehicle in list(self._specs) if any(each.wants(vehicle) for each in list(self._elsewhere))]
 
     def _answer_door(self) -> None:
@@ -288,21 +282,23 @@ class Hosts:
         if knock := hub.next_hello(0.0):  # one a tick: nobody can keep the run at the door
             hello = knock.hello
             places = [each for each in self._elsewhere if all(each.wants(vehicle) for vehicle in hello.vehicles)]
-            link = self.entrance.let_in(knock, admission.late_refusal(hello, self._specs, lost, together=bool(places)))
+            link = self.entrance.let_in(knock, listener.late_refusal(hello, self._specs, lost, together=bool(places)))
             if link is not None:
                 self._tell(f"{', '.join(hello.vehicles)} joined")
-                specs = [admission.at_its_place(self._specs[vehicle], hello) for vehicle in hello.vehicles]
+                # The same class may be in another folder on its machine.
+                there = {} if hello.kind is None else {"kind": hello.kind, "folder": hello.folder}
+                specs = [msgspec.structs.replace(self._specs[vehicle], **there) for vehicle in hello.vehicles]
                 places[0].welcome(self._crew_at(link, specs))
 
 
-def _runs(specs: Sequence[AgentSpec], vehicles: Collection[str]) -> bool:
-    return any(spec.vehicle in vehicles for spec in specs)
+def _release(child: "ChildProcess", patient: bool) -> None:
+    child.close(LEAVE_S if patient else 0.0)
 
 
 def _missing(groups: Mapping[str, Sequence[AgentSpec]], links: Mapping[str, Any], children: Mapping[str, Any]) -> list[str]:
     """Vehicles whose child has not joined yet; a child that has ended never will."""
     for token, group in groups.items():
-        if token not in links and not children[token].running:
+        if token not in links and children[token].why_ended():
             cause = f"its process {children[token].why_ended()} before it joined"
             raise AgentError(tuple(spec.vehicle for spec in group), group[0].kind, cause)
     return [spec.vehicle for token, group in groups.items() if token not in links for spec in group]

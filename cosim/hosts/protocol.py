@@ -1,4 +1,4 @@
-"""What travels between the kernel and a host of agents: one question and one answer at a time (`cosim.hosts.array_codec`).
+"""What travels between the kernel and a host of agents: one question and one answer at a time (`cosim.util.codec`).
 
 =========  ==============================================  =========================
 question   meaning                                         answer
@@ -8,21 +8,33 @@ question   meaning                                         answer
 `Act`      these events have happened; it is now ``now``   `Stepped`, or `Failed`
 `End`      the run is over, or this host is not needed     `Ended`
 =========  ==============================================  =========================
+
+A host is somebody else's program on somebody else's machine, and is believed in nothing: what it says is compared with what was
+asked of it. Where it says more than a host may, it is lost, and an error or the recording says why. Causes are worded to stand
+behind ``gave an answer that is refused:``.
 """
 
 import hashlib
 import hmac
+import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import msgspec
+import tomli_w
 
-from vcmvsp.cosim.agent import AgentInfo, AgentSpec
+from vcmvsp.cosim.agent import LARGEST_MESSAGE_BYTES, SHOWN, AgentInfo, AgentSpec, Shown, check_body, unfit
+from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
+from vcmvsp.cosim.config.source_code import MOST_FILES
 from vcmvsp.cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.hosts.array_codec import Unpacker, pack
+from vcmvsp.cosim.scenario.schema import AgentTable
+from vcmvsp.cosim.types import Follows, Message, Note, Presence, Velocity, Waypoint
 from vcmvsp.cosim.util import codec
+from vcmvsp.cosim.util.codec import Unpacker, pack
+from vcmvsp.cosim.util.documents import read_toml
+from vcmvsp.cosim.util.text import LONGEST_DETAILS, LONGEST_LINE, LONGEST_NAME, plain
 
 PROTOCOL = 9
 """Version of this table; a host of another version is refused."""
@@ -30,6 +42,38 @@ PROTOCOL = 9
 
 Machine = tuple[str, str]
 """The name of a machine, from its certificate, and the id of its session."""
+
+numbers = struct.Struct("<QQ")
+"""Before each question: its number, from 1 on, and that of the oldest one which has not been answered."""
+
+FAREWELL = 0
+"""The number of what is no question: no answer is waited for any more."""
+
+number = struct.Struct("<Q")
+"""Before each answer: the number of its question."""
+
+SEAL = 16  # bytes
+
+_MANY = 8  # events of a step, from which on it costs less to send arrays together than each in its place
+
+LARGEST_PARAMS_BYTES = 2**20
+"""All parameters of an agent as TOML: a path of some 20 000 points."""
+
+PERIODS_NS = range(SECOND_NS // 10**6, SECOND_NS * 10**6 + 1)
+"""What `cosim.types.Period` allows."""
+
+_OF_SCENARIO = frozenset(AgentTable.__struct_fields__) - {"params"}  # what the scenario says of an agent beside its parameters
+_INT64 = range(-(2**63), 2**63)
+_HEARS, _SEES = ("heard",), ("estimate", "odometry", "fix")  # what is there of every vehicle for its own agent
+
+_KINDS: dict[str, tuple[type, ...]] = {
+    "command": (Velocity, Waypoint),
+    "follows": (Follows,),
+    "note": (Note,),
+    "send": (Message,),
+    "host": (Presence,),
+    **{what: (kind,) for kind, what in SHOWN.items()},
+}
 
 
 class Hello(msgspec.Struct, frozen=True, tag=True):
@@ -128,17 +172,6 @@ class Failed(msgspec.Struct, frozen=True, tag=True):
 Question = Build | Begin | Act | End
 Answer = Built | Stepped | Ended | Failed
 
-numbers = struct.Struct("<QQ")
-"""Before each question: its number, from 1 on, and that of the oldest one which has not been answered."""
-
-FAREWELL = 0
-"""The number of what is no question: no answer is waited for any more."""
-
-number = struct.Struct("<Q")
-"""Before each answer: the number of its question."""
-
-SEAL = 16  # bytes
-
 
 def sealed(key: bytes, answer: bytes) -> bytes:
     """An answer with its seal in front (keyed BLAKE2, RFC 7693): another session cannot answer in a host's place."""
@@ -148,9 +181,6 @@ def sealed(key: bytes, answer: bytes) -> bytes:
 def is_sealed(key: bytes, content: bytes) -> bool:
     """Whether `sealed` has given this."""
     return hmac.compare_digest(sealed(key, content[SEAL:]), content)
-
-
-_MANY = 8  # events of a step, from which on it costs less to send arrays together than each in its place
 
 
 def encode(value: object) -> bytes:
@@ -163,3 +193,159 @@ questions: Unpacker[Question] = Unpacker(Question)
 answers: Unpacker[Answer] = Unpacker(Answer)
 hellos: codec.Decoder[Hello] = codec.Decoder(Hello)
 welcomes: codec.Decoder[Welcome] = codec.Decoder(Welcome)
+
+
+def check_events(stepped: Sequence[Event], vehicles: Mapping[str, int], names: frozenset[str]) -> None:
+    """Raise a `ValueError` unless these are events that the agents of a host may give.
+
+    Args:
+        vehicles: its vehicles whose turn it was, and when what they do takes effect (ns).
+        names: all vehicles of the run.
+    """
+    given = set[str]()
+    for event in stepped:
+        key = event.key
+        vehicle, _, what = key.partition("/")
+        due_ns = vehicles.get(vehicle)
+        if due_ns is None:
+            raise ValueError(f"it speaks for {plain(vehicle, LONGEST_NAME)}")
+        kinds = _KINDS.get(what)
+        if kinds is None:
+            raise ValueError(f"{plain(key, LONGEST_NAME)}, which is not for an agent to say")
+        if event.time_ns != due_ns:
+            raise ValueError(f"{key} at {event.time_ns} ns, expected {due_ns} ns")
+        value = event.value
+        if type(value) not in kinds:
+            raise ValueError(f"{key} of type {type(value).__name__}")
+        if type(value) is Message:
+            _message(value, vehicle, names)
+            continue
+        if key in given:
+            raise ValueError(f"{key} twice")
+        given.add(key)
+        if type(value) is Velocity or type(value) is Waypoint:
+            _command(value)
+        else:
+            _rare(value, vehicle, due_ns, names)
+
+
+def _message(message: Message, vehicle: str, names: frozenset[str]) -> None:
+    if message.sender != vehicle:
+        raise ValueError(f"a message from {plain(message.sender, LONGEST_NAME)} as one from {vehicle}")
+    if message.to == vehicle:
+        raise ValueError("a message to itself")
+    if message.to is not None and message.to not in names:
+        raise ValueError(f"a message to {plain(message.to, LONGEST_NAME)}, which is no vehicle of this run")
+    if not 0 <= message.size_bytes <= LARGEST_MESSAGE_BYTES:
+        raise ValueError(f"a message of {message.size_bytes} bytes; allowed are 0 to {LARGEST_MESSAGE_BYTES}")
+    if message.priority not in _INT64:
+        raise ValueError(f"a message of priority {message.priority}, which is beyond 64 bits")
+    if type(message.body) is dict:
+        try:
+            check_body(message.body)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise ValueError(f"a message that cannot be recorded: {plain(str(error))}") from None
+
+
+def _command(command: Velocity | Waypoint) -> None:
+    if isinstance(command, Velocity):
+        x, y, z = command.linear
+        total = x + y + z + command.yaw_rate
+    else:
+        x, y, z = command.position
+        total = x + y + z + (command.yaw or 0.0) + (command.speed or 0.0)
+    if not math.isfinite(total):
+        raise ValueError(f"a command that is not finite: {command}")
+
+
+def _rare(value: object, vehicle: str, due_ns: int, names: frozenset[str]) -> None:
+    if type(value) is Follows and value.leader is not None and (value.leader not in names or value.leader == vehicle):
+        raise ValueError(f"it follows {plain(value.leader, LONGEST_NAME)}, which is not another vehicle of this run")
+    if type(value) is Presence:
+        if value.state == "back" or value.late or not 0 <= value.since_ns <= due_ns:
+            raise ValueError(f"{vehicle}/host since {value.since_ns} ns, {value.state}, {value.late} late, at {due_ns} ns")
+        if plain(value.why) != value.why:
+            raise ValueError(f"{vehicle}/host with a reason that is too long or cannot be shown")
+    if isinstance(value, Shown) and (problem := unfit(value)):
+        raise ValueError(f"{vehicle}/{SHOWN[type(value)]} with {problem}")
+
+
+def check_built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
+    """Raise a `ValueError` unless a host has built the agents that it was asked for, and listens to their vehicles alone."""
+    wanted = {spec.vehicle: spec for spec in specs}
+    found = sorted(info.vehicle for info in answer.agents)
+    if found != sorted(wanted):
+        names = plain(", ".join(found) or "none", LONGEST_LINE)
+        raise ValueError(f"agents for other vehicles than it was asked to: {names}; expected {', '.join(wanted)}")
+    for info in answer.agents:
+        try:
+            _agent(info, wanted[info.vehicle])
+        except ValueError as error:
+            raise ValueError(f"an agent for {info.vehicle} with {error}") from None
+    _code(answer.code, wanted)
+    hears = {f"{spec.vehicle}/{what}" for spec in specs for what in _HEARS}
+    sees = {f"{spec.vehicle}/{what}" for spec in specs for what in (*_SEES, *spec.sensors)}
+    for keys, allowed in ((answer.reads, hears), (answer.latest, sees)):
+        for key in keys:
+            if key not in allowed:
+                raise ValueError(f"it wants to listen to {plain(key, LONGEST_NAME)}, which is not for its agents")
+        if len(set(keys)) < len(keys):
+            raise ValueError(f"it wants to listen to {next(key for key in keys if keys.count(key) > 1)} twice")
+
+
+def _code(code: Mapping[str, Mapping[str, str]], wanted: Collection[str]) -> None:
+    for vehicle, files in code.items():
+        if vehicle not in wanted or len(files) > 2 * MOST_FILES:
+            raise ValueError(f"source code of {plain(vehicle, LONGEST_NAME)} that was not asked for, or of too many files")
+        if any(plain(text, LONGEST_LINE) != text for text in (*files, *files.values())):
+            raise ValueError(f"source code of {vehicle} with names that are too long or cannot be shown")
+
+
+def _agent(info: AgentInfo, spec: AgentSpec) -> None:
+    _ticks(info.ticks, spec.period_s)
+    if info.latency_ns != seconds_to_ns(spec.latency_s):
+        raise ValueError(f"a latency of {info.latency_ns} ns, expected {spec.latency_s:g} s")
+    if info.agent != spec.kind:
+        raise ValueError(f"the class {plain(info.agent, LONGEST_NAME)}, expected {spec.kind}")
+    if strange := [name for name in info.taken if name not in spec.defaults]:
+        raise ValueError(f"a default that [agents] does not have: {plain(strange[0], LONGEST_NAME)}")
+    for names, what in ((info.known, "parameters"), (info.sensors, "sensors"), (info.files, "files")):
+        if len(names) > 1000 or any(plain(name, LONGEST_NAME) != name for name in names):
+            raise ValueError(f"{what} that are too many, too long or cannot be shown")
+    if strange := [name for name in info.params if name not in info.known or name in _OF_SCENARIO]:
+        raise ValueError(f"a parameter that it cannot have: {plain(strange[0], LONGEST_NAME)}")
+    try:
+        text = tomli_w.dumps(info.params)
+        read_toml(text)
+    except (TypeError, ValueError, RecursionError, AttributeError) as error:
+        raise ValueError(f"parameters that a scenario cannot say: {plain(str(error))}") from None
+    if len(text) > LARGEST_PARAMS_BYTES:
+        raise ValueError(f"parameters of {len(text)} characters; at most {LARGEST_PARAMS_BYTES}")
+
+
+def check_greeting(hello: "Hello") -> None:
+    """Raise a `ValueError` unless what a host says of itself can be shown."""
+    for text in (*hello.vehicles, hello.kind or ""):
+        if plain(text, LONGEST_LINE) != text:
+            raise ValueError("a name that is too long or cannot be shown")
+
+
+def _ticks(ticks: Ticks, period_s: float | None) -> None:
+    if ticks.ns < 1 or ticks.per < 1 or not PERIODS_NS.start <= ticks.period <= PERIODS_NS[-1]:
+        raise ValueError(f"a period of {ticks.ns}/{ticks.per} ns; allowed are 1e-06 s to 1e+06 s")
+    if period_s is not None and ticks != Ticks.every(period_s):
+        raise ValueError(f"a period of {float(ticks.period) / SECOND_NS:g} s, expected {period_s:g} s")
+
+
+def shown_failure(answer: "Failed", vehicles: Sequence[str]) -> "Failed":
+    """What a host says went wrong, fit to be shown; it can blame no vehicles but its own."""
+    own = tuple(vehicle for vehicle in dict.fromkeys(answer.vehicles) if vehicle in vehicles)
+    return msgspec.structs.replace(
+        answer,
+        cause=plain(answer.cause, lines=True),
+        details=plain(answer.details, LONGEST_DETAILS, lines=True),
+        vehicles=own if own or not answer.vehicles else tuple(vehicles),
+        agent=plain(answer.agent),
+        key=plain(answer.key),
+        source=plain(answer.source),
+    )

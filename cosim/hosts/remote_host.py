@@ -1,39 +1,239 @@
 """Agents elsewhere as the kernel sees them: one federate for those of one host, or of several that have come in its place.
 
-A host that is lost, while the scenario wants the run to go on, leaves its vehicles without an agent
-(`cosim.hosts.lost_agent`). They get it back when the host answers again, or when another one comes in its place. When that is
-depends on the wall clock; the recording is told.
+A link to a host carries bytes; its crew speaks the language of `cosim.hosts.protocol`. A host that is lost, while the scenario
+wants the run to go on, leaves its vehicles without an agent (`cosim.hosts.remote_host`). They get it back when the host answers
+again, or when another one comes in its place. When that is depends on the wall clock; the recording is told.
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
 
 import msgspec
 
 from vcmvsp.cosim.agent import AgentSpec
-from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.errors import AgentError, FederateError, VcmvspError
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.hosts import protocol
-from vcmvsp.cosim.hosts.lost_agent import Absence
-from vcmvsp.cosim.hosts.session import Crew
-from vcmvsp.cosim.types import Follows, Presence
+from vcmvsp.cosim.types import Follows, Presence, Velocity
+from vcmvsp.cosim.util.text import plain
+
+
+class Absence:
+    """A vehicle without its agent: it holds its last command for a while, or has none any more, and then stands still.
+
+    Args:
+        spec: of the agent; ``on_lost`` is ``hold`` or ``remove``.
+        since_ns: its first tick without an answer.
+        now_ns: when that answer would have taken effect.
+        follows: whether it has said which place it means to keep.
+
+    Attributes:
+        news: what there is to publish at ``now_ns``.
+    """
+
+    def __init__(self, spec: AgentSpec, since_ns: int, now_ns: int, why: str, *, follows: bool) -> None:
+        self.final = spec.on_lost == "remove"  # it will not come back
+        self._vehicle, self._rests = spec.vehicle, False
+        self._rests_ns = now_ns if self.final else now_ns + seconds_to_ns(spec.hold_s)
+        presence = Presence(state="removed" if self.final else "lost", since_ns=since_ns, why=plain(why))
+        self.news = [Event(f"{self._vehicle}/host", now_ns, presence), *self.go_on(now_ns)]
+        if self.final and follows:
+            self.news.append(Event(f"{self._vehicle}/follows", now_ns, Follows(leader=None)))
+
+    def go_on(self, now_ns: int) -> list[Event]:
+        """What the vehicle does at ``now_ns`` by itself: it stops, once, when its last command has been held long enough."""
+        if self._rests or now_ns < self._rests_ns:
+            return []
+        self._rests = True
+        return [Event(f"{self._vehicle}/command", now_ns, Velocity())]
+
+    def back(self, since_ns: int, now_ns: int, late: int) -> Event:
+        """It has an agent again, from its tick ``since_ns`` on."""
+        return Event(f"{self._vehicle}/host", now_ns, Presence(state="back", since_ns=since_ns, late=late))
+
+
+class LinkError(Exception):
+    """No answer will come; the message says why, e.g. ``was killed by SIGKILL``."""
+
+
+class LateError(LinkError, TimeoutError):
+    """No answer came in time; it may still come."""
+
+
+class SessionLink(Protocol):
+    """One host, reachable: questions are answered in order."""
+
+    leaving: bool  # set when it is let go, so that nobody wonders where it is
+
+    def ask(self, question: bytes, deadline_s: float) -> None:
+        """Send a question that is to be answered within so much wall-clock time; do not wait."""
+
+    def answer(self) -> bytes:
+        """Wait for the answer to the oldest open question; `LinkError` if none comes in time or at all."""
+
+    def look(self) -> bytes | None:
+        """The answer to the oldest open question, if it is there, however late; `LinkError` if none will come."""
+
+    def close(self) -> None:
+        """Let the host go."""
+
+
+class MemoryLink:
+    """A `SessionLink` within the process: the bytes that would cross a wire, encoded and decoded."""
+
+    leaving = False
+
+    def __init__(self, handle: Callable[[bytes], bytes]) -> None:
+        self._handle = handle
+        self._answers: list[bytes] = []
+
+    def ask(self, question: bytes, deadline_s: float) -> None:
+        """Have it answered at once."""
+        self._answers.append(self._handle(question))
+
+    def answer(self) -> bytes:
+        """The answer to the oldest open question."""
+        return self._answers.pop(0)
+
+    def look(self) -> bytes | None:
+        """The same, if there is a question."""
+        return self._answers.pop(0) if self._answers else None
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+
+class Crew:
+    """The agents of one host, and the questions that the host has not answered yet.
+
+    Attributes:
+        open: how many questions it has not answered.
+        late: how many it had not answered when it was lost.
+    """
+
+    def __init__(
+        self,
+        link: SessionLink,
+        specs: Sequence[AgentSpec],  # the agents that it is to build, which it is asked at once
+        *,
+        deadline_s: float,  # wall-clock seconds within which it has to answer a step
+        build_s: float,  # the same for building its agents, which may load large libraries
+        on_built: Callable[[protocol.Built], None] = lambda _: None,  # takes what the host says that it has built
+    ) -> None:
+        self.link, self.specs, self._on_built = link, tuple(specs), on_built
+        self.vehicles = tuple(spec.vehicle for spec in specs)
+        self._deadline_s, self._build_s = deadline_s, build_s
+        self._released = False
+        self.alive, self.open, self.late = True, 0, 0
+        self.send(protocol.Build(self.specs), build_s)
+
+    def build(self) -> protocol.Built:
+        """Wait until the agents stand; the constructor has asked for it, so that all hosts build at once."""
+        try:
+            return self.built(self.receive())
+        except AgentError as error:
+            if isinstance(error.__cause__, TimeoutError):
+                raise self.error(f"did not build its agents within {self._build_s:g} s (agents.join_timeout_s)") from error
+            raise
+
+    def built(self, answer: protocol.Answer) -> protocol.Built:
+        """The answer to `Build`, which is believed only in what it may say."""
+        if not isinstance(answer, protocol.Built):
+            raise self._unreadable(f"it answered {type(answer).__name__} to Build")
+        try:
+            protocol.check_built(answer, self.specs)
+        except ValueError as error:
+            raise self._unreadable(str(error)) from error
+        self._on_built(answer)
+        return answer
+
+    def stepped(self, effects: Mapping[str, int], names: frozenset[str]) -> list[Event]:
+        """Wait for the answer to a step; its events are those of these vehicles alone, at these times."""
+        try:
+            answer = self.receive()
+        except ScenarioError as error:  # it is too late to speak of the scenario
+            raise self.error(str(error)) from error
+        if not isinstance(answer, protocol.Stepped):
+            raise self._unreadable(f"it answered {type(answer).__name__} to a step")
+        try:
+            protocol.check_events(answer.events, effects, names)
+        except ValueError as error:
+            raise self._unreadable(str(error)) from error
+        return answer.events
+
+    def send(self, question: protocol.Question, deadline_s: float | None = None) -> None:
+        """Ask, without waiting."""
+        try:
+            self.link.ask(protocol.encode(question), deadline_s or self._deadline_s)
+        except ValueError as error:
+            raise self.error(f"cannot be asked: {error}") from error
+        self.open += 1
+
+    def receive(self) -> protocol.Answer:
+        """Wait for the answer to the oldest open question."""
+        answer = self._read(self.link.answer)
+        assert answer is not None  # noqa: S101
+        return answer
+
+    def look(self) -> protocol.Answer | None:
+        """The answer to the oldest open question, if it is there."""
+        return self._read(self.link.look)
+
+    def release(self, reason: str) -> None:
+        """Tell the host that it is not needed any more, if it still answers."""
+        if self.alive and not self._released:
+            self._released = self.link.leaving = True
+            self.send(protocol.End(reason))
+
+    def dismiss(self, why: str) -> None:
+        """Let the host go without waiting for it."""
+        self.release(why)
+        self.link.close()
+
+    def close(self) -> None:
+        """Wait until the agents are closed, and let the host go."""
+        try:
+            self.release("the run is over")
+            while self.alive and self.open and not self.late:
+                self.receive()
+        finally:
+            self.link.close()
+
+    @property
+    def indispensable(self) -> bool:
+        """Whether the run ends when this host is lost."""
+        return any(spec.on_lost == "stop" for spec in self.specs)
+
+    def error(self, cause: str) -> AgentError:
+        """An error that names these agents."""
+        return AgentError(self.vehicles, ", ".join(dict.fromkeys(spec.kind for spec in self.specs)), cause)
+
+    def _read(self, take: Callable[[], bytes | None]) -> protocol.Answer | None:
+        try:
+            content = take()
+            answer = None if content is None else protocol.answers.decode(content)
+        except LinkError as error:
+            self.alive, self.late = isinstance(error, LateError), self.open
+            raise self.error(str(error)) from error
+        except ValueError as error:  # msgspec's errors among them
+            raise self._unreadable(str(error)) from error
+        if answer is not None:
+            self.open -= 1
+        if isinstance(answer, protocol.Failed):
+            self.alive, self.link.leaving = False, True  # it has said why it goes
+            raise protocol.shown_failure(answer, self.vehicles).error(self.vehicles)
+        return answer
+
+    def _unreadable(self, why: str) -> AgentError:
+        self.release(f"it does not accept what this host answers: {why}")
+        self.alive = False  # it may still answer
+        return self.error(f"gave an answer that is refused: {why}")
 
 
 class RemoteHost:
-    """A `cosim.federate.RemoteFederate` for agents elsewhere.
-
-    Args:
-        name: of the federate.
-        crews: the hosts that are there.
-        built: what they say of their agents, and what is known of those that nobody hosts yet.
-        missing: specs of the latter.
-        door: looks whether somebody knocks; called at each tick at which an agent is away.
-        tell: takes lines for the user.
-
-    Attributes:
-        losses: vehicles, time (s) and cause of each loss of a host.
-    """
+    """A `cosim.federate.RemoteFederate` for agents elsewhere."""
 
     slot = wake_slot = Slot.AGENT
     wakes: tuple[str, ...] = ()
@@ -42,10 +242,10 @@ class RemoteHost:
         self,
         name: str,
         crews: Sequence[Crew],
-        built: Sequence[protocol.Built],
+        built: Sequence[protocol.Built],  # what they say of their agents, and what is known of those that nobody hosts yet
         *,
-        missing: Sequence[AgentSpec] = (),
-        door: Callable[[], None] = lambda: None,
+        missing: Sequence[AgentSpec] = (),  # specs of the latter
+        door: Callable[[], None] = lambda: None,  # looks whether somebody knocks; called at each tick at which an agent is away
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.name, self._door, self._tell = name, door, tell
@@ -67,7 +267,7 @@ class RemoteHost:
         self._may_go_on = policies != {"stop"}
         self._replaceable = frozenset(self.latest) if "hold" in policies else frozenset()
         self._following: set[str] = set()  # who means to keep a place
-        self.losses: list[tuple[str, float, str]] = []
+        self.losses: list[tuple[str, float, str]] = []  # vehicles, time (s) and cause of each loss of a host
         self._failed: dict[str, Crew] = {}  # agents that failed inside a host that is still there
 
     def start(self, run: RunInfo) -> int | None:
@@ -103,7 +303,7 @@ class RemoteHost:
             mine = inbox if whole else [event for event in inbox if _vehicle(event) in crew.vehicles]
             crew.send(protocol.Act(now_ns, mine))
             asked.crews.append(crew)
-        return self._next(now_ns)
+        return min([train.after(now_ns) for train in self._trains])
 
     def answer(self) -> Sequence[Event]:
         """The events of the oldest step that is still open."""
@@ -127,9 +327,6 @@ class RemoteHost:
         """Whose tick this is; of all, since they were asked for, where all have the same ticks."""
         due = [whose for train, whose in self._trains.items() if len(self._trains) == 1 or train.hits(now_ns)]
         return due[0] if len(due) == 1 else frozenset().union(*due)
-
-    def _next(self, now_ns: int) -> int:
-        return min([train.after(now_ns) for train in self._trains])
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Ask and wait."""
@@ -192,7 +389,6 @@ class RemoteHost:
         return news
 
     def _note(self, events: Sequence[Event], crew: Crew) -> None:
-        """Who means to keep a place, and whose agent has failed."""
         for event in events:
             if isinstance(event.value, Follows):
                 (self._following.discard if event.value.leader is None else self._following.add)(_vehicle(event))
@@ -214,7 +410,6 @@ class RemoteHost:
         return inbox
 
     def _is_ready(self, crew: Crew) -> bool:
-        """Whether a host has answered all that it was asked."""
         while crew.open:
             answer = crew.look()
             if answer is None:
@@ -249,13 +444,13 @@ class RemoteHost:
         crew.dismiss(why)
 
 
-class _Asked:
-    """A step that has been asked: whose turn it is, who was asked, and what is to be said of the others."""
+class _Asked(msgspec.Struct):
+    """A step that has been asked."""
 
-    def __init__(self, now_ns: int, due: frozenset[str]) -> None:
-        self.now_ns, self.due = now_ns, due
-        self.crews: list[Crew] = []
-        self.events: list[Event] = []
+    now_ns: int
+    due: frozenset[str]  # whose turn it is
+    crews: list[Crew] = []  # who was asked
+    events: list[Event] = []  # what is to be said of the others
 
 
 def _vehicle(event: Event) -> str:

@@ -7,14 +7,17 @@ Each instant at which something is due holds up to five slots; a slot is one Sim
 3. all remote federates that are due are asked, the local ones are stepped, the answers awaited,
 4. what they gave is published; of one key what came from elsewhere first.
 
-Events are published in an order of their own (`cosim.kernel.event_bus`). Nothing in either order depends on where a federate
-runs or on how long it takes, which is why a run gives the same bytes in one process and in many.
+Events are published in the order of (time, slot, key, order of giving); one of the future belongs to its giver's own slot of
+that instant. Nothing in either order depends on where a federate runs or on how long it takes, which is why a run gives the
+same bytes in one process and in many.
 """
 
 import contextlib
 import gc
+import heapq
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
 from typing import TypeVar
 
 import simpy
@@ -22,34 +25,142 @@ from threadpoolctl import threadpool_limits
 
 from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, WallClock
 from vcmvsp.cosim.errors import FederateError, VcmvspError, words_of
-from vcmvsp.cosim.federate import Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot, Waiting
-from vcmvsp.cosim.kernel.event_bus import Exchange, Observer
+from vcmvsp.cosim.federate import Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot, Waiting, matches
 from vcmvsp.cosim.util.polling import readable
 
+Observer = Callable[[Event], None]
+Route = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
+"""Of a key: who reads every event, whom it wakes, who keeps only the newest."""
+Given = dict[str, list[Event]]
+"""Events of a slot by their keys, in the order of giving."""
+_time = attrgetter("time_ns")
+
 T = TypeVar("T")
+
+_COLLECTED = 50_000  # objects made and still there
+
+
+class Exchange:
+    """The events of one run.
+
+    Args:
+        federates: who gives and reads them; numbered in this order.
+        wake: has one of them stepped at a time (ns), because an event of that time wakes it.
+    """
+
+    def __init__(self, federates: Sequence[Federate], wake: Callable[[int, int], None]) -> None:
+        self.observe: Observer = lambda _: None
+        self._federates, self._wake = federates, wake
+        self._inbox: list[list[Event]] = [[] for _ in federates]
+        self._newest: list[dict[str, Event]] = [{} for _ in federates]
+        self._future: list[tuple[int, Slot]] = []  # heap of the slots to come for which events were given
+        self._given: dict[tuple[int, Slot], Given] = {}  # these events
+        self._present: Given = {}  # those that belong to the slot that is being worked off
+        self._routes: dict[str, Route] = {}
+
+    def inbox(self, index: int) -> Sequence[Event]:
+        """What a federate has not read yet, in order of time; now it has."""
+        inbox, self._inbox[index] = self._inbox[index], []
+        if newest := self._newest[index]:
+            kept = sorted(newest.values(), key=_time)
+            newest.clear()
+            if inbox and inbox[-1].time_ns < kept[0].time_ns:  # as it is with what is known of this instant alone
+                inbox += kept
+            else:
+                inbox = sorted(kept + inbox, key=_time)
+        return inbox
+
+    def give(self, index: int, events: Sequence[Event], now: int, slot: Slot) -> None:
+        """Take what a federate gave in a slot; an event of the future that wakes someone has its instant scheduled."""
+        home, routes = self._federates[index].slot, self._routes
+        last, given = now, self._present
+        woken: tuple[int, tuple[int, ...]] = now, ()
+        for event in events:
+            when, key = event.time_ns, event.key
+            route = routes.get(key) or self._route(key)
+            if when != last:  # many follow each other that are of one time: receptions of a frame
+                if when < now:
+                    raise FederateError(self._federates[index].name, f"gave {key} of {when} ns at {now} ns")
+                last, given = when, self._present if when == now else self._those_of(when, home)
+            if key in given:
+                given[key].append(event)
+            else:
+                given[key] = [event]
+            if route[1] and (when, route[1]) != woken:  # as many who send at once wake the radio
+                woken = when, route[1]
+                for each in route[1]:
+                    self._check(each, key, slot if when == now else home)
+                    self._wake(each, when)
+
+    def publish(self, now: int, slot: Slot) -> None:
+        """Publish all events up to this slot of this instant."""
+        future, here = self._future, (now, slot)
+        due, self._present = self._present, {}
+        while future and future[0] < here:
+            self._tell(self._given.pop(heapq.heappop(future)))
+        if future and future[0] == here:
+            present, due = due, self._given.pop(heapq.heappop(future))
+            for key, events in present.items():  # of one key, what was given earlier comes first
+                due[key] = due[key] + events if key in due else events
+        if due:
+            self._tell(due)
+
+    def _tell(self, given: Given) -> None:
+        observe, inboxes, newest, routes = self.observe, self._inbox, self._newest, self._routes
+        for key in sorted(given):
+            events, (readers, _, keepers) = given[key], routes[key]
+            try:
+                for event in events:
+                    observe(event)
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:  # whatever somebody's own observer raises
+                raise FederateError("recording", words_of(error)) from error
+            for index in readers:
+                inboxes[index] += events
+            for index in keepers:
+                newest[index][key] = events[-1]
+
+    def _those_of(self, when: int, slot: Slot) -> Given:
+        place = when, slot
+        given = self._given.get(place)
+        if given is None:
+            given = self._given[place] = {}
+            heapq.heappush(self._future, place)
+        return given
+
+    def _check(self, index: int, key: str, at: Slot) -> None:
+        """Refuse an event whose slot is not before the one in which it wakes a federate."""
+        federate = self._federates[index]
+        if federate.wake_slot <= at:
+            raise FederateError(federate.name, f"{key}, published in {at.name}, comes too late for {federate.wake_slot.name}")
+
+    def _route(self, key: str) -> Route:
+        route = self._routes.get(key)
+        if route is None:
+            subscriptions = [(each.reads, each.wakes, each.latest) for each in self._federates]
+            reads, wakes, latest = (
+                tuple(i for i, expressions in enumerate(kind) if any(matches(each, key) for each in expressions))
+                for kind in zip(*subscriptions, strict=True)
+            )
+            route = self._routes[key] = reads, wakes, latest
+        return route
 
 
 class Kernel:
     """Runs federates from time 0 to ``run.duration_ns``.
 
     Agents act at 0 <= t < duration; at the duration itself the world publishes once more and the run ends.
-
-    Args:
-        run: what every federate is told.
-        federates: with names that differ.
-        clock: what paces the run; default: as fast as possible.
-        tolerance_ns: an instant that begins later than this on the wall clock is too late; None: none is.
-        strict: what is too late ends the run; else the run slips against the wall clock.
     """
 
     def __init__(
         self,
         run: RunInfo,
-        federates: Sequence[Federate],
+        federates: Sequence[Federate],  # with names that differ
         *,
-        clock: Clock | None = None,
-        tolerance_ns: int | None = None,
-        strict: bool = False,
+        clock: Clock | None = None,  # what paces the run; default: as fast as possible
+        tolerance_ns: int | None = None,  # an instant that begins later than this on the wall clock is too late; None: none is
+        strict: bool = False,  # what is too late ends the run; else the run slips against the wall clock
     ) -> None:
         self.run_info, self.now_ns = run, 0
         self.late_ns: list[int] = []  # how late each tick of agents began, what the run slipped since the tick before included
@@ -83,7 +194,6 @@ class Kernel:
 
         Args:
             observe: called with every event, in the order of publication (the recording).
-            on_instant: called with the time before each instant (progress).
         """
         self._events.observe = observe
         with threadpool_limits(1), _seldom_collected():  # of linear algebra: sums are the same on any number of cores
@@ -240,7 +350,6 @@ class Kernel:
         self._schedule(index, when)
 
     def _collect(self, now: int, slot: Slot) -> None:
-        """Await all answers that fall due in this slot."""
         for index in sorted(self._open.pop((now, slot), ())) if self._open else ():
             with self._blames[index]:
                 events = self._await(self._remote[index].answer)
@@ -256,9 +365,6 @@ def _seldom_collected() -> Iterator[None]:
         yield
     finally:
         gc.set_threshold(*before)
-
-
-_COLLECTED = 50_000  # objects made and still there
 
 
 class _blame:  # noqa: N801  reads as a word: with _blame(federate)

@@ -12,9 +12,8 @@ from vcmvsp.cosim.metrics.motion import Motion
 from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of, label_of
 from vcmvsp.cosim.recording.mission_log import FRAMES, MissionLog, surest_map
 from vcmvsp.cosim.types import Array, ProbabilityMap, Sightings
-from vcmvsp.cosim.util.film import write_film
 from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, rgb, rgb_of
-from vcmvsp.cosim.util.pictures import decoded
+from vcmvsp.cosim.util.pictures import decoded, write_film
 
 FPS = 10
 QUICKER = 4  # simulated seconds in one of the film, or more: it has no more than `FRAMES` frames
@@ -29,7 +28,7 @@ Color = tuple[int, ...]  # blue, green, red, as OpenCV has it
 
 
 def write_video(path: Path, log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> None:
-    """Write an MP4 file (`cosim.util.film`)."""
+    """Write an MP4 file (`cosim.util.pictures`)."""
     write_film(path, frames(log, moved, targets, outlines), FPS)
 
 

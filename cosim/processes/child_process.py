@@ -1,17 +1,23 @@
-"""Child processes of a run: started afresh (never forked), ended with it, however it ends."""
+"""Child processes of this machine: started afresh (never forked), ended with this one however it ends, and links to them.
+
+A link carries whole messages, and nobody ever waits for the other side. It is a pair of local sockets that keep messages apart
+(``SOCK_SEQPACKET``): what does not go at once does not go at all, so that half a message is never on its way, and a side that
+hangs cannot hold the other. When a process ends, however, the other side reads the end of the link.
+"""
 
 import contextlib
+import errno
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Sequence
 
-from vcmvsp.cosim.processes.local_link import LocalLink, pair
+from vcmvsp.cosim.util.polling import readable
 
-LEAVE_S = 0.3  # for a host to leave by itself, before it is made to; its agents are closed by then
-
+LONGEST = 1 << 18  # bytes of a message; the operating system takes some 200 kB
 
 BOOT = """
 import json, os, sys
@@ -24,68 +30,149 @@ sys.exit(main())
 """
 
 
-class HostProcess:
-    """One child; it ends by itself when this process does, because its standard input then closes.
+class ChildProcess:
+    """One child. It looks for modules where this process does, and nowhere else: not in the current folder.
+
+    Its standard input closes when this process ends, upon which it leaves. A group of its own keeps Ctrl-C away from it.
 
     Args:
-        module: Python module to run, with ``--connect`` and ``--vehicle`` options.
-        endpoint: where it is to dial in.
-        vehicles: whose agents it hosts.
-        token: a secret that it repeats in its greeting.
-        files: file descriptors that it inherits.
+        stdout: descriptor of its standard output; default: standard error, for it must not mix with the run's own output.
+
+    Raises:
+        OSError: it cannot be started.
     """
 
-    def __init__(self, module: str, endpoint: str, vehicles: Sequence[str], token: str, files: Sequence[int]) -> None:
-        # The child looks for modules where this process does, and nowhere else: not in the current folder.
-        command = [sys.executable, "-P", "-c", BOOT.format(module=module), "--connect", endpoint]
-        for vehicle in vehicles:
-            command += ["--vehicle", vehicle]
-        # A group of its own keeps Ctrl-C away from it; what agents print must not mix with the run's own output.
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.__stderr__, pass_fds=files, process_group=0)
+    def __init__(
+        self,
+        module: str,  # whose ``main`` it calls
+        *arguments: str,
+        first: str = "",  # what it reads first of its standard input
+        files: Sequence[int] = (),
+        stdin: int = subprocess.PIPE,  # descriptor of its standard input; default: a pipe
+        stdout: int | None = None,
+        boot: str = BOOT,  # the program that calls ``main``, once it has read the paths of modules
+    ) -> None:
+        output = sys.__stderr__ if stdout is None else stdout
+        command = [sys.executable, "-P", "-c", boot.format(module=module), *arguments]
+        self._process = subprocess.Popen(command, stdin=stdin, stdout=output, pass_fds=files, process_group=0)
         if self._process.stdin:
-            self._process.stdin.write(f"{json.dumps(sys.path)}\n{token}\n".encode())
-            self._process.stdin.flush()
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.write(f"{json.dumps(sys.path)}\n{first}".encode())
+                self._process.stdin.flush()
 
     @property
-    def running(self) -> bool:
-        """Whether it is still there."""
-        return self._process.poll() is None
+    def pid(self) -> int:
+        """Its number."""
+        return self._process.pid
 
-    def why_ended(self) -> str:
-        """How it ended, in words; empty: it has not."""
-        code = self._process.poll()
-        return "" if code is None else ending(code)
+    @property
+    def returncode(self) -> int | None:
+        """How it ended; None: it has not, or nobody has looked."""
+        return self._process.poll()
 
-    def close(self, patient: bool = True) -> None:
-        """Let it leave, or make it; at once if it has been waited for already."""
-        if not patient:
-            self._process.kill()
+    def why_ended(self, seconds: float = 0.0) -> str:
+        """How it ended, in words; empty: it has not, within so long."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return ending(self._process.wait(seconds))
+        return ""
+
+    def wait(self) -> None:
+        """Until it ends."""
+        self._process.wait()
+
+    def kill(self) -> None:
+        """End it, without waiting for that."""
+        self._process.kill()
+
+    def close(self, seconds: float) -> bool:
+        """Let it leave within so long, or make it; whether it left by itself."""
         if self._process.stdin:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()
-        try:
-            self._process.wait(LEAVE_S)
-        except subprocess.TimeoutExpired:
+        if self.why_ended(seconds):
+            return True
+        with contextlib.suppress(PermissionError):  # what has more rights than this process ends by itself, with its pipe
             self._process.kill()
             self._process.wait()
+        return False
 
 
-def linked(module: str, *arguments: str) -> tuple[subprocess.Popen[bytes], LocalLink]:
-    """A process beside the run, ``python -m MODULE FD ARGUMENTS``, and the link to it, whose other end it inherits as FD."""
-    here, there = pair()
-    # The child looks for modules where this process does, and nowhere else: not in the current folder.
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    with there:
-        # A session of its own keeps away Ctrl-C, and the end of the terminal: what it holds is let go of in order first.
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", module, str(there.fileno()), *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=sys.__stderr__,
-            env=environment,
-            pass_fds=(there.fileno(),),
-            start_new_session=True,
-        )
-    return process, here
+class LinkedProcess(ChildProcess):
+    """``python -m MODULE FD ARGUMENTS``: a process beside the run; FD is the other end of its `link`, which it inherits."""
+
+    def __init__(self, module: str, *arguments: str) -> None:
+        self.link, there = pair()
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+        with there:
+            # A session of its own keeps away Ctrl-C, and the end of the terminal: what it holds is let go of in order first.
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", module, str(there.fileno()), *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=sys.__stderr__,
+                env=environment,
+                pass_fds=(there.fileno(),),
+                start_new_session=True,
+            )
+
+
+class LocalLink:
+    """One end of a link."""
+
+    def __init__(self, end: socket.socket) -> None:
+        self._socket, self.ended = end, False
+        end.setblocking(False)
+
+    def fileno(self) -> int:
+        """For select."""
+        return self._socket.fileno()
+
+    def send(self, message: bytes) -> bool:
+        """Whether it went: not if the other side has stopped reading, or has gone.
+
+        Raises:
+            ValueError: it is longer than any message can be, and will never go.
+        """
+        try:
+            self._socket.send(message)
+        except (BlockingIOError, BrokenPipeError, ConnectionResetError):
+            return False
+        except OSError as error:
+            if error.errno != errno.EMSGSIZE:
+                raise
+            raise ValueError(f"a message of {len(message)} bytes is longer than the link takes") from None
+        return True
+
+    def receive(self) -> list[bytes]:
+        """All that has come. Raises `ValueError` (a message was longer than `LONGEST`, and the end of it is missing)."""
+        messages = []
+        while not self.ended:
+            try:
+                message, _, flags, _ = self._socket.recvmsg(LONGEST)
+            except BlockingIOError:
+                break
+            except ConnectionResetError:  # it went without reading everything; it is said once, before its last words
+                continue
+            if flags & socket.MSG_TRUNC:
+                raise ValueError(f"a message was longer than {LONGEST} bytes")
+            if message:
+                messages.append(message)
+            else:
+                self.ended = True  # the other side has gone; what it had said before was received
+        return messages
+
+    def wait(self, seconds: float) -> None:
+        """Until something has come, at most so long."""
+        readable([self._socket.fileno()], max(seconds, 0.0))
+
+    def close(self) -> None:
+        """Let the other side read the end of the link."""
+        self._socket.close()
+
+
+def pair() -> tuple[LocalLink, socket.socket]:
+    """A link, and the end of it that a child process is to inherit."""
+    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    return LocalLink(here), there
 
 
 def ending(code: int) -> str:

@@ -21,11 +21,12 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from vcmvsp.cosim.errors import VcmvspError, words_of
-from vcmvsp.cosim.processes.child_process import BOOT
+from vcmvsp.cosim.processes.child_process import BOOT, ChildProcess
 
 ATTEMPTS = 2  # of a call
 STARTS = 10  # of a worker, before somebody must mean it
 READY = "ready"
+MODULE = "vcmvsp.cosim.processes.worker_pool"
 Asked = tuple[Any, Any]  # the caller's name for a call, and what the function is given
 Answered = tuple[Any, Any]  # the same name, and what the function gave
 
@@ -35,20 +36,14 @@ class WorkerDiedError(Exception):
 
 
 class Worker:
-    """A process that makes one call after the other.
-
-    Args:
-        call: a function of a module, or a `functools.partial` of one.
-    """
+    """A process that makes one call after the other."""
 
     def __init__(self, call: Callable[[Any], Any]) -> None:
-        # The worker looks for modules where this process does. A group of its own keeps Ctrl-C away from it.
-        command = [sys.executable, "-P", "-c", BOOT.format(module="vcmvsp.cosim.processes.worker_pool")]
         try:
             ours, theirs = socket.socketpair()
             self._pipe: Connection[Any, Any] = Connection(ours.detach())
             with theirs:
-                self._process = subprocess.Popen(command, stdin=theirs.fileno(), stdout=subprocess.DEVNULL, process_group=0)
+                self._process = ChildProcess(MODULE, stdin=theirs.fileno(), stdout=subprocess.DEVNULL, boot=BOOT)
         except OSError as error:
             raise VcmvspError(f"cannot start a worker: {error.strerror or error}") from error
         try:
@@ -63,11 +58,7 @@ class Worker:
             raise VcmvspError(f"a worker ended while it started (exit code {self._process.returncode})")
 
     def run(self, given: object) -> Any:
-        """What the function gives, or raises.
-
-        Raises:
-            WorkerDiedError: the process was killed, or crashed.
-        """
+        """What the function gives, or raises. Raises `WorkerDiedError` (the process was killed, or crashed)."""
         asked = pickle.dumps(given)
         try:
             self._pipe.send_bytes(asked)
@@ -130,7 +121,6 @@ class Pool:
             yield answer
 
     def _serve(self, source: Iterator[Asked]) -> None:
-        """Keep one worker busy until nothing is left."""
         worker: Worker | None = None
         try:
             while (each := self._next(source)) is not None:

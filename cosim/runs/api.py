@@ -11,8 +11,7 @@ from vcmvsp.cosim.assembly import real_vehicles
 from vcmvsp.cosim.assembly.run import assemble, clock_of
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import Interrupted, UsageError
-from vcmvsp.cosim.kernel.event_bus import Observer
-from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.kernel.kernel import Kernel, Observer
 from vcmvsp.cosim.recording import external_inputs
 from vcmvsp.cosim.runs.result import Result, figures_again
 from vcmvsp.cosim.runs.simulation import Progress, Simulation

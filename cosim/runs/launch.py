@@ -15,13 +15,13 @@ import msgspec
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.endpoints import with_slash
 from vcmvsp.cosim.errors import UsageError, VcmvspError
-from vcmvsp.cosim.hosts import hosts_file, ssh
-from vcmvsp.cosim.hosts.hosts_file import HostsTable, HostTable
+from vcmvsp.cosim.hosts import ssh_hosts
+from vcmvsp.cosim.hosts.ssh_hosts import HostsTable, HostTable
 from vcmvsp.cosim.processes.child_process import ending
 from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import AgentsTable, Scenario
-from vcmvsp.cosim.transport import local_secret
+from vcmvsp.cosim.transport import endpoints
 from vcmvsp.cosim.transport.endpoints import endpoint_rules, is_loopback
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.files import write_whole, writing
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
 
 LEAVE_S, ABORT_S = 3.0, 0.5  # for hosts to leave by themselves after a run that went well, and after another
-END_S = ssh.KILL_S + 3.0  # for hosts to be ended
+END_S = ssh_hosts.KILL_S + 3.0  # for hosts to be ended
 
 
 def launch(
@@ -53,7 +53,7 @@ def launch(
 
     Args:
         scenario: as of `vcmvsp.run`.
-        hosts: file that says which hosts there are (`cosim.hosts.hosts_file`).
+        hosts: file that says which hosts there are (`cosim.hosts.ssh_hosts`).
         seed, set, keys, insecure: as of `vcmvsp.run`.
         listen: where the run listens; default: the scenario's ``agents.listen`` or, without one, where the hosts dial.
         tell: takes lines for the user, also what hosts say.
@@ -65,7 +65,7 @@ def launch(
         FederateError: a host ended too early, or whatever else `vcmvsp.run` raises.
     """
     path, folder = Path(hosts), None if keys is None else Path(keys)
-    listed = hosts_file.read(path)
+    listed = ssh_hosts.read(path)
     settings = {"agents.runs": "zenoh", **(set or {})}
     parsed, source = scenarios.load(scenario, settings=settings, seed=seed)
     settings |= _placing(path, listed, parsed)
@@ -105,12 +105,12 @@ class Plan(msgspec.Struct, frozen=True):
 
     table: HostTable
     command: list[str]
-    makes_script: Callable[..., str]  # `cosim.hosts.ssh.script`, but for the secret
+    makes_script: Callable[..., str]  # `cosim.hosts.ssh_hosts.script`, but for the secret
     shares: str = ""  # endpoint of a run without certificates, whose secret the host is sent
 
     def script(self) -> str:
         """What the host's machine is to do; asked for when the run listens."""
-        secret = local_secret.found(self.shares) if self.shares else None
+        secret = endpoints.found(self.shares) if self.shares else None
         return self.makes_script(secret=secret or "")
 
 
@@ -129,7 +129,7 @@ class Fleet:
         self._logs = {plan.table.called: tempfile.TemporaryFile() for plan in plans}  # noqa: SIM115  the stack closes them
         for log in self._logs.values():
             self._stack.enter_context(log)
-        self._started: list[ssh.Far] = []
+        self._started: list[ssh_hosts.Far] = []
 
     def __enter__(self) -> Self:
         return self
@@ -142,7 +142,7 @@ class Fleet:
         for plan in self._plans[len(self._started) :]:
             name = plan.table.called
             hear = functools.partial(self._hear, name)
-            self._started.append(ssh.Far(plan.command, plan.script(), self._logs[name], hear, self._folder))
+            self._started.append(ssh_hosts.Far(plan.command, plan.script(), self._logs[name], hear, self._folder))
         for plan, far in zip(self._plans, self._started, strict=True):
             if (code := far.code) is not None:
                 return _why(plan.table, code, far.last)
@@ -164,7 +164,7 @@ class Fleet:
                 log.seek(0)
                 write_whole(folder / f"{name}.log", log.read())
 
-    def _remaining(self, seconds: float) -> list[ssh.Far]:
+    def _remaining(self, seconds: float) -> list[ssh_hosts.Far]:
         last = time.monotonic() + seconds
         return [far for far in self._started if not far.wait(max(0.0, last - time.monotonic()))]
 
@@ -175,9 +175,9 @@ class Fleet:
 def _why(host: HostTable, code: int, last: Sequence[str]) -> str:
     """How a host ended too early, in a line."""
     how = f"{ending(code)} before the run began"
-    if host.ssh and code == ssh.SSH_FAILED:
+    if host.ssh and code == ssh_hosts.SSH_FAILED:
         how = f"ssh cannot reach it, or has lost it (exit code {code})"
-    elif code == ssh.NOT_FOUND:
+    elif code == ssh_hosts.NOT_FOUND:
         how = f"has no '{host.words[0]}' (exit code {code}; command = in its [[host]] says where it is)"
     return f"{host.where}: {how}: {' | '.join(last) or 'it said nothing'}"
 
@@ -230,9 +230,9 @@ def _plan(
     plans = []
     for host, connect in zip(listed.host, dialled, strict=True):
         bundle = _bundle(keys, host, tell) if keys and host.copy else ""
-        command = ssh.ssh(host.ssh, host.ssh_options) if host.ssh else ["sh"]
+        command = ssh_hosts.ssh(host.ssh, host.ssh_options) if host.ssh else ["sh"]
         script = functools.partial(
-            ssh.script,
+            ssh_hosts.script,
             host.words,
             host.arguments(connect, code[host.called], insecure=insecure),
             last=[] if host.agent is None else [host.agent],

@@ -24,8 +24,7 @@ from vcmvsp.cosim.assembly.run import AssembledRun
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import AgentError, FederateError, Interrupted, VcmvspError
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.kernel.event_bus import Observer
-from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.kernel.kernel import Kernel, Observer
 from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.runs.result import Result

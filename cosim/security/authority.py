@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.security import x509
+from vcmvsp.cosim.security import certificates
 from vcmvsp.cosim.security.certificates import HUB, INDEX, ROLE, SUFFIX, VEHICLE, Bundle, Entry, Index, Keys, load, load_bundle
 from vcmvsp.cosim.util import limits
 
@@ -28,7 +28,6 @@ def init(folder: Path, names: Sequence[str] = (), *, days: int = HUB_DAYS, force
         folder: a new or empty one; nobody else will be able to read it.
         names: more host names and addresses under which the hub may be dialled; those that this machine knows of itself come on
             their own.
-        days: how long the hub's certificate is valid.
         force: make a new authority although there is one, and so all certificates of the old one void.
 
     Raises:
@@ -41,12 +40,12 @@ def init(folder: Path, names: Sequence[str] = (), *, days: int = HUB_DAYS, force
         raise UsageError(f"{folder}: is not empty; name a new folder")
     _check_days(days)
     _check_host_names(names)
-    authority = x509.new_authority(CA_DAYS)
+    authority = certificates.new_authority(CA_DAYS)
     with _writing(folder):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         folder.chmod(0o700)
-        x509.write(folder / "ca.key", authority.key_pem)
-        x509.write(folder / "ca.pem", authority.certificate_pem)
+        certificates.write(folder / "ca.key", authority.key_pem)
+        certificates.write(folder / "ca.pem", authority.certificate_pem)
         _renew_hub(folder, dict.fromkeys(["localhost", "127.0.0.1", "::1", *_own_names(), *names]), days)
         _write_index(folder, Index())
     return load(folder)
@@ -68,22 +67,14 @@ def renew_hub(folder: Path, names: Sequence[str] = (), *, days: int = HUB_DAYS) 
 
 def issue(
     folder: Path,
-    name: str,
-    vehicles: Sequence[str] = (),
+    name: str,  # what runs call the machine
+    vehicles: Sequence[str] = (),  # for which it may speak
     *,
     days: int = HOST_DAYS,
-    out: Path | None = None,
-    force: bool = False,
+    out: Path | None = None,  # file, or existing folder, to write to; None: ``<name>.keys`` in ``folder``
+    force: bool = False,  # make it again
 ) -> Bundle:
     """Make the file of a machine: of a host of these vehicles' agents or, without vehicles, of an observer.
-
-    Args:
-        folder: of the authority.
-        name: what runs call the machine.
-        vehicles: for which it may speak.
-        days: how long the certificate is valid.
-        out: file, or existing folder, to write to; None: ``<name>.keys`` in ``folder``.
-        force: make it again.
 
     Raises:
         UsageError: the name is taken, reserved or revoked, something is no name, or it cannot be written.
@@ -95,26 +86,22 @@ def issue(
     if name == HUB:
         raise UsageError(f"'{HUB}' is the name of the run itself: choose another")
     _check_days(days)
-    entry = Entry(name, "host" if vehicles else "observer", tuple(dict.fromkeys(vehicles)), x509.now())
+    entry = Entry(name, "host" if vehicles else "observer", tuple(dict.fromkeys(vehicles)), certificates.now())
     _check_free(keys.index.find(name), entry, force)
     target = folder / f"{name}{SUFFIX}" if out is None else out / f"{name}{SUFFIX}" if out.is_dir() else out
     if target.exists() and not force:
         raise UsageError(f"{target}: exists; --force writes over it")
     says = [f"{ROLE}{entry.role}", *(f"{VEHICLE}{vehicle}" for vehicle in entry.vehicles)]
     with _writing(target):
-        signed = x509.sign(_authority(folder), name, says, server=False, days=days)
-        x509.write(target, signed.key_pem + signed.certificate_pem + keys.ca_pem)
+        signed = certificates.sign(_authority(folder), name, says, server=False, days=days)
+        certificates.write(target, signed.key_pem + signed.certificate_pem + keys.ca_pem)
         made = load_bundle(target)
         _write_index(folder, keys.index.put(msgspec.structs.replace(entry, until=made.until)))
     return made
 
 
 def revoke(folder: Path, name: str) -> Entry:
-    """Let this name in no more.
-
-    Raises:
-        UsageError: no certificate was given to that name.
-    """
+    """Let this name in no more. Raises `UsageError` (no certificate was given to that name)."""
     keys = load(folder)
     if (entry := keys.index.find(name)) is None:
         known = ", ".join(each.name for each in keys.index.issued) or "nobody"
@@ -132,7 +119,7 @@ def _check_days(days: int) -> None:
 
 def _check_host_names(names: Iterable[str]) -> None:
     for name in names:
-        if not x509.is_address(name) and not _HOST_NAME.fullmatch(name):
+        if not certificates.is_address(name) and not _HOST_NAME.fullmatch(name):
             raise UsageError(f"--name {name}: must be a host name or an IP address, without protocol and port")
 
 
@@ -150,14 +137,14 @@ def _check_free(had: Entry | None, new: Entry, force: bool) -> None:
         raise UsageError(f"'{new.name}' has a certificate until {had.until:%Y-%m-%d}; --force makes another")
 
 
-def _authority(folder: Path) -> x509.Signed:
-    return x509.Signed(limits.read_text(folder / "ca.key"), limits.read_text(folder / "ca.pem"))
+def _authority(folder: Path) -> certificates.Signed:
+    return certificates.Signed(limits.read_text(folder / "ca.key"), limits.read_text(folder / "ca.pem"))
 
 
 def _renew_hub(folder: Path, names: Iterable[str], days: int) -> None:
-    signed = x509.sign(_authority(folder), HUB, names, server=True, days=days)
-    x509.write(folder / "hub.key", signed.key_pem)
-    x509.write(folder / "hub.pem", signed.certificate_pem)
+    signed = certificates.sign(_authority(folder), HUB, names, server=True, days=days)
+    certificates.write(folder / "hub.key", signed.key_pem)
+    certificates.write(folder / "hub.pem", signed.certificate_pem)
 
 
 def _own_names() -> list[str]:
@@ -174,7 +161,7 @@ def _own_names() -> list[str]:
 
 
 def _write_index(folder: Path, index: Index) -> None:
-    x509.write(folder / INDEX, msgspec.json.format(msgspec.json.encode(index)).decode() + "\n")
+    certificates.write(folder / INDEX, msgspec.json.format(msgspec.json.encode(index)).decode() + "\n")
 
 
 @contextlib.contextmanager

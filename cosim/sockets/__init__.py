@@ -261,7 +261,6 @@ def _greeted(stream: Stream, vehicle: str) -> Welcome | None:
 
 
 def _dialled(endpoint: str, until: float) -> sockets.socket:
-    """A connection to whoever listens there."""
     where = parsed(endpoint)
     while True:
         try:

@@ -83,11 +83,7 @@ class WireError(ValueError):
 
 
 class Frames:
-    """Takes bytes as they come, and gives whole messages.
-
-    Args:
-        longest: bytes of a message.
-    """
+    """Takes bytes as they come, and gives whole messages."""
 
     def __init__(self, longest: int) -> None:
         self._longest, self._bytes = longest, bytearray()
@@ -101,11 +97,7 @@ class Frames:
         self._bytes += piece
 
     def next(self) -> bytes | None:
-        """The next message; None: it is not there yet.
-
-        Raises:
-            WireError: it says that it is longer than any may be.
-        """
+        """The next message; None: it is not there yet. Raises `WireError` (it says that it is longer than any may be)."""
         if len(self._bytes) < 4:
             return None
         end = 4 + int.from_bytes(self._bytes[:4], "big")
@@ -131,11 +123,7 @@ class Stream:
         self.socket.sendall(framed(message))
 
     def receive(self) -> bytes | None:
-        """The next message; None: the other side has ended the connection.
-
-        Raises:
-            WireError: as `Frames.next`.
-        """
+        """The next message; None: the other side has ended the connection. Raises `WireError` (as `Frames.next`)."""
         while (message := self.frames.next()) is None:
             piece = self.socket.recv(PIECE)
             if not piece:

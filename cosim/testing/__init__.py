@@ -19,10 +19,9 @@ import numpy as np
 
 from vcmvsp.cosim.agent import Agent, AgentSpec, Observation
 from vcmvsp.cosim.errors import AgentError
-from vcmvsp.cosim.federate import Event, Federate, RunInfo, Step
+from vcmvsp.cosim.federate import Event, Federate, RunInfo, Step, matches
 from vcmvsp.cosim.types import Array, Message, Reception, VehicleState
 from vcmvsp.cosim.util.codec import Decoder, encode
-from vcmvsp.cosim.util.key_expressions import matches
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.assembly.parts.radio import Frame, PathLoss, Phy

@@ -60,19 +60,26 @@ def hub_security(keys: "Keys") -> Config:
     config = merge(_listening(keys), LIMITS)
     asked = {"id": "asked", "flows": ["ingress"], "messages": ["query"], "key_exprs": [JOIN, ABOUT], "size_limit": MAX_JOIN}
     config["low_pass_filter"] = [asked]
-    hosts = [entry.name for entry in keys.members if entry.role == "host"]
-    observers = [entry.name for entry in keys.members if entry.role == "observer"]
-    config["access_control"] = _access(hosts, observers)
-    return config
+    by_role = {role: [entry.name for entry in keys.members if entry.role == role] for role in ("host", "observer")}
+    return config | {"access_control": _access(by_role["host"], by_role["observer"])}
 
 
 def driver_security(keys: "Keys", vehicle: str) -> Config:
     """The same where a driver waits for the robot of this vehicle: who has no certificate for it may greet, and no more."""
     config = merge(_listening(keys), ROBOT_LIMITS)
     rules = _Rules()
-    for entry in keys.members:
-        if entry.role == "host":
-            _robot_policy(rules.of(entry.name), entry.name, vehicle if vehicle in entry.vehicles else None)
+    for name, vehicles in [(entry.name, entry.vehicles) for entry in keys.members if entry.role == "host"]:
+        allow = rules.of(name)
+        _sees_hub(allow)
+        allow("greets", "ingress", ["query"], greet_key(name))
+        allow("is answered", "egress", ["reply"], greet_key(name))
+        if vehicle in vehicles:
+            own = f"vcmvsp/robot/{name}/{vehicle}/*"
+            allow("listens", "ingress", ["declare_subscriber"], f"{own}/down")
+            allow("is driven", "egress", ["put"], f"{own}/down")
+            allow("is heard", "egress", ["declare_subscriber"], f"{own}/up")
+            allow("tells", "ingress", ["put"], f"{own}/up")
+            allow("is alive", "ingress", ["liveliness_token"], f"{own}/alive")
     return config | {"access_control": rules.config()}
 
 
@@ -80,7 +87,6 @@ def hub_secret(secret: str, known: IO[bytes]) -> Config:
     """Configuration of a hub that lets in those who have its secret, which does not pass over the link.
 
     Args:
-        secret: of the run.
         known: a file of this process alone, until the session is open.
     """
     known.write(f"{OPEN}:{secret}\n".encode())
@@ -97,10 +103,7 @@ def client_secret(secret: str) -> Config:
 
 def machine_security(bundle: "Bundle") -> Config:
     """What the configuration of a host, an observer or a robot needs."""
-    tls = {
-        "connect_private_key_base64": _base64(bundle.key_pem),
-        "connect_certificate_base64": _base64(bundle.certificate_pem),
-    }
+    tls = {"connect_private_key_base64": _base64(bundle.key_pem), "connect_certificate_base64": _base64(bundle.certificate_pem)}
     config = _transport(bundle.ca_pem, tls)
     config["transport"]["unicast"] = {"open_timeout": OPEN_MS}
     return config
@@ -139,7 +142,6 @@ def _transport(ca_pem: str, own: Mapping[str, str]) -> Config:
 
 
 def _listening(keys: "Keys") -> Config:
-    """TLS for those who dial in."""
     tls = {"listen_private_key_base64": _base64(keys.key_pem), "listen_certificate_base64": _base64(keys.certificate_pem)}
     config = _transport(keys.ca_pem, tls)
     config["transport"]["unicast"] = {"accept_timeout": ACCEPT_MS}
@@ -196,20 +198,6 @@ def _access(hosts: Iterable[str], observers: Iterable[str]) -> Config:
         allow("listens", "ingress", ["declare_subscriber"], TOPICS)
         allow("hears", "egress", ["put"], TOPICS)
     return rules.config()
-
-
-def _robot_policy(allow: Allow, name: str, vehicle: str | None) -> None:
-    """Of a machine that may be a robot, if it is for the vehicle that is waited for."""
-    _sees_hub(allow)
-    allow("greets", "ingress", ["query"], greet_key(name))
-    allow("is answered", "egress", ["reply"], greet_key(name))
-    if vehicle is not None:
-        own = f"vcmvsp/robot/{name}/{vehicle}/*"
-        allow("listens", "ingress", ["declare_subscriber"], f"{own}/down")
-        allow("is driven", "egress", ["put"], f"{own}/down")
-        allow("is heard", "egress", ["declare_subscriber"], f"{own}/up")
-        allow("tells", "ingress", ["put"], f"{own}/up")
-        allow("is alive", "ingress", ["liveliness_token"], f"{own}/alive")
 
 
 def _sees_hub(allow: Allow) -> None:

@@ -1,16 +1,31 @@
-"""Where a run may listen and machines may dial: beyond this machine not without certificates, unless the user wants it so."""
+"""Where a run may listen and machines may dial: beyond this machine not without certificates, unless the user wants it so.
 
+The secret of a run that listens without certificates lies in a file, which programs of its user find and others do not:
+``PORT.secret`` in ``$XDG_RUNTIME_DIR/vcmvsp``, or in ``vcmvsp-UID`` of the folder for temporary files; others cannot look into
+it. Zenoh compares secrets by a challenge: none passes over the link.
+"""
+
+import contextlib
 import ipaddress
+import os
+import secrets
 import socket
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from vcmvsp.cosim.endpoints import Endpoint, endpoint_of
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.util.files import write_whole
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle, Keys
 
 Side = Literal["run", "host", "observer", "driver", "robot"]
+
+LONGEST = 200  # characters of a secret
 
 
 def endpoint_rules(
@@ -20,9 +35,7 @@ def endpoint_rules(
 
     Args:
         endpoint: ``tcp/HOST:PORT`` or ``tls/HOST:PORT``, or the same with ``://``.
-        keys: certificates that the user has named, or where they are.
         insecure: the user wants to do without them.
-        side: who asks, for the message.
 
     Raises:
         UsageError: it may not, or is no endpoint.
@@ -71,12 +84,70 @@ def check_interfaces(host: str, *, insecure: bool) -> None:
 
 
 def parts(endpoint: str) -> tuple[str, str, int]:
-    """Protocol, host (an IPv6 address without its brackets) and port.
-
-    Raises:
-        UsageError: it is no endpoint.
-    """
+    """Protocol, host (an IPv6 address without its brackets) and port. Raises `UsageError` (it is no endpoint)."""
     found = endpoint_of(endpoint)
     if not found or found.protocol not in ("tcp", "tls") or not found.host or found.port is None:
         raise UsageError(f"'{endpoint}': must be tcp/HOST:PORT or tls/HOST:PORT, e.g. tls/192.168.1.10:7447")
     return found.protocol, found.host, found.port
+
+
+@contextlib.contextmanager
+def published(endpoint: str, secret: str) -> Iterator[None]:
+    """While a run listens at an endpoint: let its user's programs find the secret.
+
+    Raises:
+        UsageError: the folder is somebody else's, or cannot be written to.
+    """
+    path = _path(endpoint)
+    try:
+        write_whole(path, secret, 0o600)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror}; set XDG_RUNTIME_DIR to a folder of yours") from error
+    try:
+        yield
+    finally:
+        if found(endpoint) == secret:  # else another run listens there by now
+            path.unlink(missing_ok=True)
+
+
+def found(endpoint: str) -> str | None:
+    """The secret of this user's run at an endpoint; None: there is none."""
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        return read(_path(endpoint))
+    return None
+
+
+def given(path: Path | None, *, insecure: bool) -> str | None:
+    """What a program dials with: the secret in a file that its user names, none (empty), or what `found` finds (None).
+
+    Raises:
+        UsageError: the file cannot be read.
+    """
+    if path is None:
+        return "" if insecure else None
+    try:
+        return read(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"--secret {path}: cannot be read ({error})") from error
+
+
+def read(path: Path) -> str:
+    """The secret in a file."""
+    with path.open("r") as file:
+        return file.read(LONGEST).strip()
+
+
+def made() -> str:
+    """A new secret."""
+    return secrets.token_hex(16)
+
+
+def _path(endpoint: str) -> Path:
+    own = os.environ.get("XDG_RUNTIME_DIR")
+    folder = Path(own) / "vcmvsp" if own else Path(tempfile.gettempdir()) / f"vcmvsp-{os.getuid()}"
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir(0o700)
+    about = folder.lstat()
+    if about.st_uid != os.getuid() or not stat.S_ISDIR(about.st_mode) or about.st_mode & 0o077:
+        raise UsageError(f"{folder}: must be a folder that you alone can use (chmod 700); set XDG_RUNTIME_DIR to another")
+    return folder / f"{parts(endpoint)[2]}.secret"

@@ -52,11 +52,7 @@ def answer_key(ask: str) -> str:
 
 
 def host_key(name: str, zid: str, what: Literal["ask", "alive"]) -> str:
-    """A key of a host.
-
-    Raises:
-        ValueError: the name or the id has characters that could make it another host's key.
-    """
+    """A key of a host. Raises `ValueError` (the name or the id has characters that could make it another host's key)."""
     key = f"vcmvsp/host/{name}/{zid}/{what}"
     if speaker(key) is None:
         raise ValueError(f"no key of a host: {key!r}")
@@ -78,11 +74,7 @@ def greet_key(name: str) -> str:
 
 
 def robot_key(name: str, vehicle: str, zid: str, what: Literal["up", "down", "alive"]) -> str:
-    """A key of a robot.
-
-    Raises:
-        ValueError: one of these has characters that could make it another robot's key.
-    """
+    """A key of a robot. Raises `ValueError` (one of these has characters that could make it another robot's key)."""
     key = f"vcmvsp/robot/{name}/{vehicle}/{zid}/{what}"
     if robot_speaker(key) is None:
         raise ValueError(f"no key of a robot: {key!r}")

@@ -31,7 +31,6 @@ def diagnose(endpoint: str, bundle: "Bundle | None") -> Refusal | None:
     """Find out, by a handshake of our own, why Zenoh could not connect, which it does not say.
 
     Args:
-        endpoint: where it could not.
         bundle: the certificate it tried with; None: plain TCP.
 
     Returns:

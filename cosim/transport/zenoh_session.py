@@ -39,26 +39,18 @@ def threads(shared: str) -> Iterator[None]:
 
 
 def opened(own: dict[str, Any], secure: dict[str, Any], failure: str) -> zenoh.Session:
-    """A session of this configuration.
-
-    Raises:
-        UsageError: there can be none; the message begins with ``failure``.
-    """
+    """A session of this configuration. Raises `UsageError` (there can be none; the message begins with ``failure``)."""
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(access_control.merge(COMMON, own, secure))))
     except zenoh.ZError as error:
-        raise UsageError(f"{failure}: {first_line(error)}") from error
+        where_in_its_sources = " at /"
+        raise UsageError(f"{failure}: {str(error).splitlines()[0].partition(where_in_its_sources)[0]}") from error
 
 
 def closed(session: zenoh.Session) -> None:
     """Close a session; connections that never finish their handshake may hold this up for seconds, and do not make it fail."""
     with contextlib.suppress(zenoh.ZError):
         session.close()  # type: ignore[no-untyped-call]
-
-
-def first_line(error: Exception) -> str:
-    """What Zenoh says, without where in its sources."""
-    return str(error).splitlines()[0].partition(" at /")[0]
 
 
 def common_names(session: zenoh.Session) -> Iterable[str | None]:

@@ -1,4 +1,4 @@
-"""Helpers without knowledge of simulation: text, files, MessagePack, key expressions, polling, colours.
+"""Helpers without knowledge of simulation: text, files, MessagePack, polling, colours.
 
 Of the platform they import `cosim.errors` and `cosim.types` at most.
 """

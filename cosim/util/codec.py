@@ -1,7 +1,17 @@
-"""Values as MessagePack bytes, exactly: floats keep every bit, arrays travel as (dtype, shape, raw bytes)."""
+"""Values as MessagePack bytes, exactly: floats keep every bit, arrays travel as (dtype, shape, raw bytes).
 
-from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+In a message of many arrays (`pack`) these lie behind the MessagePack, those of one type and shape together. It begins with the
+byte 0xC1, which no MessagePack does, and the sizes of two pieces of MessagePack (bytes, unsigned 64-bit, little-endian). The
+first is the value, with a number in place of each array, from 0 on. The second says what follows: dtype, shape, and how many
+arrays there are of that kind, in the order of their numbers.
+"""
+
+import math
+import struct
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain, groupby
+from typing import Annotated, Any, Generic, TypeVar
 
 import msgspec
 import numpy as np
@@ -18,6 +28,11 @@ _TYPES = {
 }
 """Of arrays that travel: numbers and booleans in either byte order, by what they say of themselves."""
 _NAMES = {dtype: name for name, dtype in _TYPES.items()}
+
+_MARK = b"\xc1"
+_head = struct.Struct("<cQQ")
+
+_Size = Annotated[int, msgspec.Meta(ge=0, le=2**48)]
 
 
 def type_of(name: str) -> np.dtype[Any]:
@@ -78,7 +93,6 @@ class Decoder(Generic[T]):
     """Reads bytes of one type; anything else raises a `ValueError` (msgspec's errors are such).
 
     Args:
-        kind: the type.
         array: gives an array for what stands in its place.
     """
 
@@ -93,3 +107,81 @@ class Decoder(Generic[T]):
             raise ValueError("lists and mappings are nested too deeply") from None
         except msgspec.ValidationError as error:  # it repeats what it was given, which may be meant for a terminal
             raise msgspec.ValidationError(repr(str(error))[1:-1][:LONGEST_ERROR]) from None
+
+
+class _Alike(msgspec.Struct, frozen=True, array_like=True):
+    """Arrays of one kind, one behind the other."""
+
+    dtype: str
+    shape: Annotated[list[_Size], msgspec.Meta(max_length=32)]
+    count: Annotated[int, msgspec.Meta(ge=1, le=2**48)]
+
+
+_tables: Decoder[list[_Alike]] = Decoder(list[_Alike])
+
+
+def pack(value: object) -> bytes:
+    """The value as bytes; what cannot be sent raises a `ValueError`."""
+    arrays: list[Array] = []
+
+    def place(value: object) -> object:
+        if isinstance(value, np.ndarray):
+            arrays.append(value)
+            return 0
+        return other(value)
+
+    content = encode(value, place)
+    if not arrays:
+        return content
+    kinds = groupby([(each.dtype, each.shape) for each in arrays])
+    table = encode([(name_of(dtype), shape, len(list(alike))) for (dtype, shape), alike in kinds])
+    raw = [each if each.flags.c_contiguous else each.tobytes() for each in arrays]
+    return b"".join([_head.pack(_MARK, len(content), len(table)), content, table, *raw])  # type: ignore[list-item]
+
+
+class Unpacker(Generic[T]):
+    """Reads what `pack` or `encode` has written, of one type; anything else raises a `ValueError`."""
+
+    def __init__(self, kind: object) -> None:
+        self._plain: Decoder[T] = Decoder(kind)
+        self._decoder: Decoder[T] = Decoder(kind, self._next)
+        self._arrays: Iterator[Array] = iter(())  # of the message that is being read, as many as are left
+        self._lock = threading.Lock()  # there may be runs in other threads
+
+    def decode(self, data: bytes | memoryview) -> T:
+        """The value; each of its arrays is a read-only view of the bytes of its kind."""
+        if data[:1] != _MARK:
+            return self._plain.decode(data)
+        with self._lock:
+            content, self._arrays = _apart(memoryview(data))
+            value = self._decoder.decode(content)
+            if next(self._arrays, None) is not None:
+                raise ValueError("an array that belongs nowhere")
+            return value
+
+    def _next(self, _: type, place: object) -> Array:
+        array = next(self._arrays, None)
+        if place != 0 or array is None:
+            raise ValueError("an array that is not there")
+        return array
+
+
+def _apart(data: memoryview) -> tuple[memoryview, Iterator[Array]]:
+    """The value, and its arrays; what a message says of itself takes no more memory than the message."""
+    if len(data) < _head.size:
+        raise ValueError("it breaks off")
+    _, size, rest = _head.unpack_from(data)
+    content, raw = data[_head.size :][:size], data[_head.size :][size:]
+    table, raw = raw[:rest], raw[rest:]
+    blocks: list[Iterable[Array]] = []
+    for kind in _tables.decode(table):
+        dtype = type_of(kind.dtype)
+        size = kind.count * math.prod(kind.shape) * dtype.itemsize
+        if len(raw) < size:
+            raise ValueError("it breaks off")
+        block = numbers(dtype, bytes(raw[:size])).reshape(kind.count, *kind.shape)
+        blocks.append(block if kind.shape else (each.reshape(()) for each in block.reshape(-1, 1)))
+        raw = raw[size:]
+    if raw:
+        raise ValueError("more arrays than it says")
+    return content, chain.from_iterable(blocks)

@@ -24,11 +24,7 @@ _TOKEN = re.compile(
 
 
 def read_toml(text: str) -> dict[str, Any]:
-    """The content of a TOML document.
-
-    Raises:
-        ValueError: it is none, too long or too deep.
-    """
+    """The content of a TOML document. Raises `ValueError` (it is none, too long or too deep)."""
     limits.within(len(text), limits.TOML_BYTES, "characters of TOML")
     if any(line.count(".") > DEEPEST for line in text.splitlines()):
         _check_keys(text)
@@ -48,9 +44,7 @@ def read_json(data: bytes | str, kind: Any = Any, *, limit: int = limits.JSON_BY
     """The content of a JSON document.
 
     Args:
-        data: the document.
         kind: what it must be.
-        limit: of its length.
 
     Raises:
         ValueError: it is none, no such, too long or too deep.
@@ -101,7 +95,6 @@ _TOO_DEEP = f"more than {DEEPEST} tables and lists are inside one another"
 
 
 def _inside(value: object) -> list[object]:
-    """The tables and lists in a table or a list."""
     inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
     return [each for each in inside if isinstance(each, Mapping | list | tuple)]
 

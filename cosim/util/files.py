@@ -83,7 +83,6 @@ def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
     written as it is.
 
     Args:
-        path: of the file or folder.
         durable: have the disk hold the file before it takes the place of an old one: it outlives a power cut.
     """
     if _is_stream(path):
@@ -122,7 +121,6 @@ def _is_stream(path: Path) -> bool:
 
 
 def _sync(path: Path) -> None:
-    """Have the disk hold a file, or the names in a folder."""
     file = os.open(path, os.O_RDONLY)
     try:
         os.fsync(file)

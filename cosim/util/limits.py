@@ -29,22 +29,13 @@ if not IS_OFF:
 
 
 def within(amount: int, limit: int, what: str) -> None:
-    """Refuse what is beyond a limit.
-
-    Raises:
-        ValueError: it is, and limits are not lifted.
-    """
+    """Refuse what is beyond a limit. Raises `ValueError` (it is, and limits are not lifted)."""
     if amount > limit and not IS_OFF:
         raise ValueError(f"{what}: {amount}, and at most {limit} are read; VCMVSP_LIMITS=off in the environment lifts limits")
 
 
 def read_bytes(path: Path, limit: int = JSON_BYTES) -> bytes:
-    """The content of a file.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: it is larger than the limit.
-    """
+    """The content of a file. Raises `OSError` (it cannot be read), `ValueError` (it is larger than the limit)."""
     check_size(path, limit)  # what has no size, a pipe, is cut
     with path.open("rb") as stream:
         data = stream.read(-1 if IS_OFF else limit + 1)

@@ -10,13 +10,7 @@ TARGET = "#f0e442"  # their yellow, with a dark edge wherever it is drawn
 PROBABILITY = ("#ffffff", "#c9c4d6", "#5e2a84")
 """Of a map from 0 through one half to 1: empty, unknown, target. Lightness alone tells them apart."""
 
-COMMANDERS = {
-    "search": "#56b4e9",
-    "formation": "#0072b2",
-    "track": "#009e73",
-    "avoid1": "#e69f00",
-    "avoid2": "#d55e00",
-}
+COMMANDERS = {"search": "#56b4e9", "formation": "#0072b2", "track": "#009e73", "avoid1": "#e69f00", "avoid2": "#d55e00"}
 """Who commands a vehicle on a mission; others are grey."""
 
 

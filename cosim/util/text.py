@@ -20,7 +20,6 @@ def plain(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> str:
     """A text from elsewhere, fit to be shown: nothing that a terminal obeys, no more than ``limit`` characters.
 
     Args:
-        text: the text.
         limit: the most characters; longer ones end in dots.
         lines: keep line breaks; else they become spaces.
     """

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError, place_of, words_of
-from vcmvsp.cosim.processes.local_link import LocalLink
+from vcmvsp.cosim.processes.child_process import LocalLink
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import Driver, DriverError

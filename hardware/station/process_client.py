@@ -12,14 +12,12 @@ Several stations open and close at the same time::
         station.close()
 """
 
-import subprocess
 import time
 
 import msgspec
 
 from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.processes.child_process import ending, linked
-from vcmvsp.cosim.processes.local_link import LocalLink
+from vcmvsp.cosim.processes.child_process import LinkedProcess
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import messages
@@ -43,9 +41,9 @@ class StationError(DriverError):
 class Station:
     """A process that drives one robot; see `start`."""
 
-    def __init__(self, mission: StationMission, process: subprocess.Popen[bytes], end: LocalLink) -> None:
+    def __init__(self, mission: StationMission, process: LinkedProcess) -> None:
         self.vehicle = mission.vehicle
-        self._process, self._link = process, end
+        self._process, self._link = process, process.link
         self._waiting: list[StationReport] = []  # received, not yet returned
         self._failure: StationError | None = None
         self._leaving = self._is_closed = False
@@ -54,9 +52,9 @@ class Station:
     @classmethod
     def start(cls, mission: StationMission) -> "Station":
         """Start the process, which connects to the robot, without waiting for that."""
-        process, here = linked("vcmvsp.hardware.station")
-        here.send(encode(mission))
-        return cls(mission, process, here)
+        process = LinkedProcess("vcmvsp.hardware.station")
+        process.link.send(encode(mission))
+        return cls(mission, process)
 
     @property
     def pid(self) -> int:
@@ -121,11 +119,7 @@ class Station:
         if self._is_closed:
             return
         self._is_closed = True
-        try:
-            self._process.wait(DYING_S if patient and self._link.ended else 0.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        if not self._process.close(DYING_S if patient and self._link.ended else 0.0):
             happened = "its station did not end by itself and was killed"
             self._waiting.append(StationReport(number=0, time_ns=time.monotonic_ns(), failed=happened, advice=WATCHDOG))
         self._link.close()
@@ -142,7 +136,8 @@ class Station:
             if report.failed:
                 self._failure = StationError(self.vehicle, report.failed, report.advice)
         if self._link.ended and self._failure is None and not self._leaving:
-            self._failure = StationError(self.vehicle, f"its station {self._how_it_ended()}", WATCHDOG)
+            ended = self._process.why_ended(DYING_S) or "has hung up"
+            self._failure = StationError(self.vehicle, f"its station {ended}", WATCHDOG)
 
     def _decoded(self, message: bytes) -> StationReport:
         try:
@@ -150,10 +145,3 @@ class Station:
         except (ValueError, msgspec.MsgspecError) as error:
             happened = f"its station said something that cannot be read ({error})"
             return StationReport(number=0, time_ns=time.monotonic_ns(), failed=happened, advice="report this")
-
-    def _how_it_ended(self) -> str:
-        """How the process ended, after its link did."""
-        try:
-            return ending(self._process.wait(DYING_S))
-        except subprocess.TimeoutExpired:
-            return "has hung up"

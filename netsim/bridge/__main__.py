@@ -9,10 +9,10 @@ import socket
 import sys
 from pathlib import Path
 
-from vcmvsp.cosim.processes.local_link import LocalLink
-from vcmvsp.netsim.bridge.process.bridge_process import BridgeProcess
-from vcmvsp.netsim.bridge.process.messages import WARY
-from vcmvsp.netsim.bridge.process.pacer import new_loop
+from vcmvsp.cosim.processes.child_process import LocalLink
+from vcmvsp.netsim.bridge.bridge_process import BridgeProcess
+from vcmvsp.netsim.bridge.datagram_store import new_loop
+from vcmvsp.netsim.bridge.messages import WARY
 
 NICE = -5  # where the system allows it: datagrams leave at their time while the run computes
 

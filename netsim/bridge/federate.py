@@ -8,23 +8,24 @@ key                    direction  value
 ``<vehicle>/heard``    in         `Reception` of an agent's message, for programs of that vehicle (``bridge.agents``)
 =====================  =========  =====================================================================================
 
-Sockets live in the bridge process (`netsim.bridge.process.bridge_process`); the federate has numbers, sizes and times only.
+Sockets live in the bridge process (`netsim.bridge.bridge_process`); the federate has numbers, sizes and times only.
 The run must keep the pace of the wall clock.
 """
 
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vcmvsp.cosim.clock import WallClock
 from vcmvsp.cosim.federate import Event, Log, RunInfo, Slot, Step
+from vcmvsp.cosim.recording.external_inputs import Input
 from vcmvsp.cosim.types import Array, Datagrams, Reception, States, Traffic, frozen
-from vcmvsp.netsim.bridge.echoes import Echoes
+from vcmvsp.netsim.bridge import messages
+from vcmvsp.netsim.bridge.deliveries import Echoes, Lateness
 from vcmvsp.netsim.bridge.gateways.base import LARGEST
-from vcmvsp.netsim.bridge.lateness import Lateness
-from vcmvsp.netsim.bridge.process import messages
 from vcmvsp.netsim.bridge.process_client import BridgeClient
 
 if TYPE_CHECKING:
@@ -41,52 +42,37 @@ KILLED = "bridge: its process did not end by itself and was killed"
 _NETWORKS = ": 'vcmvsp net down' clears away what it leaves behind"
 
 
-class PacedClock(Protocol):
-    """Conversion between the time of the run and this machine's monotonic clock, ns."""
+class BridgePlayback:
+    """The federate ``bridge`` from recorded ``inputs`` (`cosim.recording.external_inputs`), of which it takes the datagrams."""
 
-    def logical_ns(self, monotonic_ns: int) -> int:
-        """Time of the run."""
+    name = "bridge"
+    slot = Slot.WORLD
+    wake_slot = Slot.APPLY
+    reads: tuple[str, ...] = ()
+    latest: tuple[str, ...] = ()
+    wakes: tuple[str, ...] = ()
 
-    def monotonic_ns(self, logical_ns: int) -> int:
-        """Time of the monotonic clock."""
+    def __init__(self, inputs: Sequence[Input]) -> None:
+        self._events = [Event(key, time_ns, value) for key, time_ns, value in inputs if isinstance(value, Datagrams)]
 
+    def start(self, run: RunInfo) -> int | None:
+        """Time of the first event."""
+        self._next = 0
+        return self._events[0].time_ns if self._events else None
 
-class LevelSource(Protocol):
-    """Source of received levels."""
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        """The events of this instant."""
+        first, events = self._next, self._events
+        while self._next < len(events) and events[self._next].time_ns <= now_ns:
+            self._next += 1
+        return Step(events[first : self._next], events[self._next].time_ns if self._next < len(events) else None)
 
-    def levels_dbm(self, states: States) -> Array:
-        """Mean levels, (n, n) dBm: sender by row, receiver by column."""
-
-
-class GatewayTable(Protocol):
-    """A table ``[bridge.NAME]`` of a scenario."""
-
-    @property
-    def name(self) -> str:
-        """Name of the table."""
-
-    @property
-    def kind(self) -> str:
-        """Short name, module:Class or file.py:Class."""
-
-    @property
-    def params(self) -> dict[str, Any]:
-        """Constructor parameters."""
+    def close(self) -> None:
+        """Nothing to release."""
 
 
 class Bridge:
-    """All gateways of a run.
-
-    Args:
-        gateways: tables of the gateways to open.
-        run, folder, vehicles: of the scenario.
-        agents: agents receive datagrams of programs, and programs receive messages of agents.
-        air: source of levels for gateways that need them.
-        clock: paces the run.
-        tell: takes lines for the user.
-        log: takes the inputs of a replay: key, time, value.
-        connect: False: open nothing; for the check of a scenario.
-    """
+    """All gateways of a run."""
 
     name = "bridge"
     slot = Slot.WORLD
@@ -95,26 +81,27 @@ class Bridge:
 
     def __init__(
         self,
-        gateways: Sequence[GatewayTable],
+        gateways: Sequence[messages.GatewaySpec],
         *,
         run: str,
         folder: str,
         vehicles: Sequence[str],
-        agents: bool,
-        air: LevelSource,
-        clock: PacedClock,
+        agents: bool,  # agents receive datagrams of programs, and programs receive messages of agents
+        levels_dbm: Callable[[States], Array],  # mean levels, (n, n) dBm: sender by row, receiver by column
+        clock: WallClock,
         tell: Callable[[str], None],
-        log: Log,
-        connect: bool,
+        log: Log,  # takes the inputs of a replay: key, time, value
+        connect: bool,  # False: open nothing; for the check of a scenario
     ) -> None:
         self.reads: tuple[str, ...] = ("radio/traffic", "*/heard") if agents else ("radio/traffic",)
         self.wakes: tuple[str, ...] = self.reads
         self._clock, self._log = clock, log
-        specs = tuple(messages.GatewaySpec(name=each.name, kind=each.kind, params=each.params) for each in gateways)
-        self._opening = messages.Opening(run=run, folder=folder, vehicles=tuple(vehicles), gateways=specs, payloads=agents)
         self._vehicles = tuple(vehicles)
+        self._opening = messages.Opening(
+            run=run, folder=folder, vehicles=self._vehicles, gateways=tuple(gateways), payloads=agents
+        )
         self._row = {name: row for row, name in enumerate(vehicles)}
-        self._air, self._tell, self._connect = air, tell, connect
+        self._levels_dbm, self._tell, self._connect = levels_dbm, tell, connect
         self._process: BridgeClient | None = None
         self._waiting: list[messages.NewDatagrams] = []  # until the run has caught up
         self._ready: list[messages.NewDatagrams] = []  # for the radio, at this instant
@@ -127,7 +114,7 @@ class Bridge:
         self._own_counts: dict[str, Counter[str]] = {}
         self._wants_levels, self._levels_at_ns = False, 0
         self._states: States | None = None
-        self._echoes = Echoes(tuple(vehicles))
+        self._echoes = Echoes(self._vehicles)
 
     @property
     def lateness(self) -> dict[str, Any]:
@@ -225,7 +212,7 @@ class Bridge:
     def _send_levels(self, process: BridgeClient) -> None:
         if self._levels_due and self._states is not None:
             self._levels_at_ns = time.monotonic_ns() + LEVELS_NS
-            for each in messages.levels_in_chunks(self._air.levels_dbm(self._states)):
+            for each in messages.levels_in_chunks(self._levels_dbm(self._states)):
                 process.send(each)
 
     def _receive(self, received: Sequence[messages.Up]) -> None:
@@ -251,14 +238,8 @@ class Bridge:
         self._late.sent(batch.number, batch.gateway, batch.sender, batch.to, sent_ns)
         if self._opening.payloads:
             self._echoes.sent(batch)
-        return Datagrams(
-            number=batch.number,
-            sender=batch.sender,
-            to=batch.to,
-            size_bytes=batch.size_bytes,
-            sent_ns=frozen(sent_ns),
-            payloads=batch.payloads,
-        )
+        taken = {"number": batch.number, "sender": batch.sender, "to": batch.to, "size_bytes": batch.size_bytes}
+        return Datagrams(**taken, sent_ns=frozen(sent_ns), payloads=batch.payloads)
 
     def _on_traffic(self, process: BridgeClient, traffic: Traffic) -> None:
         monotonic_ns = self._clock.monotonic_ns

@@ -1,16 +1,13 @@
 """The run's side of the bridge process; sending and reading never block the run."""
 
-import contextlib
-import subprocess
 import time
 from collections import deque
 from typing import ClassVar
 
 from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.processes.child_process import ending, linked
-from vcmvsp.cosim.processes.local_link import LocalLink
+from vcmvsp.cosim.processes.child_process import LinkedProcess
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.netsim.bridge.process import messages
+from vcmvsp.netsim.bridge import messages
 
 MODULE = "vcmvsp.netsim.bridge"
 READY_S = 60.0  # for all gateways to open
@@ -25,10 +22,10 @@ ADVICE = "see its messages above, and start the run again"
 class BridgeClient:
     """Handle of the bridge process: `start`, `wait_ready`, `send` and `read`, `leave`, `close`; ``killed``: it had to be."""
 
-    _prepared: ClassVar["tuple[subprocess.Popen[bytes], LocalLink] | None"] = None
+    _prepared: ClassVar[LinkedProcess | None] = None
 
-    def __init__(self, process: subprocess.Popen[bytes], end: LocalLink, opening: messages.Opening) -> None:
-        self._process, self._link, self.killed = process, end, False
+    def __init__(self, process: LinkedProcess, opening: messages.Opening) -> None:
+        self._process, self._link, self.killed = process, process.link, False
         self._close_s = CLOSE_S + VEHICLE_S * len(opening.vehicles)
         self._outbox: deque[bytes] = deque()
         self._outbox_bytes = 0
@@ -38,13 +35,13 @@ class BridgeClient:
     @classmethod
     def prepare(cls) -> None:
         """Start the process for the next `start` now, while this process still has root's rights."""
-        cls._prepared = linked(MODULE, messages.WARY)
+        cls._prepared = LinkedProcess(MODULE, messages.WARY)
 
     @classmethod
     def start(cls, opening: messages.Opening) -> "BridgeClient":
         """Start the process, which opens all gateways; does not wait for it."""
-        process, BridgeClient._prepared = cls._prepared or linked(MODULE), None
-        client = cls(*process, opening)
+        process, BridgeClient._prepared = cls._prepared or LinkedProcess(MODULE), None
+        client = cls(process, opening)
         client.send(opening)
         return client
 
@@ -98,15 +95,11 @@ class BridgeClient:
             self._outbox_bytes -= len(self._outbox.popleft())
 
     def read(self) -> list[messages.Up]:
-        """New messages, without waiting.
-
-        Raises:
-            FederateError: the process has failed, or has ended before `leave`.
-        """
+        """New messages, without waiting. Raises `FederateError` (the process has failed, or has ended before `leave`)."""
         self._inbox += [messages.ups.decode(message) for message in self._link.receive()]
         problem = next((each.problem for each in self._inbox if isinstance(each, messages.BridgeFailed)), "")
         if not problem and self._link.ended and not self._leaving:
-            problem = f"its process {self._how_it_ended()}: programs are cut off; {ADVICE}"
+            problem = f"its process {self._process.why_ended(DYING_S) or 'has hung up'}: programs are cut off; {ADVICE}"
         if problem:
             raise FederateError("bridge", problem)
         received, self._inbox = self._inbox, []
@@ -130,18 +123,6 @@ class BridgeClient:
             self.leave()
             self._link.wait(min(PAUSE_S, remaining_s) if self._outbox else remaining_s)
             self._inbox += [messages.ups.decode(message) for message in self._link.receive()]
-        try:
-            self._process.wait(DYING_S if self._link.ended else 0.0)
-        except subprocess.TimeoutExpired:
-            with contextlib.suppress(PermissionError):  # it ends by itself, with the link
-                self._process.kill()
-                self._process.wait()
-            self.killed = True
+        self.killed = not self._process.close(DYING_S if self._link.ended else 0.0)
         self._link.close()
         return self._inbox
-
-    def _how_it_ended(self) -> str:
-        try:
-            return ending(self._process.wait(DYING_S))
-        except subprocess.TimeoutExpired:
-            return "has hung up"

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.federate import matches
 from vcmvsp.cosim.types import Decibels, Probability, Seconds, frozen
-from vcmvsp.cosim.util.key_expressions import matches
 from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Ints
 
 

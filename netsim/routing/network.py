@@ -51,8 +51,6 @@ class Packet(msgspec.Struct):
 
 
 class _Copy(msgspec.Struct, frozen=True):
-    """A frame of a packet."""
-
     packet: Packet
     by: int
     via: int  # destination of the frame, or `BROADCAST`
@@ -68,8 +66,6 @@ class _Arrival(msgspec.Struct, frozen=True):
 
 
 class _Wait(msgspec.Struct, frozen=True):
-    """A broadcast before it is forwarded."""
-
     packet: Packet
     by: int
     hops: int  # so far
@@ -79,7 +75,7 @@ class RoutingNetwork:
     """The network layer of all vehicles; ``kind``: name of the router in error messages; ``put``: see `Put`."""
 
     def __init__(self, router: Router, kind: str, vehicles: Sequence[str], seed: int, put: Put) -> None:
-        self._router, self._kind, self._names, self._put = router, kind, tuple(vehicles), put
+        self._router, self._blame, self._names, self._put = router, f"routing {kind}", tuple(vehicles), put
         self._telling = router if isinstance(router, AdvertisingRouter) else None
         self._row = {name: row for row, name in enumerate(vehicles)}
         self._draws = [stream(seed, f"radio/{name}/relay") for name in vehicles]
@@ -183,18 +179,17 @@ class RoutingNetwork:
     def _update(self, telling: AdvertisingRouter, row: int, now_ns: int) -> list[FrameReport]:
         update = telling.update(row, now_ns)
         if update.next_ns <= now_ns or update.size_bytes < 0:
-            raise self._nonsense(
-                f"returned an update of {update.size_bytes} bytes at {now_ns} ns, the next at {update.next_ns} ns"
-            )
+            problem = f"returned an update of {update.size_bytes} bytes at {now_ns} ns, the next at {update.next_ns} ns"
+            raise FederateError(self._blame, problem)
         self._plan(update.next_ns, row)
         message = Message(sender=self._names[row], body=b"", size_bytes=update.size_bytes)
         return self._originate(row, BROADCAST, message, now_ns, update=update.content)
 
     def _transmit(self, packet: Packet, by: int, via: int, hops: int, now_ns: int, handover_ns: int = 0) -> list[FrameReport]:
-        """Send a frame of a packet that has gone ``hops`` hops."""
         if not isinstance(via, Integral) or via not in range(BROADCAST, len(self._names)) or via == by:
             allowed = f"the row of another of {len(self._names)} vehicles, {BROADCAST} (a broadcast) or None"
-            raise self._nonsense(f"returned {via!r} as the next hop of {self._names[by]}, which is not {allowed}")
+            problem = f"returned {via!r} as the next hop of {self._names[by]}, which is not {allowed}"
+            raise FederateError(self._blame, problem)
         message = packet.message
         frame = Message(
             sender=self._names[by],
@@ -210,7 +205,6 @@ class RoutingNetwork:
         return reports
 
     def _arrive(self, arrival: _Arrival, now_ns: int) -> list[FrameReport]:
-        """Handle a received frame: deliver the packet, forward it, or drop it."""
         copy, row = arrival.copy, arrival.at
         packet = copy.packet
         if row == packet.origin or row in packet.reached:
@@ -253,7 +247,6 @@ class RoutingNetwork:
             packet.arrival_reported = packet.to != BROADCAST
 
     def _close_one(self, packet: Packet) -> None:
-        """Close one open frame, arrival or delay of a packet; with the last one, the packet."""
         packet.open -= 1
         if not packet.open:
             del self._packets[packet.origin, packet.number]
@@ -280,6 +273,3 @@ class RoutingNetwork:
                 under_way=packet.under_way,
             )
         )
-
-    def _nonsense(self, problem: str) -> FederateError:
-        return FederateError(f"routing {self._kind}", problem)

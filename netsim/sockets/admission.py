@@ -6,20 +6,18 @@ import selectors
 import socket
 import stat
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from vcmvsp.cosim.config.binding import unknown
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.sockets.messages import MOST_UP, PIECE, VERSION, Hello, Refused, Stream, Up, Welcome, WireError, parsed, up
 from vcmvsp.cosim.transport.endpoints import is_loopback
-from vcmvsp.cosim.util.text import LONGEST_NAME, plain
+from vcmvsp.cosim.util.text import LONGEST_NAME, Tell, plain
 
 MOST_STRANGERS = 64  # connections without a `Hello` message
 GREETING_S = 5.0  # timeout of the `Hello` message
 MOST_TOLD = 20  # reported refusals
-
-Tell = Callable[[str], None]
 
 
 def check_endpoint(endpoint: str) -> None:
@@ -87,14 +85,7 @@ def _answers(path: str) -> bool:
 
 
 class ProgramAdmission:
-    """Waits for one program of each vehicle in ``expected``; silent or invalid connections are dismissed.
-
-    Args:
-        listener: accepts connections.
-        expected: vehicles with a program.
-        run, vehicles: of the scenario.
-        tell: takes lines for the user.
-    """
+    """Waits for one program of each vehicle in ``expected``; silent or invalid connections are dismissed."""
 
     def __init__(self, listener: Listener, expected: Sequence[str], run: str, vehicles: Sequence[str], tell: Tell) -> None:
         self._listener, self._expected, self._tell = listener, tuple(expected), tell
@@ -105,11 +96,7 @@ class ProgramAdmission:
         self._selector = selectors.DefaultSelector()
 
     def wait(self, timeout_s: float) -> dict[str, Stream]:
-        """The connections of all programs, by vehicle.
-
-        Raises:
-            FederateError: a program is missing after the timeout.
-        """
+        """The connections of all programs, by vehicle. Raises `FederateError` (a program is missing after the timeout)."""
         until = time.monotonic() + timeout_s
         self._selector.register(self._listener.socket, selectors.EVENT_READ)
         try:
@@ -124,7 +111,9 @@ class ProgramAdmission:
                         self._accept()
                     else:
                         self._read(key.data)
-                self._dismiss_silent()
+                now = time.monotonic()
+                for stream in [each for each, last in self._strangers.items() if last < now]:
+                    self._dismiss(stream)
             there, self._there = self._there, {}
             return there
         finally:
@@ -146,11 +135,6 @@ class ProgramAdmission:
         self._selector.register(end, selectors.EVENT_READ, stream)
         if len(self._strangers) > MOST_STRANGERS:
             self._dismiss(next(iter(self._strangers)))
-
-    def _dismiss_silent(self) -> None:
-        now = time.monotonic()
-        for stream in [each for each, until in self._strangers.items() if until < now]:
-            self._dismiss(stream)
 
     def _dismiss(self, stream: Stream) -> None:
         self._strangers.pop(stream, None)
@@ -184,7 +168,6 @@ class ProgramAdmission:
         self._tell(f"the program of {vehicle} has left; waiting for another")
 
     def _answer(self, stream: Stream, word: Up) -> None:
-        """Admit or refuse a program."""
         why = self._refusal(word)
         with contextlib.suppress(OSError):
             stream.send(self._welcome if why is None else Refused(why))

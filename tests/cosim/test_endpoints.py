@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.endpoints import Endpoint, endpoint_of, with_slash
 from vcmvsp.cosim.errors import ScenarioError, UsageError
-from vcmvsp.cosim.hosts import hosts_file
+from vcmvsp.cosim.hosts import ssh_hosts
 from vcmvsp.cosim.runs import api, launch
 from vcmvsp.cosim.sockets.messages import parsed
 from vcmvsp.cosim.transport.endpoints import endpoint_rules
@@ -68,5 +68,5 @@ def test_hosts_of_a_file_dial_either_spelling(between: str, tmp_path: Path) -> N
     hosts = tmp_path / "hosts.toml"
     hosts.write_text(f'connect = "tcp{between}127.0.0.1:7450"\n[[host]]\nvehicles = ["car2"]\n')
     listen = f"tcp{between}127.0.0.1:7450"
-    (plan,) = launch._plan(hosts, hosts_file.read(hosts), listen, None, {"car2": ()}, insecure=False, tell=lambda _: None)
+    (plan,) = launch._plan(hosts, ssh_hosts.read(hosts), listen, None, {"car2": ()}, insecure=False, tell=lambda _: None)
     assert "tcp/127.0.0.1:7450" in plan.script()

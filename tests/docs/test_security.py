@@ -55,4 +55,4 @@ def test_every_row_has_tests() -> None:
 def test_the_tests_of_a_row_are_there(test: str) -> None:
     file, _, name = test.partition("::")
     there = ast.parse((ROOT / "tests" / file).read_text("utf-8")).body
-    assert name in {each.name for each in there if isinstance(each, ast.FunctionDef)}
+    assert name in {each.name for each in there if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef)}

@@ -1,8 +1,7 @@
 """Networks of runs on this machine, a namespace for each vehicle (`netsim.bridge.gateways.ip.run_networks`); Linux only."""
 
-from vcmvsp.netsim.bridge.gateways.ip.caller import become, caller
 from vcmvsp.netsim.bridge.gateways.ip.namespaces import missing
-from vcmvsp.netsim.bridge.gateways.ip.run_networks import RunNetwork, check_free, clear, networks, run_inside
+from vcmvsp.netsim.bridge.gateways.ip.run_networks import RunNetwork, become, caller, check_free, clear, networks, run_inside
 from vcmvsp.netsim.bridge.process_client import BridgeClient
 
 __all__ = ["RunNetwork", "check_free", "clear", "leave_root", "missing", "networks", "run_inside"]

@@ -4,9 +4,6 @@ Orders are obeyed in the run's own thread, between two of its instants or while 
 """
 
 import contextlib
-import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from typing import Self
@@ -15,7 +12,7 @@ from vcmvsp.cosim.assembly.interventions import Operator
 from vcmvsp.cosim.assembly.run import AssembledRun
 from vcmvsp.cosim.clock import LISTEN_NS, Clock, LiveClock
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.processes.child_process import BOOT, ending
+from vcmvsp.cosim.processes.child_process import ChildProcess
 from vcmvsp.cosim.scenario.schema import InterventionTable
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.util.text import Tell
@@ -136,7 +133,7 @@ def _checked(speed: float | None) -> float | None:
 class Viewer(contextlib.AbstractContextManager["Viewer"]):
     """The process that serves the page of a run; leaving it ends the process."""
 
-    def __init__(self, process: "subprocess.Popen[bytes]", pipe: protocol.Pipe, url: str, feed: Feed) -> None:
+    def __init__(self, process: ChildProcess, pipe: protocol.Pipe, url: str, feed: Feed) -> None:
         self._process, self._pipe, self.url, self.feed = process, pipe, url, feed
 
     @classmethod
@@ -157,11 +154,12 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         token = new_token()
         pipe, theirs = protocol.pair()
         with theirs:
-            process = _started(theirs.fileno())
+            process = ChildProcess(MODULE, str(theirs.fileno()), files=(theirs.fileno(),))
         try:
             port = _up(process, pipe, protocol.Start(scenery=scenery, host=host, port=port, token=token)).port
         except BaseException:
-            _end(process, pipe)
+            pipe.close()
+            process.close(LEAVE_S)
             raise
         return cls(process, pipe, url_of(host, port, token), Feed(pipe, scenery, moving=moving, targets=targets))
 
@@ -175,20 +173,11 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
 
     def close(self) -> None:
         """End the process. May be called again."""
-        _end(self._process, self._pipe)
+        self._pipe.close()
+        self._process.close(LEAVE_S)
 
 
-def _started(descriptor: int) -> "subprocess.Popen[bytes]":
-    """The process; it looks for modules where this one does, Ctrl-C does not reach it, and its output is not the run's."""
-    command = [sys.executable, "-P", "-c", BOOT.format(module=MODULE), str(descriptor)]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.__stderr__, pass_fds=(descriptor,), process_group=0)
-    with contextlib.suppress(BrokenPipeError), process.stdin or contextlib.nullcontext():
-        if process.stdin:
-            process.stdin.write(f"{json.dumps(sys.path)}\n".encode())
-    return process
-
-
-def _up(process: "subprocess.Popen[bytes]", pipe: protocol.Pipe, start: protocol.Start) -> protocol.Up:
+def _up(process: ChildProcess, pipe: protocol.Pipe, start: protocol.Start) -> protocol.Up:
     until_s = time.monotonic() + START_S
     pipe.offer_within(codec.encode(start), START_S)
     while (left_s := until_s - time.monotonic()) > 0.0:
@@ -199,18 +188,6 @@ def _up(process: "subprocess.Popen[bytes]", pipe: protocol.Pipe, start: protocol
             if isinstance(answer, protocol.Down):
                 raise UsageError(answer.problem)
         if not pipe.open:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(LEAVE_S)
-            code = process.poll()
-            how = "has gone" if code is None else ending(code)
-            raise UsageError(f"the process of the view {how} before its page was there")
+            ended = process.why_ended(LEAVE_S) or "has gone"
+            raise UsageError(f"the process of the view {ended} before its page was there")
     raise UsageError(f"the page of the view was not there within {START_S:g} s")
-
-
-def _end(process: "subprocess.Popen[bytes]", pipe: protocol.Pipe) -> None:
-    pipe.close()
-    try:
-        process.wait(LEAVE_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()

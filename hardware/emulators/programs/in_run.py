@@ -12,8 +12,7 @@ from typing import Any
 import msgspec
 
 from vcmvsp.cosim.errors import ScenarioError, UsageError
-from vcmvsp.cosim.processes.child_process import linked
-from vcmvsp.cosim.processes.local_link import LocalLink
+from vcmvsp.cosim.processes.child_process import LinkedProcess, LocalLink
 from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.cosim.types import Value, Vec3
 from vcmvsp.hardware.emulators.device_server import LOOPBACK
@@ -59,7 +58,8 @@ class Emulated:
             errors=_errors(vehicle.positioning or {}),
             seed=vehicle.seed,
         )
-        self._process, self._link = linked(__name__, msgspec.json.encode(robot).decode())
+        self._process = LinkedProcess(__name__, msgspec.json.encode(robot).decode())
+        self._link = self._process.link
         driver = {**vehicle.driver_params, "port": self._url()}
         self.reached = msgspec.structs.replace(vehicle, driver_params=driver, localisation_params=localisation)
 
@@ -76,8 +76,7 @@ class Emulated:
     def close(self) -> None:
         """End the process."""
         self._link.close()
-        self._process.kill()
-        self._process.wait()
+        self._process.close(0.0)
 
 
 def _robot(subclass: str) -> str:

@@ -43,7 +43,6 @@ class GatewayContext(Protocol):
 
         Args:
             gateway: its `Gateway.deliver` is called when the datagram arrives.
-            sender: row of the vehicle.
             to: row of the destination, or `BROADCAST`.
             payload: at most `LARGEST` bytes; its length is the payload size on the channel.
             came_ns: time of reception from the program, ``time.monotonic_ns()``; None: now.

@@ -41,23 +41,12 @@ OWN = "vcmvsp/"
 HEARD = f"{OWN}heard/"
 """Key prefix of agents' messages; the name of the sender follows."""
 
-CLIENTS: dict[str, Any] = {
-    "mode": "router",
-    "transport": {
-        "unicast": {
-            "accept_timeout": access_control.ACCEPT_MS,
-            "accept_pending": 1000,
-        },  # many, so that silent connections do not exclude programs
-        "link": {
-            "tx": {
-                "queue": {
-                    "size": {"data": 16},  # 64 KiB each, for every program
-                    "congestion_control": {"drop": {"wait_before_drop": 1000, "max_wait_before_drop_fragments": 1000}},
-                }
-            }
-        },
-    },
+_ACCEPTING = {"accept_timeout": access_control.ACCEPT_MS, "accept_pending": 1000}  # many silent ones exclude no program
+_QUEUE = {
+    "size": {"data": 16},  # 64 KiB each, for every program
+    "congestion_control": {"drop": {"wait_before_drop": 1000, "max_wait_before_drop_fragments": 1000}},
 }
+CLIENTS: dict[str, Any] = {"mode": "router", "transport": {"unicast": _ACCEPTING, "link": {"tx": {"queue": _QUEUE}}}}
 """Zenoh configuration for programs. A program that stops reading delays the others by 1 ms, once; then Zenoh drops its data."""
 
 TOO_LONG = "longer than max_bytes"
@@ -131,24 +120,13 @@ class ZenohGateway:
             publication = _publications.decode(payload)
         except ValueError:
             publication = Publication(HEARD + self._context.vehicles[sender], payload)
-        drop, remote = zenoh.CongestionControl.DROP, zenoh.Locality.REMOTE
+        how: dict[str, Any] = {"attachment": publication.attachment, "congestion_control": zenoh.CongestionControl.DROP}
+        how["allowed_destination"] = zenoh.Locality.REMOTE
         try:
             if publication.payload is None:
-                session.delete(
-                    publication.key,
-                    attachment=publication.attachment,
-                    congestion_control=drop,
-                    allowed_destination=remote,
-                )
+                session.delete(publication.key, **how)
             else:
-                session.put(
-                    publication.key,
-                    publication.payload,
-                    encoding=publication.encoding or None,
-                    attachment=publication.attachment,
-                    congestion_control=drop,
-                    allowed_destination=remote,
-                )
+                session.put(publication.key, publication.payload, encoding=publication.encoding or None, **how)
         except zenoh.ZError:  # an agent's message that decodes as a publication with an invalid key
             self._context.count(receiver, "not taken by Zenoh")
 
@@ -159,7 +137,6 @@ class ZenohGateway:
                 await asyncio.to_thread(session.close)  # waits for its callbacks
 
     def _endpoints(self, vehicles: Sequence[str]) -> dict[int, str]:
-        """Endpoint of each vehicle with a router, by row."""
         check_names("vehicles", self._vehicles, vehicles)
         check_names("listen", self._listen, vehicles)
         endpoints: dict[int, str] = {}

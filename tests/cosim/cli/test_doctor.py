@@ -17,7 +17,7 @@ from tests.support.cosim.secure_hub import lasting_links
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.event_publisher import Topics
 from vcmvsp.cosim.hosts.hub import Hub
-from vcmvsp.cosim.security import authority, certificates, x509
+from vcmvsp.cosim.security import authority, certificates
 from vcmvsp.cosim.security.certificates import Keys
 from vcmvsp.cosim.transport import access_control, key_names
 
@@ -116,7 +116,7 @@ def test_what_is_wrong_is_named_and_ends_the_examination(
     authority.init(foreign)
     authority.issue(foreign, "anna")
     with monkeypatch.context() as patch:
-        patch.setattr(x509, "now", lambda: dt.datetime.now(dt.UTC) - dt.timedelta(days=2))
+        patch.setattr(certificates, "now", lambda: dt.datetime.now(dt.UTC) - dt.timedelta(days=2))
         authority.issue(foreign, "old", days=1)
     nobody = f"tls/127.0.0.1:{stack.enter_context(reserved())}"
     for where, file, name, words in (

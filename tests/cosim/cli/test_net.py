@@ -287,7 +287,7 @@ def test_who_lacks_the_rights_is_told_which(tmp_path: Path) -> None:
 CALLED_BY_SUDO = """
 import os
 from vcmvsp.cosim.assembly.parts import networks
-from vcmvsp.netsim.bridge.process import messages
+from vcmvsp.netsim.bridge import messages
 from vcmvsp.netsim.bridge.process_client import BridgeClient
 networks.leave_root()
 print(os.getresuid() + os.getresgid(), os.getgroups())

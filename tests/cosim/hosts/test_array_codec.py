@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from tests.cosim.util.test_codec import ARRAYS, bits
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.hosts import array_codec, protocol
+from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.types import Array, Later, Mosaic, Scan, VehicleState
 from vcmvsp.cosim.util import codec
 
-LISTS: array_codec.Unpacker[list[Array]] = array_codec.Unpacker(list[Array])
+LISTS: codec.Unpacker[list[Array]] = codec.Unpacker(list[Array])
 SCAN = Scan(ranges=np.linspace(0.1, 9.9, 16, dtype=np.float32), angle_min=-2.0, angle_step=0.01, range_max=10.0)
 STATE = VehicleState(position=(1.0, -0.0, 5e-324))
 
@@ -29,7 +29,7 @@ def packed(*kinds: Any, content: Any = (0,), raw: bytes = b"") -> bytes:
 
 @given(st.lists(ARRAYS, max_size=6))
 def test_arrays_come_back_in_order_and_cannot_be_written(arrays: list[Array]) -> None:
-    back = LISTS.decode(array_codec.pack(arrays))
+    back = LISTS.decode(codec.pack(arrays))
     assert bits(back) == bits(arrays)
     for each in back:
         assert not each.flags.writeable
@@ -52,13 +52,13 @@ def test_a_step_of_few_and_of_many_is_read_as_it_was_sent(vehicles: int) -> None
 
 def test_they_lie_where_numpy_works_quickest() -> None:
     arrays: list[Array] = [np.zeros(3, np.uint8), *np.arange(12.0).reshape(4, 3), np.zeros(1, np.int16), np.arange(3.0)]
-    assert all(each.flags.aligned and each.flags.c_contiguous for each in LISTS.decode(array_codec.pack(arrays)))
+    assert all(each.flags.aligned and each.flags.c_contiguous for each in LISTS.decode(codec.pack(arrays)))
 
 
 @given(ARRAYS)
 def test_how_an_array_lies_in_memory_is_not_seen(value: Array) -> None:
     strided = np.repeat(value[..., None], 2, axis=-1)[..., 0]
-    assert array_codec.pack([np.array(value, order="F"), strided]) == array_codec.pack([value, value])
+    assert codec.pack([np.array(value, order="F"), strided]) == codec.pack([value, value])
 
 
 def test_questions_and_answers_carry_them() -> None:
@@ -105,7 +105,7 @@ FORGED = {
 def test_what_is_forged_is_a_value_error(forged: bytes) -> None:
     with pytest.raises(ValueError, match=r".+"):
         LISTS.decode(forged)
-    assert LISTS.decode(array_codec.pack([np.zeros(1)])) == [0.0]  # the next message is read
+    assert LISTS.decode(codec.pack([np.zeros(1)])) == [0.0]  # the next message is read
 
 
 def test_what_a_message_says_of_itself_takes_no_memory() -> None:

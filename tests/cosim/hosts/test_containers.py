@@ -17,7 +17,7 @@ from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import Stage, ended
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli.app import app
-from vcmvsp.cosim.hosts import hosts_file
+from vcmvsp.cosim.hosts import ssh_hosts
 
 DEPLOY = ROOT / "cosim" / "deploy"
 README = (DEPLOY / "README.md").read_text()
@@ -57,9 +57,9 @@ def test_files_of_hosts_are_as_they_are_read(tmp_path: Path) -> None:
     first, second = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
     for text, names in ((first, ["laptop", "seven", "car4"]), (second, ["far-example-org"])):
         (tmp_path / "hosts.toml").write_text(text)
-        assert [host.called for host in hosts_file.read(tmp_path / "hosts.toml").host] == names
+        assert [host.called for host in ssh_hosts.read(tmp_path / "hosts.toml").host] == names
     said = {key for host in tomllib.loads(first)["host"] for key in host} | set(tomllib.loads(second)["host"][0])
-    assert said == {*hosts_file.HostTable.__struct_fields__}
+    assert said == {*ssh_hosts.HostTable.__struct_fields__}
 
 
 def test_words_that_are_none_of_ours_would_be_seen() -> None:

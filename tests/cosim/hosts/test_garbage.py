@@ -12,31 +12,15 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.run_processes import Stage, ended, wait_for
+from tests.support.cosim.teams import FOLLOWER, team
 from vcmvsp.cosim.hosts import protocol as wire
 from vcmvsp.cosim.hosts.hub import Hub
 from vcmvsp.cosim.security import authority
 from vcmvsp.cosim.transport import key_names
 from vcmvsp.cosim.transport.zenoh_session import opened
 
-SCENARIO = """
-name = "garbage"
-duration_s = {duration}
-[physics]
-kind = "kinematic"
-[agents]
-runs = "zenoh"
-deadline_s = 60.0
-join_timeout_s = 60.0
-[vehicles]
-kind = "kinematic"
-[[vehicle]]
-name = "car1"
-agent = {{ kind = "waits.py:Waits" }}
-[[vehicle]]
-name = "car2"
-pose = [-1.0, 0.0, 0.0]
-agent = {{ kind = "leader_follower", leader = "car1" }}
-"""
+AGENTS = 'kind = "waits.py:Waits"', FOLLOWER
+SCENARIO = team("garbage", *AGENTS, duration_s=6.0, runs="zenoh", deadline_s=60.0, join_timeout_s=60.0)
 WAITS = """
 import pathlib, time
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
@@ -74,7 +58,7 @@ def garbage(draw: random.Random, number: int, endpoint: tuple[str, int]) -> sock
 @pytest.mark.parametrize("protocol", ["tls", "tcp"])
 def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_path: Path) -> None:
     with Stage(tmp_path) as stage:
-        (tmp_path / "garbage.toml").write_text(SCENARIO.format(duration=6.0))
+        (tmp_path / "garbage.toml").write_text(SCENARIO)
         (tmp_path / "waits.py").write_text(WAITS.format(until=5.5))
         endpoint, with_keys, host_keys = f"{protocol}/127.0.0.1:{stage.port}", [], []
         if protocol == "tls":

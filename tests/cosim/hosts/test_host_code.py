@@ -8,28 +8,10 @@ from pathlib import Path
 import pytest
 
 import vcmvsp
-from tests.support.cosim.run_processes import Stage, ended
+from tests.support.cosim.run_processes import Stage, ended, ended_with
+from tests.support.cosim.teams import ELSEWHERE, FOLLOWER, LEADER, team
 
-SCENARIO = """
-name = "far"
-duration_s = 1.0
-[physics]
-kind = "kinematic"
-[radio]
-preset = "ideal"
-[agents]
-join_timeout_s = 60.0
-deadline_s = 30.0
-[vehicles]
-kind = "kinematic"
-[[vehicle]]
-name = "car1"
-agent = { kind = "trajectory" }
-[[vehicle]]
-name = "car2"
-pose = [-1.0, 0.0, 0.0]
-agent = { kind = "leader_follower", leader = "car1", runs = "zenoh" }
-"""
+SCENARIO = team("far", LEADER, FOLLOWER + ELSEWHERE, duration_s=1.0, join_timeout_s=60.0, deadline_s=30.0)
 ESTIMATOR = """
 import pathlib, sys
 if "agent" in sys.argv:  # in a host, not in the run
@@ -169,16 +151,14 @@ def test_other_source_code_than_the_runs_own_is_named_and_recorded(place: Place)
     place.run_with()
     code, said = place.host("straight.py:Straight")
     assert code == 0, said
-    code, said = ended(place.run)
-    assert code == 0
+    said = ended_with(0, place.run)
     why = "helper.py differs"
     assert f"the host of car2 runs other code than this machine: {why}" in said
     about = json.loads((place.out / "about.json").read_text())
     assert about["unrepeatable"] == [f"the host of car2 ran other code: {why}"]
     assert why in (place.out / "report.html").read_text()
     (place.out / "helper.py").write_text(HELPER.format(speed=0.3))
-    code, said = ended(place.start("replay", "out", "--agents", "inprocess"))
-    assert code == 1
+    said = ended_with(1, place.start("replay", "out", "--agents", "inprocess"))
     assert f"differs from out: the host of car2 ran other code: {why}" in said
 
 
@@ -189,6 +169,5 @@ def test_the_same_source_code_is_not_remarked(place: Place) -> None:
     assert code == 0, said
     code, said = ended(place.run)
     assert (code, "other code" in said) == (0, False)
-    code, said = ended(place.start("replay", "out", "--agents", "inprocess"))
-    assert code == 0
+    said = ended_with(0, place.start("replay", "out", "--agents", "inprocess"))
     assert "same: the digest is that of out" in said

@@ -21,37 +21,19 @@ from hypothesis import strategies as st
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import UNDRAWN, VCMVSP, Stage, ended, wait_for
+from tests.support.cosim.run_processes import UNDRAWN, VCMVSP, Stage, ended, ended_with, wait_for
 from tests.support.cosim.ssh_hosts import Machine, played, served
+from tests.support.cosim.teams import FOLLOWER, LEADER, team
 from vcmvsp.cosim.errors import VcmvspError
-from vcmvsp.cosim.hosts import hosts_file, ssh
+from vcmvsp.cosim.hosts import ssh_hosts
 from vcmvsp.cosim.scenario.loader import settings_of
 
-SCENARIO = """
-name = "far"
-duration_s = 3.0
-[physics]
-kind = "kinematic"
-[radio]
-preset = "ideal"
-loss = { probability = 0.3 }
-[vehicles]
-kind = "kinematic"
-[[vehicle]]
-name = "car1"
-agent = { kind = "trajectory", runs = "inprocess" }
-[[vehicle]]
-name = "car2"
-pose = [-1.0, 0.0, 0.0]
-agent = { kind = "leader_follower", leader = "car1" }
-[[vehicle]]
-name = "car3"
-pose = [-1.0, 0.5, 0.0]
-agent = { kind = "leader_follower", leader = "car1" }
+ROCK = """
 [[vehicle]]
 name = "rock"
 pose = [9.0, 9.0, 0.0]
 """
+SCENARIO = team("far", LEADER + ', runs = "inprocess"', FOLLOWER, FOLLOWER, duration_s=3.0, loss=0.3) + ROCK
 NOTED = """
 import os, pathlib, sys
 from vcmvsp import Agent, Velocity
@@ -133,14 +115,13 @@ def gone(pid_file: Path) -> bool:
 
 def table(machine: Machine, **more: Any) -> str:
     """A ``[[host]]`` on that machine."""
-    lines = [f"{name} = {hosts_file.toml(value)}" for name, value in {**more, "ssh_options": machine.options}.items()]
+    lines = [f"{name} = {ssh_hosts.toml(value)}" for name, value in {**more, "ssh_options": machine.options}.items()]
     return "\n".join(["[[host]]", f"ssh = {json.dumps(machine.ssh)}", *lines, ""])
 
 
 def test_hosts_of_this_machine_give_the_bytes_of_one_process(stage: Launching) -> None:
     stage.hosts('[[host]]\nvehicles = ["car2"]\n[[host]]\nname = "two"\nvehicles = ["car3"]\nset = { k1 = 0.7 }\n')
-    code, said = ended(stage.launch())
-    assert code == 0, said
+    said = ended_with(0, stage.launch())
     assert "[two] joined; waiting for the run to begin" in said
     assert stage.log("two") == stage.log("car2") == "joined; waiting for the run to begin\nthe run is over\n"
     alone = vcmvsp.run(stage.folder / "far.toml", set={"vehicle.car3.agent.k1": 0.7}, agents="inprocess", mcap=False)
@@ -171,8 +152,7 @@ def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharm
         )
         + table(machine, name="near", vehicles=["car3"], command=command, copy=True)
     )
-    code, said = ended(stage.launch("--keys", "keys"))
-    assert code == 0, said
+    ended_with(0, stage.launch("--keys", "keys"))
     log = stage.log("far").splitlines()
     assert "far.keys 0o600 0o700" in log
     assert f"in a b: {HOSTILE.splitlines()[0]}" in log
@@ -195,8 +175,7 @@ def test_a_tunnel_of_ssh_needs_neither_certificates_nor_an_open_port(stage: Laun
     tunnel = (*machine.options, "-R", f"{far}:{near}", "-o", "ExitOnForwardFailure=yes")
     machine = machine._replace(options=tunnel)
     stage.hosts(table(machine, vehicles=["car2", "car3"], command=tuple(VCMVSP), connect=f"tcp/{far}"))
-    code, said = ended(stage.launch())
-    assert code == 0, said
+    ended_with(0, stage.launch())
 
 
 @pytest.mark.parametrize(
@@ -241,8 +220,7 @@ def test_a_host_whose_connection_breaks_is_ended(stage: Launching, machine: Mach
     wait_for(stage.out / "run.mcap")
     (client,) = (each for each in psutil.Process(launch.pid).children() if each.name() == "ssh")
     client.kill()
-    code, said = ended(launch)
-    assert code == 3
+    said = ended_with(3, launch)
     assert "[far] was killed by SIGKILL" in said
     assert gone(pid)
 
@@ -273,8 +251,7 @@ def test_a_host_that_cannot_start_ends_the_waiting_in_words(stage: Launching, ma
         ),
     ):
         stage.hosts(connect + table(machine, name="far", vehicles=["car2", "car3"], **more))
-        code, said = ended(stage.launch())
-        assert code == 3
+        said = ended_with(3, stage.launch())
         assert why in said
         assert "agent host of vehicles car2, car3: host far" in said
         assert not stage.out.exists()
@@ -285,8 +262,7 @@ def test_a_machine_that_ssh_cannot_reach_ends_the_waiting(stage: Launching) -> N
     options = '["-F", "none", "-p", "1"]'
     connect = f'connect = "tcp/127.0.0.1:{stage.port}"\n'
     stage.hosts(f'{connect}[[host]]\nssh = "127.0.0.1"\nssh_options = {options}\nvehicles = ["car2", "car3"]\n')
-    code, said = ended(stage.launch())
-    assert code == 3
+    said = ended_with(3, stage.launch())
     assert "host 127-0-0-1 (ssh 127.0.0.1): ssh cannot reach it, or has lost it (exit code 255): ssh: connect to host" in said
 
 
@@ -297,8 +273,7 @@ def test_a_host_that_is_killed_later_is_named(stage: Launching) -> None:
     wait_for(stage.out / "run.mcap")
     time.sleep(0.5)
     os.kill(int((stage.folder / "pid").read_text()), signal.SIGKILL)
-    code, said = ended(launch)
-    assert code == 3
+    said = ended_with(3, launch)
     assert "[far] ended with exit code 137" in said
     assert "joined" in stage.log("far")
 
@@ -358,7 +333,7 @@ def test_a_host_that_is_killed_later_is_named(stage: Launching) -> None:
 def test_what_is_wrong_with_a_file_of_hosts_is_said_before_anything_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, more: tuple[str, ...], problem: str
 ) -> None:
-    monkeypatch.setattr(ssh, "Far", None)
+    monkeypatch.setattr(ssh_hosts, "Far", None)
     monkeypatch.chdir(tmp_path)
     Path("far.toml").write_text(SCENARIO)
     Path("hosts.toml").write_text(text)
@@ -376,7 +351,7 @@ WORDS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]
 def heard(shell: str, script: str) -> tuple[int | None, str]:
     """How a script ends, and what it says."""
     log = io.BytesIO()
-    far = ssh.Far([shell, "sh"] if shell.endswith("busybox") else [shell], script, log, lambda _: None)
+    far = ssh_hosts.Far([shell, "sh"] if shell.endswith("busybox") else [shell], script, log, lambda _: None)
     assert far.wait(60.0)
     code = far.code
     far.release()
@@ -392,7 +367,7 @@ def heard(shell: str, script: str) -> tuple[int | None, str]:
 )
 def test_words_reach_the_other_machine_as_they_are(shell: str, words: list[str], folder: str, bundle: str) -> None:
     show = "import json, sys; print(json.dumps([sys.argv[1:-2], open(sys.argv[-2]).read()])); sys.exit(7)"
-    script = ssh.script([sys.executable, "-c", show, folder], words, last=["last"], bundle=bundle, name="far")
+    script = ssh_hosts.script([sys.executable, "-c", show, folder], words, last=["last"], bundle=bundle, name="far")
     script = script.replace(" -- last", " last")
     code, said = heard(shell, script)
     assert code == 7, said
@@ -412,7 +387,7 @@ def test_words_reach_the_other_machine_as_they_are(shell: str, words: list[str],
     ],
 )
 def test_a_tilde_means_home_and_nothing_else_means_anything(given: str, word: str) -> None:
-    assert ssh.path(given) == word
+    assert ssh_hosts.path(given) == word
 
 
 SCALARS = st.booleans() | st.integers(-(2**60), 2**60) | st.floats(allow_nan=False, allow_infinity=False) | WORDS
@@ -424,4 +399,4 @@ VALUES = st.recursive(
 @given(VALUES)
 def test_a_value_is_read_back_as_it_was_written(value: Any) -> None:
     with contextlib.suppress(VcmvspError):
-        assert settings_of([f"key={hosts_file.toml(value)}"]) == {"key": value}
+        assert settings_of([f"key={ssh_hosts.toml(value)}"]) == {"key": value}

@@ -10,29 +10,13 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from tests.support.cosim.run_processes import Stage, ended, wait_for
+from tests.support.cosim.run_processes import Stage, ended, ended_with, wait_for
+from tests.support.cosim.teams import ELSEWHERE, LEADER, team
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.host_client import dialling
-from vcmvsp.cosim.transport import access_control, local_secret
+from vcmvsp.cosim.transport import access_control, endpoints
 from vcmvsp.cosim.transport.zenoh_session import opened
-
-SCENARIO = """
-name = "near"
-duration_s = {duration}
-[physics]
-kind = "kinematic"
-[radio]
-preset = "ideal"
-[agents]
-join_timeout_s = 60.0
-deadline_s = 30.0
-[vehicles]
-kind = "kinematic"
-[[vehicle]]
-name = "car1"
-agent = {{ kind = "trajectory", runs = "zenoh" }}
-"""
 
 
 class Place(Stage):
@@ -43,7 +27,9 @@ class Place(Stage):
         self.endpoint = f"tcp/127.0.0.1:{self.port}"
 
     def run(self, *more: str, duration: float = 1.0) -> "subprocess.Popen[str]":
-        (self.folder / "near.toml").write_text(SCENARIO.format(duration=duration))
+        (self.folder / "near.toml").write_text(
+            team("near", LEADER + ELSEWHERE, duration_s=duration, join_timeout_s=60.0, deadline_s=30.0)
+        )
         return self.start("run", "near.toml", "--listen", self.endpoint, "--out", "out", *more)
 
     def host(self, *more: str) -> "subprocess.Popen[str]":
@@ -69,7 +55,7 @@ def test_only_who_has_the_secret_can_dial_a_run_and_its_user_needs_no_option(pla
     for secret in (None, "guessed"):
         with pytest.raises(UsageError):
             place.session(secret)
-    place.session(local_secret.found(place.endpoint)).close()  # type: ignore[no-untyped-call]
+    place.session(endpoints.found(place.endpoint)).close()  # type: ignore[no-untyped-call]
     assert dialling(place.endpoint, None, None) is not None
     run.kill()
     ended(run)
@@ -84,20 +70,19 @@ def test_a_host_does_not_join_a_stranger_that_listens_where_a_run_was(place: Pla
     next(line for line in waiting.stderr if "no run of this user" in line)
     waiting.kill()
     assert ended(place.host("--insecure"))[0] == 0
-    code, said = ended(run)
-    assert code == 0
+    said = ended_with(0, run)
     assert "caution: whoever can reach" in said
 
 
 def test_the_file_is_for_its_user_alone_and_goes_with_the_run(place: Place, tmp_path: Path) -> None:
-    with local_secret.published(place.endpoint, "s3cret"):
+    with endpoints.published(place.endpoint, "s3cret"):
         (file,) = (tmp_path / "runtime" / "vcmvsp").iterdir()
         assert stat.S_IMODE(file.stat().st_mode) == 0o600
         assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
-        assert local_secret.found(place.endpoint) == "s3cret"
+        assert endpoints.found(place.endpoint) == "s3cret"
     assert not file.exists()
     file.parent.chmod(0o755)
-    with pytest.raises(UsageError, match="chmod 700"), local_secret.published(place.endpoint, "s3cret"):
+    with pytest.raises(UsageError, match="chmod 700"), endpoints.published(place.endpoint, "s3cret"):
         pass
 
 

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 import vcmvsp
-from tests.support.cosim.run_processes import Stage, ended, wait_for
+from tests.support.cosim.run_processes import Stage, ended, ended_with, said_by, wait_for
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.metrics.availability import agent_metrics
@@ -96,12 +96,7 @@ def test_an_agent_that_fails_leaves_the_same_bytes_wherever_it_runs(
     how: str, policy: str, hold_s: float, latency_s: float, scenario: Path, tmp_path: Path
 ) -> None:
     """Its last command counts for ``hold_s``, then its vehicle stands still; all others go on."""
-    settings = {
-        "agents.on_lost": policy,
-        "agents.hold_s": hold_s,
-        "agents.latency_s": latency_s,
-        "vehicle.car2.agent.how": how,
-    }
+    settings = {"agents.on_lost": policy, "agents.hold_s": hold_s, "agents.latency_s": latency_s, "vehicle.car2.agent.how": how}
     here = vcmvsp.run(scenario, set=settings, out=tmp_path / "here")
     held = min(hold_s if policy == "hold" else 0.0, 4.0)
     # Commands of 0 to 0.9 s took effect a latency later; the one of 1 s failed; a hold ends at a tick.
@@ -181,17 +176,10 @@ class ByHand(Stage):
         folder = str(self._scenario.parent)
         return self.start("agent", "--vehicle", "car2", "--connect", self.endpoint, "--folder", folder, *more, *self.open_to)
 
-    def until(self, what: Callable[[], bool]) -> None:
-        last = time.monotonic() + 60.0
-        while not what():
-            assert time.monotonic() < last
-            time.sleep(0.05)
-
     def finish(self, run: subprocess.Popen[str]) -> tuple[str, dict[str, Any], list[tuple[str, float, dict[str, Any]]]]:
         """End a run by Ctrl-C: what it said, its metrics, and what its recording says of agents."""
         run.send_signal(signal.SIGINT)
-        code, said = ended(run)
-        assert code == 130, said
+        said = ended_with(130, run)
         metrics: dict[str, Any] = json.loads((self.out / "metrics.json").read_text())
         return said, metrics["agents"]["car2"], presences(self.out)
 
@@ -202,22 +190,13 @@ def stage(scenario: Path, tmp_path: Path) -> Iterator[ByHand]:
         yield made
 
 
-def heard(process: subprocess.Popen[str], text: str) -> None:
-    """Read what a run or a host says until this."""
-    assert process.stderr is not None
-    for line in process.stderr:
-        if text in line:
-            return
-    raise AssertionError(text)
-
-
 def test_another_host_may_take_the_place_of_one_that_was_killed(stage: ByHand) -> None:
     run, first = stage.run(), stage.host()
     wait_for(stage.out / "run.mcap")
     first.kill()
-    heard(run, "car2 has lost its agent")
+    said_by(run, "car2 has lost its agent")
     second = stage.host()
-    heard(run, "car2 has its agent again")
+    said_by(run, "car2 has its agent again")
     _, metrics, said = stage.finish(run)
     assert ended(second)[0] == 0
     assert metrics["reconnects"] == 1
@@ -233,9 +212,9 @@ def test_a_host_that_hangs_goes_on_where_it_was(stage: ByHand) -> None:
     """It is the same agent: it counts on. The answer that came too late does not count."""
     run = stage.run("vehicle.car2.agent.how=stop", f"vehicle.car2.agent.once={stage.folder / 'stopped'}")
     host = stage.host()
-    heard(run, "car2 has lost its agent: did not answer within the deadline of 2 s")
+    said_by(run, "car2 has lost its agent: did not answer within the deadline of 2 s")
     host.send_signal(signal.SIGCONT)
-    heard(run, "car2 has its agent again")
+    said_by(run, "car2 has its agent again")
     wait_for(stage.folder / "stopped and on")
     _, metrics, said = stage.finish(run)
     assert ended(host)[0] == 0
@@ -254,12 +233,12 @@ def test_a_host_that_hangs_goes_on_where_it_was(stage: ByHand) -> None:
 
 def test_a_host_may_come_late(stage: ByHand) -> None:
     run = stage.run("agents.join_timeout_s=0.1")
-    heard(run, "the host of car2 did not join within 0.1 s (agents.join_timeout_s); the run begins without")
-    heard(run, "car2 has lost its agent: it has no host yet")
+    said_by(run, "the host of car2 did not join within 0.1 s (agents.join_timeout_s); the run begins without")
+    said_by(run, "car2 has lost its agent: it has no host yet")
     code, said = ended(stage.host("--set", "at=7.0"))
     assert (code, "takes no other parameters: leave out --set" in said) == (2, True)
     late = stage.host()
-    heard(run, "car2 has its agent again")
+    said_by(run, "car2 has its agent again")
     _, metrics, _ = stage.finish(run)
     assert ended(late)[0] == 0
     assert metrics["reconnects"] == 1
@@ -271,9 +250,8 @@ def test_who_was_removed_does_not_come_back(stage: ByHand) -> None:
     first = stage.host()
     wait_for(stage.out / "run.mcap")
     first.kill()
-    heard(run, "car2 is without an agent for good")
-    code, said = ended(stage.host())
-    assert code == 2
+    said_by(run, "car2 is without an agent for good")
+    said = ended_with(2, stage.host())
     assert "the run refuses this host: it has begun, and nobody is missing" in said
     _, metrics, events = stage.finish(run)
     assert metrics["reconnects"] == 0
@@ -292,8 +270,7 @@ def test_a_run_listens_for_nobody_whom_it_cannot_use(stage: ByHand) -> None:
     other = stage.start(
         "run", "formation-circle", "--listen", stage.endpoint, "--agents", "zenoh", "--insecure", "--out", "other"
     )
-    code, said = ended(first)
-    assert code == 3
+    said = ended_with(3, first)
     assert "the run: is gone: another one listens there now; start this host again" in said
     older = (
         "import sys; from vcmvsp.cosim.hosts import protocol as wire; import vcmvsp.agents.host_process as serve\n"
@@ -335,8 +312,8 @@ def test_a_host_that_cannot_start_costs_the_run_its_vehicle_alone(stage: ByHand)
     run, bad = stage.run(), stage.host("nobody.py:Nobody")
     code, said = ended(bad)
     assert (code, "nobody.py" in said) == (2, True)
-    heard(run, "the run begins without")
-    heard(run, "car2 has lost its agent")
+    said_by(run, "the run begins without")
+    said_by(run, "car2 has lost its agent")
     elsewhere = stage.folder / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "failing.py").write_text(AGENTS)
@@ -357,7 +334,7 @@ def test_a_host_that_cannot_start_costs_the_run_its_vehicle_alone(stage: ByHand)
         text=True,
     )
     stage.processes.append(good)
-    heard(run, "car2 has its agent again")
+    said_by(run, "car2 has its agent again")
     _, metrics, _ = stage.finish(run)
     assert ended(good)[0] == 0
     assert metrics["reconnects"] == 1
@@ -366,7 +343,7 @@ def test_a_host_that_cannot_start_costs_the_run_its_vehicle_alone(stage: ByHand)
 def test_a_host_that_was_stopped_while_its_run_ended_ends_too(stage: ByHand) -> None:
     run, host = stage.run("agents.join_timeout_s=3.0"), stage.host()
     wait_for(stage.out / "run.mcap")
-    heard(host, "joined")  # maybe later than that
+    said_by(host, "joined")  # maybe later than that
     host.send_signal(signal.SIGSTOP)
     stage.finish(run)
     time.sleep(1.0)
@@ -381,7 +358,7 @@ def test_an_agent_that_failed_is_not_back_when_its_host_is(stage: ByHand) -> Non
     more = ("vehicle.car2.agent.how=raise", "vehicle.car2.agent.at=0.3", "agents.deadline_s=1.5")
     run = stage.run(*more, seconds=4.0)
     host = stage.host()
-    heard(run, "car2 has lost its agent: raised RuntimeError: lost my way")
+    said_by(run, "car2 has lost its agent: raised RuntimeError: lost my way")
     host.send_signal(signal.SIGSTOP)
     time.sleep(2.5)
     host.send_signal(signal.SIGCONT)

@@ -13,33 +13,14 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import Stage, Wire, ended, wait_for
+from tests.support.cosim.run_processes import Stage, Wire, ended, ended_with, wait_for
+from tests.support.cosim.teams import ELSEWHERE, FOLLOWER, HERE, LEADER, team
 
-SCENARIO = """
-name = "far"
-duration_s = {duration}
-[physics]
-kind = "kinematic"
-[radio]
-preset = "ideal"
-loss = {{ probability = 0.3 }}
-[agents]
-deadline_s = 20.0
-join_timeout_s = 60.0
-[vehicles]
-kind = "kinematic"
-[[vehicle]]
-name = "car1"
-agent = {{ kind = "trajectory", runs = "inprocess" }}
-[[vehicle]]
-name = "car2"
-pose = [-1.0, 0.0, 0.0]
-agent = {{ kind = "leader_follower", leader = "car1", runs = "zenoh" }}
-[[vehicle]]
-name = "car3"
-pose = [-1.0, 0.5, 0.0]
-agent = {{ kind = "leader_follower", leader = "car1", runs = "zenoh" }}
-"""
+
+def far(duration_s: float) -> str:
+    """The scenario of a leader here and two followers elsewhere."""
+    agents = LEADER + HERE, FOLLOWER + ELSEWHERE, FOLLOWER + ELSEWHERE
+    return team("far", *agents, duration_s=duration_s, loss=0.3, deadline_s=20.0, join_timeout_s=60.0)
 
 
 class Place(Stage):
@@ -58,7 +39,7 @@ class Place(Stage):
         return out.name
 
     def run(self, duration: float, *more: str) -> subprocess.Popen[str]:
-        (self.folder / "far.toml").write_text(SCENARIO.format(duration=duration))
+        (self.folder / "far.toml").write_text(far(duration))
         listen = ["--listen", f"tls/127.0.0.1:{self.port}", "--keys", "keys"]
         return self.start("run", "far.toml", *listen, "--out", "out", *more)
 
@@ -94,8 +75,7 @@ def test_a_certificate_speaks_for_its_own_vehicles_alone(place: Place) -> None:
     """Refused on the host's side by its own file; past that, by the run, which says so too."""
     mine, theirs = place.keys("car2", as_="one"), place.keys("car3", as_="two")
     run = place.run(5.0)
-    code, said = ended(place.host("car3", mine, place.port))
-    assert code == 2
+    said = ended_with(2, place.host("car3", mine, place.port))
     assert "one.keys: is for car2, not for car3" in said
     forged = (
         "import sys; from vcmvsp.agents import host_process as serve; from vcmvsp.cosim.security import certificates\n"
@@ -109,8 +89,7 @@ def test_a_certificate_speaks_for_its_own_vehicles_alone(place: Place) -> None:
     refusal = "the certificate of 'one' is for car2, not for car3"
     assert f"the run refuses this host: {refusal}" in liar.stderr
     hosts = [place.host("car2", mine, place.port), place.host("car3", theirs, place.port)]
-    code, said = ended(run)
-    assert code == 0
+    said = ended_with(0, run)
     assert f"refused a host with the certificate of one: {refusal}" in said
     assert [ended(host)[0] for host in hosts] == [0, 0]
 
@@ -146,7 +125,7 @@ def test_a_cut_that_heals_within_the_deadline_loses_nothing(
 
 
 def test_beyond_this_machine_certificates_are_a_must(place: Place) -> None:
-    (place.folder / "far.toml").write_text(SCENARIO.format(duration=1.0))
+    (place.folder / "far.toml").write_text(far(1.0))
     run = ("run", str(place.folder / "far.toml"), "--out", str(place.out))
     code, _, said = vcmvsp_command(*run, "--listen", f"tcp/0.0.0.0:{place.port}")
     assert code == 2

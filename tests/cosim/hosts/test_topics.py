@@ -10,7 +10,6 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -19,7 +18,7 @@ import pytest
 import zenoh
 from zenoh.handlers import Callback
 
-from tests.support.cosim.secure_hub import lasting_links
+from tests.support.cosim.secure_hub import lasting_links, settle, until
 from tests.support.paths import ROOT
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.hosts import protocol
@@ -55,7 +54,6 @@ from vcmvsp.cosim.types import (
     Waypoint,
 )
 
-PATIENCE_S = 20.0
 MESSAGE = Message(sender="car1", body={"x": 1.5, "plan": [1, 2], "raw": b"\x00\xff"}, size_bytes=40)
 FRAME = FrameReport(
     frame=7,
@@ -100,18 +98,6 @@ class Ear:
 
     def values(self) -> dict[str, Any]:
         return {key: said for key, _, _, said in self.heard}
-
-
-def until(condition: Callable[[], object]) -> None:
-    last = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < last, "it never came true"
-        time.sleep(0.005)
-
-
-def settle() -> None:
-    """Time for what should not arrive to arrive."""
-    time.sleep(0.2)
 
 
 @pytest.fixture(autouse=True)

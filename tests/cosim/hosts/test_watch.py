@@ -16,33 +16,14 @@ from mcap.reader import make_reader
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import VCMVSP, Stage, ended, wait_for
+from tests.support.cosim.run_processes import VCMVSP, Stage, ended, ended_with, said_by, wait_for
+from tests.support.cosim.teams import FOLLOWER, LEADER, team
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import remote
-from vcmvsp.cosim.hosts.observers.watcher import Seen
+from vcmvsp.cosim.hosts.observers import Seen
 from vcmvsp.cosim.security import authority
 
-SCENARIO = """
-name = "shown"
-duration_s = 2.0
-[physics]
-kind = "kinematic"
-[radio]
-preset = "ideal"
-loss = { probability = 0.3 }
-[agents]
-deadline_s = 20.0
-join_timeout_s = 60.0
-[vehicles]
-kind = "kinematic"
-[[vehicle]]
-name = "car1"
-agent = { kind = "trajectory" }
-[[vehicle]]
-name = "car2"
-pose = [-1.0, 0.0, 0.0]
-agent = { kind = "leader_follower", leader = "car1" }
-"""
+SCENARIO = team("shown", LEADER, FOLLOWER, duration_s=2.0, loss=0.3, deadline_s=20.0, join_timeout_s=60.0)
 SAME = ("car1/command", "car2/command", "car1/send", "car2/heard", "car2/note", "car2/odometry", "car1/state", "radio/frame")
 
 
@@ -92,15 +73,6 @@ class Theatre(Stage):
 def theatre(tmp_path: Path) -> Iterator[Theatre]:
     with Theatre(tmp_path) as made:
         yield made
-
-
-def said_by(process: subprocess.Popen[str], what: str) -> None:
-    """Wait until it says so."""
-    assert process.stderr is not None
-    for line in process.stderr:
-        if what in line:
-            return
-    raise AssertionError(f"it never said '{what}'")
 
 
 def test_two_observers_see_the_recording_and_change_no_bit(theatre: Theatre) -> None:
@@ -157,8 +129,7 @@ def test_an_observer_that_hangs_or_is_interrupted_ends_no_run(theatre: Theatre) 
     assert [ended(each)[0] for each in (run, theatre.host())] == [0, 0]
     assert theatre.digest() == theatre.alone()
     os.kill(hangs.pid, signal.SIGCONT)
-    code, said = ended(hangs)
-    assert code == 0
+    said = ended_with(0, hangs)
     assert "the run has ended" in said
 
 

@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from vcmvsp.cosim.processes.local_link import LONGEST, LocalLink, pair
+from vcmvsp.cosim.processes.child_process import LONGEST, LocalLink, pair
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_a_message_of_which_the_end_is_missing_is_noticed(
     ends: tuple[LocalLink, socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     here, there = ends[0], LocalLink(ends[1])
-    monkeypatch.setattr("vcmvsp.cosim.processes.local_link.LONGEST", 1000)
+    monkeypatch.setattr("vcmvsp.cosim.processes.child_process.LONGEST", 1000)
     assert LONGEST > 1000
     assert here.send(bytes(1001))
     with pytest.raises(ValueError, match="a message was longer than 1000 bytes"):

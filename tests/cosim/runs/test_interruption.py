@@ -69,7 +69,7 @@ KILLED = """
 import os, signal, sys, tempfile
 tempfile.tempdir = sys.argv[1]
 from vcmvsp.cosim.processes import child_process
-child_process.HostProcess = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+child_process.ChildProcess = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
 import vcmvsp
 vcmvsp.run("formation-circle", agents="process")
 """

@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.security import authority, certificates
-from vcmvsp.cosim.security import x509 as signing
 
 DAY = dt.timedelta(days=1)
 P_256 = bytes.fromhex("2a8648ce3d030107")  # the curve's identifier (RFC 5480, 2.1.1.1)
@@ -45,10 +44,10 @@ def keys(tmp_path: Path) -> Path:
 @pytest.fixture
 def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[dt.timedelta], None]:
     """Turns the clock."""
-    real = signing.now
+    real = certificates.now
 
     def turn(by: dt.timedelta) -> None:
-        monkeypatch.setattr(signing, "now", lambda: real() + by)
+        monkeypatch.setattr(certificates, "now", lambda: real() + by)
 
     return turn
 
@@ -139,7 +138,7 @@ def test_a_certificate_is_what_its_docstring_says(shared: Path) -> None:
 
 
 def test_valid_for_as_long_as_is_said(shared: Path, keys: Path) -> None:
-    now = signing.now()
+    now = certificates.now()
     near = dt.timedelta(minutes=2)
     assert abs(certificates.load(shared).until - now - 365 * DAY) < near
     assert abs(certificates.load_bundle(shared / "car2.keys").until - now - 90 * DAY) < near
@@ -302,7 +301,7 @@ def test_a_folder_is_no_file_and_a_file_no_folder(shared: Path, tmp_path: Path) 
 
 def test_parts_that_do_not_belong_together_are_refused(shared: Path, keys: Path, tmp_path: Path) -> None:
     authority.issue(keys, "car2", ["car2"])
-    one, other = (signing.blocks((folder / "car2.keys").read_text()) for folder in (shared, keys))
+    one, other = (certificates.blocks((folder / "car2.keys").read_text()) for folder in (shared, keys))
     for parts in ([other[0], *one[1:]], [*one[:2], other[2]], one[:2], [*one, *one], []):
         mixed = tmp_path / "mixed.keys"
         mixed.write_text("".join(parts))
@@ -318,7 +317,7 @@ def test_parts_that_do_not_belong_together_are_refused(shared: Path, keys: Path,
 
 def test_a_curve_that_nobody_knows_is_damage(shared: Path, tmp_path: Path) -> None:
     damaged = tmp_path / "damaged.keys"
-    for number, block in enumerate(parts := signing.blocks((shared / "laptop.keys").read_text())):
+    for number, block in enumerate(parts := certificates.blocks((shared / "laptop.keys").read_text())):
         head, *lines, tail = block.split("\n")[:-1]
         content = base64.b64decode("".join(lines)).replace(P_256, P_256[:-1] + b"\x41")
         text = "\n".join([head, base64.b64encode(content).decode(), tail, ""])

@@ -9,9 +9,9 @@ import pytest
 import zenoh
 
 import vcmvsp
-from tests.cosim.hosts.test_remote_hosts import SCENARIO
+from tests.cosim.hosts.test_remote_hosts import far
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import Stage, ended
+from tests.support.cosim.run_processes import Stage, ended, ended_with
 from tests.support.docs.readme_pages import blocks_of
 from tests.support.paths import ROOT
 from vcmvsp.cosim.security import certificates
@@ -22,7 +22,7 @@ HOSTED = ("car2", "car3")
 
 @pytest.fixture
 def stage(tmp_path: Path) -> Iterator[Stage]:
-    (tmp_path / "far.toml").write_text(SCENARIO.format(duration=1.0))
+    (tmp_path / "far.toml").write_text(far(1.0))
     with Stage(tmp_path) as made:
         yield made
 
@@ -45,8 +45,7 @@ def test_a_router_between_a_run_and_its_hosts_changes_no_bit(stage: Stage) -> No
         run = stage.start("run", "far.toml", "--listen", f"tcp/127.0.0.1:{stage.port}", "--insecure", "--out", "out")
         dialled = f"tcp/127.0.0.1:{beyond}"
         hosts = [stage.start("agent", "--vehicle", name, "--connect", dialled, "--insecure") for name in HOSTED]
-        code, said = ended(run)
-        assert code == 0, said
+        ended_with(0, run)
         assert [ended(host)[0] for host in hosts] == [0, 0]
         assert not router.is_closed()
     alone = vcmvsp.run(stage.folder / "far.toml", agents="inprocess", mcap=False).metrics["digest"]

@@ -157,6 +157,16 @@ def test_only_numbers_and_booleans_travel_in_arrays(bad: Array) -> None:
         ([["a", "<f8"]], [1], b"\0" * 8),
         ("<f8", "x", b""),
         ("<f8", [1]),
+        ("<f8", [-1], b"\0" * 16),  # a size for NumPy to work out
+        ("<f8", 1, b"\0" * 8),
+        ("<f8", None, b"\0" * 8),
+        ("f8", [1], b"\0" * 8),  # of this machine's own byte order
+        ("|b1", [2], b"\1\2"),
+        ("<f8", [2**63], b""),
+        ("<f8", [0, 2**62], b""),
+        ("<f8", [1] * 65, b"\0" * 8),
+        ("i0", [2**40], b""),
+        ("i99999999999999999999", [1], b"\0"),
         {"dtype": "<f8"},
         None,
         "<f8",

@@ -13,8 +13,8 @@ from tests.support import requirements
 from tests.support.cosim.full_disk import room_for
 from tests.support.cosim.view_pages import ARGUMENTS
 from vcmvsp.cosim.types import Array
-from vcmvsp.cosim.util import film
-from vcmvsp.cosim.util.film import write_film
+from vcmvsp.cosim.util import pictures as films_module
+from vcmvsp.cosim.util.pictures import write_film
 
 COUNT, FPS = 25, 10
 
@@ -53,7 +53,7 @@ def test_on_a_full_disk_there_is_one_error_and_nothing_is_left(room: int, tmp_pa
 
 
 def test_a_film_that_cannot_be_read_back_is_no_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = film._encode
+    whole = films_module._encode
 
     def lost(place: Path, *arguments: Any) -> int:
         return whole(place, *arguments) + 1
@@ -64,7 +64,7 @@ def test_a_film_that_cannot_be_read_back_is_no_film(tmp_path: Path, monkeypatch:
         return count
 
     for encode in (lost, cut):
-        monkeypatch.setattr(film, "_encode", encode)
+        monkeypatch.setattr(films_module, "_encode", encode)
         with pytest.raises(OSError, match=r"pictures can be read back|[Ii]nvalid data"):
             write_film(tmp_path / "film.mp4", pictures(), FPS)
     assert list(tmp_path.iterdir()) == []

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.types import Array, Datagrams, Message, Reception, States, Traffic
 from vcmvsp.cosim.util.codec import encode
+from vcmvsp.netsim.bridge import messages
 from vcmvsp.netsim.bridge.federate import AGAIN_NS, BEHIND_NS, PATIENCE_NS, Bridge
 from vcmvsp.netsim.bridge.gateways.base import LARGEST
-from vcmvsp.netsim.bridge.process import messages
 
 MS = 1_000_000
 RUN = RunInfo(scenario="test", seed=1, duration_ns=10**10, vehicles=("a", "b"))
@@ -58,7 +58,7 @@ class Clock:
 def bridge_of(
     vehicles: tuple[str, ...],
     air: Any,
-    clock: Clock,
+    clock: Any,
     *,
     gateways: Sequence[messages.GatewaySpec] = (),
     agents: bool = False,
@@ -70,7 +70,7 @@ def bridge_of(
         folder=".",
         vehicles=vehicles,
         agents=agents,
-        air=air,
+        levels_dbm=air,
         clock=clock,
         tell=tell,
         log=lambda *_: None,
@@ -160,7 +160,7 @@ def test_levels_of_many_vehicles_are_told_in_pieces_that_a_message_holds() -> No
     levels = np.arange(n * n, dtype=np.float64).reshape(n, n)
     air: Any = Levels(levels)
     names = tuple(f"v{k}" for k in range(n))
-    bridge = bridge_of(names, air, Clock())
+    bridge = bridge_of(names, air.levels_dbm, Clock())
     bridge.start(RUN)
     process: Any = Beside()
     bridge._process = process
@@ -187,10 +187,7 @@ class Levels:
 
 def test_what_an_agent_says_that_no_datagram_holds_is_counted() -> None:
     bridge, process, _ = made(agents=True)
-    process.says = [
-        messages.Counts(counts={"a": {"of the process": 1}}),
-        messages.Counts(counts={"b": {"of the process": 2}}),
-    ]
+    process.says = [messages.Counts(counts={"a": {"of the process": 1}}), messages.Counts(counts={"b": {"of the process": 2}})]
     bridge.poll(MS)
     for size in (LARGEST, LARGEST + 1, LARGEST + 2):
         message = Message(sender="a", body=bytes(size), size_bytes=4)

@@ -1,7 +1,7 @@
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Traffic
-from vcmvsp.netsim.bridge.lateness import Columns, Lateness
+from vcmvsp.netsim.bridge.deliveries import Columns, Lateness
 
 
 def ints(*values: int) -> Array:
@@ -12,13 +12,7 @@ def traffic(*rows: tuple[int, int, int, int], settled: tuple[int, ...] = ()) -> 
     """Number, receiver, time and frame of each arrival."""
     number, receiver, arrival_ns, frame = np.array(rows, np.int64).reshape(-1, 4).T
     return Traffic(
-        reports=(),
-        carries=ints(),
-        number=number,
-        receiver=receiver,
-        arrival_ns=arrival_ns,
-        frame=frame,
-        settled=ints(*settled),
+        reports=(), carries=ints(), number=number, receiver=receiver, arrival_ns=arrival_ns, frame=frame, settled=ints(*settled)
     )
 
 

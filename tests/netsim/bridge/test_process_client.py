@@ -1,16 +1,13 @@
 """A bridge's process that never says a word is waited for as long as it may take, and no longer."""
 
 import itertools
-import subprocess
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
 from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.processes.local_link import LocalLink
-from vcmvsp.netsim.bridge import process_client
-from vcmvsp.netsim.bridge.process import messages
+from vcmvsp.netsim.bridge import messages, process_client
 from vcmvsp.netsim.bridge.process_client import BridgeClient
 
 STEP_S = 7.0
@@ -45,15 +42,10 @@ def slow_clock(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def silent() -> tuple[BridgeClient, Silent]:
-    def wait(timeout: float | None = None) -> int:
-        if timeout is not None:
-            raise subprocess.TimeoutExpired("bridge", timeout)
-        return -9
-
-    process = SimpleNamespace(pid=1, kill=lambda: None, wait=wait)
     link = Silent()
+    process = SimpleNamespace(pid=1, link=link, close=lambda _: False)
     opening = messages.Opening(run="run", folder=".", vehicles=("a",), gateways=(), payloads=False)
-    return BridgeClient(cast("Any", process), cast("LocalLink", link), opening), link
+    return BridgeClient(cast("Any", process), opening), link
 
 
 def test_doors_that_do_not_open_are_said_when_time_is_over(slow_clock: None) -> None:

@@ -1,6 +1,5 @@
 """Programs and a run: a kernel, a radio, a bridge process and sockets."""
 
-import os
 import signal
 import socket
 import subprocess
@@ -15,14 +14,13 @@ import numpy as np
 import pytest
 
 from tests.support.netsim.bridge_runs import BROADCAST, BridgeRun, all_of, running, until_each_of, wait_for, what_is_there
-from tests.support.netsim.gateway_context import PATIENCE_S, free_ports
-from tests.support.paths import ROOT
+from tests.support.netsim.gateway_context import PATIENCE_S
 from vcmvsp.cosim.clock import SECOND_NS, WallClock
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event, Prompted, Releasable, RunInfo, Slot, Step
 from vcmvsp.cosim.types import Message, Reception
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.netsim.bridge.process.messages import GatewaySpec
+from vcmvsp.netsim.bridge.messages import GatewaySpec
 
 MS = 1_000_000
 
@@ -148,54 +146,6 @@ def test_one_that_floods_leaves_what_others_say_whole() -> None:
     assert set(counts) <= {"c"}  # nobody else lost anything on the way to the radio
 
 
-def test_lengths_from_none_to_more_than_a_frame_may_have() -> None:
-    run = BridgeRun("a", "b", udp={"max_bytes": 65_000})
-    with run.program(1) as b, running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
-        for payload in (b"", b"\x00" * 1400, bytes(range(250)) * 260, bytes(65_100), b"last"):
-            a.sendto(payload, run.port(0, 2))
-        assert all_of(b, 4) == [b"", b"\x00" * 1400, bytes(range(250)) * 260, b"last"]
-    assert run.bridge.lateness["counts"] == {"a": {"longer than max_bytes": 1}}
-    assert [report.size_bytes for report in run.reports] == [0, 1400, 65_000, 4]
-
-
-def test_that_the_process_is_gone_ends_the_run_with_its_name() -> None:
-    run = BridgeRun("a", "b")
-    run.go()
-    assert run.bridge._process is not None
-    os.kill(run.bridge._process.pid, signal.SIGKILL)
-    run.join()
-    assert isinstance(run.error, FederateError)
-    assert "bridge: its process was killed by SIGKILL: programs are cut off" in str(run.error)
-
-
-def test_when_the_run_is_killed_the_process_ends_and_ports_are_free() -> None:
-    first = free_ports(200)
-    script = textwrap.dedent(f"""
-        from tests.support.netsim.bridge_runs import BridgeRun
-        from vcmvsp.netsim.bridge.process.messages import GatewaySpec
-        run = BridgeRun("a", "b", gateways=[GatewaySpec(name="udp", kind="udp", params={{"first_port": {first}}})])
-        run.go()
-        print(run.bridge._process.pid, flush=True)
-    """)
-    root = ROOT
-    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=root) as run:
-        assert run.stdout is not None
-        pid = int(run.stdout.readline())
-        assert Path(f"/proc/{pid}").exists()
-        run.kill()
-
-    def gone() -> bool:
-        try:
-            status = Path(f"/proc/{pid}/stat").read_text()
-        except (FileNotFoundError, ProcessLookupError):
-            return True
-        return status.rpartition(")")[2].split()[0] == "Z"  # whoever adopts it is slow
-
-    wait_for(gone)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", first))
-
-
 def test_ports_in_use_end_the_run_before_it_begins_and_leave_no_process() -> None:
     run = BridgeRun("a", "b")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
@@ -307,7 +257,7 @@ def test_levels_are_told_while_a_door_asks(tmp_path: Path) -> None:
 
 
 def test_a_run_of_many_messages_is_said_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vcmvsp.netsim.bridge.process.messages.MOST_DUE", 3)
+    monkeypatch.setattr("vcmvsp.netsim.bridge.messages.MOST_DUE", 3)
     names = [f"v{k}" for k in range(8)]
     run = BridgeRun(*names)
     with run.program(3) as heard, running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:

@@ -11,9 +11,7 @@ from tests.support.netsim.routing_runs import HOP_NS, MS, Run, line, names, run,
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Datagrams, Traffic, frozen
 from vcmvsp.netsim.routing.distance_vector import DistanceVector
-from vcmvsp.netsim.routing.flooding import Flooding
-from vcmvsp.netsim.routing.router import BROADCAST, HEADER_BYTES, Routing
-from vcmvsp.netsim.routing.static import Static
+from vcmvsp.netsim.routing.router import BROADCAST, HEADER_BYTES, Flooding, Routing, Static
 
 
 def handed(at_ns: int, *rows: tuple[int, int, int], sent_ns: int | None = None, payloads: Sequence[bytes] = ()) -> Event:

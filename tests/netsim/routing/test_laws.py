@@ -10,9 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.support.netsim.routing_runs import AIR_NS, HOP_NS, MS, Run, line, names, run, says
-from vcmvsp.netsim.routing.flooding import Flooding
-from vcmvsp.netsim.routing.router import HEADER_BYTES, Routing
-from vcmvsp.netsim.routing.static import Static
+from vcmvsp.netsim.routing.router import HEADER_BYTES, Flooding, Routing, Static
 
 LOSS = 0.2
 LADDER = [(60.0 * i, y) for i in range(4) for y in (0.0, 30.0)]

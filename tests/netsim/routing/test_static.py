@@ -7,7 +7,7 @@ import pytest
 from tests.support.netsim.routing_runs import line, names, run, says
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.routing.static import Static
+from vcmvsp.netsim.routing.router import Static
 
 FOUR = names(4)
 

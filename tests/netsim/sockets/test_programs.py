@@ -162,7 +162,7 @@ def test_a_program_that_speaks_while_it_should_wait_leaves(tmp_path: Path) -> No
 
 
 def test_a_program_that_sends_without_end_leaves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vcmvsp.netsim.sockets.program.MOST_CALLS", 50)
+    monkeypatch.setattr("vcmvsp.netsim.sockets.federate.MOST_CALLS", 50)
     told = list[str]()
 
     def endless(end: Socket) -> None:

@@ -69,6 +69,19 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     return process.returncode, said
 
 
+def ended_with(code: int, process: subprocess.Popen[str]) -> str:
+    """What it said until it ended with this exit code."""
+    found, said = ended(process)
+    assert found == code, said
+    return said
+
+
+def said_by(process: subprocess.Popen[str], what: str) -> None:
+    """Read what it says until this."""
+    assert process.stderr is not None
+    assert any(what in line for line in process.stderr), what
+
+
 def wait_for(path: Path) -> None:
     """Until there is such a file."""
     last = time.monotonic() + 60.0

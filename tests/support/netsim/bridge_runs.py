@@ -16,7 +16,7 @@ from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.types import Array, Datagrams, FrameReport, States, Traffic
 from vcmvsp.netsim.bridge.federate import Bridge
-from vcmvsp.netsim.bridge.process.messages import GatewaySpec
+from vcmvsp.netsim.bridge.messages import GatewaySpec
 from vcmvsp.netsim.federate import RadioFederate
 
 BROADCAST, RECEIVE = 0, 99  # of a vehicle's block of ports
@@ -94,7 +94,7 @@ class BridgeRun:
             folder=folder,
             vehicles=vehicles,
             agents=hear,
-            air=air,
+            levels_dbm=air.levels_dbm,
             clock=clock,  # type: ignore[arg-type]  # one that has these times
             tell=self.told.append,
             log=self.log,

@@ -6,6 +6,7 @@ packets there. One hop on the air is one hop of IP.
 
 import asyncio
 import contextlib
+import ipaddress
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,10 +14,24 @@ from typing import Annotated
 
 import msgspec
 
-from vcmvsp.netsim.bridge.gateways.base import LARGEST, GatewayContext, GatewayError, check_names
-from vcmvsp.netsim.bridge.gateways.ip import interfaces, namespaces, run_networks
-from vcmvsp.netsim.bridge.gateways.ip.addresses import LEAST_MTU6, Directory, Network, address_in, is_ip, network_of
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, GatewayContext, GatewayError, check_names
+from vcmvsp.netsim.bridge.gateways.ip import namespaces, run_networks
+from vcmvsp.netsim.bridge.gateways.ip.namespaces import Network
 from vcmvsp.netsim.bridge.gateways.ip.run_networks import Space
+
+NO_ADDRESS = "no such address"
+NO_IP = "not an IP packet"
+MEMBERSHIP = "reports to multicast routers, kept off the air"
+"""Reasons to drop a packet, for `GatewayContext.count`."""
+
+HEADER4, HEADER6 = 20, 40  # bytes at least
+LEAST_MTU6 = 1280  # RFC 8200, section 5: no IPv6 on a link with less
+
+_IGMP, _HOP_BY_HOP, _ICMP6 = 2, 0, 58  # protocol numbers
+_TO_ROUTERS = frozenset((130, 131, 132, 133, 143))  # ICMPv6: listener queries and reports (RFC 2710, 3810), router solicitation
+
+Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 BATCH = 64  # packets of one vehicle before others have their turn
 PAUSE_S = 0.002  # without reading when the run has no room; packets wait in the kernel's bounded queue
@@ -24,15 +39,94 @@ COUNTING_S = 1.0  # period at which drops of that queue are counted
 SHOWN = 12  # vehicles in the list of addresses
 
 NOT_TAKEN = "not taken by the kernel"
-NO_ROOM = f"no room in the queue of {interfaces.RADIO}"
+NO_ROOM = f"no room in the queue of {namespaces.RADIO}"
 
 Mtu = Annotated[int, msgspec.Meta(ge=68, le=LARGEST)]  # RFC 791: every link carries 68
 
 
+def network_of(text: str, key: str, version: int | None = None) -> Network:
+    """Parse a network of private addresses, e.g. ``10.77.0.0/16``, of this version of IP (None: either).
+
+    Raises:
+        ScenarioError: the text under ``key`` is no network, or a reserved one.
+    """
+    problem = ""
+    try:
+        network = ipaddress.ip_network(text)
+    except ValueError as error:
+        example = "fd77::/64" if version == 6 else "10.77.0.0/16"
+        raise ScenarioError(f"{error}; write ADDRESS/BITS, e.g. {example}", key=key) from None
+    if version not in (None, network.version):
+        problem = f"{text} is a network of IPv{network.version}, not of IPv{version}"
+    elif network.is_multicast or network.is_loopback or network.is_link_local or network.is_unspecified:
+        problem = f"{text} is reserved; private networks are in 10.0.0.0/8, 192.168.0.0/16 and fd00::/8"
+    if problem:
+        raise ScenarioError(problem, key=key)
+    return network
+
+
+def address_in(network: Network, row: int) -> Address:
+    """The address of the vehicle in this row; row 0 has the first host address."""
+    return network[row + 1]
+
+
+class Directory:
+    """Vehicle of each address.
+
+    Args:
+        networks: shared by the vehicles.
+        routed: networks behind vehicles, by row; the narrowest network that contains an address counts.
+    """
+
+    def __init__(self, networks: Sequence[Network], rows: Sequence[int], routed: Mapping[int, Sequence[Network]]) -> None:
+        self._rows = {address_in(network, row).packed: row for network in networks for row in rows}
+        shared = {network.broadcast_address.packed for network in networks if network.version == 4}
+        self._broadcasts = shared | {b"\xff\xff\xff\xff"}
+        behind = [(network, row) for row, each in routed.items() for network in each]
+        self._routed = sorted(behind, key=lambda each: -each[0].prefixlen)
+
+    def goes_to(self, sender: int, packet: bytes) -> int | str:
+        """The row of the destination vehicle, `BROADCAST`, or the reason to drop the packet.
+
+        Multicast membership reports and router solicitations, which the kernel sends by itself, are dropped: there are no
+        multicast routers.
+        """
+        if not is_ip(packet):
+            return NO_IP
+        if packet[0] >> 4 == 4:
+            target = packet[16:HEADER4]
+            is_group, is_membership = target[0] >> 4 == 0xE, packet[9] == _IGMP
+        else:
+            target = packet[24:HEADER6]
+            is_group, is_membership = target[0] == 0xFF, _icmp6_type(packet) in _TO_ROUTERS
+        if is_membership:
+            return MEMBERSHIP
+        return BROADCAST if is_group or target in self._broadcasts else self._row(sender, target)
+
+    def _row(self, sender: int, target: bytes) -> int | str:
+        row = self._rows.get(target)
+        if row is None:
+            address = ipaddress.ip_address(target)
+            row = next((row for network, row in self._routed if address in network), None)
+        return NO_ADDRESS if row is None or row == sender else row
+
+
+def is_ip(packet: bytes) -> bool:
+    """Whether the bytes begin with a complete IP header."""
+    version = packet[0] >> 4 if packet else 0
+    return (version == 4 and len(packet) >= HEADER4) or (version == 6 and len(packet) >= HEADER6)
+
+
+def _icmp6_type(packet: bytes) -> int:
+    """Type of an ICMPv6 message, also after hop-by-hop options; -1: not ICMPv6, or truncated."""
+    kind, start = packet[6], HEADER6
+    if kind == _HOP_BY_HOP and len(packet) >= HEADER6 + 2:
+        kind, start = packet[HEADER6], HEADER6 + 8 * (packet[HEADER6 + 1] + 1)
+    return packet[start] if kind == _ICMP6 and len(packet) > start else -1
+
+
 @dataclass
 class _Radio:
-    """The radio interface of a vehicle."""
-
     row: int
     packets: int  # descriptor
     statistics: int  # descriptor
@@ -122,27 +216,25 @@ class Ip:
         name = context.vehicles[row]
         port = None
         if behind := self._routes.get(name):
-            port = interfaces.port_of(context.run, name, behind, [*self._networks, *self._beyond(name)])
+            port = namespaces.port_of(context.run, name, behind, [*self._networks, *self._beyond(name)])
         addresses = tuple(str(address_in(each, row)) for each in self._networks)
         return Space(vehicle=name, namespace=f"vcmvsp-{context.run}-{name}", addresses=addresses, port=port)
 
     def _beyond(self, vehicle: str) -> list[Network]:
-        """The networks behind the other vehicles."""
         return [network for name, behind in self._routes.items() if name != vehicle for network in behind]
 
     def _make(self, row: int, space: Space) -> None:
-        """Create a namespace and its interfaces."""
         with_bits = [(address, each.prefixlen) for address, each in zip(space.addresses, self._networks, strict=True)]
         beyond = self._beyond(space.vehicle)
         namespaces.create(space.namespace)
-        packets = namespaces.inside(space.namespace, lambda: interfaces.open_radio(with_bits, beyond, self._mtu_bytes))
+        packets = namespaces.inside(space.namespace, lambda: namespaces.open_radio(with_bits, beyond, self._mtu_bytes))
         try:
-            self._radios[row] = _Radio(row, packets, namespaces.inside(space.namespace, interfaces.statistics))
+            self._radios[row] = _Radio(row, packets, namespaces.inside(space.namespace, namespaces.statistics))
         except BaseException:
             os.close(packets)
             raise
         if (port := space.port) is not None:
-            namespaces.in_thread(lambda: interfaces.open_port(port, space.namespace))
+            namespaces.in_thread(lambda: namespaces.open_port(port, space.namespace))
         self._context.loop.add_reader(packets, self._read, self._radios[row])
 
     def _lines(self, spaces: Sequence[Space]) -> list[str]:
@@ -155,7 +247,6 @@ class Ip:
         return [*lines, f"on a vehicle's machine: vcmvsp net exec {here} -- ping {there}"]
 
     def _read(self, radio: _Radio) -> None:
-        """Offer a vehicle's packets to the run, as long as there is room."""
         for _ in range(BATCH):
             try:
                 packet = os.read(radio.packets, LARGEST)
@@ -187,7 +278,7 @@ class Ip:
     def _count_dropped(self) -> None:
         """Count packets that the kernel's queue dropped, periodically."""
         for radio in self._radios.values():
-            dropped = interfaces.dropped(radio.statistics)
+            dropped = namespaces.dropped(radio.statistics)
             if dropped > radio.dropped:
                 self._context.count(radio.row, NO_ROOM, dropped - radio.dropped)
                 radio.dropped = dropped

@@ -8,6 +8,7 @@ import contextlib
 import fcntl
 import functools
 import os
+import pwd
 import shutil
 import signal
 import socket
@@ -21,9 +22,9 @@ import msgspec
 
 from vcmvsp.cosim.types import Value
 from vcmvsp.cosim.util.documents import read_json
-from vcmvsp.netsim.bridge.gateways.ip import interfaces, namespaces
-from vcmvsp.netsim.bridge.gateways.ip.caller import become, caller
-from vcmvsp.netsim.bridge.gateways.ip.interfaces import Port
+from vcmvsp.cosim.util.files import write_whole
+from vcmvsp.netsim.bridge.gateways.ip import namespaces
+from vcmvsp.netsim.bridge.gateways.ip.namespaces import Port
 
 FOLDER = Path("/run/vcmvsp-net")
 HOSTS = Path("/etc/hosts")
@@ -32,6 +33,22 @@ AT_ONCE = 32  # threads; the kernel takes 20 ms to remove one interface or many
 LOOKED_S, PAUSE_S = 0.1, 0.002  # timeout for the lock, which other processes take briefly to look; between two attempts
 
 _LOCK, _ABOUT, _NAMES = "lock", "network.json", "hosts"
+_TAKEN = "a network {0} {1} exists already; if it is not needed: ip {2} delete {1}"
+
+
+def caller() -> pwd.struct_passwd | None:
+    """The user that called sudo; None: not run by sudo, or by root. Raises `KeyError` (no such user on this machine)."""
+    number = os.environ.get("SUDO_UID", "")
+    behind = os.geteuid() == 0 and number.isdecimal() and int(number) != 0
+    return pwd.getpwuid(int(number)) if behind else None
+
+
+def become(user: pwd.struct_passwd) -> None:
+    """Give up root's rights: run this process and its children as this user."""
+    os.initgroups(user.pw_name, user.pw_gid)
+    os.setresgid(user.pw_gid, user.pw_gid, user.pw_gid)
+    os.setresuid(user.pw_uid, user.pw_uid, user.pw_uid)
+    os.environ.update(HOME=user.pw_dir, USER=user.pw_name, LOGNAME=user.pw_name)
 
 
 class Space(Value, frozen=True, kw_only=True):
@@ -70,13 +87,6 @@ class RunAlive(NetworkInUse):
         super().__init__(f"{problem}: end it, or give this one another name (--set name=...)")
 
 
-class NameTaken(NetworkInUse):
-    """A namespace or interface of this name exists."""
-
-    def __init__(self, what: str, name: str, delete: str) -> None:
-        super().__init__(f"a {what} {name} exists already; if it is not needed: {delete} {name}")
-
-
 class Lease:
     """Lock on the network of a run; removes a former network of the same name.
 
@@ -98,21 +108,19 @@ class Lease:
         """Write the description of the network and its host names.
 
         Raises:
-            NameTaken: a namespace or interface of this name exists.
-            Taken: the networks behind its vehicles are behind those of another run.
+            NetworkInUse: a namespace or interface of this name exists, or what is behind its vehicles is behind another run's.
         """
         present = {name for _, name in socket.if_nameindex()}
         for each in network.spaces:
             if (namespaces.NAMES / each.namespace).exists():
-                raise NameTaken("network namespace", each.namespace, "ip netns delete")
+                raise NetworkInUse(_TAKEN.format("namespace", each.namespace, "netns"))
             if each.port is not None and each.port.interface in present:
-                raise NameTaken("network interface", each.port.interface, "ip link delete")
+                raise NetworkInUse(_TAKEN.format("interface", each.port.interface, "link"))
         lines = [f"{address}\t{each.vehicle}" for each in network.spaces for address in each.addresses]
         usual = HOSTS.read_text("utf-8", "replace") if HOSTS.exists() else ""
         (self._folder / _NAMES).write_text("\n".join([usual.rstrip("\n"), "# vehicles", *lines, ""]), "utf-8")
         (self._folder / _NAMES).chmod(0o644)  # for programs of all users
-        (self._folder / f"{_ABOUT}.new").write_bytes(msgspec.json.encode(network))
-        (self._folder / f"{_ABOUT}.new").replace(self._folder / _ABOUT)
+        write_whole(self._folder / _ABOUT, msgspec.json.encode(network))
         _check_routes(network)  # after writing: of two runs that start together, at least one sees the other
 
     def end(self) -> None:
@@ -199,7 +207,7 @@ def _check_routes(network: RunNetwork) -> None:
     others = [each for each in networks() if each.alive and each.run != network.run]
     for run, vehicle, port in ((each.run, space.vehicle, space.port) for each in others for space in each.spaces):
         for own in (each.port for each in network.spaces):
-            if own is not None and port is not None and (same := interfaces.in_common(own, port)):
+            if own is not None and port is not None and (same := namespaces.in_common(own, port)):
                 has = f"{same} goes through {vehicle} of the run {run} on this machine"
                 raise NetworkInUse(f"routes: what comes {has}: end that run, or give this one another network")
 
@@ -249,21 +257,14 @@ def _lock(folder: Path) -> int | None:
         try:
             os.fchmod(lock, 0o600)
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if _is(lock, folder / _LOCK):
-                return lock
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(lock), (folder / _LOCK).stat()):
+                    return lock
         except BaseException:
             os.close(lock)
             raise
         os.close(lock)
     return None
-
-
-def _is(descriptor: int, path: Path) -> bool:
-    """Whether a path still refers to this open file."""
-    try:
-        return os.path.samestat(os.fstat(descriptor), path.stat())
-    except FileNotFoundError:
-        return False
 
 
 def close_all(descriptors: Iterable[int]) -> None:
@@ -273,7 +274,6 @@ def close_all(descriptors: Iterable[int]) -> None:
 
 
 def _clear(folder: Path) -> None:
-    """Remove all parts of a network that exist."""
     network = _network_in(folder)
     with ThreadPoolExecutor(AT_ONCE) as pool:
         list(pool.map(_clear_space, () if network is None else network.spaces))
@@ -282,8 +282,8 @@ def _clear(folder: Path) -> None:
 
 def _clear_space(space: Space) -> None:
     if (port := space.port) is not None:
-        namespaces.in_thread(functools.partial(interfaces.close_port, port))
+        namespaces.in_thread(functools.partial(namespaces.close_port, port))
     if (namespaces.NAMES / space.namespace).exists():
         with contextlib.suppress(OSError):  # the file exists without a namespace: the run died between creating the two
-            namespaces.inside(space.namespace, interfaces.drop_radio)
+            namespaces.inside(space.namespace, namespaces.drop_radio)
         namespaces.remove(space.namespace)

@@ -23,9 +23,8 @@ from tests.support.paths import ROOT
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, GatewayError
-from vcmvsp.netsim.bridge.gateways.ip import interfaces, namespaces, run_networks
-from vcmvsp.netsim.bridge.gateways.ip.addresses import MEMBERSHIP, NO_ADDRESS
-from vcmvsp.netsim.bridge.gateways.ip.gateway import NO_ROOM, Ip
+from vcmvsp.netsim.bridge.gateways.ip import namespaces, run_networks
+from vcmvsp.netsim.bridge.gateways.ip.gateway import MEMBERSHIP, NO_ADDRESS, NO_ROOM, Ip
 
 pytestmark = [pytest.mark.needs("ip"), pytest.mark.usefixtures("namespaces_allowed")]
 
@@ -33,85 +32,69 @@ CARS = ("car1", "car2", "car3")
 
 
 @pytest.mark.parametrize(("first", "second", "header"), [("10.77.0.1", "10.77.0.2", 28), ("fd77::1", "fd77::2", 48)])
-def test_a_datagram_reaches_the_vehicle_that_has_its_address_and_no_other(first: str, second: str, header: int) -> None:
-    async def body() -> None:
-        context = TestHall(CARS, run=RUN)
-        async with opened(Ip(), context):
-            with udp("car1", first) as sender, udp("car2", second, 9000) as listener:
-                sender.sendto(b"x" * 100, (second, 9000))
-                assert await heard(listener) == (b"x" * 100, first)
-        assert [(each.sender, each.to, len(each.payload)) for each in context.offered] == [(0, 1, 100 + header)]
-        assert not context.counts
-
-    asyncio.run(body())
+async def test_a_datagram_reaches_the_vehicle_that_has_its_address_and_no_other(first: str, second: str, header: int) -> None:
+    context = TestHall(CARS, run=RUN)
+    async with opened(Ip(), context):
+        with udp("car1", first) as sender, udp("car2", second, 9000) as listener:
+            sender.sendto(b"x" * 100, (second, 9000))
+            assert await heard(listener) == (b"x" * 100, first)
+    assert [(each.sender, each.to, len(each.payload)) for each in context.offered] == [(0, 1, 100 + header)]
+    assert not context.counts
 
 
 @pytest.mark.parametrize("to", ["10.77.255.255", "255.255.255.255"])
-def test_a_broadcast_is_a_broadcast_by_radio(to: str) -> None:
-    async def body() -> None:
-        context = TestHall(CARS, run=RUN)
-        async with opened(Ip(), context):
-            with udp("car2", "10.77.0.2") as sender, udp("car1", "", 9000) as one, udp("car3", "", 9000) as other:
-                sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-                sender.sendto(b"all", (to, 9000))
-                for listener in (one, other):
-                    assert await heard(listener) == (b"all", "10.77.0.2")
-        assert [(each.sender, each.to) for each in context.offered] == [(1, BROADCAST)]
-
-    asyncio.run(body())
+async def test_a_broadcast_is_a_broadcast_by_radio(to: str) -> None:
+    context = TestHall(CARS, run=RUN)
+    async with opened(Ip(), context):
+        with udp("car2", "10.77.0.2") as sender, udp("car1", "", 9000) as one, udp("car3", "", 9000) as other:
+            sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            sender.sendto(b"all", (to, 9000))
+            for listener in (one, other):
+                assert await heard(listener) == (b"all", "10.77.0.2")
+    assert [(each.sender, each.to) for each in context.offered] == [(1, BROADCAST)]
 
 
 @pytest.mark.parametrize(("group", "own"), [("239.255.0.1", "10.77.0.1"), ("ff05::77", "fd77::1")])
-def test_a_multicast_reaches_who_has_joined_and_memberships_cost_no_air_time(group: str, own: str) -> None:
-    async def body() -> None:
-        context = TestHall(CARS, run=RUN)
-        async with opened(Ip(), context):
-            anywhere = "::" if ":" in group else "0.0.0.0"
-            with udp("car1", own) as sender, udp("car3", anywhere, 9000) as joined, udp("car2", anywhere, 9000) as not_joined:
-                if ":" in group:
-                    member = socket.inet_pton(socket.AF_INET6, group) + struct.pack("@I", 0)
-                    joined.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, member)
-                else:
-                    joined.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + bytes(4))
-                await until(lambda: MEMBERSHIP in context.counts.get("car3", {}))
-                sender.sendto(b"group", (group, 9000))
-                assert await heard(joined) == (b"group", own)
-                with pytest.raises(TimeoutError):
-                    await heard(not_joined, 0.05)
-        assert [(each.sender, each.to) for each in context.offered] == [(0, BROADCAST)]
-
-    asyncio.run(body())
+async def test_a_multicast_reaches_who_has_joined_and_memberships_cost_no_air_time(group: str, own: str) -> None:
+    context = TestHall(CARS, run=RUN)
+    async with opened(Ip(), context):
+        anywhere = "::" if ":" in group else "0.0.0.0"
+        with udp("car1", own) as sender, udp("car3", anywhere, 9000) as joined, udp("car2", anywhere, 9000) as not_joined:
+            if ":" in group:
+                member = socket.inet_pton(socket.AF_INET6, group) + struct.pack("@I", 0)
+                joined.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, member)
+            else:
+                joined.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + bytes(4))
+            await until(lambda: MEMBERSHIP in context.counts.get("car3", {}))
+            sender.sendto(b"group", (group, 9000))
+            assert await heard(joined) == (b"group", own)
+            with pytest.raises(TimeoutError):
+                await heard(not_joined, 0.05)
+    assert [(each.sender, each.to) for each in context.offered] == [(0, BROADCAST)]
 
 
-def test_what_nobody_has_the_address_of_is_counted_and_not_sent() -> None:
-    async def body() -> None:
-        context = TestHall(CARS, run=RUN)
-        async with opened(Ip(vehicles=("car1", "car2")), context):
-            with udp("car1", "10.77.0.1") as sender:
-                for nobody in ("10.77.0.3", "10.77.9.9"):  # the third vehicle has no interface
-                    sender.sendto(b"hello?", (nobody, 9000))
-                await until(lambda: context.counts.get("car1", {}).get(NO_ADDRESS) == 2)
-        assert not context.offered
-
-    asyncio.run(body())
+async def test_what_nobody_has_the_address_of_is_counted_and_not_sent() -> None:
+    context = TestHall(CARS, run=RUN)
+    async with opened(Ip(vehicles=("car1", "car2")), context):
+        with udp("car1", "10.77.0.1") as sender:
+            for nobody in ("10.77.0.3", "10.77.9.9"):  # the third vehicle has no interface
+                sender.sendto(b"hello?", (nobody, 9000))
+            await until(lambda: context.counts.get("car1", {}).get(NO_ADDRESS) == 2)
+    assert not context.offered
 
 
-def test_who_only_looks_on_sends_nothing() -> None:
+async def test_who_only_looks_on_sends_nothing() -> None:
     """No address is sought, no router called, no neighbour asked: the air is free for the programs."""
-
-    async def body() -> None:
-        context = TestHall(CARS, run=RUN)
-        async with opened(Ip(), context):
-            await asyncio.sleep(1.2)
-        assert not context.offered
-        assert not context.counts
-
-    asyncio.run(body())
+    context = TestHall(CARS, run=RUN)
+    async with opened(Ip(), context):
+        await asyncio.sleep(1.2)
+    assert not context.offered
+    assert not context.counts
 
 
 @pytest.mark.needs("ping")
 @pytest.mark.parametrize("to", ["10.77.0.2", "fd77::2"])
-def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
+async def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
     def number(packet: bytes) -> int:
         return int(struct.unpack_from(">H", packet, 26 if packet[0] >> 4 == 4 else 46)[0])  # icmp_seq
 
@@ -119,129 +102,113 @@ def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
         found = re.search(r"min/avg/max/mdev = ([\d.]+)", said)
         return float(found[1]) if found else float("inf")
 
-    async def body() -> None:
-        context = TestHall(CARS[:2], run=RUN, delay_s=0.02, hears=lambda sender, receiver, place: (place * 7) % 10 >= 3)
-        in_time: set[int] = set()
+    context = TestHall(CARS[:2], run=RUN, delay_s=0.02, hears=lambda sender, receiver, place: (place * 7) % 10 >= 3)
+    in_time: set[int] = set()
 
-        class Noted(Ip):
-            """Notes what comes back before the last question is asked: until then, ping certainly listens."""
+    class Noted(Ip):
+        """Notes what comes back before the last question is asked: until then, ping certainly listens."""
 
-            def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
-                super().deliver(sender, receiver, payload)
-                self._read(self._radios[0])  # all that it has asked by now
-                if sender == 1 and sum(each.sender == 0 for each in context.offered) < 40:
-                    in_time.add(number(payload))
+        def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
+            super().deliver(sender, receiver, payload)
+            self._read(self._radios[0])  # all that it has asked by now
+            if sender == 1 and sum(each.sender == 0 for each in context.offered) < 40:
+                in_time.add(number(payload))
 
-        async with opened(Noted(), context):
-            _, out = await called("car1", "ping", "-n", "-c", "40", "-i", "0.01", "-W", "5", to)
-            offered = list(context.offered)
-            quickest_ms, until_s = least_ms(out), time.monotonic() + 20.0
-            while quickest_ms >= 80.0 and time.monotonic() < until_s:  # if we were held up all the time, others are quicker
-                _, more = await called("car1", "ping", "-n", "-c", "10", "-i", "0.01", "-W", "5", to)
-                quickest_ms = min(quickest_ms, least_ms(more))
-        back = {number(each.payload) for each in offered if each.sender == 1}
-        heard_back = {number(each.payload) for place, each in enumerate(offered) if each.sender == 1 and (place * 7) % 10 >= 3}
-        told = {int(each) for each in re.findall(r"icmp_seq=(\d+) ", out)}
-        assert 40 == sum(each.sender == 0 for each in offered) > len(back) > len(heard_back)
-        assert in_time <= told <= heard_back
-        assert told
-        assert f"40 packets transmitted, {len(told)} received" in out
-        assert 40.0 <= quickest_ms < 80.0
-
-    asyncio.run(body())
+    async with opened(Noted(), context):
+        _, out = await called("car1", "ping", "-n", "-c", "40", "-i", "0.01", "-W", "5", to)
+        offered = list(context.offered)
+        quickest_ms, until_s = least_ms(out), time.monotonic() + 20.0
+        while quickest_ms >= 80.0 and time.monotonic() < until_s:  # if we were held up all the time, others are quicker
+            _, more = await called("car1", "ping", "-n", "-c", "10", "-i", "0.01", "-W", "5", to)
+            quickest_ms = min(quickest_ms, least_ms(more))
+    back = {number(each.payload) for each in offered if each.sender == 1}
+    heard_back = {number(each.payload) for place, each in enumerate(offered) if each.sender == 1 and (place * 7) % 10 >= 3}
+    told = {int(each) for each in re.findall(r"icmp_seq=(\d+) ", out)}
+    assert 40 == sum(each.sender == 0 for each in offered) > len(back) > len(heard_back)
+    assert in_time <= told <= heard_back
+    assert told
+    assert f"40 packets transmitted, {len(told)} received" in out
+    assert 40.0 <= quickest_ms < 80.0
 
 
-def test_a_long_datagram_is_split_by_the_kernel_as_mtu_bytes_says() -> None:
-    async def body() -> None:
-        context = TestHall(CARS, run=RUN)
-        async with opened(Ip(mtu_bytes=127), context) as lines:
-            with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
-                sender.sendto(bytes(1000), ("10.77.0.2", 9000))
-                assert await heard(listener) == (bytes(1000), "10.77.0.1")
-        assert len(context.offered) == 10  # 1008 bytes with the header of UDP, at most 104 of them in a packet (RFC 791)
-        assert max(len(each.payload) for each in context.offered) == 124
-        assert not any("fd77" in line for line in lines)  # IPv6 needs 1280 bytes
-
-    asyncio.run(body())
+async def test_a_long_datagram_is_split_by_the_kernel_as_mtu_bytes_says() -> None:
+    context = TestHall(CARS, run=RUN)
+    async with opened(Ip(mtu_bytes=127), context) as lines:
+        with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
+            sender.sendto(bytes(1000), ("10.77.0.2", 9000))
+            assert await heard(listener) == (bytes(1000), "10.77.0.1")
+    assert len(context.offered) == 10  # 1008 bytes with the header of UDP, at most 104 of them in a packet (RFC 791)
+    assert max(len(each.payload) for each in context.offered) == 124
+    assert not any("fd77" in line for line in lines)  # IPv6 needs 1280 bytes
 
 
-def test_without_room_packets_wait_in_the_kernel_and_more_than_its_queue_holds_is_counted() -> None:
-    async def body() -> None:
-        context = TestHall(CARS, run=RUN)
-        async with opened(Ip(), context):
-            with udp("car1", "10.77.0.1") as sender:
-                context.room = False
-                for number in range(2 * interfaces.QUEUE):
-                    sender.sendto(struct.pack(">I", number), ("10.77.0.2", 9000))
-                    await asyncio.sleep(0)
-                await until(lambda: NO_ROOM in context.counts.get("car1", {}))
-                assert not context.offered
-                context.room = True
-                await until(lambda: len(sent(context)) + context.counts["car1"][NO_ROOM] == 2 * interfaces.QUEUE)
-        numbers = [struct.unpack(">I", each[28:])[0] for each in sent(context)]
-        assert interfaces.QUEUE <= len(numbers) <= interfaces.QUEUE + 2
-        assert numbers == list(range(len(numbers)))  # in order, and the first of them: who comes late finds no room
-
+async def test_without_room_packets_wait_in_the_kernel_and_more_than_its_queue_holds_is_counted() -> None:
     def sent(context: TestHall) -> list[bytes]:
         return [each.payload for each in context.offered if each.sender == 0]
 
-    asyncio.run(body())
+    context = TestHall(CARS, run=RUN)
+    async with opened(Ip(), context):
+        with udp("car1", "10.77.0.1") as sender:
+            context.room = False
+            for number in range(2 * namespaces.QUEUE):
+                sender.sendto(struct.pack(">I", number), ("10.77.0.2", 9000))
+                await asyncio.sleep(0)
+            await until(lambda: NO_ROOM in context.counts.get("car1", {}))
+            assert not context.offered
+            context.room = True
+            await until(lambda: len(sent(context)) + context.counts["car1"][NO_ROOM] == 2 * namespaces.QUEUE)
+    numbers = [struct.unpack(">I", each[28:])[0] for each in sent(context)]
+    assert namespaces.QUEUE <= len(numbers) <= namespaces.QUEUE + 2
+    assert numbers == list(range(len(numbers)))  # in order, and the first of them: who comes late finds no room
 
 
-def test_what_is_no_packet_of_ip_is_no_harm() -> None:
-    async def body() -> None:
-        context = TestHall(CARS, run=RUN)
-        gateway = Ip()
-        async with opened(gateway, context):
-            with udp("car2", "10.77.0.2", 9000) as listener, udp("car1", "10.77.0.1") as sender:
-                for said in (
-                    b"",
-                    b"\x93agents speak MessagePack",
-                    b"\x45" * 20,
-                    b"\x60" * 40,
-                    b"\x45" + bytes(40),
-                    bytes(65535),
-                ):
-                    gateway.deliver(0, 1, said)
-                sender.sendto(b"after it", ("10.77.0.2", 9000))
-                assert await heard(listener) == (b"after it", "10.77.0.1")
-
-    asyncio.run(body())
+async def test_what_is_no_packet_of_ip_is_no_harm() -> None:
+    context = TestHall(CARS, run=RUN)
+    gateway = Ip()
+    async with opened(gateway, context):
+        with udp("car2", "10.77.0.2", 9000) as listener, udp("car1", "10.77.0.1") as sender:
+            for said in (
+                b"",
+                b"\x93agents speak MessagePack",
+                b"\x45" * 20,
+                b"\x60" * 40,
+                b"\x45" + bytes(40),
+                bytes(65535),
+            ):
+                gateway.deliver(0, 1, said)
+            sender.sendto(b"after it", ("10.77.0.2", 9000))
+            assert await heard(listener) == (b"after it", "10.77.0.1")
 
 
 @pytest.mark.needs("ping")
-def test_real_machines_join_through_a_vehicle() -> None:
+async def test_real_machines_join_through_a_vehicle() -> None:
     """A namespace plays a robot with cables: it stands behind car1, through the host, as a machine in the lab would."""
-
-    async def body() -> None:
-        context = TestHall(CARS, run=RUN, delay_s=0.01)
-        robot, cable = f"{RUN}-robot", f"v{os.getpid()}"
-        ip = f"ip -n {robot}"
-        async with opened(Ip(routes={"car1": ("192.168.213.0/24", "fd05:213::/64")}), context) as lines:
-            assert any("behind car1: 192.168.213.0/24" in line for line in lines)
-            try:
-                namespaces.create(robot)
-                _sh(f"ip link add {cable} type veth peer name eth0 netns {robot}")
-                _sh(f"ip addr add 192.168.213.1/24 dev {cable}; ip link set {cable} up")
-                _sh(f"{ip} addr add 192.168.213.10/24 dev eth0; {ip} link set eth0 up; {ip} link set lo up")
-                _sh(f"{ip} route add default via 192.168.213.1")
-                Path(f"/proc/sys/net/ipv4/conf/{cable}/forwarding").write_text("1")
-                for _ in range(3):  # one at a time: after the last of many, ping waits for no longer than two have taken
-                    code, out = await called("car2", "ping", "-n", "-c", "1", "-W", "30", "192.168.213.10")
-                    assert (code, "1 received" in out) == (0, True), out
-                assert [(each.sender, each.to) for each in context.offered] == 3 * [(1, 0), (0, 1)]
-                for _ in range(3):
-                    out = await asyncio.to_thread(_sh, f"ip netns exec {robot} ping -n -c 1 -W 30 10.77.0.3")
-                    assert "1 received" in out
-                assert [(each.sender, each.to) for each in context.offered[6:]] == 3 * [(0, 2), (2, 0)]
-            finally:
-                namespaces.remove(robot)
-                subprocess.run(["ip", "link", "del", cable], check=False, capture_output=True)
-        assert "192.168.213" not in _sh("ip rule")
-        assert "fd05:213" not in _sh("ip -6 rule")
-        assert interfaces.port_of(RUN, "car1", (), ()).interface not in _sh("ip link")
-
-    asyncio.run(body())
+    context = TestHall(CARS, run=RUN, delay_s=0.01)
+    robot, cable = f"{RUN}-robot", f"v{os.getpid()}"
+    ip = f"ip -n {robot}"
+    async with opened(Ip(routes={"car1": ("192.168.213.0/24", "fd05:213::/64")}), context) as lines:
+        assert any("behind car1: 192.168.213.0/24" in line for line in lines)
+        try:
+            namespaces.create(robot)
+            _sh(f"ip link add {cable} type veth peer name eth0 netns {robot}")
+            _sh(f"ip addr add 192.168.213.1/24 dev {cable}; ip link set {cable} up")
+            _sh(f"{ip} addr add 192.168.213.10/24 dev eth0; {ip} link set eth0 up; {ip} link set lo up")
+            _sh(f"{ip} route add default via 192.168.213.1")
+            Path(f"/proc/sys/net/ipv4/conf/{cable}/forwarding").write_text("1")
+            for _ in range(3):  # one at a time: after the last of many, ping waits for no longer than two have taken
+                code, out = await called("car2", "ping", "-n", "-c", "1", "-W", "30", "192.168.213.10")
+                assert (code, "1 received" in out) == (0, True), out
+            assert [(each.sender, each.to) for each in context.offered] == 3 * [(1, 0), (0, 1)]
+            for _ in range(3):
+                out = await asyncio.to_thread(_sh, f"ip netns exec {robot} ping -n -c 1 -W 30 10.77.0.3")
+                assert "1 received" in out
+            assert [(each.sender, each.to) for each in context.offered[6:]] == 3 * [(0, 2), (2, 0)]
+        finally:
+            namespaces.remove(robot)
+            subprocess.run(["ip", "link", "del", cable], check=False, capture_output=True)
+    assert "192.168.213" not in _sh("ip rule")
+    assert "fd05:213" not in _sh("ip -6 rule")
+    assert namespaces.port_of(RUN, "car1", (), ()).interface not in _sh("ip link")
 
 
 # --- refusals ---
@@ -277,119 +244,98 @@ def test_what_cannot_be_is_refused_before_anything_is_made(params: dict[str, Any
 # --- what is left over ---
 
 
-def test_closed_is_gone() -> None:
-    async def body() -> None:
-        async with opened(Ip(), TestHall(CARS, run=RUN)):
-            assert len(left_over(CARS)) == 4
-            assert [each.alive for each in run_networks.networks() if each.run == RUN] == [True]
-            with pytest.raises(run_networks.RunAlive):
-                run_networks.clear(RUN)
-        assert not left_over(CARS)
-
-    asyncio.run(body())
+async def test_closed_is_gone() -> None:
+    async with opened(Ip(), TestHall(CARS, run=RUN)):
+        assert len(left_over(CARS)) == 4
+        assert [each.alive for each in run_networks.networks() if each.run == RUN] == [True]
+        with pytest.raises(run_networks.RunAlive):
+            run_networks.clear(RUN)
+    assert not left_over(CARS)
 
 
-def test_two_runs_of_one_name_are_told_so_and_the_first_goes_on() -> None:
-    async def body() -> None:
-        context = TestHall(CARS[:2], run=RUN)
-        async with opened(Ip(), context):
-            with pytest.raises(GatewayError, match=rf"a run named {RUN} has its network on this machine"):
-                async with opened(Ip(), TestHall(CARS[:2], run=RUN)):
-                    pass
-            with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
-                sender.sendto(b"still", ("10.77.0.2", 9000))
-                assert (await heard(listener))[0] == b"still"
-
-    asyncio.run(body())
+async def test_two_runs_of_one_name_are_told_so_and_the_first_goes_on() -> None:
+    context = TestHall(CARS[:2], run=RUN)
+    async with opened(Ip(), context):
+        with pytest.raises(GatewayError, match=rf"a run named {RUN} has its network on this machine"):
+            async with opened(Ip(), TestHall(CARS[:2], run=RUN)):
+                pass
+        with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
+            sender.sendto(b"still", ("10.77.0.2", 9000))
+            assert (await heard(listener))[0] == b"still"
 
 
-def test_a_namespace_of_somebody_else_is_not_touched() -> None:
-    async def body() -> None:
-        namespaces.create(space("car2"))
-        try:
-            with pytest.raises(GatewayError, match=f"a network namespace {space('car2')} exists already"):
-                async with opened(Ip(), TestHall(CARS, run=RUN)):
-                    pass
-            assert (namespaces.NAMES / space("car2")).exists()
-        finally:
-            namespaces.remove(space("car2"))
-        assert not left_over(CARS)
-
-    asyncio.run(body())
+async def test_a_namespace_of_somebody_else_is_not_touched() -> None:
+    namespaces.create(space("car2"))
+    try:
+        with pytest.raises(GatewayError, match=f"a network namespace {space('car2')} exists already"):
+            async with opened(Ip(), TestHall(CARS, run=RUN)):
+                pass
+        assert (namespaces.NAMES / space("car2")).exists()
+    finally:
+        namespaces.remove(space("car2"))
+    assert not left_over(CARS)
 
 
-def test_an_interface_of_somebody_else_is_not_touched() -> None:
-    async def body() -> None:
-        theirs = interfaces.port_of(RUN, "car1", (), ()).interface
-        _sh(f"ip link add {theirs} type veth peer name r{os.getpid()}")
-        try:
-            with pytest.raises(GatewayError, match=f"a network interface {theirs} exists already; .*: ip link delete {theirs}"):
-                async with opened(Ip(routes={"car1": ("192.168.213.0/24",)}), TestHall(CARS, run=RUN)):
-                    pass
-            assert theirs in _sh("ip link")
-        finally:
-            _sh(f"ip link del {theirs}")
-        assert not left_over(CARS)
-
-    asyncio.run(body())
+async def test_an_interface_of_somebody_else_is_not_touched() -> None:
+    theirs = namespaces.port_of(RUN, "car1", (), ()).interface
+    _sh(f"ip link add {theirs} type veth peer name r{os.getpid()}")
+    try:
+        with pytest.raises(GatewayError, match=f"a network interface {theirs} exists already; .*: ip link delete {theirs}"):
+            async with opened(Ip(routes={"car1": ("192.168.213.0/24",)}), TestHall(CARS, run=RUN)):
+                pass
+        assert theirs in _sh("ip link")
+    finally:
+        _sh(f"ip link del {theirs}")
+    assert not left_over(CARS)
 
 
-def test_a_kernel_without_time_is_not_taken_for_a_run_of_the_same_name(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_kernel_without_time_is_not_taken_for_a_run_of_the_same_name(monkeypatch: pytest.MonkeyPatch) -> None:
     def busy(*_: object) -> int:
         raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
 
-    async def body() -> None:
-        monkeypatch.setattr(interfaces, "open_radio", busy)
-        with pytest.raises(GatewayError, match=f"the network of {RUN} cannot be created: .*temporarily unavailable"):
-            async with opened(Ip(), TestHall(CARS, run=RUN)):
-                pass
-        assert not left_over(CARS)
-
-    asyncio.run(body())
+    monkeypatch.setattr(namespaces, "open_radio", busy)
+    with pytest.raises(GatewayError, match=f"the network of {RUN} cannot be created: .*temporarily unavailable"):
+        async with opened(Ip(), TestHall(CARS, run=RUN)):
+            pass
+    assert not left_over(CARS)
 
 
-def test_what_comes_from_a_network_goes_through_one_run() -> None:
+async def test_what_comes_from_a_network_goes_through_one_run() -> None:
     """The host goes by where a packet is from and for: of two runs with the same, one would have the other's packets."""
 
-    async def body() -> None:
-        other = f"{RUN}other"
-        async with opened(Ip(routes={"car2": ("192.168.213.0/24",)}), TestHall(CARS, run=RUN)):
-            part_of_it = {"car1": ("192.168.213.64/26",)}
-            with pytest.raises(GatewayError) as refused:
-                async with opened(Ip(routes=part_of_it), TestHall(CARS, run=other)):
-                    pass
-            assert f"from 192.168.213.64/26 to 10.77.0.0/16 goes through car2 of the run {RUN} on this machine" in str(
-                refused.value
-            )
-            assert not left_over(CARS, other)
-            assert _sh("ip rule").count("192.168.213.") == 1  # as it was
-            elsewhere = Ip(network="10.78.0.0/16", routes=part_of_it)
-            async with opened(elsewhere, TestHall(CARS, run=other)):
+    other = f"{RUN}other"
+    async with opened(Ip(routes={"car2": ("192.168.213.0/24",)}), TestHall(CARS, run=RUN)):
+        part_of_it = {"car1": ("192.168.213.64/26",)}
+        with pytest.raises(GatewayError) as refused:
+            async with opened(Ip(routes=part_of_it), TestHall(CARS, run=other)):
                 pass
+        assert f"from 192.168.213.64/26 to 10.77.0.0/16 goes through car2 of the run {RUN} on this machine" in str(
+            refused.value
+        )
+        assert not left_over(CARS, other)
+        assert _sh("ip rule").count("192.168.213.") == 1  # as it was
+        elsewhere = Ip(network="10.78.0.0/16", routes=part_of_it)
+        async with opened(elsewhere, TestHall(CARS, run=other)):
+            pass
 
-    asyncio.run(body())
 
-
-def test_interfaces_of_many_vehicles_are_closed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_interfaces_of_many_vehicles_are_closed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel takes 20 ms for each, and a bridge that takes long is killed."""
 
-    async def body() -> None:
-        gateway, both, close = Ip(), threading.Barrier(2), os.close
-        async with opened(gateway, TestHall(CARS[:2], run=RUN)):
-            radios = {each.packets for each in gateway._radios.values()}
+    gateway, both, close = Ip(), threading.Barrier(2), os.close
+    async with opened(gateway, TestHall(CARS[:2], run=RUN)):
+        radios = {each.packets for each in gateway._radios.values()}
 
-            def close_together(descriptor: int) -> None:
-                if descriptor in radios:
-                    radios.remove(descriptor)  # the next to be opened has its number
-                    both.wait(PATIENCE_S)
-                close(descriptor)
+        def close_together(descriptor: int) -> None:
+            if descriptor in radios:
+                radios.remove(descriptor)  # the next to be opened has its number
+                both.wait(PATIENCE_S)
+            close(descriptor)
 
-            monkeypatch.setattr(os, "close", close_together)
-        monkeypatch.undo()
-        assert not both.broken
-        assert not left_over(CARS)
-
-    asyncio.run(body())
+        monkeypatch.setattr(os, "close", close_together)
+    monkeypatch.undo()
+    assert not both.broken
+    assert not left_over(CARS)
 
 
 # --- who else is on the machine ---

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST
-from vcmvsp.netsim.bridge.gateways.ip.addresses import MEMBERSHIP, NO_ADDRESS, NO_IP, Directory, Network, address_in, network_of
+from vcmvsp.netsim.bridge.gateways.ip.gateway import MEMBERSHIP, NO_ADDRESS, NO_IP, Directory, address_in, network_of
+from vcmvsp.netsim.bridge.gateways.ip.namespaces import Network
 
 SHARED = network_of("10.77.0.0/16", "network", 4), network_of("fd77::/64", "network6", 6)
 VEHICLES = 3

@@ -13,8 +13,7 @@ from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_port
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, GatewayError
-from vcmvsp.netsim.bridge.gateways.udp.gateway import Udp
-from vcmvsp.netsim.bridge.gateways.udp.ports import PortPlan, Ports
+from vcmvsp.netsim.bridge.gateways.udp import PortPlan, Ports, Udp
 
 NAMES = ("a", "b", "c")
 
@@ -42,35 +41,29 @@ async def heard(by: socket.socket) -> tuple[bytes, Any]:
     return await asyncio.wait_for(asyncio.get_running_loop().sock_recvfrom(by, 65_536), PATIENCE_S)
 
 
-def test_what_is_broadcast_is_heard_by_all_others() -> None:
-    async def trial() -> None:
-        first = free_ports(300)
-        with program(first + 99) as a, program(first + 199) as b, program(first + 299) as c:
-            async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
-                a.sendto(b"hello", ("127.0.0.1", first))
-                assert (await heard(b))[0] == (await heard(c))[0] == b"hello"
-                assert [(each.sender, each.to) for each in context.offered] == [(0, BROADCAST)]
-                with pytest.raises(BlockingIOError):
-                    a.recv(100)
-
-    asyncio.run(trial())
+async def test_what_is_broadcast_is_heard_by_all_others() -> None:
+    first = free_ports(300)
+    with program(first + 99) as a, program(first + 199) as b, program(first + 299) as c:
+        async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
+            a.sendto(b"hello", ("127.0.0.1", first))
+            assert (await heard(b))[0] == (await heard(c))[0] == b"hello"
+            assert [(each.sender, each.to) for each in context.offered] == [(0, BROADCAST)]
+            with pytest.raises(BlockingIOError):
+                a.recv(100)
 
 
-def test_a_program_that_answers_to_where_a_question_came_from_answers_who_asked() -> None:
-    async def trial() -> None:
-        first = free_ports(300)
-        with program(first + 99) as a, program(first + 199) as b:
-            async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
-                a.sendto(b"question", ("127.0.0.1", first + 2))
-                question, source = await heard(b)
-                b.sendto(question + b", answer", source)
-                assert (await heard(a))[0] == b"question, answer"
-                assert [(each.sender, each.to) for each in context.offered] == [(0, 1), (1, 0)]
-                a.sendto(b"all", ("127.0.0.1", first))
-                _, source = await heard(b)
-                assert source == ("127.0.0.1", first + 101)  # back to a, which broadcast it
-
-    asyncio.run(trial())
+async def test_a_program_that_answers_to_where_a_question_came_from_answers_who_asked() -> None:
+    first = free_ports(300)
+    with program(first + 99) as a, program(first + 199) as b:
+        async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
+            a.sendto(b"question", ("127.0.0.1", first + 2))
+            question, source = await heard(b)
+            b.sendto(question + b", answer", source)
+            assert (await heard(a))[0] == b"question, answer"
+            assert [(each.sender, each.to) for each in context.offered] == [(0, 1), (1, 0)]
+            a.sendto(b"all", ("127.0.0.1", first))
+            _, source = await heard(b)
+            assert source == ("127.0.0.1", first + 101)  # back to a, which broadcast it
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
@@ -91,171 +84,136 @@ def test_bytes_stay_as_they_are_from_none_to_the_longest(host: str) -> None:
     asyncio.run(trial())
 
 
-def test_what_is_longer_than_a_frame_may_be_is_counted_and_not_sent() -> None:
-    async def trial() -> None:
-        first = free_ports(200)
-        with program(first + 199) as b, program(first + 99) as a:
-            async with opened(Udp(first_port=first), TestHall(("a", "b"))) as context:
-                a.sendto(bytes(1473), ("127.0.0.1", first + 2))
-                a.sendto(bytes(60_000), ("127.0.0.1", first))
-                a.sendto(bytes(1472), ("127.0.0.1", first + 2))
-                assert len((await heard(b))[0]) == 1472
-                await until(lambda: context.counts == {"a": {"longer than max_bytes": 2}})
-                assert len(context.offered) == 1
-
-    asyncio.run(trial())
+async def test_what_is_longer_than_a_frame_may_be_is_counted_and_not_sent() -> None:
+    first = free_ports(200)
+    with program(first + 199) as b, program(first + 99) as a:
+        async with opened(Udp(first_port=first), TestHall(("a", "b"))) as context:
+            a.sendto(bytes(1473), ("127.0.0.1", first + 2))
+            a.sendto(bytes(60_000), ("127.0.0.1", first))
+            a.sendto(bytes(1472), ("127.0.0.1", first + 2))
+            assert len((await heard(b))[0]) == 1472
+            await until(lambda: context.counts == {"a": {"longer than max_bytes": 2}})
+            assert len(context.offered) == 1
 
 
-def test_where_there_is_no_room_nothing_is_lost_nor_overtaken_until_the_operating_system_has_none() -> None:
-    async def trial() -> None:
-        first = free_ports(300)
-        with program(first + 99) as a:
-            async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
-                context.room = False
-                for k in range(1000):
-                    a.sendto(b"%d" % k, ("127.0.0.1", first))
-                await asyncio.sleep(0.02)
-                assert context.offered == []
-                read_ns = time.monotonic_ns()
-                context.room = True
-                await until(lambda: len(context.offered) == 1000)
-                assert [each.payload for each in context.offered] == [b"%d" % k for k in range(1000)]
-                times = [each.came_ns for each in context.offered]
-                assert times == sorted(times)
-                assert times[-1] < read_ns  # they are those of coming, not of being read
-
-    asyncio.run(trial())
+async def test_where_there_is_no_room_nothing_is_lost_nor_overtaken_until_the_operating_system_has_none() -> None:
+    first = free_ports(300)
+    with program(first + 99) as a:
+        async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
+            context.room = False
+            for k in range(1000):
+                a.sendto(b"%d" % k, ("127.0.0.1", first))
+            await asyncio.sleep(0.02)
+            assert context.offered == []
+            read_ns = time.monotonic_ns()
+            context.room = True
+            await until(lambda: len(context.offered) == 1000)
+            assert [each.payload for each in context.offered] == [b"%d" % k for k in range(1000)]
+            times = [each.came_ns for each in context.offered]
+            assert times == sorted(times)
+            assert times[-1] < read_ns  # they are those of coming, not of being read
 
 
 def dropped(context: TestHall) -> int:
     return context.counts.get("a", {}).get("dropped by the operating system", 0)
 
 
-def test_what_the_operating_system_has_no_room_for_is_counted() -> None:
-    async def trial() -> None:
-        first = free_ports(200)
-        context = TestHall(("a", "b"))
-        with program(0) as a:
-            async with opened(gateway := Udp(first_port=first), context):
-                line = gateway._sockets[0, BROADCAST]
-                line.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-                context.room = False
-                for _ in range(500):
-                    a.sendto(bytes(1000), ("127.0.0.1", first))
-                await asyncio.sleep(0.005)
-                context.room = True
-                await until(lambda: dropped(context) + len(context.offered) == 500)  # in some turns of the loop
-                assert dropped(context) > 0
-
-    asyncio.run(trial())
+async def test_what_the_operating_system_has_no_room_for_is_counted() -> None:
+    first = free_ports(200)
+    context = TestHall(("a", "b"))
+    with program(0) as a:
+        async with opened(gateway := Udp(first_port=first), context):
+            line = gateway._sockets[0, BROADCAST]
+            line.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            context.room = False
+            for _ in range(500):
+                a.sendto(bytes(1000), ("127.0.0.1", first))
+            await asyncio.sleep(0.005)
+            context.room = True
+            await until(lambda: dropped(context) + len(context.offered) == 500)  # in some turns of the loop
+            assert dropped(context) > 0
 
 
-def test_nobody_need_be_there_to_hear() -> None:
-    async def trial() -> None:
-        first = free_ports(300)
-        with program(first + 99) as a, program(first + 299) as c:
-            async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
-                for _ in range(20):  # nobody is at b's port
-                    a.sendto(b"hello", ("127.0.0.1", first))
-                    assert (await heard(c))[0] == b"hello"
-                assert context.counts == {}
-
-    asyncio.run(trial())
+async def test_nobody_need_be_there_to_hear() -> None:
+    first = free_ports(300)
+    with program(first + 99) as a, program(first + 299) as c:
+        async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
+            for _ in range(20):  # nobody is at b's port
+                a.sendto(b"hello", ("127.0.0.1", first))
+                assert (await heard(c))[0] == b"hello"
+            assert context.counts == {}
 
 
-def test_programs_of_some_vehicles_take_part_and_others_have_no_ports() -> None:
-    async def trial() -> None:
-        first = free_ports(300)
-        gateway = Udp(first_port=first, vehicles=("b", "c"))
-        with program(first + 99), program(first + 199) as b, program(first) as free:
-            async with opened(gateway, TestHall(NAMES)) as context:
-                gateway.deliver(1, 0, b"to nobody")
-                b.sendto(b"to a", ("127.0.0.1", first + 101))
-                await until(lambda: [each.to for each in context.offered] == [0])
-                assert free.getsockname()[1] == first
-                assert context.counts == {}
-
-    asyncio.run(trial())
+async def test_programs_of_some_vehicles_take_part_and_others_have_no_ports() -> None:
+    first = free_ports(300)
+    gateway = Udp(first_port=first, vehicles=("b", "c"))
+    with program(first + 99), program(first + 199) as b, program(first) as free:
+        async with opened(gateway, TestHall(NAMES)) as context:
+            gateway.deliver(1, 0, b"to nobody")
+            b.sendto(b"to a", ("127.0.0.1", first + 101))
+            await until(lambda: [each.to for each in context.offered] == [0])
+            assert free.getsockname()[1] == first
+            assert context.counts == {}
 
 
-def test_ports_of_single_vehicles_can_be_others() -> None:
-    async def trial() -> None:
-        first = free_ports(400)
-        own = Ports(send=first + 300, receive=f"127.0.0.1:{first + 301}", unicast={"b": first + 302})
-        gateway = Udp(first_port=first, ports={"a": own})
-        with program(first + 301) as a, program(first + 199) as b:
-            async with opened(gateway, TestHall(NAMES)) as context:
-                a.sendto(b"1", ("127.0.0.1", first + 300))
-                a.sendto(b"2", ("127.0.0.1", first + 302))
-                a.sendto(b"3", ("127.0.0.1", first + 3))
-                await until(lambda: len(context.offered) == 3)
-                assert sorted((each.payload, each.to) for each in context.offered) == [(b"1", BROADCAST), (b"2", 1), (b"3", 2)]
-                b.sendto(b"4", ("127.0.0.1", first + 101))
-                assert (await heard(a)) == (b"4", ("127.0.0.1", first + 302))
-
-    asyncio.run(trial())
+async def test_ports_of_single_vehicles_can_be_others() -> None:
+    first = free_ports(400)
+    own = Ports(send=first + 300, receive=f"127.0.0.1:{first + 301}", unicast={"b": first + 302})
+    gateway = Udp(first_port=first, ports={"a": own})
+    with program(first + 301) as a, program(first + 199) as b:
+        async with opened(gateway, TestHall(NAMES)) as context:
+            a.sendto(b"1", ("127.0.0.1", first + 300))
+            a.sendto(b"2", ("127.0.0.1", first + 302))
+            a.sendto(b"3", ("127.0.0.1", first + 3))
+            await until(lambda: len(context.offered) == 3)
+            assert sorted((each.payload, each.to) for each in context.offered) == [(b"1", BROADCAST), (b"2", 1), (b"3", 2)]
+            b.sendto(b"4", ("127.0.0.1", first + 101))
+            assert (await heard(a)) == (b"4", ("127.0.0.1", first + 302))
 
 
-def test_a_port_that_somebody_has_is_named_and_the_others_are_free_again() -> None:
-    async def trial() -> None:
-        first = free_ports(300)
-        with program(first + 103):
-            gateway = Udp(first_port=first)
-            with pytest.raises(GatewayError, match=rf"port {first + 103} of 127.0.0.1 cannot be opened .*ss -ulnp.*first_port"):
-                await gateway.open(TestHall(NAMES))
-            await gateway.close()
-        with program(first), program(first + 2):
-            pass
-
-    asyncio.run(trial())
-
-
-def test_so_is_an_address_that_this_machine_has_not() -> None:
-    async def trial() -> None:
-        gateway = Udp(listen="192.0.2.1")  # of documentation
-        with pytest.raises(GatewayError, match=r"192.0.2.1 cannot be opened .*; listen must be an address of this machine"):
+async def test_a_port_that_somebody_has_is_named_and_the_others_are_free_again() -> None:
+    first = free_ports(300)
+    with program(first + 103):
+        gateway = Udp(first_port=first)
+        with pytest.raises(GatewayError, match=rf"port {first + 103} of 127.0.0.1 cannot be opened .*ss -ulnp.*first_port"):
             await gateway.open(TestHall(NAMES))
         await gateway.close()
+    with program(first), program(first + 2):
+        pass
 
-    asyncio.run(trial())
+
+async def test_so_is_an_address_that_this_machine_has_not() -> None:
+    gateway = Udp(listen="192.0.2.1")  # of documentation
+    with pytest.raises(GatewayError, match=r"192.0.2.1 cannot be opened .*; listen must be an address of this machine"):
+        await gateway.open(TestHall(NAMES))
+    await gateway.close()
 
 
-def test_too_few_sockets_for_all_pairs_of_vehicles_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_too_few_sockets_for_all_pairs_of_vehicles_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.EMFILE, "Too many open files")
 
-    async def trial() -> None:
-        context = TestHall(NAMES)
-        monkeypatch.setattr("vcmvsp.netsim.bridge.gateways.udp.gateway.socket.socket", full)
-        with pytest.raises(
-            GatewayError, match=r"Too many open files.*; there is a socket for each pair of vehicles: .*ulimit -n"
-        ):
-            await Udp().open(context)
-        monkeypatch.undo()
-
-    asyncio.run(trial())
+    context = TestHall(NAMES)
+    monkeypatch.setattr("vcmvsp.netsim.bridge.gateways.udp.socket.socket", full)
+    with pytest.raises(GatewayError, match=r"Too many open files.*; there is a socket for each pair of vehicles: .*ulimit -n"):
+        await Udp().open(context)
+    monkeypatch.undo()
 
 
-def test_it_says_what_ports_are() -> None:
-    async def trial() -> None:
-        first = free_ports(300)
-        gateway = Udp(first_port=first)
-        lines = await gateway.open(TestHall(NAMES))
-        await gateway.close()
-        sends = f"a sends at 127.0.0.1 port {first} to all, {first + 2} to b, {first + 3} to c"
-        assert lines[0] == f"{sends}; hears at 127.0.0.1 port {first + 99}"
-        assert len(lines) == 3
-
-    asyncio.run(trial())
+async def test_it_says_what_ports_are() -> None:
+    first = free_ports(300)
+    gateway = Udp(first_port=first)
+    lines = await gateway.open(TestHall(NAMES))
+    await gateway.close()
+    sends = f"a sends at 127.0.0.1 port {first} to all, {first + 2} to b, {first + 3} to c"
+    assert lines[0] == f"{sends}; hears at 127.0.0.1 port {first + 99}"
+    assert len(lines) == 3
 
 
 @pytest.mark.parametrize(
     ("params", "problem"),
     [
-        (
-            {"listen": "0.0.0.0"},
-            "that reaches this address: listen at 127.0.0.1, or set insecure",
-        ),
+        ({"listen": "0.0.0.0"}, "that reaches this address: listen at 127.0.0.1, or set insecure"),
         ({"listen": "::", "receive_host": "::1"}, "set insecure = true on a trusted network"),
         ({"listen": "192.168.0.3", "receive_host": "192.168.0.7"}, "set insecure = true on a trusted network"),
         ({"listen": "nowhere"}, "bridge.udp.listen: must be an IPv4 or IPv6 address, not 'nowhere'"),

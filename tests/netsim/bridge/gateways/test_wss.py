@@ -16,9 +16,8 @@ from hypothesis import strategies as st
 from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, until
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, GatewayError
-from vcmvsp.netsim.bridge.gateways.wss.gateway import MOST_GUESTS, Wss
-from vcmvsp.netsim.bridge.gateways.wss.messages import LONGEST_LINE, parse
-from vcmvsp.netsim.bridge.gateways.wss.stream import WINDOW, RelayStream, Window
+from vcmvsp.netsim.bridge.gateways.wss import LONGEST_LINE, MOST_GUESTS, Wss, parse
+from vcmvsp.netsim.bridge.gateways.wss_relay import WINDOW, RelayStream, Window
 
 CARS = "car1", "car2", "car3"
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
@@ -142,29 +141,26 @@ async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> No
 # --- words ------------------------------------------------------------------------------------------------------------------
 
 
-def test_what_the_manual_says_of_the_control_connection() -> None:
-    async def told() -> None:
-        async with served() as world:
-            world.context.levels[0, 1] = -61.23456789  # the way back is stronger
-            car1, car2 = await world.robot("car1", "2001,2002"), await world.robot("car2", "3001")
-            assert await car1.ask("GETSS {Robot car2}") == "SS {Robot car2} {Strength -61.2346}"
-            assert await car2.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -61.2346}"
-            assert await car1.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength INF}"
-            assert await car1.ask("GETSS {Robot car3}") == "SS {Robot car3} {Strength NaN}"  # has not come
-            assert await car1.ask("GETSS {Robot nobody}") == "SS {Robot nobody} {Strength NaN}"
-            no_robot = "{Port -1} {Error NoSuchRobot}"
-            for name in ("nobody", "car1", "car3"):
-                assert await car1.ask(f"DNS {{Robot {name}}}") == f"DNSREPLY {{Robot {name}}} {no_robot}"
-            answer = await car1.ask("DNS {Robot car2} {Port 3002}")
-            assert answer == "DNSREPLY {Robot car2} {Port -1} {Error RobotDoesNotListenOnThisPort}"
-            ports = {await car2.ask(f"DNS {{Robot car1}}{port}") for port in ("", " {Port 2001}", " {Port 2002}")}
-            assert len(ports) == 2  # without one it is the first
-            assert await car1.port_to("car2") == await car1.port_to("car2")
-            assert await car1.ask("REVERSEDNS {Port 9}") == "REVERSEDNSREPLY {Port 9} {Error UnknownOrIllegalPort}"
-            for wrong in ("", "HELLO", "INIT {Robot car3} {Port 1}", "DNS", "DNS {Robot car2} {Port x}", "GETSS {Robot a b c}"):
-                assert re.fullmatch(r"ERROR \{Reason [\w.]+\}", await car1.ask(wrong))
-
-    asyncio.run(told())
+async def test_what_the_manual_says_of_the_control_connection() -> None:
+    async with served() as world:
+        world.context.levels[0, 1] = -61.23456789  # the way back is stronger
+        car1, car2 = await world.robot("car1", "2001,2002"), await world.robot("car2", "3001")
+        assert await car1.ask("GETSS {Robot car2}") == "SS {Robot car2} {Strength -61.2346}"
+        assert await car2.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -61.2346}"
+        assert await car1.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength INF}"
+        assert await car1.ask("GETSS {Robot car3}") == "SS {Robot car3} {Strength NaN}"  # has not come
+        assert await car1.ask("GETSS {Robot nobody}") == "SS {Robot nobody} {Strength NaN}"
+        no_robot = "{Port -1} {Error NoSuchRobot}"
+        for name in ("nobody", "car1", "car3"):
+            assert await car1.ask(f"DNS {{Robot {name}}}") == f"DNSREPLY {{Robot {name}}} {no_robot}"
+        answer = await car1.ask("DNS {Robot car2} {Port 3002}")
+        assert answer == "DNSREPLY {Robot car2} {Port -1} {Error RobotDoesNotListenOnThisPort}"
+        ports = {await car2.ask(f"DNS {{Robot car1}}{port}") for port in ("", " {Port 2001}", " {Port 2002}")}
+        assert len(ports) == 2  # without one it is the first
+        assert await car1.port_to("car2") == await car1.port_to("car2")
+        assert await car1.ask("REVERSEDNS {Port 9}") == "REVERSEDNSREPLY {Port 9} {Error UnknownOrIllegalPort}"
+        for wrong in ("", "HELLO", "INIT {Robot car3} {Port 1}", "DNS", "DNS {Robot car2} {Port x}", "GETSS {Robot a b c}"):
+            assert re.fullmatch(r"ERROR \{Reason [\w.]+\}", await car1.ask(wrong))
 
 
 @pytest.mark.parametrize(
@@ -180,28 +176,22 @@ def test_what_the_manual_says_of_the_control_connection() -> None:
         "INIT {Robot car2} {Port 65536}",
     ],
 )
-def test_who_does_not_say_who_it_is_may_say_it_again(line: str) -> None:
-    async def told() -> None:
-        async with served() as world:
-            await world.robot("car1")
-            other = await world.robot()
-            assert (await other.ask(line)).startswith("ERROR {Reason ")
-            assert await other.ask("INIT {Robot car2} {Port 10}") == "INITREPLY {Status OK}"
-
-    asyncio.run(told())
+async def test_who_does_not_say_who_it_is_may_say_it_again(line: str) -> None:
+    async with served() as world:
+        await world.robot("car1")
+        other = await world.robot()
+        assert (await other.ask(line)).startswith("ERROR {Reason ")
+        assert await other.ask("INIT {Robot car2} {Port 10}") == "INITREPLY {Status OK}"
 
 
-def test_lines_may_come_in_pieces_and_together() -> None:
-    async def told() -> None:
-        async with served() as world:
-            robot = await world.robot()
-            for piece in (b"INIT {Rob", b"ot car1} {Port 1", b"0}\r", b"\nGETSS {Robot car1}\r\nGETSS {Robot car2}\n"):
-                robot.writer.write(piece)
-                await asyncio.sleep(0.01)
-            answers = [await robot.hear() for _ in range(3)]
-            assert answers == ["INITREPLY {Status OK}", "SS {Robot car1} {Strength INF}", "SS {Robot car2} {Strength NaN}"]
-
-    asyncio.run(told())
+async def test_lines_may_come_in_pieces_and_together() -> None:
+    async with served() as world:
+        robot = await world.robot()
+        for piece in (b"INIT {Rob", b"ot car1} {Port 1", b"0}\r", b"\nGETSS {Robot car1}\r\nGETSS {Robot car2}\n"):
+            robot.writer.write(piece)
+            await asyncio.sleep(0.01)
+        answers = [await robot.hear() for _ in range(3)]
+        assert answers == ["INITREPLY {Status OK}", "SS {Robot car1} {Strength INF}", "SS {Robot car2} {Strength NaN}"]
 
 
 LINES = st.one_of(
@@ -305,7 +295,7 @@ def test_chunks_come_out_in_order_whatever_is_lost_doubled_or_overtakes(size: in
             theirs.settimeout(5)
             return b"".join(iter(lambda: theirs.recv(4096), b""))
 
-    with mock.patch.multiple("vcmvsp.netsim.bridge.gateways.wss.stream", AGAIN_S=0.0, NO_ROOM_S=0.0):
+    with mock.patch.multiple("vcmvsp.netsim.bridge.gateways.wss_relay", AGAIN_S=0.0, NO_ROOM_S=0.0):
         assert asyncio.run(heard()) == sent
 
 
@@ -349,164 +339,140 @@ def test_who_is_called_can_ask_by_whom() -> None:
     ]
 
 
-def test_out_of_range_connections_are_closed_and_new_ones_refused_until_it_is_back() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            car1, _ = await world.robot("car1"), await world.listening("car2", echo)
-            port = await car1.port_to("car2")
-            reader, writer = await world.connect(port)
-            writer.write(b"hello")
-            assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
-            world.context.levels[1, 0] = -93.001  # one direction is enough
-            with contextlib.suppress(ConnectionResetError):
-                assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
-            assert await refused(port)
-            assert await car1.port_to("car2") == port  # is told all the same
-            assert await refused(port)
-            world.context.levels[1, 0] = -93.0
-            assert await car1.port_to("car2") == port
-            reader, writer = await world.connect(port)
-            writer.write(b"again")
-            assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"again"
-            assert world.context.counts["car1"]["connections closed, out of range"] == 1
-            world.levels(float("nan"))
-            with contextlib.suppress(ConnectionResetError):
-                assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
-
-    asyncio.run(tried())
+async def test_out_of_range_connections_are_closed_and_new_ones_refused_until_it_is_back() -> None:
+    async with served() as world:
+        car1, _ = await world.robot("car1"), await world.listening("car2", echo)
+        port = await car1.port_to("car2")
+        reader, writer = await world.connect(port)
+        writer.write(b"hello")
+        assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
+        world.context.levels[1, 0] = -93.001  # one direction is enough
+        with contextlib.suppress(ConnectionResetError):
+            assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
+        assert await refused(port)
+        assert await car1.port_to("car2") == port  # is told all the same
+        assert await refused(port)
+        world.context.levels[1, 0] = -93.0
+        assert await car1.port_to("car2") == port
+        reader, writer = await world.connect(port)
+        writer.write(b"again")
+        assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"again"
+        assert world.context.counts["car1"]["connections closed, out of range"] == 1
+        world.levels(float("nan"))
+        with contextlib.suppress(ConnectionResetError):
+            assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
 
 
-def test_a_robot_that_leaves_is_called_no_more_and_its_name_is_free() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            car1, car2 = await world.robot("car1"), await world.listening("car2", echo)
-            port = await car1.port_to("car2")
-            reader, writer = await world.connect(port)
-            car2.leave()
-            await until(lambda: 1 not in world.gateway._robots)
-            assert await refused(port)
-            writer.write(b"still here")  # what is connected goes on
-            assert await asyncio.wait_for(reader.readexactly(10), PATIENCE_S) == b"still here"
-            await world.listening("car2", elsewhere)
-            reader, _ = await world.connect(await car1.port_to("car2"))
-            assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b"moved"
-
+async def test_a_robot_that_leaves_is_called_no_more_and_its_name_is_free() -> None:
     async def elsewhere(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.write(b"moved")
         writer.close()
 
-    asyncio.run(tried())
+    async with served() as world:
+        car1, car2 = await world.robot("car1"), await world.listening("car2", echo)
+        port = await car1.port_to("car2")
+        reader, writer = await world.connect(port)
+        car2.leave()
+        await until(lambda: 1 not in world.gateway._robots)
+        assert await refused(port)
+        writer.write(b"still here")  # what is connected goes on
+        assert await asyncio.wait_for(reader.readexactly(10), PATIENCE_S) == b"still here"
+        await world.listening("car2", elsewhere)
+        reader, _ = await world.connect(await car1.port_to("car2"))
+        assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b"moved"
 
 
-def test_a_robot_that_does_not_listen_is_not_reached() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            with _narrow("127.0.0.1", 0) as held:  # so that nobody else listens there
-                car1, _ = await world.robot("car1"), await world.robot("car2", str(held.getsockname()[1]))
-                reader, _ = await world.connect(await car1.port_to("car2"))
-                with contextlib.suppress(ConnectionResetError):
-                    assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
-
-    asyncio.run(tried())
+async def test_a_robot_that_does_not_listen_is_not_reached() -> None:
+    async with served() as world:
+        with _narrow("127.0.0.1", 0) as held:  # so that nobody else listens there
+            car1, _ = await world.robot("car1"), await world.robot("car2", str(held.getsockname()[1]))
+            reader, _ = await world.connect(await car1.port_to("car2"))
+            with contextlib.suppress(ConnectionResetError):
+                assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
 
 
-def test_a_slow_reader_holds_the_sender_back() -> None:
+async def test_a_slow_reader_holds_the_sender_back() -> None:
     reads = asyncio.Event()
 
     async def slow(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reads.wait()
         await echo(reader, writer)
 
-    async def tried() -> None:
-        async with served() as world:
-            car1, _ = await world.robot("car1"), await world.listening("car2", slow)
-            reader, writer = await world.connect(await car1.port_to("car2"))
-            writer.write(bytes(12_000_000))
-            writer.write_eof()
-            before = -1
-            while before != len(world.context.offered):  # until nothing goes any more
-                before = len(world.context.offered)
-                await asyncio.sleep(0.2)
-            assert sum(len(each.payload) for each in world.context.offered) < 9_000_000
-            relay, _ = next(iter(world.gateway._relays.values()))
-            stream = relay._streams[0]
-            assert len(stream._under_way) + stream._in_order.qsize() <= WINDOW
-            reads.set()
-            assert len(await asyncio.wait_for(reader.read(), PATIENCE_S)) == 12_000_000
-
-    asyncio.run(tried())
+    async with served() as world:
+        car1, _ = await world.robot("car1"), await world.listening("car2", slow)
+        reader, writer = await world.connect(await car1.port_to("car2"))
+        writer.write(bytes(12_000_000))
+        writer.write_eof()
+        before = -1
+        while before != len(world.context.offered):  # until nothing goes any more
+            before = len(world.context.offered)
+            await asyncio.sleep(0.2)
+        assert sum(len(each.payload) for each in world.context.offered) < 9_000_000
+        relay, _ = next(iter(world.gateway._relays.values()))
+        stream = relay._streams[0]
+        assert len(stream._under_way) + stream._in_order.qsize() <= WINDOW
+        reads.set()
+        assert len(await asyncio.wait_for(reader.read(), PATIENCE_S)) == 12_000_000
 
 
-def test_chunks_wait_while_the_bridge_has_no_room() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            car1, _ = await world.robot("car1"), await world.listening("car2", echo)
-            reader, writer = await world.connect(await car1.port_to("car2"))
-            world.context.room = False
-            writer.write(b"patience")
-            await asyncio.sleep(0.05)
-            world.context.room = True
-            assert await asyncio.wait_for(reader.readexactly(8), PATIENCE_S) == b"patience"
-
-    asyncio.run(tried())
+async def test_chunks_wait_while_the_bridge_has_no_room() -> None:
+    async with served() as world:
+        car1, _ = await world.robot("car1"), await world.listening("car2", echo)
+        reader, writer = await world.connect(await car1.port_to("car2"))
+        world.context.room = False
+        writer.write(b"patience")
+        await asyncio.sleep(0.05)
+        world.context.room = True
+        assert await asyncio.wait_for(reader.readexactly(8), PATIENCE_S) == b"patience"
 
 
-def test_what_is_no_chunk_harms_nobody() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            car1, _ = await world.robot("car1"), await world.listening("car2", echo)
-            reader, writer = await world.connect(await car1.port_to("car2"))
-            await until(lambda: bool(world.gateway._relays))
-            header = next(iter(world.gateway._relays)).to_bytes(4, "big")
-            for payload in (b"", b"an agent spoke", header + bytes(4), header + b"\xff" * 10):
-                world.gateway.deliver(0, 1, payload)
-                world.gateway.deliver(2, 1, payload)
-            writer.write(b"hello")
-            assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
-
-    asyncio.run(tried())
+async def test_what_is_no_chunk_harms_nobody() -> None:
+    async with served() as world:
+        car1, _ = await world.robot("car1"), await world.listening("car2", echo)
+        reader, writer = await world.connect(await car1.port_to("car2"))
+        await until(lambda: bool(world.gateway._relays))
+        header = next(iter(world.gateway._relays)).to_bytes(4, "big")
+        for payload in (b"", b"an agent spoke", header + bytes(4), header + b"\xff" * 10):
+            world.gateway.deliver(0, 1, payload)
+            world.gateway.deliver(2, 1, payload)
+        writer.write(b"hello")
+        assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
 
 
 # --- crowds -----------------------------------------------------------------------------------------------------------------
 
 
-def test_lines_without_end_and_crowds_leave_others_alone() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            car1, car2 = await world.robot("car1"), await world.listening("car2", echo)
-            endless = await world.robot()
-            endless.writer.write(b"x" * (10 * LONGEST_LINE))
-            with contextlib.suppress(ConnectionResetError):
-                assert await endless.hear() == "ERROR {Reason Line.Too.Long}"
-            crowd = [await world.robot() for _ in range(300)]
-            assert len(world.gateway._guests) <= MOST_GUESTS + 1
-            crowd[-1].writer.write(random.Random(4).randbytes(3000))
-            port = await car1.port_to("car2")
-            for _ in range(100):
-                await world.connect(port)
-                for target in (port, world.port):  # in and out again
-                    with socket.create_connection(("127.0.0.1", target)) as rude:
-                        rude.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-            assert await car2.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -50}"
-            assert await (await world.robot("car3")).ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -50}"
-
-    asyncio.run(tried())
+async def test_lines_without_end_and_crowds_leave_others_alone() -> None:
+    async with served() as world:
+        car1, car2 = await world.robot("car1"), await world.listening("car2", echo)
+        endless = await world.robot()
+        endless.writer.write(b"x" * (10 * LONGEST_LINE))
+        with contextlib.suppress(ConnectionResetError):
+            assert await endless.hear() == "ERROR {Reason Line.Too.Long}"
+        crowd = [await world.robot() for _ in range(300)]
+        assert len(world.gateway._guests) <= MOST_GUESTS + 1
+        crowd[-1].writer.write(random.Random(4).randbytes(3000))
+        port = await car1.port_to("car2")
+        for _ in range(100):
+            await world.connect(port)
+            for target in (port, world.port):  # in and out again
+                with socket.create_connection(("127.0.0.1", target)) as rude:
+                    rude.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        assert await car2.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -50}"
+        assert await (await world.robot("car3")).ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -50}"
 
 
-def test_who_does_not_read_its_answers_is_not_read() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            deaf = await world.robot("car1")
-            deaf.reader._transport.pause_reading()  # type: ignore[attr-defined]
-            for _ in range(200):
-                deaf.writer.write(b"GETSS {Robot car1}\r\n" * 10_000)
-            before = -1
-            while before != (before := deaf.writer.transport.get_write_buffer_size()):
-                await asyncio.sleep(0.1)
-            assert before > 0
-            assert await (await world.robot("car2")).ask("GETSS {Robot car2}") == "SS {Robot car2} {Strength INF}"
-
-    asyncio.run(tried())
+async def test_who_does_not_read_its_answers_is_not_read() -> None:
+    async with served() as world:
+        deaf = await world.robot("car1")
+        deaf.reader._transport.pause_reading()  # type: ignore[attr-defined]
+        for _ in range(200):
+            deaf.writer.write(b"GETSS {Robot car1}\r\n" * 10_000)
+        before = -1
+        while before != (before := deaf.writer.transport.get_write_buffer_size()):
+            await asyncio.sleep(0.1)
+        assert before > 0
+        assert await (await world.robot("car2")).ask("GETSS {Robot car2}") == "SS {Robot car2} {Strength INF}"
 
 
 def test_ports_in_a_row_and_all_of_them_free_afterwards() -> None:
@@ -521,15 +487,12 @@ def test_ports_in_a_row_and_all_of_them_free_afterwards() -> None:
         assert asyncio.run(tried()) == [first, first + 1, first]
 
 
-def test_a_port_in_use_is_said() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            second = Wss(port=world.port)
-            with pytest.raises(GatewayError, match=f"port {world.port}.*in use"):
-                await second.open(world.context)
-            await second.close()
-
-    asyncio.run(tried())
+async def test_a_port_in_use_is_said() -> None:
+    async with served() as world:
+        second = Wss(port=world.port)
+        with pytest.raises(GatewayError, match=f"port {world.port}.*in use"):
+            await second.open(world.context)
+        await second.close()
 
 
 def test_an_address_must_be_one() -> None:

@@ -99,114 +99,96 @@ async def served(*, hears: Callable[[int, int, int], bool] = lambda *_: True, **
         assert not trouble
 
 
-def test_what_is_published_crosses_with_all_that_belongs_to_it_and_comes_once() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            car1, mate, car2 = await world.program("car1"), await world.program("car1"), await world.program("car2")
-            car1.put("pose", b"\x00\xff", encoding="application/cdr;geometry_msgs/Pose", attachment=b"7")
-            car1.delete("pose")
-            car1.put("a/*/b", "wild")
-            car1.put("spaces and \x00 and ü", "any")
-            car1.put(LAST, "")
-            for program in (car1, mate, car2):
-                await until(program.heard_last)
-                assert program.heard == [
-                    ("pose", b"\x00\xff"),
-                    ("pose", None),
-                    ("a/*/b", b"wild"),
-                    ("spaces and \x00 and ü", b"any"),
-                    (LAST, b""),
-                ]
-                sample = next(each for each in program.samples if str(each.key_expr) == "pose")
-                assert str(sample.encoding) == "application/cdr;geometry_msgs/Pose"
-                assert sample.attachment is not None
-                assert sample.attachment.to_bytes() == b"7"
-            assert [(each.sender, each.to) for each in world.context.offered] == [(0, BROADCAST)] * 5
-
-    asyncio.run(tried())
+async def test_what_is_published_crosses_with_all_that_belongs_to_it_and_comes_once() -> None:
+    async with served() as world:
+        car1, mate, car2 = await world.program("car1"), await world.program("car1"), await world.program("car2")
+        car1.put("pose", b"\x00\xff", encoding="application/cdr;geometry_msgs/Pose", attachment=b"7")
+        car1.delete("pose")
+        car1.put("a/*/b", "wild")
+        car1.put("spaces and \x00 and ü", "any")
+        car1.put(LAST, "")
+        for program in (car1, mate, car2):
+            await until(program.heard_last)
+            assert program.heard == [
+                ("pose", b"\x00\xff"),
+                ("pose", None),
+                ("a/*/b", b"wild"),
+                ("spaces and \x00 and ü", b"any"),
+                (LAST, b""),
+            ]
+            sample = next(each for each in program.samples if str(each.key_expr) == "pose")
+            assert str(sample.encoding) == "application/cdr;geometry_msgs/Pose"
+            assert sample.attachment is not None
+            assert sample.attachment.to_bytes() == b"7"
+        assert [(each.sender, each.to) for each in world.context.offered] == [(0, BROADCAST)] * 5
 
 
-def test_the_channel_decides_who_hears_what_and_mates_hear_all() -> None:
+async def test_the_channel_decides_who_hears_what_and_mates_hear_all() -> None:
     draws = random.Random(1)
     fates = [draws.random() > 0.3 for _ in range(200)] + [True]
 
-    async def tried() -> None:
-        async with served(hears=lambda sender, receiver, place: receiver == 2 and fates[place]) as world:
-            car1, mate = await world.program("car1"), await world.program("car1")
-            car2, car3 = await world.program("car2"), await world.program("car3")
-            for number in range(len(fates) - 1):
-                car1.put("count", str(number))
-            car1.put(LAST, "")
-            await until(car3.heard_last)
-            await until(mate.heard_last)
-            assert mate.heard == [*(("count", b"%d" % number) for number in range(200)), (LAST, b"")]
-            assert car3.heard == [each for each, fate in zip(mate.heard, fates, strict=True) if fate]
-            assert car2.heard == []
-
-    asyncio.run(tried())
+    async with served(hears=lambda sender, receiver, place: receiver == 2 and fates[place]) as world:
+        car1, mate = await world.program("car1"), await world.program("car1")
+        car2, car3 = await world.program("car2"), await world.program("car3")
+        for number in range(len(fates) - 1):
+            car1.put("count", str(number))
+        car1.put(LAST, "")
+        await until(car3.heard_last)
+        await until(mate.heard_last)
+        assert mate.heard == [*(("count", b"%d" % number) for number in range(200)), (LAST, b"")]
+        assert car3.heard == [each for each, fate in zip(mate.heard, fates, strict=True) if fate]
+        assert car2.heard == []
 
 
-def test_answers_go_back_and_nothing_goes_round() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            programs = [await world.program(name) for name in CARS]
-            for program in programs:
-                program.put("hello", "")
-            await until(lambda: all(len(each.heard) >= 3 for each in programs))
-            programs[0].put(LAST, "")
-            await until(lambda: all(each.heard_last() for each in programs))
-            assert [len(each.heard) for each in programs] == [4] * 3
-            assert len(world.context.offered) == 4
-
-    asyncio.run(tried())
+async def test_answers_go_back_and_nothing_goes_round() -> None:
+    async with served() as world:
+        programs = [await world.program(name) for name in CARS]
+        for program in programs:
+            program.put("hello", "")
+        await until(lambda: all(len(each.heard) >= 3 for each in programs))
+        programs[0].put(LAST, "")
+        await until(lambda: all(each.heard_last() for each in programs))
+        assert [len(each.heard) for each in programs] == [4] * 3
+        assert len(world.context.offered) == 4
 
 
-def test_what_is_for_one_vehicle_goes_to_it_alone() -> None:
-    async def tried() -> None:
-        async with served(unicast_prefix="to") as world:
-            car1, car2, car3 = [await world.program(name) for name in CARS]
-            car1.put("to/car2/go", "1")
-            car1.put("to/car1/note", "2")
-            car1.put("to/nobody", "3")
-            car1.put(LAST, "")
-            await until(car2.heard_last)
-            await until(car3.heard_last)
-            assert car2.heard == [("to/car2/go", b"1"), ("to/nobody", b"3"), (LAST, b"")]
-            assert car3.heard == [("to/nobody", b"3"), (LAST, b"")]
-            assert [each.to for each in world.context.offered] == [1, BROADCAST, BROADCAST]
-
-    asyncio.run(tried())
+async def test_what_is_for_one_vehicle_goes_to_it_alone() -> None:
+    async with served(unicast_prefix="to") as world:
+        car1, car2, car3 = [await world.program(name) for name in CARS]
+        car1.put("to/car2/go", "1")
+        car1.put("to/car1/note", "2")
+        car1.put("to/nobody", "3")
+        car1.put(LAST, "")
+        await until(car2.heard_last)
+        await until(car3.heard_last)
+        assert car2.heard == [("to/car2/go", b"1"), ("to/nobody", b"3"), (LAST, b"")]
+        assert car3.heard == [("to/nobody", b"3"), (LAST, b"")]
+        assert [each.to for each in world.context.offered] == [1, BROADCAST, BROADCAST]
 
 
-def test_what_is_too_long_or_the_simulators_own_stays() -> None:
-    async def tried() -> None:
-        async with served(max_bytes=1000) as world:
-            car1, car2 = await world.program("car1"), await world.program("car2")
-            car1.put("long", bytes(1001))
-            car1.put("k" * 600, bytes(500))
-            car1.put("vcmvsp/host/a/b/ask", "")
-            car1.put("@private/key", "")
-            car1.put(LAST, bytes(900))
-            await until(car2.heard_last)
-            assert [key for key, _ in car2.heard] == [LAST]
-            await until(lambda: world.context.counts == {"car1": {TOO_LONG: 2}})
-
-    asyncio.run(tried())
+async def test_what_is_too_long_or_the_simulators_own_stays() -> None:
+    async with served(max_bytes=1000) as world:
+        car1, car2 = await world.program("car1"), await world.program("car2")
+        car1.put("long", bytes(1001))
+        car1.put("k" * 600, bytes(500))
+        car1.put("vcmvsp/host/a/b/ask", "")
+        car1.put("@private/key", "")
+        car1.put(LAST, bytes(900))
+        await until(car2.heard_last)
+        assert [key for key, _ in car2.heard] == [LAST]
+        await until(lambda: world.context.counts == {"car1": {TOO_LONG: 2}})
 
 
-def test_what_an_agent_says_is_heard_under_its_name() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            car2 = await world.program("car2")
-            sayings = [b"any bytes", b"", b"\x81\xa1x\x01", b"\x92\xa2//\xc4\x00"]  # the last is a publication under no key
-            for said in sayings:
-                world.gateway.deliver(0, 1, said)
-            world.gateway.deliver(0, 1, encode(Publication(LAST, b"")))
-            await until(car2.heard_last)
-            assert car2.heard == [*((HEARD + "car1", said) for said in sayings[:3]), (LAST, b"")]
-            assert world.context.counts == {"car2": {"not taken by Zenoh": 1}}
-
-    asyncio.run(tried())
+async def test_what_an_agent_says_is_heard_under_its_name() -> None:
+    async with served() as world:
+        car2 = await world.program("car2")
+        sayings = [b"any bytes", b"", b"\x81\xa1x\x01", b"\x92\xa2//\xc4\x00"]  # the last is a publication under no key
+        for said in sayings:
+            world.gateway.deliver(0, 1, said)
+        world.gateway.deliver(0, 1, encode(Publication(LAST, b"")))
+        await until(car2.heard_last)
+        assert car2.heard == [*((HEARD + "car1", said) for said in sayings[:3]), (LAST, b"")]
+        assert world.context.counts == {"car2": {"not taken by Zenoh": 1}}
 
 
 def test_some_vehicles_take_part_at_endpoints_of_their_own() -> None:
@@ -222,51 +204,42 @@ def test_some_vehicles_take_part_at_endpoints_of_their_own() -> None:
         return [line.replace(str(port), "P").replace(str(port + 3), "P+3") for line in lines]
 
     lines = asyncio.run(tried())
-    assert lines == [
-        "Zenoh clients of car1 connect to tcp/127.0.0.1:P",
-        "Zenoh clients of car3 connect to tcp/127.0.0.1:P+3",
-    ]
+    assert lines == ["Zenoh clients of car1 connect to tcp/127.0.0.1:P", "Zenoh clients of car3 connect to tcp/127.0.0.1:P+3"]
 
 
-def test_three_hundred_strangers_keep_nobody_out() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            car2 = await world.program("car2")
-            with contextlib.ExitStack() as strangers:
-                for number in range(300):
-                    stranger = strangers.enter_context(socket.create_connection(("127.0.0.1", world.port)))
-                    with contextlib.suppress(OSError):
-                        stranger.sendall(os.urandom(number % 50))
-                car1 = await world.program("car1")
-                car1.put(LAST, "")
-                await until(car2.heard_last)
-
-    asyncio.run(tried())
+async def test_three_hundred_strangers_keep_nobody_out() -> None:
+    async with served() as world:
+        car2 = await world.program("car2")
+        with contextlib.ExitStack() as strangers:
+            for number in range(300):
+                stranger = strangers.enter_context(socket.create_connection(("127.0.0.1", world.port)))
+                with contextlib.suppress(OSError):
+                    stranger.sendall(os.urandom(number % 50))
+            car1 = await world.program("car1")
+            car1.put(LAST, "")
+            await until(car2.heard_last)
 
 
-def test_what_comes_too_fast_is_counted_and_what_goes_on_is_in_order() -> None:
-    async def tried() -> None:
-        context = TestHall(CARS)
-        taken: list[tuple[int, bytes, int]] = []
+async def test_what_comes_too_fast_is_counted_and_what_goes_on_is_in_order() -> None:
+    context = TestHall(CARS)
+    taken: list[tuple[int, bytes, int]] = []
 
-        def offer(row: int, _: int, payload: bytes, *, came_ns: int) -> bool:
-            taken.append((row, payload, came_ns))
-            return payload != b"no room"
+    def offer(row: int, _: int, payload: bytes, *, came_ns: int) -> bool:
+        taken.append((row, payload, came_ns))
+        return payload != b"no room"
 
-        inbox = Inbox(context, offer)
-        for number in range(BACKLOG + 10):
-            inbox.put(0, BROADCAST, str(number).encode())
-        inbox.put(1, BROADCAST, b"another's")
-        inbox.put(1, BROADCAST, b"no room")
-        inbox.count(1, TOO_LONG)
-        await until(lambda: bool(context.counts))
-        assert context.counts == {"car1": {NO_ROOM: 10}, "car2": {NO_ROOM: 1, TOO_LONG: 1}}
-        assert [payload for row, payload, _ in taken if row == 0] == [b"%d" % number for number in range(BACKLOG)]
-        assert [came_ns for *_, came_ns in taken] == sorted(came_ns for *_, came_ns in taken)
-        inbox.count(2, TOO_LONG)  # alone
-        await until(lambda: "car3" in context.counts)
-
-    asyncio.run(tried())
+    inbox = Inbox(context, offer)
+    for number in range(BACKLOG + 10):
+        inbox.put(0, BROADCAST, str(number).encode())
+    inbox.put(1, BROADCAST, b"another's")
+    inbox.put(1, BROADCAST, b"no room")
+    inbox.count(1, TOO_LONG)
+    await until(lambda: bool(context.counts))
+    assert context.counts == {"car1": {NO_ROOM: 10}, "car2": {NO_ROOM: 1, TOO_LONG: 1}}
+    assert [payload for row, payload, _ in taken if row == 0] == [b"%d" % number for number in range(BACKLOG)]
+    assert [came_ns for *_, came_ns in taken] == sorted(came_ns for *_, came_ns in taken)
+    inbox.count(2, TOO_LONG)  # alone
+    await until(lambda: "car3" in context.counts)
 
 
 @given(payload=st.binary(max_size=60))
@@ -316,26 +289,20 @@ def test_other_machines_may_come_where_the_user_says_so() -> None:
     ZenohGateway(listen={"car1": "tcp/0.0.0.0:7460"}, insecure=True).check(CARS)
 
 
-def test_a_port_in_use_is_said() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            second = ZenohGateway(first_port=world.port)
-            with pytest.raises(GatewayError, match=f"cannot serve Zenoh clients at tcp/127.0.0.1:{world.port}"):
-                await second.open(world.context)
-            await second.close()
-
-    asyncio.run(tried())
+async def test_a_port_in_use_is_said() -> None:
+    async with served() as world:
+        second = ZenohGateway(first_port=world.port)
+        with pytest.raises(GatewayError, match=f"cannot serve Zenoh clients at tcp/127.0.0.1:{world.port}"):
+            await second.open(world.context)
+        await second.close()
 
 
-def test_the_largest_publication_is_a_frame_of_the_largest_size() -> None:
-    async def tried() -> None:
-        async with served() as world:
-            car1, car2 = await world.program("car1"), await world.program("car2")
-            beside = len(encode(Publication(LAST, bytes(60_000), "zenoh/bytes"))) - 60_000
-            car1.put(LAST, bytes(LARGEST - beside + 1))
-            car1.put(LAST, bytes(LARGEST - beside))
-            await until(car2.heard_last)
-            assert [len(payload or b"") for _, payload in car2.heard] == [LARGEST - beside]
-            assert len(world.context.offered[0].payload) == LARGEST
-
-    asyncio.run(tried())
+async def test_the_largest_publication_is_a_frame_of_the_largest_size() -> None:
+    async with served() as world:
+        car1, car2 = await world.program("car1"), await world.program("car2")
+        beside = len(encode(Publication(LAST, bytes(60_000), "zenoh/bytes"))) - 60_000
+        car1.put(LAST, bytes(LARGEST - beside + 1))
+        car1.put(LAST, bytes(LARGEST - beside))
+        await until(car2.heard_last)
+        assert [len(payload or b"") for _, payload in car2.heard] == [LARGEST - beside]
+        assert len(world.context.offered[0].payload) == LARGEST

@@ -1,9 +1,9 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vcmvsp.netsim.bridge import datagram_store
+from vcmvsp.netsim.bridge.datagram_store import BATCH, BATCH_BYTES, BATCH_OF_ONE, MOST, MOST_BYTES, DatagramStore
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST
-from vcmvsp.netsim.bridge.process import datagram_store as stores
-from vcmvsp.netsim.bridge.process.datagram_store import BATCH, BATCH_BYTES, BATCH_OF_ONE, MOST, MOST_BYTES, DatagramStore
 
 
 def put(store: DatagramStore, sender: int = 0, size: int = 10, to: int = BROADCAST, came_ns: int = 0) -> bool:
@@ -130,4 +130,4 @@ def test_nothing_is_lost_doubled_or_out_of_its_senders_order(data: st.DataObject
         assert times == sorted(times)
         finish(store, own)
     assert len(store) == 0
-    assert all(put(store, sender, size=stores.MOST_BYTES) for sender in range(vehicles))  # all room is free again
+    assert all(put(store, sender, size=datagram_store.MOST_BYTES) for sender in range(vehicles))  # all room is free again

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.types import Array, Traffic, frozen
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.netsim.bridge.process import messages
+from vcmvsp.netsim.bridge import messages
 
-ROOM = 200_000  # bytes of a message, as far as every Linux goes (`cosim.processes.local_link`)
+ROOM = 200_000  # bytes of a message, as far as every Linux goes (`cosim.processes.child_process`)
 
 
 def traffic(deliveries: int, settled: int) -> tuple[Traffic, Array]:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.netsim.bridge.process.pacer import Pacer, TimedDelivery, new_loop
+from vcmvsp.netsim.bridge.datagram_store import Pacer, TimedDelivery, new_loop
 
 
 class Turning:

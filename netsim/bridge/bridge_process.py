@@ -1,7 +1,7 @@
 """The bridge process: opens all gateways, passes their datagrams to the run, and delivers datagrams at the run's times.
 
 It ends on a `Leave` message or when the link to the run ends. The run confirms each batch of datagrams; later ones wait in
-`netsim.bridge.process.datagram_store`, bounded for each vehicle.
+`netsim.bridge.datagram_store`, bounded for each vehicle.
 """
 
 import asyncio
@@ -9,7 +9,7 @@ import contextlib
 import signal
 import sys
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,13 +18,12 @@ import numpy as np
 
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError, place_of, words_of
-from vcmvsp.cosim.processes.local_link import LocalLink
+from vcmvsp.cosim.processes.child_process import LocalLink
+from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.netsim.bridge.gateways.base import Gateway, GatewayError
-from vcmvsp.netsim.bridge.process import messages
-from vcmvsp.netsim.bridge.process.datagram_store import DatagramStore
-from vcmvsp.netsim.bridge.process.gateway_context import BridgeContext
-from vcmvsp.netsim.bridge.process.pacer import Pacer, TimedDelivery
+from vcmvsp.netsim.bridge import messages
+from vcmvsp.netsim.bridge.datagram_store import DatagramStore, Pacer, TimedDelivery
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, Gateway, GatewayError
 
 OPENING_S = 60.0  # timeout from the start to the `Opening` message
 CLOSE_S = 3.0  # timeout for a gateway to close and for the last messages,
@@ -36,10 +35,16 @@ MOST_COUNTED = 100  # vehicles in a message
 
 
 class BridgeProcess:
-    """Main object of the process, from the first message to the last."""
+    """Main object of the process, from the first message to the last; the `GatewayContext` of its gateways."""
+
+    run: str
+    vehicles: tuple[str, ...]
 
     def __init__(self, link: LocalLink, loop: asyncio.AbstractEventLoop, *, wary: bool = False) -> None:
-        self._link, self._loop, self._wary = link, loop, wary
+        self._link, self.loop, self._wary = link, loop, wary
+        self._counts: dict[str, Counter[str]] = {}
+        self._changed_counts: dict[str, None] = {}  # vehicles with counts that were not reported yet
+        self._levels: Array | None = None
         self._over: asyncio.Future[str] = loop.create_future()  # reason for the end; empty: requested
         self._gateways: list[tuple[str, Gateway]] = []
         self._opened: list[tuple[str, Gateway]] = []  # open, or `open` has failed
@@ -66,9 +71,9 @@ class BridgeProcess:
 
     async def _go_through(self, opening: messages.Opening) -> str:
         """Open the gateways, serve, close them; returns the problem that ended it, or an empty string."""
-        self._loop.set_exception_handler(self._on_exception)
-        self._loop.add_signal_handler(signal.SIGTERM, self._end, "it received SIGTERM")
-        self._loop.add_reader(self._link.fileno(), self._receive)
+        self.loop.set_exception_handler(self._on_exception)
+        self.loop.add_signal_handler(signal.SIGTERM, self._end, "it received SIGTERM")
+        self.loop.add_reader(self._link.fileno(), self._receive)
         try:
             await self._open(opening)
             return await self._over
@@ -87,22 +92,14 @@ class BridgeProcess:
         if self._wary:
             _check(opening)
         self._store = DatagramStore(len(opening.vehicles), payloads=opening.payloads)
-        self._context = BridgeContext(
-            opening.run,
-            opening.vehicles,
-            self._loop,
-            self._store,
-            on_datagram=self._on_datagram,
-            on_level_request=self._on_level_request,
-        )
-        self._pacer = Pacer(self._loop, self._deliver)
+        self.run, self.vehicles = opening.run, opening.vehicles
+        self._pacer = Pacer(self.loop, self._deliver)
         self._payloads = opening.payloads
         for message in received[1:]:
             self._handle(messages.downs.decode(message))
         return opening
 
     async def _open(self, opening: messages.Opening) -> None:
-        """Open all gateways, unless the run ends first."""
         folder = Path(opening.folder)
         with registry.looking_in(folder):
             for spec in opening.gateways:
@@ -110,7 +107,7 @@ class BridgeProcess:
         lines: list[str] = []
         for name, gateway in self._gateways:
             self._opened.append((name, gateway))
-            task = asyncio.ensure_future(gateway.open(self._context))
+            task = asyncio.ensure_future(gateway.open(self))
             either: list[asyncio.Future[Any]] = [task, self._over]
             await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
             if self._over.done():
@@ -129,15 +126,31 @@ class BridgeProcess:
 
     # From programs to the run
 
-    def _on_datagram(self) -> None:
+    def offer(self, gateway: Gateway, sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
+        """Put it into the store, if there is room."""
+        rows = range(len(self.vehicles))
+        if len(payload) > LARGEST or sender not in rows or to == sender or (to not in rows and to != BROADCAST):
+            raise ValueError(f"{type(gateway).__name__} offers {len(payload)} bytes from row {sender} to {to}")
+        now_ns = time.monotonic_ns()
+        if not self._store.put(gateway, sender, to, payload, now_ns if came_ns is None else min(came_ns, now_ns)):
+            return False
         if not self._awaits_confirmation and not self._flushing:
             self._flushing = True
-            self._loop.call_soon(self._flush)  # after all other datagrams of this turn
+            self.loop.call_soon(self._flush)  # after all other datagrams of this turn
+        return True
 
-    def _on_level_request(self) -> None:
-        if not self._levels_requested:
+    def count(self, vehicle: int, what: str, by: int = 1) -> None:
+        """Count it."""
+        name = self.vehicles[vehicle]
+        self._counts.setdefault(name, Counter())[what] += by
+        self._changed_counts[name] = None
+
+    def level_dbm(self, sender: int, receiver: int) -> float:
+        """The newest level from the run, which sends levels from the first request on."""
+        if self._levels is None and not self._levels_requested:
             self._levels_requested = True
             self._send(messages.LevelsRequest())
+        return float("nan") if self._levels is None else float(self._levels[sender, receiver])
 
     def _flush(self) -> None:
         """Send new datagrams to the run, unless it has not confirmed the last batch yet."""
@@ -153,16 +166,9 @@ class BridgeProcess:
             gateway_row = gateways[id(datagram.gateway)]
             rows.append((each, gateway_row, datagram.sender, datagram.to, len(datagram.payload), datagram.came_ns))
         number, gateway, sender, to, size, came_ns = np.array(rows, np.int64).T
-        came = messages.NewDatagrams(
-            number=number,
-            gateway=gateway.astype(np.int32),
-            sender=sender.astype(np.int32),
-            to=to.astype(np.int32),
-            size_bytes=size,
-            came_ns=came_ns,
-            payloads=tuple(store[each].payload for each in numbers) if self._payloads else (),
-        )
-        self._send(came)
+        whose = {"gateway": gateway.astype(np.int32), "sender": sender.astype(np.int32), "to": to.astype(np.int32)}
+        payloads = tuple(store[each].payload for each in numbers) if self._payloads else ()
+        self._send(messages.NewDatagrams(number=number, **whose, size_bytes=size, came_ns=came_ns, payloads=payloads))
 
     def _send(self, message: messages.Up) -> None:
         self._outbox.append(encode(message))
@@ -178,7 +184,7 @@ class BridgeProcess:
                 raise
             if not accepted:
                 if not self._over.done():
-                    self._loop.call_later(RETRY_S, self._send_outbox)
+                    self.loop.call_later(RETRY_S, self._send_outbox)
                 return
             self._outbox.popleft()
 
@@ -194,12 +200,13 @@ class BridgeProcess:
         if isinstance(message, messages.Deliveries):
             self._on_due(message)
         elif isinstance(message, messages.AgentDatagram):
-            self._pacer.put(
-                TimedDelivery(message.at_ns, self._store.speak(message.sender, message.payload), -1, message.receiver)
-            )
+            number = self._store.speak(message.sender, message.payload)
+            self._pacer.put(TimedDelivery(message.at_ns, number, -1, message.receiver))
             self._pacer.arm()
         elif isinstance(message, messages.LevelRows):
-            self._context.tell_levels(message.first, message.dbm)
+            if self._levels is None:
+                self._levels = np.full((len(self.vehicles), len(self.vehicles)), np.nan)
+            self._levels[message.first : message.first + len(message.dbm)] = message.dbm
         elif isinstance(message, messages.Leave):
             self._end("")
 
@@ -212,12 +219,9 @@ class BridgeProcess:
         self._deliveries = row
         for number in due.settled.tolist():
             datagram = store.settle(number)
-            if (
-                datagram is not None
-                and datagram.gateway is not None
-                and (lost := getattr(datagram.gateway, "lost", None)) is not None
-            ):
-                with self._errors_of(datagram.gateway):
+            gateway = None if datagram is None else datagram.gateway
+            if datagram and gateway and (lost := getattr(gateway, "lost", None)):
+                with self._errors_of(gateway):
                     lost(datagram.sender, datagram.to, datagram.payload)
         if self._awaits_confirmation and due.taken >= self._forwarded:
             self._awaits_confirmation = False
@@ -258,11 +262,11 @@ class BridgeProcess:
         if not self._outbox:
             self._report_deliveries()
             self._report_counts()
-        self._loop.call_later(REPORT_S, self._report)
+        self.loop.call_later(REPORT_S, self._report)
 
     def _report_counts(self) -> None:
-        counts, changed = self._context.counts, list(self._context.changed_counts)
-        self._context.changed_counts.clear()
+        counts, changed = self._counts, list(self._changed_counts)
+        self._changed_counts.clear()
         for first in range(0, len(changed), MOST_COUNTED):
             self._send(messages.Counts(counts={name: dict(counts[name]) for name in changed[first : first + MOST_COUNTED]}))
 
@@ -288,7 +292,6 @@ class BridgeProcess:
                 sys.stderr.write(f"bridge: closing bridge.{name}: {_words(error)}\n")
 
     def _drain(self) -> None:
-        """Send the remaining messages, as long as the run reads."""
         until = time.monotonic() + CLOSE_S
         while self._outbox and time.monotonic() < until and not self._link.ended:
             self._send_outbox()

@@ -1,7 +1,16 @@
-"""Datagrams of a bridge process, from reception until the run has settled them and all their deliveries are made."""
+"""Datagrams of a bridge process until the run has settled them, and their deliveries, on a loop with timers of microseconds."""
 
+import asyncio
+import heapq
+import selectors
+import time
 from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
 
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.util.polling import readable
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, Gateway
 
 MOST = 4096
@@ -15,16 +24,21 @@ BATCH_BYTES = 100_000
 
 FIRST_SPOKEN = -(2**62)
 
+AT_ONCE = 200  # deliveries, before others have their turn
 
+
+@dataclass(slots=True)
 class StoredDatagram:
     """A datagram."""
 
-    __slots__ = ("arrived", "came_ns", "gateway", "payload", "sender", "settled", "to", "waiting")
-
-    def __init__(self, gateway: Gateway | None, sender: int, to: int, payload: bytes, came_ns: int) -> None:
-        self.gateway, self.sender, self.to, self.payload, self.came_ns = gateway, sender, to, payload, came_ns
-        self.waiting = 0  # deliveries
-        self.settled = self.arrived = False
+    gateway: Gateway | None
+    sender: int
+    to: int
+    payload: bytes
+    came_ns: int
+    waiting: int = 0  # deliveries
+    settled: bool = False
+    arrived: bool = False
 
 
 class DatagramStore:
@@ -106,3 +120,72 @@ class DatagramStore:
         if number >= 0:
             self._count[datagram.sender] -= 1
             self._bytes[datagram.sender] -= len(datagram.payload)
+
+
+class TimedDelivery(NamedTuple):
+    """Delivery to one receiver; field order is the order of deliveries."""
+
+    at_ns: int  # on ``time.monotonic_ns()``
+    number: int  # of the datagram
+    row: int  # number of the delivery
+    receiver: int
+
+
+class Pacer:
+    """Calls ``leave`` with each delivery at its time, the earliest first."""
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        leave: Callable[[TimedDelivery], None],
+        now: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._loop, self._leave, self._now = loop, leave, now
+        self._heap: list[TimedDelivery] = []
+        self._timer: asyncio.Handle | None = None
+        self._armed_ns = 0  # when the timer goes off
+
+    def put(self, delivery: TimedDelivery) -> None:
+        """Add a delivery; call `arm` afterwards, once for any number of deliveries."""
+        heapq.heappush(self._heap, delivery)
+
+    def arm(self) -> None:
+        """Set the timer to the next delivery."""
+        if not self._heap or (self._timer is not None and self._armed_ns <= self._heap[0].at_ns):
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        self._armed_ns = self._heap[0].at_ns
+        left_ns = self._armed_ns - self._now()
+        if left_ns > 0:
+            self._timer = self._loop.call_later(left_ns / SECOND_NS, self.turn)
+        else:
+            self._timer = self._loop.call_soon(self.turn)
+
+    def turn(self) -> None:
+        """Make all deliveries that are due."""
+        self._timer = None
+        heap, leave, now = self._heap, self._leave, self._now
+        try:
+            for _ in range(AT_ONCE):
+                if not heap or heap[0].at_ns > now():
+                    break
+                leave(heapq.heappop(heap))
+        finally:
+            self.arm()
+
+
+class FineSelector(selectors.EpollSelector):
+    """An ``EpollSelector`` with waits in microseconds: the original waits for whole milliseconds."""
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        """Wait for readiness, at most ``timeout`` s (None: as long as it takes)."""
+        if timeout is not None and timeout > 0.0:
+            readable([self.fileno()], timeout)  # its own descriptor is readable when something is ready
+            timeout = 0.0
+        return super().select(timeout)
+
+
+def new_loop() -> asyncio.AbstractEventLoop:
+    """An event loop with a `FineSelector`; the caller closes it."""
+    return asyncio.SelectorEventLoop(FineSelector())

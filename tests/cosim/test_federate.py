@@ -5,7 +5,7 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.util.key_expressions import matches
+from vcmvsp.cosim.federate import matches
 
 CHUNKS = st.sampled_from(["a", "b", "car1", "car2", "send", "A_b-9"])
 KEYS = st.lists(CHUNKS, min_size=1, max_size=5).map("/".join)

@@ -3,23 +3,34 @@
 Each robot opens a control connection, on which it registers the name of a vehicle and the ports on which it listens. It
 requests the port through which it reaches another robot; connections to that port are relayed. Two robots have a link while
 the mean level is at least the cutoff; otherwise their connections are closed and new ones are rejected.
+
+A line of a control connection is ``KIND {Key value} {Key value}``, then CR LF, as in the manual of WSS. A value is one word; an
+invalid line is answered, too.
 """
 
 import asyncio
 import contextlib
 import itertools
+import math
+import re
 import secrets
 import socket
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
 
 from vcmvsp.netsim.bridge.gateways.base import HIGHEST, LARGEST, GatewayContext, GatewayError, Port, address, check_listen
-from vcmvsp.netsim.bridge.gateways.wss.messages import LONGEST_LINE, WssMessage, compose, error, parse, strength
-from vcmvsp.netsim.bridge.gateways.wss.relay import HEADER, MOST_RELAYS, Pair, Relay, RelayPort
+from vcmvsp.netsim.bridge.gateways.wss_relay import HEADER, MOST_RELAYS, Pair, Relay, RelayPort
+
+LONGEST_LINE = 4096  # bytes; a longer line ends the connection
+MOST_PORTS = 16  # on which a robot may listen
+
+_LINE = re.compile(r"([A-Z]+)((?:\s*\{[^{}\s]+(?:\s+[^{}\s]+)?\s*\})*)\s*", re.ASCII)
+_FIELD = re.compile(r"\{([^{}\s]+)(?:\s+([^{}\s]+))?\s*\}", re.ASCII)
+_PORT = re.compile(r"[0-9]{1,5}", re.ASCII)
 
 LOOK_S = 0.1  # period of the link checks
 TRIED = 100  # ports, in search of a free one
@@ -27,6 +38,53 @@ MOST_GUESTS = 64  # control connections without a registered robot; the oldest i
 
 FirstPort = Annotated[int, msgspec.Meta(ge=0, le=HIGHEST)]
 ChunkBytes = Annotated[int, msgspec.Meta(gt=HEADER.size, le=LARGEST)]
+
+
+class WssMessage(NamedTuple):
+    """A message of a robot's program."""
+
+    kind: str
+    fields: dict[str, str]
+
+    def robot(self) -> str:
+        """Field ``Robot``; empty: none."""
+        return self.fields.get("Robot", "")
+
+    def port(self) -> int | None:
+        """Field ``Port``; None: none, or invalid."""
+        return _port(self.fields.get("Port", ""))
+
+    def ports(self) -> tuple[int, ...] | None:
+        """Field ``Port`` as a list without repetitions; None: none, too many, or invalid."""
+        words = self.fields.get("Port", "").split(",")
+        ports = [port for word in words if (port := _port(word)) is not None]
+        return tuple(dict.fromkeys(ports)) if len(ports) == len(words) <= MOST_PORTS else None
+
+
+def parse(line: bytes) -> WssMessage | None:
+    """The message in a line; None: invalid."""
+    match = _LINE.fullmatch(line.decode(errors="surrogateescape"))
+    return WssMessage(match[1], dict(_FIELD.findall(match[2]))) if match else None
+
+
+def compose(kind: str, **fields: object) -> bytes:
+    """The line of a message with these fields, in this order."""
+    words = [kind, *(f"{{{key} {value}}}" for key, value in fields.items())]
+    return " ".join(words).encode(errors="surrogateescape") + b"\r\n"
+
+
+def error(reason: str) -> bytes:
+    """The line of an error; ``reason`` has dots instead of spaces."""
+    return compose("ERROR", Reason=reason)
+
+
+def strength(level_dbm: float) -> str:
+    """Text of a level."""
+    return "NaN" if math.isnan(level_dbm) else f"{level_dbm:.6g}".replace("inf", "INF")
+
+
+def _port(word: str) -> int | None:
+    return int(word) if _PORT.fullmatch(word) and 0 < int(word) <= HIGHEST else None
 
 
 @dataclass(frozen=True)
@@ -121,7 +179,6 @@ class Wss:
         task.add_done_callback(self._tasks.discard)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Answer a robot's program until it leaves."""
         self._guests[writer] = None
         if len(self._guests) > MOST_GUESTS:
             next(iter(self._guests)).transport.abort()
@@ -177,14 +234,9 @@ class Wss:
     def _answer(self, message: WssMessage | None, robot: RobotClient) -> bytes:
         if message is None:
             return error("Message.Not.Understood")
-        answers: dict[str, Callable[[WssMessage, RobotClient], bytes]] = {
-            "GETSS": self._on_getss,
-            "DNS": self._on_dns,
-            "REVERSEDNS": self._on_reversedns,
-        }
-        if message.kind not in answers:
-            return error("Method.Unknown.Or.Can.INIT.only.once")
-        return answers[message.kind](message, robot)
+        answers = {"GETSS": self._on_getss, "DNS": self._on_dns, "REVERSEDNS": self._on_reversedns}
+        answer = answers.get(message.kind)
+        return answer(message, robot) if answer else error("Method.Unknown.Or.Can.INIT.only.once")
 
     def _on_getss(self, message: WssMessage, robot: RobotClient) -> bytes:
         name = message.robot()

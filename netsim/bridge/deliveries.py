@@ -1,17 +1,57 @@
-"""Lateness of deliveries on the wall clock, and the table of all deliveries of a run with a bridge."""
+"""Deliveries to programs: how late they are on the wall clock, their table, and what of them comes back to the bridge."""
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.types import Array, Traffic
+from vcmvsp.cosim.types import Array, Reception, Traffic
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.netsim.bridge import messages
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 NEVER = -1
+
+
+class Echoes:
+    """Datagrams of programs on their way to agents; times of the run."""
+
+    def __init__(self, vehicles: tuple[str, ...]) -> None:
+        self._vehicles = vehicles
+        self._sent: dict[int, tuple[str, bytes]] = {}  # by number: sender, payload
+        self._coming: Counter[tuple[str, int, str, bytes]] = Counter()  # receiver, time, sender, payload
+
+    def sent(self, batch: messages.NewDatagrams) -> None:
+        """Note datagrams that enter the radio."""
+        for number, sender, payload in zip(batch.number.tolist(), batch.sender.tolist(), batch.payloads, strict=True):
+            self._sent[number] = self._vehicles[sender], payload
+
+    def decided(self, traffic: Traffic) -> None:
+        """Note their deliveries."""
+        rows = zip(traffic.number.tolist(), traffic.receiver.tolist(), traffic.arrival_ns.tolist(), strict=True)
+        for number, receiver, received_ns in rows:
+            sender, payload = self._sent[number]
+            if payload:  # an empty payload causes no reception
+                self._coming[self._vehicles[receiver], received_ns, sender, payload] += 1
+        for number in traffic.settled.tolist():
+            del self._sent[number]
+
+    def agent_payload(self, vehicle: str, reception: Reception) -> bytes | None:
+        """Payload for programs if an agent sent the message; None for a datagram of a program."""
+        body = reception.message.body
+        if not isinstance(body, bytes):
+            return encode(body)
+        echo = vehicle, reception.received_ns, reception.message.sender, body
+        if echo not in self._coming:
+            return body
+        self._coming[echo] -= 1
+        if not self._coming[echo]:
+            del self._coming[echo]
+        return None
 
 
 class Columns:

@@ -1,0 +1,313 @@
+"""Observers of a run from elsewhere (the hub's end: `cosim.hosts.event_publisher`), which never change it.
+
+`watch` hears what it shows; `examine` tries all that a machine and a run need of each other.
+"""
+
+import hashlib
+import queue
+import ssl
+import statistics
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from importlib import metadata
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import zenoh
+from zenoh.handlers import Callback
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.hosts import protocol
+from vcmvsp.cosim.hosts.event_publisher import ECHO, About, stamp
+from vcmvsp.cosim.hosts.host_client import NO_RUN, dial, dialling, hub_of
+from vcmvsp.cosim.transport import access_control, key_names, tls_diagnosis
+from vcmvsp.cosim.transport.zenoh_session import common_names, opened
+from vcmvsp.cosim.util.documents import read_json
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.security.certificates import Bundle
+
+PATIENCE_S = 2.0  # a run that is out of reach may come back, and one that has just begun to listen may not answer yet
+BACKLOG = 100_000  # events that wait here for a slow terminal; what is more is lost
+POLL_S = 0.05
+
+ROUNDS = 100
+_SOMEBODY = "somebody-else"
+
+Check = tuple[str, bool, str]
+"""What was tried, whether it works, and what there is to say about it."""
+
+
+class Seen(NamedTuple):
+    """An event of the run as it arrived."""
+
+    time_ns: int  # simulated
+    topic: str  # e.g. car2/command
+    type: str  # the tag of the value, e.g. velocity
+    payload: bytes  # JSON
+
+    @property
+    def value(self) -> Any:
+        """The value, of lists, mappings, numbers and strings; None: it cannot be read."""
+        try:
+            return read_json(self.payload)
+        except (ValueError, RecursionError):
+            return None
+
+
+def watch(
+    endpoint: str,
+    topics: Sequence[str] = ("**",),  # key expressions of what to hear, e.g. ``car2/*``
+    *,
+    bundle: "Bundle | None" = None,  # certificate of this observer; None: plain TCP
+    secret: str | None = None,  # of the run, without a certificate, as of `cosim.hosts.host_client.dial`
+    every_s: float = 0.0,  # collect for so long before giving what has come
+    on_state: Callable[[str], None] = lambda _: None,  # told what is being waited for, and how it ended
+) -> Generator[list[Seen], None, None]:
+    """What a run shows, until it ends. One that is not there yet is waited for.
+
+    Raises:
+        UsageError: the run does not let this observer in, or something is wrong with the arguments.
+    """
+    for topic in topics:
+        try:
+            zenoh.KeyExpr(key_names.TOPIC + topic)
+        except zenoh.ZError as error:
+            problem = "must be a key like car2/command, with * for one part and ** for many"
+            raise UsageError(f"--topic {topic}: {problem}") from error
+    if bundle is not None and bundle.role != "observer":
+        owner = ", ".join(bundle.vehicles)
+        raise UsageError(f"{bundle.path}: is for the host of {owner}; to watch use what 'vcmvsp keys observer NAME' makes")
+    with dial(endpoint, bundle, on_state, secret=secret) as session:
+        name = key_names.OPEN if bundle is None else bundle.name
+        about = greeted(session, name)
+        inbox: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
+        lost = 0
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            nonlocal lost
+            if inbox.qsize() < BACKLOG:
+                inbox.put(sample)
+            else:
+                lost += 1
+
+        run = _Presence(session, endpoint, bundle)
+        for topic in topics:
+            session.declare_subscriber(key_names.TOPIC + topic, Callback(on_sample, indirect=False))
+        on_state(f"watching {endpoint}: {which(about)}")
+        over = False
+        while not over:
+            over = run.is_over()  # asked first: what has come until then is given yet
+            if batch := _batch(inbox, every_s):
+                yield batch
+        on_state("the run has ended, or is out of reach" + (f"; {lost} events came too fast to be shown" if lost else ""))
+
+
+class _Presence:
+    """Whether the run is still there: its token, and, once that has gone, whoever listens at its endpoint."""
+
+    def __init__(self, session: zenoh.Session, endpoint: str, bundle: "Bundle | None") -> None:
+        self._session, self._endpoint, self._bundle = session, endpoint, bundle
+        self._hub = hub_of(session)
+        self._gone_at: float | None = None  # its token
+        self._cut_at: float | None = None  # its session
+        changes = Callback(self._on_token, indirect=False)
+        session.liveliness().declare_subscriber(key_names.HUB_ALIVE, changes, history=True)
+
+    def is_over(self) -> bool:
+        """Whether the run has ended, or is out of reach for good."""
+        present = hub_of(self._session)
+        if present not in (self._hub, ""):
+            return True  # another one listens there now
+        if present:
+            self._cut_at = None
+        elif self._cut_at is None:
+            self._cut_at = time.monotonic()
+        since = self._gone_at or self._cut_at
+        if since is None:
+            return False
+        refusal = tls_diagnosis.diagnose(self._endpoint, self._bundle)
+        hopeless = (refusal is not None and refusal.final) or time.monotonic() > since + PATIENCE_S
+        if not hopeless:
+            time.sleep(POLL_S)
+        return hopeless and (self._gone_at or self._cut_at) is not None  # it may have come back meanwhile
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        self._gone_at = None if sample.kind == zenoh.SampleKind.PUT else time.monotonic()
+
+
+def _batch(inbox: "queue.SimpleQueue[zenoh.Sample]", every_s: float) -> list[Seen]:
+    """What comes within so long; without a length, what is there as soon as there is something."""
+    found: list[Seen] = []
+    last = time.monotonic() + (every_s or POLL_S)
+    while (left_s := last - time.monotonic()) > 0.0:
+        try:
+            sample = inbox.get(timeout=left_s)
+        except queue.Empty:
+            break
+        if seen := _seen(sample):
+            found.append(seen)
+        if not every_s and inbox.empty():
+            break
+    return found
+
+
+def _seen(sample: zenoh.Sample) -> Seen | None:
+    key, when = str(sample.key_expr), sample.attachment
+    if "*" in key or when is None or len(when) != stamp.size:
+        return None  # nothing that a run has said
+    (time_ns,) = stamp.unpack(when.to_bytes())
+    kind = str(sample.encoding).rpartition(";")[2]
+    return None if kind == "echo" else Seen(time_ns, key.removeprefix(key_names.TOPIC), kind, sample.payload.to_bytes())
+
+
+def ask(session: zenoh.Session, name: str, payload: bytes = b"") -> About | None:
+    """What the run says of itself on the key of this name; None: it says nothing."""
+    for reply in session.get(key_names.about_key(name), payload=payload, timeout=PATIENCE_S):
+        if reply.ok is not None:
+            try:
+                answer: About = read_json(reply.ok.payload.to_bytes(), About)
+            except ValueError:
+                return None
+            return answer
+    return None
+
+
+def greeted(session: zenoh.Session, name: str) -> About:
+    """The same, from a run that may just have begun to listen; `UsageError` if it does not answer."""
+    last = time.monotonic() + PATIENCE_S
+    while (about := ask(session, name)) is None:
+        if time.monotonic() > last:
+            outdated = "what listens there does not say what run it is: use the same vcmvsp version at both ends"
+            raise UsageError(outdated if name == key_names.OPEN else access_control.silence(name))
+        time.sleep(POLL_S)
+    return about
+
+
+def which(about: About) -> str:
+    """A run in a few words."""
+    length = "" if about.duration_s is None else f" of {about.duration_s:g} s"
+    when = "not begun yet" if about.time_ns is None else f"now at {about.time_ns / 1e9:.1f} s{length}"
+    return f"{about.scenario or 'a run'} ({len(about.vehicles)} vehicles), {when}"
+
+
+def examine(endpoint: str, bundle: "Bundle | None", secret: str | None = None) -> Iterator[Check]:
+    """Try all that a machine needs of a run at an endpoint, one after the other; the first that fails ends it.
+
+    Args:
+        secret: of the run, without a certificate, as of `cosim.hosts.host_client.dial`.
+    """
+    if bundle is not None:
+        own = _own_certificate(bundle)
+        yield own
+        if not own[1]:
+            return
+    refusal = tls_diagnosis.diagnose(endpoint, bundle)
+    session = None if refusal else _session(endpoint, bundle, secret)
+    if session is None:
+        why = refusal.why if refusal else "it breaks off every connection" if bundle else NO_RUN
+        yield ("endpoint", False, f"{endpoint}: {why}")
+        return
+    with session:
+        yield ("endpoint", True, f"{endpoint}: a run answers there" if bundle else f"{endpoint}: something listens there")
+        if bundle is not None:
+            yield _certificate_of_run(endpoint, bundle, session)
+        yield from _questions(session, bundle)
+
+
+def _own_certificate(bundle: "Bundle") -> Check:
+    authority = hashlib.sha256(ssl.PEM_cert_to_DER_cert(bundle.ca_pem)).hexdigest()[:16]
+    meant = f"host of {', '.join(bundle.vehicles)}" if bundle.vehicles else bundle.role
+    words = f"'{bundle.name}', {meant}, valid until {bundle.until:%Y-%m-%d}, of authority {authority}"
+    try:
+        warning = bundle.check()
+    except UsageError as error:
+        return ("certificate", False, str(error))
+    return ("certificate", True, f"{words}; {warning}" if warning else words)
+
+
+def _session(endpoint: str, bundle: "Bundle | None", secret: str | None) -> zenoh.Session | None:
+    """A client session, tried for as long as a listener may pause after a connection that came to nothing."""
+    connect = {"endpoints": [endpoint], "timeout_ms": 0}
+    own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
+    last = time.monotonic() + PATIENCE_S
+    while time.monotonic() < last:
+        try:
+            if (secure := dialling(endpoint, bundle, secret)) is None:
+                return None
+            return opened(own, secure, "")
+        except UsageError:
+            time.sleep(POLL_S)
+    return None
+
+
+def _certificate_of_run(endpoint: str, bundle: "Bundle", session: zenoh.Session) -> Check:
+    try:
+        access_control.check_hub(common_names(session))
+        names, until = tls_diagnosis.shown(endpoint, bundle)
+    except (UsageError, OSError) as error:
+        return ("run's certificate", False, str(error))
+    return ("run's certificate", True, f"for {', '.join(names)}, valid until {until:%Y-%m-%d}")
+
+
+def _questions(session: zenoh.Session, bundle: "Bundle | None") -> Iterator[Check]:
+    name = key_names.OPEN if bundle is None else bundle.name
+    try:
+        about = greeted(session, name)
+    except UsageError as error:
+        yield ("run", False, str(error))
+        return
+    yield ("run", True, which(about))
+    ours = metadata.version("vcmvsp"), protocol.PROTOCOL
+    theirs = about.version, about.protocol
+    words = "vcmvsp {}, protocol {}"
+    both = f"{words.format(*ours)} here, {words.format(*theirs)} there"
+    if ours[1] != theirs[1]:
+        yield ("versions", False, f"{both}: use the same vcmvsp version")
+    else:
+        yield ("versions", True, f"{words.format(*ours)} at both ends" if ours == theirs else both)
+    yield from _times(session, name)
+    yield _access(session, name, bundle)
+    missing = ", ".join(about.missing)
+    yield ("vehicles", True, f"{', '.join(about.vehicles)}; " + (f"still missing: {missing}" if missing else "none missing"))
+
+
+def _times(session: zenoh.Session, name: str) -> Iterator[Check]:
+    """Round trips, and the offset between the clocks as NTP has it: from the quickest of them (RFC 5905, section 8)."""
+    trips: list[tuple[int, float]] = []  # ns; offset of the run's clock, ns
+    for _ in range(ROUNDS):
+        begin, began = time.time_ns(), time.perf_counter_ns()
+        about = ask(session, name)
+        took = time.perf_counter_ns() - began
+        if about is None:
+            yield ("round trip", False, f"the run answered {len(trips)} of {len(trips) + 1} questions")
+            return
+        trips.append((took, about.wall_ns - (begin + took / 2)))
+    cuts = statistics.quantiles([took / 1e6 for took, _ in trips], n=100, method="inclusive")
+    yield ("round trip", True, f"{cuts[49]:.2f} ms median, {cuts[98]:.2f} ms at the 99th percentile, of {ROUNDS}")
+    took, offset = min(trips)
+    direction = "ahead of" if offset > 0 else "behind"
+    words = f"the run's is {abs(offset) / 1e6:.2f} ms {direction} ours, give or take {took / 2e6:.2f} ms"
+    yield ("clocks", True, words)
+
+
+def _access(session: zenoh.Session, name: str, bundle: "Bundle | None") -> Check:
+    """What the run's rules let through: Zenoh denies in silence, so all is tried."""
+    heard: queue.SimpleQueue[bool] = queue.SimpleQueue()
+
+    def on_echo(_sample: zenoh.Sample) -> None:
+        heard.put(True)
+
+    subscriber = session.declare_subscriber(f"{key_names.TOPIC}echo/{name}", Callback(on_echo, indirect=False))
+    ask(session, name, ECHO)
+    try:
+        hears = heard.get(timeout=PATIENCE_S if bundle is None or bundle.role == "observer" else PATIENCE_S / 4)
+    except queue.Empty:
+        hears = False
+    subscriber.undeclare()  # type: ignore[no-untyped-call]
+    speaks = ask(session, _SOMEBODY) is not None
+    topics = "hears what the run shows" if hears else "does not hear what the run shows"
+    others = "may speak for others" if speaks else "speaks for itself alone"
+    if bundle is None:
+        return ("access", True, f"no certificates are asked for: whoever reaches this endpoint {topics} and {others}")
+    right = hears == (bundle.role == "observer") and not speaks
+    return ("access", right, f"'{name}' {topics} and {others}" + ("" if right else f", which is not right for a {bundle.role}"))

@@ -1,1 +1,0 @@
-"""The bridge process beside the run, and the messages between both. Nothing of the channel."""

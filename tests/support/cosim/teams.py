@@ -1,0 +1,26 @@
+"""Scenarios of a few cars on flat ground, as TOML: the first leads, and agents may run elsewhere."""
+
+from typing import Any
+
+LEADER, FOLLOWER = 'kind = "trajectory"', 'kind = "leader_follower", leader = "car1"'
+HERE, ELSEWHERE = ', runs = "inprocess"', ', runs = "zenoh"'
+
+
+def team(name: str, *agents: str, duration_s: float, loss: float | None = None, **of_agents: Any) -> str:
+    """A scenario with a car for each of these agents, the inside of a TOML table.
+
+    Args:
+        name: of the scenario.
+        agents: of car1, car2, ...
+        duration_s: of the run.
+        loss: probability of each frame over the radio.
+        of_agents: keys of ``[agents]``; a word is a string.
+    """
+    words = {key: f'"{value}"' if isinstance(value, str) else value for key, value in of_agents.items()}
+    lines = [f'name = "{name}"', f"duration_s = {duration_s}", "[physics]", 'kind = "kinematic"', "[radio]", 'preset = "ideal"']
+    lines += [] if loss is None else [f"loss = {{ probability = {loss} }}"]
+    lines += ["[agents]", *(f"{key} = {value}" for key, value in words.items()), "[vehicles]", 'kind = "kinematic"']
+    for number, agent in enumerate(agents, 1):
+        lines += ["[[vehicle]]", f'name = "car{number}"', f"agent = {{ {agent} }}"]
+        lines += [f"pose = [-1.0, {0.5 * (number - 2)}, 0.0]"] if number > 1 else []
+    return "\n".join([*lines, ""])
