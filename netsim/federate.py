@@ -10,8 +10,7 @@ from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Reception, Seconds, States
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.datagrams import TrafficLog, received
-from vcmvsp.netsim.channel.replayed import RecordedChannel
+from vcmvsp.netsim.channel.reception import TrafficLog, received
 from vcmvsp.netsim.routing.network import RoutingNetwork
 from vcmvsp.netsim.routing.router import Routing
 
@@ -57,7 +56,7 @@ class RadioFederate:
 
     def __init__(
         self,
-        channel: Channel | RecordedChannel,
+        channel: Channel,
         handover_s: Seconds = 0.002,
         router: Routing | None = None,
         programs: bool = False,  # external programs may send any number of frames

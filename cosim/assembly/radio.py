@@ -43,18 +43,18 @@ def federate_of(
         programs: programs at wall pace may send any number of frames.
         tell: takes lines for the user.
     """
-    from vcmvsp.netsim.channel.replayed import RecordedChannel
+    from vcmvsp.netsim.channel.replayed import RecordedFrames
     from vcmvsp.netsim.federate import RadioFederate
 
     portable, keep = resolution.portable, resolution.keep
     channel, _, resolved = channel_of(scenario, source, solids=solids, portable=portable, keep=keep)
-    air = channel if recorded is None else RecordedChannel(channel, recorded, tell)
+    channel.recorded = None if recorded is None else RecordedFrames(recorded, tell)
     router = None
     if scenario.routing:
         router, resolution.tables["routing"] = resolution.component("routing", scenario.routing, "routing")
     keys = _federate_keys()
     own = {name: value for name, value in scenario.radio.items() if name in keys}
-    given = {"channel": air, "router": router, "programs": programs}
+    given = {"channel": channel, "router": router, "programs": programs}
     federate: RadioFederate = binding.call(RadioFederate, own, key="radio", origin=source, given=given)
     resolution.tables["radio"] = {**binding.complete(RadioFederate, own, without=given), **resolved}
     return federate

@@ -16,14 +16,12 @@ import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import FrameReport, Message
-from vcmvsp.netsim.channel.bulk import Bulk, BulkMedium
-from vcmvsp.netsim.channel.contention import Contention
-from vcmvsp.netsim.channel.frames import FrameBatch, SentFrame, Transmitter
-from vcmvsp.netsim.channel.link_budget import AT_ONCE, Budgets, ReceiverModel
-from vcmvsp.netsim.channel.mean_budget import MeanBudget, ReceivedSignal
+from vcmvsp.netsim.channel.contention import Bulk, BulkMedium, Contention
+from vcmvsp.netsim.channel.frames import FrameBatch, RxPower, SentFrame, Transmitter, decode
+from vcmvsp.netsim.channel.link_budget import AT_ONCE, Budgets, MeanBudget, ReceiverModel
 from vcmvsp.netsim.channel.reception import Outcomes
+from vcmvsp.netsim.channel.replayed import RecordedFrames
 from vcmvsp.netsim.channel.runtime_changes import RuntimeChanges
-from vcmvsp.netsim.channel.rx_power import RxPower, decode
 from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.jammer import Jammer
 from vcmvsp.netsim.impairments.script import Script
@@ -72,6 +70,7 @@ class Channel:
         self.fading, self._script, self._trace, self._jammer, self._delivery = fading, script, trace, jammer, delivery
         self._levels = RxPower(fading, script, trace)
         self.operated = RuntimeChanges(loss=loss, delay=delay)
+        self.recorded: RecordedFrames | None = None  # whose outcomes frames have again; the others are drawn
         self.start(seed=0)
 
     def start(self, seed: int) -> None:
@@ -84,6 +83,8 @@ class Channel:
         self._contention: Contention | None = None
         self.budgets.start()
         self.operated.start()
+        if self.recorded is not None:
+            self.recorded.start()
         self._outcomes = self._behind()
 
     @property
@@ -119,16 +120,22 @@ class Channel:
         Returns:
             The report of this frame, if it is decided already.
         """
+        if self.recorded is not None:
+            sender = self._senders.setdefault(message.sender, Transmitter())
+            report = self.recorded.report(message, names, sender.frames, self._frames, sent_ns)
+            if report is not None:
+                sender.frames += 1
+                self._frames += 1
+                return [report]
         self._meet_if_new(names)
-        links = self._sender(message.sender).links
-        sent = self._frame(sent_ns, message, self.budgets.mean(links, names, position))
+        sent = self._frame(sent_ns, message, self.budgets.mean(self._sender(message.sender).links, names, position))
         if self._contention is not None:
             acknowledger = None if message.to is None else self._sender(message.to)
             self._contention.offer(sent, sent_ns + handover_ns, acknowledger)
             return []
         start_ns = max(sent_ns + handover_ns, sent.sender.free_ns)
         self._levels.set(sent, start_ns)
-        return self._send_now([sent], [start_ns], self.hearing.hear(sent.mean, sent.level_dbm, message.size_bytes).batch)
+        return self._send_now([sent], [start_ns])
 
     def send_all(
         self, sent_ns: int, messages: Sequence[Message], names: tuple[str, ...], position: Floats
@@ -140,14 +147,13 @@ class Channel:
             depend on distance alone, or a vehicle sends twice.
         """
         self._meet_if_new(names)
-        plain = self._contention is None and not self._levels.vary and self._jammer is None and self.budgets.by_distance
+        plain = not (self.contends or self.recorded or self._levels.vary or self._jammer) and self.budgets.by_distance
         different = len({message.sender for message in messages}) == len(messages) <= AT_ONCE / len(names)
         if not plain or not different:
             return None
         means = self.budgets.means([self._sender(message.sender).links for message in messages], names, position)
-        signal = self.hearing.hear_batch(means, [message.size_bytes for message in messages])
         frames = [self._frame(sent_ns, message, mean) for message, mean in zip(messages, means, strict=True)]
-        return self._send_now(frames, [max(sent_ns, sent.sender.free_ns) for sent in frames], signal)
+        return self._send_now(frames, [max(sent_ns, sent.sender.free_ns) for sent in frames])
 
     def _frame(self, sent_ns: int, message: Message, mean: MeanBudget) -> SentFrame:
         sender, air_ns = self._sender(message.sender), self._air_time_ns(message.size_bytes)
@@ -156,16 +162,12 @@ class Channel:
         self._frames += 1
         return SentFrame(frame, sender, number, message, to, sent_ns, air_ns, mean, mean.level_dbm)
 
-    def _send_now(self, frames: list[SentFrame], start_ns: list[int], signal: ReceivedSignal) -> list[FrameReport]:
-        """Send frames without contention; ``signal``: (k, n)."""
+    def _send_now(self, frames: list[SentFrame], start_ns: list[int]) -> list[FrameReport]:
+        """Send frames without contention."""
+        means, levels_dbm, sizes = zip(*((sent.mean, sent.level_dbm, sent.message.size_bytes) for sent in frames), strict=True)
+        signal = self.hearing.signals(means, levels_dbm, sizes)
         end_ns = [start + sent.air_ns for start, sent in zip(start_ns, frames, strict=True)]
         return self._reports(FrameBatch(frames, decode(frames, signal), start_ns, end_ns, signal.snr_db, signal.snr_db))
-
-    def skip(self, sender: str) -> int:
-        """Count a frame that is decided elsewhere and never on the air here; returns its number."""
-        self._senders.setdefault(sender, Transmitter()).frames += 1
-        self._frames += 1
-        return self._frames - 1
 
     def bulk(self, names: tuple[str, ...], position: Floats) -> Bulk | None:
         """Batched broadcasts of vehicles at rest; None if a layer acts on single frames."""
@@ -176,9 +178,8 @@ class Channel:
         medium = None if self._contention is None else self._contention.medium
         if not plain or not isinstance(medium, BulkMedium):
             return None
-        links = [self._sender(name).links for name in names]
-        means = [self.budgets.mean(each, names, position) for each in links]
-        return Bulk(medium, links, means, [self.hearing.weakness(mean) for mean in means])
+        senders = [self._sender(name) for name in names]
+        return Bulk(medium, senders, [self.budgets.mean(each.links, names, position) for each in senders], self.hearing)
 
     def advance(self, until_ns: int) -> list[FrameReport]:
         """Reports of all frames that are decided up to ``until_ns``."""
@@ -205,7 +206,9 @@ class Channel:
         return levels
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Tell how much was not in the recording."""
+        if self.recorded is not None:
+            self.recorded.close(self._frames)
 
     def cut_off(self, vehicles: Sequence[str], from_ns: int, until_ns: int) -> None:
         """Lose every frame from and to these vehicles that is on the air at any time of ``[from_ns, until_ns)``.
@@ -277,5 +280,5 @@ class Channel:
             batch.end_ns[k],
             mean.paths.rx,
             lambda tx, rx: self.budgets.loss_db(tx, rx) - gain_dbi,
-            lambda name: mean.antennas[self._names.index(name)],
+            lambda name: mean.every.antennas[self._names.index(name)],
         )

@@ -7,14 +7,16 @@
 """
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from vcmvsp.cosim.types import frozen
-from vcmvsp.netsim.channel.mean_budget import BatchBudget, MeanBudget, ReceivedSignal
 from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints, PathLoss, Paths, Phy, SenderLinks, distances, sealed
-from vcmvsp.netsim.interfaces.medium import Codes
+from vcmvsp.netsim.interfaces.medium import Codes, Fate
 from vcmvsp.netsim.interfaces.radio import AT_POSITION, Radio
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.noise import ThermalNoise
@@ -24,10 +26,116 @@ BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
 """What made a signal too weak: distance alone, or that and what else was needed."""
 
 AT_ONCE = 1 << 16  # links: for more, what one call of NumPy costs does not count
+_RECEIVED, _UNDETECTED = np.uint8(Fate.RECEIVED), np.uint8(Fate.UNDETECTED)
+_SURE = 2.0**-54  # a hazard that no draw is below, but for 0
+
+
+class ReceivedSignal(msgspec.Struct, frozen=True, dict=True):
+    """Signals of k frames without interference at n receivers each, (k, n)."""
+
+    snr_db: Floats
+    detected: Bools
+    hazard: Floats | None  # -log(chance that a frame survives the noise); None: it always does
+
+    @cached_property
+    def fate(self) -> Codes:
+        """Fate before packet errors."""
+        return sealed(np.where(self.detected, _RECEIVED, _UNDETECTED))
+
+    @cached_property
+    def doubtful(self) -> tuple[NDArray[np.intp], ...]:
+        """Frames and receivers, (m,) each, where a frame is detected and may yet be lost."""
+        if self.hazard is None:
+            return (np.zeros(0, np.intp),) * 2
+        return (self.detected & (self.hazard > _SURE)).nonzero()
+
+    def rows(self, which: Sequence[int]) -> "ReceivedSignal":
+        """Those of some frames."""
+        index = slice(which[0], which[0] + 1) if len(which) == 1 else which
+        return ReceivedSignal(self.snr_db[index], self.detected[index], None if self.hazard is None else self.hazard[index])
+
+
+class ReportColumns(msgspec.Struct, frozen=True):
+    """Part of a mean budget at m receivers of a frame; fields: see `LinkBudget`."""
+
+    receivers: tuple[str, ...]
+    distance_m: Floats
+    level_dbm: Floats
+    path_loss_db: Floats
+    walls: Ints | None
+    materials: tuple[str, ...] | None
+    wall_loss_db: Floats | None
+    shadowing_db: Floats | None
+
+
+class LinkBudget(msgspec.Struct, dict=True):
+    """Mean budgets of the links from each of k radios to the n others; k is 1 unless path loss is all there is."""
+
+    senders: Sequence[SenderLinks]  # (k,)
+    rows: NDArray[np.intp]  # (k,) of these radios among all
+    others: Bools  # (k, n + 1): False at the sender itself
+    antennas: Floats  # of all, (n + 1, 3) m, world
+    rx: Floats  # (k, n, 3) m, world
+    distance_m: Floats  # (k, n)
+    power_dbm: Floats  # (k, n) transmitted, with both antennas
+    sensitivity_dbm: Floats  # (k, n)
+    path_loss_db: Floats  # (k, n)
+    level_dbm: Floats  # (k, n)
+    walls: Ints | None = None  # (k, n) number of walls crossed; None: no walls in the channel
+    materials: tuple[str, ...] | None = None  # (n,) of the walls that are crossed, e.g. "2 brick, 1 wood"
+    wall_loss_db: Floats | None = None  # (k, n)
+    shadowing_db: Floats | None = None  # (k, n)
+    signals: dict[int, ReceivedSignal] = msgspec.field(default_factory=dict)  # by size: filled by `ReceiverModel`
+    weakness: Codes | None = None  # (k, n) cause of a signal that is too weak: the same
+
+    @cached_property
+    def power_mw(self) -> Floats:
+        """The levels at all radios, (k, n + 1) mW; 0 at the sender itself."""
+        everywhere = np.zeros(self.others.shape)
+        everywhere[self.others] = (10.0 ** (self.level_dbm / 10.0)).ravel()
+        return sealed(everywhere)
+
+
+class MeanBudget:
+    """One row of a `LinkBudget`: the links from one radio to n others."""
+
+    def __init__(self, every: LinkBudget, place: int) -> None:
+        self.every, self.place = every, place
+        self.level_dbm: Floats = every.level_dbm[place]
+        self.paths = Paths(
+            every.antennas[every.rows[place]], every.rx[place], every.distance_m[place], every.senders[place].seed
+        )
+        self.signals: dict[int, ReceivedSignal] = {}  # (1, n), by size: filled by `ReceiverModel`
+        self._columns: dict[int | None, ReportColumns] = {}  # by place of the first receiver
+
+    @property
+    def power_mw(self) -> Floats:
+        """The level at all radios, (n + 1,) mW; 0 at itself."""
+        power_mw: Floats = self.every.power_mw[self.place]
+        return power_mw
+
+    def report_columns(self, to: slice) -> ReportColumns:
+        """Columns of frame reports for one receiver, or for all."""
+        columns = self._columns.get(to.start)
+        if columns is None:
+            every, place = self.every, self.place
+            rows = (every.walls, every.wall_loss_db, every.shadowing_db)
+            walls, wall_loss_db, shadowing_db = (None if each is None else each[place][to] for each in rows)
+            columns = self._columns[to.start] = ReportColumns(
+                every.senders[place].receivers[to],
+                self.paths.distance_m[to],
+                self.level_dbm[to],
+                every.path_loss_db[place][to],
+                walls,
+                None if every.materials is None else every.materials[to],
+                wall_loss_db,
+                shadowing_db,
+            )
+        return columns
 
 
 class Budgets:
-    """Mean budgets, each worked out once per sender and geometry."""
+    """Mean budgets, each computed once per sender and geometry; ``least_dbm``: sensitivity of radios without their own."""
 
     def __init__(
         self,
@@ -38,20 +146,19 @@ class Budgets:
         radios: Mapping[str, Radio],
         least_dbm: float,
     ) -> None:
-        self.least_dbm = least_dbm  # that is noticed, unless a vehicle's own radio says otherwise
         self.path_loss, self._walls, self._shadowing = path_loss, walls, shadowing
-        self._phy, self._radios = phy, radios
+        self._phy, self._radios, self.least_dbm = phy, radios, least_dbm
         self._blocking = any(radio.body_loss_db for radio in radios.values())
         nothing_else = walls is None and shadowing is None and not self._blocking
-        self.by_distance: bool = nothing_else and getattr(path_loss, "by_distance", False)  # of two antennas
+        self.by_distance: bool = nothing_else and getattr(path_loss, "by_distance", False)
         self.start()
 
     def start(self) -> None:
-        """Forget where everybody is."""
+        """Forget all positions."""
         self._seed = 0
         self._names: tuple[str, ...] = ()
         self._position: Floats | None = None
-        self._stand_at = b""  # the same, to see whether anybody has moved since
+        self._position_bytes = b""  # to notice movement
         self._antennas = np.zeros((0, 3))
         self._raised = np.zeros((0, 3))  # antennas above their vehicles' positions, (n, 3) m
         self._fixed: dict[str, tuple[SenderLinks, Floats, Floats]] = {}  # by sender: power and sensitivity of its links
@@ -63,36 +170,31 @@ class Budgets:
         Args:
             links: from it to all others, in the order of ``names``.
             names: the vehicles.
-            position: where they are, (len(names), 3) m, world; the same array object means the same places.
-            bodies: whether vehicles stand in the way of others, as far as their radios say so.
+            position: of the vehicles, (len(names), 3) m, world; the same array object means the same positions.
+            bodies: whether bodies of vehicles attenuate, as their radios say.
         """
         before = self._move(names, position, links.seed)
         if self.by_distance and links.sender in before and 1 < len(before) <= AT_ONCE / len(names):
-            self._compute_batch([self._fixed[sender][0] for sender in before])  # they will probably send again
-        mean = self._means.get(links.sender)
-        if mean is None:
-            row = names.index(links.sender)
-            others = np.concatenate([self._antennas[:row], self._antennas[row + 1 :]])
-            paths = Paths.between(self._antennas[row], others, links.seed)
-            mean = self._means[links.sender] = self._compute(links, paths, row, bodies=bodies and self._blocking)
-        return mean
+            self._compute([self._fixed[sender][0] for sender in before])  # they will probably send again
+        if links.sender not in self._means:
+            self._compute([links], bodies=bodies and self._blocking)
+        return self._means[links.sender]
 
     def means(self, senders: Sequence[SenderLinks], names: tuple[str, ...], position: Floats) -> list[MeanBudget]:
         """The budgets of several radios, computed in one batch; for path losses `by_distance`."""
         self._move(names, position, senders[0].seed)
         means = [self._means.get(links.sender) for links in senders]
-        batches = {id(mean.together[0]) if mean is not None and mean.together is not None else None for mean in means}
-        if None in batches or len(batches) > 1:
-            self._compute_batch(list(senders))
+        if len({id(mean and mean.every) for mean in means}) > 1 or means[0] is None:
+            self._compute(senders)
         return [self._means[links.sender] for links in senders]
 
     def _move(self, names: tuple[str, ...], position: Floats, seed: int) -> dict[str, MeanBudget]:
-        """Have everybody there; what was known of those who sent while they were elsewhere."""
+        """Update positions; returns the budgets that became stale."""
         same = names is self._names
         if same and position is self._position:
             return {}
-        stood_at, self._stand_at = self._stand_at, position.tobytes()
-        if same and self._stand_at == stood_at:
+        stood_at, self._position_bytes = self._position_bytes, position.tobytes()
+        if same and self._position_bytes == stood_at:
             self._position = position
             return {}
         before = self._means if same else {}
@@ -102,80 +204,69 @@ class Budgets:
         self._antennas = position + self._raised
         return before
 
-    def _compute_batch(self, senders: list[SenderLinks]) -> None:
+    def _compute(self, senders: Sequence[SenderLinks], *, bodies: bool = False) -> None:
+        """Set the budgets of k radios; of one, unless the path loss is `by_distance`."""
         power_dbm, sensitivity_dbm = (np.stack(each) for each in zip(*map(self._fixed_of, senders), strict=True))
         rows = np.array([self._names.index(links.sender) for links in senders])
-        apart = np.arange(len(self._names)) != rows[:, None]
-        tx = self._antennas[rows]
-        rx = np.broadcast_to(self._antennas, (len(rows), *self._antennas.shape))[apart].reshape(len(rows), -1, 3)
-        distance_m = sealed(distances(tx[:, None], rx))
-        path_loss: Any = self.path_loss
-        path_loss_db = sealed(path_loss.loss_db(distance_m))
-        batch = BatchBudget(
+        others = np.arange(len(self._names)) != rows[:, None]
+        rx = np.broadcast_to(self._antennas, (len(rows), *self._antennas.shape))[others].reshape(len(rows), -1, 3)
+        distance_m = sealed(distances(self._antennas[rows][:, None], rx))
+        obstacles: dict[str, Any] = {}
+        if self.by_distance:
+            path_loss: Any = self.path_loss
+            path_loss_db = loss_db = sealed(path_loss.loss_db(distance_m))
+        else:
+            paths = Paths(self._antennas[rows[0]], rx[0], distance_m[0], senders[0].seed)
+            path_loss_db = frozen(self.path_loss.loss_db(paths))[None]
+            loss_db, obstacles = self._obstacles(path_loss_db, paths, int(rows[0]), bodies=bodies)
+        budget = LinkBudget(
             senders=senders,
             rows=rows,
-            apart=apart,
+            others=others,
             antennas=self._antennas,
-            tx=tx,
             rx=rx,
             distance_m=distance_m,
             power_dbm=power_dbm,
             sensitivity_dbm=sensitivity_dbm,
             path_loss_db=path_loss_db,
-            level_dbm=sealed(power_dbm - path_loss_db),
+            level_dbm=sealed(power_dbm - loss_db),
+            **obstacles,
         )
-        self._means |= {links.sender: mean for links, mean in zip(senders, batch.means(), strict=True)}
+        self._means |= {links.sender: MeanBudget(budget, place) for place, links in enumerate(senders)}
 
-    def _compute(self, links: SenderLinks, paths: Paths, row: int, *, bodies: bool) -> MeanBudget:
-        power_dbm, sensitivity_dbm = self._fixed_of(links)
-        path_loss_db = self.path_loss.loss_db(paths)
-        walls = materials = wall_loss_db = shadowing_db = None
-        loss_db = path_loss_db
+    def _obstacles(self, loss_db: Floats, paths: Paths, row: int, *, bodies: bool) -> tuple[Floats, dict[str, Any]]:
+        """Add walls, bodies and shadowing to the path loss, (1, n); also the fields of a `LinkBudget` that they fill."""
+        path_loss_db, walls, materials, wall_loss_db = loss_db, None, None, None
         if self._walls is not None:
             if hasattr(self._walls, "through"):
                 wall_loss_db, walls, materials = self._walls.through(paths)
             else:
                 wall_loss_db = self._walls.loss_db(paths)
-            loss_db = loss_db + wall_loss_db
         if bodies:
-            in_way_db, others = self._bodies_in_way(row)
+            in_way_db, count = self._bodies_in_way(row)
             wall_loss_db = in_way_db if wall_loss_db is None else wall_loss_db + in_way_db
-            walls = others if walls is None else walls + others
-            materials = _with_vehicles(materials or ("",) * len(others), others)
+            walls = count if walls is None else walls + count
+            materials = _with_vehicles(materials or ("",) * len(count), count)
+        if wall_loss_db is not None:
             loss_db = path_loss_db + wall_loss_db
-        if self._shadowing is not None:
-            shadowing_db = self._shadowing.loss_db(paths)
+        shadowing_db = None if self._shadowing is None else self._shadowing.loss_db(paths)
+        if shadowing_db is not None:
             loss_db = loss_db + shadowing_db
-        level_dbm = power_dbm - loss_db
-        return MeanBudget(
-            row=row,
-            antennas=self._antennas,
-            paths=paths,
-            power_dbm=power_dbm,
-            sensitivity_dbm=sensitivity_dbm,
-            path_loss_db=frozen(path_loss_db),
-            walls=None if walls is None else frozen(walls),
-            materials=materials,
-            wall_loss_db=None if wall_loss_db is None else frozen(wall_loss_db),
-            shadowing_db=None if shadowing_db is None else frozen(shadowing_db),
-            level_dbm=sealed(level_dbm),
-        )
+        columns = {"walls": walls, "wall_loss_db": wall_loss_db, "shadowing_db": shadowing_db}
+        rows = {name: frozen(column)[None] for name, column in columns.items() if column is not None}
+        return loss_db, {**rows, "materials": materials}
 
     def _fixed_of(self, links: SenderLinks) -> tuple[Floats, Floats]:
-        """Power and sensitivity of the links of a sender, (n,) dBm each."""
+        """Power (with both antennas) and sensitivity of the links of a sender, (n,) dBm each."""
         fixed = self._fixed.get(links.sender)
         if fixed is None or fixed[0] is not links:
-            fixed = self._fixed[links.sender] = (links, self._power_dbm(links), self.sensitivity_dbm(links.receivers))
+            own_dbm = float(self.tx_power_dbm((links.sender,))[0]) + self._of(links.sender).antenna_gain_dbi
+            power_dbm = own_dbm + self.gain_dbi(links.receivers)
+            fixed = self._fixed[links.sender] = (links, power_dbm, self.sensitivity_dbm(links.receivers))
         return fixed[1:]
 
-    def _power_dbm(self, links: SenderLinks) -> Floats:
-        """Transmitted, with both antennas, (n,)."""
-        own_dbm = float(self.tx_power_dbm((links.sender,))[0]) + self._of(links.sender).antenna_gain_dbi
-        power_dbm: Floats = own_dbm + self.gain_dbi(links.receivers)
-        return power_dbm
-
     def here(self, links: SenderLinks) -> MeanBudget:
-        """The budget of the links from a radio, with everybody where they were last."""
+        """The budget of the links from a radio at the last positions."""
         assert self._position is not None  # noqa: S101  known since `mean`
         return self.mean(links, self._names, self._position)
 
@@ -212,55 +303,45 @@ class Budgets:
         return self._radios.get(name, AT_POSITION)
 
 
-def _with_vehicles(materials: tuple[str, ...], others: Ints) -> tuple[str, ...]:
-    """What is crossed, in words, the vehicles among it."""
-    words = [f"{n} vehicle" if n else "" for n in others.tolist()]
+def _with_vehicles(materials: tuple[str, ...], count: Ints) -> tuple[str, ...]:
+    """Materials with the number of vehicles in the way."""
+    words = [f"{n} vehicle" if n else "" for n in count.tolist()]
     return tuple(", ".join(filter(None, pair)) for pair in zip(materials, words, strict=True))
 
 
-def _by_distance(level: Floats, least: Floats) -> Codes:
-    why: Codes = np.where(level >= least, np.uint8(FADING), np.uint8(BELOW_SENSITIVITY))
-    return why
-
-
 class ReceiverModel:
-    """What receivers make of a level."""
+    """Reception without interference; ``preamble_db``: detection threshold above noise and interference."""
 
     def __init__(self, phy: Phy, preamble_db: float) -> None:
-        self.preamble_db = preamble_db  # above noise and interference, from where on a frame is noticed
+        self.preamble_db = preamble_db
         self.noise_dbm: float = getattr(phy, "noise_dbm", ThermalNoise().dbm)
         self.noise_mw = 10.0 ** (self.noise_dbm / 10.0)
         self.errors: ErrorRate | None = getattr(phy, "errors", None)
 
-    def hear(self, mean: MeanBudget, level_dbm: Floats, size_bytes: int) -> ReceivedSignal:
-        """How a frame arrives that has ``level_dbm`` (n,), where nobody else sends."""
-        if level_dbm is not mean.level_dbm:
-            return self._hear(level_dbm, mean.sensitivity_dbm, size_bytes)
-        if size_bytes not in mean.heard:
-            if mean.together is None:
-                mean.heard[size_bytes] = self._hear(level_dbm, mean.sensitivity_dbm, size_bytes)
-            else:
-                every, which = mean.together
-                mean.heard[size_bytes] = self._hear_every(every, size_bytes).rows(which)
-        return mean.heard[size_bytes]
+    def signals(self, means: Sequence[MeanBudget], levels_dbm: Sequence[Floats], sizes: Sequence[int]) -> ReceivedSignal:
+        """Signals of k frames, (k, n), at levels (n,) each."""
+        every, size, varied = means[0].every, sizes[0], levels_dbm[0] is not means[0].level_dbm
+        if len(means) == 1 and not varied:
+            if size not in means[0].signals:
+                means[0].signals[size] = self._signals_of(every, size).rows([means[0].place])
+            return means[0].signals[size]
+        if len(means) == 1:
+            return self.signal(levels_dbm[0][None], every.sensitivity_dbm[means[0].place][None], size)
+        if self.errors is None or sizes.count(size) == len(sizes):
+            places = [mean.place for mean in means]
+            signals = self._signals_of(every, size)
+            return signals if places == list(range(len(every.rows))) else signals.rows(places)
+        rows = [self.signals([mean], [level], [each]) for mean, level, each in zip(means, levels_dbm, sizes, strict=True)]
+        columns = [np.concatenate([getattr(row, name) for row in rows]) for name in ("snr_db", "detected", "hazard")]
+        return ReceivedSignal(*columns)
 
-    def hear_batch(self, means: Sequence[MeanBudget], sizes: Sequence[int]) -> ReceivedSignal:
-        """Signals of k frames at their mean levels, (k, n); the budgets are from `Budgets.means`."""
-        if self.errors is not None and any(size != sizes[0] for size in sizes):
-            rows = [self.hear(mean, mean.level_dbm, size) for mean, size in zip(means, sizes, strict=True)]
-            columns = [np.stack([getattr(row, name) for row in rows]) for name in ("snr_db", "detected", "hazard")]
-            return ReceivedSignal(*columns)
-        every, which = means[0].together, [mean.together[1] for mean in means if mean.together is not None]
-        assert every is not None  # noqa: S101  by `Budgets.means`
-        signal = self._hear_every(every[0], sizes[0])
-        return signal if which == list(range(len(every[0].senders))) else signal.rows(which)
+    def _signals_of(self, every: LinkBudget, size_bytes: int) -> ReceivedSignal:
+        if size_bytes not in every.signals:
+            every.signals[size_bytes] = self.signal(every.level_dbm, every.sensitivity_dbm, size_bytes)
+        return every.signals[size_bytes]
 
-    def _hear_every(self, every: BatchBudget, size_bytes: int) -> ReceivedSignal:
-        if size_bytes not in every.heard:
-            every.heard[size_bytes] = self._hear(every.level_dbm, every.sensitivity_dbm, size_bytes)
-        return every.heard[size_bytes]
-
-    def _hear(self, level_dbm: Floats, sensitivity_dbm: Floats, size_bytes: int) -> ReceivedSignal:
+    def signal(self, level_dbm: Floats, sensitivity_dbm: Floats, size_bytes: int) -> ReceivedSignal:
+        """Signals at any levels, of their shape."""
         snr_db = self.over_noise(level_dbm)
         detected = (level_dbm >= sensitivity_dbm) & self.noticed(snr_db)
         return ReceivedSignal(snr_db, detected, None if self.errors is None else self.errors.frame_hazard(snr_db, size_bytes))
@@ -274,32 +355,19 @@ class ReceiverModel:
         stands_out: Bools = sinr_db >= self.preamble_db
         return stands_out
 
-    def weakness(self, mean: MeanBudget) -> Codes:
-        """Of a signal that is too weak, what made it so: the first of distance, walls, shadowing that did; else fading."""
-        if mean.weakness is None:
-            if mean.together is None:
-                mean.weakness = self._weakness(mean)
-            else:
-                every, which = mean.together
-                if every.weakness is None:
-                    every.weakness = _by_distance(every.level_dbm, self._least_dbm(every.sensitivity_dbm))
-                mean.weakness = every.weakness[which]
-        return mean.weakness
-
     def weaknesses(self, means: Sequence[MeanBudget]) -> Codes:
-        """`weakness` of k budgets, (k, n)."""
-        return np.stack([self.weakness(mean) for mean in means])
+        """Causes of too weak signals, (k, n): the first of distance, walls, shadowing that suffices; else fading."""
+        rows = [self._weaknesses_of(mean.every)[mean.place] for mean in means]
+        return rows[0][None] if len(rows) == 1 else np.stack(rows)
 
-    def _least_dbm(self, sensitivity_dbm: Floats) -> Floats:
-        """The weakest level that is noticed where nobody else sends."""
-        least_dbm: Floats = np.maximum(sensitivity_dbm, self.noise_dbm + self.preamble_db)
-        return least_dbm
-
-    def _weakness(self, mean: MeanBudget) -> Codes:
-        least, level = self._least_dbm(mean.sensitivity_dbm), mean.power_dbm - mean.path_loss_db
-        why = _by_distance(level, least)
-        for loss_db, name in ((mean.wall_loss_db, WALLS), (mean.shadowing_db, SHADOWING)):
-            if loss_db is not None:
-                level = level - loss_db
-                why = np.where((why == FADING) & ~(level >= least), np.uint8(name), why)
-        return why
+    def _weaknesses_of(self, every: LinkBudget) -> Codes:
+        if every.weakness is None:
+            least_dbm = np.maximum(every.sensitivity_dbm, self.noise_dbm + self.preamble_db)
+            level_dbm = every.power_dbm - every.path_loss_db
+            why: Codes = np.where(level_dbm >= least_dbm, np.uint8(FADING), np.uint8(BELOW_SENSITIVITY))
+            for loss_db, name in ((every.wall_loss_db, WALLS), (every.shadowing_db, SHADOWING)):
+                if loss_db is not None:
+                    level_dbm = level_dbm - loss_db
+                    why = np.where((why == FADING) & ~(level_dbm >= least_dbm), np.uint8(name), why)
+            every.weakness = why
+        return every.weakness

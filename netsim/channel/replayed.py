@@ -1,6 +1,7 @@
 """Frames that fare as they did in a run that was recorded: what was lost there is lost again, at the same receivers."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +12,25 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, read_table
 from vcmvsp.cosim.types import Array, FrameReport, Message, frozen
-from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.runtime_changes import RuntimeChanges
-from vcmvsp.netsim.interfaces.layers import Floats
 
 _LAYERS = ("walls", "wall_loss_db", "shadowing_db", "fading_db", "snr_db", "path_loss_db")
 
 
 class RecordedFrames:
-    """The frames of a recorded run, by their senders and their numbers among those of their sender.
+    """The frames of a recorded run, by sender and number among those of the sender.
+
+    A frame is known by these and by its receivers, not by when it is sent or from where: what the recording says of it (delays,
+    levels, distance, cause) holds, counted from the moment at which it is sent now. It is reported at once and takes up no time
+    on the air of the frames that are drawn.
 
     Args:
         path: ``radio.parquet`` of the run.
+        tell: takes a line for the user, at the end: how many frames were not in the recording.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, tell: Callable[[str], None] = lambda _: None) -> None:
+        self._tell = tell
+        self.start()
         try:
             table = read_table(path)
         except OSError as error:
@@ -51,13 +56,25 @@ class RecordedFrames:
         )
         self._rows = _rows(numbers(table, "frame"), *names_of(table, "sender"))
 
-    def find(self, sender: str, number: int, receivers: tuple[str, ...]) -> slice | None:
-        """The rows of a frame; None: there is none of this number, or it was meant for others."""
-        rows = self._rows.get((sender, number))
-        return rows if rows is not None and tuple(self._receivers[rows].tolist()) == receivers else None
+    def start(self) -> None:
+        """Count from 0 the frames that are not in the recording."""
+        self.unknown = 0
 
-    def report(self, rows: slice, frame: int, message: Message, sent_ns: int) -> FrameReport:
-        """What became of the frame in these rows, as if it had been sent now."""
+    def report(self, message: Message, names: tuple[str, ...], number: int, frame: int, sent_ns: int) -> FrameReport | None:
+        """The recorded report of a frame as if it had been sent now; None: it is not in the recording.
+
+        Args:
+            message: what is sent.
+            names: the vehicles, in the order of the receivers.
+            number: of the frame among those of its sender.
+            frame: its number in the channel now.
+            sent_ns: now.
+        """
+        receivers = _others(names, message.sender) if message.to is None else (message.to,)
+        rows = self._rows.get((message.sender, number))
+        if rows is None or tuple(self._receivers[rows].tolist()) != receivers:
+            self.unknown += len(receivers) > 0  # a frame without receivers is in no recording
+            return None
         delay_ns, copy_ns = self._delay_ns[rows], None if self._copy_ns is None else self._copy_ns[rows]
         parts: dict[str, Any] = {name: column[rows] for name, column in self._columns.items()}
         for name in ("air_time_ns", "queue_ns", "access_ns"):
@@ -68,7 +85,7 @@ class RecordedFrames:
             sender=message.sender,
             sent_ns=sent_ns,
             size_bytes=message.size_bytes,
-            receivers=tuple(self._receivers[rows].tolist()),
+            receivers=receivers,
             received_ns=_since(sent_ns, delay_ns),
             copy_ns=None if copy_ns is None else _since(sent_ns, copy_ns),
             outcome=tuple(self._outcomes[rows].tolist()),
@@ -76,111 +93,19 @@ class RecordedFrames:
             **parts,
         )
 
-
-class RecordedChannel:
-    """A channel for those frames that the recording does not know, which are drawn anew; the others fare as recorded.
-
-    A frame is known by its sender and its number among those of that sender, and by whom it is meant for, not by when it is
-    sent or from where: what the recording says of it (delays, levels, distance, cause) holds, counted from the moment at which
-    it is sent now. That is told at once; it takes up no time on the air of the frames that are drawn.
-
-    Args:
-        channel: decides what becomes of the others.
-        path: ``radio.parquet`` of the recorded run.
-        tell: takes a line for the user, at the end: how many were not in the recording.
-    """
-
-    def __init__(self, channel: Channel, path: Path, tell: Callable[[str], None] = lambda _: None) -> None:
-        self._channel, self._recorded, self._tell = channel, RecordedFrames(path), tell
-        self.start(seed=0)
-
-    def start(self, seed: int) -> None:
-        """Forget all frames; those that are drawn are drawn from ``seed`` from now on."""
-        self._channel.start(seed)
-        self._numbers: dict[str, int] = {}
-        self._meant: dict[tuple[str, str | None], tuple[str, ...]] = {}
-        self._names: tuple[str, ...] = ()
-        self.unknown = 0
-
-    @property
-    def contends(self) -> bool:
-        """Whether radios share the air."""
-        return self._channel.contends
-
-    def send(
-        self, sent_ns: int, message: Message, names: tuple[str, ...], position: Floats, *, handover_ns: int = 0
-    ) -> list[FrameReport]:
-        """Hand over one message; arguments and result as for `Channel.send`."""
-        number = self._numbers.get(message.sender, 0)
-        self._numbers[message.sender] = number + 1
-        receivers = self._receivers(message, names)
-        rows = self._recorded.find(message.sender, number, receivers)
-        if rows is None:
-            self.unknown += len(receivers) > 0  # what nobody could have heard is in no recording
-            return self._channel.send(sent_ns, message, names, position, handover_ns=handover_ns)
-        return [self._recorded.report(rows, self._channel.skip(message.sender), message, sent_ns)]
-
-    def send_all(self, *_: object) -> None:
-        """One by one."""
-
-    def expect(self, frames: int) -> None:
-        """As `Channel.expect`."""
-        self._channel.expect(frames)
-
-    def foresee(self, frames: int) -> None:
-        """As `Channel.foresee`."""
-        self._channel.foresee(frames)
-
-    def advance(self, until_ns: int) -> list[FrameReport]:
-        """The frames that are drawn, as `Channel.advance`."""
-        return self._channel.advance(until_ns)
-
-    def next_ns(self) -> int | None:
-        """The same, as `Channel.next_ns`."""
-        return self._channel.next_ns()
-
-    def finish(self) -> list[FrameReport]:
-        """The same, as `Channel.finish`."""
-        return self._channel.finish()
-
-    @property
-    def operated(self) -> RuntimeChanges:
-        """What an operator may change of the channel: it concerns the frames that are drawn."""
-        return self._channel.operated
-
-    def levels_dbm(self, names: tuple[str, ...], position: Floats) -> Floats:
-        """As of frames that are drawn, as `Channel.levels_dbm`."""
-        return self._channel.levels_dbm(names, position)
-
-    def cut_off(self, vehicles: Sequence[str], from_ns: int, until_ns: int) -> None:
-        """For the frames that are drawn, as `Channel.cut_off`: of the others the recording tells."""
-        self._channel.cut_off(vehicles, from_ns, until_ns)
-
-    def change(self, key: str, value: float) -> None:
-        """The same, as `Channel.change`."""
-        self._channel.change(key, value)
-
-    def close(self) -> None:
-        """Say how much was not in the recording."""
+    def close(self, sent: int) -> None:
+        """Tell how many of the ``sent`` frames were not in the recording."""
         if self.unknown:
-            sent = sum(self._numbers.values())
             self._tell(f"{self.unknown} of {sent} frames were not in the recording: the radio has drawn what became of them")
 
-    def _receivers(self, message: Message, names: tuple[str, ...]) -> tuple[str, ...]:
-        """For whom it is meant, in the order of a report."""
-        if message.to is not None:
-            return (message.to,)
-        if names is not self._names:
-            self._names = names
-            self._meant.clear()
-        key = message.sender, None
-        if key not in self._meant:
-            self._meant[key] = tuple(name for name in names if name != message.sender)
-        return self._meant[key]
+
+@lru_cache(maxsize=4096)
+def _others(names: tuple[str, ...], sender: str) -> tuple[str, ...]:
+    return tuple(name for name in names if name != sender)
 
 
 def _rows(frame: Array, names: tuple[str, ...], sender: Array) -> dict[tuple[str, int], slice]:
-    """Which rows are about which frame: rows of one frame stand together, frames in the order in which they were sent."""
+    """Rows by sender and number; rows of one frame stand together, frames in the order in which they were sent."""
     if not len(frame):
         return {}
     first = np.flatnonzero(np.diff(frame, prepend=frame[0] - 1)).tolist()
@@ -194,5 +119,4 @@ def _rows(frame: Array, names: tuple[str, ...], sender: Array) -> dict[tuple[str
 
 
 def _since(sent_ns: int, delay_ns: Array) -> Array:
-    """When something arrives that takes so long; -1: it does not."""
     return frozen(np.where(delay_ns >= 0, sent_ns + delay_ns, -1))

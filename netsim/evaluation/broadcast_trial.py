@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import FrameReport, Message
-from vcmvsp.netsim.channel.bulk import Bulk
 from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.channel.contention import Bulk
 from vcmvsp.netsim.evaluation.tally import FrameTally
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 

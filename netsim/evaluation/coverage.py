@@ -13,7 +13,7 @@ import numpy as np
 
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.mean_budget import MeanBudget
+from vcmvsp.netsim.channel.link_budget import MeanBudget
 from vcmvsp.netsim.interfaces.layers import Floats, Frame, SenderLinks
 
 _BLOCK = 2048  # places at a time: shadowing wants a few hundred numbers for each
@@ -68,7 +68,7 @@ def range_m(channel: Channel, sender: str, height_m: float) -> float | None:
     distance = np.geomspace(0.1, _FARTHEST_M, 1000)
     antennas = np.stack([distance, 0.0 * distance, 0.0 * distance + height_m], axis=-1)
     mean, _ = _mean_at(channel, sender, np.zeros(3), antennas, 0)
-    detected = np.flatnonzero(mean.power_dbm - mean.path_loss_db >= floor_dbm(channel))
+    detected = np.flatnonzero(mean.every.power_dbm[0] - mean.every.path_loss_db[0] >= floor_dbm(channel))
     if detected.size and detected[-1] == len(distance) - 1:
         return None
     return float(distance[detected[-1]]) if detected.size else 0.0
@@ -95,7 +95,7 @@ def _success(channel: Channel, mean: MeanBudget, links: SenderLinks, size_bytes:
     gains = _gains(channel, Frame(0, 0, air_ns, size_bytes, mean.paths, mean.level_dbm, links))
     success = np.zeros(len(mean.level_dbm))
     for gain_db in gains:
-        signal = channel.hearing.hear(mean, mean.level_dbm + gain_db, size_bytes)
+        signal = channel.hearing.signal(mean.level_dbm + gain_db, mean.every.sensitivity_dbm[0], size_bytes)
         survives = 1.0 if signal.hazard is None else np.exp(-signal.hazard)
         success += np.where(signal.detected, survives, 0.0)
     return success / len(gains)

@@ -18,7 +18,7 @@ from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import FrameReport, Message, Reception, Routed
-from vcmvsp.netsim.channel.datagrams import TrafficLog, received
+from vcmvsp.netsim.channel.reception import TrafficLog, received
 from vcmvsp.netsim.routing.router import BROADCAST, HEADER_BYTES, AdvertisingRouter, Router
 
 Put = Callable[[int, Message, int], tuple[int, list[FrameReport]]]

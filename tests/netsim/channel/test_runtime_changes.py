@@ -17,7 +17,7 @@ from vcmvsp.cosim.tables.schema import RunFacts, radio_table, write_table
 from vcmvsp.cosim.types import Changed, FrameReport, Message, Outage, Probability, States
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.replayed import RecordedChannel
+from vcmvsp.netsim.channel.replayed import RecordedFrames
 from vcmvsp.netsim.channel.runtime_changes import RuntimeChanges
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.netsim.impairments.delay import FixedDelay, GammaDelay, NoDelay, UniformDelay
@@ -211,7 +211,9 @@ def test_recorded_frames_fare_as_recorded(tmp_path: Path) -> None:
     told = [outage(10 * MS, 20 * MS, "car1"), changed(30 * MS, "radio.loss.probability", 1.0)]
     then = fates(radio(), [*sends(offers), *told])
     write_table(radio_table(then, RunFacts(scenario="t", seed=4, end_ns=10**9, vehicles=NAMES)), tmp_path / "radio.parquet")
-    again = RadioFederate(RecordedChannel(make_channel("wifi-b-1", **CHANCE), tmp_path / "radio.parquet"))
+    channel = make_channel("wifi-b-1", **CHANCE)
+    channel.recorded = RecordedFrames(tmp_path / "radio.parquet")
+    again = RadioFederate(channel)
     assert [each.outcome for each in fates(again, [*sends(offers), outage(0, 10**9, "base")])] == [
         each.outcome for each in then
     ]
