@@ -130,8 +130,8 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     },
     "loss": {
         "bernoulli": "vcmvsp.netsim.impairments.loss:Bernoulli",
-        "gilbert_elliott": "vcmvsp.netsim.impairments.gilbert_elliott:GilbertElliott",
-        "bursts": "vcmvsp.netsim.impairments.gilbert_elliott:Bursts",
+        "gilbert_elliott": "vcmvsp.netsim.impairments.loss:GilbertElliott",
+        "bursts": "vcmvsp.netsim.impairments.loss:Bursts",
         "none": "vcmvsp.netsim.impairments.loss:NoLoss",
     },
     "driver": {
@@ -159,7 +159,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "distance_vector": "vcmvsp.netsim.routing.distance_vector:DistanceVector",
         "none": NOTHING,
     },
-    "delivery": {"delivery": "vcmvsp.netsim.impairments.delivery:Delivery", "none": NOTHING},
+    "delivery": {"delivery": "vcmvsp.netsim.impairments.delay:Delivery", "none": NOTHING},
     "delay": {
         "fixed": "vcmvsp.netsim.impairments.delay:FixedDelay",
         "uniform": "vcmvsp.netsim.impairments.delay:UniformDelay",

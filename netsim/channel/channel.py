@@ -11,23 +11,23 @@ one.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import FrameReport, Message
-from vcmvsp.netsim.channel.contention import Bulk, BulkMedium, Contention
+from vcmvsp.netsim.channel.contention import Bulk, Contention
 from vcmvsp.netsim.channel.frames import FrameBatch, RxPower, SentFrame, Transmitter, decode
 from vcmvsp.netsim.channel.link_budget import AT_ONCE, Budgets, MeanBudget, ReceiverModel
 from vcmvsp.netsim.channel.reception import Outcomes
 from vcmvsp.netsim.channel.replayed import RecordedFrames
 from vcmvsp.netsim.channel.runtime_changes import RuntimeChanges
-from vcmvsp.netsim.impairments.delivery import Delivery
+from vcmvsp.netsim.impairments.delay import Delivery
 from vcmvsp.netsim.impairments.jammer import Jammer
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
 from vcmvsp.netsim.interfaces.layers import Delay, Fading, Floats, Loss, PathLoss, Phy, SenderLinks, unless_nothing
-from vcmvsp.netsim.interfaces.medium import Hastened
 from vcmvsp.netsim.interfaces.radio import Radio
 from vcmvsp.netsim.mac.ideal import Ideal, Mac, needs
 
@@ -101,8 +101,9 @@ class Channel:
 
     def foresee(self, frames: int) -> None:
         """Hint of the number of further frames. Changes no result."""
-        if self._contention is not None and isinstance(self._contention.medium, Hastened):
-            self._contention.medium.foresee(frames)
+        medium: Any = None if self._contention is None else self._contention.medium
+        if hasattr(medium, "foresee"):
+            medium.foresee(frames)
 
     def send(
         self, sent_ns: int, message: Message, names: tuple[str, ...], position: Floats, *, handover_ns: int = 0
@@ -176,7 +177,7 @@ class Channel:
         self._meet(names)
         plain = not self._levels.vary and self._jammer is None and self._outcomes.plain
         medium = None if self._contention is None else self._contention.medium
-        if not plain or not isinstance(medium, BulkMedium):
+        if not plain or not hasattr(medium, "offer_many"):
             return None
         senders = [self._sender(name) for name in names]
         return Bulk(medium, senders, [self.budgets.mean(each.links, names, position) for each in senders], self.hearing)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from heapq import heappop, heappush
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,9 +10,8 @@ from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.netsim.channel.frames import FrameBatch, RxPower, SentFrame, Transmitter
 from vcmvsp.netsim.channel.link_budget import Budgets, MeanBudget, ReceiverModel
 from vcmvsp.netsim.channel.reception import TOO_WEAK, WORDS
-from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys, sealed
-from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT
-from vcmvsp.netsim.interfaces.medium import Decided, DecidedFrames, Fate, Levelled, Medium, Offered, Powered
+from vcmvsp.netsim.interfaces.layers import ERROR_SLOT, Floats, Ints, Keys, sealed
+from vcmvsp.netsim.interfaces.medium import Decided, Fate, Medium, Offered
 
 
 class Contention:
@@ -25,11 +24,13 @@ class Contention:
         self.waiting: dict[int, SentFrame] = {}  # by frame
         self._coming: list[tuple[int, int, Offered]] = []  # heap by time and frame: on their way to the queue
         self._answers: dict[int, Floats] = {}  # by frame, until it is offered: levels of its acknowledgement
-        self._levelled = medium if isinstance(medium, Levelled) else None
-        if self._levelled is not None:
-            self._levelled.sensitivity_mw[:] = 10.0 ** (budgets.sensitivity_dbm(names) / 10.0)
-        if isinstance(medium, Powered):
-            medium.power_mw[:] = 10.0 ** (budgets.tx_power_dbm(names) / 10.0)
+        optional: Any = medium
+        self._levels_mw: Floats | None = None  # of acknowledgements, (n, n)
+        if hasattr(medium, "levels") and hasattr(medium, "sensitivity_mw"):
+            self._levels_mw = optional.levels
+            optional.sensitivity_mw[:] = 10.0 ** (budgets.sensitivity_dbm(names) / 10.0)
+        if hasattr(medium, "power_mw"):
+            optional.power_mw[:] = 10.0 ** (budgets.tx_power_dbm(names) / 10.0)
 
     def offer(self, sent: SentFrame, arrival_ns: int, answerer: Transmitter | None) -> None:
         """Hand over a frame that reaches its queue at ``arrival_ns``; ``answerer``: sender of the acknowledgement."""
@@ -48,7 +49,7 @@ class Contention:
             return self._levels.answer(sent, sent.destination.start, start_ns)
 
         power_mw, patience = (None, None) if self._levels.vary else renew(0, 0)
-        if answerer is not None and self._levelled is not None:
+        if answerer is not None and self._levels_mw is not None:
             self._answers[sent.frame] = self._budgets.here(answerer.links).power_mw
         to, size, priority = -1 if answerer is None else answerer.row, sent.message.size_bytes, sent.message.priority
         self.waiting[sent.frame] = sent
@@ -63,9 +64,9 @@ class Contention:
         decided: list[Decided] = []
         while self._coming and self._coming[0][0] <= until_ns:
             offered = heappop(self._coming)[2]
-            if offered.to >= 0 and self._levelled is not None:  # not earlier: an earlier acknowledgement may be on the air
+            if offered.to >= 0 and self._levels_mw is not None:  # not earlier: an earlier acknowledgement may be on the air
                 decided += self.medium.advance(offered.time_ns)
-                self._levelled.levels[offered.to] = self._answers.pop(offered.number)
+                self._levels_mw[offered.to] = self._answers.pop(offered.number)
             self.medium.offer(offered)
         decided += self.medium.advance(until_ns)
         return [self._settled(each) for each in decided]
@@ -104,19 +105,6 @@ def at_all(values: Floats, row: int) -> Floats:
 OWN = np.uint8(255)  # code at the sender itself
 
 
-@runtime_checkable
-class BulkMedium(Protocol):
-    """A medium with array methods."""
-
-    def offer_many(
-        self, time_ns: Ints, sender: Ints, size_bytes: int, power_mw: Floats, patience: Floats, numbers: Ints
-    ) -> None:
-        """Offer k broadcasts: times, senders, numbers (k,), patience (k, n); levels (n, n) mW by sender and receiver."""
-
-    def advance_many(self, until_ns: int) -> Sequence[DecidedFrames]:
-        """All decisions up to ``until_ns``."""
-
-
 class BroadcastCounts(NamedTuple):
     """Outcomes of m broadcasts."""
 
@@ -130,7 +118,7 @@ class Bulk:
     """Broadcasts of n radios at rest, by their transmitters and mean budgets, (n,)."""
 
     def __init__(
-        self, medium: BulkMedium, senders: Sequence[Transmitter], means: Sequence[MeanBudget], hearing: ReceiverModel
+        self, medium: Any, senders: Sequence[Transmitter], means: Sequence[MeanBudget], hearing: ReceiverModel
     ) -> None:
         count = len(senders)
         others = ~np.eye(count, dtype=np.bool_)

@@ -11,14 +11,18 @@ from vcmvsp.cosim.types import Message
 from vcmvsp.netsim.channel.link_budget import MeanBudget, ReceivedSignal
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
-from vcmvsp.netsim.interfaces.layers import Draw, Fading, Floats, Frame, SenderLinks
-from vcmvsp.netsim.interfaces.link_draws import (
+from vcmvsp.netsim.interfaces.layers import (
     ACK_FADING_SLOT,
     ERROR_SLOT,
     FADING_SLOT,
     RETRY_FADING_SLOT,
     SCRIPT_SLOT,
+    Draw,
+    Fading,
+    Floats,
+    Frame,
     LinkDraws,
+    SenderLinks,
 )
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
 

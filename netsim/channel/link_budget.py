@@ -18,9 +18,9 @@ from vcmvsp.cosim.types import frozen
 from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints, PathLoss, Paths, Phy, SenderLinks, distances, sealed
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
 from vcmvsp.netsim.interfaces.radio import AT_POSITION, Radio
+from vcmvsp.netsim.phy.constant_rate import ThermalNoise
 from vcmvsp.netsim.phy.error_rate import ErrorRate
-from vcmvsp.netsim.phy.noise import ThermalNoise
-from vcmvsp.netsim.propagation.body_shadowing import Bodies, through
+from vcmvsp.netsim.propagation.walls import Bodies, through
 
 BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
 """What made a signal too weak: distance alone, or that and what else was needed."""
@@ -272,21 +272,21 @@ class Budgets:
 
     def tx_power_dbm(self, names: tuple[str, ...]) -> Floats:
         """Of the radios of these vehicles, (n,)."""
-        own = [self._of(name).tx_power_dbm for name in names]
-        return np.array([self._phy.tx_power_dbm if each is None else each for each in own], np.float64)
+        return self._own(names, "tx_power_dbm", self._phy.tx_power_dbm)
 
     def sensitivity_dbm(self, names: tuple[str, ...]) -> Floats:
         """Of the radios of these vehicles, (n,)."""
-        if not self._radios:
-            return np.full(len(names), self.least_dbm)
-        own = [self._of(name).sensitivity_dbm for name in names]
-        return np.array([self.least_dbm if each is None else each for each in own], np.float64)
+        return self._own(names, "sensitivity_dbm", self.least_dbm)
 
     def gain_dbi(self, names: tuple[str, ...]) -> Floats:
         """Of the antennas of these vehicles, (n,)."""
+        return self._own(names, "antenna_gain_dbi", 0.0)
+
+    def _own(self, names: tuple[str, ...], field: str, default: float) -> Floats:
         if not self._radios:
-            return np.zeros(len(names))
-        return np.array([self._of(name).antenna_gain_dbi for name in names], np.float64)
+            return np.full(len(names), float(default))
+        own = [getattr(self._of(name), field) for name in names]
+        return np.array([default if each is None else each for each in own], np.float64)
 
     def loss_db(self, tx: Floats, rx: Floats) -> Floats:
         """Mean loss from any point (3,) to others (n, 3), (n,) dB: path loss, walls and shadowing."""

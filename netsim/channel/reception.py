@@ -11,11 +11,27 @@ from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import FrameReport, Traffic, frozen
 from vcmvsp.netsim.channel.frames import FrameBatch, SentFrame
 from vcmvsp.netsim.channel.link_budget import ReceiverModel
-from vcmvsp.netsim.impairments.delivery import Delivery
+from vcmvsp.netsim.impairments.delay import Delivery
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
-from vcmvsp.netsim.interfaces.layers import Bools, Delay, Draw, Floats, Frame, Ints, Loss, T, sealed
-from vcmvsp.netsim.interfaces.link_draws import DELAY_SLOT, DELIVERY_SLOT, JAMMER_SLOT, LOSS_SLOT, SCRIPT_SLOT, TRACE_SLOT, Make
+from vcmvsp.netsim.interfaces.layers import (
+    DELAY_SLOT,
+    DELIVERY_SLOT,
+    JAMMER_SLOT,
+    LOSS_SLOT,
+    SCRIPT_SLOT,
+    TRACE_SLOT,
+    Bools,
+    Delay,
+    Draw,
+    Floats,
+    Frame,
+    Ints,
+    Loss,
+    Make,
+    T,
+    sealed,
+)
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
 RECEIVED = "received"
@@ -51,7 +67,7 @@ class Outcomes:
         delivery: Delivery | None,
         *,
         fades: bool,
-        outages: Script | None = None,
+        outages: Loss | None = None,
     ) -> None:
         self._hearing, self._delay, self._script, self._trace, self._delivery = hearing, delay, script, trace, delivery
         losses: list[tuple[Loss | None, int]] = [(outages, SCRIPT_SLOT)]  # first: an outage has priority

@@ -5,32 +5,33 @@ A layer depends on its parameters and the draws of a frame alone: a layer that i
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.types import frozen
-from vcmvsp.netsim.impairments.script import Change, Effects, Script
+from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame
 
 
-class Outages(Script):
-    """A script that grows during the run: changes that lose every frame from and to some vehicles."""
+@dataclass(frozen=True)
+class Outages:
+    """Losses of every frame from and to some vehicles that is on the air at any time of ``[from_ns, until_ns)``."""
 
+    spans: tuple[tuple[frozenset[str], int, int], ...] = ()  # vehicles, from_ns, until_ns
     cause: ClassVar[str] = "outage"
 
     @property
     def nothing(self) -> bool:
         """Whether there was no outage yet."""
-        return not self.changes
+        return not self.spans
 
-    def _together(self, present: tuple[int, ...], sender: str, receivers: tuple[str, ...]) -> Effects:
-        """See `Script._together`; faster for many vehicles, which have the square of links."""
-        cut_off = {name for k in present for links in self.changes[k].links for name in links.split("/")}
-        passes = np.array([not (sender in cut_off or receiver in cut_off) for receiver in receivers], float)
-        return Effects(frozen(passes), frozen(np.zeros(len(receivers))), frozen(np.zeros(len(receivers), np.int64)))
+    def lost(self, frame: Frame, draw: Draw) -> Bools:
+        """Which receivers lose the frame, (n,)."""
+        present = [names for names, begin, end in self.spans if begin < frame.end_ns and frame.start_ns < end]
+        cut_off = frozenset().union(*present)
+        return np.array([frame.sender in cut_off or receiver in cut_off for receiver in frame.receivers], np.bool_)
 
 
 class RuntimeChanges:
@@ -51,14 +52,13 @@ class RuntimeChanges:
         """Keys and values of the numbers that may change."""
         numbers: dict[str, float] = {}
         for name, layer in self.layers.items():
-            numbers |= {f"radio.{name}.{key}": value for key, value in _numbers(layer).items()}
+            parameters = _parameters(layer) if dataclasses.is_dataclass(layer) else {}
+            numbers |= {f"radio.{name}.{key}": value for key, value in parameters.items() if type(value) in (int, float)}
         return numbers
 
     def cut_off(self, vehicles: Sequence[str], from_ns: int, until_ns: int) -> None:
         """Lose every frame from and to these vehicles."""
-        links = tuple(expression for name in vehicles for expression in (f"{name}/*", f"*/{name}"))
-        change = Change(from_s=from_ns / SECOND_NS, to_s=until_ns / SECOND_NS, links=links, loss=1.0)
-        self.outages = Outages((*self.outages.changes, change))
+        self.outages = Outages((*self.outages.spans, (frozenset(vehicles), from_ns, until_ns)))
 
     def change(self, key: str, value: float) -> None:
         """Change a number; see `changed`."""
@@ -80,8 +80,7 @@ class RuntimeChanges:
             raise ValueError(f"{key} cannot change during a run; what can: {', '.join(self.numbers()) or 'nothing'}")
         _, name, parameter = key.split(".")
         layer = layers[name]
-        rest = {each.name: getattr(layer, each.name) for each in dataclasses.fields(layer) if each.init}
-        del rest[parameter]
+        rest = {name: value for name, value in _parameters(layer).items() if name != parameter}
         try:
             new = binding.call(type(layer), {parameter: value}, key=f"radio.{name}", given=rest)
         except ScenarioError as error:
@@ -89,9 +88,5 @@ class RuntimeChanges:
         return {**layers, name: new}
 
 
-def _numbers(layer: object) -> dict[str, float]:
-    """Numeric parameters of a layer."""
-    if not dataclasses.is_dataclass(layer):
-        return {}
-    parameters = {each.name: getattr(layer, each.name) for each in dataclasses.fields(layer) if each.init}
-    return {name: value for name, value in parameters.items() if type(value) in (int, float)}
+def _parameters(layer: Any) -> dict[str, Any]:
+    return {each.name: getattr(layer, each.name) for each in dataclasses.fields(layer) if each.init}

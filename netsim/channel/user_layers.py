@@ -6,7 +6,7 @@ A class of a user's is replaced by one derived from it when a scenario is assemb
 import inspect
 import operator
 import types
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -141,33 +141,33 @@ def _anything(answer: object, *_: object) -> object:
     return answer
 
 
-def _loss_db(answer: object, paths: Any) -> Array:
-    return _floats(answer, distance_of(paths).shape, "finite numbers (dB)")
+def _shape(argument: Any) -> tuple[int, ...]:
+    """Shape of the answer: of paths, of distances, or of the receivers of a frame."""
+    return distance_of(getattr(argument, "paths", argument)).shape
+
+
+def _loss_db(answer: object, paths: Any, *_: object) -> Array:
+    return _floats(answer, _shape(paths), "finite numbers (dB)")
 
 
 def _through(answer: Any, paths: Any) -> tuple[Array, Array, tuple[str, ...]]:
-    shape = distance_of(paths).shape
+    shape = _shape(paths)
     if not isinstance(answer, tuple) or len(answer) != 3 or not _are_names(answer[2]) or len(answer[2]) != shape[0]:
         raise ValueError(f"a tuple of loss (dB), number of walls and their materials, shape {shape} each, not {show(answer)}")
     count = _array(answer[1], shape, "numbers of walls", "iu", lambda array: array >= 0)
     return _loss_db(answer[0], paths), count.astype(np.int64, copy=False), tuple(answer[2])
 
 
-def _gain_db(answer: object, frame: Any, *_: object) -> Array:
-    return _floats(answer, frame.paths.distance_m.shape, "finite numbers (dB)")
-
-
 def _level_dbm(answer: object, frame: Any) -> Array:
-    must = "numbers (dBm; NaN where it says nothing)"
-    return _floats(answer, frame.paths.distance_m.shape, must, lambda array: ~np.isinf(array))
+    return _floats(answer, _shape(frame), "numbers (dBm; NaN where it says nothing)", lambda array: ~np.isinf(array))
 
 
 def _lost(answer: object, frame: Any, *_: object) -> Array:
-    return _bools(answer, frame.paths.distance_m.shape)
+    return _bools(answer, _shape(frame))
 
 
 def _delay_ns(answer: object, frame: Any, *_: object) -> Array:
-    return _times(answer, frame.paths.distance_m.shape)
+    return _times(answer, _shape(frame))
 
 
 def _interference_mw(answer: object, _: int, __: int, rx: Array, *___: object) -> Array:
@@ -197,11 +197,10 @@ def _air_time_ns(answer: Any, *_: object) -> int:
     return air_ns
 
 
-def _names(answer: Any, *_: object) -> Sequence[str]:
+def _names(answer: Any, *_: object) -> Any:
     if not _are_names(answer):
         raise ValueError(f"a tuple of strings, not {show(answer)}")
-    names: Sequence[str] = answer
-    return names
+    return answer
 
 
 def _are_names(value: Any) -> bool:
@@ -240,7 +239,7 @@ def _decided(answer: Any, _: int, *, count: int) -> Any:
 _CHECKS: dict[str, Check] = {
     "loss_db": _loss_db,
     "through": _through,
-    "gain_db": _gain_db,
+    "gain_db": _loss_db,
     "air_time_ns": _air_time_ns,
     "lost": _lost,
     "lost_by": lambda answer, draws: _bools(answer, draws.shape[:-1]),

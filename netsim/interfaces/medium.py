@@ -7,7 +7,7 @@ a time, inclusive, in order; events of the medium precede offers of the same nan
 
 from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol
 
 import msgspec
 import numpy as np
@@ -84,38 +84,14 @@ class DecidedFrames(NamedTuple):
             yield Decided(number, start_ns, end_ns, attempts, self.fate[k], self.least_sinr[k])
 
 
-@runtime_checkable
-class Levelled(Protocol):
-    """A medium with settable levels of acknowledgements and sensitivities."""
-
-    @property
-    def levels(self) -> Floats:
-        """Levels of acknowledgements, (n, n) mW: sender by row, receiver by column."""
-
-    @property
-    def sensitivity_mw(self) -> Floats:
-        """The weakest level that each radio detects, (n,)."""
-
-
-@runtime_checkable
-class Powered(Protocol):
-    """A medium that scales levels of acknowledgements by the power of each radio."""
-
-    @property
-    def power_mw(self) -> Floats:
-        """Transmitted power of each radio, (n,) mW; only the ratios count."""
-
-
-@runtime_checkable
-class Hastened(Protocol):
-    """A medium that can load compiled code during a run."""
-
-    def foresee(self, frames: int) -> None:
-        """Hint of the number of further frames: loads compiled code if that pays. Changes no result."""
-
-
 class Medium(Protocol):
-    """The shared medium of n radios."""
+    """The shared medium of n radios.
+
+    Optional attributes: ``levels`` (n, n) mW of acknowledgements, sender by row, and ``sensitivity_mw`` (n,) of the radios,
+    which the channel sets; ``power_mw`` (n,) of the radios, by which a medium without ``levels`` scales acknowledgements;
+    ``foresee(frames)``, a hint of the number of further frames; ``offer_many`` and ``advance_many`` for arrays of broadcasts,
+    see `netsim.mac.dcf.medium.DcfMedium`.
+    """
 
     def expect(self, frames: int) -> None:
         """Hint of the expected number of frames; decides now whether to compile. Changes no result."""

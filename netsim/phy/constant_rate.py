@@ -1,19 +1,19 @@
-"""Radio standards: time on the air, transmitted power, noise, sensitivity, packet errors.
+"""Physical layers: noise, messages in several frames, and the phy without a standard, a constant bit rate.
 
-Here is the phy without a standard, a constant bit rate; the standards are in `netsim.phy.dsss`, `netsim.phy.ofdm` and
-`netsim.phy.ieee802154`. Payload is what the agent sends (``Message.size_bytes``); each standard adds its own headers. Air
-times are whole nanoseconds.
+The standards are in `netsim.phy.dsss`, `netsim.phy.ofdm` and `netsim.phy.ieee802154`. Payload is what the agent sends
+(``Message.size_bytes``); each standard adds its own headers. Air times are whole nanoseconds.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Self
 
 import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.types import Decibels
-from vcmvsp.netsim.interfaces.layers import BitRate
+from vcmvsp.cosim.types import Decibels, Positive
+from vcmvsp.netsim.interfaces.layers import BitRate, Floats
 
 Overhead = Annotated[float, msgspec.Meta(ge=0.0, le=1e3)]  # s
 
@@ -35,3 +35,54 @@ class ConstantRate:
         """Overhead and payload, rounded up to 1 ns; at least 1 ns."""
         payload_ns = math.ceil(8 * size_bytes * SECOND_NS / self.rate_bps)
         return max(1, round(self.overhead_s * SECOND_NS) + payload_ns)
+
+
+BOLTZMANN = 1.380649e-23  # J/K (SI)
+TEMPERATURE_K = 290.0  # of the standard definition of noise figure
+
+
+@dataclass(frozen=True)
+class ThermalNoise:
+    """``N = k 290 K B F``: bandwidth B, noise figure F.
+
+    The defaults are those of ns-3.44 for IEEE 802.11, -93.965 dBm: 7 dB (``WifiPhy::RxNoiseFigure``) over 20 MHz, also for
+    DSSS, whose error formulas count on it.
+    """
+
+    bandwidth_hz: Positive = 20e6
+    noise_figure_db: float = 7.0
+
+    @classmethod
+    def ieee802154(cls, sensitivity_dbm: float = -85.0) -> Self:
+        """The noise of an 802.15.4 receiver with this sensitivity.
+
+        As in ns-3.44 (``LrWpanPhy::SetRxSensitivity``): over 5 MHz, with a figure that is 0 dB at a sensitivity of -106.58
+        dBm. It is 0.406 dB below the sensitivity.
+        """
+        return cls(5e6, sensitivity_dbm + 106.58)
+
+    @property
+    def dbm(self) -> float:
+        """Its power."""
+        watts = BOLTZMANN * TEMPERATURE_K * self.bandwidth_hz
+        return 10.0 * math.log10(watts) + 30.0 + self.noise_figure_db
+
+    def snr_db(self, rssi_dbm: Floats) -> Floats:
+        """Signal above noise, the shape of ``rssi_dbm``."""
+        return rssi_dbm - self.dbm
+
+
+LARGEST_MSDU_BYTES = 2304 - 8  # IEEE 802.11-2016, 9.2.4.7.1: payload of an MSDU, without LLC and SNAP
+
+
+def over_frames(size_bytes: int, largest_bytes: int, of_frame: Callable[[int], int], between: int = 0) -> int:
+    """Sum over the frames of a message: full ones and the last.
+
+    Args:
+        size_bytes: of the message.
+        largest_bytes: payload of one frame.
+        of_frame: what a frame with this payload adds.
+        between: what the space from one frame to the next adds.
+    """
+    full = max(0, -(-size_bytes // largest_bytes) - 1)
+    return full * (of_frame(largest_bytes) + between) + of_frame(size_bytes - full * largest_bytes)

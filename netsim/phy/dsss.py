@@ -9,9 +9,8 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Decibels
 from vcmvsp.netsim.interfaces.layers import US, BitRate, Floats
+from vcmvsp.netsim.phy.constant_rate import LARGEST_MSDU_BYTES, ThermalNoise, over_frames
 from vcmvsp.netsim.phy.error_rate import ErrorRate, erfc, hazard_of
-from vcmvsp.netsim.phy.fragments import LARGEST_MSDU_BYTES, over_frames
-from vcmvsp.netsim.phy.noise import ThermalNoise
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ import numpy as np
 
 from vcmvsp.cosim.types import Decibels
 from vcmvsp.netsim.interfaces.layers import US, Floats
+from vcmvsp.netsim.phy.constant_rate import ThermalNoise, over_frames
 from vcmvsp.netsim.phy.error_rate import ErrorRate, hazard_of
-from vcmvsp.netsim.phy.fragments import over_frames
-from vcmvsp.netsim.phy.noise import ThermalNoise
 
 LARGEST_BYTES = 127 - 11  # payload of a frame
 
@@ -33,7 +32,7 @@ class Ieee802154:
 
     @property
     def noise_dbm(self) -> float:
-        """As in ns-3.44, 0.4 dB below the sensitivity (`netsim.phy.noise.ThermalNoise.ieee802154`)."""
+        """As in ns-3.44, 0.4 dB below the sensitivity (`netsim.phy.constant_rate.ThermalNoise.ieee802154`)."""
         return ThermalNoise.ieee802154(self.sensitivity_dbm).dbm
 
     @cached_property

@@ -23,9 +23,8 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Decibels
 from vcmvsp.netsim.interfaces.layers import US, BitRate, Floats
+from vcmvsp.netsim.phy.constant_rate import LARGEST_MSDU_BYTES, ThermalNoise, over_frames
 from vcmvsp.netsim.phy.error_rate import ErrorRate, erfc, hazard_of
-from vcmvsp.netsim.phy.fragments import LARGEST_MSDU_BYTES, over_frames
-from vcmvsp.netsim.phy.noise import ThermalNoise
 
 # Modulation points M and code rate of each bit rate (IEEE 802.11-2016, table 17-4).
 MODES = {

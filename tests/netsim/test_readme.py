@@ -18,10 +18,8 @@ from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.channel.link_budget import ReceiverModel
 from vcmvsp.netsim.channel.reception import Outcomes
 from vcmvsp.netsim.channel.runtime_changes import Outages
-from vcmvsp.netsim.impairments.delay import NoDelay
-from vcmvsp.netsim.impairments.delivery import Delivery
-from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
-from vcmvsp.netsim.impairments.loss import Bernoulli
+from vcmvsp.netsim.impairments.delay import Delivery, NoDelay
+from vcmvsp.netsim.impairments.loss import Bernoulli, GilbertElliott
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
 from vcmvsp.netsim.interfaces.radio import Radio

@@ -2,8 +2,7 @@
 
 from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.scenario import loader
-from vcmvsp.netsim.calibration.figure_data import FigureData, figure_data
-from vcmvsp.netsim.calibration.fit import calibrate_file
+from vcmvsp.netsim.calibration.fit import FigureData, calibrate_file, figure_data
 from vcmvsp.netsim.calibration.result import Calibration
 from vcmvsp.physics.line_of_sight.sightline import Sightline
 

@@ -2,7 +2,6 @@
 
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.evaluation.broadcast_trial import Broadcasts, run
-from vcmvsp.netsim.evaluation.positions_file import read_positions
-from vcmvsp.netsim.evaluation.row_file import RowFile
+from vcmvsp.netsim.evaluation.files import RowFile, read_positions
 
 __all__ = ["Broadcasts", "Channel", "RowFile", "read_positions", "run"]

@@ -24,8 +24,7 @@ from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.cosim.types import Decibels, Seconds
-from vcmvsp.netsim.interfaces.layers import US, Floats, Keys, Phy
-from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
+from vcmvsp.netsim.interfaces.layers import BACKOFF_SLOT, US, Floats, Keys, Phy
 from vcmvsp.netsim.interfaces.medium import Codes, Decided, Fate, Medium, Offered
 from vcmvsp.netsim.mac.csma154.receivers import AirborneFrame, Csma154Air
 from vcmvsp.netsim.phy.error_rate import ErrorRate
@@ -370,7 +369,7 @@ class Csma154Medium:
 class Csma154:
     """Unslotted CSMA/CA of IEEE 802.15.4 at 2.4 GHz, as ns-3.44 ``LrWpanMac`` and ``LrWpanPhy``.
 
-    The sensitivity is no threshold of reception: it sets the noise (`netsim.phy.noise.ThermalNoise.ieee802154`). Messages that
+    The sensitivity is no threshold of reception: it sets the noise (`ThermalNoise.ieee802154`). Messages that
     need several frames contend once, and are received or lost as one.
 
     Args:

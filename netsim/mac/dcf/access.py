@@ -4,6 +4,10 @@ After ns-3.44 (``ChannelAccessManager``, ``Txop``, ``FrameExchangeManager``): a 
 end of the last busy time, stands still while the medium is busy, and is drawn anew after every transmission, whether another
 frame waits or not. A frame that finds the medium idle and no backoff left waits DIFS from then on.
 
+A radio keeps how many slots were left when it last learnt of a longer busy time, and when the last of them is over if it learns
+of no other: nothing needs to be done while they pass. Behind a payload that could not be decoded it waits EIFS. The queues are
+lists that run through the arrays of the frames.
+
 Written for NumPy and for compilation alike, see `netsim.mac.dcf.machine_code`: what changes is in the arrays of a `DcfState`.
 """
 

@@ -35,7 +35,7 @@ from vcmvsp.netsim.mac.dcf.state import (
     DcfRules,
     DcfState,
 )
-from vcmvsp.netsim.phy.error_table import between, look_up_one, places
+from vcmvsp.netsim.phy.error_rate import between, look_up_one, places
 
 
 def put_on_air(s: DcfState, rules: DcfRules, i: int, now: int, air_ns: int) -> None:

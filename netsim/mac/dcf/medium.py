@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.rng import link_uniform
-from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys
-from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
+from vcmvsp.netsim.interfaces.layers import BACKOFF_SLOT, Floats, Ints, Keys
 from vcmvsp.netsim.interfaces.medium import Answer, Decided, DecidedFrames, Offered, Renew
 from vcmvsp.netsim.mac.dcf import access, capture
 from vcmvsp.netsim.mac.dcf.access import DRAWS, LEVELS, OUTPUT
@@ -33,7 +32,7 @@ from vcmvsp.netsim.mac.dcf.state import (
     DcfState,
     new_state,
 )
-from vcmvsp.netsim.phy import error_table
+from vcmvsp.netsim.phy import error_rate
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.ofdm import Ofdm
@@ -41,7 +40,7 @@ from vcmvsp.netsim.phy.ofdm import Ofdm
 LOAD_AFTER = 400  # frames: what they take longer without compiled code, 0.1 ms each of 3 to 50 radios, is what it takes to load
 COMPILE_AFTER = 5000  # the same, where it must be compiled first: once for each computer
 PER_FRAME = tuple(name for name, shape in SHAPES.items() if shape[0] == "c")
-CORE = error_table, capture, access
+CORE = error_rate, capture, access
 
 
 class DcfMedium:

@@ -12,9 +12,9 @@ from tests.support.netsim.measured_links import BOXES, mean_of, points, tour
 from vcmvsp.cosim.cli.radio import write_calibration
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.netsim.calibration.design_matrix import sample
-from vcmvsp.netsim.calibration.fit import Calibration, MeasuredLinks, calibrate_file, figure_data, read_links
-from vcmvsp.netsim.calibration.result import ParameterEstimate
+from vcmvsp.netsim.calibration.fit import calibrate_file, figure_data
+from vcmvsp.netsim.calibration.measurements import MeasuredLinks, read_links, sample
+from vcmvsp.netsim.calibration.result import Calibration, ParameterEstimate
 from vcmvsp.netsim.propagation.fading import Nakagami
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 from vcmvsp.netsim.propagation.shadowing import Shadowing

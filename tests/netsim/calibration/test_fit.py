@@ -8,7 +8,8 @@ import pytest
 from tests.support.netsim.links import Line
 from tests.support.netsim.measured_links import BOXES, links, mean_of, normal_score, points, shadows, tour
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.netsim.calibration.fit import MeasuredLinks, fit
+from vcmvsp.netsim.calibration.fit import fit
+from vcmvsp.netsim.calibration.measurements import MeasuredLinks
 from vcmvsp.netsim.propagation.shadowing import Shadowing
 from vcmvsp.netsim.propagation.walls import FixedWalls
 from vcmvsp.physics.line_of_sight.sightline import Sightline

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.netsim.measured_links import mean_of, points, shadows
-from vcmvsp.netsim.calibration.covariance import Survey, covariance
-from vcmvsp.netsim.calibration.likelihood import below, log_likelihood, restricted
+from vcmvsp.netsim.calibration.likelihood import Survey, below, covariance, log_likelihood, restricted
 from vcmvsp.netsim.propagation.shadowing import Shadowing
 
 

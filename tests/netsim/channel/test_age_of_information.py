@@ -12,7 +12,7 @@ from tests.support.netsim.channels import make_channel, make_frame, send
 from vcmvsp.cosim.rng import key64, link_uniform
 from vcmvsp.netsim.impairments.delay import FixedDelay
 from vcmvsp.netsim.impairments.loss import Bernoulli
-from vcmvsp.netsim.interfaces.link_draws import LOSS_SLOT
+from vcmvsp.netsim.interfaces.layers import LOSS_SLOT
 
 T = 100_000_000  # ns
 

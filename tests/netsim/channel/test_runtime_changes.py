@@ -21,10 +21,9 @@ from vcmvsp.netsim.channel.replayed import RecordedFrames
 from vcmvsp.netsim.channel.runtime_changes import RuntimeChanges
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.netsim.impairments.delay import FixedDelay, GammaDelay, NoDelay, UniformDelay
-from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
-from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
-from vcmvsp.netsim.impairments.script import Script
-from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, Loss
+from vcmvsp.netsim.impairments.loss import Bernoulli, GilbertElliott, NoLoss
+from vcmvsp.netsim.impairments.script import Change, Script
+from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, Loss, Paths, SenderLinks
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 
@@ -87,15 +86,27 @@ def fates(radio: RadioFederate, told: Sequence[Event], cuts: Sequence[int] = (),
     return sorted(found, key=lambda each: each.frame)
 
 
-@given(cuts=st.lists(st.sets(st.sampled_from(NAMES), min_size=1), max_size=3), sender=st.sampled_from(NAMES))
-def test_outages_do_what_a_script_with_the_same_changes_does(cuts: list[set[str]], sender: str) -> None:
-    operated = RuntimeChanges()
-    for who in cuts:
-        operated.cut_off(sorted(who), 0, MS)
-    outages, receivers = operated.outages, tuple(each for each in NAMES if each != sender)
-    for present in (range(count) for count in range(len(cuts) + 1)):
-        ours, theirs = (each._together((*present,), sender, receivers) for each in (outages, Script(outages.changes)))
-        assert encode(list(ours)) == encode(list(theirs))
+@given(
+    cuts=st.lists(st.tuples(st.sets(st.sampled_from(NAMES), min_size=1), st.integers(0, 8), st.integers(1, 4)), max_size=3),
+    sender=st.sampled_from(NAMES),
+    start=st.integers(-1, 10),
+    air=st.integers(1, 4),
+)
+def test_outages_do_what_a_script_with_the_same_changes_does(
+    cuts: list[tuple[set[str], int, int]], sender: str, start: int, air: int
+) -> None:
+    operated, changes = RuntimeChanges(), list[Change]()
+    for who, begin, length in cuts:
+        operated.cut_off(sorted(who), begin * MS, (begin + length) * MS)
+        links = tuple(link for name in who for link in (f"{name}/*", f"*/{name}"))
+        changes.append(Change(from_s=begin / 1e3, to_s=(begin + length) / 1e3, links=links, loss=1.0))
+    links_of = SenderLinks(1, sender, tuple(each for each in NAMES if each != sender))
+    paths = Paths.between(np.zeros(3), np.ones((len(NAMES) - 1, 3)))
+    frame = Frame(0, start * MS, (start + air) * MS, 10, paths, np.zeros(len(NAMES) - 1), links_of)
+    ours, theirs = (
+        each.lost(frame, lambda: np.full((len(NAMES) - 1, 2), 0.5)) for each in (operated.outages, Script((*changes,)))
+    )
+    assert ours.tolist() == theirs.tolist()
 
 
 def radio(preset: str = "wifi-b-1", mac: str = "ideal", **changes: Any) -> RadioFederate:

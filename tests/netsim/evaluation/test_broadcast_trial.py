@@ -15,8 +15,8 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, RunFacts, radio_table, write_table
 from vcmvsp.cosim.types import FrameReport
 from vcmvsp.netsim.evaluation import broadcast_trial
-from vcmvsp.netsim.evaluation.row_file import RowFile
-from vcmvsp.netsim.evaluation.tally import Delays
+from vcmvsp.netsim.evaluation.broadcast_trial import Delays
+from vcmvsp.netsim.evaluation.files import RowFile
 from vcmvsp.netsim.interfaces.layers import Floats
 
 
@@ -173,9 +173,9 @@ def test_progress_never_goes_back_nor_beyond_the_end() -> None:
 )
 def test_percentiles_are_those_of_all_delays(same: list[tuple[int, int]], each: list[int]) -> None:
     delays = Delays()
-    for value, count in same:
-        delays.add(value, count)
-    delays.add_each(np.array(each, np.int64))
+    values, counts = np.array(same, np.int64).T
+    delays.add(values, counts)
+    delays.add(np.array(each, np.int64))
     everything = np.array([value for value, count in same for _ in range(count)] + each) / 1e9
     assert delays.percentiles_s(0, 37, 50, 95, 99, 100) == pytest.approx(
         np.percentile(everything, [0, 37, 50, 95, 99, 100]), rel=1e-12, abs=1e-18
@@ -187,7 +187,7 @@ def test_delays_that_come_again_and_again_stay_exact() -> None:
     values = np.random.default_rng(1).integers(0, 40, 1000)
     delays = Delays(kept=100)
     for begin in range(0, 1000, 50):
-        delays.add_each(values[begin : begin + 50])
+        delays.add(values[begin : begin + 50])
         assert delays.mean_s() is not None  # puts them away: 40 of them kept, and 40 more
     assert delays.percentiles_s(5, 50, 99) == pytest.approx(np.percentile(values / 1e9, [5, 50, 99]), rel=1e-12)
 
@@ -196,7 +196,7 @@ def test_delays_that_come_again_and_again_stay_exact() -> None:
 def test_percentiles_of_too_many_delays_are_right_within_half_a_bin(values: list[int]) -> None:
     delays = Delays(kept=2)
     for begin in range(0, len(values), 3):
-        delays.add_each(np.array(values[begin : begin + 3], np.int64))
+        delays.add(np.array(values[begin : begin + 3], np.int64))
         assert delays.mean_s() is not None  # puts them away
     found = delays.percentiles_s(0, 50, 95, 100)
     assert found == pytest.approx(np.percentile(np.array(values) / 1e9, [0, 50, 95, 100]), rel=1.01 * 2.0**-13, abs=1e-18)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.netsim.evaluation.files import read_positions
 from vcmvsp.netsim.evaluation.model_curves import error_rate, grid, mean_levels, packet_errors
-from vcmvsp.netsim.evaluation.positions_file import read_positions
 from vcmvsp.netsim.phy.constant_rate import ConstantRate
 from vcmvsp.netsim.phy.dsss import Dsss, DsssErrors
 from vcmvsp.netsim.phy.ieee802154 import Ieee802154, OqpskErrors

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.impairments.delivery import Delivery
+from vcmvsp.netsim.impairments.delay import Delivery
 from vcmvsp.netsim.interfaces.layers import Draw, Floats, Ints
 
 MS = 1_000_000

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.netsim.links import linked_frame, many_frame, many_keys
-from vcmvsp.netsim.impairments.gilbert_elliott import Bursts, GilbertElliott
+from vcmvsp.netsim.impairments.loss import Bursts, GilbertElliott
 from vcmvsp.netsim.interfaces.layers import Bools, Floats
 
 RATES = [(0.1, 1.0), (2.0, 3.0), (5.0, 0.5)]

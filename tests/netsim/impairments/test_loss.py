@@ -9,8 +9,7 @@ from vcmvsp.cosim.types import Message
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
 from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
-from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, SenderLinks
-from vcmvsp.netsim.interfaces.link_draws import DELAY_SLOT, LOSS_SLOT, LinkDraws
+from vcmvsp.netsim.interfaces.layers import DELAY_SLOT, LOSS_SLOT, Bools, Draw, Frame, LinkDraws, SenderLinks
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import NoPathLoss
 

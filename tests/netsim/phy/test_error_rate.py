@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from tests.support.netsim.error_rate_curves import array, sinr_for
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.phy.constant_rate import ThermalNoise
 from vcmvsp.netsim.phy.dsss import DsssErrors, biorthogonal_error
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
-from vcmvsp.netsim.phy.noise import ThermalNoise
 from vcmvsp.netsim.phy.ofdm import MODES, OfdmErrors
 
 DSSS = [DsssErrors(rate) for rate in (1e6, 2e6, 5.5e6, 11e6)]

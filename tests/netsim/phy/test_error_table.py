@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from vcmvsp.netsim.phy.dsss import DsssErrors
-from vcmvsp.netsim.phy.error_rate import ErrorRate
-from vcmvsp.netsim.phy.error_table import look_up, look_up_one, steps
+from vcmvsp.netsim.phy.error_rate import ErrorRate, look_up, look_up_one, steps
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 from vcmvsp.netsim.phy.ofdm import MODES, OfdmErrors
 

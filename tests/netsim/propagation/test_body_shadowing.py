@@ -12,8 +12,8 @@ from vcmvsp.netsim.impairments.loss import NoLoss
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.radio import Radio
 from vcmvsp.netsim.phy.dsss import Dsss
-from vcmvsp.netsim.propagation.body_shadowing import Bodies, through
 from vcmvsp.netsim.propagation.path_loss import LogDistance
+from vcmvsp.netsim.propagation.walls import Bodies, through
 
 
 def bodies(foot: Floats, radius_m: float = 0.5, height_m: float = 1.0) -> Bodies:

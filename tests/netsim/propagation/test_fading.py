@@ -8,8 +8,7 @@ import pytest
 
 from tests.support.netsim.links import even_uniforms, linked_frame, many_frame, many_keys
 from vcmvsp.netsim.interfaces.layers import Fading, Floats
-from vcmvsp.netsim.propagation.fading import Nakagami, Rayleigh, Rician, scattering
-from vcmvsp.netsim.propagation.gamma_quantiles import gamma_quantile
+from vcmvsp.netsim.propagation.fading import Nakagami, Rayleigh, Rician, gamma_quantile, scattering
 
 PERCENT = (1, 5, 10, 25, 50, 75, 90, 95, 99)
 

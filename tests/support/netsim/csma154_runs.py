@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.rng import key64, link_uniform
-from vcmvsp.netsim.interfaces.layers import Floats
-from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
+from vcmvsp.netsim.interfaces.layers import BACKOFF_SLOT, Floats
 from vcmvsp.netsim.interfaces.medium import Decided, Medium, Offered
 from vcmvsp.netsim.mac.csma154.medium import Csma154
 from vcmvsp.netsim.phy.ieee802154 import Ieee802154

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from tests.support.netsim.links import Line
-from vcmvsp.netsim.calibration.fit import MeasuredLinks
+from vcmvsp.netsim.calibration.measurements import MeasuredLinks
 from vcmvsp.netsim.calibration.result import ParameterEstimate
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.path_loss import LogDistance
