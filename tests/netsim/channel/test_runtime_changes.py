@@ -143,16 +143,6 @@ def test_nothing_passes_in_an_outage_and_all_else_fares_as_without_it(
             assert cut.outcome[at] == ("outage" if behind else plain.outcome[at])
 
 
-def test_outages_may_overlap_and_come_one_after_the_other() -> None:
-    offers = [(k * 10_000, "car1", "car2") for k in range(60)]
-    calm: dict[str, Any] = {"loss": {"kind": "none"}, "fading": {"kind": "none"}}
-    told = [outage(100 * MS, 250 * MS, "car1"), outage(200 * MS, 300 * MS, "car2"), outage(400 * MS, 500 * MS, "base", "car2")]
-    found = fates(radio(**calm), [*sends(offers), *told])
-    lost = [each.sent_ns // (10 * MS) for each in found if each.outcome == ("outage",)]
-    assert lost == [*range(10, 30), *range(40, 50)]
-    assert {each.outcome for each in found} == {("received",), ("outage",)}
-
-
 @MACS
 @pytest.mark.parametrize(
     ("key", "value", "tables"),

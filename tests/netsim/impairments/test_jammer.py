@@ -70,14 +70,6 @@ def test_it_moves_along_its_path(t_s: float, place: tuple[float, float, float]) 
     assert heard(moving, at_ns=round(t_s * 1e9)) == pytest.approx(heard(standing), rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("at_ns", "touches"),
-    [(999 * MS, False), (999 * MS + 1, True), (1500 * MS, True), (2000 * MS - 1, True), (2000 * MS, False)],
-)
-def test_from_then_till_then_for_frames_that_touch_it(at_ns: int, touches: bool) -> None:
-    assert on(Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=1.0, to_s=2.0), at_ns, MS) is touches
-
-
 def test_pulses_by_hand() -> None:
     """On in [5, 7) and [15, 17) ms; over before the third pulse."""
     source = Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=0.005, to_s=0.025, duty=0.2, period_s=0.01)

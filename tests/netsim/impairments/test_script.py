@@ -46,11 +46,6 @@ def test_from_then_till_then_for_frames_that_touch_it(at_s: float, touches: bool
     assert script.delay_ns(sent, half).tolist() == [4 * MS + 250 * MS * touches] * 3  # from the sending: wait, air time, delay
 
 
-def test_without_an_end_it_lasts() -> None:
-    script = Script((Change(from_s=10.0, loss=1.0),))
-    assert [len(struck(script, frame(at_ns=t * 10**9))) for t in (9, 10, 10**9)] == [0, 3, 3]
-
-
 @pytest.mark.parametrize(
     ("links", "sender", "expected"),
     [
@@ -91,13 +86,6 @@ def test_losses_of_several_are_independent_and_the_rest_adds_up() -> None:
     assert rate == pytest.approx([0.65, 0.3], abs=4.5 * math.sqrt(0.25 / 20_000))
     assert script.gain_db(sent, half).tolist() == [7.0, -3.0]
     assert script.delay_ns(sent, half).tolist() == [301 * MS, 101 * MS]
-
-
-def test_no_draw_changes_what_is_total_or_absent() -> None:
-    sent, most = frame("car1", "car2", "car3"), 1.0 - 2.0**-53
-    total = Script((Change(from_s=0.0, links=("car1/car2",), loss=1.0), Change(from_s=0.0, loss=0.0)))
-    for draw in (0.0, 0.5, most):
-        assert total.lost(sent, lambda draw=draw: np.full((2, 2), draw)).tolist() == [True, False]  # type: ignore[misc]
 
 
 spans = st.lists(st.tuples(st.integers(0, 12), st.one_of(st.none(), st.integers(1, 6))), max_size=6)
@@ -151,3 +139,10 @@ def test_errors_by_name(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message) as raised:
         binding.call(Script, {"changes": [{"from_s": 0.0, "loss": 0.1}, change]}, key="radio.script")
     assert raised.value.key == "radio.script.changes[1]" + (".loss" if "must be a number" in message else "")
+
+
+def test_no_draw_changes_what_is_total_or_absent() -> None:
+    sent, most = frame("car1", "car2", "car3"), 1.0 - 2.0**-53
+    total = Script((Change(from_s=0.0, links=("car1/car2",), loss=1.0), Change(from_s=0.0, loss=0.0)))
+    for draw in (0.0, 0.5, most):
+        assert total.lost(sent, lambda draw=draw: np.full((2, 2), draw)).tolist() == [True, False]  # type: ignore[misc]

@@ -12,7 +12,7 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.phy.constant_rate import ThermalNoise
 from vcmvsp.netsim.phy.dsss import DsssErrors, biorthogonal_error
-from vcmvsp.netsim.phy.error_rate import ErrorRate
+from vcmvsp.netsim.phy.error_rate import ErrorRate, look_up, look_up_one, steps
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 from vcmvsp.netsim.phy.ofdm import MODES, OfdmErrors
 
@@ -133,24 +133,6 @@ def test_success_grows_with_sinr_and_falls_with_bits(
     assert np.all((of_longer >= 0.0) & (of_longer <= success) & (success <= 1.0))
 
 
-@given(
-    sinr_db=st.lists(st.floats(-20.0, 30.0), min_size=1, max_size=6),
-    bits=st.lists(st.integers(0, 3000), min_size=6, max_size=6),
-)
-def test_pieces_multiply(sinr_db: list[float], bits: list[int]) -> None:
-    errors, levels, sizes = OfdmErrors(12e6), np.array(sinr_db), np.array(bits[: len(sinr_db)])
-    whole = math.exp(-float(np.sum(sizes * errors.bit_hazard(10.0 ** (levels / 10.0)))))
-    assert whole == pytest.approx(float(np.prod(errors.success(levels, sizes))), rel=1e-9, abs=1e-300)
-
-
-def test_any_shape() -> None:
-    sinr_db = np.linspace(-5.0, 25.0, 12).reshape(3, 4)
-    success = OfdmErrors(24e6).success(sinr_db, 1000)
-    assert success.shape == (3, 4)
-    assert OfdmErrors(24e6).success(array(-math.inf), 1000)[0] < 1e-50  # no signal
-    assert success[1, 2] == OfdmErrors(24e6).success(array(sinr_db[1, 2]), 1000)[0]
-
-
 def test_tails() -> None:
     """DBPSK has a closed form: pb = exp(-22 x) / 2, at 1e-12 as at 1e-200, and where a frame has 1e-300 left.
 
@@ -201,3 +183,39 @@ def test_noise_alone_leaves_a_coin() -> None:
 
 def errors_per_symbol(errors: ErrorRate, sinr: Floats) -> float:
     return -math.expm1(-4.0 * float(errors.hazard(sinr)[0]))
+
+
+TABLED: list[ErrorRate] = [
+    *(DsssErrors(rate) for rate in (1e6, 2e6, 5.5e6, 11e6)),
+    *(OfdmErrors(rate, long=long) for rate in MODES for long in (False, True)),
+    *(OfdmErrors(rate, "5GHz", "yans") for rate in (6e6, 54e6)),
+    *(OfdmErrors(rate, "2.4GHz", "nist") for rate in (6e6, 54e6)),
+    OqpskErrors(),
+]
+
+
+@pytest.mark.parametrize("errors", TABLED, ids=str)
+def test_success_is_that_of_the_formula_within_1e_5(errors: ErrorRate) -> None:
+    sinr = 0.5 * (steps()[:-1] + steps()[1:])  # halfway interpolation is worst
+    exact, looked_up = errors.hazard(sinr), errors.bit_hazard(sinr)
+    for bits in (4, 24, 136, 1088, 18_720):
+        np.testing.assert_allclose(np.exp(-bits * looked_up), np.exp(-bits * exact), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("errors", TABLED, ids=str)
+def test_tables_never_rise(errors: ErrorRate) -> None:
+    assert np.all(np.isfinite(errors.table))
+    assert np.all(np.diff(errors.table) <= 1e-12 * errors.table[1:])
+
+
+@pytest.mark.parametrize("errors", [DsssErrors(1e6), OfdmErrors(54e6)], ids=str)
+def test_the_steps_themselves_are_exact_and_outside_them_the_ends_go_on(errors: ErrorRate) -> None:
+    sinr = 2.0 ** np.arange(-16.0, 16.0)
+    np.testing.assert_array_equal(errors.bit_hazard(sinr), errors.hazard(sinr))
+    assert errors.bit_hazard(np.array([0.0]))[0] == pytest.approx(errors.table[0], rel=1e-2)
+    assert errors.bit_hazard(np.array([1e9]))[0] == pytest.approx(errors.table[-1], abs=1e-12)
+
+
+def test_one_by_one_is_the_same_to_the_last_bit() -> None:
+    table, sinr = OfdmErrors(54e6).table, 2.0 ** np.random.default_rng(2).uniform(-20.0, 20.0, 2000)
+    assert [look_up_one(table, each) for each in sinr.tolist()] == look_up(table, sinr).tolist()

@@ -1,4 +1,4 @@
-"""When a few radios send, worked out by hand. Times are those of 802.11b at 1 Mbit/s (100 bytes: 1280 us), unless said."""
+"""When a few radios send and what they receive, worked out by hand. Times are those of 802.11b at 1 Mbit/s, unless said."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,8 @@ import pytest
 from tests.support.netsim.channels import make_channel
 from tests.support.netsim.dcf_runs import MS, STRONG, UNTIL, US, all_equal, frame, open_air, run
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.interfaces.medium import Fate
+from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.interfaces.medium import Fate, Offered
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ieee802154 import Ieee802154
@@ -190,3 +191,211 @@ def test_numbers_that_no_radio_has_are_refused(key: str, value: float) -> None:
 def test_a_window_below_the_standards_is_refused() -> None:
     with pytest.raises(ScenarioError, match=r"cw_max = 3 is less than the standard's cw_min, 31"):
         make_channel("wifi-b-1", mac={"kind": "dcf", "cw_max": 3})
+
+
+def test_senders_that_do_not_hear_each_other_collide_at_the_receiver_between_them() -> None:
+    left, right = np.array([0, STRONG, 0]), np.array([0, 10 * STRONG, 0])
+    frames = [frame(0, LATER, 0, left, patience=1.0), frame(1, LATER + 500 * US, 2, right, patience=1.0)]
+    first, second = run(open_air(3), frames, 1000 * MS)
+    assert second.start_ns == LATER + 500 * US + DIFS  # it has heard nothing
+    assert first.fate.tolist() == [Fate.TRANSMITTING, Fate.COLLISION, Fate.UNDETECTED]
+    assert second.fate[1] == Fate.COLLISION  # stronger, but too late
+    assert first.least_sinr[1] == pytest.approx(0.1, rel=1e-3)
+    frames[1] = frame(1, LATER + 1300 * US, 2, right)  # one behind the other
+    assert [each.fate[1] for each in run(open_air(3), frames, 1000 * MS)] == [Fate.RECEIVED] * 2
+
+
+def test_interference_counts_only_while_it_lasts() -> None:
+    """At -6 dB a bit at 1 Mbit/s fails with exp(-22/4)/2; before the other begins hardly ever."""
+    weak = STRONG / 4.0
+    left, right = np.array([0, weak, 0]), np.array([0, STRONG, 0])
+    frames = [frame(0, LATER, 0, left, patience=3.0), frame(1, LATER + 500 * US, 2, right)]
+    first, second = run(open_air(3), frames, 1000 * MS)
+    bits = 1280 - 550  # behind the start of the second
+    assert 0.5 * np.exp(-22.0 * 0.25) * bits < 3.0
+    assert first.fate[1] == Fate.RECEIVED
+    frames[0] = frame(0, LATER, 0, left, patience=0.9 * 0.5 * np.exp(-22.0 * 0.25) * bits)
+    first, second = run(open_air(3), frames, 1000 * MS)
+    assert first.fate[1] == Fate.COLLISION
+    assert second.fate[1] == Fate.COLLISION  # the receiver was busy with the first
+
+
+def test_causes() -> None:
+    noise = 10 ** (Dsss().noise_dbm / 10)
+    too_weak, at_6_db = 10**-8.21, 4.0 * noise
+    deaf_to_it = run(open_air(2), [frame(0, LATER, 0, np.array([0, too_weak]))], 1000 * MS)
+    assert deaf_to_it[0].fate[1] == Fate.UNDETECTED
+    phy = Dsss(11e6, sensitivity_dbm=-100.0)
+    hazard = float(phy.errors.hazard(np.array([4.0]))[0]) * 1088
+    for patience, fate in ((0.5 * hazard, Fate.ERROR), (2.0 * hazard, Fate.RECEIVED)):
+        (decided,) = run(open_air(2, phy), [frame(0, LATER, 0, np.array([0, at_6_db]), patience=patience)], 1000 * MS)
+        assert decided.fate[1] == fate
+
+
+def test_of_frames_that_begin_together_the_stronger_is_received() -> None:
+    loud, soft = np.array([0, STRONG, STRONG]), np.array([STRONG, 0, STRONG / 10])
+    for first, second in ((soft, loud), (loud, soft)):
+        sender = 0 if first is loud else 1
+        frames = [frame(0, LATER, sender, first), frame(1, LATER + 3 * US, 1 - sender, second)]
+        decided = {each.number: each.fate[2] for each in run(open_air(3), frames, 1000 * MS)}
+        assert decided[0 if first is loud else 1] == Fate.RECEIVED
+        assert decided[1 if first is loud else 0] == Fate.COLLISION
+
+
+@pytest.mark.parametrize(("margin_db", "fate"), [(None, Fate.COLLISION), (5.0, Fate.RECEIVED), (15.0, Fate.COLLISION)])
+def test_a_stronger_frame_takes_the_receiver_over_where_capture_is_on(margin_db: float | None, fate: Fate) -> None:
+    soft, loud = np.array([0, STRONG / 10, 0]), np.array([0, STRONG, 0])
+    frames = [frame(0, LATER, 0, soft, patience=1.0), frame(1, LATER + 10 * US, 2, loud, patience=1.0)]
+    first, second = run(open_air(3, mac=Dcf(capture_margin_db=margin_db)), frames, 1000 * MS)
+    assert second.fate[1] == fate
+    assert first.fate[1] == Fate.COLLISION
+    frames[1] = frame(1, LATER + 30 * US, 2, loud)  # out of its window: 4 + 16 us
+    assert run(open_air(3, mac=Dcf(capture_margin_db=margin_db)), frames, 1000 * MS)[1].fate[1] == Fate.COLLISION
+
+
+def test_frames_of_two_sizes_go_by_the_curves_of_their_sizes() -> None:
+    """At 54 Mbit/s there is one for less than 400 bytes and one for more; the header has that of 6 Mbit/s."""
+    phy, sinr = Ofdm(54e6), 10**1.6
+    level = all_equal(2, sinr * 10 ** (phy.noise_dbm / 10))
+    frames: list[Offered] = []
+    expected: list[Fate] = []
+    for size in (100, 1000, 100, 1000):
+        curve, bits = phy.errors.payload(size)
+        header, header_bits = phy.errors.header
+        hazard = float((bits * curve.hazard(np.array([sinr])) + header_bits * header.hazard(np.array([sinr])))[0])
+        for factor, fate in ((0.999, Fate.ERROR), (1.001, Fate.RECEIVED)):
+            number = len(frames)
+            frames.append(frame(number, LATER + number, 0, level, size=size, patience=factor * hazard))
+            expected.append(fate)
+    assert phy.errors.payload(100)[0] != phy.errors.payload(1000)[0]
+    assert [each.fate[1] for each in run(open_air(2, phy), frames, 1000 * MS)] == expected
+
+
+ACK = 304 * US  # 14 bytes at 1 Mbit/s
+SIFS = 10 * US
+TIMEOUT = (10 + 20 + 192) * US  # SIFS, slot, preamble and header
+
+
+def test_a_unicast_frame_is_acknowledged() -> None:
+    (decided,) = run(open_air(3), [frame(0, LATER, 0, all_equal(3), to=2)], 1000 * MS)
+    assert decided.start_ns == LATER + DIFS
+    assert decided.end_ns == LATER + DIFS + AIR
+    assert decided.fate[2] == Fate.RECEIVED
+    assert decided.attempts == 1
+
+
+@pytest.mark.parametrize(
+    ("phy", "ack_us"),
+    [(Dsss(11e6), 203), (Ofdm(6e6), 50), (Ofdm(9e6), 50), (Ofdm(54e6), 34), (Ofdm(54e6, "5GHz"), 28)],
+    ids=str,
+)
+def test_acknowledgements_go_at_the_highest_mandatory_rate_below_that_of_the_data(phy: Dsss | Ofdm, ack_us: int) -> None:
+    """Air times of ns-3.44: the next frame goes whole slots behind SIFS, acknowledgement and DIFS."""
+    first, second = run(open_air(2, phy), [frame(k, LATER, 0, all_equal(2), to=1) for k in (0, 1)], 1000 * MS)
+    sifs_us, slot_us = (16, 9) if isinstance(phy, Ofdm) and phy.band == "5GHz" else (10, 20)
+    rest_ns = second.start_ns - first.end_ns - (2 * sifs_us + ack_us + 2 * slot_us) * US
+    assert rest_ns >= 0
+    assert rest_ns % (slot_us * US) == 0
+
+
+def noted(level: Floats, patience: Floats) -> tuple[Offered, list[int]]:
+    """A frame from 0 to 1, and when its attempts begin."""
+    starts: list[int] = []
+
+    def renew(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
+        starts.append(start_ns)
+        return level, patience
+
+    return Offered(0, LATER, 0, 1, 100, 0, None, None, renew), starts
+
+
+def test_a_unicast_frame_is_tried_7_times_with_growing_windows() -> None:
+    unheard = np.zeros(2)
+    windows = np.zeros(6, int)
+    for seed in range(60):
+        offered, starts = noted(unheard, unheard)
+        (decided,) = run(open_air(2, seed=seed), [offered], 10_000 * MS)
+        assert (decided.attempts, len(starts), decided.fate[1]) == (7, 7, Fate.UNDETECTED)
+        assert decided.end_ns == starts[-1] + AIR + TIMEOUT
+        slots, rest = np.divmod(np.diff(starts) - AIR - TIMEOUT - DIFS, SLOT)
+        assert not rest.any()
+        windows = np.maximum(windows, slots)
+    limits = np.array([63, 127, 255, 511, 1023, 1023])
+    assert (windows <= limits).all()
+    assert (windows > 0.85 * limits).all()
+
+
+def test_the_window_falls_back_at_every_8th_failure_whatever_frame_it_belongs_to() -> None:
+    """As measured of ns-3.44: largest backoffs 63, 127, 255, 511, 1022, 1022, 1014, 31, 63, ... over frames of 7 attempts."""
+    starts: list[int] = []
+
+    def renew(attempt: int, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
+        starts.append(start_ns)
+        return np.zeros(2), np.zeros(2)
+
+    offered = frame(0, LATER, 0, np.zeros(2), to=1)
+    medium = open_air(2, mac=Dcf(lifetime_s=1e6))
+    run(medium, [type(offered)(k, LATER, 0, 1, 100, 0, None, None, renew) for k in range(300)], 100_000 * MS)
+    slots, rest = np.divmod(np.diff(starts) - AIR - TIMEOUT - DIFS, SLOT)
+    assert len(starts) == 7 * 300
+    assert not rest.any()
+    largest = np.array([slots[k::8].max() for k in range(8)])
+    limits = np.array([63, 127, 255, 511, 1023, 1023, 1023, 31])
+    assert (largest <= limits).all()
+    assert (largest > 0.95 * limits).all()
+
+
+@pytest.mark.parametrize("size", [1, 1000])
+@pytest.mark.parametrize("lag_us", [2, 29, 31])
+def test_who_hears_another_frame_instead_of_an_acknowledgement_gives_up_at_its_end(size: int, lag_us: int) -> None:
+    """If its payload begins within the timeout, 50 us at 54 Mbit/s; whether it ends before that or behind it (ns-3.44)."""
+    phy = Ofdm(54e6)
+    medium = open_air(3, phy, Dcf(attempts=1))
+    end = LATER + DIFS + phy.air_time_ns(100)
+    frames = [frame(0, LATER, 0, np.zeros(3), to=1), frame(1, end + lag_us * US - DIFS, 2, all_equal(3), size=size)]
+    unicast, other = sorted(run(medium, frames, 1000 * MS), key=lambda each: each.number)
+    assert other.start_ns == end + lag_us * US
+    assert unicast.end_ns == (other.end_ns + 400 if lag_us <= 30 else end + 50 * US)
+
+
+def test_a_frame_whose_acknowledgement_is_lost_was_received_all_the_same() -> None:
+    """The receiver hears the sender, the sender does not hear the receiver: never at that level."""
+    medium = open_air(2, mac=Dcf(attempts=3, preamble_time_us=4.0))
+    medium.sensitivity_mw[0] = 10 * STRONG
+    offered, starts = noted(all_equal(2), np.full(2, 99.0))
+    (decided,) = run(medium, [offered], 1000 * MS)
+    assert (decided.attempts, decided.fate[1]) == (1, Fate.RECEIVED)
+    assert decided.end_ns == LATER + DIFS + AIR
+    assert len(starts) == 3
+
+
+@pytest.mark.parametrize(("gain_db", "attempts"), [(-24.0, 3), (-21.0, 1)])
+def test_an_acknowledgement_loses_on_its_way_what_the_data_lost(gain_db: float, attempts: int) -> None:
+    """Data arrive at -60 dBm; who answers with so much less power is heard from -82 dBm on."""
+    medium = open_air(2, mac=Dcf(attempts=3))
+    medium.power_mw[:] = 40.0, 40.0 * 10.0 ** (gain_db / 10.0)
+    offered, starts = noted(all_equal(2), np.full(2, 99.0))
+    (decided,) = run(medium, [offered], 1000 * MS)
+    assert decided.fate[1] == Fate.RECEIVED
+    assert len(starts) == attempts
+
+
+def test_others_keep_silent_for_an_acknowledgement_that_they_cannot_hear() -> None:
+    """Radio 2 hears radio 0 but not radio 1: it knows from the frame how long the answer takes."""
+    to_all, deaf_to_1 = all_equal(3), np.array([STRONG, 0, 0])
+    medium = open_air(3)
+    medium.levels[1] = deaf_to_1
+    frames = [frame(0, LATER, 0, to_all, to=1), frame(1, LATER + DIFS + AIR + 100 * US, 2, to_all)]
+    unicast, after = run(medium, frames, 1000 * MS)
+    slots, rest = divmod(after.start_ns - unicast.end_ns - SIFS - ACK - DIFS, SLOT)
+    assert (rest, 0 <= slots <= 31) == (0, True)
+    heard = run(open_air(3), [frame(0, LATER, 0, to_all), frames[1]], 1000 * MS)[1]
+    assert heard.start_ns == frames[1].time_ns + DIFS  # nothing to wait for behind a broadcast
+
+
+def test_a_queue_of_unicast_frames_counts_the_one_that_is_being_sent() -> None:
+    medium = open_air(2, mac=Dcf(queue_frames=2))
+    now = LATER + DIFS + 100 * US
+    frames = [frame(0, LATER, 0, all_equal(2), to=1), *(frame(k, now + k, 0, all_equal(2), to=1) for k in (1, 2))]
+    decided = run(medium, frames, 1000 * MS)
+    assert [(each.number, each.fate[1]) for each in decided] == [(2, Fate.QUEUE_FULL), (0, Fate.RECEIVED), (1, Fate.RECEIVED)]
