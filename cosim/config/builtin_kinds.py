@@ -124,7 +124,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "ieee802154": "vcmvsp.netsim.phy.ieee802154:Ieee802154",
     },
     "mac": {
-        "ideal": "vcmvsp.netsim.mac.ideal:Ideal",
+        "ideal": "vcmvsp.netsim.interfaces.medium:Ideal",
         "dcf": "vcmvsp.netsim.mac.dcf.parameters:Dcf",
         "csma154": "vcmvsp.netsim.mac.csma154.medium:Csma154",
     },

@@ -1,22 +1,25 @@
 """Stages behind the receiver, over batches of frames: weak signals, jammers, losses, delays, delivery; and reports."""
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import FrameReport, Traffic, frozen
-from vcmvsp.netsim.channel.frames import FrameBatch, SentFrame
-from vcmvsp.netsim.channel.link_budget import ReceiverModel
+from vcmvsp.netsim.channel.frames import FrameBatch, SentFrame, Transmitter
+from vcmvsp.netsim.channel.link_budget import MeanBudget, ReceiverModel
 from vcmvsp.netsim.impairments.delay import Delivery
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
 from vcmvsp.netsim.interfaces.layers import (
     DELAY_SLOT,
     DELIVERY_SLOT,
+    ERROR_SLOT,
     JAMMER_SLOT,
     LOSS_SLOT,
     SCRIPT_SLOT,
@@ -27,6 +30,7 @@ from vcmvsp.netsim.interfaces.layers import (
     Floats,
     Frame,
     Ints,
+    Keys,
     Loss,
     Make,
     T,
@@ -52,6 +56,7 @@ _UNDETECTED = int(Fate.UNDETECTED)  # an enumeration's members are slow to look 
 _JAMMED = len(_FATES) + len(_WEAKNESSES)
 WORDS = (*_FATES.values(), *_WEAKNESSES, JAMMED)
 """Outcomes by code: `Fate`, then causes of weak signals."""
+_OWN = np.uint8(255)  # code at the sender itself
 
 
 class Outcomes:
@@ -289,3 +294,60 @@ def received(report: FrameReport) -> Iterator[tuple[str, float, int]]:
         for arrived in zip(report.receivers, report.rssi_dbm.tolist(), arrival_ns.tolist(), strict=True):
             if arrived[2] >= 0:
                 yield arrived
+
+
+class BroadcastCounts(NamedTuple):
+    """Outcomes of m broadcasts."""
+
+    number: Ints  # (m,)
+    end_ns: Ints  # (m,)
+    receptions: Ints  # (m,) number of receivers
+    losses: dict[str, int]  # in total, by cause
+
+
+class Bulk:
+    """Broadcasts of n radios at rest, by their transmitters and mean budgets, (n,)."""
+
+    def __init__(
+        self, medium: Any, senders: Sequence[Transmitter], means: Sequence[MeanBudget], hearing: ReceiverModel
+    ) -> None:
+        count = len(senders)
+        others = ~np.eye(count, dtype=np.bool_)
+        self._medium, self._power_mw = medium, np.stack([mean.power_mw for mean in means])
+        self._weakness = np.zeros((count, count), np.uint8)
+        self._weakness[others] = hearing.weaknesses(means).ravel()
+        self._keys = np.zeros((count, count), np.uint64)
+        self._keys[others] = np.concatenate([sender.links.keys for sender in senders])
+        self._sender: Ints = np.zeros(0, np.int64)  # of each frame
+        self._frames = np.zeros(count, np.int64)  # of each radio so far
+
+    def send(self, time_ns: Ints, sender: Ints, size_bytes: int) -> None:
+        """Offer broadcasts of one size: times, never decreasing, and rows of the senders, (k,) each."""
+        numbers = len(self._sender) + np.arange(len(sender))
+        self._sender = np.concatenate([self._sender, sender])
+        uniform = link_uniform(self._keys[sender], self._own_numbers(sender)[:, None], ERROR_SLOT)[..., 0]
+        patience = -np.log1p(-uniform)
+        patience[np.arange(len(sender)), sender] = 0.0
+        self._medium.offer_many(time_ns, sender, size_bytes, self._power_mw, patience, numbers)
+
+    def advance(self, until_ns: int) -> BroadcastCounts | None:
+        """Outcomes that are decided up to a time, if there are any."""
+        decided = self._medium.advance_many(until_ns)
+        if not decided:
+            return None
+        number, end_ns, fate = (np.concatenate([batch[column] for batch in decided]) for column in (0, 2, 4))
+        sender = self._sender[number]
+        code = np.where(fate == np.uint8(Fate.UNDETECTED), TOO_WEAK + self._weakness[sender], fate)
+        code[np.arange(len(sender)), sender] = _OWN
+        counts = np.bincount(code.ravel(), minlength=len(WORDS))[: len(WORDS)].tolist()
+        losses = {word: count for word, count in zip(WORDS[1:], counts[1:], strict=True) if count}
+        return BroadcastCounts(number, end_ns, (code == 0).sum(axis=1), losses)
+
+    def _own_numbers(self, sender: Ints) -> Keys:
+        """The number of each frame, counted by sender."""
+        order = np.argsort(sender, kind="stable")
+        first = np.searchsorted(sender[order], sender[order])
+        numbers: Ints = np.empty_like(sender)
+        numbers[order] = self._frames[sender[order]] + np.arange(len(sender)) - first
+        self._frames += np.bincount(sender, minlength=len(self._frames))
+        return numbers.astype(np.uint64)

@@ -19,8 +19,7 @@ from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import FrameReport, Message
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.contention import Bulk
-from vcmvsp.netsim.channel.reception import RECEIVED
+from vcmvsp.netsim.channel.reception import RECEIVED, Bulk
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 
 Sink = Callable[[FrameReport], None]

@@ -5,7 +5,9 @@ decided: its `Fate` at every radio. Frames are offered at times that never decre
 a time, inclusive, in order; events of the medium precede offers of the same nanosecond. So the number of steps has no effect.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
@@ -13,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.netsim.interfaces.layers import Floats, Ints
+from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys, Phy
 
 Codes = NDArray[np.uint8]
 
@@ -104,3 +106,37 @@ class Medium(Protocol):
 
     def next_ns(self) -> int | None:
         """Earliest time of the next decision if no other frame is offered; None: no frame is in a queue or on the air."""
+
+
+class Mac(Protocol):
+    """A rule of medium access."""
+
+    def open(self, phy: Phy, count: int, keys: Keys, noise_mw: float) -> Medium | None:
+        """The medium of ``count`` radios with random keys (count,); None: no contention."""
+
+
+class Needs(NamedTuple):
+    """Detection thresholds of a frame."""
+
+    sensitivity_dbm: float
+    preamble_snr_db: float
+
+
+def needs(mac: Mac, phy: Phy) -> Needs:
+    """Detection thresholds of this phy and mac; a mac with ``needs_snr_db`` uses the SINR alone, not the sensitivity."""
+    own: float | None = getattr(mac, "needs_snr_db", None)
+    if own is not None:
+        return Needs(-math.inf, own)
+    return Needs(phy.sensitivity_dbm, getattr(phy, "preamble_snr_db", -math.inf))
+
+
+@dataclass(frozen=True)
+class Ideal:
+    """No contention: frames wait for earlier frames of the same radio only.
+
+    No collisions, no interframe spaces; radios receive while they send. The queue is unbounded.
+    """
+
+    def open(self, phy: Phy, count: int, keys: Keys, noise_mw: float) -> Medium | None:
+        """None: no contention."""
+        return None

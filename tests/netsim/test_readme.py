@@ -14,10 +14,9 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.testing import check_channel
-from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.channel.channel import Channel, Outages
 from vcmvsp.netsim.channel.link_budget import ReceiverModel
 from vcmvsp.netsim.channel.reception import Outcomes
-from vcmvsp.netsim.channel.runtime_changes import Outages
 from vcmvsp.netsim.impairments.delay import Delivery, NoDelay
 from vcmvsp.netsim.impairments.loss import Bernoulli, GilbertElliott
 from vcmvsp.netsim.impairments.script import Script

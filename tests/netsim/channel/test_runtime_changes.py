@@ -16,9 +16,8 @@ from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table, write_table
 from vcmvsp.cosim.types import Changed, FrameReport, Message, Outage, Probability, States
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.channel.channel import Channel, RuntimeChanges
 from vcmvsp.netsim.channel.replayed import RecordedFrames
-from vcmvsp.netsim.channel.runtime_changes import RuntimeChanges
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.netsim.impairments.delay import FixedDelay, GammaDelay, NoDelay, UniformDelay
 from vcmvsp.netsim.impairments.loss import Bernoulli, GilbertElliott, NoLoss
