@@ -159,7 +159,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "distance_vector": "vcmvsp.netsim.routing.distance_vector:DistanceVector",
         "none": NOTHING,
     },
-    "delivery": {"delivery": "vcmvsp.netsim.impairments.delay:Delivery", "none": NOTHING},
+    "delivery": {"delivery": "vcmvsp.netsim.impairments.delivery:Delivery", "none": NOTHING},
     "delay": {
         "fixed": "vcmvsp.netsim.impairments.delay:FixedDelay",
         "uniform": "vcmvsp.netsim.impairments.delay:UniformDelay",

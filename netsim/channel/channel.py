@@ -24,7 +24,7 @@ from vcmvsp.netsim.channel.frames import Contention, FrameBatch, RxPower, SentFr
 from vcmvsp.netsim.channel.link_budget import AT_ONCE, Budgets, MeanBudget, ReceiverModel
 from vcmvsp.netsim.channel.reception import Bulk, Outcomes
 from vcmvsp.netsim.channel.replayed import RecordedFrames
-from vcmvsp.netsim.impairments.delay import Delivery
+from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.jammer import Jammer
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace

@@ -13,7 +13,7 @@ from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import FrameReport, Traffic, frozen
 from vcmvsp.netsim.channel.frames import FrameBatch, SentFrame, Transmitter
 from vcmvsp.netsim.channel.link_budget import MeanBudget, ReceiverModel
-from vcmvsp.netsim.impairments.delay import Delivery
+from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
 from vcmvsp.netsim.interfaces.layers import (

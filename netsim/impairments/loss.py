@@ -1,4 +1,7 @@
-"""Losses of frames that are strong enough to be received: independent, or in bursts."""
+"""Losses of frames that are strong enough to be received.
+
+They are independent, or come in bursts.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache

@@ -1,4 +1,6 @@
-"""Protocol of contended media, simulated event by event.
+"""Medium access: its protocol, and ideal access without contention.
+
+Contended media are simulated event by event.
 
 A frame is offered to its sender's queue, waits there, contends, is sent (a unicast one perhaps several times) and is then
 decided: its `Fate` at every radio. Frames are offered at times that never decrease. `Medium.advance` processes all events up to

@@ -1,7 +1,8 @@
-"""Physical layers: noise, messages in several frames, and the phy without a standard, a constant bit rate.
+"""Radio standards: time on the air, transmitted power, noise, sensitivity, packet errors.
 
-The standards are in `netsim.phy.dsss`, `netsim.phy.ofdm` and `netsim.phy.ieee802154`. Payload is what the agent sends
-(``Message.size_bytes``); each standard adds its own headers. Air times are whole nanoseconds.
+Here are noise, messages in several frames, and the phy without a standard, a constant bit rate; the standards are in
+`netsim.phy.dsss`, `netsim.phy.ofdm` and `netsim.phy.ieee802154`. Payload is what the agent sends (``Message.size_bytes``); each
+standard adds its own headers. Air times are whole nanoseconds.
 """
 
 import math

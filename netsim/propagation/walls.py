@@ -1,4 +1,7 @@
-"""Attenuation by walls, and by the bodies of vehicles, on the straight line."""
+"""Attenuation by walls on the straight line.
+
+The bodies of vehicles in the way count as walls.
+"""
 
 import math
 from abc import ABC, abstractmethod

@@ -17,7 +17,8 @@ from vcmvsp.cosim.testing import check_channel
 from vcmvsp.netsim.channel.channel import Channel, Outages
 from vcmvsp.netsim.channel.link_budget import ReceiverModel
 from vcmvsp.netsim.channel.reception import Outcomes
-from vcmvsp.netsim.impairments.delay import Delivery, NoDelay
+from vcmvsp.netsim.impairments.delay import NoDelay
+from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.loss import Bernoulli, GilbertElliott
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace

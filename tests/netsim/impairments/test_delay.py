@@ -15,7 +15,8 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.testing import check_channel
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.impairments.delay import Delivery, EmpiricalDelay, FixedDelay, GammaDelay, NoDelay, NormalDelay, UniformDelay
+from vcmvsp.netsim.impairments.delay import EmpiricalDelay, FixedDelay, GammaDelay, NoDelay, NormalDelay, UniformDelay
+from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.loss import NoLoss
 from vcmvsp.netsim.interfaces.layers import Delay, Draw, Floats, Ints
 from vcmvsp.netsim.phy.dsss import Dsss
