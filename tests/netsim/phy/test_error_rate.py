@@ -67,27 +67,6 @@ def test_50_percent_points(name: str, tolerance_db: float) -> None:
     assert [sinr_for(errors, 1024, 0.5) for errors in curves] == pytest.approx(HALF_DB[name], abs=tolerance_db)
 
 
-NS3_RECEIVED = [  # ns-3.44: received of 20000 broadcasts over one link, by received level in dBm and payload in bytes
-    (DsssErrors(), ThermalNoise(), -99.5, 1, 13870),  # 968 of the lost by their headers
-    (DsssErrors(11e6), ThermalNoise(), -89.0, 100, 10344),
-    (OfdmErrors(6e6, model="yans"), ThermalNoise(), -94.5, 100, 16222),
-    (OfdmErrors(6e6, model="yans"), ThermalNoise(), -96.0, 1, 7689),  # 1096 by their headers
-    (OfdmErrors(54e6, model="yans"), ThermalNoise(), -76.5, 100, 10415),
-    (OqpskErrors(), ThermalNoise.ieee802154(-85.0), -87.0, 4, 12161),
-    (OqpskErrors(), ThermalNoise.ieee802154(-85.0), -86.5, 20, 13432),
-    (OqpskErrors(), ThermalNoise.ieee802154(-85.0), -86.0, 100, 11973),
-]
-
-
-@pytest.mark.parametrize(("errors", "noise", "rssi_dbm", "size_bytes", "received"), NS3_RECEIVED)
-def test_frames_that_ns_3_receives(
-    errors: ErrorRate, noise: ThermalNoise, rssi_dbm: float, size_bytes: int, received: int
-) -> None:
-    """Noise, headers, filling bits and the curve together, within 3.5 standard deviations."""
-    success = float(errors.frame_success(noise.snr_db(array(rssi_dbm)), size_bytes)[0])
-    assert received == pytest.approx(20_000 * success, abs=3.5 * math.sqrt(20_000 * success * (1.0 - success)))
-
-
 def test_noise() -> None:
     assert ThermalNoise().dbm == pytest.approx(-93.97, abs=0.01)  # ns-3.44 for 802.11
     assert ThermalNoise(1.0, 0.0).dbm == pytest.approx(-173.975, abs=0.001)  # the textbook -174 dBm/Hz

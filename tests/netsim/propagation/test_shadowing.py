@@ -44,17 +44,6 @@ def test_normal_with_the_sigma_that_was_asked_for(seed: int, ends: tuple[Floats,
     assert kurtosis == pytest.approx(3.0, abs=0.15)  # 3 - 3 / (2 M) for this many cosines, 3 for a normal distribution
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("delta", [3.0, 10.0, 30.0])
-def test_correlation_falls_with_the_distance_that_one_end_moves(
-    seed: int, delta: float, ends: tuple[Floats, Floats, Floats]
-) -> None:
-    a, b, direction = ends
-    before, rho = shadows(a, b, seed), math.exp(-delta / 10.0)
-    assert np.corrcoef(before, shadows(a, b + delta * direction, seed))[0, 1] == pytest.approx(rho, abs=0.03)
-    assert np.corrcoef(before, shadows(a + delta * direction, b, seed))[0, 1] == pytest.approx(rho, abs=0.03)
-
-
 def test_where_both_ends_move_correlation_is_the_product(ends: tuple[Floats, Floats, Floats]) -> None:
     a, b, direction = ends
     moved = shadows(a + 3.0 * direction, b + 5.0 * direction[::-1], 1)
