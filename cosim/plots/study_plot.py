@@ -20,6 +20,7 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from vcmvsp.cosim.metrics.catalogue import METRICS, split_unit
 from vcmvsp.cosim.plots.style import MAP, marker_of, style
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.documents import read_json
@@ -30,26 +31,8 @@ ANNOTATED_CELLS = 60  # a map of more cells has no numbers in them
 MOST_WORDS = 48  # along a side of a map, which then grows no more
 NAME_INCHES = 0.175  # of a legend's rows
 DECADES = 30.0  # a metric whose means span more than this is drawn on a logarithmic scale
-_UNITS = {  # by the ends of names, the longest first
-    "m_s2": "m/s²", "rad_s2": "rad/s²", "m2_s": "m²/s", "m_s": "m/s", "rad_s": "rad/s", "1_s": "1/s", "s": "s", "m": "m",
-    "hz": "Hz", "dbm": "dBm", "db": "dB", "rad": "rad", "deg": "degrees", "kg": "kg", "seconds": "s", "bytes": "bytes",
-}  # fmt: skip
 _STATISTIC = re.compile(r"mean|max|min|rms|p\d+|final|peak|time_average")
 _WORDS = {"probability": "{table} probability", "seconds": "{table}", "count": "{table} count", "kind": "{table}"}
-_METRICS = {
-    "formation.rms_m": "formation error, RMS [m]",
-    "formation.mean_m": "formation error, mean [m]",
-    "formation.max_m": "formation error, greatest [m]",
-    "formation.final_m": "formation error at the end [m]",
-    "formation.settling_s": "settled after [s]",
-    "radio.delivery_ratio": "share of frames delivered",
-    "radio.age_s.mean": "age of information, mean [s]",
-    "radio.age_s.p95": "age of information, 95th percentile [s]",
-    "radio.age_s.max": "age of information, greatest [s]",
-    "radio.delay_s.mean": "delay, mean [s]",
-    "safety.min_separation_m": "smallest distance of two vehicles [m]",
-    "safety.min_clearance_m": "smallest distance to an obstacle [m]",
-}
 
 
 class Table(NamedTuple):
@@ -309,23 +292,14 @@ def _short(value: object) -> str:
 
 def label_of(key: str) -> str:
     """A key or a metric in words, with its unit where the name tells one: ``radio.delay.jitter_s`` is ``jitter [s]``."""
-    if key in _METRICS:
-        return _METRICS[key]
     *above, last = key.split(".")
-    stem, unit = _unit_of(last)
+    stem, unit = split_unit(last)
     words = _WORDS.get(stem, stem).format(table=above[-1] if above else "")
-    of_what, its_unit = _unit_of(above[-1]) if above else ("", "")
-    if above and (_STATISTIC.fullmatch(stem) or (its_unit and not unit)):
+    of_what, its_unit = split_unit(above[-1]) if above else ("", "")
+    if key in METRICS and METRICS[key].label:
+        words, unit = METRICS[key].label, unit or its_unit
+    elif above and (_STATISTIC.fullmatch(stem) or (its_unit and not unit)):
         words, unit = f"{of_what} {stem}", unit or its_unit
     elif above[:-1] == ["radio", "losses"] or above == ["radio", "losses"]:
         words = f"lost: {last}"
     return words.replace("_", " ") + (f" [{unit}]" if unit else "")
-
-
-def _unit_of(name: str) -> tuple[str, str]:
-    """A name without its unit, and the unit; empty where it tells none."""
-    for end, unit in _UNITS.items():
-        stem = name.removesuffix(f"_{end}")
-        if stem not in (name, "") and not stem.isdigit():
-            return stem, unit
-    return name, _UNITS.get(name, "")

@@ -20,9 +20,9 @@ from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import RunInfo
-from vcmvsp.cosim.metrics import SCHEMA
 from vcmvsp.cosim.metrics.age_of_information import age_metrics
 from vcmvsp.cosim.metrics.availability import agent_metrics, hardware_metrics, limited_by_s
+from vcmvsp.cosim.metrics.catalogue import SCHEMA
 from vcmvsp.cosim.metrics.connectivity import connectivity_metrics
 from vcmvsp.cosim.metrics.control import control_metrics
 from vcmvsp.cosim.metrics.formation import formation_metrics

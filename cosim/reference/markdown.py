@@ -20,6 +20,7 @@ import numpy as np
 
 from vcmvsp.cosim.assembly.parts.presets import LAYERS, PRESETS, preset
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
+from vcmvsp.cosim.metrics.catalogue import METRICS, unit_of
 from vcmvsp.cosim.reference import tree
 from vcmvsp.cosim.reference.describe import (
     Described,
@@ -140,6 +141,15 @@ def team() -> str:
     return "\n\n".join(lists([registry.find("agent", "leader_follower")]))
 
 
+def metrics() -> str:
+    """What each number of ``metrics.json`` is."""
+    rows = []
+    for name, metric in METRICS.items():
+        words = f"{metric.meaning}. {metric.details}" if metric.details else metric.meaning
+        rows.append([f"`{name.replace('*', 'NAME')}`", unit_of(name.split(".")) or "1", words.replace("|", "\\|")])
+    return grid(["number", "unit", "meaning"], rows)
+
+
 BLOCKS: Mapping[str, Callable[[], str]] = {
     "physics": physics,
     "world": lambda: families("world"),
@@ -166,6 +176,7 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "routing": lambda: apart("routing"),
     "doors": lambda: apart("door"),
     "sockets": lambda: parameter_table({"default": SocketsTable}),
+    "metrics": metrics,
 }
 
 

@@ -8,12 +8,11 @@ from typing import Any, TypeVar
 import msgspec
 import pyarrow.parquet as pq
 
-from vcmvsp.cosim.analysis.links import NUMBERS
+from vcmvsp.cosim.analysis.links import NUMBERS, Links, links_of
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.foxglove.messages import LEVELS
 from vcmvsp.cosim.recording.mcap_reader import about, messages, of_topic
-from vcmvsp.cosim.report.link_counts import Links, links_of
 from vcmvsp.cosim.tables.schema import Recording, load_tables
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import read_json, read_toml

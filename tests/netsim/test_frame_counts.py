@@ -8,9 +8,8 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.studies import two
-from vcmvsp.cosim.analysis.links import Log, overview
-from vcmvsp.cosim.report.link_counts import links_of
-from vcmvsp.cosim.report.summary import _radio
+from vcmvsp.cosim.analysis.links import Log, links_of, overview
+from vcmvsp.cosim.report.run_page import radio_sentences
 from vcmvsp.cosim.terminal import progress
 
 DURATION_S = 1.0
@@ -104,4 +103,4 @@ def test_so_are_those_of_agents_in_processes_of_their_own(tmp_path: Any) -> None
     assert sum(row["under_way"] for row in rows) == radio["under_way"] > 0
     assert sum(row["received"] for row in rows) == radio["receptions"]
     assert "under way" in pq.read_table(folder / "radio.parquet")["outcome"].to_pylist()
-    assert f", {radio['under_way']} were still under way" in next(iter(_radio(radio)))
+    assert f", {radio['under_way']} were still under way" in next(iter(radio_sentences(radio)))

@@ -12,9 +12,10 @@ from tests.support.cosim.html_pages import Reader
 from tests.support.cosim.studies import two
 from vcmvsp.cosim.analysis.links import Log, overview
 from vcmvsp.cosim.errors import VcmvspError
-from vcmvsp.cosim.report.metric_tables import GROUPS, WORDS, flat, meaning_of
+from vcmvsp.cosim.metrics.catalogue import GROUPS, METRICS, metric_of
 from vcmvsp.cosim.report.page import cell
 from vcmvsp.cosim.report.run_page import write
+from vcmvsp.cosim.report.tables import flat
 
 HOSTILE = "<script>alert('x')</script> & \"quoted\" <b>"
 AGENT = f"""
@@ -223,5 +224,5 @@ def test_every_number_is_explained(run: Path) -> None:
     ) | {"found_s": {"alpha": 1.0}}
     for group in ("formation", "radio", "control", "connectivity", "safety", "mission", "agents"):
         for path, _ in flat(metrics[group]):
-            assert meaning_of((group, *path)), path
-    assert len(set(WORDS.values())) == len(WORDS)  # two numbers that are explained alike would be one
+            assert metric_of((group, *path)).meaning, path
+    assert len({each.meaning for each in METRICS.values()}) == len(METRICS)  # two numbers that are explained alike would be one

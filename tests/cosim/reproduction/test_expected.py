@@ -9,10 +9,10 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.studies import two
+from vcmvsp.cosim.analysis.links import links_of
 from vcmvsp.cosim.metrics.motion import motion
-from vcmvsp.cosim.report import motion_laws, radio_laws
-from vcmvsp.cosim.report.law import Expected, MeasuredRun
-from vcmvsp.cosim.report.link_counts import links_of
+from vcmvsp.cosim.report import laws as theory
+from vcmvsp.cosim.report.laws import Expected, MeasuredRun
 from vcmvsp.cosim.tables.schema import Recording
 
 LOSS, DELAY = "share of frames lost by chance", "delay, mean"
@@ -34,7 +34,7 @@ def seen(scenario: Any, **settings: Any) -> MeasuredRun:
 
 
 def laws(found: MeasuredRun) -> dict[str, Expected]:
-    return {each.quantity: each for each in (*radio_laws.laws(found), *motion_laws.laws(found))}
+    return {each.quantity: each for each in theory.laws(found)}
 
 
 def lossy(**more: Any) -> dict[str, Any]:

@@ -1,24 +1,85 @@
-"""Tables of a run's page: vehicles, links, what was lost and why, and what theory expects beside what came out."""
+"""Tables of a run's page: its numbers, vehicles, links, losses and their causes, and theory beside measurement."""
 
-from collections.abc import Iterator, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vcmvsp.cosim.analysis.link_budget import frame_report
-from vcmvsp.cosim.analysis.links import Log
+from vcmvsp.cosim.analysis.links import Links, Log
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import VcmvspError
+from vcmvsp.cosim.metrics.catalogue import GROUPS, MANY, metric_of, unit_of
 from vcmvsp.cosim.metrics.motion import motion
-from vcmvsp.cosim.report import motion_laws, radio_laws
-from vcmvsp.cosim.report.law import Expected, MeasuredRun
-from vcmvsp.cosim.report.link_counts import Links
+from vcmvsp.cosim.report.laws import Expected, MeasuredRun, laws
 from vcmvsp.cosim.report.page import Part, Rows, Words, cell
 from vcmvsp.cosim.report.run_folder import Left
 
 LISTED_VEHICLES = 200
 LISTED_LINKS = 150
+
+
+def number_tables(metrics: Mapping[str, Any]) -> Iterator[tuple[str, Sequence[Part]]]:
+    """Title and content of each group of numbers that a run has, but for the faults of agents (`fault_table`)."""
+    for group, (title, introduction) in GROUPS.items():
+        if group not in metrics:
+            continue
+        found = metrics[group]
+        parts: list[Part] = [Words(introduction)] if introduction else []
+        if group == "hardware":
+            parts += [_by_vehicle(group, found), *_explained(group, found)]
+        else:
+            parts += _table(group, found)
+            parts += [_by_vehicle(group, found[name]) for name in MANY if found.get(name)]
+        yield title, parts
+
+
+def fault_table(agents: Mapping[str, Any]) -> Sequence[Part]:
+    """Agents that missed something, and what; words where nobody did."""
+    faulty = {vehicle: found for vehicle, found in agents.items() if any(found.values())}
+    if not faulty:
+        return [Words("No agent missed a tick, and none was late.")]
+    return [_by_vehicle("agents", faulty), *_explained("agents", faulty)]
+
+
+def _table(group: str, found: Mapping[str, Any]) -> Iterator[Part]:
+    """The numbers that have a value, and the names of those that have none."""
+    told = [(path, value) for path, value in flat(found) if value is not None]
+    if told:
+        known = [(path, value, (group, *path)) for path, value in told]
+        rows = [[".".join(path), value, unit_of(name), metric_of(name).meaning] for path, value, name in known]
+        yield Rows(["number", "value", "unit", "what it is"], rows)
+    if untold := [".".join(path) for path, value in flat(found) if value is None]:
+        yield Words(f"There was nothing to measure for {', '.join(untold)}.")
+
+
+def flat(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Path and value of each number, but for those of each vehicle."""
+    for name, value in table.items():
+        if name in MANY:
+            continue
+        if isinstance(value, Mapping):
+            yield from flat(value, (*above, name))
+        else:
+            yield (*above, name), value
+
+
+def _by_vehicle(group: str, of: Mapping[str, Mapping[str, Any]]) -> Rows:
+    """A row for each vehicle; numbers that nobody has are left out."""
+    rows = {vehicle: dict(flat(each)) for vehicle, each in of.items()}
+    paths = list(dict.fromkeys(path for each in rows.values() for path in each))
+    told = [path for path in paths if any(each.get(path) is not None for each in rows.values())]
+    units = [unit_of((group, *path)) for path in told]
+    head = [".".join(path) + (f" [{unit}]" if unit else "") for path, unit in zip(told, units, strict=True)]
+    return Rows(["vehicle", *head], [[vehicle, *(each.get(path) for path in told)] for vehicle, each in rows.items()])
+
+
+def _explained(group: str, of: Mapping[str, Mapping[str, Any]]) -> Sequence[Part]:
+    """What the columns of a table by vehicle are."""
+    names = dict.fromkeys(name for each in of.values() for name in each)
+    return [Words("; ".join(f"{name}: {metric_of((group, '*', name)).meaning}" for name in names) + ".")]
 
 
 def vehicle_table(left: Left) -> Sequence[Part]:
@@ -141,7 +202,9 @@ def expectation_table(left: Left) -> list[Part]:
     A row stands only where the scenario fulfils what its law asks for. The half-widths are of 95 % of all runs that differ in
     their draws alone; where a law leaves nothing to chance there is none.
     """
-    rows = [_expected_row(each) for each in _expected(left)]
+    rows = [
+        [each.quantity, each.unit, each.expected, _range(each), each.measured, each.law, each.holds] for each in _expected(left)
+    ]
     if not rows:
         return []
     head = ["quantity", "unit", "expected", "95 % of runs", "measured", "law", "it holds because"]
@@ -152,21 +215,14 @@ def expectation_table(left: Left) -> list[Part]:
 
 
 def _expected(left: Left) -> Iterator[Expected]:
-    recording = left.recording
-    if recording is None or left.links is None or not left.scenario or not left.metrics:
+    recording, links = left.recording, left.links
+    if recording is None or links is None or not left.scenario or not left.metrics:
         return
     if left.scenario.get("intervention"):  # the operator had a hand in it
         return
-    run = MeasuredRun(left.scenario, left.metrics, recording, left.links, motion(recording.states))
-    try:
-        yield from radio_laws.laws(run)
-        yield from motion_laws.laws(run)
-    except KeyError:  # a scenario of another version lacks a key that a law needs
-        return
+    with contextlib.suppress(KeyError):  # a scenario of another version lacks a key that a law needs
+        yield from laws(MeasuredRun(left.scenario, left.metrics, recording, links, motion(recording.states)))
 
 
-def _expected_row(each: Expected) -> list[object]:
-    low_high = None
-    if each.spread is not None:
-        low_high = f"{cell(each.expected - each.spread)} to {cell(each.expected + each.spread)}"
-    return [each.quantity, each.unit, each.expected, low_high, each.measured, each.law, each.holds]
+def _range(each: Expected) -> str | None:
+    return None if each.spread is None else f"{cell(each.expected - each.spread)} to {cell(each.expected + each.spread)}"
