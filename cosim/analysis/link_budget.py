@@ -67,7 +67,6 @@ def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True
 
 
 def _find(log: Log, frames: LinkFrames, pair: Pair, which: str) -> int:
-    """Place of the frame among those of the link."""
     link, numbers = "/".join(pair), frames["frame"]
     if not len(frames):
         raise UsageError(f"--frame {which}: {pair[0]} sent no frame that was meant for {pair[1]}")
@@ -239,7 +238,6 @@ def _level(report: Report) -> str:
 
 
 def _beside(level_dbm: float, budget: Budget) -> str:
-    """How far a level is from the weakest that is noticed."""
     floor_dbm = budget["floor_dbm"]
     if floor_dbm is None or floor_dbm < _HEARS_ALL_DBM:
         return ""

@@ -335,6 +335,5 @@ def links_of(radio: pa.Table, vehicles: Sequence[str]) -> Links:
 
 
 def _among(names: Sequence[str], some: Sequence[str]) -> Array:
-    """The number of each of some names among all."""
     number = {name: i for i, name in enumerate(names)}
     return np.array([number[name] for name in some], np.int64)

@@ -123,7 +123,6 @@ class Snapshots:
         return Snapshot(image.pixels, shown, frame.sightings, cells, hits)
 
     def _found(self, name: str | None) -> tuple[VehicleTable, str]:
-        """The vehicle, and the key of what it looks for."""
         vehicles = {each.name: each for each in self._scenario.vehicle}
         if name is not None and name not in vehicles:
             raise ScenarioError(binding.unknown("vehicle", name, vehicles), key="vehicle", source=self._source.name)
@@ -137,13 +136,11 @@ class Snapshots:
         raise ScenarioError(problem, key=key, source=self._source.name)
 
     def _params(self, vehicle: VehicleTable) -> dict[str, Any]:
-        """The parameters of a vehicle's agent."""
         if vehicle.agent is None:
             return {}
         return {**self._scenario.agents.defaults, **vehicle.agent.params}
 
     def _start_watch(self, vehicle: VehicleTable, content: object, key: str) -> None:
-        """The detector, and the camera through which it looks."""
         with registry.looking_in(self._source.folder):
             settings: Watching = binding.convert(content, Watching, key=key, origin=self._source)
             try:
@@ -183,7 +180,6 @@ class Snapshots:
         return height_m
 
     def _area(self, search: Mapping[str, Any]) -> Area:
-        """Where the vehicle searches: as it says, or all of the world."""
         found = self._said(search, "area", tuple[float, float, float, float], self.world.bounds)
         if found is None:
             problem = f"{self.vehicle} has no area to search, and the world has no end"
@@ -195,7 +191,6 @@ class Snapshots:
         return left, bottom, right, top
 
     def _cells(self) -> Grid:
-        """Of the map."""
         grid = Grid(Rectangle(*self.area), self.cell_m)
         if grid.rows * grid.columns > MOST_CELLS:
             problem = f"of {self.cell_m:g} m there are more than {MOST_CELLS} cells in the area: make them larger"
@@ -227,7 +222,6 @@ class Snapshots:
         raise ScenarioError(problem, key="world", source=self._source.of("world"))
 
     def _over(self, attitude: Quaternion) -> Nadir:
-        """The geometry of a picture that is taken over the origin."""
         camera = self._camera
         state = VehicleState(position=(0.0, 0.0, self.height_m), attitude=attitude)
         mount = turned(attitude, self._watch.settings.mount)

@@ -58,7 +58,6 @@ def _count(train: Ticks, from_ns: int, to_ns: int) -> int:
 
 
 def _before(train: Ticks, time_ns: int) -> int:
-    """Ticks earlier than a time."""
     return -(-time_ns * train.per // train.ns)
 
 
@@ -115,7 +114,6 @@ def limited_by_s(told: Sequence[tuple[int, RealStatus]]) -> dict[str, float]:
 
 
 def _delays_s(got: Receptions, sender: str) -> Array:
-    """Of the receptions of a vehicle's frames."""
     if sender not in got.senders:
         return np.empty(0)
     own = got.by == got.senders.index(sender)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.metrics.window import Window, window_ns
+from vcmvsp.cosim.metrics.motion import Window, window_ns
 from vcmvsp.cosim.types import Array
 
 KEYS = ("speed_rms_m_s", "yaw_rate_rms_rad_s", "acceleration_rms_m_s2", "yaw_acceleration_rms_rad_s2", "effort_m2_s")

@@ -10,18 +10,30 @@ keep, the one that begins with the greatest error. One that begins within `SETTL
 - Rate of convergence: the k of ``|z| = |z0| exp(-k t)``, least squares of ln|z| over the recorded instants from the start
   until |z| first falls below 5 % of |z0|, or below twice the error that remains: the RMS |z| of the stretch's last fifth.
   None where that leaves fewer than two instants.
+
+A team is everybody connected by following at the time. Its shape is where the members' centres belong if all head the same
+way: the slots, added up along the links from the one that follows nobody (in a ring: from its first in the order of the run).
+The misfit of an instant is what remains between centres and shape after the best rotation and translation of the shape
+(Kabsch, Acta Crystallographica A32, 1976; in the plane, with centred positions as complex numbers p and d, the rotation is
+that of ``sum(conj(d) p)``): root mean square over the members of all teams. Links compare a follower's handle with its
+leader's frame; this compares centres with each other, so in turns, where headings differ, the shape bends although every
+link's error is zero.
+
+What agents note of their way past obstacles (modes, shapes of a team, whether the lane ahead of its leader is free) holds from
+the time of `cosim.agent.Agent.note` until the next note; the first is no change. A mode says that a vehicle is on its way
+around something if it is ``avoid`` or ``turn``; to stand and see nothing, ``blind``, is none of that, nor is a mode of a
+user's own.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import groupby, pairwise
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.metrics.motion import Motion
-from vcmvsp.cosim.metrics.noted_changes import Noted, change_metrics, leaders, led_by, reformed_s
-from vcmvsp.cosim.metrics.team_shape import shape_metrics
-from vcmvsp.cosim.metrics.window import Window, between, followers, stretches, window_ns
+from vcmvsp.cosim.metrics.motion import FOREVER_NS, Motion, Window, between, followers, stretches, window_ns
 from vcmvsp.cosim.tables.schema import Placement
 from vcmvsp.cosim.types import Array, Follows
 
@@ -29,6 +41,30 @@ SETTLED_M = 0.05  # a follower this near to its place has settled
 ROUNDING_M = 1e-6  # errors below it are rounding, which nobody passes on from link to link
 ARRIVED = 0.05  # share of |z0|
 REMAINS = 2.0  # times the RMS |z| of the last fifth: noise seldom exceeds it
+AROUND = ("avoid", "turn")  # modes of one that gets around something
+FREE = "free"  # of a lane; else it is narrow
+
+History = Sequence[tuple[int, Any]]  # ns and value, each unlike the one before it
+Team = tuple[list[int], Array]  # columns of its members, and where they belong (k,): x + iy, m
+
+
+class Noted:
+    """Every change of the values that count here, as the notes of a run come in."""
+
+    def __init__(self) -> None:
+        self._histories: dict[tuple[str, str], list[tuple[int, Any]]] = {}
+
+    def take(self, vehicle: str, time_ns: int, values: Mapping[str, Any]) -> None:
+        """What an agent noted at a time."""
+        for name in ("mode", "shape", "lane"):
+            if name in values:
+                history = self._histories.setdefault((vehicle, name), [])
+                if not history or history[-1][1] != values[name]:
+                    history.append((time_ns, values[name]))
+
+    def of(self, vehicle: str, name: str) -> History:
+        """The values that it noted under this name."""
+        return self._histories.get((vehicle, name), ())
 
 
 def formation_errors(moved: Motion, follows: Sequence[Placement]) -> dict[str, Array]:
@@ -66,6 +102,7 @@ def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Windo
             "hop_gain": _hop_gain(error, _of_leader(moved, name, follows, errors), inside),
             **changed([name], [name]),
         }
+    shape = _summary(shape_errors(moved, follows)[np.newaxis], inside)
     together = np.array(list(errors.values())).reshape(len(errors), len(moved.time_ns))
     return {
         **_summary(together, inside),
@@ -74,7 +111,7 @@ def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Windo
         "convergence_1_s": min(_known(each, "convergence_1_s"), default=None),
         "hop_gain": max(_known(each, "hop_gain"), default=None),
         **changed(errors, leaders(moved.names, follows)),
-        "shape": shape_metrics(moved, follows, inside),
+        "shape": {name: shape[name] for name in ("rms_m", "max_m", "final_m")},
         "per_follower": each,
     }
 
@@ -175,3 +212,116 @@ def _rate(time_ns: Array, error: Array) -> float | None:
     t = (time_ns[:stop] - time_ns[0]) / SECOND_NS
     t -= t.mean()
     return float(-(t @ np.log(error[:stop])) / (t @ t))
+
+
+def shape_errors(moved: Motion, follows: Sequence[Placement]) -> Array:
+    """The misfit (m,) in m of all teams together; NaN while there is none."""
+    result = np.full(len(moved.time_ns), np.nan)
+    places = moved.position[0] + 1j * moved.position[1]
+    for span, teams in _eras(moved, follows):
+        squared, members = np.zeros(span.stop - span.start), np.zeros(span.stop - span.start)
+        for columns, slots in teams:
+            own = misfit_squared(places[span, columns], slots)
+            there = np.isfinite(own)  # a team that lacks a member is not judged
+            squared[there] += own[there]
+            members[there] += len(columns)
+        result[span] = np.sqrt(np.divide(squared, members, out=np.full_like(squared, np.nan), where=members > 0))
+    return result
+
+
+def misfit_squared(places: Array, slots: Array) -> Array:
+    """Sum (m,) of squared distances between places (m, k) and slots (k,) after the best rigid motion; x + iy, m."""
+    p, d = places - places.mean(axis=1, keepdims=True), slots - slots.mean()
+    turn = p @ np.conj(d)
+    size = np.abs(turn)
+    turn = np.divide(turn, size, out=np.ones_like(turn), where=size > 0)
+    apart = p - turn[:, np.newaxis] * d
+    return np.asarray((apart.real**2 + apart.imag**2).sum(axis=1))
+
+
+def _eras(moved: Motion, follows: Sequence[Placement]) -> Iterator[tuple[slice, list[Team]]]:
+    """The recorded instants between any two changes of places, and the teams of that time."""
+    placed: dict[str, Follows] = {}
+    times = [*dict.fromkeys(placement.time_ns for placement in follows), FOREVER_NS]
+    for (_, changes), (begin, end) in zip(groupby(follows, attrgetter("time_ns")), pairwise(times), strict=True):
+        placed.update((change.vehicle, change.follows) for change in changes)
+        span = between(moved.time_ns, begin, end)
+        if span.start < span.stop:
+            yield span, _teams(moved.names, placed)
+
+
+def _teams(names: Sequence[str], placed: Mapping[str, Follows]) -> list[Team]:
+    """Everybody who follows or is followed, by teams; vehicles in the order of the run."""
+    links: dict[str, list[tuple[str, complex]]] = {name: [] for name in names}
+    for follower in names:
+        at = placed.get(follower)
+        if at is not None and at.leader is not None:
+            links[at.leader].append((follower, complex(*at.slot)))
+            links[follower].append((at.leader, -complex(*at.slot)))
+    leading = [name for name in names if name not in placed or placed[name].leader is None]
+    where: dict[str, complex] = {}
+    teams = []
+    for first in (*leading, *names):  # the second time round: who follows each other in a ring
+        if first in where or not links[first]:
+            continue
+        where[first], members = 0j, [first]
+        for member in members:  # which grows on the way
+            for other, slot in links[member]:
+                if other not in where:
+                    where[other] = where[member] + slot
+                    members.append(other)
+        teams.append(([names.index(member) for member in members], np.array([where[member] for member in members])))
+    return teams
+
+
+def change_metrics(noted: Noted, vehicles: Iterable[str], tellers: Iterable[str], end_ns: int) -> dict[str, Any]:
+    """Changes of the shape that ``tellers`` noted, changes to modes that lead around something and back, and time (s) in those.
+
+    Of modes it is None where nobody notes any.
+    """
+    modes = [history for name in vehicles if (history := noted.of(name, "mode"))]
+    steps = [(before, after) for history in modes for (_, before), (_, after) in pairwise(history)]
+    spans = [span for history in modes for span in pairwise([*history, (end_ns, None)])]
+    away_ns = [end - begin for (begin, mode), (end, _) in spans if mode in AROUND]
+    return {
+        "shape_changes": sum(max(0, len(noted.of(name, "shape")) - 1) for name in tellers),
+        "mode_toggles": sum((before in AROUND) != (after in AROUND) for before, after in steps) if modes else None,
+        "avoid_s": sum(away_ns) / SECOND_NS if modes else None,
+    }
+
+
+def leaders(names: Iterable[str], follows: Sequence[Placement]) -> list[str]:
+    """Those who lead teams: they are followed, and never follow."""
+    followed, following = {each.follows.leader for each in follows}, {each.vehicle for each in follows}
+    return [name for name in names if name in followed and name not in following]
+
+
+def led_by(name: str, follows: Sequence[Placement]) -> str:
+    """Who leads the team of a follower: whom it followed last, whom that one did, and so on up."""
+    above = {each.vehicle: each.follows.leader for each in follows if each.follows.leader is not None}
+    for _ in above:  # at most: nobody follows himself, however he may do so
+        name = above.get(name, name)
+    return name
+
+
+def reformed_s(noted: Noted, settled: Mapping[str, float | None]) -> float | None:
+    """How long after the lane of its leader was free all of a team had settled, s; of the team that took longest.
+
+    None where no lane was ever narrow, and where a team has not formed again: its lane is narrow to the end, not all of it have
+    settled, or it has to the end kept the shape that it took while its lane was narrow.
+
+    Args:
+        noted: by leaders.
+        settled: when all who count of a team had settled, s; by its leader.
+    """
+    taken = []
+    for leader, settled_s in settled.items():
+        lane, shapes = noted.of(leader, "lane"), noted.of(leader, "shape")
+        if all(state == FREE for _, state in lane):
+            continue
+        changed_ns = shapes[-1][0] if shapes else -1
+        then = [state for time_ns, state in lane if time_ns <= changed_ns]
+        if settled_s is None or lane[-1][1] != FREE or (then and then[-1] != FREE):
+            return None
+        taken.append(round(max(0.0, settled_s - lane[-1][0] / SECOND_NS), 9))
+    return max(taken, default=None)

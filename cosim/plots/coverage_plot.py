@@ -71,7 +71,6 @@ def _contours(axes: Axes, found: "Map", values: Array, words: dict[float, str]) 
 
 
 def _scene(axes: Axes, found: "Map") -> None:
-    """Walls in a colour for each material, and the vehicles."""
     materials = sorted({solid.material for solid in found.solids})
     for solid in found.solids:
         color = _color_of(materials, solid.material)

@@ -175,7 +175,6 @@ def _band(commander: str) -> dict[str, Any]:
 
 
 def _finds(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
-    """A mark for each find; the name at the first of a vehicle and target."""
     known: set[tuple[str, str]] = set()
     for found in log.noted.found:
         if found.vehicle not in log.vehicles:
@@ -213,14 +212,12 @@ def _maps(figure: FigureBase, log: MissionLog, moved: Motion, targets: Sequence[
 
 
 def _slenderness(log: MissionLog) -> float:
-    """How much taller than wide the maps are drawn."""
     shapes = [shown.seen.shape for maps in log.maps.values() for _, shown in maps[:1]]
     rows, columns = shapes[0] if shapes else (1, 1)
     return float(np.clip(rows / max(columns, 1), 0.4, 2.5))
 
 
 def _track(axes: Axes, moved: Motion, name: str, index: int, now_ns: int, *, halo: bool = False) -> None:
-    """The way of a vehicle up to now, and the vehicle."""
     if name not in moved.names:
         return
     until, column = int(np.searchsorted(moved.time_ns, now_ns, side="right")), moved.column(name)
@@ -242,7 +239,6 @@ def _true_places(axes: Axes, targets: Sequence[Target], now_ns: int, *, named: b
 
 
 def _boxes(axes: Axes, seen: Sightings) -> None:
-    """Each target that was recognised in a picture, its upper edge thick, with name and score."""
     for each in seen.found:
         corners = np.array(corners_of(each))
         axes.add_patch(Polygon(corners, fill=False, edgecolor=EDGE, linewidth=3.0))
@@ -264,7 +260,6 @@ def _boxes(axes: Axes, seen: Sightings) -> None:
 
 
 def _extent(left: float, bottom: float, cell_m: float, cells: Array) -> dict[str, Any]:
-    """Where a grid lies, for `Axes.imshow`."""
     rows, columns = cells.shape[:2]
     edges = (left, left + cell_m * columns, bottom, bottom + cell_m * rows)
     return {"extent": edges, "origin": "lower", "interpolation": "nearest", "zorder": 1}

@@ -41,8 +41,6 @@ def frames(log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: 
 
 
 class _Above:
-    """The map."""
-
     def __init__(self, log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> None:
         self._log, self._moved, self._targets = log, moved, targets
         self._low, self._scale = _frame_of(log, moved)
@@ -69,7 +67,6 @@ class _Above:
         return picture
 
     def _vehicle(self, picture: Array, name: str, until: int) -> None:
-        """Its trail, and a triangle that points ahead."""
         import cv2
 
         column, color = self._moved.column(name), _bgr(rgb_of(self._log.vehicles.index(name)))
@@ -109,7 +106,6 @@ class _Above:
         return cells
 
     def _paint(self, grid: ProbabilityMap, cells: Array) -> None:
-        """Enlarge cells to where they lie."""
         import cv2
 
         rows, columns = cells.shape[:2]
@@ -121,7 +117,6 @@ class _Above:
         self._base[top : top + part.shape[0], left : left + part.shape[1]] = part
 
     def _px(self, places: Array) -> Array:
-        """Where places (m, world) lie in the picture, px."""
         along = MARGIN_PX + (places - self._low) * self._scale
         along[..., 1] = MAP_PX - along[..., 1]
         return np.nan_to_num(along, nan=-1e4).clip(-1e4, 1e4).round().astype(np.int32)
@@ -226,7 +221,6 @@ def _bgr(color: tuple[float, ...]) -> Color:
 
 
 def _ramp() -> Array:
-    """The colours of 0 to 255 of a map."""
     stops = np.array([_bgr(rgb(code)) for code in PROBABILITY])
     at = np.linspace(0.0, 255.0, len(stops))
     return np.stack([np.interp(np.arange(256), at, part) for part in stops.T], axis=1).round().astype(np.uint8)

@@ -9,11 +9,10 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.metrics.age_of_information import links
 from vcmvsp.cosim.metrics.formation import ROUNDING_M, SETTLED_M, formation_errors
-from vcmvsp.cosim.metrics.motion import Motion, motion
+from vcmvsp.cosim.metrics.motion import Motion, Window, motion
+from vcmvsp.cosim.metrics.radio import links
 from vcmvsp.cosim.metrics.routing import unreached_s
-from vcmvsp.cosim.metrics.window import Window
 from vcmvsp.cosim.plots.style import ABOVE, GREY, LEVEL, line_of, styled
 from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.tables.schema import NOT_LOST, Placement
@@ -106,7 +105,6 @@ def draw_vehicle(axes: Axes, pose: tuple[float, float, float], color: str, size:
 
 
 def _draw_formation(axes: Axes, moved: Motion, follows: Sequence[Placement], instant: int) -> None:
-    """Thin lines from each follower to the leader that it has at this instant."""
     now = moved.time_ns[instant]
     leader_of = {placement.vehicle: placement.follows.leader for placement in follows if placement.time_ns <= now}
     for follower, leader in leader_of.items():

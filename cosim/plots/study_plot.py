@@ -125,14 +125,12 @@ def heat_map(summary: pa.Table, keys: Sequence[str], metric: str, title: str = "
 
 
 def _line(axes: Axes, table: Table, what: tuple[str, str], rows: list[int], look: dict[str, Any]) -> None:
-    """Mean as a line, band as a shade; a point without a value leaves a gap."""
     x, mean, low, high = _values(table, *what, rows)
     axes.fill_between(x, low, high, color=look["color"], alpha=0.2, linewidth=0.0, zorder=2)
     axes.plot(x, mean, markersize=3.5, zorder=3, **look)
 
 
 def _bars(axes: Axes, table: Table, what: tuple[str, str], rows: list[int], spread: float, look: dict[str, Any]) -> None:
-    """Means as points beside each other over the names of the first key."""
     key, metric = what
     shown = _distinct(table.columns[key]) if key else [""]
     places = [shown.index(table.columns[key][row]) + spread if key else spread for row in rows]
@@ -199,7 +197,6 @@ def _look(index: int, count: int, *, ordered: bool) -> dict[str, Any]:
 
 
 def _field(table: Table, what: tuple[str, str, str], rows: list[int]) -> Array:
-    """Means as a grid, NaN where there is none."""
     x_key, y_key, metric = what
     xs, ys = (sorted(_distinct(table.columns[key])) for key in (x_key, y_key))
     field = np.full((len(ys), len(xs)), np.nan)
@@ -247,7 +244,6 @@ def _sorted(summary: pa.Table, keys: Sequence[str]) -> Table:
 
 
 def _groups(table: Table, others: Sequence[str]) -> dict[str, list[int]]:
-    """Which rows belong to which combination of the other keys."""
     found: dict[str, list[int]] = {}
     columns = [table.columns[key] for key in others]
     words = [dict(zip(values, _labels(values), strict=True)) for values in map(_distinct, columns)]

@@ -159,6 +159,5 @@ def _make_light(figure: Figure) -> None:
 
 
 def _shorter(found: re.Match[str]) -> str:
-    """A path with coordinates to the hundredth of a point."""
     numbers = _NUMBER.sub(lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), found[2])
     return f"{found[1]}{numbers}"

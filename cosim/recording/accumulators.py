@@ -20,18 +20,14 @@ from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import RunInfo
-from vcmvsp.cosim.metrics.age_of_information import age_metrics
 from vcmvsp.cosim.metrics.availability import agent_metrics, hardware_metrics, limited_by_s
 from vcmvsp.cosim.metrics.catalogue import SCHEMA
-from vcmvsp.cosim.metrics.connectivity import connectivity_metrics
 from vcmvsp.cosim.metrics.control import control_metrics
-from vcmvsp.cosim.metrics.formation import formation_metrics
+from vcmvsp.cosim.metrics.formation import Noted, formation_metrics
 from vcmvsp.cosim.metrics.mission import Mission
-from vcmvsp.cosim.metrics.motion import WorldClearance, motion, safety_metrics
-from vcmvsp.cosim.metrics.noted_changes import Noted
-from vcmvsp.cosim.metrics.radio import informed, radio_metrics, receptions
+from vcmvsp.cosim.metrics.motion import Window, WorldClearance, motion, safety_metrics
+from vcmvsp.cosim.metrics.radio import age_metrics, connectivity_metrics, informed, radio_metrics, receptions
 from vcmvsp.cosim.metrics.routing import Routing
-from vcmvsp.cosim.metrics.window import Window
 from vcmvsp.cosim.recording.scene import DrawnWorld
 from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.tables.radio_frames import Frames
@@ -201,7 +197,6 @@ class Kept:
         self._frames.extend(traffic.reports)
 
     def _take_routed(self, key: str, time_ns: int, routed: Routed) -> None:
-        """Whose message each frame carried is in the table of frames."""
         self._routing.take(routed)
 
     def _take_follows(self, key: str, time_ns: int, follows: Follows) -> None:

@@ -202,7 +202,6 @@ class McapLog:
         self._put(summary + _bytes(footer) + MCAP0_MAGIC)
 
     def _register(self, topic: str, message_type: type) -> int:
-        """Declare a topic, and the schema of its messages if it is new, in the chunk in which both come first."""
         if message_type not in self._schemas:
             schema, number = self._form.schema(message_type), len(self._schemas) + 1
             self._schemas[message_type] = records.Schema(
@@ -218,7 +217,6 @@ class McapLog:
         return number
 
     def _end_chunk(self) -> None:
-        """Compress and write the chunk, and behind it where each channel's messages are in it."""
         if not self._places:
             return
         compressed = self._codec.compress(self._chunk, asbytes=True)
@@ -278,7 +276,6 @@ class McapLog:
 
 
 def _bytes(record: records.McapRecord) -> bytes:
-    """A record as the library writes it."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]  # the library has no annotation there

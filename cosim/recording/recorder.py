@@ -23,7 +23,7 @@ import pyarrow as pa
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.metrics.window import Window
+from vcmvsp.cosim.metrics.motion import Window
 from vcmvsp.cosim.recording import event_text
 from vcmvsp.cosim.recording.accumulators import PACKED, Kept, RecordedWorld, Take, vehicle_of
 from vcmvsp.cosim.recording.foxglove.messages import to_json
@@ -186,12 +186,10 @@ class Recorder:
         self._tell_of(time_ns, *event_text.of_intervention(done, time_ns))
 
     def _tell_of(self, time_ns: int, level: str, text: str) -> None:
-        """Say in the log and on the terminal what happened."""
         self.log(level, text, time_ns)
         self._tell(f"at {time_ns / SECOND_NS:.3f} s {text}")
 
     def _advance(self, time_ns: int, *, is_cut: bool = False) -> None:
-        """The present instant is over."""
         if self._viewer is not None:
             self._viewer.end_instant(self._now, self._latest, is_cut=is_cut and time_ns == self._now)
         self._kept.hash_much()

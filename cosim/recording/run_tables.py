@@ -66,7 +66,6 @@ def _absent(folder: Path) -> str:
 
 
 def _recorded(folder: Path, absent: str, tell: Tell, *, with_frames: bool = True) -> tuple[pa.Table, Frames, RunFacts]:
-    """True states, frames and facts, as they stand in a recording."""
     source = Source(folder, lambda _: None)
     values, end_ns = Values(), 0
     instants: dict[int, dict[str, VehicleState]] = {}
@@ -96,7 +95,6 @@ def _recorded(folder: Path, absent: str, tell: Tell, *, with_frames: bool = True
 
 
 def _states(states: dict[str, VehicleState]) -> States:
-    """The states of one instant, in columns."""
     fields = ("position", "velocity", "attitude", "angular_velocity")
     columns = {name: np.array([getattr(state, name) for state in states.values()]) for name in fields}
     return States(names=tuple(states), **columns)

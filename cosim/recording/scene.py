@@ -154,7 +154,6 @@ def _by_color(vertices: Array, triangles: Array, colors: Array) -> list[Triangle
 
 
 def _obstacle(moving: DrawnObstacle, now: Time) -> SceneEntity:
-    """A box or a cylinder in its own frame, and its name."""
     (length, width, height), _, kind, rgb_color = moving.solid.hull
     red, green, blue = (part / 255 for part in rgb_color)
     color, size, frame = Color(red, green, blue, OBSTACLE_OPACITY), Vector3(length, width, height), _frame_of(moving.name)
@@ -165,7 +164,6 @@ def _obstacle(moving: DrawnObstacle, now: Time) -> SceneEntity:
 
 
 def _body(name: str, radius: float, color: Color, now: Time) -> SceneEntity:
-    """A cylinder about the vehicle's centre with an arrow ahead and the name above."""
     cylinder = CylinderPrimitive(
         Pose(), Vector3(2 * radius, 2 * radius, radius), 1.0, 1.0, Color(color.r, color.g, color.b, 0.8)
     )
@@ -176,7 +174,6 @@ def _body(name: str, radius: float, color: Color, now: Time) -> SceneEntity:
 
 
 def _place(name: str, follows: Follows, radius: float, color: Color, now: Time) -> SceneEntity:
-    """A thin line from the leader to the follower's place, and the follower's outline there."""
     x, y = follows.slot
     line = LinePrimitive(0, Pose(), 1.5, True, [Vector3(), Vector3(x, y)], color)
     ring = [Vector3(x + radius * c, y + radius * s) for c, s in _RING]
@@ -185,7 +182,6 @@ def _place(name: str, follows: Follows, radius: float, color: Color, now: Time) 
 
 
 def _target(target: Target, now: Time, time_s: float) -> SceneEntity:
-    """A sheet on the ground, and its name above it."""
     (x, y), half = target.place(time_s), 0.5 * target.yaw(time_s)
     pose = Pose(Vector3(x, y), Quaternion(z=math.sin(half), w=math.cos(half)))
     color = Color(*rgb(TARGET), 0.6)

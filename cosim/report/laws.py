@@ -17,8 +17,7 @@ from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.analysis.links import RECEIVED, Links
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.formation import SETTLED_M
-from vcmvsp.cosim.metrics.motion import Motion
-from vcmvsp.cosim.metrics.window import Window, window_ns
+from vcmvsp.cosim.metrics.motion import Motion, Window, window_ns
 from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.tables.schema import Placement, Recording
 from vcmvsp.cosim.types import Array
@@ -314,7 +313,6 @@ def _circle(run: MeasuredRun, placed: Placement) -> Iterator[Expected]:
 
 
 def _moves_freely(run: MeasuredRun, vehicle: str, speed: float) -> bool:
-    """Whether a vehicle is simulated, knows where it is, and may be so fast (m/s)."""
     own = run.vehicle(vehicle)
     limits = [table.get("max_speed", math.inf) for table in (own, run.agent(vehicle))]
     return "driver" not in own and own["pose_source"] == "truth" and speed <= min(limits)

@@ -95,7 +95,6 @@ def page(title: str, lead: str, sections: Sequence[Section]) -> str:
 
 
 def _policy(styles: Sequence[str]) -> Markup:
-    """The Content-Security-Policy of a page with these style sheets."""
     digests = (hashlib.sha256(each.encode()).digest() for each in styles)
     hashes = sorted({f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests})
     rules = f"default-src 'none'; style-src-elem {' '.join(hashes)}; style-src-attr 'unsafe-inline'; img-src data:"

@@ -34,8 +34,6 @@ _LEVELS = {number: name for name, number in LEVELS.items()}
 
 
 class _Line(msgspec.Struct):
-    """A line of the recording's log."""
-
     level: int
     message: str
 

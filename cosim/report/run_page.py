@@ -102,7 +102,6 @@ def _missing(left: Left) -> list[Part]:
 
 
 def _incidents(left: Left) -> Iterator[Part]:
-    """Faults of agents, and what the recording's log says."""
     if "agents" in left.metrics:
         yield from fault_table(left.metrics["agents"])
     if error := left.about.get("error"):
@@ -116,7 +115,6 @@ def _incidents(left: Left) -> Iterator[Part]:
 
 
 def _again(left: Left) -> Iterator[Part]:
-    """How to repeat the run and look closer, from its own folder."""
     if not left.scenario_toml:
         return
     yield Words("In this folder:")
@@ -141,7 +139,6 @@ def _again(left: Left) -> Iterator[Part]:
 
 
 def _repetition(left: Left) -> str:
-    """What another run of the scenario gives."""
     if left.about.get("error"):
         return "from the start"
     differs = "; ".join(map(str, left.about.get("unrepeatable", ())))
@@ -149,7 +146,6 @@ def _repetition(left: Left) -> str:
 
 
 def _machine(about: Mapping[str, Any]) -> Iterator[Part]:
-    """Host, versions, wall time and lateness."""
     if not about:
         return
     host, late = about.get("host", {}), about.get("lateness")
@@ -179,7 +175,6 @@ def _machine(about: Mapping[str, Any]) -> Iterator[Part]:
 
 
 def _title(left: Left) -> str:
-    """The scenario and the seed, as far as they are known."""
     found = left.metrics or left.scenario or left.head
     name = found.get("scenario") or found.get("name") or "A run"
     seed = found.get("seed")

@@ -45,7 +45,6 @@ def fault_table(agents: Mapping[str, Any]) -> Sequence[Part]:
 
 
 def _table(group: str, found: Mapping[str, Any]) -> Iterator[Part]:
-    """The numbers that have a value, and the names of those that have none."""
     told = [(path, value) for path, value in flat(found) if value is not None]
     if told:
         known = [(path, value, (group, *path)) for path, value in told]
@@ -77,7 +76,6 @@ def _by_vehicle(group: str, of: Mapping[str, Mapping[str, Any]]) -> Rows:
 
 
 def _explained(group: str, of: Mapping[str, Mapping[str, Any]]) -> Sequence[Part]:
-    """What the columns of a table by vehicle are."""
     names = dict.fromkeys(name for each in of.values() for name in each)
     return [Words("; ".join(f"{name}: {metric_of((group, '*', name)).meaning}" for name in names) + ".")]
 
@@ -108,7 +106,6 @@ def vehicle_table(left: Left) -> Sequence[Part]:
 
 
 def _ways(left: Left) -> dict[str, list[Any]]:
-    """Of each vehicle its way, mean speed and last place."""
     if left.recording is None:
         return {}
     moved = motion(left.recording.states)
@@ -126,7 +123,6 @@ def _ways(left: Left) -> dict[str, list[Any]]:
 
 
 def _air(left: Left) -> dict[str, list[Any]]:
-    """Of each vehicle the frames that it sent, and which share of them, and of those of others, arrived."""
     if left.links is None or left.recording is None:
         return {}
     links, found = left.links, {}
@@ -181,7 +177,6 @@ def loss_table(links: Links, folder: Path) -> Sequence[Part]:
 
 
 def _example(log: Log, pair: tuple[str, str], cause: str) -> str:
-    """The first frame that a link lost so, and why."""
     frames = log.frames(pair)
     lost = frames.decided.where(np.array([word == cause for word in frames.decided.words("outcome")], np.bool_))
     try:

@@ -13,8 +13,7 @@ from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.config.registry import NO_CODE, only
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.metrics import routing
-from vcmvsp.cosim.metrics.motion import motion
-from vcmvsp.cosim.metrics.window import Window
+from vcmvsp.cosim.metrics.motion import Window, motion
 from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.mission_log import MissionLog, read_mission
 from vcmvsp.cosim.recording.recorder import Recorder

@@ -119,7 +119,6 @@ class Frames:
         return found
 
     def _column(self, name: str, end_ns: int) -> "pa.Array[Any]":
-        """An Arrow column of the table."""
         if name in PER_FRAME:
             return column(self._of_frames(name))
         if name in ("sender", "receiver"):

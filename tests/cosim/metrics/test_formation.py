@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from tests.support.cosim.recordings import TENTH, follows, recorded, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.metrics.team_shape import misfit_squared
+from vcmvsp.cosim.metrics.formation import misfit_squared
 from vcmvsp.cosim.types import Follows
 
 T = 0.1

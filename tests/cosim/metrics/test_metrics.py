@@ -16,8 +16,8 @@ from tests.support.cosim.recordings import TENTH, Pose, follows, frame, recorded
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.metrics.age_of_information import ages_s, links
 from vcmvsp.cosim.metrics.motion import min_separation_m, motion
+from vcmvsp.cosim.metrics.radio import ages_s, links
 from vcmvsp.cosim.recording import accumulators
 from vcmvsp.cosim.recording.accumulators import digest
 from vcmvsp.cosim.types import (

@@ -12,9 +12,7 @@ from hypothesis import strategies as st
 from tests.support.cosim.recordings import TENTH, follows, frame, recorded
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.metrics.age_of_information import LinkHistory, age_metrics
-from vcmvsp.cosim.metrics.connectivity import MOST_VEHICLES, adjacency, algebraic_connectivity
-from vcmvsp.cosim.metrics.radio import receptions
+from vcmvsp.cosim.metrics.radio import MOST_VEHICLES, LinkHistory, adjacency, age_metrics, algebraic_connectivity, receptions
 from vcmvsp.cosim.types import Array
 
 T, FRAMES, MS = 0.1, 4_000_000, 1_000_000

@@ -8,8 +8,7 @@ from msgspec.structs import replace
 
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.metrics.age_of_information import age_metrics, links
-from vcmvsp.cosim.metrics.radio import informed, receptions
+from vcmvsp.cosim.metrics.radio import age_metrics, informed, links, receptions
 from vcmvsp.cosim.metrics.routing import Routing, unreached_s
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.tables.columns import names_of, numbers
