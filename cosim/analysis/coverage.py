@@ -16,7 +16,7 @@ from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.config.registry import NO_CODE, only
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.metrics.motion import motion
-from vcmvsp.cosim.recording.run_tables import tables_of
+from vcmvsp.cosim.recording.recorded_run import tables_of
 from vcmvsp.cosim.scenario import loader as scenario
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.types import Array, Vec3

@@ -18,7 +18,7 @@ import pyarrow as pa
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.recording.run_tables import radio_columns
+from vcmvsp.cosim.recording.recorded_run import radio_columns
 from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import Array

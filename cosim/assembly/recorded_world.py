@@ -13,7 +13,7 @@ from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.frames import yaw_of
-from vcmvsp.cosim.recording.foxglove.messages import Color, FrameTransforms, Quaternion, SceneEntity, SceneUpdate
+from vcmvsp.cosim.recording.foxglove import Color, FrameTransforms, Quaternion, SceneEntity, SceneUpdate
 from vcmvsp.cosim.recording.mcap_reader import of_topic
 from vcmvsp.cosim.recording.recorded_run import FILE
 from vcmvsp.cosim.recording.run_mcap import MOVING, SCENE, SOLIDS

@@ -21,7 +21,7 @@ import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.recording.foxglove.messages import PoseInFrame
+from vcmvsp.cosim.recording.foxglove import PoseInFrame
 from vcmvsp.cosim.recording.mcap_reader import Recorded
 from vcmvsp.cosim.recording.recorded_run import Source, Values, is_known
 from vcmvsp.cosim.tables.radio_frames import Frames

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.recording.foxglove.agent_displays import PICTURE
+from vcmvsp.cosim.recording.foxglove import PICTURE
 from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.types import VehicleState
 from vcmvsp.cosim.util.files import to_json

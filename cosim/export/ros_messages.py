@@ -14,8 +14,8 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw
-from vcmvsp.cosim.recording.foxglove import messages
-from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid
+from vcmvsp.cosim.recording import foxglove as messages
+from vcmvsp.cosim.recording.foxglove import CompressedImage, Grid
 from vcmvsp.cosim.types import Imu, Odometry, Vec3, VehicleState, Velocity, Waypoint
 
 WORLD = "world"

@@ -35,8 +35,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.export import ros_messages as ros
-from vcmvsp.cosim.recording.foxglove import messages
-from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid
+from vcmvsp.cosim.recording import foxglove as messages
+from vcmvsp.cosim.recording.foxglove import CompressedImage, Grid
 from vcmvsp.cosim.recording.mcap_reader import Recorded
 from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.recording.run_mcap import CALIBRATION

@@ -14,7 +14,7 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.frames import yaw_of
-from vcmvsp.cosim.recording.foxglove.messages import FrameTransforms, SceneEntity, SceneUpdate, TriangleListPrimitive
+from vcmvsp.cosim.recording.foxglove import FrameTransforms, SceneEntity, SceneUpdate, TriangleListPrimitive
 from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.tables.schema import NOT_LOST
 from vcmvsp.cosim.types import Array, FrameReport, VehicleState

@@ -19,7 +19,7 @@ from vcmvsp.cosim.metrics.mission import Target, target_at
 from vcmvsp.cosim.metrics.motion import Motion
 from vcmvsp.cosim.plots.run_plots import draw_vehicle
 from vcmvsp.cosim.plots.style import ABOVE, GREY, MAP, style
-from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of, label_of
+from vcmvsp.cosim.recording.foxglove import corners_of, label_of
 from vcmvsp.cosim.recording.mission_log import MissionLog, surest_map
 from vcmvsp.cosim.types import Array, Sighting, Sightings
 from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, color_of

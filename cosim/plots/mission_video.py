@@ -9,7 +9,7 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.mission import Target
 from vcmvsp.cosim.metrics.motion import Motion
-from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of, label_of
+from vcmvsp.cosim.recording.foxglove import corners_of, label_of
 from vcmvsp.cosim.recording.mission_log import FRAMES, MissionLog, surest_map
 from vcmvsp.cosim.types import Array, ProbabilityMap, Sightings
 from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, rgb, rgb_of

@@ -25,7 +25,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 from numpy.lib.stride_tricks import sliding_window_view
 
-from vcmvsp.cosim.recording.foxglove.messages import FoxgloveMessage, to_json
+from vcmvsp.cosim.recording.foxglove import FoxgloveMessage, to_json
 from vcmvsp.cosim.types import Array, FrameReport, Looks
 
 LIBRARY = "vcmvsp"

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.metrics.mission import Mission
-from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid, ImageAnnotations
+from vcmvsp.cosim.recording.foxglove import CompressedImage, Grid, ImageAnnotations
 from vcmvsp.cosim.recording.mcap_reader import messages
 from vcmvsp.cosim.recording.recorded_run import Noted
 from vcmvsp.cosim.types import Array, Mosaic, Presence, ProbabilityMap, Sightings

@@ -12,7 +12,7 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.recording.foxglove import agent_displays, messages
+from vcmvsp.cosim.recording import foxglove
 from vcmvsp.cosim.recording.mcap_reader import Recorded, about, contents
 from vcmvsp.cosim.types import (
     Array,
@@ -56,15 +56,8 @@ _READ_AS: dict[str, Any] = {
     **{
         f"foxglove.{kind.__name__}": kind
         for kind in (
-            messages.CameraCalibration,
-            messages.FrameTransforms,
-            messages.LaserScan,
-            messages.Log,
-            messages.PoseInFrame,
-            messages.RawImage,
-            messages.SceneUpdate,
-            agent_displays.CompressedImage,
-            agent_displays.Grid,
+            *(foxglove.CameraCalibration, foxglove.FrameTransforms, foxglove.LaserScan, foxglove.Log, foxglove.PoseInFrame),
+            *(foxglove.RawImage, foxglove.SceneUpdate, foxglove.CompressedImage, foxglove.Grid),
         )
     },
 }
@@ -145,7 +138,7 @@ class Values:
         self._decoders: dict[str, Callable[[bytes], Any]] = {}
 
     def of(self, message: Recorded) -> Any:
-        """The value that a message was made of, or the `cosim.recording.foxglove.messages` message that it is.
+        """The value that a message was made of, or the `cosim.recording.foxglove` message that it is.
 
         Raises:
             UsageError: it is not what its schema says.

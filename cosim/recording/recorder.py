@@ -8,7 +8,7 @@ small and a viewer useful:
 - ``<vehicle>/estimate`` is left out where it equals the true state of the same instant;
 - ``world/scene`` draws a body per vehicle, the place that each follower means to keep and, once a second, the world's targets;
   ``world/solids`` all that stands still, ``world/moving`` the frames of obstacles;
-- maps, mosaics and sightings become grids and annotated pictures (`cosim.recording.foxglove.agent_displays`).
+- maps, mosaics and sightings become grids and annotated pictures (`cosim.recording.foxglove`).
 
 An event of a type that nobody knows is written as it is.
 """
@@ -26,7 +26,7 @@ from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.metrics.motion import Window
 from vcmvsp.cosim.recording import event_text
 from vcmvsp.cosim.recording.accumulators import PACKED, Kept, RecordedWorld, Take, vehicle_of
-from vcmvsp.cosim.recording.foxglove.messages import to_json
+from vcmvsp.cosim.recording.foxglove import to_json
 from vcmvsp.cosim.recording.run_mcap import Viewer
 from vcmvsp.cosim.tables.schema import Placement, RunFacts
 from vcmvsp.cosim.types import Changed, Contact, Halted, Incident, Later, Moved, Outage, Presence, States
@@ -171,19 +171,19 @@ class Recorder:
 
     def _write_contact(self, key: str, time_ns: int, contact: Contact) -> None:
         self._write(key, time_ns, contact)
-        self.log(*event_text.of_contact(contact), time_ns)
+        self.log(*event_text.of_event(contact), time_ns)
 
     def _write_presence(self, key: str, time_ns: int, presence: Presence) -> None:
         self._write(key, time_ns, presence)
-        self._tell_of(time_ns, *event_text.of_presence(vehicle_of(key), presence))
+        self._tell_of(time_ns, *event_text.of_event(vehicle_of(key), presence))
 
     def _write_incident(self, key: str, time_ns: int, incident: Incident) -> None:
         self._write(key, time_ns, incident)
-        self._tell_of(time_ns, *event_text.of_incident(vehicle_of(key), incident))
+        self._tell_of(time_ns, *event_text.of_event(vehicle_of(key), incident))
 
     def _write_intervention(self, key: str, time_ns: int, done: event_text.Intervention) -> None:
         self._write(key, time_ns, done)
-        self._tell_of(time_ns, *event_text.of_intervention(done, time_ns))
+        self._tell_of(time_ns, *event_text.of_event(done, time_ns))
 
     def _tell_of(self, time_ns: int, level: str, text: str) -> None:
         self.log(level, text, time_ns)

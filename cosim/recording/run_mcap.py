@@ -1,4 +1,4 @@
-"""``run.mcap``: the events of a run as messages that viewers draw (`cosim.recording.foxglove.messages`), each under its key.
+"""``run.mcap``: the events of a run as messages that viewers draw (`cosim.recording.foxglove`), each under its key.
 
 What Foxglove has no schema for is written as it is. Pictures stay raw: in compressed chunks they are smaller than PNG files,
 written five times as fast, and come back as they were. Two things can be told only once an instant is over: which estimates
@@ -11,10 +11,8 @@ from typing import Any, BinaryIO
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.recording import foxglove as fg
 from vcmvsp.cosim.recording.accumulators import vehicle_of
-from vcmvsp.cosim.recording.foxglove import messages
-from vcmvsp.cosim.recording.foxglove.agent_displays import messages_of
-from vcmvsp.cosim.recording.foxglove.messages import FrameTransform, Quaternion, Vector3
 from vcmvsp.cosim.recording.mcap_writer import McapLog
 from vcmvsp.cosim.recording.scene import DrawnWorld, moving_frames, scene, solids
 from vcmvsp.cosim.tables.schema import NOT_LOST
@@ -95,18 +93,18 @@ class Viewer:
 
     def put_states(self, time_ns: int, states: States) -> None:
         """Where all vehicles truly are, at an instant that is recorded."""
-        now, transforms, write = messages.Time.of(time_ns), [], self.write
+        now, transforms, write = fg.Time.of(time_ns), [], self.write
         for name, state in self._each(states).items():
             (x, y, z), (qw, qx, qy, qz) = state.position, state.attitude
-            transforms.append(FrameTransform(now, "world", name, Vector3(x, y, z), Quaternion(qx, qy, qz, qw)))
+            transforms.append(fg.FrameTransform(now, "world", name, fg.Vector3(x, y, z), fg.Quaternion(qx, qy, qz, qw)))
             write(f"{name}/state", time_ns, state)
-        write("/tf", time_ns, messages.FrameTransforms(transforms))
+        write("/tf", time_ns, fg.FrameTransforms(transforms))
         if self._moving is not None:
             write(MOVING, time_ns, moving_frames(self._moving, self._pushed, time_ns))
 
     def say(self, level: str, text: str, time_ns: int) -> None:
         """A line of the log."""
-        self.write("log", time_ns, messages.Log(messages.Time.of(time_ns), messages.LEVELS[level], text))
+        self.write("log", time_ns, fg.Log(fg.Time.of(time_ns), fg.LEVELS[level], text))
 
     def end_instant(self, time_ns: int, latest: tuple[int, States] | None, *, is_cut: bool = False) -> None:
         """An instant is over: write the estimates that differ from its truth, and the scene if it is due.
@@ -165,21 +163,21 @@ class Viewer:
 
     def _put_fix(self, key: str, time_ns: int, fix: Fix) -> None:
         qw, qx, qy, qz = quaternion_from_yaw(fix.yaw or 0.0)
-        pose = messages.Pose(Vector3(*fix.position), Quaternion(qx, qy, qz, qw))
-        at = messages.Time.of(fix.time_ns)
-        self.write(key, time_ns, messages.PoseInFrame(at, "world", pose, fix.sigma_m, fix.sigma_rad))
+        pose = fg.Pose(fg.Vector3(*fix.position), fg.Quaternion(qx, qy, qz, qw))
+        at = fg.Time.of(fix.time_ns)
+        self.write(key, time_ns, fg.PoseInFrame(at, "world", pose, fix.sigma_m, fix.sigma_rad))
 
     def _put_scan(self, key: str, time_ns: int, scan: Scan) -> None:
-        self.write(key, time_ns, messages.LaserScan.of(scan, vehicle_of(key), scan.time_ns or time_ns))
+        self.write(key, time_ns, fg.LaserScan.of(scan, vehicle_of(key), scan.time_ns or time_ns))
 
     def _put_image(self, key: str, time_ns: int, image: Image) -> None:
         vehicle = vehicle_of(key)
         if image.focal_px > 0.0 and key not in self._calibrated:
             self._calibrated.add(key)
-            self.write(f"{key}/{CALIBRATION}", time_ns, messages.CameraCalibration.of(image, vehicle, time_ns))
-        self.write(key, time_ns, messages.RawImage.of(image, vehicle, image.time_ns or time_ns))
+            self.write(f"{key}/{CALIBRATION}", time_ns, fg.CameraCalibration.of(image, vehicle, time_ns))
+        self.write(key, time_ns, fg.RawImage.of(image, vehicle, image.time_ns or time_ns))
 
     def _put_shown(self, key: str, time_ns: int, shown: ProbabilityMap | Sightings | Mosaic) -> None:
         number = self._vehicles.index(vehicle_of(key))
-        for topic, message in messages_of(key, shown, time_ns, number):
+        for topic, message in fg.messages_of(key, shown, time_ns, number):
             self.write(topic, time_ns, message)

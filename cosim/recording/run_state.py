@@ -85,8 +85,8 @@ class RunState:
             Note: self._on_note,
             **dict.fromkeys(BY_VEHICLE, self._on_newest),
             Presence: self._on_presence,
-            Incident: lambda vehicle, time_ns, it: self.say(time_ns, *event_text.of_incident(vehicle, it)),
-            Contact: lambda _, time_ns, it: self.say(time_ns, *event_text.of_contact(it)),
+            Incident: lambda vehicle, time_ns, it: self.say(time_ns, *event_text.of_event(vehicle, it)),
+            Contact: lambda _, time_ns, it: self.say(time_ns, *event_text.of_event(it)),
             Halted: self._on_halted,
             Pushed: self._on_pushed,
             **dict.fromkeys((Outage, Changed, Moved), self._on_intervention),
@@ -127,7 +127,7 @@ class RunState:
 
     def _on_presence(self, vehicle: str, time_ns: int, presence: Presence) -> None:
         self._on_newest(vehicle, time_ns, presence)
-        self.say(time_ns, *event_text.of_presence(vehicle, presence))
+        self.say(time_ns, *event_text.of_event(vehicle, presence))
 
     def _on_halted(self, _: str, time_ns: int, halted: Halted) -> None:
         (self.halted.update if halted.halted else self.halted.difference_update)(halted.vehicles)
@@ -138,4 +138,4 @@ class RunState:
             self.keep("pushed", name, (*place, yaw_of(attitude)))
 
     def _on_intervention(self, _: str, time_ns: int, done: event_text.Intervention) -> None:
-        self.say(time_ns, *event_text.of_intervention(done, time_ns))
+        self.say(time_ns, *event_text.of_event(done, time_ns))

@@ -13,25 +13,7 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.metrics.mission import Target
-from vcmvsp.cosim.recording.foxglove.messages import (
-    ArrowPrimitive,
-    Color,
-    CubePrimitive,
-    CylinderPrimitive,
-    Duration,
-    FrameTransform,
-    FrameTransforms,
-    LinePrimitive,
-    Pose,
-    Quaternion,
-    SceneEntity,
-    SceneEntityDeletion,
-    SceneUpdate,
-    TextPrimitive,
-    Time,
-    TriangleListPrimitive,
-    Vector3,
-)
+from vcmvsp.cosim.recording import foxglove as fg
 from vcmvsp.cosim.types import Array, Follows, Pushed, Vec3
 from vcmvsp.cosim.util.palette import TARGET, rgb, rgb_of
 
@@ -95,19 +77,19 @@ def scene(
     places: Mapping[str, Follows],
     time_ns: int,
     targets: Sequence[Target] = (),
-) -> SceneUpdate:
+) -> fg.SceneUpdate:
     """The whole scene: entities move with the frames of their vehicles, and stay until the next scene takes their place."""
-    now, entities = Time.of(time_ns), []
+    now, entities = fg.Time.of(time_ns), []
     for index, name in enumerate(vehicles):
-        color, radius = Color(*rgb_of(index)), radius_m.get(name, DEFAULT_RADIUS_M)
+        color, radius = fg.Color(*rgb_of(index)), radius_m.get(name, DEFAULT_RADIUS_M)
         entities.append(_body(name, radius, color, now))
         if name in places and places[name].leader is not None:
             entities.append(_place(name, places[name], radius, color, now))
     entities += [_target(target, now, time_ns / SECOND_NS) for target in targets]
-    return SceneUpdate(entities, [SceneEntityDeletion(now)])
+    return fg.SceneUpdate(entities, [fg.SceneEntityDeletion(now)])
 
 
-def solids(world: DrawnWorld) -> SceneUpdate | None:
+def solids(world: DrawnWorld) -> fg.SceneUpdate | None:
     """What a world consists of: its solids by their colours, and obstacles with a time-table in their own frames.
 
     None: there is nothing, or more than `MOST_TRIANGLES`, which no viewer would like.
@@ -115,15 +97,15 @@ def solids(world: DrawnWorld) -> SceneUpdate | None:
     vertices, triangles = world.mesh()
     if len(triangles) > MOST_TRIANGLES:
         return None
-    now, entities = Time(0, 0), []
+    now, entities = fg.Time(0, 0), []
     if len(triangles):
         parts = _by_color(np.round(vertices, DIGITS), triangles, world.mesh_colors())
-        entities.append(SceneEntity(now, "world", "solids", Duration(), False, triangles=parts))
+        entities.append(fg.SceneEntity(now, "world", "solids", fg.Duration(), False, triangles=parts))
     entities += [_obstacle(each, now) for each in (*world.movables, *world.moving)]
-    return SceneUpdate(entities) if entities else None
+    return fg.SceneUpdate(entities) if entities else None
 
 
-def moving_frames(world: DrawnWorld, pushed: Pushed | None, time_ns: int) -> FrameTransforms:
+def moving_frames(world: DrawnWorld, pushed: Pushed | None, time_ns: int) -> fg.FrameTransforms:
     """Where the obstacles are that may move: those with a time-table, and those that can be pushed."""
     placed: list[tuple[str, Sequence[float], Sequence[float]]] = []
     for each in (*world.moving, *(world.movables if pushed is None else ())):
@@ -131,60 +113,60 @@ def moving_frames(world: DrawnWorld, pushed: Pushed | None, time_ns: int) -> Fra
         placed.append((each.name, (x, y, z), quaternion_from_yaw(yaw)))
     if pushed is not None:
         placed += zip(pushed.names, pushed.position.tolist(), pushed.attitude.tolist(), strict=True)
-    now, transforms = Time.of(time_ns), []
+    now, transforms = fg.Time.of(time_ns), []
     for name, place, (qw, qx, qy, qz) in placed:
-        transforms.append(FrameTransform(now, "world", _frame_of(name), Vector3(*place), Quaternion(qx, qy, qz, qw)))
-    return FrameTransforms(transforms)
+        transforms.append(fg.FrameTransform(now, "world", _frame_of(name), fg.Vector3(*place), fg.Quaternion(qx, qy, qz, qw)))
+    return fg.FrameTransforms(transforms)
 
 
 def _frame_of(name: str) -> str:
     return f"{OBSTACLE}{name}"
 
 
-def _by_color(vertices: Array, triangles: Array, colors: Array) -> list[TriangleListPrimitive]:
+def _by_color(vertices: Array, triangles: Array, colors: Array) -> list[fg.TriangleListPrimitive]:
     """A list of triangles for each colour, with those points that it needs."""
     found, which = np.unique(colors, axis=0, return_inverse=True)
     parts = []
     for number, (red, green, blue) in enumerate(found.tolist()):
         used, indices = np.unique(triangles[which.ravel() == number], return_inverse=True)
-        points = [Vector3(*point) for point in vertices[used].tolist()]
-        color = Color(red / 255, green / 255, blue / 255)
-        parts.append(TriangleListPrimitive(Pose(), points, color, indices.ravel().tolist()))
+        points = [fg.Vector3(*point) for point in vertices[used].tolist()]
+        color = fg.Color(red / 255, green / 255, blue / 255)
+        parts.append(fg.TriangleListPrimitive(fg.Pose(), points, color, indices.ravel().tolist()))
     return parts
 
 
-def _obstacle(moving: DrawnObstacle, now: Time) -> SceneEntity:
+def _obstacle(moving: DrawnObstacle, now: fg.Time) -> fg.SceneEntity:
     (length, width, height), _, kind, rgb_color = moving.solid.hull
     red, green, blue = (part / 255 for part in rgb_color)
-    color, size, frame = Color(red, green, blue, OBSTACLE_OPACITY), Vector3(length, width, height), _frame_of(moving.name)
-    text = TextPrimitive(Pose(Vector3(0.0, 0.0, height)), True, 14.0, True, color, moving.name)
-    cubes = [CubePrimitive(Pose(), size, color)] if kind == "box" else []
-    cylinders = [] if cubes else [CylinderPrimitive(Pose(), size, 1.0, 1.0, color)]
-    return SceneEntity(now, frame, frame, Duration(), True, cubes=cubes, cylinders=cylinders, texts=[text])
+    color, size, frame = fg.Color(red, green, blue, OBSTACLE_OPACITY), fg.Vector3(length, width, height), _frame_of(moving.name)
+    text = fg.TextPrimitive(fg.Pose(fg.Vector3(0.0, 0.0, height)), True, 14.0, True, color, moving.name)
+    cubes = [fg.CubePrimitive(fg.Pose(), size, color)] if kind == "box" else []
+    cylinders = [] if cubes else [fg.CylinderPrimitive(fg.Pose(), size, 1.0, 1.0, color)]
+    return fg.SceneEntity(now, frame, frame, fg.Duration(), True, cubes=cubes, cylinders=cylinders, texts=[text])
 
 
-def _body(name: str, radius: float, color: Color, now: Time) -> SceneEntity:
-    cylinder = CylinderPrimitive(
-        Pose(), Vector3(2 * radius, 2 * radius, radius), 1.0, 1.0, Color(color.r, color.g, color.b, 0.8)
+def _body(name: str, radius: float, color: fg.Color, now: fg.Time) -> fg.SceneEntity:
+    cylinder = fg.CylinderPrimitive(
+        fg.Pose(), fg.Vector3(2 * radius, 2 * radius, radius), 1.0, 1.0, fg.Color(color.r, color.g, color.b, 0.8)
     )
-    ahead = Pose(Vector3(0.0, 0.0, 0.5 * radius))
-    arrow = ArrowPrimitive(ahead, 1.2 * radius, 0.2 * radius, 0.5 * radius, 0.5 * radius, color)
-    text = TextPrimitive(Pose(Vector3(0.0, 0.0, 1.6 * radius)), True, 14.0, True, color, name)
-    return SceneEntity(now, name, name, Duration(), True, arrows=[arrow], cylinders=[cylinder], texts=[text])
+    ahead = fg.Pose(fg.Vector3(0.0, 0.0, 0.5 * radius))
+    arrow = fg.ArrowPrimitive(ahead, 1.2 * radius, 0.2 * radius, 0.5 * radius, 0.5 * radius, color)
+    text = fg.TextPrimitive(fg.Pose(fg.Vector3(0.0, 0.0, 1.6 * radius)), True, 14.0, True, color, name)
+    return fg.SceneEntity(now, name, name, fg.Duration(), True, arrows=[arrow], cylinders=[cylinder], texts=[text])
 
 
-def _place(name: str, follows: Follows, radius: float, color: Color, now: Time) -> SceneEntity:
+def _place(name: str, follows: Follows, radius: float, color: fg.Color, now: fg.Time) -> fg.SceneEntity:
     x, y = follows.slot
-    line = LinePrimitive(0, Pose(), 1.5, True, [Vector3(), Vector3(x, y)], color)
-    ring = [Vector3(x + radius * c, y + radius * s) for c, s in _RING]
-    outline = LinePrimitive(1, Pose(), 1.5, True, ring, color)
-    return SceneEntity(now, str(follows.leader), f"{name}/place", Duration(), True, lines=[line, outline])
+    line = fg.LinePrimitive(0, fg.Pose(), 1.5, True, [fg.Vector3(), fg.Vector3(x, y)], color)
+    ring = [fg.Vector3(x + radius * c, y + radius * s) for c, s in _RING]
+    outline = fg.LinePrimitive(1, fg.Pose(), 1.5, True, ring, color)
+    return fg.SceneEntity(now, str(follows.leader), f"{name}/place", fg.Duration(), True, lines=[line, outline])
 
 
-def _target(target: Target, now: Time, time_s: float) -> SceneEntity:
+def _target(target: Target, now: fg.Time, time_s: float) -> fg.SceneEntity:
     (x, y), half = target.place(time_s), 0.5 * target.yaw(time_s)
-    pose = Pose(Vector3(x, y), Quaternion(z=math.sin(half), w=math.cos(half)))
-    color = Color(*rgb(TARGET), 0.6)
-    sheet = CubePrimitive(pose, Vector3(target.size_m, target.size_m, TARGET_HEIGHT_M), color)
-    text = TextPrimitive(Pose(Vector3(x, y, target.size_m)), True, 14.0, True, color, target.name)
-    return SceneEntity(now, "world", f"{TARGET_ID}{target.name}", Duration(), True, cubes=[sheet], texts=[text])
+    pose = fg.Pose(fg.Vector3(x, y), fg.Quaternion(z=math.sin(half), w=math.cos(half)))
+    color = fg.Color(*rgb(TARGET), 0.6)
+    sheet = fg.CubePrimitive(pose, fg.Vector3(target.size_m, target.size_m, TARGET_HEIGHT_M), color)
+    text = fg.TextPrimitive(fg.Pose(fg.Vector3(x, y, target.size_m)), True, 14.0, True, color, target.name)
+    return fg.SceneEntity(now, "world", f"{TARGET_ID}{target.name}", fg.Duration(), True, cubes=[sheet], texts=[text])

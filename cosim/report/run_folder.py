@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from vcmvsp.cosim.analysis.links import NUMBERS, Links, links_of
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.recording.foxglove.messages import LEVELS
+from vcmvsp.cosim.recording.foxglove import LEVELS
 from vcmvsp.cosim.recording.mcap_reader import about, messages, of_topic
 from vcmvsp.cosim.tables.schema import Recording, load_tables
 from vcmvsp.cosim.util import limits

@@ -16,8 +16,8 @@ from vcmvsp.cosim.metrics import routing
 from vcmvsp.cosim.metrics.motion import Window, motion
 from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.mission_log import MissionLog, read_mission
+from vcmvsp.cosim.recording.recorded_run import tables_of
 from vcmvsp.cosim.recording.recorder import Recorder
-from vcmvsp.cosim.recording.run_tables import tables_of
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.tables.schema import Placement, RunFacts
 from vcmvsp.cosim.types import Array

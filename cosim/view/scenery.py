@@ -13,7 +13,7 @@ from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.config.registry import NO_CODE, only
-from vcmvsp.cosim.recording.foxglove.messages import SceneUpdate
+from vcmvsp.cosim.recording.foxglove import SceneUpdate
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 from vcmvsp.cosim.types import frozen

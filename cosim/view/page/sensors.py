@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 import viser
 
-from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of
+from vcmvsp.cosim.recording.foxglove import corners_of
 from vcmvsp.cosim.types import Array, Image, Mosaic, ProbabilityMap, Scan, Sightings
 from vcmvsp.cosim.util import pictures
 from vcmvsp.cosim.util.palette import PROBABILITY, rgb

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.recording.foxglove.messages import LEVELS, Log
+from vcmvsp.cosim.recording.foxglove import LEVELS, Log
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Array, Halted
 from vcmvsp.cosim.util.documents import json_reader

@@ -1,4 +1,4 @@
-"""What a recording says, as the values that it was made from (the inverse of `cosim.recording.foxglove.messages`).
+"""What a recording says, as the values that it was made from (the inverse of `cosim.recording.foxglove`).
 
 What a message has no place for is not to be had any more, such as the depth of a picture.
 """
@@ -10,8 +10,16 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.frames import yaw_of
-from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid, ImageAnnotations
-from vcmvsp.cosim.recording.foxglove.messages import CameraCalibration, FrameTransforms, LaserScan, PoseInFrame, RawImage
+from vcmvsp.cosim.recording.foxglove import (
+    CameraCalibration,
+    CompressedImage,
+    FrameTransforms,
+    Grid,
+    ImageAnnotations,
+    LaserScan,
+    PoseInFrame,
+    RawImage,
+)
 from vcmvsp.cosim.recording.recorded_run import Noted
 from vcmvsp.cosim.types import (
     Fix,

@@ -8,7 +8,7 @@ import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError, VcmvspError
-from vcmvsp.cosim.recording.foxglove.agent_displays import PICTURE
+from vcmvsp.cosim.recording.foxglove import PICTURE
 from vcmvsp.cosim.recording.mcap_reader import Recorded
 from vcmvsp.cosim.recording.recorded_run import FILE, Values
 from vcmvsp.cosim.recording.run_mcap import CALIBRATION, MOVING, SCENE

@@ -12,8 +12,7 @@ import pytest
 import tomli_w
 
 from tests.support.cosim.command_line import vcmvsp_command
-from vcmvsp.cosim.analysis.recognition import Rates, Share
-from vcmvsp.cosim.analysis.snapshots import InSight, Snapshot, Snapshots
+from vcmvsp.cosim.analysis.snapshots import InSight, Rates, Share, Snapshot, Snapshots
 from vcmvsp.cosim.types import Sighting
 
 FLAG = {"name": "flag", "picture": "targets/alpha.png", "size_m": 2.0}

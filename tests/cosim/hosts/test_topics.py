@@ -24,7 +24,7 @@ from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.event_publisher import ECHO, Topics, stamp
 from vcmvsp.cosim.hosts.hub import QUEUES, Hub
-from vcmvsp.cosim.recording.foxglove import messages
+from vcmvsp.cosim.recording import foxglove as messages
 from vcmvsp.cosim.security import authority, certificates
 from vcmvsp.cosim.security.certificates import Keys
 from vcmvsp.cosim.transport import access_control, key_names

@@ -15,6 +15,7 @@ import pytest
 from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
+from vcmvsp.cosim.plots.radio_plots import draw_calibration
 
 from tests.cosim.studies.test_outputs import DELAY, LOSS, METRIC, study
 from tests.support.cosim import recordings
@@ -24,7 +25,6 @@ from vcmvsp.cosim.analysis import coverage as coverages
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.plots import coverage_plot, mission_plot, run_plots, study_plot
-from vcmvsp.cosim.plots.calibration_plot import draw_calibration
 from vcmvsp.cosim.plots.study_plot import label_of
 from vcmvsp.cosim.plots.style import line_of, save_png, style, svg
 from vcmvsp.cosim.recording.mission_log import read_mission

@@ -23,7 +23,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.metrics.mission import Mission, seen_ratio
 from vcmvsp.cosim.metrics.motion import motion
-from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of
+from vcmvsp.cosim.recording.foxglove import corners_of
 from vcmvsp.cosim.recording.mission_log import FRAMES, MissionLog, read_mission, surest_map
 from vcmvsp.cosim.studies.rows import flat
 from vcmvsp.cosim.types import Image, Looks, Mosaic, Presence, ProbabilityMap, Sighting, Sightings, frozen

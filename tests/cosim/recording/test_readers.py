@@ -17,8 +17,7 @@ from mcap.reader import NonSeekingReader, make_reader
 
 from tests.support.cosim import export_runs, mcap_checks
 from vcmvsp.cosim.assembly.worlds import world_of
-from vcmvsp.cosim.recording import scene
-from vcmvsp.cosim.recording.foxglove import messages as foxglove
+from vcmvsp.cosim.recording import foxglove, scene
 from vcmvsp.cosim.recording.mcap_reader import about, contents, messages, of_topic
 from vcmvsp.cosim.recording.mcap_writer import FRAME, McapLog, schema_of
 from vcmvsp.cosim.types import FrameReport, Note, Velocity, Waypoint

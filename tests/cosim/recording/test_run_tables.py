@@ -9,7 +9,7 @@ import pytest
 from tests.support.cosim import export_runs
 from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.recording.run_tables import tables_of
+from vcmvsp.cosim.recording.recorded_run import tables_of
 
 RUN = "a crossing cart"
 

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.analysis.recognition import Rates
-from vcmvsp.cosim.analysis.snapshots import Snapshots
+from vcmvsp.cosim.analysis.snapshots import Rates, Snapshots
 from vcmvsp.cosim.assembly.parts.recognition import Detector
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Photo
 from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (

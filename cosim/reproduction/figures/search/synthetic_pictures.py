@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.analysis.recognition import Rates
-from vcmvsp.cosim.analysis.snapshots import Snapshots
+from vcmvsp.cosim.analysis.snapshots import Rates, Snapshots
 from vcmvsp.cosim.assembly.parts.recognition import Detection, Detector, TargetPicture, ground
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.reproduction.figures.figure import Curve

@@ -1,11 +1,21 @@
-"""Messages that Foxglove and Lichtblick draw by themselves.
+"""Messages that Foxglove and Lichtblick draw by themselves, and what agents show as such messages.
 
-The structs carry the names and fields of Foxglove's published schemas
-(https://docs.foxglove.dev/docs/sdk/schemas); of a scene entity's primitives only those drawn here. Lengths m, angles rad,
-world frame ``world`` (x east, y north, z up), a frame of its own per vehicle (x forward, y left, z up). What agents show has
-its messages in `cosim.recording.foxglove.agent_displays`; schemas are made in `cosim.recording.mcap_writer`.
+Names and fields are those of Foxglove's published schemas (https://docs.foxglove.dev/docs/sdk/schemas); of a scene entity's
+primitives only those drawn here. What those schemas have no place for stands in further fields, which viewers pass over. They
+are written as JSON (`cosim.recording.mcap_writer`): Foxglove's own packages for Python speak Protobuf alone and know no further
+fields. Lengths m, angles rad, world frame ``world`` (x east, y north, z up), a frame of its own per vehicle (x forward, y left,
+z up).
+
+===============================  ===========================  =====================================================
+``<vehicle>/map``                `Grid`                       ``probability`` in 255ths and ``seen``, 0 or 1, per cell
+``<vehicle>/mosaic``             `Grid`                       ``red``, ``green``, ``blue``; ``alpha`` 0: not seen
+``<vehicle>/sightings``          `ImageAnnotations`           turned boxes with names, and the sightings themselves
+``<vehicle>/sightings/picture``  `CompressedImage`            the picture that they are in, where it was kept
+===============================  ===========================  =====================================================
 """
 
+import math
+from collections.abc import Iterator
 from typing import Literal
 
 import msgspec
@@ -13,9 +23,14 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import yaw_of
-from vcmvsp.cosim.types import Array, Image, Scan
+from vcmvsp.cosim.types import Array, Image, Mosaic, ProbabilityMap, Scan, Sighting, Sightings
+from vcmvsp.cosim.util.palette import rgb_of
 
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}  # foxglove.LogLevel
+UINT8 = 1  # foxglove.NumericType
+LINE_LOOP = 2  # foxglove.PointsAnnotationType
+PICTURE = "picture"  # under the key of the sightings
+FONT_PX = 16.0
 
 
 class FoxgloveMessage(msgspec.Struct, frozen=True, gc=False):
@@ -70,11 +85,16 @@ class Pose(FoxgloveMessage, frozen=True):
     orientation: Quaternion = Quaternion()
 
 
-class PoseInFrame(FoxgloveMessage, frozen=True):
+class Stamped(FoxgloveMessage, frozen=True):
+    """A message with the time at which it was measured, and the frame in which it stands."""
+
+    timestamp: Time
+    frame_id: str
+
+
+class PoseInFrame(Stamped, frozen=True):
     """A pose that a sensor measured; the standard deviations are additional to Foxglove's fields."""
 
-    timestamp: Time  # when it was measured
-    frame_id: str
     pose: Pose
     sigma_m: float
     sigma_rad: float
@@ -173,11 +193,9 @@ class TriangleListPrimitive(FoxgloveMessage, frozen=True):
     colors: list[Color] = []
 
 
-class SceneEntity(FoxgloveMessage, frozen=True):
+class SceneEntity(Stamped, frozen=True):
     """Something to draw, moving with its frame."""
 
-    timestamp: Time
-    frame_id: str
     id: str
     lifetime: Duration
     frame_locked: bool
@@ -215,11 +233,9 @@ class Log(FoxgloveMessage, frozen=True):
     line: int = 0
 
 
-class LaserScan(FoxgloveMessage, frozen=True):
+class LaserScan(Stamped, frozen=True):
     """One sweep; a beam without return is null, as JSON knows no infinity. The range is additional to Foxglove's fields."""
 
-    timestamp: Time
-    frame_id: str
     pose: Pose
     start_angle: float
     end_angle: float
@@ -234,11 +250,9 @@ class LaserScan(FoxgloveMessage, frozen=True):
         return cls(Time.of(time_ns), vehicle, Pose(), scan.angle_min, end, scan.ranges.tolist(), range_max=scan.range_max)
 
 
-class RawImage(FoxgloveMessage, frozen=True):
+class RawImage(Stamped, frozen=True):
     """One picture, rows from top to bottom."""
 
-    timestamp: Time
-    frame_id: str
     width: int
     height: int
     encoding: str
@@ -257,11 +271,9 @@ class RawImage(FoxgloveMessage, frozen=True):
         return np.frombuffer(self.data, np.uint8).reshape(self.height, self.width, 3)
 
 
-class CameraCalibration(FoxgloveMessage, frozen=True):
+class CameraCalibration(Stamped, frozen=True):
     """A pinhole without distortion; the matrices are written row by row."""
 
-    timestamp: Time
-    frame_id: str
     width: int
     height: int
     K: list[float]  # 3 x 3, px: focal lengths and principal point
@@ -287,3 +299,140 @@ def to_json(value: object) -> object:
     if isinstance(value, _NUMPY):
         return value.tolist()
     raise TypeError(f"cannot record a {type(value).__name__}; use numbers, strings, bytes, lists and mappings")
+
+
+class Vector2(FoxgloveMessage, frozen=True):
+    """A size; or a place in a picture, px: columns and rows from the top left corner of the top left pixel."""
+
+    x: float
+    y: float
+
+
+class PackedElementField(FoxgloveMessage, frozen=True):
+    """What stands where in a cell."""
+
+    name: str
+    offset: int  # bytes
+    type: int = UINT8
+
+
+class Grid(Stamped, frozen=True):
+    """Square cells of the ground, row by row from the south, each row from the west; the pose is the south-west corner's."""
+
+    pose: Pose
+    column_count: int
+    cell_size: Vector2  # m
+    row_stride: int  # bytes
+    cell_stride: int
+    fields: list[PackedElementField]
+    data: bytes
+
+    @property
+    def cells(self) -> Array:
+        """The numbers: (rows, columns, fields) uint8."""
+        return np.frombuffer(self.data, np.uint8).reshape(-1, self.column_count, self.cell_stride)
+
+
+WHITE, SHADE = Color(1.0, 1.0, 1.0), Color(0.0, 0.0, 0.0, 0.6)
+
+
+class PointsAnnotation(FoxgloveMessage, frozen=True):
+    """Points of a picture, joined by lines."""
+
+    timestamp: Time
+    type: int
+    points: list[Vector2]
+    outline_color: Color
+    outline_colors: list[Color]
+    fill_color: Color
+    thickness: float  # px
+
+
+class TextAnnotation(FoxgloveMessage, frozen=True):
+    """Words in a picture; the position is that of their bottom left."""
+
+    timestamp: Time
+    position: Vector2
+    text: str
+    font_size: float  # px
+    text_color: Color
+    background_color: Color
+
+
+class CircleAnnotation(FoxgloveMessage, frozen=True):
+    """A circle in a picture: Foxglove asks for the list, and nothing here is round."""
+
+    timestamp: Time
+    position: Vector2
+    diameter: float
+    thickness: float
+    fill_color: Color
+    outline_color: Color
+
+
+class ImageAnnotations(FoxgloveMessage, frozen=True):
+    """What was recognised in a picture; what stands behind the three lists is additional to Foxglove's fields."""
+
+    circles: list[CircleAnnotation]
+    points: list[PointsAnnotation]
+    texts: list[TextAnnotation]
+    sensor: str = ""
+    time_ns: int = 0  # when the picture was taken
+    width: int = 0  # px
+    height: int = 0
+    found: tuple[Sighting, ...] = ()
+
+
+class CompressedImage(Stamped, frozen=True):
+    """A picture as a JPEG file."""
+
+    data: bytes
+    format: str = "jpeg"
+
+
+def messages_of(
+    key: str, value: ProbabilityMap | Sightings | Mosaic, time_ns: int, color: int = 0
+) -> Iterator[tuple[str, FoxgloveMessage]]:
+    """Topic and message of each part of what a vehicle shows; ``color`` is the number of the vehicle."""
+    if isinstance(value, ProbabilityMap):
+        yield key, _grid(value, ("probability", "seen"), np.dstack((value.probability, value.seen)), time_ns)
+    elif isinstance(value, Mosaic):
+        alpha = np.uint8(255) * value.pixels.any(axis=2)
+        yield key, _grid(value, ("red", "green", "blue", "alpha"), np.dstack((value.pixels, alpha)), time_ns)
+    else:
+        yield key, _annotations(value, Color(*rgb_of(color)))
+        if value.jpeg:
+            vehicle = key.partition("/")[0]
+            yield f"{key}/{PICTURE}", CompressedImage(Time.of(value.time_ns), vehicle, value.jpeg)
+
+
+def corners_of(sighting: Sighting) -> list[tuple[float, float]]:
+    """The corners of a target in its picture, px, the middle of the first pixel being (0, 0); the first two are its top."""
+    (u, v), half = sighting.centre_px, 0.5 * sighting.side_px
+    c, s = half * math.cos(sighting.angle), half * math.sin(sighting.angle)  # rows count downwards
+    return [(u + x * c + y * s, v - x * s + y * c) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+
+
+def label_of(sighting: Sighting) -> str:
+    """Name and score."""
+    return f"{sighting.target} {sighting.score:.2f}".strip()
+
+
+def _grid(shown: ProbabilityMap | Mosaic, names: tuple[str, ...], cells: Array, time_ns: int) -> Grid:
+    _, columns, depth = cells.shape
+    corner, size = Pose(Vector3(shown.left, shown.bottom)), Vector2(shown.cell_m, shown.cell_m)
+    fields = [PackedElementField(name, offset) for offset, name in enumerate(names)]
+    return Grid(Time.of(time_ns), "world", corner, columns, size, columns * depth, depth, fields, cells.tobytes())
+
+
+def _annotations(sightings: Sightings, color: Color) -> ImageAnnotations:
+    """The time is that of the picture, by which viewers put the two together."""
+    at, clear = Time.of(sightings.time_ns), Color(0.0, 0.0, 0.0, 0.0)
+    points, texts = [], []
+    for each in sightings.found:
+        corners = [Vector2(u + 0.5, v + 0.5) for u, v in corners_of(each)]
+        points.append(PointsAnnotation(at, LINE_LOOP, corners, color, [], clear, 2.0))
+        above = Vector2(min(corner.x for corner in corners), min(corner.y for corner in corners) - 2.0)
+        texts.append(TextAnnotation(at, above, label_of(each), FONT_PX, WHITE, SHADE))
+    sizes = sightings.width, sightings.height
+    return ImageAnnotations([], points, texts, sightings.sensor, sightings.time_ns, *sizes, sightings.found)

@@ -1,1 +1,0 @@
-"""Messages that Foxglove and Lichtblick draw. Conversion of values: no file is opened here."""
