@@ -1,7 +1,7 @@
 """What is kept of a run for its two tables, its numbers and its digest; nothing of it is written while the run goes on.
 
-A value is taken by its type (`Kept.takers`). What is in neither table counts in the digest as MessagePack, in the order in
-which it came: most types just as they are (`PACKED`), arrays by their bytes.
+A value is taken by its type (`Accumulators._takers`). What is in neither table counts in the digest as MessagePack, in the order
+in which it came: most types just as they are (`PACKED`), arrays by their bytes.
 """
 
 import functools
@@ -9,7 +9,7 @@ import hashlib
 import math
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,7 +20,7 @@ from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import RunInfo
-from vcmvsp.cosim.metrics.availability import agent_metrics, hardware_metrics, limited_by_s
+from vcmvsp.cosim.metrics.availability import agent_metrics, hardware_metrics
 from vcmvsp.cosim.metrics.catalogue import SCHEMA
 from vcmvsp.cosim.metrics.control import control_metrics
 from vcmvsp.cosim.metrics.formation import Noted, formation_metrics
@@ -72,7 +72,7 @@ PACKED = (
     *(Changed, Contact, Fix, Follows, Halted, Imu, Incident, Measured, Message, Moved, Note, Odometry, Outage, Presence),
     *(RealStatus, Velocity, Waypoint),
 )
-"""Types that count in the digest as they are: whoever takes events adds these to `Kept.packed`, as key, time and value."""
+"""Types that count in the digest as they are: `Recorder.on` adds these to `packed`, as key, time and value."""
 HASHED_BYTES = 1 << 16  # so many are hashed together
 _COMMAND = struct.Struct("<5d").pack  # time ns, velocity m/s, yaw rate rad/s: an array's own `extend` takes twice as long
 
@@ -81,21 +81,16 @@ class RecordedWorld(DrawnWorld, WorldClearance, Protocol):
     """World of a run, to be drawn and measured."""
 
 
-class Kept:
-    """Collects as a run goes on; tables and numbers are made once it is over.
-
-    Args:
-        run: what the federates are told of the run.
-        agents: whose ticks the age of information is measured at.
-        world: what the vehicles move in; None: nothing is told of how near they came to it.
-    """
+class Accumulators:
+    """Collects as a run goes on; tables and numbers are made once it is over. Args: see `cosim.recording.recorder.Recorder`."""
 
     def __init__(self, run: RunInfo, agents: Sequence[AgentInfo], world: RecordedWorld | None = None) -> None:
         self._run, self._world = run, world
+        self._now = 0  # ns: of the newest value; once the run is over, its end
         self._ticks = {agent.vehicle: agent.ticks for agent in agents}
         self._rows: list[tuple[int, States]] = []
         self._frames = Frames(run.vehicles)
-        self.follows: list[Placement] = []  # who means to keep which place, and from when on
+        self._follows: list[Placement] = []
         self._noted, self._mission = Noted(), Mission()
         self._routing = Routing(run.vehicles)
         self._commands = {name: bytearray() for name in run.vehicles}  # `_COMMAND`, one behind the other
@@ -104,13 +99,13 @@ class Kept:
         self._incidents: list[tuple[str, Incident]] = []
         self._fixes: Counter[str] = Counter()
         self._collisions = 0
-        self.packed = bytearray()  # what is in no table, since it was hashed last
+        self._packed = bytearray()  # what is in no table, since it was hashed last
         self._others = hashlib.sha256()  # of all before
         self._tables: tuple[pa.Table, pa.Table] | None = None
-        self.takers: dict[type, Take] = {
-            FrameReport: self._take_frame,
-            Traffic: self._take_traffic,
-            Routed: self._take_routed,
+        self._takers: dict[type, Take] = {
+            FrameReport: lambda _key, _time_ns, report: self._frames.extend((report,)),
+            Traffic: lambda _key, _time_ns, traffic: self._frames.extend(traffic.reports),
+            Routed: lambda _key, _time_ns, routed: self._routing.take(routed),
             Follows: self._take_follows,
             Note: self._take_note,
             Velocity: self._take_velocity,
@@ -118,8 +113,8 @@ class Kept:
             Contact: self._take_contact,
             Presence: self._take_presence,
             RealStatus: self._take_status,
-            Incident: self._take_incident,
-            Fix: self._take_fix,
+            Incident: lambda key, _time_ns, incident: self._incidents.append((vehicle_of(key), incident)),
+            Fix: lambda key, _time_ns, _fix: self._fixes.update((vehicle_of(key),)),
             Scan: self._take_scan,
             Pushed: self._take_pushed,
             Image: self._take_image,
@@ -127,48 +122,54 @@ class Kept:
             **dict.fromkeys((ProbabilityMap, Sightings, Mosaic), self._take_shown),
         }
 
-    def take_states(self, time_ns: int, states: States) -> None:
-        """The true states of an instant that is recorded."""
-        self._rows.append((time_ns, states))
-
-    def hash_much(self) -> None:
+    def _hash_much(self) -> None:
         """Hash what is packed, if that is much: for little at a time it takes as long again as to pack it."""
-        if len(self.packed) > HASHED_BYTES:
+        if len(self._packed) > HASHED_BYTES:
             self._hash()
 
-    def facts(self, end_ns: int) -> RunFacts:
-        """What the tables do not say of a run that lasted until ``end_ns``."""
-        run = self._run
-        return RunFacts(scenario=run.scenario, seed=run.seed, end_ns=end_ns, vehicles=run.vehicles, follows=tuple(self.follows))
+    @property
+    def follows(self) -> tuple[Placement, ...]:
+        """Who means to keep which place, and from when on."""
+        return tuple(self._follows)
 
-    def tables(self, end_ns: int) -> tuple[pa.Table, pa.Table]:
-        """True states and frames (`cosim.tables.schema`) of a run that is over; what they are made of is given up."""
+    @property
+    def facts(self) -> RunFacts:
+        """What the tables do not say of the run."""
+        run = self._run
+        return RunFacts(scenario=run.scenario, seed=run.seed, end_ns=self._now, vehicles=run.vehicles, follows=self.follows)
+
+    @property
+    def states(self) -> pa.Table:
+        """The true states (`cosim.tables.schema.STATES_SCHEMA`) of a run that is over."""
+        return self._both()[0]
+
+    @property
+    def radio(self) -> pa.Table:
+        """The frames at their receivers (`cosim.tables.schema.RADIO_SCHEMA`), likewise."""
+        return self._both()[1]
+
+    def _both(self) -> tuple[pa.Table, pa.Table]:
+        """Both tables; what they are made of is given up."""
         if self._tables is None:
-            facts = self.facts(end_ns)
+            facts = self.facts
             self._tables = states_table(self._rows, facts), radio_table(self._frames, facts)
             self._rows.clear()
             if self._routing:
                 self._tables = self._tables[0], self._routing.told(self._tables[1])
         return self._tables
 
-    def write_tables(self, folder: Path, end_ns: int) -> None:
+    def write_tables(self, folder: Path) -> None:
         """Write ``states.parquet`` and ``radio.parquet``."""
-        for table, name in zip(self.tables(end_ns), ("states", "radio"), strict=True):
+        for name, table in (("states", self.states), ("radio", self.radio)):
             with replacing(folder / f"{name}.parquet") as path:
                 write_table(table, path)
 
-    def limited_by_s(self) -> Iterator[tuple[str, Mapping[str, float]]]:
-        """Real vehicles that were held back, and for how long by which cause."""
-        for vehicle, told in sorted(self._statuses.items()):
-            if by_s := limited_by_s(told):
-                yield vehicle, by_s
-
-    def metrics(self, window: Window, end_ns: int) -> dict[str, Any]:
-        """The numbers of a run that is over (`cosim.metrics`)."""
-        states, radio = self.tables(end_ns)
+    def metrics(self, *, window: Window) -> dict[str, Any]:
+        """The numbers of a run that is over (`cosim.metrics.catalogue`); all but counts within the window (s)."""
+        states, radio, end_ns = self.states, self.radio, self._now
         self._hash()
         moved, got = motion(states), receptions(radio)
-        vehicles, follows, targets = self._run.vehicles, self.follows, () if self._world is None else self._world.targets
+        vehicles, follows, targets = self._run.vehicles, self._follows, () if self._world is None else self._world.targets
         ages = age_metrics(informed(radio, got), follows, self._ticks, window, end_ns)
         hardware = hardware_metrics(self._statuses, self._incidents, self._fixes, got)
         mission = self._mission.metrics(moved, targets)
@@ -190,21 +191,12 @@ class Kept:
             "digest": digest([states, radio], self._others.digest()),
         }
 
-    def _take_frame(self, key: str, time_ns: int, report: FrameReport) -> None:
-        self._frames.extend((report,))
-
-    def _take_traffic(self, key: str, time_ns: int, traffic: Traffic) -> None:
-        self._frames.extend(traffic.reports)
-
-    def _take_routed(self, key: str, time_ns: int, routed: Routed) -> None:
-        self._routing.take(routed)
-
     def _take_follows(self, key: str, time_ns: int, follows: Follows) -> None:
         vehicle = vehicle_of(key)
         if follows.leader is not None and follows.leader not in self._run.vehicles:
             known = ", ".join(self._run.vehicles)
             raise ScenarioError(f"{vehicle} follows {follows.leader!r}, which is no vehicle of this run ({known})")
-        self.follows.append(Placement(time_ns, vehicle, follows))
+        self._follows.append(Placement(time_ns, vehicle, follows))
 
     def _take_note(self, key: str, time_ns: int, note: Note) -> None:
         vehicle = vehicle_of(key)
@@ -232,33 +224,27 @@ class Kept:
     def _take_status(self, key: str, time_ns: int, status: RealStatus) -> None:
         self._statuses.setdefault(vehicle_of(key), []).append((time_ns, status))
 
-    def _take_incident(self, key: str, time_ns: int, incident: Incident) -> None:
-        self._incidents.append((vehicle_of(key), incident))
-
-    def _take_fix(self, key: str, time_ns: int, fix: Fix) -> None:
-        self._fixes[vehicle_of(key)] += 1
-
     def _take_scan(self, key: str, time_ns: int, scan: Scan) -> None:
-        self.packed += encode((key, time_ns, scan.time_ns)) + scan.ranges.tobytes()
+        self._packed += encode((key, time_ns, scan.time_ns)) + scan.ranges.tobytes()
 
     def _take_pushed(self, key: str, time_ns: int, pushed: Pushed) -> None:
-        self.packed += encode((key, time_ns)) + pushed.position.tobytes() + pushed.attitude.tobytes()
+        self._packed += encode((key, time_ns)) + pushed.position.tobytes() + pushed.attitude.tobytes()
 
     def _take_image(self, key: str, time_ns: int, image: Image) -> None:
-        self.packed += encode((key, time_ns, image.time_ns)) + image.pixels.tobytes()
-        self.hash_much()
+        self._packed += encode((key, time_ns, image.time_ns)) + image.pixels.tobytes()
+        self._hash_much()
 
     def _take_cells(self, key: str, time_ns: int, value: Looks | ProbabilityMap | Sightings | Mosaic) -> None:
-        self.packed += encode((key, time_ns, value))  # the bytes of arrays and pictures
-        self.hash_much()
+        self._packed += encode((key, time_ns, value))  # the bytes of arrays and pictures
+        self._hash_much()
 
     def _take_shown(self, key: str, time_ns: int, value: ProbabilityMap | Sightings | Mosaic) -> None:
         self._take_cells(key, time_ns, value)
         self._mission.see(vehicle_of(key), value)
 
     def _hash(self) -> None:
-        self._others.update(self.packed)
-        self.packed.clear()
+        self._others.update(self._packed)
+        self._packed.clear()
 
 
 @functools.cache

@@ -14,21 +14,18 @@ An event of a type that nobody knows is written as it is.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import msgspec
-import pyarrow as pa
 
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.metrics.motion import Window
+from vcmvsp.cosim.metrics.availability import limited_by_s
 from vcmvsp.cosim.recording import event_text
-from vcmvsp.cosim.recording.accumulators import PACKED, Kept, RecordedWorld, Take, vehicle_of
+from vcmvsp.cosim.recording.accumulators import PACKED, Accumulators, RecordedWorld, Take, vehicle_of
 from vcmvsp.cosim.recording.foxglove import to_json
 from vcmvsp.cosim.recording.run_mcap import Viewer
-from vcmvsp.cosim.tables.schema import Placement, RunFacts
 from vcmvsp.cosim.types import Changed, Contact, Halted, Incident, Later, Moved, Outage, Presence, States
 
 
@@ -40,7 +37,7 @@ class Way(NamedTuple):
     write: Take  # into ``run.mcap``
 
 
-class Recorder:
+class Recorder(Accumulators):
     """Keeps the tables and, where a stream is given, the MCAP file of one run.
 
     Args:
@@ -67,15 +64,14 @@ class Recorder:
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._tell, self._record_ticks, self._sensors = tell, record_ticks, frozenset(sensors)
-        self._now, self._is_closed = 0, False
+        super().__init__(run, agents, world)
+        self._is_closed = False
         self._latest: tuple[int, States] | None = None
-        self._kept = Kept(run, agents, world)
         self._viewer = None if mcap is None else Viewer(mcap, run, radius_m, world)
         self._write: Take = _nowhere if self._viewer is None else self._viewer.write
         self._pack = msgspec.msgpack.Encoder(enc_hook=to_json).encode_into
-        self._packed = self._kept.packed
         self._as_it_is = Way(None, False, self._write)
-        takers = self._kept.takers | {States: self._take_states}
+        takers = self._takers | {States: self._take_states}
         writers: dict[type, Take] = {
             **({} if self._viewer is None else self._viewer.putters),
             States: _nowhere,
@@ -121,38 +117,11 @@ class Recorder:
         self._advance(end_ns, is_cut=is_cut)
         if self._latest is not None and self._latest[0] == end_ns and not self._record_ticks.hits(end_ns):
             self._record_states(*self._latest)
-        for vehicle, by_s in self._kept.limited_by_s():
-            self.log("info", f"{vehicle} was held back: {event_text.of_limits(by_s)}", end_ns)
+        for vehicle, statuses in sorted(self._statuses.items()):
+            if by_s := limited_by_s(statuses):
+                self.log("info", f"{vehicle} was held back: {event_text.of_limits(by_s)}", end_ns)
         if self._viewer is not None:
             self._viewer.finish()
-
-    @property
-    def follows(self) -> tuple[Placement, ...]:
-        """Who means to keep which place, and from when on."""
-        return tuple(self._kept.follows)
-
-    @property
-    def facts(self) -> RunFacts:
-        """What the tables do not say of the run."""
-        return self._kept.facts(self._now)
-
-    @property
-    def states(self) -> pa.Table:
-        """The true states (`cosim.tables.schema.STATES_SCHEMA`)."""
-        return self._kept.tables(self._now)[0]
-
-    @property
-    def radio(self) -> pa.Table:
-        """The frames at their receivers (`cosim.tables.schema.RADIO_SCHEMA`)."""
-        return self._kept.tables(self._now)[1]
-
-    def metrics(self, *, window: Window) -> dict[str, Any]:
-        """The numbers of the run (schema ``vcmvsp.metrics/1``); all but counts within the window (s)."""
-        return self._kept.metrics(window, self._now)
-
-    def write_tables(self, folder: Path) -> None:
-        """Write ``states.parquet`` and ``radio.parquet``."""
-        self._kept.write_tables(folder, self._now)
 
     def _take_states(self, key: str, time_ns: int, states: States) -> None:
         self._latest = time_ns, states
@@ -160,7 +129,7 @@ class Recorder:
             self._record_states(time_ns, states)
 
     def _record_states(self, time_ns: int, states: States) -> None:
-        self._kept.take_states(time_ns, states)
+        self._rows.append((time_ns, states))
         if self._viewer is not None:
             self._viewer.put_states(time_ns, states)
 
@@ -192,7 +161,7 @@ class Recorder:
     def _advance(self, time_ns: int, *, is_cut: bool = False) -> None:
         if self._viewer is not None:
             self._viewer.end_instant(self._now, self._latest, is_cut=is_cut and time_ns == self._now)
-        self._kept.hash_much()
+        self._hash_much()
         self._now = time_ns
 
 
