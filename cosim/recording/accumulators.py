@@ -1,6 +1,6 @@
 """What is kept of a run for its two tables, its numbers and its digest; nothing of it is written while the run goes on.
 
-A value is taken by its type (`Accumulators._takers`). What is in neither table counts in the digest as MessagePack, in the order
+A value is taken by its type (`_takers`). What is in neither table counts in the digest as MessagePack, in the order
 in which it came: most types just as they are (`PACKED`), arrays by their bytes.
 """
 
@@ -8,7 +8,7 @@ import functools
 import hashlib
 import math
 import struct
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 import pyarrow as pa
 
+from vcmvsp.cosim import types
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
@@ -32,49 +33,20 @@ from vcmvsp.cosim.recording.scene import DrawnWorld
 from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.tables.radio_frames import Frames
 from vcmvsp.cosim.tables.schema import Placement, RunFacts, radio_table, states_table, write_table
-from vcmvsp.cosim.types import (
-    Array,
-    Changed,
-    Contact,
-    Fix,
-    Follows,
-    FrameReport,
-    Halted,
-    Image,
-    Imu,
-    Incident,
-    Looks,
-    Measured,
-    Message,
-    Mosaic,
-    Moved,
-    Note,
-    Odometry,
-    Outage,
-    Presence,
-    ProbabilityMap,
-    Pushed,
-    RealStatus,
-    Routed,
-    Scan,
-    Sightings,
-    States,
-    Traffic,
-    Velocity,
-    Waypoint,
-)
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.files import replacing
 
 Take = Callable[[str, int, Any], None]
 """What is done with a value, given its key and its time (ns)."""
 PACKED = (
-    *(Changed, Contact, Fix, Follows, Halted, Imu, Incident, Measured, Message, Moved, Note, Odometry, Outage, Presence),
-    *(RealStatus, Velocity, Waypoint),
+    *(types.Changed, types.Contact, types.Fix, types.Follows, types.Halted, types.Imu, types.Incident, types.Measured),
+    *(types.Message, types.Moved, types.Note, types.Odometry, types.Outage, types.Presence, types.RealStatus),
+    *(types.Velocity, types.Waypoint),
 )
 """Types that count in the digest as they are: `Recorder.on` adds these to `packed`, as key, time and value."""
 HASHED_BYTES = 1 << 16  # so many are hashed together
 _COMMAND = struct.Struct("<5d").pack  # time ns, velocity m/s, yaw rate rad/s: an array's own `extend` takes twice as long
+_NO_COMMAND = (math.nan,) * 4  # what a way-point leaves of velocities, from then on
 
 
 class RecordedWorld(DrawnWorld, WorldClearance, Protocol):
@@ -88,38 +60,43 @@ class Accumulators:
         self._run, self._world = run, world
         self._now = 0  # ns: of the newest value; once the run is over, its end
         self._ticks = {agent.vehicle: agent.ticks for agent in agents}
-        self._rows: list[tuple[int, States]] = []
+        self._rows: list[tuple[int, types.States]] = []
         self._frames = Frames(run.vehicles)
         self._follows: list[Placement] = []
         self._noted, self._mission = Noted(), Mission()
         self._routing = Routing(run.vehicles)
         self._commands = {name: bytearray() for name in run.vehicles}  # `_COMMAND`, one behind the other
-        self._presences: list[tuple[str, Presence]] = []
-        self._statuses: dict[str, list[tuple[int, RealStatus]]] = {}  # of real vehicles
-        self._incidents: list[tuple[str, Incident]] = []
+        self._presences: list[tuple[str, types.Presence]] = []
+        self._statuses: defaultdict[str, list[tuple[int, types.RealStatus]]] = defaultdict(list)  # of real vehicles
+        self._incidents: list[tuple[str, types.Incident]] = []
         self._fixes: Counter[str] = Counter()
-        self._collisions = 0
+        self._contacts: Counter[str] = Counter()
         self._packed = bytearray()  # what is in no table, since it was hashed last
         self._others = hashlib.sha256()  # of all before
         self._tables: tuple[pa.Table, pa.Table] | None = None
         self._takers: dict[type, Take] = {
-            FrameReport: lambda _key, _time_ns, report: self._frames.extend((report,)),
-            Traffic: lambda _key, _time_ns, traffic: self._frames.extend(traffic.reports),
-            Routed: lambda _key, _time_ns, routed: self._routing.take(routed),
-            Follows: self._take_follows,
-            Note: self._take_note,
-            Velocity: self._take_velocity,
-            Waypoint: self._take_waypoint,
-            Contact: self._take_contact,
-            Presence: self._take_presence,
-            RealStatus: self._take_status,
-            Incident: lambda key, _time_ns, incident: self._incidents.append((vehicle_of(key), incident)),
-            Fix: lambda key, _time_ns, _fix: self._fixes.update((vehicle_of(key),)),
-            Scan: self._take_scan,
-            Pushed: self._take_pushed,
-            Image: self._take_image,
-            Looks: self._take_cells,
-            **dict.fromkeys((ProbabilityMap, Sightings, Mosaic), self._take_shown),
+            types.FrameReport: lambda _key, _time_ns, report: self._frames.extend((report,)),
+            types.Traffic: lambda _key, _time_ns, traffic: self._frames.extend(traffic.reports),
+            types.Routed: lambda _key, _time_ns, routed: self._routing.take(routed),
+            types.Follows: self._take_follows,
+            types.Note: self._take_note,
+            types.Velocity: lambda key, time_ns, command: self._commands[vehicle_of(key)].extend(
+                _COMMAND(time_ns, *command.linear, command.yaw_rate)
+            ),
+            types.Waypoint: lambda key, time_ns, _: self._commands[vehicle_of(key)].extend(_COMMAND(time_ns, *_NO_COMMAND)),
+            types.Contact: lambda key, _time_ns, _contact: self._contacts.update((vehicle_of(key),)),
+            types.Presence: self._take_presence,
+            types.RealStatus: lambda key, time_ns, status: self._statuses[vehicle_of(key)].append((time_ns, status)),
+            types.Incident: lambda key, _time_ns, incident: self._incidents.append((vehicle_of(key), incident)),
+            types.Fix: lambda key, _time_ns, _fix: self._fixes.update((vehicle_of(key),)),
+            types.Scan: lambda key, time_ns, scan: self._packed.extend(
+                encode((key, time_ns, scan.time_ns)) + scan.ranges.tobytes()
+            ),
+            types.Pushed: lambda key, time_ns, pushed: self._packed.extend(
+                encode((key, time_ns)) + pushed.position.tobytes() + pushed.attitude.tobytes()
+            ),
+            types.Looks: lambda key, time_ns, looks: self._add((key, time_ns, looks)),
+            **dict.fromkeys((types.ProbabilityMap, types.Sightings, types.Mosaic), self._take_shown),
         }
 
     def _hash_much(self) -> None:
@@ -186,60 +163,34 @@ class Accumulators:
             "connectivity": connectivity_metrics(got, vehicles, window, end_ns),
             "agents": agent_metrics(self._presences, self._ticks, end_ns, self._run.duration_ns),
             **({"hardware": hardware} if self._statuses else {}),
-            "safety": safety_metrics(moved, self._collisions, self._world),
+            "safety": safety_metrics(moved, self._contacts.total(), self._world),
             **({} if mission is None else {"mission": mission}),
             "digest": digest([states, radio], self._others.digest()),
         }
 
-    def _take_follows(self, key: str, time_ns: int, follows: Follows) -> None:
+    def _take_follows(self, key: str, time_ns: int, follows: types.Follows) -> None:
         vehicle = vehicle_of(key)
         if follows.leader is not None and follows.leader not in self._run.vehicles:
             known = ", ".join(self._run.vehicles)
             raise ScenarioError(f"{vehicle} follows {follows.leader!r}, which is no vehicle of this run ({known})")
         self._follows.append(Placement(time_ns, vehicle, follows))
 
-    def _take_note(self, key: str, time_ns: int, note: Note) -> None:
+    def _take_note(self, key: str, time_ns: int, note: types.Note) -> None:
         vehicle = vehicle_of(key)
         self._noted.take(vehicle, time_ns, note.values)
         self._mission.take(vehicle, time_ns, note.values)
 
-    def _take_velocity(self, key: str, time_ns: int, command: Velocity) -> None:
-        x, y, z = command.linear
-        rows = self._commands[vehicle_of(key)]
-        rows += _COMMAND(time_ns, x, y, z, command.yaw_rate)
-
-    def _take_waypoint(self, key: str, time_ns: int, command: Waypoint) -> None:
-        """No velocity is commanded from now on."""
-        rows = self._commands[vehicle_of(key)]
-        rows += _COMMAND(time_ns, math.nan, math.nan, math.nan, math.nan)
-
-    def _take_contact(self, key: str, time_ns: int, contact: Contact) -> None:
-        self._collisions += 1
-
-    def _take_presence(self, key: str, time_ns: int, presence: Presence) -> None:
+    def _take_presence(self, key: str, time_ns: int, presence: types.Presence) -> None:
         vehicle = vehicle_of(key)
         self._presences.append((vehicle, presence))
         (self._mission.come_back if presence.state == "back" else self._mission.leave)(vehicle, time_ns)
 
-    def _take_status(self, key: str, time_ns: int, status: RealStatus) -> None:
-        self._statuses.setdefault(vehicle_of(key), []).append((time_ns, status))
-
-    def _take_scan(self, key: str, time_ns: int, scan: Scan) -> None:
-        self._packed += encode((key, time_ns, scan.time_ns)) + scan.ranges.tobytes()
-
-    def _take_pushed(self, key: str, time_ns: int, pushed: Pushed) -> None:
-        self._packed += encode((key, time_ns)) + pushed.position.tobytes() + pushed.attitude.tobytes()
-
-    def _take_image(self, key: str, time_ns: int, image: Image) -> None:
-        self._packed += encode((key, time_ns, image.time_ns)) + image.pixels.tobytes()
+    def _add(self, value: object, *arrays: types.Array) -> None:
+        self._packed += encode(value) + b"".join(each.tobytes() for each in arrays)
         self._hash_much()
 
-    def _take_cells(self, key: str, time_ns: int, value: Looks | ProbabilityMap | Sightings | Mosaic) -> None:
-        self._packed += encode((key, time_ns, value))  # the bytes of arrays and pictures
-        self._hash_much()
-
-    def _take_shown(self, key: str, time_ns: int, value: ProbabilityMap | Sightings | Mosaic) -> None:
-        self._take_cells(key, time_ns, value)
+    def _take_shown(self, key: str, time_ns: int, value: types.ProbabilityMap | types.Sightings | types.Mosaic) -> None:
+        self._add((key, time_ns, value))
         self._mission.see(vehicle_of(key), value)
 
     def _hash(self) -> None:
@@ -281,7 +232,7 @@ def _values(table: pa.Table, name: str) -> list[bytes | memoryview]:
     return [repr((name, kind, used)).encode(), np.packbits(nulls(table, name)).data, raw.data]
 
 
-def _canonical(names: tuple[str, ...], codes: Array) -> tuple[list[str], Array]:
+def _canonical(names: tuple[str, ...], codes: types.Array) -> tuple[list[str], types.Array]:
     """The names that occur, in alphabetical order, and each row as its place in that list."""
     used = sorted(names[code] for code in np.flatnonzero(np.bincount(codes)).tolist())
     place = {name: i for i, name in enumerate(used)}

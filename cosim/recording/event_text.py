@@ -5,7 +5,8 @@ from collections.abc import Mapping
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Changed, Contact, Halted, Incident, Moved, Outage, Presence
 
-Intervention = Outage | Halted | Moved | Changed
+TOLD = (Presence, Incident, Contact, Outage, Halted, Moved, Changed)
+Told = Presence | Incident | Contact | Outage | Halted | Moved | Changed
 _BECAME = {"lost": "has lost its agent", "removed": "is without an agent for good", "back": "has its agent again"}
 
 _HELD_BY = {
@@ -28,31 +29,22 @@ def of_limits(by_s: Mapping[str, float]) -> str:
     return ", ".join(f"{_HELD_BY.get(cause, cause)} {held_s:.1f} s" for cause, held_s in longest)
 
 
-def of_presence(vehicle: str, presence: Presence) -> tuple[str, str]:
-    """Level of the log and text: what became of an agent."""
-    text = f"{vehicle} {_BECAME[presence.state]}" + (f": {presence.why}" if presence.why else "")
-    return "info" if presence.state == "back" else "warning", text
-
-
-def of_incident(vehicle: str, incident: Incident) -> tuple[str, str]:
-    """Likewise: what befell a real vehicle."""
-    return "info" if incident.what == "connected" else "warning", f"{vehicle} {incident.what}: {incident.cause}"
-
-
-def of_contact(contact: Contact) -> tuple[str, str]:
-    """Likewise: what a vehicle touches."""
-    return "warning", f"{contact.vehicle} touches {contact.other or 'something that stands still'}"
-
-
-def of_intervention(done: Intervention, time_ns: int) -> tuple[str, str]:
-    """Likewise: what the operator did."""
-    match done:
+def of_event(vehicle: str, event: Told, time_ns: int) -> tuple[str, str]:
+    """Level of the log and text: of an agent that was lost, an incident, a touch, or what the operator did."""
+    match event:
+        case Presence():
+            why = f": {event.why}" if event.why else ""
+            return "info" if event.state == "back" else "warning", f"{vehicle} {_BECAME[event.state]}{why}"
+        case Incident():
+            return "info" if event.what == "connected" else "warning", f"{vehicle} {event.what}: {event.cause}"
+        case Contact():
+            return "warning", f"{event.vehicle} touches {event.other or 'something that stands still'}"
         case Outage():
-            text = f"no radio for {', '.join(done.vehicles)} for {(done.until_ns - time_ns) / SECOND_NS:g} s"
+            text = f"no radio for {', '.join(event.vehicles)} for {(event.until_ns - time_ns) / SECOND_NS:g} s"
         case Halted():
-            text = f"{', '.join(done.vehicles)} {'halted' if done.halted else 'let go'}"
+            text = f"{', '.join(event.vehicles)} {'halted' if event.halted else 'let go'}"
         case Moved():
-            text = f"{done.obstacle} moved to ({done.position[0]:g}, {done.position[1]:g}) m, {done.yaw:g} rad"
+            text = f"{event.obstacle} moved to ({event.position[0]:g}, {event.position[1]:g}) m, {event.yaw:g} rad"
         case Changed():
-            text = f"{done.key} = {done.value:g}"
+            text = f"{event.key} = {event.value:g}"
     return "info", f"operator: {text}"

@@ -26,7 +26,7 @@ from vcmvsp.cosim.recording import event_text
 from vcmvsp.cosim.recording.accumulators import PACKED, Accumulators, RecordedWorld, Take, vehicle_of
 from vcmvsp.cosim.recording.foxglove import to_json
 from vcmvsp.cosim.recording.run_mcap import Viewer
-from vcmvsp.cosim.types import Changed, Contact, Halted, Incident, Later, Moved, Outage, Presence, States
+from vcmvsp.cosim.types import Contact, Later, States
 
 
 class Way(NamedTuple):
@@ -76,10 +76,7 @@ class Recorder(Accumulators):
             **({} if self._viewer is None else self._viewer.putters),
             States: _nowhere,
             Later: self._write_later,
-            Contact: self._write_contact,
-            Presence: self._write_presence,
-            Incident: self._write_incident,
-            **dict.fromkeys((Outage, Halted, Moved, Changed), self._write_intervention),
+            **dict.fromkeys(event_text.TOLD, self._write_told),
         }
         self._ways = {
             kind: Way(takers.get(kind), kind in PACKED, writers.get(kind, self._write)) for kind in (*takers, *PACKED, *writers)
@@ -138,25 +135,13 @@ class Recorder(Accumulators):
         if "*" in self._sensors or key.partition("/")[2] in self._sensors:
             self.on(Event(key, time_ns, later.get()))
 
-    def _write_contact(self, key: str, time_ns: int, contact: Contact) -> None:
-        self._write(key, time_ns, contact)
-        self.log(*event_text.of_event(contact), time_ns)
-
-    def _write_presence(self, key: str, time_ns: int, presence: Presence) -> None:
-        self._write(key, time_ns, presence)
-        self._tell_of(time_ns, *event_text.of_event(vehicle_of(key), presence))
-
-    def _write_incident(self, key: str, time_ns: int, incident: Incident) -> None:
-        self._write(key, time_ns, incident)
-        self._tell_of(time_ns, *event_text.of_event(vehicle_of(key), incident))
-
-    def _write_intervention(self, key: str, time_ns: int, done: event_text.Intervention) -> None:
-        self._write(key, time_ns, done)
-        self._tell_of(time_ns, *event_text.of_event(done, time_ns))
-
-    def _tell_of(self, time_ns: int, level: str, text: str) -> None:
+    def _write_told(self, key: str, time_ns: int, event: event_text.Told) -> None:
+        """In the log and, but for contacts, of which there may be very many, on the terminal, too."""
+        self._write(key, time_ns, event)
+        level, text = event_text.of_event(vehicle_of(key), event, time_ns)
         self.log(level, text, time_ns)
-        self._tell(f"at {time_ns / SECOND_NS:.3f} s {text}")
+        if not isinstance(event, Contact):
+            self._tell(f"at {time_ns / SECOND_NS:.3f} s {text}")
 
     def _advance(self, time_ns: int, *, is_cut: bool = False) -> None:
         if self._viewer is not None:

@@ -8,6 +8,7 @@ differ from the truth, and how the scene looks.
 from collections.abc import Callable, Mapping
 from typing import Any, BinaryIO
 
+from vcmvsp.cosim import types
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
@@ -16,34 +17,19 @@ from vcmvsp.cosim.recording.accumulators import vehicle_of
 from vcmvsp.cosim.recording.mcap_writer import McapLog
 from vcmvsp.cosim.recording.scene import DrawnWorld, moving_frames, scene, solids
 from vcmvsp.cosim.tables.schema import NOT_LOST
-from vcmvsp.cosim.types import (
-    Datagrams,
-    Fix,
-    Follows,
-    Image,
-    Mosaic,
-    ProbabilityMap,
-    Pushed,
-    Scan,
-    Sightings,
-    States,
-    Traffic,
-    Value,
-    VehicleState,
-)
 
 CALIBRATION = "calibration"  # under the key of a camera
 SOLIDS, SCENE, MOVING = "world/solids", "world/scene", "world/moving"
 
 
-class DatagramCount(Value, frozen=True, kw_only=True):
+class DatagramCount(types.Value, frozen=True, kw_only=True):
     """How much programs outside have handed over at an instant."""
 
     datagrams: int
     bytes: int
 
 
-class TrafficCount(Value, frozen=True, kw_only=True):
+class TrafficCount(types.Value, frozen=True, kw_only=True):
     """What became of such datagrams, as far as it is known at an instant."""
 
     frames: int
@@ -71,27 +57,29 @@ class Viewer:
         self._targets = () if world is None else world.targets
         self._moving = world if world is not None and (world.moving or world.movables) else None
         self._calibrated: set[str] = set()  # keys of cameras
-        self._places: dict[str, Follows] = {}  # that followers mean to keep
+        self._places: dict[str, types.Follows] = {}  # that followers mean to keep
         self._scene_is_due, self._scene_ns = True, 0
-        self._pushed: Pushed | None = None
-        self._estimates: list[tuple[str, VehicleState]] = []  # of the present instant
-        self._told: tuple[States | None, dict[str, VehicleState]] = None, {}  # those asked for last, by vehicle
+        self._pushed: types.Pushed | None = None
+        self._estimates: list[tuple[str, types.VehicleState]] = []  # of the present instant
+        self._told: tuple[types.States | None, dict[str, types.VehicleState]] = None, {}  # those asked for last, by vehicle
         self.putters: dict[type, Callable[[str, int, Any], None]] = {
-            VehicleState: self._put_estimate,
-            Datagrams: self._put_datagrams,
-            Traffic: self._put_traffic,
-            Fix: self._put_fix,
-            Follows: self._put_follows,
-            Image: self._put_image,
-            Scan: self._put_scan,
-            Pushed: self._put_pushed,
-            **dict.fromkeys((ProbabilityMap, Sightings, Mosaic), self._put_shown),
+            types.VehicleState: lambda key, _, estimate: self._estimates.append((key, estimate)),  # the truth may come later
+            types.Datagrams: self._put_datagrams,
+            types.Traffic: self._put_traffic,
+            types.Fix: self._put_fix,
+            types.Follows: self._put_follows,
+            types.Image: self._put_image,
+            types.Scan: lambda key, time_ns, scan: self.write(
+                key, time_ns, fg.LaserScan.of(scan, vehicle_of(key), scan.time_ns or time_ns)
+            ),
+            types.Pushed: self._put_pushed,
+            **dict.fromkeys((types.ProbabilityMap, types.Sightings, types.Mosaic), self._put_shown),
         }
         standing = None if world is None else solids(world)
         if standing is not None:
             self.write(SOLIDS, 0, standing)
 
-    def put_states(self, time_ns: int, states: States) -> None:
+    def put_states(self, time_ns: int, states: types.States) -> None:
         """Where all vehicles truly are, at an instant that is recorded."""
         now, transforms, write = fg.Time.of(time_ns), [], self.write
         for name, state in self._each(states).items():
@@ -106,7 +94,7 @@ class Viewer:
         """A line of the log."""
         self.write("log", time_ns, fg.Log(fg.Time.of(time_ns), fg.LEVELS[level], text))
 
-    def end_instant(self, time_ns: int, latest: tuple[int, States] | None, *, is_cut: bool = False) -> None:
+    def end_instant(self, time_ns: int, latest: tuple[int, types.States] | None, *, is_cut: bool = False) -> None:
         """An instant is over: write the estimates that differ from its truth, and the scene if it is due.
 
         Args:
@@ -131,53 +119,47 @@ class Viewer:
         """Write the end of the file."""
         self._log.finish()
 
-    def _each(self, states: States) -> dict[str, VehicleState]:
+    def _each(self, states: types.States) -> dict[str, types.VehicleState]:
         """The state of each vehicle by itself; worked out once, as it is asked for twice at most instants."""
         if states is not self._told[0]:
             columns = (states.position, states.velocity, states.attitude, states.angular_velocity)
             rows = zip(states.names, *(zip(*column.T.tolist(), strict=True) for column in columns), strict=True)
             self._told = (
                 states,
-                {name: VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w) for name, p, v, q, w in rows},
+                {name: types.VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w) for name, p, v, q, w in rows},
             )
         return self._told[1]
 
-    def _put_estimate(self, key: str, time_ns: int, estimate: VehicleState) -> None:
-        self._estimates.append((key, estimate))  # the truth of this instant may come later within it
-
-    def _put_datagrams(self, key: str, time_ns: int, datagrams: Datagrams) -> None:
+    def _put_datagrams(self, key: str, time_ns: int, datagrams: types.Datagrams) -> None:
         """Only how many there were: each is in the table of frames."""
         self.write(key, time_ns, DatagramCount(datagrams=len(datagrams.number), bytes=int(datagrams.size_bytes.sum())))
 
-    def _put_traffic(self, key: str, time_ns: int, traffic: Traffic) -> None:
+    def _put_traffic(self, key: str, time_ns: int, traffic: types.Traffic) -> None:
         lost = sum(each not in NOT_LOST for report in traffic.reports for each in report.outcome)
         self.write(key, time_ns, TrafficCount(frames=len(traffic.reports), arrivals=len(traffic.number), lost=lost))
 
-    def _put_pushed(self, key: str, time_ns: int, pushed: Pushed) -> None:
+    def _put_pushed(self, key: str, time_ns: int, pushed: types.Pushed) -> None:
         self._pushed = pushed  # it is written with the states
 
-    def _put_follows(self, key: str, time_ns: int, follows: Follows) -> None:
+    def _put_follows(self, key: str, time_ns: int, follows: types.Follows) -> None:
         self._places[vehicle_of(key)] = follows
         self._scene_is_due = True
         self.write(key, time_ns, follows)
 
-    def _put_fix(self, key: str, time_ns: int, fix: Fix) -> None:
+    def _put_fix(self, key: str, time_ns: int, fix: types.Fix) -> None:
         qw, qx, qy, qz = quaternion_from_yaw(fix.yaw or 0.0)
         pose = fg.Pose(fg.Vector3(*fix.position), fg.Quaternion(qx, qy, qz, qw))
         at = fg.Time.of(fix.time_ns)
         self.write(key, time_ns, fg.PoseInFrame(at, "world", pose, fix.sigma_m, fix.sigma_rad))
 
-    def _put_scan(self, key: str, time_ns: int, scan: Scan) -> None:
-        self.write(key, time_ns, fg.LaserScan.of(scan, vehicle_of(key), scan.time_ns or time_ns))
-
-    def _put_image(self, key: str, time_ns: int, image: Image) -> None:
+    def _put_image(self, key: str, time_ns: int, image: types.Image) -> None:
         vehicle = vehicle_of(key)
         if image.focal_px > 0.0 and key not in self._calibrated:
             self._calibrated.add(key)
             self.write(f"{key}/{CALIBRATION}", time_ns, fg.CameraCalibration.of(image, vehicle, time_ns))
         self.write(key, time_ns, fg.RawImage.of(image, vehicle, image.time_ns or time_ns))
 
-    def _put_shown(self, key: str, time_ns: int, shown: ProbabilityMap | Sightings | Mosaic) -> None:
+    def _put_shown(self, key: str, time_ns: int, shown: types.ProbabilityMap | types.Sightings | types.Mosaic) -> None:
         number = self._vehicles.index(vehicle_of(key))
         for topic, message in fg.messages_of(key, shown, time_ns, number):
             self.write(topic, time_ns, message)

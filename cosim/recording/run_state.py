@@ -85,7 +85,7 @@ class RunState:
             Note: self._on_note,
             **dict.fromkeys(BY_VEHICLE, self._on_newest),
             Presence: self._on_presence,
-            Incident: lambda vehicle, time_ns, it: self.say(time_ns, *event_text.of_event(vehicle, it)),
+            Incident: lambda vehicle, time_ns, it: self._tell(vehicle, time_ns, it),
             Contact: lambda _, time_ns, it: self.say(time_ns, *event_text.of_event(it)),
             Halted: self._on_halted,
             Pushed: self._on_pushed,
