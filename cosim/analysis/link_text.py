@@ -40,23 +40,21 @@ def link_text(link: Row) -> str:
     for cause, loss in link["losses"].items():
         lines.append([f"  {cause}", f"{loss['frames']} ({_percent(loss['share'])} %)"])
     for name, key, unit in (("level", "rssi_dbm", "dBm"), ("SNR", "snr_db", "dB"), ("SINR", "sinr_db", "dB")):
-        lines.append([name, _range(link[key], unit)])
+        low, middle, high = (_figure(link[key][name], 1) for name in ("p5", "median", "p95"))
+        lines.append([name, f"{middle} {unit} (median; 5 to 95 %: {low} to {high} {unit})"])
     distance, walls, receptions = link["distance_m"], link["walls"], link["receptions"]
+    materials = ", ".join(f"{name} in {_percent(share)} %" for name, share in walls["materials"].items()) or "-"
     lines.append(["distance", f"{_figure(distance['min'], 2)} to {_figure(distance['max'], 2)} m"])
     lines.append(["path loss", f"{_figure(link['path_loss_db']['mean'], 1)} dB on average"])
-    lines.append(["walls", f"{_figure(walls['loss_db'], 1)} dB on average ({_shares(walls['materials'])})"])
+    lines.append(["walls", f"{_figure(walls['loss_db'], 1)} dB on average ({materials})"])
     for name in ("shadowing", "fading"):
         of = link[f"{name}_db"]
         lines.append([name, f"{_figure(of['mean'], 1)} dB on average, standard deviation {_figure(of['sd'], 1)} dB"])
     for name in ("delay", "queue", "access"):
-        of = link[f"{name}_s"]
-        lines.append([name, ", ".join(f"{key} {_milli(value)}" for key, value in of.items()) + " ms"])
-    gap = (
-        "-"
-        if receptions["longest_gap_s"] is None
-        else f"{receptions['longest_gap_s']:.3f} s, from {receptions['gap_from_s']:.3f} s on"
-    )
-    lines.append(["longest gap", gap])
+        values = ((key, "-" if value is None else f"{1e3 * value:.3f}") for key, value in link[f"{name}_s"].items())
+        lines.append([name, ", ".join(f"{key} {value}" for key, value in values) + " ms"])
+    gap_s, from_s = receptions["longest_gap_s"], receptions["gap_from_s"]
+    lines.append(["longest gap", "-" if gap_s is None else f"{gap_s:.3f} s, from {from_s:.3f} s on"])
     lines.append(["received", f"first at {_figure(receptions['first_s'], 3)} s, last at {_figure(receptions['last_s'], 3)} s"])
     return f"{link['sender']} -> {link['receiver']}\n\n" + _table(lines, left=(0, 1))
 
@@ -64,10 +62,10 @@ def link_text(link: Row) -> str:
 def frame_text(frame: Row) -> str:
     """The budget of one frame, and its fate."""
     budget = frame["budget"]
-    gains = (
-        [] if budget["tx_gain_dbi"] is None else [("antenna gains", budget["tx_gain_dbi"] + budget["rx_gain_dbi"], "dB", "")]
-    )
-    disturbed = budget["interference_dbm"] is not None
+    gains = []
+    if budget["tx_gain_dbi"] is not None:
+        gains = [("antenna gains", budget["tx_gain_dbi"] + budget["rx_gain_dbi"], "dB", "")]
+    quiet = "unknown" if budget["sinr_db"] is None else "none"
     items = [
         ("transmitted power" if gains else "power and antenna gains", budget["power_dbm"], "dBm", ""),
         *gains,
@@ -81,12 +79,7 @@ def frame_text(frame: Row) -> str:
     items += [
         ("received level", budget["rssi_dbm"], "dBm", ""),
         ("noise", budget["noise_dbm"], "dBm", f"SNR {budget['snr_db']:.2f} dB"),
-        (
-            "interference",
-            budget["interference_dbm"],
-            "dBm",
-            "" if disturbed else "unknown" if budget["sinr_db"] is None else "none",
-        ),
+        ("interference", budget["interference_dbm"], "dBm", quiet if budget["interference_dbm"] is None else ""),
         ("SINR", budget["sinr_db"], "dB", ""),
     ]
     if budget["floor_dbm"] is not None:
@@ -100,13 +93,8 @@ def frame_text(frame: Row) -> str:
 def _table(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
     """Columns aligned to the right, but those named ``left``."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if column in left else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]
+    marks = ["<" if column in left else ">" for column in range(len(widths))]
+    lines = ["  ".join(map("{:{}{}}".format, row, marks, widths)) for row in rows]
     return "".join(f"{line.rstrip()}\n" for line in lines)
 
 
@@ -116,15 +104,3 @@ def _percent(share: float | None) -> str:
 
 def _figure(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"  # no -0.0
-
-
-def _milli(value: float | None) -> str:
-    return "-" if value is None else f"{1e3 * value:.3f}"
-
-
-def _range(of: Mapping[str, float | None], unit: str) -> str:
-    return f"{_figure(of['median'], 1)} {unit} (median; 5 to 95 %: {_figure(of['p5'], 1)} to {_figure(of['p95'], 1)} {unit})"
-
-
-def _shares(shares: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} in {_percent(share)} %" for name, share in shares.items()) or "-"

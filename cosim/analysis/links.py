@@ -78,12 +78,8 @@ class Log:
         for name in (sender, receiver):
             if not any(fnmatchcase(each, name) for each in self.vehicles):
                 raise UsageError(f"--link {link}: {binding.unknown('vehicle', name, self.vehicles)}")
-        meant = [
-            (a, b)
-            for a in self.vehicles
-            for b in self.vehicles
-            if a != b and fnmatchcase(a, sender) and fnmatchcase(b, receiver)
-        ]
+        senders, receivers = ([name for name in self.vehicles if fnmatchcase(name, part)] for part in (sender, receiver))
+        meant = [(a, b) for a in senders for b in receivers if a != b]
         if not meant:
             alone = f"{self.folder}: {self.vehicles[0]} was the only vehicle, and there is no link"
             raise UsageError(alone if len(self.vehicles) == 1 else f"--link {link}: a vehicle has no link to itself")
@@ -178,7 +174,12 @@ class LinkFrames:
 
 def overview(log: Log, link: str = "*/*") -> list[dict[str, Any]]:
     """The links that an expression means, the worst first: frames, received, losses, and medians of level and distance."""
-    rows = [{**_counts(pair, log.frames(pair)), **_medians(log.frames(pair))} for pair in log.pairs(link)]
+    rows = []
+    for pair in log.pairs(link):
+        frames = log.frames(pair)
+        sent, gaps = frames.where(frames["air_time_ns"] > 0), _receptions(frames.arrived["received_ns"])
+        medians = {name: _median(sent[name]) for name in ("rssi_dbm", "distance_m")}
+        rows.append({**_counts(pair, frames), **medians, "longest_gap_s": gaps["longest_gap_s"]})
     return sorted(rows, key=lambda row: math.inf if row["delivery_ratio"] is None else row["delivery_ratio"])
 
 
@@ -231,25 +232,15 @@ def _counts(pair: Pair, frames: LinkFrames) -> dict[str, Any]:
     }
 
 
-def _medians(frames: LinkFrames) -> dict[str, Any]:
-    sent = frames.where(frames["air_time_ns"] > 0)
-    return {
-        "rssi_dbm": _median(sent["rssi_dbm"]),
-        "distance_m": _median(sent["distance_m"]),
-        "longest_gap_s": _receptions(frames.arrived["received_ns"])["longest_gap_s"],
-    }
-
-
 def _receptions(received_ns: Array) -> dict[str, float | None]:
     """First and last reception, and the longest time between two that follow each other."""
-    times = np.sort(received_ns)
-    longest = int(np.argmax(np.diff(times))) if len(times) > 1 else None
-    return {
-        "first_s": float(times[0] / SECOND_NS) if len(times) else None,
-        "last_s": float(times[-1] / SECOND_NS) if len(times) else None,
-        "longest_gap_s": None if longest is None else float((times[longest + 1] - times[longest]) / SECOND_NS),
-        "gap_from_s": None if longest is None else float(times[longest] / SECOND_NS),
-    }
+    times, gaps = np.sort(received_ns), np.diff(np.sort(received_ns))
+    found = dict.fromkeys(("first_s", "last_s", "longest_gap_s", "gap_from_s"))
+    if len(times):
+        found |= {"first_s": float(times[0] / SECOND_NS), "last_s": float(times[-1] / SECOND_NS)}
+    if len(gaps):
+        found |= {"longest_gap_s": float(gaps.max() / SECOND_NS), "gap_from_s": float(times[gaps.argmax()] / SECOND_NS)}
+    return found
 
 
 def _quantiles(values: Array, *percents: int) -> dict[str, float | None]:

@@ -231,10 +231,10 @@ def _drawn(what: str, vehicle: str, given: dict[str, Any], *, json: bool, trust:
     if json and out is None:
         return answer, ""
     out = out or Path(f"coverage-{vehicle}.png")
-    from vcmvsp.cosim.plots import coverage_plot, style
+    from vcmvsp.cosim.plots import radio_plots, style
 
     try:
-        style.save_png(coverage_plot.coverage(found), out)
+        style.save_png(radio_plots.coverage(found), out)
     except OSError as error:
         raise UsageError(f"--out {out}: {error.strerror or error}") from error
     return {**answer, "file": str(out)}, maps.summary(found) + f"map: {out}\n"

@@ -54,11 +54,8 @@ def _of_agent(presences: Sequence[Presence], train: Ticks, end_ns: int, until_ns
 
 def _count(train: Ticks, from_ns: int, to_ns: int) -> int:
     """Ticks t with from <= t < to."""
-    return max(0, _before(train, to_ns) - _before(train, from_ns))
-
-
-def _before(train: Ticks, time_ns: int) -> int:
-    return -(-time_ns * train.per // train.ns)
+    first, stop = (-(-time_ns * train.per // train.ns) for time_ns in (from_ns, to_ns))
+    return max(0, stop - first)
 
 
 def hardware_metrics(

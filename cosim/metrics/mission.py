@@ -127,6 +127,8 @@ class Mission:
                 false_finds += 1
             elif first_s[target.name] is None:
                 first_s[target.name] = found.time_ns / SECOND_NS
+        changes = [history for (_, name), history in self._histories.items() if name == "commander"]
+        commanders = [[name for _, name in history if name] for history in changes]  # with nobody between them or not
         return {
             "targets_found": sum(time_s is not None for time_s in first_s.values()),
             "targets_tracked": sum(self._tracked(moved, target) for target in targets),
@@ -134,7 +136,7 @@ class Mission:
             "false_finds": false_finds,
             "area_seen_ratio": seen_ratio(self._maps.values()),
             "map_bytes_sent": int(sum(filter(math.isfinite, chain.from_iterable(self._map_bytes.values())))),
-            "switches": sum(_switches(changes) for (_, name), changes in self._histories.items() if name == "commander"),
+            "switches": sum(before != after for names in commanders for before, after in pairwise(names)),
         }
 
     def _tracked(self, moved: Motion, target: Target) -> bool:
@@ -195,11 +197,6 @@ def _looked_up(grid: tuple[float, ...], seen: Array, x: Array, y: Array) -> tupl
     inside, there = up[:, None] & along, np.zeros((len(y), len(x)), np.bool_)
     there[inside] = seen[np.ix_(i[up].astype(int), j[along].astype(int))].ravel()
     return inside, there
-
-
-def _switches(history: Sequence[tuple[int, str]]) -> int:
-    """How often one took over from another, with nobody between them or not."""
-    return sum(one != other for one, other in pairwise(name for _, name in history if name))
 
 
 def _number(noted: object) -> float:

@@ -102,13 +102,10 @@ def radio_metrics(radio: pa.Table, ages: dict[str, float | None]) -> dict[str, A
 
 def quantiles(values: Array, names: Sequence[str]) -> dict[str, float | None]:
     """Mean, maximum and percentiles (``p95``; linear between ranks); None where there are no values."""
-    return {name: _quantile(values, name) if values.size else None for name in names}
-
-
-def _quantile(values: Array, name: str) -> float:
-    if name == "mean":
-        return float(np.mean(values))
-    return float(np.max(values)) if name == "max" else float(np.percentile(values, int(name[1:])))
+    if not values.size:
+        return dict.fromkeys(names)
+    of: dict[str, Any] = {"mean": np.mean, "max": np.max}
+    return {name: float(of[name](values) if name in of else np.percentile(values, int(name[1:]))) for name in names}
 
 
 class LinkHistory(NamedTuple):

@@ -89,12 +89,9 @@ class Accumulators:
             types.RealStatus: lambda key, time_ns, status: self._statuses[vehicle_of(key)].append((time_ns, status)),
             types.Incident: lambda key, _time_ns, incident: self._incidents.append((vehicle_of(key), incident)),
             types.Fix: lambda key, _time_ns, _fix: self._fixes.update((vehicle_of(key),)),
-            types.Scan: lambda key, time_ns, scan: self._packed.extend(
-                encode((key, time_ns, scan.time_ns)) + scan.ranges.tobytes()
-            ),
-            types.Pushed: lambda key, time_ns, pushed: self._packed.extend(
-                encode((key, time_ns)) + pushed.position.tobytes() + pushed.attitude.tobytes()
-            ),
+            types.Scan: lambda key, time_ns, scan: self._add((key, time_ns, scan.time_ns), scan.ranges),
+            types.Pushed: lambda key, time_ns, pushed: self._add((key, time_ns), pushed.position, pushed.attitude),
+            types.Image: lambda key, time_ns, image: self._add((key, time_ns, image.time_ns), image.pixels),
             types.Looks: lambda key, time_ns, looks: self._add((key, time_ns, looks)),
             **dict.fromkeys((types.ProbabilityMap, types.Sightings, types.Mosaic), self._take_shown),
         }

@@ -13,7 +13,7 @@ from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.walled_run import rows, run_rooms
 from vcmvsp.cosim.analysis import coverage
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.plots import coverage_plot, style
+from vcmvsp.cosim.plots import radio_plots, style
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_in_an_empty_world_the_map_reaches_as_far_as_the_radio(folder: Path) -> 
 @pytest.mark.parametrize("height_m", [40.0, 200.0])
 def test_the_words_above_a_map_fit_its_width(folder: Path, height_m: float) -> None:
     found = coverage.coverage(folder, "car1", resolution_m=8.0)
-    figure = coverage_plot.coverage(msgspec.structs.replace(found, y=np.linspace(0.0, height_m, len(found.y))))
+    figure = radio_plots.coverage(msgspec.structs.replace(found, y=np.linspace(0.0, height_m, len(found.y))))
     figure.draw_without_rendering()
     (title,) = [text for text in figure.texts if "coverage of car1" in text.get_text()]
     assert figure.bbox.x0 <= title.get_window_extent().x0 < title.get_window_extent().x1 <= figure.bbox.x1
@@ -91,7 +91,7 @@ def test_of_a_run_with_damage_the_states_alone_count(folder: Path, tmp_path: Pat
 
 def test_the_picture_has_units_equal_scales_and_the_same_bytes(folder: Path, tmp_path: Path) -> None:
     found = coverage.coverage(folder, "car1", resolution_m=8.0)
-    figure = coverage_plot.coverage(found)
+    figure = radio_plots.coverage(found)
     labels = [axes.get_ylabel() + axes.get_xlabel() for axes in figure.axes]
     assert any("[dBm]" in label for label in labels)
     assert any("[%]" in label for label in labels)
@@ -99,7 +99,7 @@ def test_the_picture_has_units_equal_scales_and_the_same_bytes(folder: Path, tmp
     assert all(axes.get_aspect() == 1.0 for axes in maps)
     assert any("[m]" in axes.get_ylabel() for axes in maps)
     for name in ("a.png", "b.png"):
-        style.save_png(coverage_plot.coverage(found), tmp_path / name)
+        style.save_png(radio_plots.coverage(found), tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 

@@ -24,7 +24,8 @@ from tests.support.paths import ROOT
 from vcmvsp.cosim.analysis import coverage as coverages
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.motion import motion
-from vcmvsp.cosim.plots import coverage_plot, mission_plot, run_plots, study_plot
+from vcmvsp.cosim.plots import mission_plot, radio_plots, run_plots, study_plot
+from vcmvsp.cosim.plots.radio_plots import draw_calibration
 from vcmvsp.cosim.plots.study_plot import label_of
 from vcmvsp.cosim.plots.style import line_of, save_png, style, svg
 from vcmvsp.cosim.recording.mission_log import read_mission
@@ -179,7 +180,7 @@ def thesis() -> dict[str, Canvas]:
 
 
 def coverage() -> dict[str, Canvas]:
-    return {"coverage": coverage_plot.coverage(coverages.coverage("formation-circle", "car1", resolution_m=20.0))}
+    return {"coverage": radio_plots.coverage(coverages.coverage("formation-circle", "car1", resolution_m=20.0))}
 
 
 @cache
