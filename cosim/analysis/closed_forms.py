@@ -73,14 +73,8 @@ def start_up(
 ) -> Array:
     """z1 (m,) at the periods of 20 s of a follower at rest whose leader leaves at once: integrated at 1 ms.
 
-    Args:
-        behind: its place, at the start, m.
-        lag_s: of its servo, whose acceleration is limited.
-        accel: that limit, m/s2; braking is limited to 0.75 m/s2, the speed to 0.75 m/s.
-        gain: k1, 1/s.
-        speed: of the leader, m/s.
-        period_s: of control.
-        first_tick: at which it knows of its leader; its first report is one tick old when it is used.
+    It begins ``behind`` (m) its place, with k1 = ``gain`` (1/s), a servo of ``lag_s`` and at most ``accel`` (m/s2), 0.75 m/s2
+    when it brakes and 0.75 m/s; it knows of its leader from ``first_tick`` on, by a report that is then one tick old.
     """
     z, own, command, seen = behind, 0.0, 0.0, []
     each = round(period_s * 1000.0)
@@ -107,15 +101,10 @@ def lag_behind(speed: float, gain: float, period_s: float, age_s: float, probabi
 
 
 def hop_gain(omega: Array, gain: float, lag_s: float, delay_s: float, way: str) -> Array:
-    """How much more a follower sways than its predecessor: ``|N(s)| / |tau s^2 + s + k|`` at ``s = j omega``.
+    """How much more a follower sways than its predecessor: ``|N(s)| / |tau s^2 + s + k|`` at ``s = j omega`` (rad/s).
 
-    Args:
-        omega: rad/s, (n,).
-        gain: k, 1/s.
-        lag_s: tau of the servo.
-        delay_s: d, age of the predecessor's reports.
-        way: ``hold`` (N = s + k), ``dr`` ((1 + k d) s + k), ``none`` (speed not used: k), ``acceleration`` (tau times it
-            fed forward too: tau s^2 + s + k).
+    With the age d of the predecessor's reports and the way: ``hold`` (N = s + k), ``dr`` ((1 + k d) s + k), ``none`` (speed not
+    used: k), ``acceleration`` (tau times it fed forward too: tau s^2 + s + k).
     """
     s = 1j * np.asarray(omega)
     numerator = {

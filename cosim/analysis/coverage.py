@@ -61,11 +61,7 @@ class Map(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def site_of(parsed: Scenario, source: Source) -> Site:
-    """Build the world and the channel of a scenario, and nothing else of it.
-
-    Raises:
-        ScenarioError: they cannot be built.
-    """
+    """The world and the channel of a scenario, and nothing else of it."""
     world, _ = worlds.build(parsed.world, source, seed=parsed.seed)
     channel, radios, _ = radio.channel_of(parsed, source, solids=world.solids)
     places = {each.name: each.start[0] for each in parsed.vehicle}

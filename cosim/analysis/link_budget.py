@@ -28,7 +28,7 @@ _HEARS_ALL_DBM = -200.0
 
 
 def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True, trust: bool = False) -> dict[str, Any]:
-    """One frame of a link.
+    """One frame of a link: its budget, times, fate and why.
 
     Args:
         log: of the run.

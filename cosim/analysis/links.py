@@ -37,9 +37,7 @@ Pair = tuple[str, str]
 class Log:
     """The frames of a run, by link; of their columns those that are asked for.
 
-    Args:
-        folder: that a run has left.
-        tell: takes a line for the user: that the run was cut, and how far its recording goes.
+    ``tell`` takes a line for the user: that the run was cut, and how far its recording goes.
 
     Raises:
         UsageError: it is no such folder, or its tables cannot be read.

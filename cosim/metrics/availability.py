@@ -21,14 +21,7 @@ LIMITS = "limits"  # among the causes of a `RealStatus`: of speed and accelerati
 def agent_metrics(
     presences: Sequence[tuple[str, Presence]], ticks: Mapping[str, Ticks], end_ns: int, duration_ns: int
 ) -> dict[str, Any]:
-    """Of each vehicle with an agent: ``late``, ``missed``, ``reconnects`` and ``lost_s`` (`cosim.metrics`).
-
-    Args:
-        presences: vehicles that lost their agents or got them back, in order.
-        ticks: when the agent of each vehicle acts.
-        end_ns: how long the run lasted.
-        duration_ns: how long it was to last; agents do not act at that instant.
-    """
+    """The ``agents`` part of a run that lasted until ``end_ns``, and was to last ``duration_ns``, when agents do not act."""
     until_ns = min(end_ns + 1, duration_ns)  # an agent that ends the run has missed the tick at its end
     return {
         vehicle: _of_agent([each for name, each in presences if name == vehicle], train, end_ns, until_ns)
@@ -64,14 +57,7 @@ def hardware_metrics(
     fixes: Mapping[str, int],
     got: Receptions,
 ) -> dict[str, Any]:
-    """Of each real vehicle, what `cosim.metrics` lists under ``hardware``.
-
-    Args:
-        statuses: of each real vehicle: when, and how things stood.
-        incidents: vehicle and what befell it, in order.
-        fixes: positions that came, by vehicle.
-        got: frames that were received.
-    """
+    """The ``hardware`` part: of each real vehicle, from its statuses (with times, ns), incidents and positions that came."""
     return {
         vehicle: _of_one(
             told, [each for name, each in incidents if name == vehicle], fixes.get(vehicle, 0), _delays_s(got, vehicle)

@@ -308,11 +308,7 @@ def reformed_s(noted: Noted, settled: Mapping[str, float | None]) -> float | Non
     """How long after the lane of its leader was free all of a team had settled, s; of the team that took longest.
 
     None where no lane was ever narrow, and where a team has not formed again: its lane is narrow to the end, not all of it have
-    settled, or it has to the end kept the shape that it took while its lane was narrow.
-
-    Args:
-        noted: by leaders.
-        settled: when all who count of a team had settled, s; by its leader.
+    settled (``settled``, s, by leader), or it has to the end kept the shape that it took while its lane was narrow.
     """
     taken = []
     for leader, settled_s in settled.items():

@@ -55,10 +55,6 @@ def informed(radio: pa.Table, got: Receptions) -> Receptions:
     """Whose information was received by whom, and from when it was: as `receptions`, but for what was passed on.
 
     That came from its origin, and only to those for whom it was meant (`cosim.metrics.routing`).
-
-    Args:
-        radio: the table of frames.
-        got: its receptions.
     """
     if "origin" not in radio.column_names:
         return got

@@ -26,11 +26,7 @@ _NOBODY = 0, 0, 0  # in place of when, which and its fate
 
 
 class Routing:
-    """Takes what the network layer tells of messages.
-
-    Args:
-        vehicles: of the run, in its order.
-    """
+    """Takes what the network layer tells of messages."""
 
     def __init__(self, vehicles: Sequence[str]) -> None:
         self._names = (*vehicles, "")

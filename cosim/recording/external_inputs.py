@@ -85,11 +85,7 @@ class InputLog:
 
 
 def read_inputs(path: str | Path, *, tell: Callable[[str], None] = lambda _: None) -> list[Input]:
-    """Everything that such a file holds, in its order; of a damaged one what comes before the damage.
-
-    Args:
-        path: of the file.
-        tell: takes a line for the user: that it is damaged, and how far it goes.
+    """Everything that such a file holds, in its order; of a damaged one, which ``tell`` says, what comes before that.
 
     Raises:
         UsageError: there is no such file, or nothing in it can be read.

@@ -45,11 +45,7 @@ def about(stream: BinaryIO) -> dict[str, str]:
 
 
 def messages(stream: BinaryIO) -> Iterator[tuple[str, int, bytes]]:
-    """Topic, time (ns) and content of each message of a file, in its order.
-
-    Raises:
-        ValueError: from here on the file is damaged, or it ends too soon.
-    """
+    """Topic, time (ns) and content of each message of a file, in its order; errors as of `contents`."""
     for topic, _, time_ns, data in contents(stream):
         yield topic, time_ns, data
 
@@ -57,8 +53,7 @@ def messages(stream: BinaryIO) -> Iterator[tuple[str, int, bytes]]:
 def of_topic(stream: BinaryIO, topic: str) -> Iterator[tuple[int, bytes]]:
     """Time (ns) and content of each message of one topic; chunks whose index does not name it are passed over.
 
-    Raises:
-        ValueError: a whole file is damaged; one without an end is read up to there.
+    Of a file without an end those before the damage; a whole one that is damaged is a ValueError.
     """
     is_whole = stream.seek(0, os.SEEK_END) >= len(MCAP0_MAGIC)
     if is_whole:

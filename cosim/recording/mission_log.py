@@ -31,22 +31,16 @@ _read_presence = json_reader(Presence)
 class MissionLog:
     """What the vehicles showed and noted; times are those at which they did, ns.
 
-    Attributes:
-        vehicles: of the run, in its order.
-        end_ns: how long it lasted.
-        noted: who commanded when, and what was found.
-        maps: by vehicle, the newest in each of `FRAMES` parts of the run.
-        sightings: by vehicle: all in which something was recognised, and those with a picture. Of the pictures there is one in
-            each part of the run: the last that shows something recognised, or the last.
-        mosaics: the newest of each vehicle.
+    Of sightings all in which something was recognised, and those with a picture; of pictures one in each part of the run: the
+    last that shows something recognised, or the last.
     """
 
     vehicles: tuple[str, ...]
     end_ns: int
-    noted: Mission = field(default_factory=Mission)
-    maps: dict[str, list[tuple[int, ProbabilityMap]]] = field(default_factory=dict)
+    noted: Mission = field(default_factory=Mission)  # who commanded when, and what was found
+    maps: dict[str, list[tuple[int, ProbabilityMap]]] = field(default_factory=dict)  # the newest in each part of the run
     sightings: dict[str, list[tuple[int, Sightings]]] = field(default_factory=dict)
-    mosaics: dict[str, Mosaic] = field(default_factory=dict)
+    mosaics: dict[str, Mosaic] = field(default_factory=dict)  # the newest
 
     def __bool__(self) -> bool:
         return bool(self.noted or self.maps or self.sightings or self.mosaics)

@@ -73,14 +73,6 @@ class Source:
         run_dir: the folder that a run has left, or is writing.
         tell: takes a line for the user: that the recording is damaged, and how far it goes. It is told so once.
 
-    Attributes:
-        folder: the run's.
-        tell: as it was given.
-        progress: called during each pass with the part of the file that has been read, 0 to 1.
-        scenario: its name.
-        seed: of the run, as text.
-        vehicles: in the order of the run.
-
     Raises:
         UsageError: there is no recording in the folder, or nothing in it can be read.
     """
@@ -88,7 +80,7 @@ class Source:
     def __init__(self, run_dir: Path, tell: Callable[[str], None]) -> None:
         self.folder, self.tell = run_dir, tell
         self._path, self._told = run_dir / FILE, False
-        self.progress: Callable[[float], None] = lambda _: None
+        self.progress: Callable[[float], None] = lambda _: None  # takes the part of the file that a pass has read, 0 to 1
         try:
             with self._path.open("rb") as stream:
                 said = about(stream)
@@ -178,13 +170,9 @@ def _array(_: type, numbers: Sequence[float | None]) -> types.Array:
 def tables_of(
     folder: Path, tell: Tell = lambda _: None, *, numbers: bool = False, radio: Collection[str] | None = None
 ) -> Recording:
-    """Both tables.
+    """Both tables, of the radio's these columns, if not all; with ``numbers`` those of ``metrics.json``, if it is there.
 
-    Args:
-        folder: that a run has left, or is writing into.
-        tell: takes a line for the user: that only the recording is there, and how far it goes.
-        numbers: those of ``metrics.json``, too, if it is there.
-        radio: the columns of the radio's table that are needed; default: all.
+    ``tell`` takes a line for the user: that only the recording is there, and how far it goes.
 
     Raises:
         UsageError: there is neither.

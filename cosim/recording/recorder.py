@@ -102,12 +102,7 @@ class Recorder(Accumulators):
             self._viewer.say(level, text, time_ns)
 
     def close(self, end_ns: int, *, is_cut: bool = False) -> None:
-        """Finish the recording of a run that lasted until ``end_ns``. May be called again.
-
-        Args:
-            end_ns: when the run ended.
-            is_cut: within that instant: not all is known of it.
-        """
+        """Finish the recording of a run that lasted until ``end_ns``, or was cut within that instant. May be called again."""
         if self._is_closed:
             return
         self._is_closed = True

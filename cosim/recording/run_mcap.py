@@ -38,15 +38,9 @@ class TrafficCount(types.Value, frozen=True, kw_only=True):
 
 
 class Viewer:
-    """Writes the file of one run.
+    """Writes the file of one run into a stream, which stays its owner's to close.
 
     An event of a type that `putters` has goes there, any other to `write`: key, time (ns) and value; times never decrease.
-
-    Args:
-        stream: open and binary; it stays its owner's to close.
-        run: what the federates are told of the run.
-        radius_m: radius of each vehicle's body.
-        world: what the vehicles move in; None: nothing of it is drawn.
     """
 
     def __init__(self, stream: BinaryIO, run: RunInfo, radius_m: Mapping[str, float], world: DrawnWorld | None = None) -> None:

@@ -90,10 +90,7 @@ def scene(
 
 
 def solids(world: DrawnWorld) -> fg.SceneUpdate | None:
-    """What a world consists of: its solids by their colours, and obstacles with a time-table in their own frames.
-
-    None: there is nothing, or more than `MOST_TRIANGLES`, which no viewer would like.
-    """
+    """A world's solids by their colours, and its obstacles with a time-table; None: nothing, or more than `MOST_TRIANGLES`."""
     vertices, triangles = world.mesh()
     if len(triangles) > MOST_TRIANGLES:
         return None

@@ -56,11 +56,7 @@ class Left:
 
 
 def left_in(folder: Path) -> Left:
-    """Read what a run has left.
-
-    Raises:
-        UsageError: it has left nothing there.
-    """
+    """Read what a run has left; that it has left nothing is a UsageError."""
     if not any((folder / name).is_file() for name in FILES):
         raise UsageError(f"{folder}: no run or study has left anything here; name its folder (runs/<name>-<seed> or its --out)")
     missing = {name: "is not there" for name in FILES if not (folder / name).is_file()}

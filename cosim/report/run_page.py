@@ -44,12 +44,7 @@ TOLD = 500  # lines of the log that are shown
 
 
 def write(folder: Path, drawings: Mapping[str, str], out: Path | None = None) -> Path:
-    """Write the page of a run into its folder.
-
-    Args:
-        folder: that the run has left.
-        drawings: its figures as the text of SVG files, by name.
-        out: write there instead.
+    """Write the page of a run into its folder, or to ``out``; drawings are its figures as the text of SVG files, by name.
 
     Raises:
         UsageError: no run has left anything in the folder.

@@ -194,8 +194,7 @@ def _percent(share: float | None) -> float | None:
 def expectation_table(left: Left) -> list[Part]:
     """What was expected and what was measured; nothing where no law applies.
 
-    A row stands only where the scenario fulfils what its law asks for. The half-widths are of 95 % of all runs that differ in
-    their draws alone; where a law leaves nothing to chance there is none.
+    The half-widths are of 95 % of all runs that differ in their draws alone; where nothing is left to chance there is none.
     """
     rows = [
         [each.quantity, each.unit, each.expected, _range(each), each.measured, each.law, each.holds] for each in _expected(left)

@@ -72,11 +72,7 @@ class Names:
 
 
 class Frames:
-    """Frames as they are reported; a row for each receiver that a frame was meant for.
-
-    Args:
-        vehicles: of the run, in its order.
-    """
+    """Frames as they are reported; a row for each receiver that a frame was meant for."""
 
     def __init__(self, vehicles: Sequence[str]) -> None:
         self._vehicles, self._outcomes, self._materials = Names(vehicles), Names(("received",)), Names(("",))
@@ -98,9 +94,7 @@ class Frames:
     def columns(self, end_ns: int = 2**63 - 1, wanted: Collection[str] | None = None) -> dict[str, Any]:
         """The Arrow columns of the table, rows in the order in which frames entered the channel.
 
-        Args:
-            end_ns: of the run: an arrival after it is not known, and the frame is `UNDER_WAY`.
-            wanted: those that are made, and nothing is given up for them; default: all, and nothing is left here.
+        An arrival after ``end_ns`` is not known, and the frame is `UNDER_WAY`. Without ``wanted`` columns nothing is left here.
         """
         self._pack()
         self._counts, frame = self._joined("receivers"), self._joined("frame")

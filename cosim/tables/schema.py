@@ -109,13 +109,7 @@ def states_table(rows: Sequence[tuple[int, States]], facts: RunFacts) -> pa.Tabl
 
 
 def radio_table(frames: Frames | Sequence[FrameReport], facts: RunFacts, columns: Collection[str] | None = None) -> pa.Table:
-    """The table of all frames at all receivers they were meant for.
-
-    Args:
-        frames: what became of them.
-        facts: of their run.
-        columns: of the table, which leave `Frames` as they are; default: all, which are taken out of them.
-    """
+    """The table of all frames at all receivers they were meant for; `Frames` give all up, unless only columns are wanted."""
     if not isinstance(frames, Frames):
         given, frames = frames, Frames(facts.vehicles)
         frames.extend(given)
@@ -134,11 +128,7 @@ def write_table(table: pa.Table, path: Path | BinaryIO) -> None:
 
 
 def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
-    """Read Parquet; `pyarrow.parquet.read_table` would do, but it imports pandas wherever that is installed.
-
-    Args:
-        path: of the file.
-        columns: those that are read, if they are there; default: all.
+    """Read Parquet, these columns if they are there; `pyarrow.parquet.read_table` imports pandas where that is installed.
 
     Raises:
         OSError, ValueError: it cannot be read, or is beyond `limits`.
