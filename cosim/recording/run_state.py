@@ -85,11 +85,9 @@ class RunState:
             Note: self._on_note,
             **dict.fromkeys(BY_VEHICLE, self._on_newest),
             Presence: self._on_presence,
-            Incident: lambda vehicle, time_ns, it: self._tell(vehicle, time_ns, it),
-            Contact: lambda _, time_ns, it: self.say(time_ns, *event_text.of_event(it)),
+            **dict.fromkeys((Incident, Contact, Outage, Changed, Moved), self._tell),
             Halted: self._on_halted,
             Pushed: self._on_pushed,
-            **dict.fromkeys((Outage, Changed, Moved), self._on_intervention),
         }
 
     def on(self, event: Event) -> None:
@@ -127,15 +125,15 @@ class RunState:
 
     def _on_presence(self, vehicle: str, time_ns: int, presence: Presence) -> None:
         self._on_newest(vehicle, time_ns, presence)
-        self.say(time_ns, *event_text.of_event(vehicle, presence))
+        self._tell(vehicle, time_ns, presence)
 
     def _on_halted(self, _: str, time_ns: int, halted: Halted) -> None:
         (self.halted.update if halted.halted else self.halted.difference_update)(halted.vehicles)
-        self._on_intervention(_, time_ns, halted)
+        self._tell(_, time_ns, halted)
 
     def _on_pushed(self, _: str, time_ns: int, pushed: Pushed) -> None:
         for name, place, attitude in zip(pushed.names, pushed.position.tolist(), pushed.attitude.tolist(), strict=True):
             self.keep("pushed", name, (*place, yaw_of(attitude)))
 
-    def _on_intervention(self, _: str, time_ns: int, done: event_text.Intervention) -> None:
-        self.say(time_ns, *event_text.of_event(done, time_ns))
+    def _tell(self, vehicle: str, time_ns: int, event: event_text.Told) -> None:
+        self.say(time_ns, *event_text.of_event(vehicle, event, time_ns))
