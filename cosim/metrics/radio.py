@@ -168,18 +168,10 @@ def links(radio: pa.Table | Receptions) -> dict[tuple[str, str], LinkHistory]:
     }
 
 
-def ages_s(radio: pa.Table, follows: Sequence[Placement], ticks: Mapping[str, Ticks], window: Window, end_ns: int) -> Array:
-    """Age of the newest message (s) at every tick of a receiving agent within the window.
-
-    ``ticks`` says when the agent of a vehicle acts, before ``end_ns``.
-    """
-    return _at_ticks(list(_stretches(links(radio), follows, ticks)), ticks, window, end_ns)
-
-
 def age_metrics(
     got: Receptions, follows: Sequence[Placement], ticks: Mapping[str, Ticks], window: Window, end_ns: int
 ) -> dict[str, float | None]:
-    """Mean, 95th percentile and maximum of `ages_s`; mean over all time in the window; mean of the peaks."""
+    """Age of the newest message (s) at the receivers' ticks in the window; its mean over all time, and that of its peaks."""
     counted = list(_stretches(links(got), follows, ticks))
     begin, last = window_ns(window)
     spans = ((each.link, max(each.begin_ns, begin), min(each.end_ns, last, end_ns)) for each in counted)

@@ -2,22 +2,14 @@
 
 import json
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 
 import vcmvsp
-from tests.support.validation.fleets import K1, LEFT_BEHIND, RIGHT_BEHIND, UNLIMITED, T, V, fleet, lossy
+from tests.support.validation.fleets import LEFT_BEHIND, RIGHT_BEHIND, UNLIMITED, T, V, fleet, lossy
+from vcmvsp.cosim.studies.rows import flat
 from vcmvsp.cosim.terminal.progress import summary
-
-
-def flat(metrics: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Scalars by their keys, joined with dots."""
-    found: dict[str, Any] = {}
-    for key, value in metrics.items():
-        found.update(flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value})
-    return found
 
 
 def test_age_over_all_time_and_its_peaks() -> None:
@@ -76,13 +68,6 @@ def test_keys_do_not_depend_on_chance() -> None:
     assert {"formation.shape.rms_m", "formation.per_follower.car3.hop_gain", "control.per_vehicle.car1.effort_m2_s"} <= {
         *keys[0]
     }
-
-
-def test_k1_is_the_rate_where_the_period_is_short() -> None:
-    follower = {"pose": (-1.5, 0.0, 0.0), **UNLIMITED}
-    scenario = fleet(10.0, [follower], path="straight", radio={"preset": "ideal"}, agents={"period_s": 0.01})
-    rate = vcmvsp.run(scenario, set={"record.period_s": 0.05}, mcap=False).metrics["formation"]["convergence_1_s"]
-    assert rate == pytest.approx(K1, rel=0.01)
 
 
 def test_errors_of_a_chain_add_up_in_its_shape() -> None:

@@ -6,7 +6,7 @@ import io
 import json
 import math
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -33,23 +33,7 @@ from vcmvsp.cosim.plots.style import save_png
 from vcmvsp.cosim.recording.mcap_writer import schema_of
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, STATES_SCHEMA, load, write_table
-from vcmvsp.cosim.types import (
-    Contact,
-    Fix,
-    Follows,
-    FrameReport,
-    Image,
-    Imu,
-    Message,
-    Note,
-    Odometry,
-    Reception,
-    Scan,
-    States,
-    VehicleState,
-    Velocity,
-    frozen,
-)
+from vcmvsp.cosim.types import Reception, frozen
 
 NAMES = ("car1", "car2")
 TENTH = Ticks.every(0.1)
@@ -60,7 +44,10 @@ def events(seconds: float = 1.0) -> Iterator[Event]:
     """Two vehicles on a straight line, with one event of every kind at every tick of 20 Hz."""
     for k in range(round(seconds * 20) + 1):
         t, x = k * SECOND_NS // 20, 0.3 * k / 20
-        position, velocity = frozen([(x, 0.0, 0.0), (x - 1.0 - 0.5 * math.exp(-x), 0.5, 0.0)]), frozen([(0.3, 0.0, 0.0)] * 2)
+        position, velocity = (
+            frozen([(x, 0.0, 0.0), (x - 1.0 - 0.5 * math.exp(-x), 0.5, 0.0)]),
+            frozen([(0.3, 0.0, 0.0)] * 2),
+        )
         attitude, rates = frozen([quaternion_from_yaw(0.1)] * 2), frozen([(0.0, 0.0, 0.01)] * 2)
         for name, row in zip(NAMES, position.tolist(), strict=True):
             believed = (row[0], row[1] + (0.02 if name == "car2" else 0.0), row[2])
@@ -68,25 +55,25 @@ def events(seconds: float = 1.0) -> Iterator[Event]:
             yield Event(
                 f"{name}/estimate",
                 t,
-                VehicleState(position=believed, velocity=(0.3, 0.0, 0.0), attitude=attitude_, angular_velocity=rate),
+                types.VehicleState(position=believed, velocity=(0.3, 0.0, 0.0), attitude=attitude_, angular_velocity=rate),
             )
-            yield Event(f"{name}/odometry", t, Odometry(pose=(x, 0.0, 0.1), v=0.3, w=0.01))
-            yield Event(f"{name}/fix", t, Fix(time_ns=t, position=believed, yaw=0.1, sigma_m=0.15, sigma_rad=0.05))
-        truth = States(names=NAMES, position=position, velocity=velocity, attitude=attitude, angular_velocity=rates)
+            yield Event(f"{name}/odometry", t, types.Odometry(pose=(x, 0.0, 0.1), v=0.3, w=0.01))
+            yield Event(f"{name}/fix", t, types.Fix(time_ns=t, position=believed, yaw=0.1, sigma_m=0.15, sigma_rad=0.05))
+        truth = types.States(names=NAMES, position=position, velocity=velocity, attitude=attitude, angular_velocity=rates)
         yield Event("world/states", t, truth)
-        yield Event("car1/imu", t, Imu(acceleration=(0.0, 0.0, 9.81), angular_velocity=(0.0, 0.0, 0.01)))
+        yield Event("car1/imu", t, types.Imu(acceleration=(0.0, 0.0, 9.81), angular_velocity=(0.0, 0.0, 0.01)))
         ranges = frozen([1.0, math.inf, 2.0], np.float32)
-        yield Event("car1/scan", t, Scan(ranges=ranges, angle_min=-1.0, angle_step=1.0, range_max=6.0))
+        yield Event("car1/scan", t, types.Scan(ranges=ranges, angle_min=-1.0, angle_step=1.0, range_max=6.0))
         if k == 0:
-            yield Event("car2/follows", t, Follows(leader="car1", slot=(-1.0, 0.5), handle_m=0.3))
-            yield Event("car1/camera", t, Image(pixels=frozen(np.arange(24).reshape(2, 4, 3), np.uint8)))
-        yield Event("car1/command", t, Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.01))
-        yield Event("car2/note", t, Note(values={"z1": np.float64(0.1 * k), "status": "ok"}))
-        message = Message(sender="car1", body=BODY, size_bytes=60)
+            yield Event("car2/follows", t, types.Follows(leader="car1", slot=(-1.0, 0.5), handle_m=0.3))
+            yield Event("car1/camera", t, types.Image(pixels=frozen(np.arange(24).reshape(2, 4, 3), np.uint8)))
+        yield Event("car1/command", t, types.Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.01))
+        yield Event("car2/note", t, types.Note(values={"z1": np.float64(0.1 * k), "status": "ok"}))
+        message = types.Message(sender="car1", body=BODY, size_bytes=60)
         yield Event("car1/send", t, message)
-        yield Event("car2/send", t, Message(sender="car2", body=b"\x00\xff", size_bytes=2, to="car1"))
+        yield Event("car2/send", t, types.Message(sender="car2", body=b"\x00\xff", size_bytes=2, to="car1"))
         lost = k % 4 == 3
-        report = FrameReport(
+        report = types.FrameReport(
             frame=k, sender="car1", sent_ns=t, size_bytes=60, receivers=("car2",),
             distance_m=frozen([1.1]), rssi_dbm=frozen([-50.0]), received_ns=frozen([-1 if lost else t + 1000], np.int64),
             outcome=("fading" if lost else "received",), air_time_ns=900, queue_ns=60, access_ns=40,
@@ -96,7 +83,7 @@ def events(seconds: float = 1.0) -> Iterator[Event]:
         yield Event("radio/frame", t, report)
         if not lost:
             yield Event("car2/heard", t + 1000, Reception(message=message, rssi_dbm=-50.0, sent_ns=t, received_ns=t + 1000))
-    yield Event("world/contact", t + 1000, Contact(vehicle="car1", other=None))
+    yield Event("world/contact", t + 1000, types.Contact(vehicle="car1", other=None))
 
 
 def recorded(mcap: BinaryIO | None, seconds: float = 1.0) -> Recorder:
@@ -386,22 +373,6 @@ def colours(figure: Figure) -> int:
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     return len(np.unique(np.asarray(canvas.buffer_rgba()).reshape(-1, 4), axis=0))
-
-
-@pytest.mark.parametrize(
-    "draw",
-    [
-        lambda run: run_plots.trajectory(run.states, run.follows),
-        lambda run: run_plots.formation_error(run.states, run.radio, run.follows),
-        lambda run: run_plots.formation_error(run.states, run.radio.slice(0, 0), run.follows, window=(0.2, 0.7)),
-    ],
-)
-def test_figures_show_the_run_with_units_on_every_axis(draw: Callable[[Recorder], Figure]) -> None:
-    figure = draw(recorded(None))
-    assert colours(figure) > 50
-    labels = [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label not in {"", "lost"}]
-    assert labels
-    assert all(label.endswith((" [m]", " [s]")) for label in labels)
 
 
 def test_trajectory_draws_the_recorded_positions() -> None:

@@ -23,10 +23,12 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.metrics.mission import Mission, seen_ratio
 from vcmvsp.cosim.metrics.motion import motion
+from vcmvsp.cosim.plots import mission_plot, mission_video, style
 from vcmvsp.cosim.recording.foxglove import corners_of
 from vcmvsp.cosim.recording.mission_log import FRAMES, MissionLog, read_mission, surest_map
 from vcmvsp.cosim.studies.rows import flat
-from vcmvsp.cosim.types import Image, Looks, Mosaic, Presence, ProbabilityMap, Sighting, Sightings, frozen
+from vcmvsp.cosim.types import Looks, Mosaic, Presence, ProbabilityMap, Sighting, Sightings, frozen
+from vcmvsp.cosim.util.palette import color_of
 
 NAMES = ("uav1", "uav2")
 END_NS = 20 * SECOND_NS
@@ -399,18 +401,13 @@ def test_the_surest_map_wins_in_each_cell() -> None:
 OUTLINES = [np.array([(5.0, 5.0), (12.0, 5.0), (12.0, 15.0)])]
 
 
-def test_figures_show_the_run_with_units_on_every_axis(run: Any, log: MissionLog) -> None:
-    from vcmvsp.cosim.plots import mission_plot
-
+def test_the_figure_of_a_mission_shows_who_commanded_the_maps_and_the_targets(run: Any, log: MissionLog) -> None:
     moved = motion(run[0].states)
-    figures = [mission_plot.mission(log, moved, TARGETS, OUTLINES), mission_plot.mosaic(log, moved, TARGETS)]
-    for figure in figures:
-        labels = [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
-        assert len(labels) >= 2
-        assert all(label.endswith(("[m]", "[s]", "[1]")) for label in labels)
-    titles = [axes.get_title() for axes in figures[0].axes]
-    assert [title for title in titles if title] == ["5 s", "10 s", "15 s", "20 s"]
-    last = next(axes for axes in figures[0].axes if axes.get_title() == "20 s")
+    figure = mission_plot.mission(log, moved, TARGETS, OUTLINES)
+    labels = {label.get_text(): label.get_color() for label in figure.axes[0].get_yticklabels()}
+    assert labels == {name: color_of(index) for index, name in enumerate(NAMES)}  # as the tracks below
+    assert [axes.get_title() for axes in figure.axes if axes.get_title()] == ["5 s", "10 s", "15 s", "20 s"]
+    last = next(axes for axes in figure.axes if axes.get_title() == "20 s")
     np.testing.assert_allclose(np.asarray(last.images[0].get_array()) * 255.0, surest_map(log, END_NS)[1])
     stars = [tuple(np.asarray(line.get_xydata()).ravel()) for line in last.lines if str(line.get_marker()) == "*"]
     assert stars == [target.place(20.0) for target in TARGETS]
@@ -418,8 +415,6 @@ def test_figures_show_the_run_with_units_on_every_axis(run: Any, log: MissionLog
 
 
 def test_the_contact_sheet_shows_what_each_vehicle_recognised(log: MissionLog) -> None:
-    from vcmvsp.cosim.plots import mission_plot
-
     chosen = mission_plot.chosen_pictures(log)
     pairs = {(name, each.target) for name, shown in log.sightings.items() for _, seen in shown for each in seen.found}
     assert {(name, seen.found[0].target) for _, name, seen in chosen} == pairs
@@ -432,8 +427,6 @@ def test_the_contact_sheet_shows_what_each_vehicle_recognised(log: MissionLog) -
 
 
 def test_the_film_runs_at_four_times_the_pace_and_is_the_same_again(run: Any, log: MissionLog, tmp_path: Any) -> None:
-    from vcmvsp.cosim.plots import mission_video
-
     moved = motion(run[0].states)
     for name in ("one.mp4", "two.mp4"):
         mission_video.write_video(tmp_path / name, log, moved, TARGETS, OUTLINES)
@@ -445,8 +438,6 @@ def test_the_film_runs_at_four_times_the_pace_and_is_the_same_again(run: Any, lo
 
 
 def test_vehicles_without_pictures_leave_their_room_in_the_film_to_others(log: MissionLog) -> None:
-    from vcmvsp.cosim.plots import mission_video
-
     (_, seen), *_ = log.sightings["uav1"]
     white = cv2.imencode(".jpg", np.full((60, 80, 3), 255, np.uint8))[1].tobytes()
     shown = msgspec.structs.replace(seen, jpeg=white, found=(), width=80, height=60)
@@ -458,16 +449,12 @@ def test_vehicles_without_pictures_leave_their_room_in_the_film_to_others(log: M
 
 
 def test_of_a_film_on_a_full_disk_nothing_is_left(log: MissionLog, run: Any, tmp_path: Any) -> None:
-    from vcmvsp.cosim.plots import mission_video
-
     with room_for(1000), pytest.raises(OSError, match="File too large"):
         mission_video.write_video(tmp_path / "film.mp4", log, motion(run[0].states), TARGETS, OUTLINES)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_mission_that_showed_little_can_be_drawn_too(tmp_path: Any) -> None:
-    from vcmvsp.cosim.plots import mission_plot, mission_video, style
-
     moved = motion(plainly(NAMES, (), 0).states)
     for log in (MissionLog((), 0), MissionLog(NAMES, SECOND_NS)):
         style.save_png(mission_plot.mission(log, moved, (), ()), tmp_path / "mission.png")
@@ -478,26 +465,13 @@ def test_a_mission_that_showed_little_can_be_drawn_too(tmp_path: Any) -> None:
 
 @pytest.mark.parametrize("seconds", [0.0, 0.1, 20.0, 180.0, 180.04, 3600.0])
 def test_a_film_has_no_more_frames_than_it_may(seconds: float) -> None:
-    from vcmvsp.cosim.plots import mission_video
-
     moved = motion(plainly(NAMES, (), 0).states)
     count = sum(1 for _ in mission_video.frames(MissionLog((), round(seconds * SECOND_NS)), moved, (), ()))
     assert 1 <= count <= FRAMES
 
 
-def test_the_colours_of_tracks_are_told_by_the_names_above_them(log: MissionLog, run: Any) -> None:
-    from vcmvsp.cosim.plots import mission_plot
-    from vcmvsp.cosim.util.palette import color_of
-
-    figure = mission_plot.mission(log, motion(run[0].states), TARGETS, OUTLINES)
-    labels = {label.get_text(): label.get_color() for label in figure.axes[0].get_yticklabels()}
-    assert labels == {name: color_of(index) for index, name in enumerate(NAMES)}
-
-
 def test_cells_of_the_map_lie_where_they_are_in_the_film(run: Any) -> None:
     """One sure cell of an else empty map is dark in the film just where its middle is."""
-    from vcmvsp.cosim.plots import mission_video
-
     probability = np.zeros((CELLS, CELLS), np.uint8)
     probability[15, 4] = 255  # x 8 to 10, y 30 to 32
     seen = frozen(np.ones_like(probability), np.bool_)
@@ -511,10 +485,3 @@ def test_cells_of_the_map_lie_where_they_are_in_the_film(run: Any) -> None:
     row, column = dark.mean(axis=0)
     assert column == pytest.approx(mission_video.MARGIN_PX + 9.0 * scale, abs=1.5)
     assert row == pytest.approx(mission_video.MAP_PX - mission_video.MARGIN_PX - 31.0 * scale, abs=1.5)
-
-
-def test_pictures_of_cameras_keep_their_own_topic() -> None:
-    pixels = frozen(np.zeros((2, 2, 3)), np.uint8)
-    _, stream = recorded(NAMES, 1.0, more=[Event("uav1/camera", 0, Image(pixels=pixels))])
-    found = {channel.topic for _, channel, _ in make_reader(io.BytesIO(stream.getvalue())).iter_messages()}
-    assert {"uav1/camera", "uav1/sightings/picture"} <= found

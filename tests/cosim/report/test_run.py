@@ -14,7 +14,6 @@ from vcmvsp.cosim.analysis.links import Log, overview
 from vcmvsp.cosim.errors import VcmvspError
 from vcmvsp.cosim.metrics.catalogue import GROUPS, METRICS, metric_of
 from vcmvsp.cosim.report.page import cell
-from vcmvsp.cosim.report.run_page import write
 from vcmvsp.cosim.report.tables import flat
 
 HOSTILE = "<script>alert('x')</script> & \"quoted\" <b>"
@@ -91,10 +90,6 @@ def test_what_was_lost_is_told_with_its_cause_and_an_example(run: Path) -> None:
     rows = read(run).rows("cause", "frames")
     assert {row[0]: int(row[1]) for row in rows} == losses
     assert all(row[-1].startswith("frame ") and " at " in row[-1] for row in rows)
-
-
-def test_made_again_it_is_the_same_but_for_the_figures_that_tests_leave_out(run: Path, tmp_path: Path) -> None:
-    assert write(run, {}, tmp_path / "again.html").read_bytes() == (run / "report.html").read_bytes()
 
 
 @pytest.mark.usefixtures("figures")

@@ -47,12 +47,6 @@ def test_made_again_it_is_the_same(study: Path) -> None:
     assert Path("page.html").read_bytes() == before
 
 
-def test_it_asks_nothing_of_anybody(study: Path) -> None:
-    page = read(study)
-    assert all(each.startswith(("#", "data:")) for each in page.asked)
-    assert not page.tags & {"script", "link", "iframe", "object", "form", "img"}
-
-
 def test_of_a_study_that_was_cut_it_shows_what_is_done_also_in_the_journal(study: Path) -> None:
     plan = Plan.read(study / PLAN)
     longer = msgspec.structs.replace(plan, scenario="two.toml", seeds=[0, 1, 2])  # as if one more seed had been asked for
