@@ -29,54 +29,11 @@ def test_of_a_constant_command_given_once() -> None:
     assert {key: control[key] for key in (*expected, *rest)} == control["per_vehicle"]["a"]
 
 
-@pytest.mark.parametrize("period", [1, 3])
-def test_of_a_ramp(period: int) -> None:
-    """v = a t, w = b t at equal steps: the acceleration is a whatever the period; sum of k^2 = n (n-1) (2 n-1)/6."""
-    a, b, n = 0.2, 0.5, 60 // period
-    times = [TENTH.at(k * period) for k in range(n)]
-    events = [velocity("a", t, (a * t / SECOND_NS, 0.0, 0.0), b * t / SECOND_NS) for t in times]
-    control = control_of("a", events, 6.0)
-    step = 0.1 * period
-    square = a**2 * step**2 * (n - 1) * (2 * n - 1) / 6
-    assert control["acceleration_rms_m_s2"] == pytest.approx(a)
-    assert control["yaw_acceleration_rms_rad_s2"] == pytest.approx(b)
-    assert control["speed_rms_m_s"] == pytest.approx(math.sqrt(square))
-    assert control["yaw_rate_rms_rad_s"] == pytest.approx(math.sqrt(square) * b / a)
-    assert control["effort_m2_s"] == pytest.approx(6.0 * square)
-
-
-def test_a_change_of_direction_is_an_acceleration() -> None:
-    """In the air, 1 m/s round a circle at 0.5 rad/s: chords of 2 sin(0.025) every 0.1 s."""
-    events = [velocity("a", TENTH.at(k), (math.cos(0.05 * k), math.sin(0.05 * k), 0.0)) for k in range(100)]
-    control = control_of("a", events, 10.0)
-    assert control["speed_rms_m_s"] == pytest.approx(1.0)
-    assert control["acceleration_rms_m_s2"] == pytest.approx(20.0 * math.sin(0.025))
-
-
 def test_all_vehicles_count_for_the_time_that_they_are_commanded() -> None:
     events = [velocity("a", 0, (1.0, 0.0, 0.0)), velocity("b", 6 * SECOND_NS, (2.0, 0.0, 0.0))]
     control = control_of("ab", events, 10.0)
     assert control["effort_m2_s"] == pytest.approx(1.0 * 10.0 + 4.0 * 4.0)
     assert control["speed_rms_m_s"] == pytest.approx(math.sqrt(26.0 / 14.0))
-
-
-def test_the_window_cuts_what_holds_and_takes_the_changes_in_it() -> None:
-    events = [velocity("a", k * SECOND_NS, (speed, 0.0, 0.0)) for k, speed in enumerate([1.0, 2.0, 4.0, 0.0])]
-    control = control_of("a", events, 10.0, window=(0.5, 2.0))
-    assert control["effort_m2_s"] == pytest.approx(0.5 * 1.0 + 1.0 * 4.0)
-    assert control["acceleration_rms_m_s2"] == pytest.approx(math.sqrt((1.0 + 4.0) / 2))
-    assert control_of("a", events, 10.0, window=(20.0, None))["speed_rms_m_s"] is None
-
-
-def test_a_way_point_ends_what_was_commanded() -> None:
-    fly = Event("a/command", 2 * SECOND_NS, Waypoint(position=(1.0, 2.0, 3.0)))
-    events = [velocity("a", 0, (1.0, 0.0, 0.0)), velocity("a", SECOND_NS, (2.0, 0.0, 0.0)), fly]
-    events.append(velocity("a", 5 * SECOND_NS, (7.0, 0.0, 0.0)))
-    control = control_of("a", events, 6.0)
-    assert control["effort_m2_s"] == pytest.approx(1.0 + 4.0 + 49.0)
-    assert control["speed_rms_m_s"] == pytest.approx(math.sqrt(54.0 / 3.0))
-    assert control["acceleration_rms_m_s2"] == pytest.approx(1.0)  # not from before the flight to after it
-    assert control_of("a", [fly], 6.0)["speed_rms_m_s"] is None
 
 
 def test_of_several_commands_at_one_instant_the_last_counts() -> None:

@@ -52,17 +52,6 @@ def test_a_team_may_be_anywhere_and_head_anywhere(turn: float, shift: complex, y
     assert max(shape.values()) < 1e-12
 
 
-def test_a_mirrored_or_swollen_shape_is_another() -> None:
-    """Twice the size: every member is as far off as it is from the middle; the diamond's corners are 1 m from it."""
-    swollen = {name: 2 * corner for name, corner in CORNERS.items()}
-    assert formation_of("abcd", [*diamond(), states(0, at(swollen))])["shape"]["rms_m"] == pytest.approx(1.0)
-    skew = {"a": 0j, "b": -1 + 0j, "c": -1 - 2j}
-    slots = [follows("b", "a", (-1.0, 0.0), 0.3), follows("c", "a", (-1.0, -2.0), 0.3)]
-    mirrored = {name: place.conjugate() for name, place in skew.items()}
-    assert formation_of("abc", [*slots, states(0, at(skew))])["shape"]["max_m"] < 1e-12
-    assert formation_of("abc", [*slots, states(0, at(mirrored))])["shape"]["rms_m"] > 0.3
-
-
 def test_on_a_circle_the_shape_bends_though_no_link_errs() -> None:
     """Two vehicles: each is off by half of rho_d - rho; rho = 0.83666 m at R = 2 m, L' = 0.5 m, rho_d = 1 m, handle L."""
     ahead, side, radius = math.sqrt(3) / 2, 0.5, 2.0
@@ -168,12 +157,6 @@ def test_overshoot_of_a_servo_in_any_direction(k1: float, overshoot: float, dire
     formation = response([direction * z for z in servo(k1)])
     assert formation["overshoot"] == pytest.approx(overshoot, abs=5e-4)
     assert formation["per_follower"]["b"]["overshoot"] == formation["overshoot"]
-
-
-@pytest.mark.parametrize(("k1", "overshoot"), [(2.0, 0.0), (8.0, 0.0), (12.0, 0.2), (16.0, 0.6)])
-def test_overshoot_of_sampling_alone(k1: float, overshoot: float) -> None:
-    """Without a servo: z1[n] = (1 - k1 T)^n z1[0], which overshoots by k1 T - 1."""
-    assert response([0.5 * (1 - k1 * T) ** n for n in range(60)])["overshoot"] == pytest.approx(overshoot, abs=1e-12)
 
 
 @pytest.mark.parametrize("k1", [0.2, 0.8, 2.0, 5.0, 8.0])

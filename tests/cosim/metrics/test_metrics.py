@@ -149,24 +149,6 @@ def test_radio_counts_and_delays() -> None:
     assert radio["delay_s"]["max"] == pytest.approx(0.030)
 
 
-def test_age_of_a_hand_made_sequence() -> None:
-    """Sent at 0.0, 0.1, 0.2 s; the second is lost and the third arrives late: ages 0.1, 0.2, 0.3, then 0.2 s."""
-    at = TENTH.at
-    events = [
-        states(0, {"a": (0, 0, 0), "b": (0, 0, 0)}),
-        follows("b", "a", (0.0, 0.0), 0.1),
-        frame(0, "a", at(0), {"b": at(0) + 1000}),
-        frame(1, "a", at(1), {"b": None}),
-        frame(2, "a", at(2), {"b": at(4)}),
-        frame(3, "b", at(2), {"a": at(3)}),  # the leader is nobody's follower: not counted
-    ]
-    age = recorded("ab", events, at(5)).metrics(window=(0.0, None))["radio"]["age_s"]
-    assert age["mean"] == pytest.approx((0.1 + 0.2 + 0.3 + 0.2) / 4)
-    assert age["max"] == pytest.approx(0.3)
-    age = recorded("ab", events, at(5)).metrics(window=(0.1, 0.2))["radio"]["age_s"]
-    assert age["mean"] == pytest.approx(0.15)
-
-
 def test_links_keep_receivers_and_senders_apart() -> None:
     events = [frame(0, "c", 0, {"a": 5, "b": 6}), frame(1, "a", 1, {"b": 9, "c": None}), frame(2, "c", 2, {"a": 4, "b": None})]
     heard = links(recorded("abc", events, 10).radio)

@@ -39,32 +39,6 @@ def test_age_under_independent_losses(p: float, mean: float, delay_s: float) -> 
     assert peak == pytest.approx(delay_s + T / (1 - p), rel=0.01)
 
 
-@pytest.mark.parametrize(("burst", "p", "mean"), [(5.0, 0.5, 0.3), (2.0, 0.5, 0.15), (10.0, 0.2, 0.25)])
-def test_age_under_losses_in_bursts(burst: float, p: float, mean: float) -> None:
-    """T/2 (1 + 2 q/r + q (2-r)/r^2)/(1 + q/r), from good to bad with q a frame and back with r = 1/burst."""
-    r = 1.0 / burst
-    q = r * p / (1.0 - p)
-    assert T / 2 * (1 + 2 * q / r + q * (2 - r) / r**2) / (1 + q / r) == pytest.approx(mean)
-    rng, n = np.random.default_rng(2), round(FRAMES / (1 / q + 1 / r))
-    good = np.repeat(np.tile([True, False], n), np.stack([rng.geometric(q, n), rng.geometric(r, n)], axis=1).ravel())
-    assert saw(good, 0.0)[0] == pytest.approx(mean, rel=0.01)
-
-
-def test_age_of_a_hand_made_sequence_over_all_time() -> None:
-    """Sent at 0, 0.1, 0.2 s; the first takes 50 ms, the second arrives at 0.3 s behind the third at 0.25 s: no fall, no peak.
-
-    From 0.05 to 0.25 s it rises from 0.05 to 0.25 s, then from 0.05 s to 0.30 s at the end.
-    """
-    events = [follows("b", "a", (0.0, 0.0), 0.1)]
-    arrivals = [50 * MS, 300 * MS, 250 * MS]
-    events += [frame(k, "a", TENTH.at(k), {"b": at}) for k, at in enumerate(arrivals)]
-    age = recorded("ab", events, TENTH.at(5)).metrics(window=(0.0, None))["radio"]["age_s"]
-    assert age["peak"] == pytest.approx(0.25)
-    assert age["time_average"] == pytest.approx((0.2 * 0.15 + 0.25 * 0.175) / 0.45)
-    age = recorded("ab", events, TENTH.at(5)).metrics(window=(0.26, 0.46))["radio"]["age_s"]
-    assert (age["peak"], age["time_average"]) == (None, pytest.approx(0.16))
-
-
 sends = st.lists(
     st.tuples(st.sampled_from("abc"), st.integers(0, 900), st.lists(st.none() | st.integers(1, 400), min_size=2, max_size=2)),
     max_size=30,

@@ -1,6 +1,7 @@
 """What the recording makes of messages that are passed on: numbers, and whose information a frame carried."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,44 +26,18 @@ def frame(number: int, sender: str, sent_ns: int, **received_ns: int) -> FrameRe
     times = [received_ns.get(name, -1) for name in others]
     zeros = np.zeros(len(others))
     return FrameReport(
-        frame=number,
-        sender=sender,
-        sent_ns=sent_ns,
-        size_bytes=58,
-        receivers=others,
-        distance_m=zeros,
-        rssi_dbm=zeros,
-        received_ns=np.array(times, np.int64),
-        outcome=tuple("received" if each >= 0 else "random loss" for each in times),
-    )
+        frame=number, sender=sender, sent_ns=sent_ns, size_bytes=58, receivers=others, distance_m=zeros, rssi_dbm=zeros,
+        received_ns=np.array(times, np.int64), outcome=tuple("received" if each >= 0 else "random loss" for each in times),
+    )  # fmt: skip
 
 
-def routed(
-    *frames: int,
-    number: int = 0,
-    origin: str = "a",
-    to: str | None = None,
-    sent_ns: int = 0,
-    update: bool = False,
-    under_way: bool = False,
-    **came: tuple[int, str, int],
-) -> Routed:
-    """``came``: hops, via and time, by receiver."""
+def routed(*frames: int, **parts: Any) -> Routed:
+    """Of each receiver, by its name: hops, via and time."""
+    came = {name: parts.pop(name) for name in NAMES if name in parts}
     hops, via, times = zip(*came.values(), strict=True) if came else ((), (), ())
+    told: dict[str, Any] = {"origin": "a", "number": 0, "to": None, "sent_ns": 0, "update": False, "under_way": False} | parts
     return Routed(
-        origin=origin,
-        number=number,
-        to=to,
-        sent_ns=sent_ns,
-        size_bytes=50,
-        frame_bytes=58,
-        frames=frames,
-        receivers=tuple(came),
-        hops=hops,
-        via=via,
-        received_ns=times,
-        update=update,
-        under_way=under_way,
+        frames=frames, receivers=tuple(came), hops=hops, via=via, received_ns=times, size_bytes=50, frame_bytes=58, **told
     )
 
 
@@ -98,13 +73,7 @@ def test_the_numbers(routing: Routing) -> None:
         "delivery_ratio": 0.5,  # of 2 + 1 + 2 + 1
         "hops_mean": pytest.approx(5 / 3),
         "hops_max": 2,
-        "delay_s": {
-            "mean": pytest.approx(550e-9 / 3),
-            "p50": pytest.approx(200e-9),
-            "p95": pytest.approx(245e-9),
-            "p99": pytest.approx(249e-9),
-            "max": pytest.approx(250e-9),
-        },
+        "delay_s": pytest.approx({"mean": 550e-9 / 3, "p50": 200e-9, "p95": 245e-9, "p99": 249e-9, "max": 250e-9}),
         "forwarded": 2,
         "no_route": 1,
         "control_frames": 1,

@@ -68,12 +68,8 @@ def test_a_message_that_cannot_be_written_leaves_no_trace() -> None:
 
 def test_each_message_of_a_topic_has_the_schema_of_its_own_type() -> None:
     """Whatever comes first: commands in turn, of which viewers and exports take each as what it is."""
-    commands = [
-        Velocity(linear=(1.0, 0.0, 0.0)),
-        Waypoint(position=(1.0, 2.0, 3.0)),
-        Velocity(),
-        Waypoint(position=(0.0, 0.0, 1.0)),
-    ]
+    one, other = Velocity(linear=(1.0, 0.0, 0.0)), Waypoint(position=(1.0, 2.0, 3.0))
+    commands = [one, other, Velocity(), Waypoint(position=(0.0, 0.0, 1.0))]
     for given in (commands, commands[::-1]):
         stream = io.BytesIO()
         log = McapLog(stream, {})

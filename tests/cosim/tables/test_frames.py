@@ -31,17 +31,10 @@ VALUES: dict[str, tuple[Any, ...]] = {  # of the parts of a link budget
 def report(number: int, receivers: tuple[str, ...] = NAMES[1:]) -> FrameReport:
     n = len(receivers)
     return FrameReport(
-        frame=number,
-        sender=NAMES[0],
-        sent_ns=5 * number,
-        size_bytes=60 + number % 2,
-        receivers=receivers,
-        distance_m=np.arange(n) + 0.5 * number,
-        rssi_dbm=np.full(n, -60.0),
-        received_ns=np.arange(n) + 5 * number,
+        frame=number, sender=NAMES[0], sent_ns=5 * number, size_bytes=60 + number % 2, receivers=receivers, queue_ns=number,
+        distance_m=np.arange(n) + 0.5 * number, rssi_dbm=np.full(n, -60.0), received_ns=np.arange(n) + 5 * number,
         outcome=("received",) * n,
-        queue_ns=number,
-    )
+    )  # fmt: skip
 
 
 @st.composite
