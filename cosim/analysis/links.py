@@ -5,7 +5,7 @@ received nor lost. Levels and ratios are those of frames that were on the air. W
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import accumulate, pairwise
@@ -18,6 +18,7 @@ import pyarrow as pa
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.metrics.radio import quantiles
 from vcmvsp.cosim.recording.recorded_run import radio_columns
 from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
@@ -176,7 +177,7 @@ def overview(log: Log, link: str = "*/*") -> list[dict[str, Any]]:
     for pair in log.pairs(link):
         frames = log.frames(pair)
         sent, gaps = frames.where(frames["air_time_ns"] > 0), _receptions(frames.arrived["received_ns"])
-        medians = {name: _median(sent[name]) for name in ("rssi_dbm", "distance_m")}
+        medians = {name: float(np.median(sent[name])) if len(sent) else None for name in ("rssi_dbm", "distance_m")}
         rows.append({**_counts(pair, frames), **medians, "longest_gap_s": gaps["longest_gap_s"]})
     return sorted(rows, key=lambda row: math.inf if row["delivery_ratio"] is None else row["delivery_ratio"])
 
@@ -188,24 +189,21 @@ def link_report(log: Log, pair: Pair) -> dict[str, Any]:
     sinr = sent["sinr_db"]
     return {
         **_counts(pair, frames),
-        "rssi_dbm": _quantiles(sent["rssi_dbm"], 5, 50, 95),
-        "snr_db": _quantiles(sent["snr_db"], 5, 50, 95),
-        "sinr_db": _quantiles(sinr[np.isfinite(sinr)], 5, 50, 95),
-        "distance_m": _quantiles(sent["distance_m"], 0, 50, 100),
-        "path_loss_db": _mean_and_sd(sent["path_loss_db"]),
+        "rssi_dbm": quantiles(sent["rssi_dbm"], ("p5", "median", "p95")),
+        "snr_db": quantiles(sent["snr_db"], ("p5", "median", "p95")),
+        "sinr_db": quantiles(sinr[np.isfinite(sinr)], ("p5", "median", "p95")),
+        "distance_m": quantiles(sent["distance_m"], ("min", "median", "max")),
+        "path_loss_db": quantiles(sent["path_loss_db"], ("mean", "sd")),
         "walls": {
-            "mean": _mean(sent["walls"]),
-            "loss_db": _mean(sent["wall_loss_db"]),
+            **quantiles(sent["walls"], ("mean",)),
+            "loss_db": quantiles(sent["wall_loss_db"], ("mean",))["mean"],
             "materials": {name or "none": count / len(sent) for name, count in sent.counts("wall_materials").items()},
         },
-        "shadowing_db": _mean_and_sd(sent["shadowing_db"]),
-        "fading_db": _mean_and_sd(sent["fading_db"]),
-        "delay_s": {
-            "mean": _mean(arrived["delay_ns"] / SECOND_NS),
-            **_quantiles(arrived["delay_ns"] / SECOND_NS, 5, 50, 95, 99, 100),
-        },
-        "queue_s": {"mean": _mean(frames["queue_ns"] / SECOND_NS), **_quantiles(frames["queue_ns"] / SECOND_NS, 95, 100)},
-        "access_s": {"mean": _mean(sent["access_ns"] / SECOND_NS), **_quantiles(sent["access_ns"] / SECOND_NS, 95, 100)},
+        "shadowing_db": quantiles(sent["shadowing_db"], ("mean", "sd")),
+        "fading_db": quantiles(sent["fading_db"], ("mean", "sd")),
+        "delay_s": quantiles(arrived["delay_ns"] / SECOND_NS, ("mean", "p5", "median", "p95", "p99", "max")),
+        "queue_s": quantiles(frames["queue_ns"] / SECOND_NS, ("mean", "p95", "max")),
+        "access_s": quantiles(sent["access_ns"] / SECOND_NS, ("mean", "p95", "max")),
         "receptions": _receptions(arrived["received_ns"]),
     }
 
@@ -239,26 +237,6 @@ def _receptions(received_ns: Array) -> dict[str, float | None]:
     if len(gaps):
         found |= {"longest_gap_s": float(gaps.max() / SECOND_NS), "gap_from_s": float(times[gaps.argmax()] / SECOND_NS)}
     return found
-
-
-def _quantiles(values: Array, *percents: int) -> dict[str, float | None]:
-    """Percentiles, linear between ranks; those with a name are called by it."""
-    named = {0: "min", 50: "median", 100: "max"}
-    keys: Iterable[str] = [named.get(percent, f"p{percent}") for percent in percents]
-    found = np.percentile(values, percents).tolist() if len(values) else [None] * len(percents)
-    return dict(zip(keys, found, strict=True))
-
-
-def _median(values: Array) -> float | None:
-    return float(np.median(values)) if len(values) else None
-
-
-def _mean(values: Array) -> float | None:
-    return float(np.mean(values)) if len(values) else None
-
-
-def _mean_and_sd(values: Array) -> dict[str, float | None]:
-    return {"mean": _mean(values), "sd": float(np.std(values)) if len(values) else None}
 
 
 @dataclass(frozen=True)

@@ -97,11 +97,12 @@ def radio_metrics(radio: pa.Table, ages: dict[str, float | None]) -> dict[str, A
 
 
 def quantiles(values: Array, names: Sequence[str]) -> dict[str, float | None]:
-    """Mean, maximum and percentiles (``p95``; linear between ranks); None where there are no values."""
+    """Mean, sd, min, median, max and percentiles (``p95``; linear between ranks); None where there are no values."""
     if not values.size:
         return dict.fromkeys(names)
-    of: dict[str, Any] = {"mean": np.mean, "max": np.max}
-    return {name: float(of[name](values) if name in of else np.percentile(values, int(name[1:]))) for name in names}
+    percents = {"min": 0, "median": 50} | {name: int(name[1:]) for name in names if name[0] == "p"}
+    of: dict[str, Any] = {"mean": np.mean, "sd": np.std, "max": np.max}
+    return {name: float(of[name](values) if name in of else np.percentile(values, percents[name])) for name in names}
 
 
 class LinkHistory(NamedTuple):

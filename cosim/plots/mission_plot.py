@@ -50,7 +50,10 @@ def mission(log: MissionLog, moved: Motion, targets: Sequence[Target], outlines:
     places.
     """
     with style(MAP):
-        heights = 1.1 + 0.3 * len(log.vehicles), 0.9 + 2.35 * _slenderness(log)  # inches
+        shapes = [shown.seen.shape for maps in log.maps.values() for _, shown in maps[:1]]
+        rows, columns = shapes[0] if shapes else (1, 1)
+        slenderness = np.clip(rows / max(columns, 1), 0.4, 2.5)  # how much taller than wide the maps are drawn
+        heights = 1.1 + 0.3 * len(log.vehicles), 0.9 + 2.35 * slenderness  # inches
         figure = Figure(figsize=(11.0, sum(heights)), layout="constrained")
         figure.suptitle("Who commanded each vehicle, and the map of the search")
         above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights).flat
@@ -76,7 +79,9 @@ def mosaic(log: MissionLog, moved: Motion, targets: Sequence[Target]) -> Figure:
         _true_places(axes, targets, log.end_ns, named=True)
         _square(axes)
         dots = Line2D([], [], color=GREY, label="recognised here", **DOT)
-        _vehicles_legend(figure, log, [dots, Line2D([], [], label="target, at the end", **MARKED)])
+        lines = [Line2D([], [], color=color_of(index), label=name) for index, name in enumerate(log.vehicles)]
+        lines += [dots, Line2D([], [], label="target, at the end", **MARKED)]
+        figure.legend(handles=lines, loc="outside lower left", ncols=6, frameon=False)
     return figure
 
 
@@ -211,12 +216,6 @@ def _maps(figure: FigureBase, log: MissionLog, moved: Motion, targets: Sequence[
         figure.colorbar(image, ax=shown, shrink=0.7, pad=0.01, label="P(target) [1]")
 
 
-def _slenderness(log: MissionLog) -> float:
-    shapes = [shown.seen.shape for maps in log.maps.values() for _, shown in maps[:1]]
-    rows, columns = shapes[0] if shapes else (1, 1)
-    return float(np.clip(rows / max(columns, 1), 0.4, 2.5))
-
-
 def _track(axes: Axes, moved: Motion, name: str, index: int, now_ns: int, *, halo: bool = False) -> None:
     if name not in moved.names:
         return
@@ -269,8 +268,3 @@ def _square(axes: Axes) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel("x east [m]")
     axes.set_ylabel("y north [m]")
-
-
-def _vehicles_legend(figure: Figure, log: MissionLog, more: Sequence[Line2D]) -> None:
-    lines = [Line2D([], [], color=color_of(index), label=name) for index, name in enumerate(log.vehicles)]
-    figure.legend(handles=[*lines, *more], loc="outside lower left", ncols=6, frameon=False)

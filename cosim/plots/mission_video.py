@@ -3,6 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,6 +25,7 @@ MOST_PICTURES = 6
 DARK, PALE, LINE = (45, 45, 45), (255, 255, 255), (110, 110, 110)
 FONT = 0  # cv2.FONT_HERSHEY_SIMPLEX
 
+T = TypeVar("T")
 Color = tuple[int, ...]  # blue, green, red, as OpenCV has it
 
 
@@ -149,15 +151,10 @@ class _Beside:
                 small = self._picture(name, newest, shown[newest][1])
                 y, x = 24 + (cell.shape[0] - 24 - small.shape[0]) // 2, (cell.shape[1] - small.shape[1]) // 2
                 cell[y : y + small.shape[0], x : x + small.shape[1]] = small
-            self._caption(cell, name, now_ns)
+            commander = _newest(self._log.noted.of(name, "commander"), now_ns) or ""
+            color = _bgr(rgb(COMMANDERS[commander])) if commander in COMMANDERS else PALE
+            _say(cell, f"{name}  {commander}", (6, 17), color, 0.5)
         return picture
-
-    def _caption(self, cell: Array, name: str, now_ns: int) -> None:
-        changes = self._log.noted.of(name, "commander")
-        count = bisect_right(changes, now_ns, key=lambda each: each[0])
-        commander = changes[count - 1][1] if count else ""
-        color = _bgr(rgb(COMMANDERS[commander])) if commander in COMMANDERS else PALE
-        _say(cell, f"{name}  {commander}", (6, 17), color, 0.5)
 
     def _picture(self, name: str, number: int, seen: Sightings) -> Array:
         """A picture that fits its place, with boxes around what was recognised; decoded once."""
@@ -199,9 +196,9 @@ def _frame_of(log: MissionLog, moved: Motion) -> tuple[Array, float]:
     return 0.5 * (low + high - side), (MAP_PX - 2 * MARGIN_PX) / side
 
 
-def _newest(maps: Sequence[tuple[int, ProbabilityMap]], now_ns: int) -> ProbabilityMap | None:
-    count = bisect_right(maps, now_ns, key=lambda each: each[0])
-    return maps[count - 1][1] if count else None
+def _newest(told: Sequence[tuple[int, T]], now_ns: int) -> T | None:
+    count = bisect_right(told, now_ns, key=lambda each: each[0])
+    return told[count - 1][1] if count else None
 
 
 def _say(
@@ -220,10 +217,6 @@ def _bgr(color: tuple[float, ...]) -> Color:
     return tuple(round(255 * part) for part in reversed(color))
 
 
-def _ramp() -> Array:
-    stops = np.array([_bgr(rgb(code)) for code in PROBABILITY])
-    at = np.linspace(0.0, 255.0, len(stops))
-    return np.stack([np.interp(np.arange(256), at, part) for part in stops.T], axis=1).round().astype(np.uint8)
-
-
-PROBABILITY_BGR = _ramp()
+_STOPS = np.array([_bgr(rgb(code)) for code in PROBABILITY]).T
+_PARTS = [np.interp(np.arange(256), np.linspace(0.0, 255.0, len(PROBABILITY)), part) for part in _STOPS]
+PROBABILITY_BGR: Array = np.stack(_PARTS, axis=1).round().astype(np.uint8)  # of 0 to 255 of a map

@@ -147,8 +147,7 @@ def _values(table: Table, key: str, metric: str, rows: list[int]) -> tuple[Array
 
 
 def _scale(axes: Axes, table: Table, metric: str) -> None:
-    values = np.array(table.columns[f"{metric}.mean"], float)
-    values = values[np.isfinite(values)]
+    values = _means(table, metric)
     if not len(values):
         axes.annotate("no run has a value", (0.5, 0.5), xycoords="axes fraction", ha="center", color="0.4")
     elif values.min() > 0.0 and values.max() > DECADES * values.min():
@@ -213,9 +212,13 @@ def _name_decades(axis: Axis, low: float, high: float) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _norm(table: Table, metric: str) -> Normalize:
+def _means(table: Table, metric: str) -> Array:
     values = np.array(table.columns[f"{metric}.mean"], float)
-    values = values[np.isfinite(values)]
+    return np.asarray(values[np.isfinite(values)])
+
+
+def _norm(table: Table, metric: str) -> Normalize:
+    values = _means(table, metric)
     if not len(values):
         return Normalize(0.0, 1.0)
     if values.min() > 0.0 and values.max() > DECADES * values.min():
@@ -253,12 +256,7 @@ def _groups(table: Table, others: Sequence[str]) -> dict[str, list[int]]:
 
 
 def _distinct(values: Sequence[Any]) -> list[Any]:
-    """Each value once, in the order in which they come."""
-    found: list[Any] = []
-    for value in values:
-        if value not in found:
-            found.append(value)
-    return found
+    return list(dict.fromkeys(values))
 
 
 def _is_number(value: object) -> bool:

@@ -28,6 +28,7 @@ BUDGET = {  # zeros where the channel has no such layer
     "shadowing_db": np.float64,
     "fading_db": np.float64,
 }
+NAMED = ("sender", "receiver", "outcome", "wall_materials")
 COLUMNS = (*PER_FRAME, "sender", "receiver", *PER_ROW, "delay_ns", "outcome", "wall_materials", *BUDGET)
 _LAST_USE = {  # what is needed no more once a column is made, where that is not the column itself
     **dict.fromkeys(("sent_ns", "sender", "received_ns"), ()),
@@ -140,7 +141,7 @@ class Frames:
         return np.repeat(_in_order(self._joined(name), self._order), self._counts)
 
     def _joined(self, name: str) -> Array:
-        return joined(self._chunks.get(name, []), (0,), _dtype(name))
+        return joined(self._chunks.get(name, []), (0,), dtype_of(name))
 
     def _pack(self) -> None:
         reports, self._waiting, self._held = self._waiting, [], 0
@@ -178,10 +179,9 @@ def _slim(values: Array) -> Array:
     return np.broadcast_to(values[0].copy(), values.shape) if len(values) and (bits == bits[0]).all() else values
 
 
-def _dtype(name: str) -> type[np.number]:
-    if name in ("receiver", "sender", "outcome", "wall_materials"):
-        return np.int32
-    return {**PER_ROW, **BUDGET}.get(name, np.int64)
+def dtype_of(name: str) -> type[np.number]:
+    """The type of a column's numbers, or of its codes of names."""
+    return np.int32 if name in NAMED else {**PER_ROW, **BUDGET}.get(name, np.int64)
 
 
 def _known(name: str, values: Array, end_ns: int) -> Array | None:

@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.columns import column, joined
-from vcmvsp.cosim.tables.radio_frames import UNDER_WAY, Frames, Names
+from vcmvsp.cosim.tables.radio_frames import NAMED, UNDER_WAY, Frames, Names, dtype_of
 from vcmvsp.cosim.types import Follows, FrameReport, States
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import read_json
@@ -29,32 +29,15 @@ STATE_VALUES = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "
 STATES_SCHEMA = pa.schema([("time_ns", pa.int64()), ("vehicle", NAME), *((name, pa.float64()) for name in STATE_VALUES)])
 """Time ns; position m, attitude (world_from_body), velocity m/s: world; angular velocity rad/s: body."""
 RADIO_SCHEMA = pa.schema(
-    [
-        ("frame", pa.int64()),
-        ("sender", NAME),
-        ("receiver", NAME),
-        ("sent_ns", pa.int64()),
-        ("received_ns", pa.int64()),  # null: lost, or under way when the run ended
-        ("size_bytes", pa.int64()),
-        ("distance_m", pa.float64()),
-        ("rssi_dbm", pa.float64()),
-        ("outcome", NAME),  # "received", "under way" when the run ended, or the cause of the loss
-        ("delay_ns", pa.int64()),  # received - sent; null as that
-        ("copy_ns", pa.int64()),  # when a second copy arrived; null: none did
-        # The link budget; null where it cannot be told, as that of a frame that was never sent.
-        ("snr_db", pa.float64()),  # over noise alone
-        ("sinr_db", pa.float64()),  # over noise and interference, the least while it was on the air
-        ("path_loss_db", pa.float64()),
-        ("walls", pa.int64()),  # how many are crossed
-        ("wall_materials", NAME),
-        ("wall_loss_db", pa.float64()),
-        ("shadowing_db", pa.float64()),  # a loss
-        ("fading_db", pa.float64()),  # a gain
-        ("air_time_ns", pa.int64()),  # 0: it was never sent
-        ("queue_ns", pa.int64()),  # waited behind the sender's earlier frames
-        ("access_ns", pa.int64()),  # waited for the air, earlier attempts included
-    ]
+    (name, NAME if name in NAMED else pa.from_numpy_dtype(np.dtype(dtype_of(name))))
+    for name in (
+        *("frame", "sender", "receiver", "sent_ns", "received_ns", "size_bytes", "distance_m", "rssi_dbm", "outcome"),
+        *("delay_ns", "copy_ns", "snr_db", "sinr_db", "path_loss_db", "walls", "wall_materials", "wall_loss_db"),
+        *("shadowing_db", "fading_db", "air_time_ns", "queue_ns", "access_ns"),
+    )
 )
+"""As `cosim.recording.mcap_writer.FRAME` says. No value: ``received_ns`` and ``delay_ns`` of what was lost or under way when the
+run ended, ``copy_ns`` without a second copy, items of a link budget that cannot be told."""
 NOT_LOST = ("received", UNDER_WAY)  # outcomes
 FACTS = b"vcmvsp.run"
 PART_ROWS = 1 << 17  # of a table that is read in parts
