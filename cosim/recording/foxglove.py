@@ -23,7 +23,7 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import yaw_of
-from vcmvsp.cosim.types import Array, Image, Mosaic, ProbabilityMap, Scan, Sighting, Sightings
+from vcmvsp.cosim.types import Array, Image, Mosaic, ProbabilityMap, Scan, Sighting, Sightings, frozen
 from vcmvsp.cosim.util.palette import rgb_of
 
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}  # foxglove.LogLevel
@@ -332,6 +332,14 @@ class Grid(Stamped, frozen=True):
         """The numbers: (rows, columns, fields) uint8."""
         return np.frombuffer(self.data, np.uint8).reshape(-1, self.column_count, self.cell_stride)
 
+    @property
+    def shown(self) -> ProbabilityMap | Mosaic:
+        """What a vehicle knows of the area, or the ground as it has seen it."""
+        place = {"left": self.pose.position.x, "bottom": self.pose.position.y, "cell_m": self.cell_size.x}
+        if self.fields[0].name == "probability":
+            return ProbabilityMap(**place, probability=frozen(self.cells[..., 0]), seen=frozen(self.cells[..., 1] != 0))
+        return Mosaic(**place, pixels=frozen(self.cells[..., :3]))
+
 
 WHITE, SHADE = Color(1.0, 1.0, 1.0), Color(0.0, 0.0, 0.0, 0.6)
 
@@ -381,6 +389,11 @@ class ImageAnnotations(FoxgloveMessage, frozen=True):
     width: int = 0  # px
     height: int = 0
     found: tuple[Sighting, ...] = ()
+
+    def sightings(self, jpeg: bytes = b"") -> Sightings:
+        """What was recognised, with its picture, if it was kept."""
+        told = {name: getattr(self, name) for name in ("sensor", "time_ns", "width", "height", "found")}
+        return Sightings(**told, jpeg=jpeg)
 
 
 class CompressedImage(Stamped, frozen=True):

@@ -88,8 +88,9 @@ def _take(log: MissionLog, vehicle: str, what: str, time_ns: int, data: bytes) -
         case "map":
             _take_map(log, vehicle, time_ns, data)
         case "mosaic":
-            grid = _read_grid(data)
-            log.mosaics[vehicle] = Mosaic(**_place(grid), pixels=grid.cells[..., :3])
+            shown = _read_grid(data).shown
+            if isinstance(shown, Mosaic):
+                log.mosaics[vehicle] = shown
         case "sightings":
             _take_sightings(log, vehicle, time_ns, data)
         case "sightings/picture":
@@ -97,20 +98,18 @@ def _take(log: MissionLog, vehicle: str, what: str, time_ns: int, data: bytes) -
 
 
 def _take_map(log: MissionLog, vehicle: str, time_ns: int, data: bytes) -> None:
-    grid, maps = _read_grid(data), log.maps.setdefault(vehicle, [])
+    shown, maps = _read_grid(data).shown, log.maps.setdefault(vehicle, [])
     if maps and log.part(maps[-1][0]) == log.part(time_ns):
         maps.pop()
-    values = grid.cells
-    shown = ProbabilityMap(**_place(grid), probability=values[..., 0], seen=values[..., 1] != 0)
-    maps.append((time_ns, shown))
+    if isinstance(shown, ProbabilityMap):
+        maps.append((time_ns, shown))
 
 
 def _take_sightings(log: MissionLog, vehicle: str, time_ns: int, data: bytes) -> None:
-    said, seen = _read_sightings(data), log.sightings.setdefault(vehicle, [])
+    seen = log.sightings.setdefault(vehicle, [])
     if seen and not (seen[-1][1].found or seen[-1][1].jpeg):  # nothing to show
         seen.pop()
-    value = Sightings(sensor=said.sensor, time_ns=said.time_ns, width=said.width, height=said.height, found=said.found)
-    seen.append((time_ns, value))
+    seen.append((time_ns, _read_sightings(data).sightings()))
 
 
 def _take_picture(log: MissionLog, vehicle: str, data: bytes) -> None:
@@ -125,10 +124,6 @@ def _take_picture(log: MissionLog, vehicle: str, data: bytes) -> None:
             return
         seen[place] = before_ns, msgspec.structs.replace(before, jpeg=b"")
     seen[-1] = time_ns, msgspec.structs.replace(newest, jpeg=_read_picture(data).data)
-
-
-def _place(grid: Grid) -> dict[str, float]:
-    return {"left": grid.pose.position.x, "bottom": grid.pose.position.y, "cell_m": grid.cell_size.x}
 
 
 def _grid_of(shown: ProbabilityMap) -> tuple[float, ...]:

@@ -227,10 +227,11 @@ def _recorded(folder: Path, absent: str, tell: Tell, *, with_frames: bool = True
     )
     reached = f"{FILE} has, up to {end_ns / SECOND_NS:.3f} s, without frames of programs and without routes"
     tell(f"{folder}: no {absent} here, as the run goes on or was cut: what is shown is what {reached}")
-    return states_table([(time_ns, _states(states)) for time_ns, states in instants.items()], facts), frames, facts
+    return states_table([(time_ns, states_of(states)) for time_ns, states in instants.items()], facts), frames, facts
 
 
-def _states(states: dict[str, types.VehicleState]) -> types.States:
+def states_of(states: Mapping[str, types.VehicleState]) -> types.States:
+    """The true states of one instant, in columns."""
     fields = ("position", "velocity", "attitude", "angular_velocity")
-    columns = {name: np.array([getattr(state, name) for state in states.values()]) for name in fields}
+    columns = {name: types.frozen([getattr(state, name) for state in states.values()], np.float64) for name in fields}
     return types.States(names=tuple(states), **columns)

@@ -36,8 +36,8 @@ RADIO_SCHEMA = pa.schema(
         *("shadowing_db", "fading_db", "air_time_ns", "queue_ns", "access_ns"),
     )
 )
-"""As `cosim.recording.mcap_writer.FRAME` says. No value: ``received_ns`` and ``delay_ns`` of what was lost or under way when the
-run ended, ``copy_ns`` without a second copy, items of a link budget that cannot be told."""
+"""As `cosim.recording.mcap_writer.FRAME` says. No value: ``received_ns`` and ``delay_ns`` of what was lost or under way when
+the run ended, ``copy_ns`` without a second copy, items of a link budget that cannot be told."""
 NOT_LOST = ("received", UNDER_WAY)  # outcomes
 FACTS = b"vcmvsp.run"
 PART_ROWS = 1 << 17  # of a table that is read in parts

@@ -4,7 +4,7 @@ What a message has no place for is not to be had any more, such as the depth of 
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ import numpy as np
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.recording.foxglove import (
     CameraCalibration,
-    CompressedImage,
     FrameTransforms,
     Grid,
     ImageAnnotations,
@@ -27,13 +26,8 @@ from vcmvsp.cosim.types import (
     FrameReport,
     Halted,
     Image,
-    Mosaic,
     Presence,
-    ProbabilityMap,
     Scan,
-    Sightings,
-    States,
-    VehicleState,
     frozen,
 )
 from vcmvsp.cosim.view.messages import LinkStatus, Pose
@@ -45,21 +39,9 @@ ALSO: Mapping[str, Any] = {
 """Schemas that exports do not look into, and their types."""
 
 
-def states_of(names: tuple[str, ...], rows: Sequence[VehicleState]) -> States:
-    """The true states of one instant, a row for each vehicle."""
-    columns = ("position", "velocity", "attitude", "angular_velocity")
-    return States(names=names, **{name: frozen([getattr(row, name) for row in rows], np.float64) for name in columns})
-
-
 def image_of(said: RawImage, calibration: CameraCalibration | None) -> Image:
     """A picture, and the focal length of its camera, where it was told."""
     return Image(pixels=said.pixels, time_ns=said.timestamp.ns, focal_px=0.0 if calibration is None else calibration.K[0])
-
-
-def sightings_of(said: ImageAnnotations, picture: CompressedImage | None) -> Sightings:
-    """What was recognised, and the picture that it was recognised in, where it was kept."""
-    told = {name: getattr(said, name) for name in ("sensor", "time_ns", "width", "height", "found")}
-    return Sightings(**told, jpeg=b"" if picture is None else picture.data)
 
 
 def _numbers_of(said: Noted) -> dict[str, Any]:
@@ -95,15 +77,6 @@ def _scan_of(said: LaserScan) -> Scan:
     )
 
 
-def _ground_of(said: Grid) -> ProbabilityMap | Mosaic:
-    """What a vehicle knows of the area, or the ground as it has seen it."""
-    cells = said.cells
-    place = {"left": said.pose.position.x, "bottom": said.pose.position.y, "cell_m": said.cell_size.x}
-    if said.fields[0].name == "probability":
-        return ProbabilityMap(**place, probability=frozen(cells[..., 0]), seen=frozen(cells[..., 1] != 0))
-    return Mosaic(**place, pixels=frozen(cells[..., :3]))
-
-
 def _link_of(said: FrameReport) -> LinkStatus:
     return LinkStatus(
         sender=said.sender,
@@ -120,7 +93,7 @@ SHOWN_AS: Mapping[type, Callable[[Any], Any]] = {
     PoseInFrame: _fix_of,
     FrameTransforms: _poses_of,
     LaserScan: _scan_of,
-    Grid: _ground_of,
+    Grid: lambda said: said.shown,
     FrameReport: _link_of,
 }
 """What the page shows of a message of this type; others are shown as they are."""

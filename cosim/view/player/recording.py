@@ -8,9 +8,9 @@ import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError, VcmvspError
-from vcmvsp.cosim.recording.foxglove import PICTURE
+from vcmvsp.cosim.recording.foxglove import PICTURE, ImageAnnotations
 from vcmvsp.cosim.recording.mcap_reader import Recorded
-from vcmvsp.cosim.recording.recorded_run import FILE, Values
+from vcmvsp.cosim.recording.recorded_run import FILE, Values, states_of
 from vcmvsp.cosim.recording.run_mcap import CALIBRATION, MOVING, SCENE
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Fix, Sightings, States
@@ -181,7 +181,8 @@ class Recording:
         when_ns = min(topic.time_ns(number) for topic, number in zip(found, numbers, strict=True))
         if since_ns is not None and when_ns <= since_ns:
             return None
-        return decoding.states_of(self.vehicles, [self._value(topic, topic.newest(when_ns)) for topic in found])
+        rows = [self._value(topic, topic.newest(when_ns)) for topic in found]
+        return states_of(dict(zip(self.vehicles, rows, strict=True)))
 
     def _noted(self, topic: Topic, number: int) -> dict[str, Any]:
         return self._collected.notes[topic.name].at(number, lambda each: self._value(topic, each))
@@ -198,7 +199,8 @@ class Recording:
         pictures, when_ns, picture = self._file.topics.get(f"{topic.name}/{PICTURE}"), topic.time_ns(number), None
         if pictures is not None and (of_then := pictures.newest(when_ns)) >= 0 and pictures.time_ns(of_then) == when_ns:
             picture = self._value(pictures, of_then)
-        return decoding.sightings_of(self._value(topic, number), picture)
+        said: ImageAnnotations = self._value(topic, number)
+        return said.sightings(b"" if picture is None else picture.data)
 
     def _obstacles(self, time_ns: int) -> dict[str, Pose]:
         moving = () if self._world is None else self._world.moving
