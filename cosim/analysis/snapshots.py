@@ -13,17 +13,7 @@ import numpy as np
 
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.assembly import worlds
-from vcmvsp.cosim.assembly.parts.recognition import (
-    Camera,
-    Hull,
-    Nadir,
-    PlacedTarget,
-    Scene,
-    Watch,
-    WatchFrame,
-    Watching,
-    turned,
-)
+from vcmvsp.cosim.assembly.parts import recognition
 from vcmvsp.cosim.assembly.parts.search_map import Grid, Rectangle, of_picture
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.config import binding, registry
@@ -143,9 +133,9 @@ class Snapshots:
 
     def _start_watch(self, vehicle: VehicleTable, content: object, key: str) -> None:
         with registry.looking_in(self._source.folder):
-            settings: Watching = binding.convert(content, Watching, key=key, origin=self._source)
+            settings: recognition.Watching = binding.convert(content, recognition.Watching, key=key, origin=self._source)
             try:
-                self._watch = Watch(settings, key=key)
+                self._watch = recognition.Watch(settings, key=key)
             except ScenarioError as error:
                 raise ScenarioError(error.problem, key=error.key, source=self._source.of(error.key)) from error
         self._camera_name = settings.camera
@@ -154,7 +144,7 @@ class Snapshots:
             problem = f"{binding.unknown('sensor', settings.camera, vehicle.sensors)} (of {vehicle.name})"
             raise ScenarioError(problem, key=f"{key}.camera", source=self._source.of(f"{key}.camera"))
         sensor = {**vehicle.sensors[settings.camera], "depth": True}  # tells what is hidden
-        self._camera: Camera
+        self._camera: recognition.Camera
         self._camera, _ = registry.build("sensor", sensor, key=f"{where}.{settings.camera}", source=self._source)
         if not hasattr(self._camera, "focal_px"):
             kind = f"{where}.{settings.camera}.kind"
@@ -222,21 +212,21 @@ class Snapshots:
         problem = f"no place over the area at {self.height_m:g} m is free{' and shows a target' if with_target else ''}"
         raise ScenarioError(problem, key="world", source=self._source.of("world"))
 
-    def _over(self, attitude: Quaternion) -> Nadir:
+    def _over(self, attitude: Quaternion) -> recognition.Nadir:
         camera = self._camera
         state = VehicleState(position=(0.0, 0.0, self.height_m), attitude=attitude)
-        mount = turned(attitude, self._watch.settings.mount)
+        mount = recognition.turned(attitude, self._watch.settings.mount)
         (x, y, z), (ahead, left, up) = state.position, mount
         place = (x + ahead, y + left, z + up)
-        return Nadir(place, attitude, camera.focal_px, camera.width, camera.height, self._watch.settings.ground_m)
+        return recognition.Nadir(place, attitude, camera.focal_px, camera.width, camera.height, self._watch.settings.ground_m)
 
     def _picture(self, state: VehicleState, time_ns: int, rng: np.random.Generator) -> Image:
         (x, y, z), w = state.position, state.attitude
-        taken = Scene(
+        taken = recognition.Scene(
             now_ns=time_ns,
             world=self.world,
             vehicles=(self.vehicle,),
-            hulls=(Hull((0.1, 0.1, 0.1)),),
+            hulls=(recognition.Hull((0.1, 0.1, 0.1)),),
             position=np.array([[x, y, z]]),
             velocity=np.zeros((1, 3)),
             attitude=np.array([w]),
@@ -246,7 +236,9 @@ class Snapshots:
         )
         return self._camera.measure(taken, 0, rng)
 
-    def _in_sight(self, target: PlacedTarget, frame: WatchFrame, state: VehicleState, time_s: float) -> InSight | None:
+    def _in_sight(
+        self, target: recognition.PlacedTarget, frame: recognition.WatchFrame, state: VehicleState, time_s: float
+    ) -> InSight | None:
         """A target in a picture; None: its middle is not in it."""
         place = target.place(time_s)
         pixel, size = frame.nadir.pixel(place), (frame.nadir.width, frame.nadir.height)
@@ -276,12 +268,12 @@ def _search_of(params: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
     return params, "agents"
 
 
-def _visible(target: PlacedTarget, frame: WatchFrame, time_s: float) -> float:
+def _visible(target: recognition.PlacedTarget, frame: recognition.WatchFrame, time_s: float) -> float:
     """Which part of a target nothing hides, of 25 points of it that the picture shows."""
     depth_m = frame.image.depth_m
     assert depth_m is not None  # noqa: S101  the camera is made so that it gives depths
     (x, y), yaw, nadir = target.place(time_s), target.yaw(time_s), frame.nadir
-    axis = turned(nadir.attitude, (0.0, 0.0, -1.0))  # optical
+    axis = recognition.turned(nadir.attitude, (0.0, 0.0, -1.0))  # optical
     c, s = math.cos(yaw), math.sin(yaw)
     along = [target.size_m * (i - 2) * 0.24 for i in range(5)]
     free, total = 0, 0

@@ -17,18 +17,8 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording import foxglove
 from vcmvsp.cosim.recording.mcap_reader import Recorded, about, contents
+from vcmvsp.cosim.tables import schema
 from vcmvsp.cosim.tables.radio_frames import Frames
-from vcmvsp.cosim.tables.schema import (
-    RADIO_SCHEMA,
-    Placement,
-    Recording,
-    RunFacts,
-    load,
-    load_tables,
-    radio_table,
-    read_table,
-    states_table,
-)
 from vcmvsp.cosim.util.documents import json_reader, read_json
 from vcmvsp.cosim.util.text import Tell
 
@@ -169,7 +159,7 @@ def _array(_: type, numbers: Sequence[float | None]) -> types.Array:
 
 def tables_of(
     folder: Path, tell: Tell = lambda _: None, *, numbers: bool = False, radio: Collection[str] | None = None
-) -> Recording:
+) -> schema.Recording:
     """Both tables, of the radio's these columns, if not all; with ``numbers`` those of ``metrics.json``, if it is there.
 
     ``tell`` takes a line for the user: that only the recording is there, and how far it goes.
@@ -179,20 +169,22 @@ def tables_of(
         OSError, ValueError: a table is damaged.
     """
     if not (absent := _absent(folder)):
-        return load(folder, radio) if numbers else load_tables(folder, radio)
+        return schema.load(folder, radio) if numbers else schema.load_tables(folder, radio)
     states, frames, facts = _recorded(folder, absent, tell, with_frames=radio is None or bool(radio))
-    known = radio if radio is None else [name for name in RADIO_SCHEMA.names if name in radio]
-    return Recording(states=states, radio=radio_table(frames, facts, known), facts=facts, metrics={})
+    known = radio if radio is None else [name for name in schema.RADIO_SCHEMA.names if name in radio]
+    return schema.Recording(states=states, radio=schema.radio_table(frames, facts, known), facts=facts, metrics={})
 
 
-def radio_columns(folder: Path, tell: Tell = lambda _: None) -> tuple[RunFacts, Sequence[str], Callable[[str], pa.Table]]:
+def radio_columns(
+    folder: Path, tell: Tell = lambda _: None
+) -> tuple[schema.RunFacts, Sequence[str], Callable[[str], pa.Table]]:
     """Facts of a run, names of the columns of its radio's table, and what gives one of them; errors as of `tables_of`."""
     if absent := _absent(folder):
         _, frames, facts = _recorded(folder, absent, tell)
-        return facts, RADIO_SCHEMA.names, lambda name: radio_table(frames, facts, (name,))
+        return facts, schema.RADIO_SCHEMA.names, lambda name: schema.radio_table(frames, facts, (name,))
     path = folder / "radio.parquet"
     names = pq.read_schema(path).names if path.is_file() else ()
-    return load_tables(folder, ()).facts, names, lambda name: read_table(path, (name,))
+    return schema.load_tables(folder, ()).facts, names, lambda name: schema.read_table(path, (name,))
 
 
 def _absent(folder: Path) -> str:
@@ -201,12 +193,12 @@ def _absent(folder: Path) -> str:
     return absent[0] if absent and (folder / FILE).is_file() else ""
 
 
-def _recorded(folder: Path, absent: str, tell: Tell, *, with_frames: bool = True) -> tuple[pa.Table, Frames, RunFacts]:
+def _recorded(folder: Path, absent: str, tell: Tell, *, with_frames: bool = True) -> tuple[pa.Table, Frames, schema.RunFacts]:
     source = Source(folder, lambda _: None)
     values, end_ns = Values(), 0
     instants: dict[int, dict[str, types.VehicleState]] = {}
     frames = Frames(source.vehicles)
-    follows: list[Placement] = []
+    follows: list[schema.Placement] = []
 
     def is_wanted(topic: str, _: str) -> bool:
         return topic.partition("/")[2] in ("state", "follows") or (topic == "radio/frame" and with_frames)
@@ -219,15 +211,15 @@ def _recorded(folder: Path, absent: str, tell: Tell, *, with_frames: bool = True
         elif what == "state" and vehicle in source.vehicles:
             instants.setdefault(said.time_ns, {})[vehicle] = values.of(said)
         elif what == "follows":
-            follows.append(Placement(said.time_ns, vehicle, read_json(said.data, types.Follows)))
+            follows.append(schema.Placement(said.time_ns, vehicle, read_json(said.data, types.Follows)))
     if not instants:
         raise UsageError(f"{source.folder}: the run was cut, or looked at, before its {FILE} had anything to show")
-    facts = RunFacts(
+    facts = schema.RunFacts(
         scenario=source.scenario, seed=int(source.seed), end_ns=end_ns, vehicles=source.vehicles, follows=tuple(follows)
     )
     reached = f"{FILE} has, up to {end_ns / SECOND_NS:.3f} s, without frames of programs and without routes"
     tell(f"{folder}: no {absent} here, as the run goes on or was cut: what is shown is what {reached}")
-    return states_table([(time_ns, states_of(states)) for time_ns, states in instants.items()], facts), frames, facts
+    return schema.states_table([(time_ns, states_of(states)) for time_ns, states in instants.items()], facts), frames, facts
 
 
 def states_of(states: Mapping[str, types.VehicleState]) -> types.States:

@@ -9,47 +9,26 @@ from typing import Any
 
 import numpy as np
 
+from vcmvsp.cosim import types
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.recording import event_text
-from vcmvsp.cosim.types import (
-    Array,
-    Changed,
-    Contact,
-    Fix,
-    Follows,
-    FrameReport,
-    Halted,
-    Incident,
-    Mosaic,
-    Moved,
-    Note,
-    Outage,
-    Presence,
-    ProbabilityMap,
-    Pushed,
-    RealStatus,
-    Reception,
-    Sightings,
-    States,
-    Value,
-)
 
 MOST_LINES = 200  # of the log; older ones give way
 COMMANDERS = ("commander", "mode")  # what agents call in their notes who commands
 BY_VEHICLE: Mapping[type, str] = {
-    Follows: "places",
-    Fix: "fixes",
-    Sightings: "sightings",
-    ProbabilityMap: "maps",
-    Mosaic: "mosaics",
-    RealStatus: "real",
-    Presence: "presence",
+    types.Follows: "places",
+    types.Fix: "fixes",
+    types.Sightings: "sightings",
+    types.ProbabilityMap: "maps",
+    types.Mosaic: "mosaics",
+    types.RealStatus: "real",
+    types.Presence: "presence",
 }
 """Types of which the newest value of each vehicle is kept, and the name of each collection."""
 
 
-class LogLine(Value, frozen=True, kw_only=True):
+class LogLine(types.Value, frozen=True, kw_only=True):
     """A line of the log."""
 
     time_ns: int
@@ -74,20 +53,20 @@ class RunState:
         collections = (*BY_VEHICLE.values(), "notes", "heard_ns", "frames", "pushed", "states")
         self.newest: dict[str, dict[str, Any]] = {name: {} for name in collections}
         self.fresh: dict[tuple[str, str], None] = {}
-        self.tallies: dict[tuple[str, tuple[str, ...]], Array] = {}
+        self.tallies: dict[tuple[str, tuple[str, ...]], types.Array] = {}
         self.commanders: dict[str, str] = {}
         self.halted: set[str] = set()
         self.lines: deque[LogLine] = deque(maxlen=MOST_LINES)
         self._handlers: dict[type, Callable[[str, int, Any], None]] = {
-            States: lambda _, __, states: self.keep("states", "", states),
-            FrameReport: self._on_frame,
-            Reception: lambda vehicle, time_ns, _: self.keep("heard_ns", vehicle, time_ns),
-            Note: self._on_note,
+            types.States: lambda _, __, states: self.keep("states", "", states),
+            types.FrameReport: self._on_frame,
+            types.Reception: lambda vehicle, time_ns, _: self.keep("heard_ns", vehicle, time_ns),
+            types.Note: self._on_note,
             **dict.fromkeys(BY_VEHICLE, self._on_newest),
-            Presence: self._on_presence,
-            **dict.fromkeys((Incident, Contact, Outage, Changed, Moved), self._tell),
-            Halted: self._on_halted,
-            Pushed: self._on_pushed,
+            types.Presence: self._on_presence,
+            **dict.fromkeys((types.Incident, types.Contact, types.Outage, types.Changed, types.Moved), self._tell),
+            types.Halted: self._on_halted,
+            types.Pushed: self._on_pushed,
         }
 
     def on(self, event: Event) -> None:
@@ -105,7 +84,7 @@ class RunState:
         """Add a line to the log."""
         self.lines.append(LogLine(time_ns=time_ns, level=level, text=text))
 
-    def _on_frame(self, _: str, time_ns: int, report: FrameReport) -> None:
+    def _on_frame(self, _: str, time_ns: int, report: types.FrameReport) -> None:
         ends = report.sender, report.receivers
         tally = self.tallies.get(ends)
         if tally is None:
@@ -114,7 +93,7 @@ class RunState:
         tally[1:] += report.received_ns >= 0
         self.keep("frames", report.sender, report)
 
-    def _on_note(self, vehicle: str, time_ns: int, note: Note) -> None:
+    def _on_note(self, vehicle: str, time_ns: int, note: types.Note) -> None:
         self.keep("notes", vehicle, {**self.newest["notes"].get(vehicle, {}), **note.values})
         for name in COMMANDERS:
             if name in note.values:
@@ -123,15 +102,15 @@ class RunState:
     def _on_newest(self, vehicle: str, time_ns: int, value: object) -> None:
         self.keep(BY_VEHICLE[type(value)], vehicle, value)
 
-    def _on_presence(self, vehicle: str, time_ns: int, presence: Presence) -> None:
+    def _on_presence(self, vehicle: str, time_ns: int, presence: types.Presence) -> None:
         self._on_newest(vehicle, time_ns, presence)
         self._tell(vehicle, time_ns, presence)
 
-    def _on_halted(self, _: str, time_ns: int, halted: Halted) -> None:
+    def _on_halted(self, _: str, time_ns: int, halted: types.Halted) -> None:
         (self.halted.update if halted.halted else self.halted.difference_update)(halted.vehicles)
         self._tell(_, time_ns, halted)
 
-    def _on_pushed(self, _: str, time_ns: int, pushed: Pushed) -> None:
+    def _on_pushed(self, _: str, time_ns: int, pushed: types.Pushed) -> None:
         for name, place, attitude in zip(pushed.names, pushed.position.tolist(), pushed.attitude.tolist(), strict=True):
             self.keep("pushed", name, (*place, yaw_of(attitude)))
 
