@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -43,16 +43,8 @@ def motion(states: pa.Table) -> Motion:
     return Motion(times, names, position, dense(yaw))
 
 
-class WorldClearance(Protocol):
-    """Obstacles of a run: `physics.world.world.World`."""
-
-    def least_clearance_m(self, time_ns: Array, position: Array) -> float | None:
-        """Smallest distance (m) of any place (3, m, n) m to an obstacle at the m instants."""
-
-
-def safety_metrics(moved: Motion, collisions: int, world: WorldClearance | None) -> dict[str, Any]:
-    """The ``safety`` part; ``world`` is what the vehicles moved in, None where that is not known."""
-    clearance_m = None if world is None else world.least_clearance_m(moved.time_ns, moved.position)
+def safety_metrics(moved: Motion, collisions: int, clearance_m: float | None) -> dict[str, Any]:
+    """The ``safety`` part; the smallest distance to an obstacle is of the world, None where that is not known."""
     return {"collisions": collisions, "min_separation_m": min_separation_m(moved), "min_clearance_m": clearance_m}
 
 

@@ -11,7 +11,7 @@ import struct
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -26,7 +26,7 @@ from vcmvsp.cosim.metrics.catalogue import SCHEMA
 from vcmvsp.cosim.metrics.control import control_metrics
 from vcmvsp.cosim.metrics.formation import Noted, formation_metrics
 from vcmvsp.cosim.metrics.mission import Mission
-from vcmvsp.cosim.metrics.motion import Window, WorldClearance, motion, safety_metrics
+from vcmvsp.cosim.metrics.motion import Window, motion, safety_metrics
 from vcmvsp.cosim.metrics.radio import age_metrics, connectivity_metrics, informed, radio_metrics, receptions
 from vcmvsp.cosim.metrics.routing import Routing
 from vcmvsp.cosim.recording.scene import DrawnWorld
@@ -49,14 +49,10 @@ _COMMAND = struct.Struct("<5d").pack  # time ns, velocity m/s, yaw rate rad/s: a
 _NO_COMMAND = (math.nan,) * 4  # what a way-point leaves of velocities, from then on
 
 
-class RecordedWorld(DrawnWorld, WorldClearance, Protocol):
-    """World of a run, to be drawn and measured."""
-
-
 class Accumulators:
     """Collects as a run goes on; tables and numbers are made once it is over. Args: see `cosim.recording.recorder.Recorder`."""
 
-    def __init__(self, run: RunInfo, agents: Sequence[AgentInfo], world: RecordedWorld | None = None) -> None:
+    def __init__(self, run: RunInfo, agents: Sequence[AgentInfo], world: DrawnWorld | None = None) -> None:
         self._run, self._world = run, world
         self._now = 0  # ns: of the newest value; once the run is over, its end
         self._ticks = {agent.vehicle: agent.ticks for agent in agents}
@@ -145,6 +141,7 @@ class Accumulators:
         moved, got = motion(states), receptions(radio)
         vehicles, follows, targets = self._run.vehicles, self._follows, () if self._world is None else self._world.targets
         ages = age_metrics(informed(radio, got), follows, self._ticks, window, end_ns)
+        clearance_m = None if self._world is None else self._world.least_clearance_m(moved.time_ns, moved.position)
         hardware = hardware_metrics(self._statuses, self._incidents, self._fixes, got)
         mission = self._mission.metrics(moved, targets)
         commands = {name: np.frombuffer(rows).reshape(-1, 5) for name, rows in self._commands.items()}
@@ -160,7 +157,7 @@ class Accumulators:
             "connectivity": connectivity_metrics(got, vehicles, window, end_ns),
             "agents": agent_metrics(self._presences, self._ticks, end_ns, self._run.duration_ns),
             **({"hardware": hardware} if self._statuses else {}),
-            "safety": safety_metrics(moved, self._contacts.total(), self._world),
+            "safety": safety_metrics(moved, self._contacts.total(), clearance_m),
             **({} if mission is None else {"mission": mission}),
             "digest": digest([states, radio], self._others.digest()),
         }

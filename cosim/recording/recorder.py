@@ -23,9 +23,10 @@ from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.metrics.availability import limited_by_s
 from vcmvsp.cosim.recording import event_text
-from vcmvsp.cosim.recording.accumulators import PACKED, Accumulators, RecordedWorld, Take, vehicle_of
+from vcmvsp.cosim.recording.accumulators import PACKED, Accumulators, Take, vehicle_of
 from vcmvsp.cosim.recording.foxglove import to_json
 from vcmvsp.cosim.recording.run_mcap import Viewer
+from vcmvsp.cosim.recording.scene import DrawnWorld
 from vcmvsp.cosim.types import Contact, Later, States
 
 
@@ -60,7 +61,7 @@ class Recorder(Accumulators):
         agents: Sequence[AgentInfo],
         radius_m: Mapping[str, float],
         sensors: Sequence[str] = (),
-        world: RecordedWorld | None = None,
+        world: DrawnWorld | None = None,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._tell, self._record_ticks, self._sensors = tell, record_ticks, frozenset(sensors)

@@ -70,6 +70,9 @@ class DrawnWorld(Protocol):
     def mesh_colors(self) -> Array:
         """Colours (t, 3) uint8 of the triangles."""
 
+    def least_clearance_m(self, time_ns: Array, position: Array) -> float | None:
+        """Smallest distance (m) of any place (3, m, n) m to an obstacle at the m instants."""
+
 
 def scene(
     vehicles: Sequence[str],
