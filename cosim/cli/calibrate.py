@@ -70,7 +70,6 @@ def calibrate_command(
 def write_calibration(folder: Path, calibration: "Calibration", figure_data: "FigureData") -> None:
     """Write ``radio.toml`` and ``calibration.png``: a calibration of `netsim.calibration`, and the data of its figure."""
     from vcmvsp.cosim.plots.radio_plots import draw_calibration
-
     from vcmvsp.cosim.plots.style import save_png
 
     with writing(folder):

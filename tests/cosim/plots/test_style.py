@@ -15,7 +15,6 @@ import pytest
 from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
-from vcmvsp.cosim.plots.radio_plots import draw_calibration
 
 from tests.cosim.studies.test_outputs import DELAY, LOSS, METRIC, study
 from tests.support.cosim import recordings
