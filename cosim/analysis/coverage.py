@@ -169,7 +169,6 @@ def _map(site: Site, parsed: Scenario, vehicle: str, size_bytes: int, height_m: 
 
 
 def _grid(site: Site, range_m: float | None, vehicle: str, resolution_m: float | None) -> tuple[Array, Array]:
-    """The columns and rows of the map: solids and vehicles with a margin; in an empty world, as far as the radio is heard."""
     points = np.array([place[:2] for place in site.places.values()])
     corners = [corner for solid in site.solids for piece in solid.uprights() for corner in piece.corners]
     if corners:
@@ -191,7 +190,6 @@ def _grid(site: Site, range_m: float | None, vehicle: str, resolution_m: float |
 
 
 def _round_step(step_m: float) -> float:
-    """1, 2 or 5 times a power of ten, not below the step."""
     power = 10.0 ** math.floor(math.log10(step_m))
     return next(power * digit for digit in (1.0, 2.0, 5.0, 10.0) if power * digit >= step_m * (1.0 - 1e-9))
 
@@ -204,7 +202,6 @@ def _scenario_in(folder: Path) -> Path:
 
 
 def _places_at(folder: Path, at_s: float) -> dict[str, Vec3]:
-    """Where the vehicles of a run were, at the last recorded instant up to a time."""
     try:
         moved = motion(tables_of(folder, radio=()).states)
     except (OSError, ValueError) as error:  # a damaged table

@@ -146,7 +146,6 @@ def _budget(row: Mapping[str, Any], radio: Mapping[str, Any] | None) -> Budget:
 
 
 def _survival(row: Mapping[str, Any], radio: Mapping[str, Any] | None) -> float | None:
-    """Chance that the frame survives its SINR, were it that all the time."""
     if radio is None or radio["errors"] is None or math.isnan(row["sinr_db"]):
         return None
     return float(radio["errors"].frame_success(np.array([row["sinr_db"]]), row["size_bytes"])[0])

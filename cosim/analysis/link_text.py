@@ -91,7 +91,6 @@ def frame_text(frame: Row) -> str:
 
 
 def _table(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
-    """Columns aligned to the right, but those named ``left``."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     marks = ["<" if column in left else ">" for column in range(len(widths))]
     lines = ["  ".join(map("{:{}{}}".format, row, marks, widths)) for row in rows]

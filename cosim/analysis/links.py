@@ -209,7 +209,6 @@ def link_report(log: Log, pair: Pair) -> dict[str, Any]:
 
 
 def _spans(pairs: Sequence[Pair], counts: Sequence[int]) -> dict[Pair, tuple[int, int]]:
-    """Where the rows of each pair begin and end, which has so many."""
     return dict(zip(pairs, pairwise(accumulate(counts, initial=0)), strict=True))
 
 
@@ -229,7 +228,6 @@ def _counts(pair: Pair, frames: LinkFrames) -> dict[str, Any]:
 
 
 def _receptions(received_ns: Array) -> dict[str, float | None]:
-    """First and last reception, and the longest time between two that follow each other."""
     times, gaps = np.sort(received_ns), np.diff(np.sort(received_ns))
     found = dict.fromkeys(("first_s", "last_s", "longest_gap_s", "gap_from_s"))
     if len(times):

@@ -152,13 +152,11 @@ class Snapshots:
         self._watch.start(VehicleInfo(name=vehicle.name, vehicles=(vehicle.name,), period_s=1.0, latency_s=0.0, seed=0))
 
     def _said(self, search: Mapping[str, Any], name: str, annotation: object, default: object) -> Any:
-        """What the search says; its agent is not built, so that nobody else has looked at it."""
         if name not in search:
             return default
         return binding.convert(search[name], annotation, key=f"{self.table}.{name}", origin=self._source)
 
     def _height(self, height_m: float | None, search: Mapping[str, Any], vehicle: VehicleTable, key: str) -> float:
-        """At which the pictures are taken: as given, at which the vehicle says that it searches, or where it begins."""
         if height_m is None:
             height_m = float(self._said(search, "height", float, vehicle.start[0][2]))
             if "height" not in search and not height_m > 0.0:
@@ -239,7 +237,6 @@ class Snapshots:
     def _in_sight(
         self, target: recognition.PlacedTarget, frame: recognition.WatchFrame, state: VehicleState, time_s: float
     ) -> InSight | None:
-        """A target in a picture; None: its middle is not in it."""
         place = target.place(time_s)
         pixel, size = frame.nadir.pixel(place), (frame.nadir.width, frame.nadir.height)
         if pixel is None or not all(-0.5 <= at < edge - 0.5 for at, edge in zip(pixel, size, strict=True)):
@@ -260,7 +257,6 @@ class Snapshots:
 
 
 def _search_of(params: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
-    """The parameters of the search, that of a mission or the agent itself, and the table in which they stand."""
     algorithms = params.get("algorithms")
     if isinstance(algorithms, Mapping):
         search = algorithms.get("search")

@@ -117,7 +117,6 @@ def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Windo
 
 
 def _parts(moved: Motion, name: str, follows: Sequence[Placement]) -> list[tuple[slice, Follows]]:
-    """The recorded instants of each of a follower's stretches in which it follows somebody."""
     spans = [(between(moved.time_ns, begin, end), placed) for begin, end, placed in stretches(name, follows)]
     return [(span, placed) for span, placed in spans if placed.leader is not None and span.start < span.stop]
 
@@ -141,7 +140,6 @@ def _length(offset: Array) -> Array:
 
 
 def _of_leader(moved: Motion, name: str, follows: Sequence[Placement], errors: dict[str, Array]) -> Array:
-    """The error (m,) of the leader that a follower has at the time; NaN while that follows nobody."""
     error = np.full(len(moved.time_ns), np.nan)
     for span, placed in _parts(moved, name, follows):
         if placed.leader in errors:
@@ -240,7 +238,6 @@ def misfit_squared(places: Array, slots: Array) -> Array:
 
 
 def _eras(moved: Motion, follows: Sequence[Placement]) -> Iterator[tuple[slice, list[Team]]]:
-    """The recorded instants between any two changes of places, and the teams of that time."""
     placed: dict[str, Follows] = {}
     times = [*dict.fromkeys(placement.time_ns for placement in follows), FOREVER_NS]
     for (_, changes), (begin, end) in zip(groupby(follows, attrgetter("time_ns")), pairwise(times), strict=True):
@@ -251,7 +248,6 @@ def _eras(moved: Motion, follows: Sequence[Placement]) -> Iterator[tuple[slice, 
 
 
 def _teams(names: Sequence[str], placed: Mapping[str, Follows]) -> list[Team]:
-    """Everybody who follows or is followed, by teams; vehicles in the order of the run."""
     links: dict[str, list[tuple[str, complex]]] = {name: [] for name in names}
     for follower in names:
         at = placed.get(follower)

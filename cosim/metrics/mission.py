@@ -140,7 +140,6 @@ class Mission:
         }
 
     def _tracked(self, moved: Motion, target: Target) -> bool:
-        """Whether a vehicle tracked it, and stayed near it, for long enough on end, as far as it was recorded."""
         places = np.array([target.place(time_s) for time_s in (moved.time_ns / SECOND_NS).tolist()]).reshape(-1, 2)
         for column, vehicle in enumerate(moved.names):
             x, y, _ = moved.position[:, :, column]
@@ -153,7 +152,6 @@ class Mission:
         return False
 
     def _was(self, moved: Motion, vehicle: str, name: str, values: Sequence[str]) -> Array:
-        """At which recorded instants what a vehicle noted was one of these values; before it noted anything, ``""``."""
         history = [(-1, ""), *self.of(vehicle, name)]
         newest = np.searchsorted([time_ns for time_ns, _ in history], moved.time_ns, side="right") - 1
         return np.array([value in values for _, value in history])[newest]
@@ -205,7 +203,6 @@ def _number(noted: object) -> float:
 
 
 def _longest_ns(time_ns: Array, holds: Array) -> int:
-    """The longest time from the first to the last of instants on end at which something holds."""
     changes = np.diff(np.concatenate(([False], holds, [False])).astype(np.int8))
     first, last = np.flatnonzero(changes == 1), np.flatnonzero(changes == -1) - 1
     return int((time_ns[last] - time_ns[first]).max(initial=-1))

@@ -170,7 +170,6 @@ def _timeline(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
 
 
 def _band(commander: str) -> dict[str, Any]:
-    """Colour of the time of a commander, and a pattern for those who see no difference of colours."""
     return {
         "facecolor": COMMANDERS.get(commander, GREY),
         "hatch": HATCHES.get(commander, "--"),

@@ -85,7 +85,6 @@ class _Above:
         _say(picture, name, (x + 10, y - 8), color)
 
     def _ground(self, now_ns: int) -> Array:
-        """Map, what is looked at, buildings; drawn again when there is a newer map."""
         import cv2
 
         newest = tuple(bisect_right(maps, now_ns, key=lambda each: each[0]) for maps in self._log.maps.values())
@@ -98,7 +97,6 @@ class _Above:
         return self._base
 
     def _tinted(self, cells: Array, now_ns: int, shape: tuple[int, ...]) -> Array:
-        """The cells that each vehicle saw a moment ago first, in its colour."""
         for name, maps in self._log.maps.items():
             before, now = (_newest(maps, time_ns) for time_ns in (now_ns - GLIMPSE_NS, now_ns))
             if now is not None and now.seen.shape == shape and (before is None or before.seen.shape == shape):
@@ -129,8 +127,6 @@ class _Above:
 
 
 class _Beside:
-    """The newest picture of each vehicle; where there is not room for all, those without pictures give way."""
-
     def __init__(self, log: MissionLog) -> None:
         self._log = log
         taken = {name: [each for each in log.sightings.get(name, ()) if each[1].jpeg] for name in log.vehicles}
@@ -157,7 +153,6 @@ class _Beside:
         return picture
 
     def _picture(self, name: str, number: int, seen: Sightings) -> Array:
-        """A picture that fits its place, with boxes around what was recognised; decoded once."""
         import cv2
 
         if self._kept.get(name, (-1,))[0] != number:

@@ -53,7 +53,6 @@ def coverage(found: "Map") -> Figure:
 def _field(
     figure: Figure, axes: Axes, found: "Map", values: Array, bounds: tuple[float, float], colors: str, label: str
 ) -> None:
-    """Values as a coloured grid, each place the middle of its square."""
     half = 0.5 * (found.x[1] - found.x[0])
     extent = (found.x[0] - half, found.x[-1] + half, found.y[0] - half, found.y[-1] + half)
     low, high = bounds
@@ -106,7 +105,6 @@ def _titles(figure: Figure, axes: Axes, found: "Map") -> None:
 
 
 def _color_of(materials: Sequence[str], material: str) -> str:
-    """Concrete is black where there is any; the others follow in the order of their names."""
     if material == "concrete":
         return OKABE_ITO[0]
     return _WALLS[[each for each in materials if each != "concrete"].index(material) % len(_WALLS)]

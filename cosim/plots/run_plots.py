@@ -115,7 +115,6 @@ def _draw_formation(axes: Axes, moved: Motion, follows: Sequence[Placement], ins
 
 
 def _choose_scale(axes: Axes, errors: list[Array]) -> None:
-    """A logarithmic scale where errors span decades, so that what remains after settling is seen."""
     values = np.concatenate([np.empty(0), *errors])
     values = values[np.isfinite(values) & (values > 0)]
     if values.max(initial=0.0) > ROUNDING_M and np.percentile(values, 95) > 20 * np.percentile(values, 20):
@@ -126,7 +125,6 @@ def _choose_scale(axes: Axes, errors: list[Array]) -> None:
 
 
 def _draw_ages(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[Placement], followers: list[str]) -> None:
-    """Per follower, the age of the newest message of its leader at the recorded instants."""
     heard = links(radio)
     for name in followers:
         for leader in _leaders(name, follows):
@@ -139,7 +137,6 @@ def _draw_ages(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[Pla
 
 
 def _draw_losses(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[Placement], followers: list[str]) -> None:
-    """A row of ticks per follower: its leader's frames that it lost, at the times when they were sent."""
     lost = [np.concatenate([_lost_s(radio, name, leader) for leader in _leaders(name, follows)]) for name in followers]
     colors = [color_of(moved.column(name)) for name in followers]
     if followers:
@@ -172,7 +169,6 @@ def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
 
 
 def _legend(axes: Axes) -> None:
-    """Names above the plot, where they hide nothing; of very many vehicles only the first."""
     handles, labels = axes.get_legend_handles_labels()
     axes.legend(handles[:18], labels[:18], ncols=6, **ABOVE)
     if len(labels) > 18:

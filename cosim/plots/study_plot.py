@@ -158,7 +158,6 @@ def _scale(axes: Axes, table: Table, metric: str) -> None:
 
 
 def _axis(panels: Iterable[Axes], shown: int, table: Table, key: str) -> None:
-    """The horizontal axis: named under the lowest panel of each column; names of a key without numbers are its ticks."""
     columns = min(shown, 2)
     for index, axes in enumerate(panels):
         axes.set_visible(index < shown)
@@ -188,7 +187,6 @@ def _legend(figure: Figure, axes: Axes, others: Sequence[str]) -> None:
 
 
 def _look(index: int, count: int, *, ordered: bool) -> dict[str, Any]:
-    """Colour and marker of a line: from dark to light where the lines have an order, else as vehicles are told apart."""
     if ordered:
         shade = mpl.colormaps["viridis"](0.9 * index / max(1, count - 1))
         return {"color": shade, "marker": marker_of(index)}
@@ -206,7 +204,6 @@ def _field(table: Table, what: tuple[str, str, str], rows: list[int]) -> Array:
 
 
 def _name_decades(axis: Axis, low: float, high: float) -> None:
-    """Numbers instead of powers, between the decades as well where these are few."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 1e3 * low else (1.0,), numticks=12))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
@@ -271,7 +268,6 @@ def _labels(values: Sequence[Any]) -> list[str]:
 
 
 def _kind(value: object) -> object:
-    """What a table says it is."""
     with contextlib.suppress(ValueError):  # a text may begin like a table
         if isinstance(value, str) and value.startswith("{"):
             return read_json(value).get("kind")

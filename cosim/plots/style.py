@@ -150,7 +150,6 @@ def _laid_out(figure: Figure) -> FigureCanvasAgg:
 
 
 def _make_light(figure: Figure) -> None:
-    """Let what is dense be a picture within a drawing."""
     for line in figure.findobj(Line2D):
         line.set_rasterized(np.size(line.get_xdata()) > DENSE and line.get_marker() not in ("", "None"))
     for collection in figure.findobj(Collection):

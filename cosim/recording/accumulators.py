@@ -214,7 +214,6 @@ def digest(tables: list[pa.Table], rest: bytes = b"") -> str:
 
 
 def _values(table: pa.Table, name: str) -> list[bytes | memoryview]:
-    """Name, type, names used, null mask and raw little-endian values of one column."""
     used: list[str] = []
     column_type = table.schema.field(name).type
     if pa.types.is_dictionary(column_type):
@@ -227,7 +226,6 @@ def _values(table: pa.Table, name: str) -> list[bytes | memoryview]:
 
 
 def _canonical(names: tuple[str, ...], codes: types.Array) -> tuple[list[str], types.Array]:
-    """The names that occur, in alphabetical order, and each row as its place in that list."""
     used = sorted(names[code] for code in np.flatnonzero(np.bincount(codes)).tolist())
     place = {name: i for i, name in enumerate(used)}
     return used, np.array([place.get(name, 0) for name in names], "<i4")[codes]

@@ -106,7 +106,6 @@ def read_inputs(path: str | Path, *, tell: Callable[[str], None] = lambda _: Non
 
 
 def _words(hint: object) -> str:
-    """A type as it is written."""
     if "ndarray" in str(hint):
         return "array" if get_origin(hint) is np.ndarray else "array | None"
     return hint.__name__ if isinstance(hint, type) and not get_args(hint) else str(hint).replace("typing.", "")

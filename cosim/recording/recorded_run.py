@@ -33,8 +33,6 @@ class Noted(msgspec.Struct, tag="note"):
 
 
 class _Measured(msgspec.Struct, tag="measured"):
-    """Numbers by name, likewise."""
-
     time_ns: int
     values: dict[str, float | None]
 
@@ -143,7 +141,6 @@ class Values:
 
 
 def _with_nan(said: object) -> object:
-    """JSON with NaN in place of null: of a vehicle that was sent to infinity, say."""
     if isinstance(said, dict):
         return {name: _with_nan(each) for name, each in said.items()}
     if isinstance(said, list):
@@ -152,7 +149,6 @@ def _with_nan(said: object) -> object:
 
 
 def _array(_: type, numbers: Sequence[float | None]) -> types.Array:
-    """Numbers; those that JSON cannot say are null there, and NaN here."""
     whole = {int}.issuperset(map(type, numbers))
     return np.array(numbers, np.int64 if whole else np.float64)
 
@@ -188,7 +184,6 @@ def radio_columns(
 
 
 def _absent(folder: Path) -> str:
-    """The table that has to be made of the recording, as it is not there."""
     absent = [name for name in ("states.parquet", "radio.parquet") if not (folder / name).is_file()]
     return absent[0] if absent and (folder / FILE).is_file() else ""
 

@@ -124,7 +124,6 @@ def _frame_of(name: str) -> str:
 
 
 def _by_color(vertices: Array, triangles: Array, colors: Array) -> list[fg.TriangleListPrimitive]:
-    """A list of triangles for each colour, with those points that it needs."""
     found, which = np.unique(colors, axis=0, return_inverse=True)
     parts = []
     for number, (red, green, blue) in enumerate(found.tolist()):

@@ -207,7 +207,6 @@ def _bounds_s(run: MeasuredRun) -> tuple[float, float] | None:
 
 
 def _received(run: MeasuredRun) -> Array:
-    """Which rows of the table of frames were received, some of them after the run's end."""
     outcomes, outcome = names_of(run.recording.radio, "outcome")
     return np.asarray(outcome == outcomes.index(RECEIVED)) if RECEIVED in outcomes else np.zeros(len(outcome), np.bool_)
 
@@ -225,7 +224,6 @@ def _counted(run: MeasuredRun) -> Array:
 
 
 def _sending_period_s(run: MeasuredRun) -> float | None:
-    """The period at which all whose messages count send; None where they do not keep one."""
     links, radio = _counted(run), run.recording.radio
     names, by = names_of(radio, "sender")
     times, periods = numbers(radio, "sent_ns"), set()
@@ -254,7 +252,6 @@ def motion_laws(run: MeasuredRun) -> Iterator[Expected]:
 
 
 def _straight(run: MeasuredRun, followers: list[Placement]) -> Iterator[Expected]:
-    """Followers that take each message as it is lag behind by speed times age."""
     leaders, team = {str(each.follows.leader) for each in followers}, [each.vehicle for each in followers]
     first = leaders.pop()
     agents, leader = [run.agent(name) for name in team], run.agent(first)
@@ -291,7 +288,6 @@ def _straight(run: MeasuredRun, followers: list[Placement]) -> Iterator[Expected
 
 
 def _circle(run: MeasuredRun, placed: Placement) -> Iterator[Expected]:
-    """A follower that keeps its place beside a leader on a circle is on a circle of its own."""
     name, at = placed.vehicle, placed.follows
     leader = run.agent(str(at.leader))
     own = run.metrics["formation"]["per_follower"].get(name)
@@ -319,13 +315,11 @@ def _moves_freely(run: MeasuredRun, vehicle: str, speed: float) -> bool:
 
 
 def _drives(leader: Mapping[str, Any], path: str) -> bool:
-    """Whether a leader drives this path, ahead, and leaves it for nothing."""
     kept = (leader.get("kind"), leader.get("path")) == ("trajectory", path) and "avoidance" not in leader
     return kept and float(leader["speed"]) > 0.0
 
 
 def _measured(run: MeasuredRun, name: str, leader: str) -> tuple[float, float] | None:
-    """Mean distance (m) of two vehicles and mean speed (m/s) of the first, in the window."""
     begin, end = window_ns(run.window)
     inside = (run.moved.time_ns >= begin) & (run.moved.time_ns <= end)
     times = run.moved.time_ns[inside] / SECOND_NS

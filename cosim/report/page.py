@@ -143,7 +143,6 @@ def _digits(value: float) -> str:
 
 
 def _breakable(name: str) -> Markup:
-    """A name that may go on in a new line behind each of its parts."""
     return Markup(re.sub(r"(?<=[a-z0-9])([_.])(?=[a-z0-9])", r"\1<wbr>", str(Markup.escape(name))))  # noqa: S704  escaped
 
 

@@ -177,7 +177,6 @@ def _title(left: Left) -> str:
 
 
 def _sentences(left: Left) -> Iterator[str]:
-    """What was run, and what came out."""
     yield _what(left)
     if error := left.about.get("error"):
         yield f"It ended before its time: {error['message'].rstrip('.')}."

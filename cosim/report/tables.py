@@ -66,7 +66,6 @@ def flat(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tupl
 
 
 def _by_vehicle(group: str, of: Mapping[str, Mapping[str, Any]]) -> Rows:
-    """A row for each vehicle; numbers that nobody has are left out."""
     rows = {vehicle: dict(flat(each)) for vehicle, each in of.items()}
     paths = list(dict.fromkeys(path for each in rows.values() for path in each))
     told = [path for path in paths if any(each.get(path) is not None for each in rows.values())]

@@ -41,8 +41,6 @@ _FIELDS_OF = attrgetter(*_FIELDS)
 
 
 class _Numbered(dict[str, int]):
-    """A name that is asked for gets the next number, if it has none."""
-
     def __missing__(self, name: str) -> int:
         number = self[name] = len(self)
         return number
@@ -185,7 +183,6 @@ def dtype_of(name: str) -> type[np.number]:
 
 
 def _known(name: str, values: Array, end_ns: int) -> Array | None:
-    """Which values of a column are told; None: all."""
     if name == "copy_ns":
         return np.asarray((values > 0) & (values <= end_ns))
     return np.isfinite(values) if name == "sinr_db" else None

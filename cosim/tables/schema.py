@@ -131,7 +131,6 @@ def parts_of_table(path: Path) -> Iterator[pa.Table]:
 
 
 def _opened(path: Path, columns: Collection[str] | None = None) -> "tuple[pq.ParquetFile, list[pa.Field[Any]]]":
-    """A file that is within limits, and the columns that are wanted, in its order."""
     with pq.ParquetFile(path) as file:
         fields, texts = list(file.schema_arrow), _checked(file.metadata, path.name)
     wanted = [field for field in fields if columns is None or field.name in columns]
@@ -163,7 +162,6 @@ def _checked(about: pq.FileMetaData, name: str) -> list[str]:
 
 
 def _text_bytes(texts: "pa.ChunkedArray[Any]") -> int:
-    """How long all texts of a column with a dictionary are together."""
     chunks: Any = texts.chunks
     return sum(pc.sum(pc.binary_length(each.dictionary).take(each.indices)).as_py() or 0 for each in chunks)
 

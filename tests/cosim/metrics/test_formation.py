@@ -228,6 +228,8 @@ def test_hop_gain_is_the_growth_from_link_to_link() -> None:
     gains = {name: each["hop_gain"] for name, each in formation["per_follower"].items()}
     assert gains == {"b": None, "c": pytest.approx(1.5), "d": pytest.approx(0.5)}
     assert formation["hop_gain"] == pytest.approx(1.5)
+    star = [*diamond()[:2], *(states(TENTH.at(k), at({**CORNERS, "b": -0.9 + 1j})) for k in range(3))]
+    assert formation_of("abcd", star)["hop_gain"] is None
 
 
 def test_hop_gain_is_of_the_window_and_never_of_rounding() -> None:
@@ -235,11 +237,6 @@ def test_hop_gain_is_of_the_window_and_never_of_rounding() -> None:
     events = in_a_row({"b": b, "c": c})
     assert formation_of("abc", events, window=(0.5, None))["hop_gain"] == pytest.approx(0.5)
     assert formation_of("abc", in_a_row({"b": [1e-9] * 5, "c": [1e-9] * 5}))["hop_gain"] is None
-
-
-def test_a_star_has_no_hop_gain() -> None:
-    events = [*diamond()[:2], *(states(TENTH.at(k), at({**CORNERS, "b": -0.9 + 1j})) for k in range(3))]
-    assert formation_of("abcd", events)["hop_gain"] is None
 
 
 def test_worst_of_the_followers() -> None:
@@ -255,7 +252,5 @@ def test_worst_of_the_followers() -> None:
 
 
 def test_time_zero_is_the_start_even_if_little_is_recorded() -> None:
-    assert (
-        formation_of("ab", [follows("b", "a", (-1.0, 0.0), 0.3), states(SECOND_NS, at({"a": 0j, "b": 1 + 0j}))])["overshoot"]
-        == 0
-    )
+    events = [follows("b", "a", (-1.0, 0.0), 0.3), states(SECOND_NS, at({"a": 0j, "b": 1 + 0j}))]
+    assert formation_of("ab", events)["overshoot"] == 0

@@ -101,11 +101,8 @@ def test_summary_is_over_all_followers_and_final_is_the_worst_of_them() -> None:
 def test_a_new_place_counts_from_its_own_time_on() -> None:
     poses = {"a": (0.0, 0.0, 0.0), "b": (-1.0, 0.0, 0.0), "c": (0.0, 5.0, 0.0)}
     events = [states(TENTH.at(k), poses) for k in range(4)]
-    events += [
-        follows("b", "a", (-1.0, 0.0), 0.2, 10**8),
-        follows("b", "c", (-1.0, -5.0), 0.2, 2 * 10**8),
-        follows("c", "a", (0, 4), 0.2, 3 * 10**8),
-    ]
+    places = [("b", "a", (-1.0, 0.0)), ("b", "c", (-1.0, -5.0)), ("c", "a", (0.0, 4.0))]
+    events += [follows(name, leader, slot, 0.2, k * 10**8) for k, (name, leader, slot) in enumerate(places, start=1)]
     formation = recorded("abc", events, 3 * 10**8).metrics(window=(0.0, None))["formation"]
     assert formation["per_follower"]["b"]["max_m"] == pytest.approx(0.0, abs=1e-12)
     assert formation["per_follower"]["c"]["mean_m"] == pytest.approx(1.0)
@@ -152,11 +149,8 @@ def test_radio_counts_and_delays() -> None:
 def test_links_keep_receivers_and_senders_apart() -> None:
     events = [frame(0, "c", 0, {"a": 5, "b": 6}), frame(1, "a", 1, {"b": 9, "c": None}), frame(2, "c", 2, {"a": 4, "b": None})]
     heard = links(recorded("abc", events, 10).radio)
-    assert {key: link.received_ns.tolist() for key, link in heard.items()} == {
-        ("a", "c"): [4, 5],
-        ("b", "a"): [9],
-        ("b", "c"): [6],
-    }
+    received = {key: link.received_ns.tolist() for key, link in heard.items()}
+    assert received == {("a", "c"): [4, 5], ("b", "a"): [9], ("b", "c"): [6]}
     assert heard["a", "c"].sent_ns.tolist() == [2, 2]  # an older message that arrives later makes nothing younger
 
 
@@ -206,13 +200,8 @@ def digest_of(events: list[Event]) -> str:
 def changed(value: Any) -> list[Any]:
     """Every value that differs from this one in one place."""
     if isinstance(value, np.ndarray):
-        indices = list(np.ndindex(value.shape))
-        results = []
-        for index in indices:
-            other = value.copy()
-            other[index] += 1
-            results.append(types.frozen(other))
-        return results
+        units = np.eye(value.size, dtype=value.dtype).reshape(value.size, *value.shape)
+        return [types.frozen(value + unit) for unit in units]
     if isinstance(value, dict):
         return [{**value, key: other} for key, old in value.items() for other in changed(old)]
     if isinstance(value, tuple):

@@ -163,12 +163,10 @@ def connectivity(n: int, seconds: list[Edges], window: tuple[float, float | None
 
 def test_connectivity_is_of_each_second_in_the_window() -> None:
     seconds = [complete(5), star(5), path(4), [], star(5)]
-    assert connectivity(5, seconds) == {
-        "mean": pytest.approx((5 + 1 + 0 + 0 + 1) / 5), "min": 0.0, "connected_share": pytest.approx(0.6)
-    }  # fmt: skip
-    assert connectivity(5, seconds, (0.0, 2.0)) == {
-        "mean": pytest.approx(3.0), "min": pytest.approx(1.0), "connected_share": 1.0
-    }  # fmt: skip
+    some = {"mean": pytest.approx((5 + 1 + 0 + 0 + 1) / 5), "min": 0.0, "connected_share": pytest.approx(0.6)}
+    assert connectivity(5, seconds) == some
+    first = {"mean": pytest.approx(3.0), "min": pytest.approx(1.0), "connected_share": 1.0}
+    assert connectivity(5, seconds, (0.0, 2.0)) == first
     assert connectivity(5, seconds, (0.4, 1.39))["mean"] is None  # not a whole second
     assert connectivity(5, seconds, (1.4, 2.8))["mean"] == pytest.approx(1.0)  # the star's frames alone
 

@@ -104,29 +104,17 @@ def test_a_frame_says_whose_message_it_carried(routing: Routing) -> None:
     sent_ns, number = numbers(table, "origin_sent_ns").tolist(), numbers(table, "origin_number", null=-1).tolist()
     rows = zip(numbers(table, "frame").tolist(), by.tolist(), to.tolist(), sent_ns, number, strict=True)
     assert {(frame, origins[a], ends[b], *rest) for frame, a, b, *rest in rows} == {
-        (0, "a", "", 100, 0),
-        (1, "a", "", 100, 0),
-        (2, "", "", 400, -1),
-        (3, "a", "c", 600, 1),
-        (4, "a", "c", 600, 1),
+        (0, "a", "", 100, 0), (1, "a", "", 100, 0), (2, "", "", 400, -1), (3, "a", "c", 600, 1), (4, "a", "c", 600, 1),
         (5, "a", "", 900, 2),
-    }
+    }  # fmt: skip
     assert table["message"].to_pylist() == ["over"] * 4 + [""] * 2 + ["over"] * 6
 
 
 def test_information_is_of_its_origin_and_for_whom_it_was_meant(routing: Routing) -> None:
     table = routing.told(radio_table(REPORTS, FACTS))
     known = links(table)
-    assert {key: (link.sent_ns.tolist(), link.received_ns.tolist()) for key, link in known.items()} == {
-        ("b", "a"): ([100], [200]),
-        ("c", "a"): ([100, 600], [350, 800]),
-    }
-    plain = receptions(table)
-    assert {(plain.receivers[r], plain.senders[s]) for r, s in zip(plain.to, plain.by, strict=True)} == {
-        ("b", "a"),
-        ("a", "b"),
-        ("c", "b"),
-    }
+    times = {key: (link.sent_ns.tolist(), link.received_ns.tolist()) for key, link in known.items()}
+    assert times == {("b", "a"): ([100], [200]), ("c", "a"): ([100, 600], [350, 800])}
     assert age_metrics(informed(table, receptions(table)), (), {}, (0.0, None), 10**10)["mean"] is None
 
 

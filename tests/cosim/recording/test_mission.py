@@ -80,22 +80,20 @@ def test_all_messages_have_foxgloves_schemas_and_fit_them(topics: Any) -> None:
             check(message, schema)
 
 
-def test_maps_come_back_cell_by_cell(topics: Any) -> None:
-    for (_, message, _), value in zip(topics["uav2/map"], shown_by(ProbabilityMap, "uav2"), strict=True):
-        assert [field["name"] for field in message["fields"]] == ["probability", "seen"]
-        cells = of(message)
-        np.testing.assert_array_equal(cells[..., 0], value.probability)
-        np.testing.assert_array_equal(cells[..., 1], value.seen)
+@pytest.mark.parametrize(("topic", "kind"), [("map", ProbabilityMap), ("mosaic", Mosaic)])
+def test_grids_say_what_stands_in_their_cells(topic: str, kind: type, topics: Any) -> None:
+    """Mosaics are opaque where something was seen."""
+    for (_, message, _), value in zip(topics[f"uav1/{topic}"], shown_by(kind, "uav1"), strict=True):
+        names, cells = [field["name"] for field in message["fields"]], of(message)
+        if kind is ProbabilityMap:
+            assert names == ["probability", "seen"]
+            np.testing.assert_array_equal(cells, np.dstack((value.probability, value.seen)))
+        else:
+            assert names == ["red", "green", "blue", "alpha"]
+            np.testing.assert_array_equal(cells[..., :3], value.pixels)
+            np.testing.assert_array_equal(cells[..., 3], np.where((value.pixels == 0).all(axis=2), 0, 255))
         assert (message["frame_id"], message["cell_size"]) == ("world", {"x": CELL_M, "y": CELL_M})
         assert message["pose"]["position"] == {"x": 0.0, "y": 0.0, "z": 0.0}
-
-
-def test_mosaics_are_opaque_where_something_was_seen(topics: Any) -> None:
-    for (_, message, _), value in zip(topics["uav1/mosaic"], shown_by(Mosaic, "uav1"), strict=True):
-        assert [field["name"] for field in message["fields"]] == ["red", "green", "blue", "alpha"]
-        cells = of(message)
-        np.testing.assert_array_equal(cells[..., :3], value.pixels)
-        np.testing.assert_array_equal(cells[..., 3], np.where((value.pixels == 0).all(axis=2), 0, 255))
 
 
 def test_sightings_stand_beside_their_pictures(topics: Any) -> None:

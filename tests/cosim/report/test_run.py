@@ -1,6 +1,7 @@
 """Every run leaves a page that shows its numbers, asks nothing of anybody, and says what is missing."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,17 @@ import pytest
 import vcmvsp
 from tests.support.cosim.command_line import Outcome, two_cars, vcmvsp_command
 from tests.support.cosim.html_pages import Reader
+from tests.support.cosim.reconnaissance_recording import TARGETS
 from tests.support.cosim.studies import two
 from vcmvsp.cosim.analysis.links import Log, overview
 from vcmvsp.cosim.errors import VcmvspError
 from vcmvsp.cosim.metrics.catalogue import GROUPS, METRICS, metric_of
+from vcmvsp.cosim.metrics.mission import Mission
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.report.page import cell
+from vcmvsp.cosim.report.run_folder import FILES
 from vcmvsp.cosim.report.tables import flat
+from vcmvsp.cosim.tables.schema import load
 
 HOSTILE = "<script>alert('x')</script> & \"quoted\" <b>"
 AGENT = f"""
@@ -145,11 +151,8 @@ def test_frames_to_one_vehicle_each_count_as_sent_and_who_has_no_agent_has_none(
     (folder / "mine.py").write_text(
         f"from vcmvsp import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        {act}\n"
     )
-    vehicles: list[dict[str, Any]] = [
-        {"name": name, "pose": [x, 0.0, 0.0]} for name, x in (("car1", 0.0), ("car2", 1.0), ("car3", 2.0))
-    ]
-    for each in vehicles[:2]:
-        each["agent"] = {}
+    agents: list[dict[str, Any]] = [{"agent": {}}, {"agent": {}}, {}]
+    vehicles = [{"name": f"car{k + 1}", "pose": [float(k), 0.0, 0.0], **agent} for k, agent in enumerate(agents)]
     scenario = two(agents={"kind": str(folder / "mine.py:Mine"), "period_s": 0.1}, vehicle=vehicles)
     result = vcmvsp.run(scenario, out=folder / "out")
     rows = {row[0]: row for row in read(folder / "out").rows("vehicle", "kind")}
@@ -169,9 +172,7 @@ def test_a_run_that_was_killed_says_what_it_lacks(run: Path, folder: Path) -> No
     assert vcmvsp_command("report", "cut").code == 0
     page = read(folder / "cut")
     missing = {row[0]: row[1] for row in page.rows("file")}
-    assert missing == dict.fromkeys(
-        ("scenario.toml", "states.parquet", "radio.parquet", "metrics.json", "about.json"), "is not there"
-    )
+    assert missing == dict.fromkeys(FILES.keys() - {"run.mcap"}, "is not there")
     assert "two, seed 5" in page.words
     assert "run.mcap, goes to" in page.words
 
@@ -181,9 +182,7 @@ def test_a_run_that_was_killed_says_what_it_lacks(run: Path, folder: Path) -> No
 def test_a_folder_without_one_of_its_files_has_a_page_all_the_same(
     run: Path, folder: Path, name: str, content: bytes | None
 ) -> None:
-    (folder / "out").mkdir()
-    for path in run.iterdir():
-        (folder / "out" / path.name).write_bytes(path.read_bytes())
+    shutil.copytree(run, "out")
     if content is None:
         (folder / "out" / name).unlink()
     else:
@@ -214,9 +213,7 @@ def test_a_page_that_cannot_be_written_is_one_error(run: Path, folder: Path) -> 
 def test_every_number_is_explained(run: Path) -> None:
     """Those of this run, of a mission and of real vehicles: none is only a name."""
     metrics: dict[str, Any] = json.loads((run / "metrics.json").read_text())
-    metrics["mission"] = dict.fromkeys(
-        ("targets_found", "targets_tracked", "false_finds", "area_seen_ratio", "map_bytes_sent", "switches"), 0
-    ) | {"found_s": {"alpha": 1.0}}
+    metrics["mission"] = Mission().metrics(motion(load(run).states), TARGETS)
     for group in ("formation", "radio", "control", "connectivity", "safety", "mission", "agents"):
         for path, _ in flat(metrics[group]):
             assert metric_of((group, *path)).meaning, path
