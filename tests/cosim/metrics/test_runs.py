@@ -7,37 +7,9 @@ import numpy as np
 import pytest
 
 import vcmvsp
-from tests.support.validation.fleets import LEFT_BEHIND, RIGHT_BEHIND, UNLIMITED, T, V, fleet, lossy
+from tests.support.validation.fleets import UNLIMITED, T, V, fleet, lossy
 from vcmvsp.cosim.studies.rows import flat
 from vcmvsp.cosim.terminal.progress import summary
-
-
-def test_age_over_all_time_and_its_peaks() -> None:
-    """d + T (1+p)/(2 (1-p)) and d + T/(1-p), each within four standard deviations of its estimate.
-
-    Intervals X between receptions are T times geometric numbers. Their mean tells the peak; the mean age is R = E[X^2/2]/E[X],
-    whose estimate from n of them has the variance of X^2/2 - R X over n E[X]^2. The radio's graph is a star in each second in
-    which no follower loses all ten reports, else it has parts.
-    """
-    p, d, followers, from_s, end_s = 0.7, 0.03, 30, 20.0, 100.0
-    scenario = fleet(end_s, [RIGHT_BEHIND, LEFT_BEHIND] * (followers // 2), radio=lossy(p, d), agents=UNLIMITED)
-    metrics = vcmvsp.run(scenario, set={"record.period_s": 1.0, "metrics.from_s": from_s}, mcap=False).metrics
-    k = np.arange(1, 2000)
-    interval, chance = T * k, (1 - p) * p ** (k - 1)
-    mean = float(chance @ interval)
-    n = followers * (end_s - from_s) / mean
-    ratio = float(chance @ interval**2) / 2 / mean
-    assert ratio == pytest.approx(T * (1 + p) / (2 * (1 - p)))
-    age = metrics["radio"]["age_s"]
-    of_ratio = float(chance @ (interval**2 / 2 - ratio * interval) ** 2) / n / mean**2  # variances
-    of_mean = float(chance @ (interval - mean) ** 2) / n
-    assert age["time_average"] == pytest.approx(d + ratio, abs=4 * math.sqrt(of_ratio))
-    assert age["peak"] == pytest.approx(d + mean, abs=4 * math.sqrt(of_mean))
-
-    connectivity, share = metrics["connectivity"], (1 - p**10) ** followers
-    spread = math.sqrt(share * (1 - share) / (end_s - from_s))
-    assert connectivity["connected_share"] == pytest.approx(share, abs=4 * spread)
-    assert (connectivity["mean"], connectivity["min"]) == (pytest.approx(connectivity["connected_share"]), 0.0)
 
 
 @pytest.mark.parametrize(("k1", "start"), [(0.8, 0.5), (2.0, 0.5), (12.0, 0.3)])

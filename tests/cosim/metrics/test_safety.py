@@ -13,13 +13,6 @@ from vcmvsp import Agent, Observation, Radio, Velocity
 from vcmvsp.cosim.assembly.worlds import world_of
 from vcmvsp.cosim.clock import SECOND_NS
 
-CART = {
-    "name": "cart",
-    "solid": {"kind": "cylinder", "center": [0, 0, 0], "radius": 0.3, "height": 1.0},
-    "times_s": [0.0, 10.0],
-    "way": [[9.0, 5.0, 0.5, 0.0], [9.0, -5.0, 0.5, 0.0]],
-}
-
 
 class Straight(Agent):
     """Ahead, in the direction of the world's x axis."""
@@ -48,14 +41,6 @@ def test_past_a_pillar_and_over_it(tmp_path: Path) -> None:
     assert clearance(result) == pytest.approx(math.hypot(1.25, 0.75))
     result.save(tmp_path / "run")
     assert json.loads((tmp_path / "run/metrics.json").read_text())["safety"]["min_clearance_m"] == clearance(result)
-
-
-def test_an_obstacle_with_a_time_table_counts_where_it_is_and_what_can_be_pushed_does_not() -> None:
-    """The cart crosses y = 0 after 5 s, 6.5 m ahead: they are nearest, at a right angle, when both have moved on."""
-    crate = {"name": "crate", "mass_kg": 1.0, "solid": {"kind": "box", "center": [1, 0, 0.2], "size": [0.4, 0.4, 0.4]}}
-    least = min(math.hypot(9.0 - 0.5 * t, 5.0 - t) for t in (0.1 * k for k in range(101))) - 0.3
-    assert clearance(passing({"moving": [CART], "movables": [crate]}, {"pose": [0, 0, 0]})) == pytest.approx(least)
-    assert clearance(passing({"movables": [crate]}, {"pose": [0, 0, 0]})) is None
 
 
 def test_clearance_is_of_all_vehicles_and_the_whole_run() -> None:

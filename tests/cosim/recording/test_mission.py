@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from tests.cosim.recording.test_files import check
-from tests.support.cosim.full_disk import room_for
 from tests.support.cosim.reconnaissance_recording import CELL_M, CELLS, TARGETS, events, recorded
 from tests.support.cosim.recordings import note, states
 from tests.support.cosim.recordings import recorded as plainly
@@ -444,12 +443,6 @@ def test_vehicles_without_pictures_leave_their_room_in_the_film_to_others(log: M
     moved = motion(plainly(team.vehicles, (), 0).states)
     beside = next(mission_video.frames(team, moved, (), ()))[:, mission_video.MAP_PX :]
     assert (beside.min(axis=2) > 200).mean() > 0.05
-
-
-def test_of_a_film_on_a_full_disk_nothing_is_left(log: MissionLog, run: Any, tmp_path: Any) -> None:
-    with room_for(1000), pytest.raises(OSError, match="File too large"):
-        mission_video.write_video(tmp_path / "film.mp4", log, motion(run[0].states), TARGETS, OUTLINES)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_mission_that_showed_little_can_be_drawn_too(tmp_path: Any) -> None:
