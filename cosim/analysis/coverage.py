@@ -22,7 +22,7 @@ from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.types import Array, Vec3
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.assembly.parts.radio import Channel, Radio
+    from vcmvsp.cosim.assembly.parts.radio import Channel
 
 SCHEMA = "vcmvsp.coverage/1"
 MOST_PLACES = 1_000_000
@@ -34,7 +34,6 @@ class Site(msgspec.Struct, frozen=True):
 
     channel: "Channel"
     solids: Sequence[Any]  # of the world
-    radios: "Mapping[str, Radio]"  # by vehicle
     places: Mapping[str, Vec3]  # of the vehicles, m, world
     not_executed: tuple[str, ...] = ()  # tables of the scenario whose classes were not imported
 
@@ -60,27 +59,22 @@ class Map(msgspec.Struct, frozen=True, kw_only=True):
     not_executed: tuple[str, ...] = ()  # tables of the scenario whose classes were not imported
 
 
-def site_of(parsed: Scenario, source: Source) -> Site:
-    """The world and the channel of a scenario, and nothing else of it."""
-    world, _ = worlds.build(parsed.world, source, seed=parsed.seed)
-    channel, radios, _ = radio.channel_of(parsed, source, solids=world.solids)
-    places = {each.name: each.start[0] for each in parsed.vehicle}
-    return Site(channel, world.solids, radios, places)
-
-
-def recorded_site(folder: Path, parsed: Scenario, source: Source) -> Site:
-    """The same for the scenario of a recorded run, within what may be imported (`registry.may_import`).
+def _site(folder: Path | None, parsed: Scenario, source: Source) -> Site:
+    """Of a scenario, or of a recorded run within what may be imported (`registry.may_import`).
 
     In place of the layers that may not stand those of the preset, in place of such a world what the recording draws of it.
     """
-    from vcmvsp.cosim.assembly.recorded_world import world_in
+    known, own = (parsed, ()) if folder is None else without_own_layers(parsed)
+    if folder is None:
+        world, _ = worlds.build(parsed.world, source, seed=parsed.seed)
+    else:
+        from vcmvsp.cosim.assembly.recorded_world import world_in
 
-    known, own = without_own_layers(parsed)
-    world = world_in(folder, parsed, source)
-    channel, radios, _ = radio.channel_of(known, source, solids=world.solids)
-    if not registry.may_import("world", parsed.world.get("kind", "empty")):
-        own = (*own, "world")
-    return Site(channel, world.solids, radios, {each.name: each.start[0] for each in parsed.vehicle}, own)
+        world = world_in(folder, parsed, source)
+        if not registry.may_import("world", parsed.world.get("kind", "empty")):
+            own = (*own, "world")
+    channel, _, _ = radio.channel_of(known, source, solids=world.solids)
+    return Site(channel, world.solids, {each.name: each.start[0] for each in parsed.vehicle}, own)
 
 
 def without_own_layers(parsed: Scenario) -> tuple[Scenario, tuple[str, ...]]:
@@ -124,11 +118,8 @@ def coverage(
         raise UsageError(f"a resolution of {resolution_m:g} m: must be a positive number")
     folder = Path(what) if isinstance(what, str | Path) and Path(what).is_dir() else None
     parsed, source = scenario.load(_scenario_in(folder) if folder else what, settings=set, seed=seed)
-    if folder is None:
-        site = site_of(parsed, source)
-    else:
-        with only(None if trust else NO_CODE):
-            site = recorded_site(folder, parsed, source)
+    with only(None if trust or folder is None else NO_CODE):
+        site = _site(folder, parsed, source)
     if vehicle not in site.places:
         raise UsageError(binding.unknown("vehicle", vehicle, site.places))
     if at_s is not None:
