@@ -117,7 +117,9 @@ def coverage(
     if resolution_m is not None and not (math.isfinite(resolution_m) and resolution_m > 0.0):
         raise UsageError(f"a resolution of {resolution_m:g} m: must be a positive number")
     folder = Path(what) if isinstance(what, str | Path) and Path(what).is_dir() else None
-    parsed, source = scenario.load(_scenario_in(folder) if folder else what, settings=set, seed=seed)
+    if folder is not None and not (folder / "scenario.toml").is_file():
+        raise UsageError(f"{folder}: no scenario.toml here; name a scenario, or the directory that a run left")
+    parsed, source = scenario.load(folder / "scenario.toml" if folder else what, settings=set, seed=seed)
     with only(None if trust or folder is None else NO_CODE):
         site = _site(folder, parsed, source)
     if vehicle not in site.places:
@@ -183,13 +185,6 @@ def _grid(site: Site, range_m: float | None, vehicle: str, resolution_m: float |
 def _round_step(step_m: float) -> float:
     power = 10.0 ** math.floor(math.log10(step_m))
     return next(power * digit for digit in (1.0, 2.0, 5.0, 10.0) if power * digit >= step_m * (1.0 - 1e-9))
-
-
-def _scenario_in(folder: Path) -> Path:
-    path = folder / "scenario.toml"
-    if not path.is_file():
-        raise UsageError(f"{folder}: no scenario.toml here; name a scenario, or the directory that a run left")
-    return path
 
 
 def _places_at(folder: Path, at_s: float) -> dict[str, Vec3]:

@@ -54,16 +54,11 @@ class Log:
         missing = [name for name in (*_NAMES, *NUMBERS) if name not in names]
         if missing:
             raise UsageError(f"{folder}: radio.parquet has no {missing[0]}: it was written by another version; run it again")
-        self.folder = folder
+        self.folder, self.vehicles = folder, self.facts.vehicles
         self._columns: dict[str, Array] = {}  # rows link by link: those that were asked for
         self.names: dict[str, tuple[str, ...]] = {}
         """What the codes of a column of names mean."""
         self._spans, self._order = self._by_link()
-
-    @property
-    def vehicles(self) -> tuple[str, ...]:
-        """Those of the run."""
-        return self.facts.vehicles
 
     def pairs(self, link: str = "*/*") -> list[Pair]:
         """The links (sender, receiver) that an expression like ``car1/car2`` or ``car1/*`` means, in the order of the run.

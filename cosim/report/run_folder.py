@@ -1,5 +1,6 @@
 """What a run has left in its folder: as much of it as is there and can be read."""
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -119,10 +120,7 @@ def _head(path: Path) -> dict[str, str]:
 def _recorded_s(path: Path) -> float:
     """The time of the last message before the damage."""
     last = 0
-    with path.open("rb") as stream:
-        try:
-            for _, time_ns, _ in messages(stream):
-                last = max(last, time_ns)
-        except ValueError:  # it ends there
-            pass
+    with path.open("rb") as stream, contextlib.suppress(ValueError):  # it ends there
+        for _, time_ns, _ in messages(stream):
+            last = max(last, time_ns)
     return last / SECOND_NS
