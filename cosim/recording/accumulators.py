@@ -21,9 +21,8 @@ from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import RunInfo
-from vcmvsp.cosim.metrics.availability import agent_metrics, hardware_metrics
+from vcmvsp.cosim.metrics.agents import agent_metrics, control_metrics, hardware_metrics
 from vcmvsp.cosim.metrics.catalogue import SCHEMA
-from vcmvsp.cosim.metrics.control import control_metrics
 from vcmvsp.cosim.metrics.formation import Noted, formation_metrics
 from vcmvsp.cosim.metrics.mission import Mission
 from vcmvsp.cosim.metrics.motion import Window, motion, safety_metrics

@@ -21,7 +21,7 @@ import msgspec
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.metrics.availability import limited_by_s
+from vcmvsp.cosim.metrics.agents import limited_by_s
 from vcmvsp.cosim.recording import event_text
 from vcmvsp.cosim.recording.accumulators import PACKED, Accumulators, Take, vehicle_of
 from vcmvsp.cosim.recording.foxglove import to_json

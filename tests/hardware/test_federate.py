@@ -447,7 +447,7 @@ def status(t: float, **more: Any) -> tuple[int, RealStatus]:
 
 
 def test_metrics_of_a_real_vehicle_by_hand() -> None:
-    from vcmvsp.cosim.metrics.availability import hardware_metrics
+    from vcmvsp.cosim.metrics.agents import hardware_metrics
     from vcmvsp.cosim.metrics.radio import Receptions
 
     got = Receptions(

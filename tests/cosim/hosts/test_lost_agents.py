@@ -19,7 +19,7 @@ import vcmvsp
 from tests.support.cosim.run_processes import Stage, ended, ended_with, said_by, wait_for
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.hosts import protocol
-from vcmvsp.cosim.metrics.availability import agent_metrics
+from vcmvsp.cosim.metrics.agents import agent_metrics
 from vcmvsp.cosim.types import Presence
 
 AGENTS = '''
