@@ -17,8 +17,7 @@ from vcmvsp.cosim.util.files import to_json, write_whole, writing
 from vcmvsp.cosim.util.text import stdout_to_stderr
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.analysis.recognition import Rates, Share
-    from vcmvsp.cosim.analysis.snapshots import Snapshots
+    from vcmvsp.cosim.analysis.snapshots import Rates, Share, Snapshots
     from vcmvsp.cosim.assembly.parts.calibration import Calibration, FigureData
     from vcmvsp.cosim.assembly.parts.channel_trial import Broadcasts, Channel, RowFile
     from vcmvsp.cosim.config.provenance import Source
@@ -374,7 +373,7 @@ def calibrate_command(
 
 def write_calibration(folder: Path, calibration: "Calibration", figure_data: "FigureData") -> None:
     """Write ``radio.toml`` and ``calibration.png``: a calibration of `netsim.calibration`, and the data of its figure."""
-    from vcmvsp.cosim.plots.calibration_plot import draw_calibration
+    from vcmvsp.cosim.plots.radio_plots import draw_calibration
     from vcmvsp.cosim.plots.style import save_png
 
     with writing(folder):
@@ -405,8 +404,7 @@ def calibrate_recognition_command(
 
     Example: vcmvsp calibrate-recognition recon-urban --frames 400
     """
-    from vcmvsp.cosim.analysis.recognition import Rates
-    from vcmvsp.cosim.analysis.snapshots import Snapshots
+    from vcmvsp.cosim.analysis.snapshots import Rates, Snapshots
     from vcmvsp.cosim.scenario import loader as scenarios
 
     for option, value in (("--height", height), ("--cell", cell)):
