@@ -190,7 +190,7 @@ _PAIRS = 30  # that an interval needs to be shown
 
 
 class FigureData(NamedTuple):
-    """Arguments of `cosim.plots.calibration_plot.draw_calibration`, which says what each is."""
+    """Arguments of `cosim.plots.radio_plots.draw_calibration`, which says what each is."""
 
     distance_m: Floats
     level_dbm: Floats
