@@ -17,6 +17,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeGuard
 
+from vcmvsp.agents.formation.reports.report import bodies
 from vcmvsp.agents.reconnaissance.state_table import TASKS, Task
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns
@@ -106,9 +107,8 @@ class Roster:
     def hear(self, obs: Observation) -> None:
         """Once a tick: take in received statuses. Any message of a member is a sign of life, except one of bytes."""
         self._start_ns = obs.time_ns if self._start_ns is None else self._start_ns
-        for reception in obs.heard:
-            sender, body = reception.message.sender, reception.message.body
-            if sender == self.me or sender not in self._sector_of or isinstance(body, bytes):
+        for sender, body in bodies(obs, self._sector_of):
+            if sender == self.me:
                 continue
             self._there_ns[sender] = obs.time_ns
             status = _parsed(body, (obs.time_ns + self._clock_bound_ns) // 1_000_000)
@@ -133,11 +133,8 @@ class Roster:
 
     def searchers(self, now_ns: int) -> tuple[str, ...]:
         """Living members that search, alone or in formation, with this one; members of unknown task count as searching."""
-        return tuple(
-            name
-            for name in self.alive(now_ns)
-            if name == self.me or name not in self._heard or self._heard[name].task != "track"
-        )
+        tracking = {name for name, status in self._heard.items() if status.task == "track"}
+        return tuple(name for name in self.alive(now_ns) if name == self.me or name not in tracking)
 
     def shared(self, now_ns: int) -> bool:
         """Whether somebody before this one searches its sector, so that this one only flies along."""
@@ -210,10 +207,7 @@ def _by_sector(members: Sequence[str], sectors: Sequence[Sequence[str]]) -> dict
     return {name: of.get(name, name) for name in members}
 
 
-def _parsed(body: Any, latest_ms: int) -> MemberStatus | None:
-    """The status in a message; None if it is invalid."""
-    if not isinstance(body, Mapping):
-        return None
+def _parsed(body: Mapping[str, Any], latest_ms: int) -> MemberStatus | None:
     task, ms = body.get("do"), body.get("ms")
     if task not in TASKS or not _is_time(ms, min(latest_ms, LATEST_MS)):
         return None
@@ -222,9 +216,9 @@ def _parsed(body: Any, latest_ms: int) -> MemberStatus | None:
     target, place, since = body["tg"], body.get("at"), body.get("since")
     if not isinstance(target, str) or len(target) > LONGEST_NAME or not _is_time(since, ms):
         return None
-    if not isinstance(place, list) or len(place) != 2 or not all(type(each) is float for each in place):
+    if not isinstance(place, list) or len(place) != 2:
         return None
-    if not all(abs(each) <= FARTHEST_M for each in place):
+    if not all(type(each) is float and abs(each) <= FARTHEST_M for each in place):
         return None
     return MemberStatus(ms, task, Claim(target, (place[0], place[1]), since * 1_000_000))
 

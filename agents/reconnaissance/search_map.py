@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vcmvsp.agents.reconnaissance.exchange import MapExchange
+from vcmvsp.agents.reconnaissance.exchange import Body, MapExchange
 from vcmvsp.agents.reconnaissance.probability_map import TARGET, Grid, decisions, log_odds, probability
-from vcmvsp.agents.reconnaissance.tiles import Body
 from vcmvsp.agents.reconnaissance.watch import WatchFrame
 from vcmvsp.cosim.agent import Observation
 from vcmvsp.cosim.types import Array, Looks, ProbabilityMap, frozen

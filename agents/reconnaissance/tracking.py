@@ -172,16 +172,14 @@ class Tracker:
         (x, y), (vx, vy) = self.predicted(now_ns), self.velocity
         if phase == "spiral":
             heading = math.atan2(vy, vx)  # it went that way when it was seen last
-            now, then = (self._on_spiral(ticks, heading) for ticks in (self._searched, self._searched + 1))
+            times_s = (ticks * self.period_s for ticks in (self._searched, self._searched + 1))
+            now, then = (spiral(time_s, self.spiral_speed, self.spiral_pitch_m, heading) for time_s in times_s)
             x, y = x + now[0], y + now[1]
             vx, vy = (then[0] - now[0]) / self.period_s, (then[1] - now[1]) / self.period_s
             self._searched += 1
         vx, vy = vx + self.gain * (x - position[0]), vy + self.gain * (y - position[1])
         share = self.max_speed / speed if (speed := math.hypot(vx, vy)) > self.max_speed else 1.0
         return share * vx, share * vy
-
-    def _on_spiral(self, ticks: int, heading: float) -> Point:
-        return spiral(ticks * self.period_s, self.spiral_speed, self.spiral_pitch_m, heading)
 
 
 def _is_place(place: Point) -> bool:

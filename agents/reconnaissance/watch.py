@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, Point, Region, nadir_of
-from vcmvsp.agents.reconnaissance.poses import Poses
+from vcmvsp.agents.avoidance.view import check_carried
+from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, Point, Poses, Region, nadir_of
 from vcmvsp.agents.reconnaissance.recognition import Detector, TargetPicture
 from vcmvsp.agents.reconnaissance.recognition.detector import SMALLEST_PX
 from vcmvsp.cosim.agent import Observation, VehicleInfo
@@ -96,10 +96,7 @@ class Watch:
         Raises:
             ValueError: the vehicle has no such camera.
         """
-        camera = self.settings.camera
-        if info.sensors is not None and camera not in info.sensors:
-            carries = ", ".join(info.sensors) or "nothing"
-            raise ValueError(f"{self._key}.camera = {camera!r}: {info.name} has no such sensor (it carries: {carries})")
+        check_carried(info, self.settings.camera, f"{self._key}.camera")
         self._poses = Poses(info.period_s)
         self._asked_ns: int | None = None
         self._frame: WatchFrame | None = None
@@ -162,7 +159,6 @@ class Watch:
 
 
 def _common(one: Region, other: Region) -> Region | None:
-    """Intersection of two parts of a picture."""
     left, top, right, bottom = max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
     return (left, top, right, bottom) if left < right and top < bottom else None
 

@@ -9,8 +9,8 @@ import pytest
 from tests.support.paths import SCENARIOS
 from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Vfh
 from vcmvsp.agents.formation.reports.sending import Sending
-from vcmvsp.agents.formation.team.formation import Formation, Passage
-from vcmvsp.agents.reconnaissance.mosaic import Mosaicking
+from vcmvsp.agents.formation.team.shape import Formation, Passage
+from vcmvsp.agents.reconnaissance.picture_recording import Mosaicking
 from vcmvsp.agents.reconnaissance.watch import Wanted, Watching
 from vcmvsp.cosim.assembly.parts.presets import LAYERS, PRESETS
 from vcmvsp.cosim.assembly.parts.radio import Radio

@@ -15,7 +15,7 @@ from tests.support.validation.fleets import (
     lossy,
 )
 from vcmvsp.agents.formation import LeaderFollower
-from vcmvsp.agents.formation.followers.leader_follower_law import FollowerPlace
+from vcmvsp.agents.formation.followers.laws import FollowerPlace
 from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.types import Follows, Velocity
 

@@ -87,7 +87,6 @@ def limited(velocity: Vec3, most: float) -> Vec3:
 
 
 def _aloft(body: Mapping[str, Any]) -> tuple[float, float, float, float] | None:
-    """Velocity and height of a report; None if they are missing or implausible."""
     try:
         vx, vy, vz, z = (body[key] for key in KEYS)
         return (vx, vy, vz, z) if abs(vx) + abs(vy) + abs(vz) + abs(z) < PLAUSIBLE else None

@@ -9,7 +9,7 @@ from vcmvsp.agents.formation.aerial.flight import GAIN, YAW_GAIN, Airborne, alon
 from vcmvsp.agents.formation.leaders.leader import Leader
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
 from vcmvsp.agents.formation.reports.sending import Sending
-from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import wrap
@@ -109,7 +109,6 @@ class AerialRoute(Leader):
         return self.way[self._next][:2] if self._next < len(self.way) else None
 
     def _along_the_way(self, obs: Observation) -> Vec3:
-        """Velocity towards the next point; at the end, to the last one."""
         here = obs.state.position
         for _ in self.way:  # at most once round
             if self._next == len(self.way) or math.dist(here, self.way[self._next]) > self.arrive_m:
@@ -127,7 +126,6 @@ class AerialRoute(Leader):
         return math.atan2(y, x) if math.hypot(x, y) > self.arrive_m else before
 
     def _on(self, obs: Observation, height: float) -> Vec3:
-        """Velocity in the direction of the course, at the height of the start."""
         course = math.radians(self.course_deg or 0.0)
         climb = max(-self.speed, min(GAIN * (height - obs.state.position[2]), self.speed))
         return self.speed * math.cos(course), self.speed * math.sin(course), climb

@@ -5,6 +5,6 @@ answer to a call depends on its arguments alone. Vehicles, cameras and maps do n
 """
 
 from vcmvsp.agents.reconnaissance.recognition.detector import Detection, Detector
-from vcmvsp.agents.reconnaissance.recognition.template import TargetPicture
+from vcmvsp.agents.reconnaissance.recognition.stages import TargetPicture
 
 __all__ = ["Detection", "Detector", "TargetPicture"]

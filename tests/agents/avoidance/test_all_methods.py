@@ -9,8 +9,8 @@ import pytest
 
 from tests.support.agents.obstacle_fields import WHEELS, WINGS, Box, scattered, seen_from, steered, steering, sweep
 from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
-from vcmvsp.agents.avoidance.gaps import gaps_ahead
-from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.gap import gaps_ahead
+from vcmvsp.agents.avoidance.method import Settings
 from vcmvsp.agents.avoidance.steering import AvoidanceSteering
 from vcmvsp.cosim.agent import VehicleInfo
 from vcmvsp.cosim.types import Scan

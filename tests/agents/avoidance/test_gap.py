@@ -11,8 +11,7 @@ from hypothesis.extra import numpy as arrays
 
 from tests.support.agents.scans import SMALL, Wall, bearings, box, ranges_of, view, wall_with_doors
 from vcmvsp.agents.avoidance import Decision, Gap, Task
-from vcmvsp.agents.avoidance.method import Point
-from vcmvsp.agents.avoidance.view import View
+from vcmvsp.agents.avoidance.view import Point, View
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.types import Array
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from tests.support.agents.scans import Wall, ranges_of, view, wall_with_doors
-from vcmvsp.agents.avoidance.gaps import Gaps, gaps, gaps_ahead
+from vcmvsp.agents.avoidance.gap import Gaps, gaps, gaps_ahead
 from vcmvsp.cosim.types import Array
 
 L = 2.0

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.agents.avoidance import PotentialField, View, view_of
-from vcmvsp.agents.avoidance.levels import ObstacleLevels, limited_drive, limited_flight, second_m
+from vcmvsp.agents.avoidance.steering import ObstacleLevels, limited_drive, limited_flight, second_m
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.types import Scan
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.agents.avoidance import Decision, DynamicWindow, Gap, PotentialField, Task, Vfh, View
-from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.method import Settings
 from vcmvsp.agents.avoidance.steering import AvoidanceSteering
 from vcmvsp.cosim.agent import Body, Observation, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from tests.support.agents.area_search import GRID, S, over_the_air
 from tests.support.agents.shared_maps import KINDS, SENSOR, SMALL, TEAM, everything, ledger, look, tell
 from vcmvsp.agents.reconnaissance import exchange, log_odds
-from vcmvsp.agents.reconnaissance.exchange import Consensus, Kind, MapExchange
-from vcmvsp.agents.reconnaissance.ledger import Ledger
+from vcmvsp.agents.reconnaissance.exchange import Consensus, Kind, Ledger, MapExchange
 
 # -- without loss
 

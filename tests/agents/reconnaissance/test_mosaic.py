@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
-from vcmvsp.agents.reconnaissance.mosaic import Mosaicking, Sheet
+from vcmvsp.agents.reconnaissance.picture_recording import Mosaicking, Sheet
 from vcmvsp.agents.reconnaissance.probability_map import Rectangle
 from vcmvsp.agents.reconnaissance.watch import WatchFrame
 from vcmvsp.cosim.types import Array, Image

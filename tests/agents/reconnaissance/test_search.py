@@ -10,7 +10,7 @@ import pytest
 from tests.support.agents.agent_loop import received
 from tests.support.agents.search_agents import GRID, REACH, TARGETS, Team, info, looks, of_map, searcher, see
 from vcmvsp.agents.reconnaissance import Sensor, lanes, strips
-from vcmvsp.agents.reconnaissance.ledger import Ledger
+from vcmvsp.agents.reconnaissance.exchange import Ledger
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster
 from vcmvsp.agents.reconnaissance.search import Search
 from vcmvsp.cosim.agent import Body, Radio, VehicleInfo

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.support.agents.agent_loop import received
 from tests.support.agents.search_agents import Team, info, looks, of_map, searcher, see
-from vcmvsp.agents.reconnaissance.ledger import Ledger
+from vcmvsp.agents.reconnaissance.exchange import Ledger
 from vcmvsp.agents.reconnaissance.search import Search
 from vcmvsp.cosim.agent import Radio
 from vcmvsp.cosim.types import Message, Reception

@@ -4,7 +4,7 @@ import pytest
 
 from tests.support.agents.aerial_loop import Uav
 from tests.support.agents.fake_cameras import T_NS, Eye, at_rest, keep_over, started
-from vcmvsp.agents.reconnaissance.mosaic import Mosaicking
+from vcmvsp.agents.reconnaissance.picture_recording import Mosaicking
 from vcmvsp.agents.reconnaissance.probability_map import Rectangle
 from vcmvsp.agents.reconnaissance.track import TrackTarget
 from vcmvsp.cosim.agent import Radio

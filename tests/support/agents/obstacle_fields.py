@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.agents.avoidance import view_of
-from vcmvsp.agents.avoidance.method import Decision, Method, Task
-from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.method import Decision, Method, Settings, Task
 from vcmvsp.agents.avoidance.steering import AvoidanceSteering
 from vcmvsp.agents.avoidance.view import View
 from vcmvsp.cosim.agent import Body, Observation, VehicleInfo

@@ -6,8 +6,7 @@ import numpy as np
 
 from tests.support.agents.area_search import over_the_air
 from vcmvsp.agents.reconnaissance import Grid, Rectangle, Sensor, exchange
-from vcmvsp.agents.reconnaissance.exchange import Kind, MapExchange
-from vcmvsp.agents.reconnaissance.ledger import Ledger
+from vcmvsp.agents.reconnaissance.exchange import Kind, Ledger, MapExchange
 from vcmvsp.cosim.types import Array
 
 SMALL = Grid(Rectangle(0.0, 0.0, 19.0, 7.0), 1.0)  # more than a tile, and no multiple of one

@@ -15,7 +15,7 @@ from vcmvsp.agents.formation.aerial.follower import AerialFollower
 from vcmvsp.agents.formation.aerial.route import AerialRoute
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.sending import Sending
-from vcmvsp.agents.formation.team.formation import Formation, Passage
+from vcmvsp.agents.formation.team.shape import Formation, Passage
 from vcmvsp.cosim.agent import Agent, Body, Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import rotate2

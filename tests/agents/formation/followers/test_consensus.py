@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from tests.support.agents.agent_loop import Floats, observe, received
 from tests.support.step_responses import growth, root
 from vcmvsp.agents.formation.followers.consensus import Consensus, Graph, neighbours_of
-from vcmvsp.agents.formation.followers.hand_point import hand_point, hand_velocity
-from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.followers.laws import hand_point, hand_velocity
+from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Body, Radio, VehicleInfo
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Follows, Message, Velocity

@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.agents.formation_member import TICK_NS, Seat, says
 from vcmvsp.agents.formation import LeaderFollower
-from vcmvsp.agents.formation.followers.feed_forward import Feed
+from vcmvsp.agents.formation.followers.leader_follower import Feed
 from vcmvsp.cosim.types import Reception
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.support.agents.agent_loop import Pose, drive
 from tests.support.step_responses import overshoot, servo_step, settling_s
 from vcmvsp.agents.formation import LeaderFollower, LeaderState, Trajectory
-from vcmvsp.agents.formation.followers.leader_follower_law import Demand, FollowerPlace, formation_law
+from vcmvsp.agents.formation.followers.laws import Demand, FollowerPlace, formation_law
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
 

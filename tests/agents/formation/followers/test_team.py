@@ -8,7 +8,7 @@ import pytest
 from tests.support.agents.agent_loop import received
 from tests.support.agents.formation_member import COLUMN, Seat, member, says
 from vcmvsp.agents.formation import LeaderFollower
-from vcmvsp.agents.formation.reports.received import heartbeat_for
+from vcmvsp.agents.formation.reports.report import heartbeat_for
 from vcmvsp.agents.formation.reports.sending import Sending
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError

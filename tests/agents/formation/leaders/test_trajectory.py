@@ -10,7 +10,7 @@ from tests.support.paths import ROOT
 from vcmvsp.agents.formation import LeaderFollower, Trajectory
 from vcmvsp.agents.formation.leaders.leader import Leader
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
-from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.support.agents.agent_loop import observe, received
 from vcmvsp.agents.formation import Hold, LeaderFollower, Trajectory
-from vcmvsp.agents.formation.reports.received import ReportReceiver
+from vcmvsp.agents.formation.reports.report import ReportReceiver
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.config.registry import find

@@ -15,7 +15,7 @@ from vcmvsp.agents.formation import LeaderFollower, Trajectory
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning, Estimator, Hold
 from vcmvsp.agents.formation.reports.report import LeaderState, Report
 from vcmvsp.agents.formation.reports.sending import REMEMBERED, Reporter, Sending, acknowledge
-from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Message, Reception

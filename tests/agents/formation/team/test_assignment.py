@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.agents.straight_paths import crosses
-from vcmvsp.agents.formation.team.formation import ShapeName
-from vcmvsp.agents.formation.team.shape import Slot, slots
+from vcmvsp.agents.formation.team.shape import ShapeName, Slot, slots
 from vcmvsp.agents.formation.team.team import assign
 
 shapes = st.sampled_from(("column", "line", "echelon", "wedge", "box", "diamond"))

@@ -13,7 +13,7 @@ from tests.support.agents.formation_member import TICK_NS, says
 from tests.support.agents.passage_team import CARS, Front, at, clear, formation, info, scan, sees
 from vcmvsp.agents.avoidance import Gap
 from vcmvsp.agents.formation import AerialFollower, AerialRoute, LeaderFollower, Sending, Trajectory
-from vcmvsp.agents.formation.team.formation import Formation, Passage
+from vcmvsp.agents.formation.team.shape import Formation, Passage
 from vcmvsp.agents.formation.team.team import Team
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.reproduction.figures.avoidance import passages

@@ -1,13 +1,13 @@
 """Shapes: where each member belongs."""
 
 import math
+from typing import get_args
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.agents.formation.team.formation import ShapeName
-from vcmvsp.agents.formation.team.shape import SHAPES, Slot, slots, width
+from vcmvsp.agents.formation.team.shape import ShapeName, Slot, slots
 
 GROWING: tuple[ShapeName, ...] = ("column", "line", "echelon", "wedge", "box", "diamond")
 shapes, counts, spacings = st.sampled_from(GROWING), st.integers(1, 60), st.floats(0.1, 10.0)
@@ -80,14 +80,15 @@ def test_a_diamond_has_rows_of_1_2_3_2_1() -> None:
     [("column", 6, 0.4), ("line", 4, 3.4), ("wedge", 3, 1.4), ("box", 9, 2.4), ("diamond", 4, 1.814)],
 )
 def test_the_lane_that_a_shape_needs(shape: ShapeName, count: int, lane: float) -> None:
-    assert width(slots(shape, count, 1.0), 0.4) == pytest.approx(lane, abs=1e-3)
+    across = [y for _, y in slots(shape, count, 1.0)]
+    assert max(across) - min(across) + 0.4 == pytest.approx(lane, abs=1e-3)  # with bodies 0.4 m wide
 
 
 def test_an_own_shape_is_what_it_says() -> None:
     offsets = ((0.0, 0.0), (-1.0, 2.0), (3.0, 0.5))
     assert slots("own", 3, 7.0, offsets) == offsets
     assert slots("own", 2, 7.0, offsets) == offsets[:2]
-    assert set(SHAPES) == {*GROWING, "own"}
+    assert set(get_args(ShapeName)) == {*GROWING, "own"}
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.agents.formation.team.formation import Formation, TopologyName
-from vcmvsp.agents.formation.team.shape import slots
+from vcmvsp.agents.formation.team.shape import Formation, TopologyName, slots
 from vcmvsp.agents.formation.team.team import Team
 
 CARS = tuple(f"car{number}" for number in range(1, 8))

@@ -6,10 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.agents.formation.team.formation import TopologyName
-from vcmvsp.agents.formation.team.topology import ROOT, ancestors, depth, named_parents, parents, ranks
+from vcmvsp.agents.formation.team.shape import ROOT, TopologyName, ancestors, named_parents, parents, ranks
 
 CARS = ("car1", "car2", "car3", "car4")
+
+
+def depth(tree: tuple[int, ...]) -> int:
+    """How many hops the farthest place is from the root."""
+    return max(len(ancestors(tree, place)) for place in range(len(tree)))
 
 
 @given(st.sampled_from(("star", "chain", "k-tree")), st.integers(1, 80), st.integers(1, 5))
