@@ -1,4 +1,8 @@
-"""One agent in its host: collects its observations, calls `Agent.act`, turns the answer into events."""
+"""Host of agents: one federate for all agents of a process.
+
+It collects the published data of a vehicle into an `Observation`, calls `Agent.act`, and turns command, messages and notes into
+events that take effect at tick + latency.
+"""
 
 import math
 import traceback
@@ -25,18 +29,7 @@ ALWAYS = ("odometry", "fix")  # besides the sensors of the scenario
 
 
 class AgentRunner:
-    """Runs one agent.
-
-    Args:
-        spec: the agent's specification.
-        agent: the agent, if it exists already.
-        kinds: cache of agent classes, used if it does not.
-
-    Attributes:
-        next_ns: next tick.
-        info: description of the agent for the run.
-        sees: receivers of the newest values about the vehicle, by the last chunk of the key.
-    """
+    """Runs one agent: ``agent``, if it exists already, or one of the specification, whose class is looked up in ``kinds``."""
 
     def __init__(self, spec: AgentSpec, agent: Agent | None, kinds: Kinds) -> None:
         self.spec, self.vehicle, self.next_ns = spec, spec.vehicle, 0
@@ -256,10 +249,7 @@ def _own_copy(reception: Reception) -> Reception:
 class AgentHost:
     """A federate with agents, one per vehicle.
 
-    Args:
-        name: of the federate.
-        specs: specifications of the agents.
-        objects: existing agents, by vehicle; the rest of their specification still applies.
+    The specification of one of the existing agents, ``objects`` by vehicle, applies but for what its constructor was given.
     """
 
     slot = wake_slot = Slot.AGENT

@@ -51,11 +51,7 @@ class DynamicWindow(Settings, frozen=True, kw_only=True, tag="dynamic_window"):
     turn_rate: Positive = 0.6  # rad/s, where there is no way ahead
 
     def method(self, body: Body, period_s: float) -> Method:
-        """On wheels.
-
-        Raises:
-            ValueError: the vehicle flies: its speeds are not those of arcs.
-        """
+        """On wheels; a ValueError refuses a vehicle that flies, whose speeds are not those of arcs."""
         if body.flies:
             raise ValueError('avoidance.kind = "dynamic_window": for vehicles on wheels; one that flies takes another method')
         return _DynamicWindow(self, self.kept_m(body), period_s)

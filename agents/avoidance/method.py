@@ -119,11 +119,7 @@ def saturated(velocity: Point, max_speed: float) -> Point:
 
 
 def body_of(info: VehicleInfo) -> Body:
-    """The space that a vehicle takes up.
-
-    Raises:
-        ValueError: the vehicle has no known body.
-    """
+    """The space that a vehicle takes up; a ValueError says that it is unknown."""
     if info.body is None:
         raise ValueError(f"avoidance needs to know how much room {info.name} takes, and nobody says: there is no body")
     return info.body

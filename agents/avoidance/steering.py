@@ -35,12 +35,7 @@ BLIND = Decision((0.0, 0.0), 0.0, "blind")
 
 
 class ObstacleLevels:
-    """How near things are to a vehicle: 0, 1 or 2, updated once a tick.
-
-    Attributes:
-        level: at the last tick.
-        keep_m: what it keeps away from everything, m from its reference point.
-    """
+    """How near things are to a vehicle, which keeps ``keep_m`` away from them: ``level`` 0, 1 or 2, updated once a tick."""
 
     def __init__(self, settings: Settings, body: Body, latency_s: float = 0.0) -> None:
         self.level, self.keep_m = 0, settings.kept_m(body)
@@ -163,11 +158,7 @@ class AvoidanceSteering:
         self.level = 0
 
     def start(self, info: VehicleInfo) -> None:
-        """Take the scanner and the body of the vehicle.
-
-        Raises:
-            ValueError: the scanner is missing, the size of the vehicle is unknown, or the method does not suit it.
-        """
+        """Take scanner and body of the vehicle; a ValueError says what is missing, or that the method does not suit it."""
         self._looking.start(info, "avoidance.scanner")
         body = body_of(info)
         try:

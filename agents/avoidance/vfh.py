@@ -50,11 +50,7 @@ class Vfh(Settings, frozen=True, kw_only=True, tag="vfh"):
     turn_rate: Positive = 0.6  # rad/s, where no direction is free
 
     def method(self, body: Body, period_s: float) -> Method:
-        """On wheels with speeds, in the air with a velocity.
-
-        Raises:
-            ValueError: the distances contradict each other.
-        """
+        """On wheels with speeds, in the air with a velocity; a ValueError says that the distances contradict each other."""
         keep = self.kept_m(body)
         if self.freed_m < self.blocked_m:
             raise ValueError(f"freed_m = {self.freed_m:g}: must not be less than blocked_m = {self.blocked_m:g}")

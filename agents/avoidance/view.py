@@ -115,11 +115,7 @@ class ScanReader:
         self._since_ns: int | None = None  # and since when they do
 
     def start(self, info: VehicleInfo, key: str) -> None:
-        """Before the first tick; ``key`` is what names the scanner, for the message.
-
-        Raises:
-            ValueError: the vehicle has no such scanner.
-        """
+        """Before the first tick; a ValueError says by ``key``, which names the scanner, that the vehicle has none."""
         check_carried(info, self.scanner, key)
         self._beside_m = info.beside_m.get(self.scanner, 0.0)
         self._forget()
@@ -151,11 +147,7 @@ class ScanReader:
 
 
 def check_carried(info: VehicleInfo, sensor: str, key: str) -> None:
-    """Reject a sensor, named by ``key``, that the vehicle does not carry.
-
-    Raises:
-        ValueError: it does not.
-    """
+    """Reject (ValueError) a sensor, named by ``key``, that the vehicle does not carry."""
     if info.sensors is not None and sensor not in info.sensors:
         carries = ", ".join(info.sensors) or "nothing"
         raise ValueError(f"{key} = {sensor!r}: {info.name} has no such sensor (it carries: {carries})")

@@ -1,6 +1,9 @@
-"""The limit of the speed near obstacles, for the commands of anybody.
+"""Several algorithms on one vehicle, of which one commands at a time, and the limit of the speed near obstacles for all.
 
-It knows nothing of states, take-overs and reasons, and comes after them all: what it lets through is what the vehicle does.
+All of them run all the time: at every tick each computes a command, and the commander's counts. A suspended algorithm keeps its
+state (its next way-point, its estimate of a target), receives all messages and may send: maps are exchanged, and neighbours see
+that the vehicle is alive. An algorithm that would advance without its vehicle (a path by the clock; a report of its intended
+motion) has a method ``stand_by``, which replaces ``act`` while it is neither the commander nor its task.
 """
 
 import math
@@ -20,11 +23,7 @@ STANDING = Velocity()
 class Guard:
     """Lets a vehicle come no faster towards anything than in proportion to the way that is left; blind, it has it stand.
 
-    Attributes:
-        sensors: what it looks at.
-        nearest_m: the least range at the last tick; 0: it was blind.
-        second_m: from how near on the speed is limited, m.
-        closing: whether the vehicle comes nearer to the nearest thing.
+    It knows nothing of states, take-overs and reasons, and comes after them all: what it lets through is what the vehicle does.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -33,11 +32,7 @@ class Guard:
         self.nearest_m, self.second_m, self.closing = math.inf, 0.0, False
 
     def start(self, info: VehicleInfo) -> None:
-        """Take the scanner and the body of the vehicle.
-
-        Raises:
-            ValueError: the scanner is missing, or the size of the vehicle is unknown.
-        """
+        """Take the scanner and the body of the vehicle; a ValueError says which of them is missing."""
         self._looking.start(info, "avoidance.scanner")
         body = body_of(info)
         self._levels = ObstacleLevels(self.settings, body, info.latency_s)
@@ -98,18 +93,11 @@ class Avoidance(Protocol):
 
 
 class AlgorithmRunner:
-    """Runs algorithms, applies the command of one of them, and switches smoothly.
+    """Runs algorithms, by commander name, applies the command of one of them, and switches smoothly.
 
-    After a take-over the command moves from the last one towards the new commander's, no faster than the vehicle can
-    follow. The guard comes after that, and may brake harder. A commander that has never had a command stands still.
-
-    Notes ``commander``, ``since_s`` and ``why`` when they change.
-
-    Args:
-        algorithms: by commander name; one agent may have several names.
-        acceleration: limit for a take-over, m/s2.
-        yaw_acceleration: limit for a take-over, rad/s2.
-        guard: speed limit near obstacles for any commander; None: no limit.
+    After a take-over the command moves from the last one towards the new commander's, no faster than the vehicle can follow
+    (``acceleration``, m/s2, ``yaw_acceleration``, rad/s2). The guard comes after that, and may brake harder. A commander that
+    has never had a command stands still. Notes ``commander``, ``since_s`` and ``why`` when they change.
     """
 
     def __init__(
@@ -157,14 +145,9 @@ class AlgorithmRunner:
             self.guard.look(obs)
 
     def act(self, obs: Observation, radio: Radio, commander: str, *, task: str | None = None, why: str = "") -> Command | None:
-        """Run all algorithms for a tick; returns the command of one.
+        """Run all algorithms for a tick; returns the command of ``commander``, which is noted with ``why`` when it changes.
 
-        Args:
-            obs: of the tick.
-            radio: of the vehicle, shared by all.
-            commander: commander from now on.
-            task: source of the command for an `Avoidance` agent; default: the commander.
-            why: reason, noted when the commander changes.
+        An `Avoidance` leads the command of ``task`` around obstacles; default: that of the commander.
         """
         obeyed = self.algorithms[commander]
         self._ask(obs, radio, obeyed, self.algorithms[task or commander])

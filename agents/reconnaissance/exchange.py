@@ -36,9 +36,6 @@ class Tiling:
     """Tiles of ``side`` x ``side`` cells over a grid; in tiled arrays the cells of a tile are neighbours.
 
     The side follows from ``max_bytes``, the size of the largest message, encoded, so that it is the same for the team.
-
-    Raises:
-        ValueError: not even a cell fits into a message.
     """
 
     def __init__(self, grid: Grid, max_bytes: int) -> None:
@@ -390,22 +387,9 @@ def exchange(
     scaled: bool = False,
     clock_bound_s: float = 0.0,
 ) -> MapExchange:
-    """One member's end of an exchange; all arguments but ``me`` must be equal for all members.
+    """One member's end of an exchange; all arguments but ``me`` must be equal for all members (`search.Search` explains them).
 
-    Args:
-        kind: of the protocol.
-        grid: the cells.
-        sensor: error rates of looks.
-        me: this vehicle.
-        members: all members, with this vehicle.
-        prior: probability of a target in a cell before the first look.
-        max_bytes: size of the largest message, encoded: about 100 for 802.15.4, 1400 for 802.11.
-        relay: of a ``ledger``: send and accept counts of third members.
-        scaled: of ``consensus``: decide by N times the map.
-        clock_bound_s: largest lead of other clocks, s; messages from further in the future are rejected.
-
-    Raises:
-        ValueError: ``me`` is not among the members, the prior is 0 or 1, or no cell fits into a message.
+    A ValueError says that ``me`` is not among the members, the prior is 0 or 1, or no cell fits into a message.
     """
     if me not in members:
         raise ValueError(f"members: they must include {me!r}; they are {', '.join(members)}")

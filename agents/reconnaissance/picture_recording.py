@@ -1,4 +1,4 @@
-"""Which pictures of a camera are recorded: all in which something was recognised, and now and then the pixels themselves."""
+"""What is recorded of a camera: pictures with a target, now and then their pixels, and the ground as it was seen."""
 
 from typing import Annotated
 
@@ -18,12 +18,7 @@ QUALITY = 80  # of JPEG, in percent
 
 
 class PictureRecording:
-    """Selects the pictures of one camera for the recording.
-
-    Args:
-        camera: its name.
-        picture_s: period of recorded pictures with a target in them, s.
-    """
+    """Selects the pictures of one camera for the recording, those with a target in them every ``picture_s`` seconds."""
 
     def __init__(self, camera: str, picture_s: float) -> None:
         self._camera, self._every_ns = camera, seconds_to_ns(picture_s)
@@ -62,11 +57,7 @@ class Mosaicking(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class Sheet:
-    """A mosaic in the making.
-
-    Raises:
-        ScenarioError: an area without cells, or with too many.
-    """
+    """A mosaic in the making; a ScenarioError says that the area has no cells, or too many."""
 
     def __init__(self, settings: Mosaicking) -> None:
         (left, bottom, right, top), cell = settings.area, settings.cell_m

@@ -150,11 +150,7 @@ class Grid:
 
 
 def log_odds(probability: float) -> float:
-    """``ln(P / (1 - P))`` of a prior.
-
-    Raises:
-        ValueError: it is not between 0 and 1, where no look could ever change it.
-    """
+    """``ln(P / (1 - P))`` of a prior, which must lie between 0 and 1: at these no look could ever change it."""
     if not 0.0 < probability < 1.0:
         raise ValueError(f"a prior probability of {probability} must be > 0 and < 1")
     return math.log(probability / (1.0 - probability))

@@ -176,11 +176,7 @@ class Roster:
 
 
 def members_of(info: VehicleInfo, named: Sequence[str]) -> tuple[str, ...]:
-    """The given members; without any, all vehicles of the run.
-
-    Raises:
-        ValueError: one of them is no vehicle of the run.
-    """
+    """The given members; without any, all vehicles of the run. A ValueError names one that is no vehicle of it."""
     for name in named:
         if name not in info.vehicles:
             raise ValueError(f"members: {unknown('vehicle', name, info.vehicles)}")

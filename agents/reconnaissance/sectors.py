@@ -1,7 +1,11 @@
-"""Strips of an area and the lanes along them.
+"""Strips of an area, the lanes along them, and a vehicle's way along its lanes.
 
 The area is divided into vertical strips of equal width, one for each living member in the order of the names (2 before 10):
 the set of living members determines all strips, without a message. When a member fails, the strips are divided anew.
+
+Towards a way-point at a distance d a vehicle flies at ``min(speed, sqrt(2 a d))``, the speed from which it can still stop there
+with an acceleration a; as a way-point counts as reached before that, it turns at a speed that it can turn at. Beside a lane
+(after it has got around something, or was busy elsewhere) it makes for a point of the lane that lies a second ahead.
 """
 
 import math
@@ -197,16 +201,9 @@ PROGRESS_M = 1.0  # nearer to the way-point by less than that is no progress
 
 
 class LaneFollower:
-    """Velocities along the lanes of a comb.
+    """Velocities along the lanes of a comb, at ``speed`` m/s, with an ``acceleration``, m/s2, that the vehicle can do for sure.
 
-    Args:
-        comb: the lanes.
-        speed: m/s, along them.
-        acceleration: m/s2, that the vehicle can do for sure.
-        stuck_s: a way-point is given up after so long without progress, s.
-
-    Attributes:
-        goal: the way-point that it flies to, m, world; None: it has not begun, or pauses.
+    A way-point is given up after ``stuck_s`` without progress. ``goal``, m, world: the present one; None: not begun, or paused.
     """
 
     def __init__(self, comb: Comb, *, speed: float, acceleration: float, stuck_s: float) -> None:

@@ -94,12 +94,7 @@ class TrackTarget(Agent):
             _sheet(mosaic)
 
     def start(self, info: VehicleInfo) -> None:
-        """Begin without a target.
-
-        Raises:
-            ValueError: the vehicle drives on wheels, has no such camera, or there are no targets to look for; the gain is too
-                large for the period and the latency of this agent.
-        """
+        """Begin without a target; a ValueError says what the vehicle lacks, or that the gain is too large."""
         check_flies(info)
         self._alone = self._alone or self.roster is None
         if self._alone:

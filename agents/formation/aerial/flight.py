@@ -61,11 +61,7 @@ class Airborne:
 
 
 def check_flies(info: VehicleInfo) -> None:
-    """Reject a vehicle on wheels, which would take a world velocity for a body velocity.
-
-    Raises:
-        ValueError: it does not fly.
-    """
+    """Reject (ValueError) a vehicle on wheels, which would take a world velocity for a body velocity."""
     if info.body is not None and not info.body.flies:
         raise ValueError(f"{info.name} drives on wheels, but this agent is for vehicles that fly (point, quadrotor)")
 

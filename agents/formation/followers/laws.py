@@ -41,11 +41,7 @@ def hand_velocity(v: float, w: float, yaw: float, distance: float) -> tuple[floa
 
 
 def axle_velocity(ux: float, uy: float, yaw: float, distance: float) -> tuple[float, float]:
-    """The speeds (v m/s, w rad/s) that give the hand the velocity ``(ux, uy)`` m/s, world (3-4).
-
-    Raises:
-        ValueError: the hand lies on the axle (``distance`` 0), where no speeds move it sideways.
-    """
+    """The speeds (v m/s, w rad/s) that give the hand the velocity ``(ux, uy)`` m/s, world (3-4); not with ``distance`` 0."""
     if distance == 0.0:
         raise ValueError(
             "the hand point must not lie on the axle: distance 0 m is not allowed, any other is (behind: negative)"

@@ -1,4 +1,4 @@
-"""Input devices of a human driver: keyboard, gamepad, or a recorded table.
+"""A leader that a person drives, by keyboard, gamepad, or a recorded table.
 
 `Device.read` returns at once, without waiting, from the input since the last call.
 """

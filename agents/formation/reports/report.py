@@ -137,12 +137,7 @@ LEAST_HEARTBEAT_S = 1.0
 
 
 class ReportReceiver:
-    """Keeps the report of each sender that was valid last: late ones and copies change nothing, nonsense is counted.
-
-    Attributes:
-        newest: by sender.
-        refused: how many messages could not be used.
-    """
+    """Keeps the newest valid report by sender: late ones and copies change nothing, nonsense is counted (``refused``)."""
 
     def __init__(self, senders: Iterable[str], clock_bound_s: float) -> None:
         self._senders = frozenset(senders)

@@ -40,12 +40,7 @@ def acknowledge(radio: Radio, report: Report, to: str) -> None:
 
 
 class Reporter:
-    """Sends the reports of one vehicle.
-
-    Args:
-        sending: when; default: at every tick.
-        estimator: what the followers make of a report; default: `DeadReckoning`.
-    """
+    """Sends the reports of one vehicle; ``estimator`` is what the followers make of a report, `DeadReckoning` by default."""
 
     def __init__(self, sending: Sending | None = None, estimator: Estimator | None = None) -> None:
         self.sending = sending or Sending()

@@ -59,12 +59,7 @@ class Mate(NamedTuple):
 
 
 class VisibleMembers:
-    """Members with known reports in a vehicle's scan: a team's, or its single leader.
-
-    Args:
-        body: of the vehicle, assumed for the others too.
-        settings: distance from the report at which a member is recognised, and lifetime of reports.
-    """
+    """Members with known reports in a vehicle's scan: a team's, or its single leader. All are assumed to have its ``body``."""
 
     def __init__(self, body: Body, settings: Passage) -> None:
         self._body, self._member_m = body, settings.member_m
@@ -169,11 +164,7 @@ class Widening:
 
 
 class Lookout(VisibleMembers):
-    """The part of the team's lane that one vehicle sees.
-
-    Raises:
-        ValueError: the scanner is missing, or the size of the vehicle is unknown.
-    """
+    """The part of the team's lane that one vehicle sees; a ValueError says that its scanner is missing, or its size unknown."""
 
     def __init__(self, passage: Passage, team: Team, info: VehicleInfo) -> None:
         self._looking = ScanReader(passage.scanner, passage.stale_s)

@@ -105,8 +105,7 @@ Slots = tuple[Slot, ...]
 def slots(shape: ShapeName, count: int, spacing: float, offsets: Sequence[Slot] = ()) -> Slots:
     """Where ``count`` members belong, m in the leader's frame; the first is the leader's own place, (0, 0).
 
-    Raises:
-        ValueError: ``offsets`` of the shape ``own`` that are too few, do not begin with [0, 0], or name a place twice.
+    A ValueError names ``offsets`` of the shape ``own`` that are too few, do not begin with [0, 0], or name a place twice.
     """
     if shape == "own":
         return _own(count, offsets)
@@ -160,8 +159,7 @@ def parents(topology: TopologyName, count: int, branching: int = 2) -> tuple[int
 def named_parents(parents: Mapping[str, str], members: Sequence[str]) -> tuple[int, ...]:
     """Number of the parent of each member, from the names in a formation's ``parents``.
 
-    Raises:
-        ValueError: an unknown name, a second member without a parent, or a cycle.
+    A ValueError says that a name is unknown, a second member has no parent, or some follow in a circle.
     """
     for name in (*parents, *parents.values()):
         if name not in members:

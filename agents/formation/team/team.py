@@ -113,9 +113,7 @@ class Team:
     def change(self, shape: str, positions: Mapping[str, Slot]) -> None:
         """As the leader: give the team another shape, and everybody the place that makes the ways shortest and crosses none.
 
-        Args:
-            shape: the new one.
-            positions: where members are, as far as known, m in the leader's frame; the others are taken to be in their places.
+        ``positions`` of members are m in the leader's frame; those that are not known are taken to be in their places.
         """
         if shape not in self._slots:
             raise ValueError(f"shape = {shape!r}: {unknown('shape', shape, self._slots)}")
@@ -173,11 +171,7 @@ def _check_narrower(narrow: str, places: Slots, wide: str, wide_places: Slots) -
 
 
 def members_of(formation: Formation, vehicles: Sequence[str], name: str) -> tuple[str, ...]:
-    """Names of the formation's members: as listed, or else all vehicles.
-
-    Raises:
-        ValueError: an unknown name, a name twice, or this vehicle is missing.
-    """
+    """The formation's members: as listed, or else all vehicles; a ValueError names what is unknown, twice or missing."""
     members = formation.members or tuple(vehicles)
     names, used = frozenset(vehicles), set()
     for member in members:
@@ -210,11 +204,7 @@ def assign(positions: Sequence[Slot], places: Sequence[Slot]) -> tuple[int, ...]
 
 
 def check_silence(sending: Sending, formation: Formation | None, heartbeat_s: float | None = None) -> None:
-    """Reject a longest silence of a sender that exceeds the time after which it counts as gone.
-
-    Raises:
-        ValueError: it does.
-    """
+    """Reject (ValueError) a longest silence of a sender that exceeds the time after which it counts as gone."""
     if sending.when == "always":
         return
     if heartbeat_s is not None and heartbeat_s <= sending.silence_s:

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.agents.avoidance import PotentialField
-from vcmvsp.agents.mission import AlgorithmRunner, Guard, MissionFacts, MissionState, step
+from vcmvsp.agents.mission.runner import AlgorithmRunner, Guard
+from vcmvsp.agents.reconnaissance.state_table import MissionFacts, MissionState, step
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Scan, VehicleState, Velocity, Waypoint

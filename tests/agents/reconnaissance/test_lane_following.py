@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.agents.reconnaissance import Comb, Rectangle
-from vcmvsp.agents.reconnaissance.sectors import LaneFollower, Point
+from vcmvsp.agents.reconnaissance.probability_map import Rectangle
+from vcmvsp.agents.reconnaissance.sectors import Comb, LaneFollower, Point
 
 AREA = Rectangle(0.0, 0.0, 40.0, 100.0)  # lanes at x = 5, 15, 25, 35, from y = 4 to 96
 LANES = np.array([5.0, 15.0, 25.0, 35.0])

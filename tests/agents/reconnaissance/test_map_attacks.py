@@ -8,10 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.area_search import GRID, S, over_the_air
-from tests.support.agents.shared_maps import KINDS, SENSOR, TEAM, everything, ledger, tell
-from vcmvsp.agents.reconnaissance import exchange
-from vcmvsp.agents.reconnaissance.exchange import Kind, Ledger
+from tests.support.agents.shared_maps import GRID, KINDS, SENSOR, TEAM, S, everything, ledger, over_the_air, tell
+from vcmvsp.agents.reconnaissance.exchange import Kind, Ledger, exchange
 
 COUNTS = bytes(range(200)) + bytes(312)  # hits and misses of a tile of 16 x 16
 

@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.area_search import GRID, S, over_the_air
-from tests.support.agents.shared_maps import KINDS, SENSOR, SMALL, TEAM, everything, ledger, look, tell
-from vcmvsp.agents.reconnaissance import exchange, log_odds
-from vcmvsp.agents.reconnaissance.exchange import Consensus, Kind, Ledger, MapExchange
+from tests.support.agents.shared_maps import GRID, KINDS, SENSOR, SMALL, TEAM, S, everything, ledger, look, over_the_air, tell
+from vcmvsp.agents.reconnaissance.exchange import Consensus, Kind, Ledger, MapExchange, exchange
+from vcmvsp.agents.reconnaissance.probability_map import log_odds
 
 # -- without loss
 

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.support.agents.area_search import GRID, S, over_the_air, size
-from tests.support.agents.shared_maps import KINDS, SENSOR, TEAM, ledger, tell
-from vcmvsp.agents.reconnaissance import exchange
-from vcmvsp.agents.reconnaissance.exchange import Kind
+from tests.support.agents.shared_maps import GRID, KINDS, SENSOR, TEAM, S, ledger, over_the_air, size, tell
+from vcmvsp.agents.reconnaissance.exchange import Kind, exchange
 from vcmvsp.cosim.agent import Radio
 
 

@@ -9,10 +9,11 @@ import pytest
 
 from tests.support.agents.agent_loop import received
 from tests.support.agents.search_agents import GRID, REACH, TARGETS, Team, info, looks, of_map, searcher, see
-from vcmvsp.agents.reconnaissance import Sensor, lanes, strips
 from vcmvsp.agents.reconnaissance.exchange import Ledger
+from vcmvsp.agents.reconnaissance.probability_map import Sensor
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster
 from vcmvsp.agents.reconnaissance.search import Search
+from vcmvsp.agents.reconnaissance.sectors import lanes, strips
 from vcmvsp.cosim.agent import Body, Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.testing import check_agent

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.support.agents.search_agents import GRID, info, see
-from vcmvsp.agents.reconnaissance import lanes
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
 from vcmvsp.agents.reconnaissance.search import Search
+from vcmvsp.agents.reconnaissance.sectors import lanes
 from vcmvsp.agents.reconnaissance.watch import WatchFrame
 from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.types import Image, Sighting, Velocity

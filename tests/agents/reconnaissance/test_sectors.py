@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.agents.reconnaissance import Comb, Grid, Rectangle, lanes, strips
+from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle
+from vcmvsp.agents.reconnaissance.sectors import Comb, lanes, strips
 
 AREA = Rectangle(-20.0, 10.0, 80.0, 110.0)
 NAMES = st.lists(st.text("abc123", min_size=1, max_size=3), min_size=1, max_size=6)

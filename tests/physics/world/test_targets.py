@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from tests.physics.render.test_depth import a_rotation, towards
 from tests.support.physics.sensor_scenes import scene_of
-from vcmvsp.agents.reconnaissance.recognition import Detector
-from vcmvsp.agents.reconnaissance.recognition import TargetPicture as Wanted
+from vcmvsp.agents.reconnaissance.recognition.detector import Detector
+from vcmvsp.agents.reconnaissance.recognition.stages import TargetPicture as Wanted
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.registry import SHIPPED
 from vcmvsp.cosim.errors import ScenarioError

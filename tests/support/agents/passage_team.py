@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.support.agents.agent_loop import observe
 from tests.support.agents.formation_member import TICK_NS, says
-from vcmvsp.agents.formation import Trajectory
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
 from vcmvsp.agents.formation.reports.report import ReportReceiver
 from vcmvsp.agents.formation.team.passage import Lookout

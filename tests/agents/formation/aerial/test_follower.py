@@ -143,38 +143,6 @@ def test_a_team_flies_its_shape_and_changes_it_when_the_leader_says_so() -> None
     assert [note["shape"] for note in seen.notes["b"] if "shape" in note] == ["wedge", "column"]
 
 
-def test_a_parent_that_died_is_left_for_its_own() -> None:
-    agents, starts = team("column", topology="chain")
-    assert isinstance(last := agents["c"], AerialFollower)
-    seen = fly(agents, starts, 100, lost=lambda tick, sender: sender == "b" and tick > 20)
-    parents = [(tick, note["parent"]) for tick, note in enumerate(seen.notes["c"]) if "parent" in note]
-    assert parents == [(0, "b"), (31, "a")]  # the last one of b came at 2.1 s
-    assert last.follows is not None
-    assert (last.follows.leader, last.follows.slot) == ("a", (-4.0, 0.0))
-
-
-def test_who_has_nobody_left_hovers() -> None:
-    agents, starts = team("column", topology="chain")
-    seen = fly(agents, starts, 100, lost=lambda tick, sender: sender == "a" and tick > 20)
-    assert seen.notes["b"][-1]["status"] == "leading"
-    assert seen.commands["b"][-1].linear == (0.0, 0.0, 0.0)
-    assert seen.notes["c"][-1]["status"] == "following"
-
-
-def test_members_say_whether_their_lane_is_clear_where_the_team_is_to_pass_through() -> None:
-    follower = AerialFollower(formation=Formation(members=("a", "b"), passage=Passage()))
-    names = ("a", "b")
-    follower.start(VehicleInfo(name="b", vehicles=names, period_s=T, latency_s=0.0, seed=1, body=BODY, sensors=("scan",)))
-    clear = []
-    for tick, ahead in enumerate((math.inf, 1.0, math.inf)):
-        radio, scan = Radio("b", names), ring([ahead, *[math.inf] * 31], tick * 10**8)
-        follower.act(Uav((0.0, 0.0, 2.0)).see(tick * 10**8, scan=scan), radio)
-        (message,) = radio.drain()
-        assert isinstance(message.body, dict)
-        clear.append(message.body["cl"])
-    assert clear == [1, 0, 1]
-
-
 def test_members_keep_off_each_other_though_they_are_to_pass_through() -> None:
     """One that hovers in the way is no wall of the lane, but it is something to keep off, as it is without a passage."""
     names, commands = ("a", "b", "c"), []

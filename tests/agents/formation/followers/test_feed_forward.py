@@ -6,8 +6,7 @@ from typing import Any
 import pytest
 
 from tests.support.agents.formation_member import TICK_NS, Seat, says
-from vcmvsp.agents.formation import LeaderFollower
-from vcmvsp.agents.formation.followers.leader_follower import Feed
+from vcmvsp.agents.formation.followers.leader_follower import Feed, LeaderFollower
 from vcmvsp.cosim.types import Reception
 
 

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.agents.formation import LeaderState, axle_velocity, hand_point, hand_velocity
-from vcmvsp.agents.formation.followers.laws import FollowerPlace, formation_law
+from vcmvsp.agents.formation.followers.laws import FollowerPlace, axle_velocity, formation_law, hand_point, hand_velocity
+from vcmvsp.agents.formation.reports.report import LeaderState
 from vcmvsp.cosim.frames import arc
 
 ANGLE = st.floats(-10.0, 10.0)

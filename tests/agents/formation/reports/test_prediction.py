@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.paths import ROOT
-from vcmvsp.agents.formation import DeadReckoning, Hold, LeaderFollower, LeaderState, Report
-from vcmvsp.agents.formation.reports.prediction import Acceleration, PlanPrediction, estimator_of
-from vcmvsp.agents.formation.reports.report import accelerations, lead_of, plan_of
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
+from vcmvsp.agents.formation.reports.prediction import Acceleration, DeadReckoning, Hold, PlanPrediction, estimator_of
+from vcmvsp.agents.formation.reports.report import LeaderState, Report, accelerations, lead_of, plan_of
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import arc

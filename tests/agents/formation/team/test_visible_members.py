@@ -7,7 +7,7 @@ import pytest
 from tests.support.agents.formation_member import says
 from tests.support.agents.passage_team import CARS, info, scan, sees
 from vcmvsp.agents.avoidance import Gap, Vfh
-from vcmvsp.agents.formation import LeaderFollower
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.team.shape import Formation, Passage
 from vcmvsp.cosim.agent import Radio
 from vcmvsp.cosim.types import Velocity

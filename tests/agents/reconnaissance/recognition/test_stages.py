@@ -8,11 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.agents.reconnaissance.recognition import TargetPicture
 from vcmvsp.agents.reconnaissance.recognition import stages as colours
 from vcmvsp.agents.reconnaissance.recognition.detector import RINGS, _Search
 from vcmvsp.agents.reconnaissance.recognition.ground import BLUE, RED, glyph, mirrored
-from vcmvsp.agents.reconnaissance.recognition.stages import FULL, TURNS, MatchedPose, Rings, match, rotation, vertex
+from vcmvsp.agents.reconnaissance.recognition.stages import (
+    FULL,
+    TURNS,
+    MatchedPose,
+    Rings,
+    TargetPicture,
+    match,
+    rotation,
+    vertex,
+)
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
 
