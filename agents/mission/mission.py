@@ -17,7 +17,7 @@ from typing import Any
 from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance.avoid import GetAround
 from vcmvsp.agents.factory import build_nested
-from vcmvsp.agents.formation.aerial.flight import along, told
+from vcmvsp.agents.formation.aerial import along, told
 from vcmvsp.agents.formation.reports.report import send_report
 from vcmvsp.agents.mission.runner import AlgorithmRunner, Guard
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of

@@ -58,21 +58,10 @@ class MemberStatus(NamedTuple):
 class Roster:
     """The mission from the view of one member.
 
-    Args:
-        me: this vehicle.
-        members: all members, with this vehicle.
-        sectors: groups that search one sector together, led by their first; other members have a sector of their own.
-        alive_s: silence after which a member counts as lost, s.
-        claim_s: how long the claim of a lost member stands, s: most are only out of reach.
-        report_s: period of reports, s; a change of task or target is reported at once.
-        clock_bound_s: largest lead of other clocks, s.
-
-    Attributes:
-        sector: of this vehicle; named after its first member.
-        clock_bound_s: largest lead of other clocks, s.
-
-    Raises:
-        ValueError: members or sectors that do not fit one another.
+    Each of ``sectors`` is searched together, led by its first; other members have a sector of their own. ``sector`` is that of
+    this vehicle, named after its first. After ``alive_s`` of silence a member counts as lost; its claim stands for ``claim_s``,
+    as most are only out of reach. Reports come every ``report_s``, and at once when task or target change. Other clocks lead by
+    ``clock_bound_s`` at most. A ValueError says that members or sectors do not fit one another.
     """
 
     def __init__(

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.agents.avoidance.view import check_carried
-from vcmvsp.agents.formation.aerial.flight import GAIN, YAW_GAIN, check_flies
+from vcmvsp.agents.formation.aerial import GAIN, YAW_GAIN, check_flies
 from vcmvsp.agents.reconnaissance.exchange import Kind, exchange
 from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor
 from vcmvsp.agents.reconnaissance.roster import Roster, members_of

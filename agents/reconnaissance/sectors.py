@@ -39,14 +39,8 @@ def lanes(area: Rectangle, radius: float, overlap: float = 0.2, start: Point | N
 
     Lanes run along y and end ``radius / 2`` short of the border, in the middle of an area that is no longer than that.
 
-    Args:
-        area: what is to be combed.
-        radius: how far is seen from the vehicle, m.
-        overlap: which part of the width that is seen from one lane is seen from the next one, too, at least.
-        start: begin at the end that is nearest to this point; default: bottom left.
-
-    Raises:
-        ValueError: a radius <= 0 or an overlap that is not >= 0 and < 1.
+    ``radius`` is how far is seen from the vehicle, m, ``overlap`` the part of that width that is seen from the next lane, too.
+    They begin at the end that is nearest to ``start``; default: bottom left.
     """
     if not (radius > 0.0 and 0.0 <= overlap < 1.0):
         raise ValueError(f"radius = {radius} m must be > 0 and overlap = {overlap} >= 0 and < 1")
@@ -73,17 +67,9 @@ class Comb:
 
     Lanes across show what buildings hide from lanes along y.
 
-    Args:
-        me: name of the vehicle.
-        area: of the team.
-        radius: visible distance from the vehicle, m.
-        overlap: of neighbouring lanes.
-        reached: distance at which a way-point is reached, m.
-        across: visible distance from lanes along x, m; 0: no such lanes.
-        is_open: whether a lane with these ends, m, world, is worth flying; other lanes are skipped as long as there are such.
-
-    Attributes:
-        came: way-point at the start of the present line; None: none yet.
+    ``radius`` is the visible distance from the vehicle, ``across`` that from lanes along x (0: no such lanes), ``reached`` the
+    distance at which a way-point is reached, m. ``is_open`` says whether a lane with these ends, m, world, is worth flying;
+    others are skipped as long as there are such. ``came`` is the way-point at the start of the present line; None: none yet.
     """
 
     def __init__(

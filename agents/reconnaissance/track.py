@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from vcmvsp.agents.formation.aerial.flight import check_flies
+from vcmvsp.agents.formation.aerial import check_flies
 from vcmvsp.agents.reconnaissance.picture_recording import Mosaicking, PictureRecording, Sheet
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
 from vcmvsp.agents.reconnaissance.tracking import GAIN, LOST_S, SMOOTHING, SPIRAL_S, WITHIN_M, Confirmation, Point, Tracker

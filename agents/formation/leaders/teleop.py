@@ -179,9 +179,9 @@ class Joystick:
 
     def close(self) -> None:
         """Close the device."""
-        if self._file is not None:
-            os.close(self._file)
-            self._file = None
+        file, self._file = self._file, None
+        if file is not None:
+            os.close(file)
 
 
 class Table:

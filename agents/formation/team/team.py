@@ -31,21 +31,10 @@ JUMP = 10_000  # larger increments of ``sn`` are implausible
 class Team:
     """The formation from the view of one member.
 
-    Attributes:
-        members: all names; the first leads.
-        name, index: of this member, and its number among them.
-        shape: the present one.
-        wide: the shape outside passages (`agents.formation.team.passage`).
-        changed: number of changes of shape.
-        place: number of this member's place; the leader's is 0.
-        slot: that place, m in the leader's frame, x forward, y left.
-        parent: member to follow; None: this member leads.
-        ancestors: parent, its parent, and so on up to the leader.
-        children: members whose parent this one is.
-        ranks: all members, nearest to the leader first; ancestors come before descendants.
-
-    Raises:
-        ValueError: a formation that does not fit these vehicles; the message names its key.
+    The first of all ``members`` leads. ``shape`` is the present one, ``wide`` that outside of passages, ``changed`` the number
+    of changes. ``place`` is the number of this member's place, 0 the leader's, and ``slot`` where that is, m in the leader's
+    frame. ``parent`` is whom to follow (None: it leads), ``ancestors`` go on up to the leader, and ``ranks`` has all, the
+    nearest to the leader first. A ValueError names the key of what does not fit these vehicles.
     """
 
     def __init__(self, formation: Formation, vehicles: Sequence[str], name: str) -> None:

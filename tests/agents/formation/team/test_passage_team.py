@@ -12,8 +12,7 @@ import pytest
 from tests.support.agents.formation_member import TICK_NS, says
 from tests.support.agents.passage_team import CARS, Front, at, clear, formation, info, scan, sees
 from vcmvsp.agents.avoidance import Gap
-from vcmvsp.agents.formation.aerial.follower import AerialFollower
-from vcmvsp.agents.formation.aerial.route import AerialRoute
+from vcmvsp.agents.formation.aerial import AerialFollower, AerialRoute
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.sending import Sending
