@@ -344,14 +344,6 @@ def test_no_velocity_that_all_beams_allow_is_nearer_to_the_wanted_one(distances:
     assert math.dist(limited_flight((x, y), view, KEEP, APPROACH), (x, y)) == pytest.approx(best, abs=1e-5)
 
 
-@given(ranges, speeds, speeds)
-def test_mirrored_scans_give_mirrored_velocities(distances: list[float], x: float, y: float) -> None:
-    mirrored = [distances[0], *distances[:0:-1]]
-    one = limited_flight((x, y), seen(distances), KEEP, APPROACH)
-    other = limited_flight((x, -y), seen(mirrored), KEEP, APPROACH)
-    assert other == pytest.approx((one[0], -one[1]), abs=1e-6)
-
-
 def test_motion_along_a_wall_goes_on_where_motion_into_it_does_not() -> None:
     """A wall on the left at 0.8 m, seen by 64 beams: of a velocity that leads at it askew, more than half is left along it."""
     bearing = math.tau * np.arange(64) / 64

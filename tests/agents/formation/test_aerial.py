@@ -1,4 +1,4 @@
-"""Leaders in the air, their reports, and what flies around things: closed forms."""
+"""In the air: leaders, their reports, followers, and what flies around things."""
 
 import math
 from typing import Any
@@ -206,10 +206,7 @@ def test_a_vehicle_that_sees_nothing_does_not_climb_either() -> None:
     assert agent.sensors == ("scan",)
 
 
-# --- followers in the air: the law in closed form, teams, and what they do when nobody is heard ---
-
-
-# --- the follower ---
+# --- followers: the law in closed form, teams, and what they do when nobody is heard ---
 
 
 @settings(max_examples=25)

@@ -505,14 +505,3 @@ def test_clocks_may_differ_by_the_bound_that_is_given() -> None:
     assert c.take("b", over_the_air(passed_on), S - 80_000_000)
     assert c.counts[0].sum() == 1
     assert not b.take("a", over_the_air(tell_a), S - 110_000_000)
-
-
-def test_one_that_starts_anew_lowers_nothing() -> None:
-    a, b = ledger("a"), ledger("b")
-    a.look(np.array([3, 4]), np.array([True, True]), S)
-    tell(a, {"b": b}, "a", S)
-    before, again = b.counts, ledger("a")
-    again.look(np.array([3]), np.array([False]), 2 * S)
-    tell(again, {"b": b}, "a", 2 * S)
-    assert (b.counts >= before).all()
-    assert b.counts[0].sum() == 3

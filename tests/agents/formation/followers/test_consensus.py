@@ -142,13 +142,6 @@ def test_both_points_delayed_any_connected_graph_is_stable_up_to_the_sampled_bou
     assert size[1.05][1] > size[1.05][0]
 
 
-@pytest.mark.parametrize(("ticks", "limit"), [(0, 2.0), (1, 1.0), (2, 0.6180), (3, 0.4450), (4, 0.3473), (5, 0.2846)])
-def test_the_sampled_bound_is_where_the_characteristic_root_leaves_the_unit_circle(ticks: int, limit: float) -> None:
-    assert 2.0 * math.sin(math.pi / (2 * (2 * ticks + 1))) == pytest.approx(limit, abs=5e-5)
-    exact = 2.0 * math.sin(math.pi / (2 * (2 * ticks + 1)))
-    assert root(exact * 0.999, ticks) < 1.0 < root(exact * 1.001, ticks)
-
-
 @pytest.mark.parametrize("age", range(7))
 @pytest.mark.parametrize("share", [0.3, 0.7, 1.0, 1.3])
 def test_the_root_found_is_the_largest_of_all(age: int, share: float) -> None:

@@ -54,14 +54,6 @@ def test_dead_reckoning_is_exact_on_straight_lines(state: LeaderState, age: floa
     assert then == pytest.approx((x + v * age * math.cos(th), y + v * age * math.sin(th), th, v, 0.0), abs=1e-12)
 
 
-@settings(deadline=None)
-@given(state=STATES, first=st.floats(0.0, 5.0), second=st.floats(0.0, 5.0))
-def test_arcs_compose(state: LeaderState, first: float, second: float) -> None:
-    x, y, th, v, w = state
-    in_two = arc(arc((x, y, th), v, w, first), v, w, second)
-    assert in_two == pytest.approx(arc((x, y, th), v, w, first + second), abs=1e-9)
-
-
 @pytest.mark.parametrize(("horizon_s", "fade_s"), [(2.0, 1.0), (0.0, 0.5), (1.0, 3.0)])
 def test_beyond_the_horizon_both_speeds_fade_linearly_to_zero(horizon_s: float, fade_s: float) -> None:
     """Against a fine integration of the fading speeds."""
