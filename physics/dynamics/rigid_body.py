@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.physics.world.scene import pairs
+from vcmvsp.physics.world.world import pairs
 
 Floats = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from vcmvsp.cosim.frames import rotate2
 from vcmvsp.cosim.types import Array, FileName, Positive
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import DEEPEST
-from vcmvsp.physics.importers.file_access import library, require_file, text_of
+from vcmvsp.physics.importers.files import library, require_file, text_of
 from vcmvsp.physics.world.floor import read_picture
 from vcmvsp.physics.world.solids import Box, Color
 from vcmvsp.physics.world.world import World

@@ -7,11 +7,9 @@ import cv2
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.render.triangles import clipped, packed
-from vcmvsp.physics.render.view import View
-from vcmvsp.physics.world.floor import read_picture
+from vcmvsp.physics.render.triangles import View, clipped, packed
+from vcmvsp.physics.world.floor import PlacedTarget, read_picture
 from vcmvsp.physics.world.solids import rectangle
-from vcmvsp.physics.world.targets import PlacedTarget
 from vcmvsp.physics.world.world import World, made_once
 
 SKY = (172, 204, 235)  # above the horizon
@@ -27,9 +25,10 @@ class Level(NamedTuple):
     metre_px: float  # pixels a metre, along the finer axis
 
 
+@made_once
 def levels_of(world: World) -> list[Level]:
     """The ground picture, and smaller copies, each half as large; empty: there is none."""
-    picture = world.ground.image()
+    picture = world.ground.image
     if picture is None:
         return []
     rgba: Array = cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2RGBA)
@@ -88,7 +87,7 @@ def ground(world: World, levels: list[Level], view: View, time_s: float) -> Arra
         picture = np.full((view.height, view.width), plain)
     if world.targets:
         pixels = picture.view(np.uint8).reshape(view.height, view.width, 4)
-        lay_seen(pixels, world, made_once(world, textures_of), view, time_s)
+        lay_seen(pixels, world, textures_of(world), view, time_s)
     picture[above] = sky
     both = ~(above | below)
     if both.any():
@@ -123,6 +122,7 @@ class Texture(NamedTuple):
     levels: list[Array]
 
 
+@made_once
 def textures_of(world: World) -> list[Texture]:
     """Textures of the targets of a world."""
     by_look: dict[object, Texture] = {}

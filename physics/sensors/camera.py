@@ -11,9 +11,9 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array, Image, NonNegative, Positive, Vec3, frozen
 from vcmvsp.physics.render.renderer import render
-from vcmvsp.physics.render.view import View
+from vcmvsp.physics.render.triangles import View
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.world import Scene
 
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=8192)]
 Angle = Annotated[float, msgspec.Meta(gt=0, lt=math.pi)]

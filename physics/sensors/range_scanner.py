@@ -11,11 +11,9 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability, Reading, Scan, Vec3, frozen
 from vcmvsp.physics.raycast.caster import caster_of
-from vcmvsp.physics.raycast.moving_hulls import hulls_of
-from vcmvsp.physics.raycast.plane_section import Fan, spread_of
-from vcmvsp.physics.raycast.sweep import sweep
+from vcmvsp.physics.raycast.sweep import Fan, spread_of, sweep
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.world import Scene
 
 Beams = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 Opening = Annotated[float, msgspec.Meta(gt=0, le=6.2832)]
@@ -157,7 +155,7 @@ class Ring(RangeScanner):
 
 def true_ranges(sensors: Sequence[RangeScanner], scene: Scene, rows: Sequence[int]) -> list[Array]:
     """Ranges of scanners on some vehicles without errors, m; inf: nothing within reach."""
-    caster, hulls = caster_of(scene.world), hulls_of(scene)
+    caster, hulls = caster_of(scene.world), scene.placed_hulls
     ranges, first = [], 0
     while first < len(sensors):
         last, beams = first + 1, sensors[first].beams
@@ -179,6 +177,6 @@ def fan_of(sensors: Sequence[RangeScanner], scene: Scene, rows: Sequence[int]) -
         cos, sin = np.concatenate([each.circle for each in sensors], axis=1)
         numbers = np.concatenate([each.numbers for each in sensors], axis=1)
         numbers[6] = np.cumsum(numbers[0]) - numbers[0]
-    turned = (hulls_of(scene).rotation[:, :, None, own] * mounts).sum(axis=1)  # (x, y, z; columns; sensors)
+    turned = (scene.placed_hulls.rotation[:, :, None, own] * mounts).sum(axis=1)  # (x, y, z; columns; sensors)
     origin, frame = turned[:, 0] + scene.position[own].T, turned[:, 1:].swapaxes(0, 1)
     return Fan(origin, frame, numbers[0].astype(np.intp), cos, sin, numbers[2:], numbers[1], own, not frame[:2, 2].any())

@@ -18,8 +18,7 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array, FileName, NonNegative, Positive, Vec3
 from vcmvsp.cosim.util import limits
-from vcmvsp.physics.vehicles.models import GroundVehicle
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import GroundVehicle, Quadrotor
 
 _TURNS = ("continuous", "revolute")
 _OFF_DIAGONAL = ("ixy", "ixz", "iyz")

@@ -90,11 +90,11 @@ class _Edges:
         neighbours = (self._ring[i] == self._ring[j]) & ((apart == 1) | (apart == length - 1))
         i, j = i[~neighbours], j[~neighbours]
         meeting = np.flatnonzero(_meet(self.start[i], self.end[i], self.start[j], self.end[j]))
-        return (self._name(int(i[meeting[0]])), self._name(int(j[meeting[0]]))) if len(meeting) else None
-
-    def _name(self, edge: int) -> str:
-        of = f" of hole {self._ring[edge] - 1}" if self._ring[edge] else ""
-        return f"edge {self._number[edge]}{of}"
+        if not len(meeting):
+            return None
+        numbers = (int(each[meeting[0]]) for each in (i, j))
+        one, other = (f"edge {self._number[k]}" + (f" of hole {self._ring[k] - 1}" if self._ring[k] else "") for k in numbers)
+        return one, other
 
     def inside(self, point: Array, without: int) -> bool:
         """Whether an odd number of edges, without one ring, lies east of a point."""
@@ -171,7 +171,6 @@ def is_convex(outline: Sequence[Point]) -> bool:
 
 
 def _turns(ring: Sequence[Point]) -> list[float]:
-    """Turn at each corner: positive to the left."""
     return [_turn(ring[k - 1], ring[k], ring[(k + 1) % len(ring)]) for k in range(len(ring))]
 
 
@@ -236,12 +235,9 @@ def _triangles(corners: Sequence[Point], ring: Sequence[int]) -> list[list[int]]
 def _any_inside(corners: Sequence[Point], triangle: tuple[int, int, int], ring: Sequence[int]) -> bool:
     a, b, c = (corners[k] for k in triangle)
     (low_x, _, high_x), (low_y, _, high_y) = (sorted(axis) for axis in zip(a, b, c, strict=True))
-    for k in ring:
-        x, y = p = corners[k]
-        near = low_x <= x <= high_x and low_y <= y <= high_y and k not in triangle
-        if near and _turn(a, b, p) >= 0.0 and _turn(b, c, p) >= 0.0 and _turn(c, a, p) >= 0.0:
-            return True
-    return False
+    places = (corners[k] for k in ring if k not in triangle)
+    near = (p for p in places if low_x <= p[0] <= high_x and low_y <= p[1] <= high_y)
+    return any(_turn(a, b, p) >= 0.0 and _turn(b, c, p) >= 0.0 and _turn(c, a, p) >= 0.0 for p in near)
 
 
 def _together(corners: Sequence[Point], one: list[int], other: list[int]) -> list[int] | None:
@@ -252,7 +248,6 @@ def _together(corners: Sequence[Point], one: list[int], other: list[int]) -> lis
             j = other.index(b)
             rest = other[j:] + other[:j]  # b, a, ...
             whole = one[: i + 1] + rest[2:] + one[i + 1 :]
-            n = len(whole)
-            if all(_turn(*(corners[whole[m % n]] for m in (k - 1, k, k + 1))) >= 0.0 for k in range(n)):
+            if min(_turns([corners[k] for k in whole])) >= 0.0:
                 return whole
     return None

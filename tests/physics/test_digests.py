@@ -18,15 +18,13 @@ from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Later, Velocity, Waypoint
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.physics.federate import BulletPhysics
-from vcmvsp.physics.sensors.bumper import Bumper
 from vcmvsp.physics.sensors.camera import Camera, NadirCamera
-from vcmvsp.physics.sensors.gps import Gps
-from vcmvsp.physics.sensors.imu import InertialUnit
-from vcmvsp.physics.sensors.positioning import Positioning
+from vcmvsp.physics.sensors.detectors import Bumper
+from vcmvsp.physics.sensors.motion import InertialUnit
+from vcmvsp.physics.sensors.positioning import Gps, Positioning
 from vcmvsp.physics.sensors.range_scanner import Lms, Ring
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Point
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.solids import Box, Cylinder

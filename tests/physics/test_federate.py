@@ -16,10 +16,9 @@ from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.sensors.motion import WheelOdometry
 from vcmvsp.physics.sensors.positioning import Positioning
-from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
-from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import Movable, Moving, World
@@ -334,8 +333,8 @@ from vcmvsp.cosim.federate import Instants, RunInfo
 from vcmvsp.physics.federate import {kind}
 from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.vehicles.specification import VehicleSpec
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
-from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
+from vcmvsp.physics.vehicles.models import Quadrotor
+from vcmvsp.physics.sensors.motion import WheelOdometry
 from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import World
 world = World(solids=(Box(center=(3.0, 0.0, 0.5), size=(0.1, 1.0, 1.0)),))

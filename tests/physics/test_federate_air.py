@@ -14,8 +14,7 @@ from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Contact, Vec3, Velocity, Waypoint
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.positioning import Positioning
-from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World

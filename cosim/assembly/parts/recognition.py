@@ -6,9 +6,9 @@ from vcmvsp.agents.reconnaissance.recognition.detector import Detection, Detecto
 from vcmvsp.agents.reconnaissance.recognition.stages import TargetPicture
 from vcmvsp.agents.reconnaissance.watch import Watch, WatchFrame, Watching
 from vcmvsp.physics.sensors.camera import Camera
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.floor import PlacedTarget
 from vcmvsp.physics.world.solids import Hull
-from vcmvsp.physics.world.targets import PlacedTarget
+from vcmvsp.physics.world.world import Scene
 
 __all__ = [
     "Camera",

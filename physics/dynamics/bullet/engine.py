@@ -1,22 +1,19 @@
 """The Bullet engine: ground robots, quadrotors, external vehicles and movables in one Bullet world, and their contacts."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
 
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet import p
-from vcmvsp.physics.dynamics.bullet.airborne_clearance import REACH_M
-from vcmvsp.physics.dynamics.bullet.contacts import ContactFinder
+from vcmvsp.physics.dynamics.bullet.bodies import ExternalBodies, WorldBodies
 from vcmvsp.physics.dynamics.bullet.ground_robots import GroundRobots
-from vcmvsp.physics.dynamics.bullet.quadrotors import BulletQuadrotors
-from vcmvsp.physics.dynamics.bullet.world_bodies import ExternalBodies, WorldBodies
-from vcmvsp.physics.dynamics.external_vehicles import ExternalEngine
+from vcmvsp.physics.dynamics.bullet.quadrotors import REACH_M, BulletQuadrotors
+from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.dynamics.wind import Gusts
-from vcmvsp.physics.engine.interface import BodyMotion, Touch, gathered
-from vcmvsp.physics.vehicles.models import DifferentialDrive
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.engine import BodyMotion, Engine, Touch, gathered
+from vcmvsp.physics.vehicles.models import DifferentialDrive, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
@@ -24,7 +21,7 @@ from vcmvsp.physics.world.world import World
 _ENCODER_HZ = 40.0
 
 
-class BulletEngine:
+class BulletEngine(Engine):
     """Moves differential drives and quadrotors in one Bullet world without a window.
 
     Args:
@@ -194,7 +191,40 @@ class BulletEngine:
         return touches
 
     def close(self) -> None:
-        """Release the Bullet world; a second call has no effect."""
+        """Release the Bullet world."""
         if self._client >= 0:
             p.disconnect(self._client)
             self._client = -1
+
+
+_ANY_BODY, _ANY_LINK, _BASE = -1, -2, -1
+_FLOOR = 0  # the first body of all
+
+
+class ContactFinder:
+    """Finds contacts of vehicles: ``bodies`` of the vehicles by row, ``others`` in the rows behind them.
+
+    Bodies in ``jointed`` count with all links, others with the base alone.
+    """
+
+    def __init__(self, client: int, bodies: Mapping[int, int], others: Sequence[int], jointed: Container[int] = ()) -> None:
+        self._client, self._bodies = client, bodies
+        # Where only the base can touch more than the floor, contacts of wheels need not be listed.
+        self._links = {row: _ANY_LINK if row in jointed else _BASE for row in bodies}
+        self._row_of = dict(zip(bodies.values(), bodies, strict=True))
+        self._row_of |= zip(others, range(len(bodies), len(bodies) + len(others)), strict=True)
+
+    def now(self, rows: Sequence[int]) -> list[Touch]:
+        """Contacts of these rows with a force in this step, by rows: one for each place."""
+        touches = []
+        for row in rows:
+            for contact in p.getContactPoints(self._bodies[row], _ANY_BODY, self._links[row], _ANY_LINK, self._client):
+                body, place, force = contact[2], contact[5], contact[9]
+                if force <= 0.0 or body == _FLOOR:
+                    continue
+                other = self._row_of.get(body)
+                if other is None or other > row:
+                    touches.append(Touch(row, other, place))
+                elif other not in rows:  # else the row of the other body adds it
+                    touches.append(Touch(other, row, place))
+        return sorted(touches, key=lambda each: each.key)

@@ -14,11 +14,18 @@ import numpy as np
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet import p, turned
-from vcmvsp.physics.dynamics.bullet.body_builder import LEFT, RIGHT, differential_drive, finish
-from vcmvsp.physics.dynamics.bullet.world_bodies import BaseState, base_states, floor_friction, motion_of
-from vcmvsp.physics.dynamics.firmware import Firmware
-from vcmvsp.physics.dynamics.kinematic_ground import wrapped
-from vcmvsp.physics.engine.interface import BodyMotion
+from vcmvsp.physics.dynamics.bullet.bodies import (
+    LEFT,
+    RIGHT,
+    BaseState,
+    base_states,
+    differential_drive,
+    finish,
+    floor_friction,
+    motion_of,
+)
+from vcmvsp.physics.dynamics.kinematic import Firmware, wrapped
+from vcmvsp.physics.engine import BodyMotion
 from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World, Zone

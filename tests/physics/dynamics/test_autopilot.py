@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.physics.dynamics.autopilot import Autopilot
-from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.dynamics.quadrotor_fleet import Autopilot, QuadrotorFleet
+from vcmvsp.physics.vehicles.models import Quadrotor
 
 MODEL = Quadrotor()
 CALM = np.zeros((1, 3))

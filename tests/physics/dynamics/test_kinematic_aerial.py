@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Vec3
-from vcmvsp.physics.dynamics.kinematic_aerial import AerialEngine
-from vcmvsp.physics.vehicles.models import Point
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.dynamics.kinematic import AerialEngine
+from vcmvsp.physics.vehicles.models import Point, Quadrotor
 
 numbers = st.floats(-4.0, 4.0)
 places = st.tuples(numbers, numbers, numbers)

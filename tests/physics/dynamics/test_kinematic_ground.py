@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.support.step_responses import overshoot, servo_step
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import arc, wrap
-from vcmvsp.physics.dynamics.kinematic_ground import GroundEngine
+from vcmvsp.physics.dynamics.kinematic import GroundEngine
 from vcmvsp.physics.federate import KinematicPhysics
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag
 

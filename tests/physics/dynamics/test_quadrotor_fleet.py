@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import Quadrotor
 
 MODEL = Quadrotor()
 both_rates = pytest.mark.parametrize("hz", [120.0, 240.0])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
-from vcmvsp.physics.dynamics.rotorwash import AIR_KG_M3, downwash, ground_effect
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.dynamics.wind import AIR_KG_M3, downwash, ground_effect
+from vcmvsp.physics.vehicles.models import Quadrotor
 
 R = 0.1016
 WEIGHT = 0.8 * 9.81

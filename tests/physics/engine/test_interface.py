@@ -9,20 +9,16 @@ from tests.support.physics.bullet_engines import engine
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Vec3, Velocity, Waypoint
-from vcmvsp.physics.dynamics.kinematic_aerial import AerialEngine
-from vcmvsp.physics.dynamics.kinematic_ground import GroundEngine
-from vcmvsp.physics.engine.interface import BodyMotion, Engine, Touch, gathered, still
+from vcmvsp.physics.dynamics.kinematic import AerialEngine, GroundEngine
+from vcmvsp.physics.engine import BodyMotion, Engine, Touch, gathered, still
 from vcmvsp.physics.federate import Physics
-from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
 
 
-class Jumper:
+class Jumper(Engine):
     """An engine of a user's own: vehicles are at once where their command would have brought them in a second."""
-
-    stepped = False
 
     def __init__(self, places: list[Vec3]) -> None:
         self.places, self.closed = np.array(places), False
@@ -38,9 +34,6 @@ class Jumper:
 
     def read(self) -> BodyMotion:
         return still(self.places.copy(), np.zeros(len(self.places)))
-
-    def movables(self) -> BodyMotion:
-        return still(np.empty((0, 3)), np.empty(0))
 
     def put(self, number: int, place: Vec3, yaw: float) -> None:
         raise AssertionError("it has nothing that could be put elsewhere")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.physics.importers import MeshFile
+from vcmvsp.physics.importers.files import MeshFile
 from vcmvsp.physics.world.solids import Mesh
 
 CORNERS = ((0, 0, 0), (2, 0, 0), (0, 2, 0), (0, 0, 2))

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.physics.importers import File, GeoJson, Map, MeshFile
+from vcmvsp.physics.importers.files import File, MeshFile
+from vcmvsp.physics.importers.geojson import GeoJson
+from vcmvsp.physics.importers.occupancy_grid import Map
 from vcmvsp.physics.world.solids import Box, Cylinder, Prism
 from vcmvsp.physics.world.world import Wind
 
@@ -42,7 +44,7 @@ def test_a_toml_file_is_a_world(tmp_path: Path) -> None:
     world = File(path=str(tmp_path / "hall.toml")).build()
     assert [type(solid) for solid in world.solids] == [Box, Cylinder, Prism]
     assert (world.name, world.floor_friction, world.bounds) == ("hall", 0.5, (-5.0, -5.0, 5.0, 5.0))
-    picture = world.ground.image()  # found beside the file
+    picture = world.ground.image  # found beside the file
     assert picture is not None
     assert picture[0, 0].tolist() == [30, 20, 10]
 

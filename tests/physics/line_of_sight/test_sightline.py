@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vcmvsp.physics.line_of_sight.sightline import Sightline
+from vcmvsp.physics.line_of_sight import Sightline
 from vcmvsp.physics.world.solids import Box
 
 place = st.tuples(*[st.floats(-10.0, 10.0)] * 3)

@@ -8,8 +8,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.line_of_sight.meshes import SHEET_M, is_closed, slab_m
-from vcmvsp.physics.line_of_sight.sightline import Sightline
+from vcmvsp.physics.line_of_sight import SHEET_M, Sightline, is_closed, slab_m
 from vcmvsp.physics.world.polygons import problem_of
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism, rectangle
 from vcmvsp.physics.world.world import World

@@ -7,8 +7,7 @@ import pytest
 from tests.support.physics.random_worlds import Floats, attitudes, beams, hulls, scene, solids
 from vcmvsp.physics.raycast.caster import caster_of
 from vcmvsp.physics.sensors.range_scanner import RangeScanner, true_ranges
-from vcmvsp.physics.world.scene import Scene
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import Scene, World
 
 REACH, BEAMS, BODIES, POSES = 15.0, 60, 10, 50
 

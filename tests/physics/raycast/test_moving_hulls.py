@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from tests.support.physics.random_worlds import Floats, attitudes, cast_bodies, hulls, scene
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.solids import Hull
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import Scene, World
 
 INF = math.inf
 BOX = Hull(size=(2.0, 1.0, 0.5), offset=(0.5, 0.0, 0.25))

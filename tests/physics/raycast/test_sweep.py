@@ -7,12 +7,10 @@ import pytest
 
 from tests.support.physics.random_worlds import Floats, attitudes, beams, cast_bodies, hulls, scene, solids
 from vcmvsp.physics.raycast.caster import Caster, caster_of
-from vcmvsp.physics.raycast.moving_hulls import hulls_of
 from vcmvsp.physics.raycast.sweep import sweep
 from vcmvsp.physics.sensors.range_scanner import RangeScanner, fan_of, true_ranges
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.solids import Box, Hull, Mesh
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import Scene, World
 
 
 def sensors_of(rng: np.random.Generator, count: int, pitches: tuple[float, ...]) -> list[RangeScanner]:
@@ -91,7 +89,7 @@ def test_more_beams_than_go_at_once() -> None:
 def test_cells_of_any_size() -> None:
     among, rng = random_scene(7, 0.1)
     sensors = sensors_of(rng, 12, (0.0, 0.3))
-    shapes, fan, bodies = among.world.shapes, fan_of(sensors, among, range(12)), hulls_of(among)
+    shapes, fan, bodies = among.world.shapes, fan_of(sensors, among, range(12)), among.placed_hulls
     expected = np.concatenate(sweep(Caster(shapes, 500.0), fan, bodies))
     for cell_m in (0.5, 2.0, None):
         assert np.array_equal(np.concatenate(sweep(Caster(shapes, cell_m), fan, bodies)), expected)

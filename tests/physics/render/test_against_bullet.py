@@ -6,7 +6,7 @@ import pytest
 
 from tests.physics.render.test_depth import a_color, towards
 from vcmvsp.physics.render.renderer import render
-from vcmvsp.physics.render.view import View
+from vcmvsp.physics.render.triangles import View
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder
 from vcmvsp.physics.world.world import World
 

@@ -8,12 +8,11 @@ import pytest
 
 from tests.support.physics import ray_renderer as oracle
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.render import large_faces, renderer
+from vcmvsp.physics.render import renderer
 from vcmvsp.physics.render.renderer import render
-from vcmvsp.physics.render.view import View
-from vcmvsp.physics.world.scene import Scene, rotations
+from vcmvsp.physics.render.triangles import View
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Hull, Mesh, Prism
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import Scene, World, rotations
 
 Rng = np.random.Generator
 
@@ -137,8 +136,7 @@ def test_large_faces_are_drawn_as_small_ones_are(
         view = View(eye, towards(eye, rng.uniform(-4, 4, 3), float(rng.uniform(-0.5, 0.5))), 320, 240, 200.0)
         pictures = []
         for limit in (-1, 10**9):
-            for module in (large_faces, renderer):
-                monkeypatch.setattr(module, "LARGE_PX", limit)
+            monkeypatch.setattr(renderer, "LARGE_PX", limit)
             pictures.append(render(world, view, depth=True))
         assert (pictures[0].pixels != pictures[1].pixels).any(axis=2).sum() <= 4  # of 76 800
         one, other = (each.depth_m for each in pictures)

@@ -7,10 +7,8 @@ import pytest
 
 from tests.physics.render.test_depth import Rng, a_color, towards
 from vcmvsp.physics.render import renderer
-from vcmvsp.physics.render.occlusion import shown
 from vcmvsp.physics.render.renderer import render
-from vcmvsp.physics.render.triangles import pieces_of
-from vcmvsp.physics.render.view import View
+from vcmvsp.physics.render.triangles import View, pieces_of, shown
 from vcmvsp.physics.world.solids import AnySolid, Box
 from vcmvsp.physics.world.world import World
 

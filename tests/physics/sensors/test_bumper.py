@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.physics.sensor_scenes import readings, scene_of
-from vcmvsp.physics.sensors.bumper import Bumper
+from vcmvsp.physics.sensors.detectors import Bumper
 from vcmvsp.physics.world.solids import Hull
 
 LONG = Hull((2.0, 1.0, 0.2), (0.3, 0.0, 0.15))

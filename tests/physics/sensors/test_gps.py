@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.physics.sensor_scenes import readings, scene_of, still
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.sensors.gps import Gps
+from vcmvsp.physics.sensors.positioning import Gps
 
 
 def errors(sensor: Gps, count: int, name: str = "car0/gps", hz: float = 5.0) -> Array:

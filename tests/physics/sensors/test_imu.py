@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from tests.support.physics.sensor_scenes import readings, scene_of, still
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.sensors.imu import InertialUnit
-from vcmvsp.physics.sensors.noise import Noise
-from vcmvsp.physics.world.scene import rotations
+from vcmvsp.physics.sensors.motion import InertialUnit
+from vcmvsp.physics.sensors.sensor import Noise
+from vcmvsp.physics.world.world import rotations
 
 EXACT = InertialUnit(accelerometer_density=0.0, accelerometer=Noise(), gyroscope_density=0.0, gyroscope=Noise())
 G = 9.81

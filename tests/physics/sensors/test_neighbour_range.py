@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.physics.sensor_scenes import readings, scene_of, still
-from vcmvsp.physics.sensors.neighbour_range import NeighbourRange
+from vcmvsp.physics.sensors.detectors import NeighbourRange
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 

@@ -7,7 +7,7 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.sensors.noise import Errors, Noise, jump
+from vcmvsp.physics.sensors.sensor import Errors, Noise, jump
 
 N = 20_000
 

@@ -11,9 +11,8 @@ from tests.support.physics.random_worlds import Floats, attitudes, hulls, scene,
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Scan
 from vcmvsp.physics.sensors.range_scanner import Lms, RangeScanner, Ring
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.solids import Box, Hull
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import Scene, World
 
 FULL = 6.2832
 # A room of 8 x 6 m around the origin, walls 3 m high.

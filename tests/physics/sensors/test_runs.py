@@ -9,11 +9,9 @@ import pytest
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
-from vcmvsp.physics.sensors.bumper import Bumper
-from vcmvsp.physics.sensors.imu import InertialUnit
-from vcmvsp.physics.sensors.noise import Noise
-from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
+from vcmvsp.physics.sensors.detectors import Bumper
+from vcmvsp.physics.sensors.motion import InertialUnit, WheelOdometry
+from vcmvsp.physics.sensors.sensor import Noise, Sensor
 from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Box

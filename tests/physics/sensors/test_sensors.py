@@ -8,17 +8,10 @@ import pytest
 from tests.support.physics.sensor_scenes import readings, scene_of, still
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.reference.describe import meanings
-from vcmvsp.physics.sensors.altimeter import Altimeter
-from vcmvsp.physics.sensors.bumper import Bumper
-from vcmvsp.physics.sensors.compass import Compass
-from vcmvsp.physics.sensors.gps import Gps
-from vcmvsp.physics.sensors.imu import InertialUnit
-from vcmvsp.physics.sensors.neighbour_range import NeighbourRange
-from vcmvsp.physics.sensors.noise import Noise
-from vcmvsp.physics.sensors.positioning import PositioningSensor
-from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.sensors.uwb import Uwb
-from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
+from vcmvsp.physics.sensors.detectors import Bumper, NeighbourRange
+from vcmvsp.physics.sensors.motion import Altimeter, Compass, InertialUnit, WheelOdometry
+from vcmvsp.physics.sensors.positioning import Gps, PositioningSensor, Uwb
+from vcmvsp.physics.sensors.sensor import Noise, Sensor
 
 KINDS = (Altimeter, Bumper, Compass, Gps, InertialUnit, NeighbourRange, PositioningSensor, Uwb, WheelOdometry)
 

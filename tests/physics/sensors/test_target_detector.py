@@ -11,10 +11,10 @@ from tests.support.physics.sensor_scenes import readings, scene_of
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Looks
-from vcmvsp.physics.sensors.target_detector import TargetSensor
-from vcmvsp.physics.world.targets import GroundTarget
+from vcmvsp.physics.sensors.detectors import TargetSensor
+from vcmvsp.physics.world.floor import GroundTarget
 from vcmvsp.physics.world.world import World
-from vcmvsp.physics.worlds import Empty
+from vcmvsp.physics.worlds.surroundings import Empty
 
 
 def look(sensor: TargetSensor, world: World, *place: float, seed: int = 1, t: float = 0.0) -> Looks:

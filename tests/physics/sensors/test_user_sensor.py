@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from numpy.random import Generator
 
 from vcmvsp.cosim.types import Measured, NonNegative
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.world import Scene
 from vcmvsp.physics.sensors.sensor import Sensor
 
 

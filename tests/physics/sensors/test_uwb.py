@@ -11,7 +11,7 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.sensors.uwb import Uwb
+from vcmvsp.physics.sensors.positioning import Uwb
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 

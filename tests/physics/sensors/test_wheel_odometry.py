@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from tests.support.physics.sensor_scenes import readings, scene_of
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import arc
-from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.sensors.motion import WheelOdometry
+from vcmvsp.physics.world.world import Scene
 
 R, B = 0.05, 0.25
 Pose = tuple[float, float, float]

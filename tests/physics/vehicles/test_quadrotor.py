@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import Quadrotor
 
 MODEL = Quadrotor()
 RPM = math.tau / 60.0

@@ -162,7 +162,7 @@ def test_colours_are_checked_and_have_a_default() -> None:
 
 def at(ground: GroundPicture, x: float, y: float) -> list[int]:
     """The colour of the pixel that holds a place."""
-    picture = ground.image()
+    picture = ground.image
     assert picture is not None
     rows, columns = picture.shape[:2]
     column = (x - ground.center[0] + 0.5 * ground.size[0]) / ground.size[0] * columns
@@ -178,7 +178,7 @@ def test_marks_are_where_they_say_they_are() -> None:
     ground = GroundPicture(
         center=(1.0, -1.0), size=(20.0, 24.0), color=(9, 9, 9), resolution_m=0.05, marks=(square, disc, line)
     )
-    picture = ground.image()
+    picture = ground.image
     assert picture is not None
     assert picture.shape == (480, 400, 3)
     for x, y, color in ((1.1, 1.1, (255, 0, 0)), (2.9, 1.9, (255, 0, 0)), (-5.0, 6.9, (0, 255, 0)), (5.0, -8.1, (0, 0, 255))):
@@ -215,24 +215,24 @@ def test_a_picture_at_the_rim_is_cut_off_and_one_outside_left_out(tmp_path: Path
     marks = tuple(Mark(picture=str(tmp_path / "white.png"), center=(x, 0.0), size=(4.0, 4.0)) for x in (5.0, 50.0))
     ground = GroundPicture(size=(10.0, 10.0), color=(0, 0, 0), marks=marks)
     assert at(ground, 4.9, 0.0) == [255, 255, 255]
-    picture = ground.image()
+    picture = ground.image
     assert picture is not None
     assert picture.mean() == pytest.approx(255 * 2.0 * 4.0 / 100.0, rel=0.05)
 
 
 def test_a_plain_ground_has_no_picture_and_files_are_checked(tmp_path: Path) -> None:
-    assert GroundPicture().image() is None
+    assert GroundPicture().image is None
     with pytest.raises(ValueError, match=r"there is no picture file .*nothing\.png"):
-        GroundPicture(picture=str(tmp_path / "nothing.png")).image()
+        _ = GroundPicture(picture=str(tmp_path / "nothing.png")).image
     (tmp_path / "text.png").write_text("text")
     with pytest.raises(ValueError, match=r"text\.png is no picture"):
-        GroundPicture(picture=str(tmp_path / "text.png")).image()
+        _ = GroundPicture(picture=str(tmp_path / "text.png")).image
 
 
 def test_a_picture_is_painted_once_and_cannot_be_changed() -> None:
     ground = GroundPicture(size=(5.0, 5.0), marks=(Mark(radius=1.0),))
-    picture = ground.image()
+    picture = ground.image
     assert picture is not None
-    assert ground.image() is picture
+    assert ground.image is picture
     assert not picture.flags.writeable
     assert ground == GroundPicture(size=(5.0, 5.0), marks=(Mark(radius=1.0),))

@@ -18,14 +18,16 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.registry import SHIPPED
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.importers import File
+from vcmvsp.physics.importers.files import File
 from vcmvsp.physics.render.renderer import render
-from vcmvsp.physics.render.view import View
+from vcmvsp.physics.render.triangles import View
 from vcmvsp.physics.render.world_picture import draw_world, extent, png
+from vcmvsp.physics.world.floor import GroundTarget, PlacedTarget, placed
 from vcmvsp.physics.world.solids import Box, Hull
-from vcmvsp.physics.world.targets import GroundTarget, PlacedTarget, placed
 from vcmvsp.physics.world.world import World
-from vcmvsp.physics.worlds import Empty, RecreationCentre, Urban
+from vcmvsp.physics.worlds.recreation import RecreationCentre
+from vcmvsp.physics.worlds.surroundings import Empty
+from vcmvsp.physics.worlds.urban import Urban
 
 NORTH_UP = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])  # straight down, the upper edge of the picture north
 NAMES = ("alpha", "bravo", "charlie")

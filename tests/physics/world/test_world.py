@@ -13,7 +13,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.world.polygons import overlap_m
 from vcmvsp.physics.world.solids import Box, Cylinder, Mesh, rectangle
 from vcmvsp.physics.world.world import Moving, World
-from vcmvsp.physics.worlds import Boxes, Empty
+from vcmvsp.physics.worlds.surroundings import Boxes, Empty
 
 
 class Bar(NamedTuple):

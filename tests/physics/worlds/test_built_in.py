@@ -13,13 +13,16 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.vehicles.models import P2DX
-from vcmvsp.physics.world.overlap import Blocking
+from vcmvsp.physics.world.floor import GroundTarget
 from vcmvsp.physics.world.polygons import overlap_m
+from vcmvsp.physics.world.proximity import Blocking
 from vcmvsp.physics.world.solids import Box, Cylinder, Prism, rectangle
-from vcmvsp.physics.world.targets import GroundTarget
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World, Zone
-from vcmvsp.physics.worlds import Boxes, Corridor, Empty, Gates, GatesOffset, Laboratory, Pillar, RecreationCentre, Urban
-from vcmvsp.physics.worlds.laboratory import AISLES, PATROL
+from vcmvsp.physics.worlds.laboratory import AISLES, PATROL, Laboratory
+from vcmvsp.physics.worlds.obstacle_courses import Corridor, Gates, GatesOffset, Pillar
+from vcmvsp.physics.worlds.recreation import RecreationCentre
+from vcmvsp.physics.worlds.surroundings import Boxes, Empty
+from vcmvsp.physics.worlds.urban import Urban
 
 TURNS = (0.7, -1.2, 1.57)
 WORLDS: dict[str, Any] = {
@@ -120,7 +123,7 @@ def test_every_kind_takes_the_surroundings(kind: Any) -> None:
     assert (world.wind, world.light.ambient) == (Wind(velocity=(3.0, 0.0, 0.0), gust=1.0), 0.4)
     plain = binding.complete(kind, given)
     assert binding.call(kind, plain).build() == world  # what the resolved scenario says is the same world
-    picture = world.ground.image()
+    picture = world.ground.image
     x, y = world.ground.center
     row = (y + 0.5 * world.ground.size[1] - 0.1) / world.ground.size[1] * len(picture)
     column = (0.1 - x + 0.5 * world.ground.size[0]) / world.ground.size[0] * picture.shape[1]
@@ -273,5 +276,5 @@ def test_bounds_the_wrong_way_round_are_refused() -> None:
 
 def test_a_zone_without_colour_leaves_the_floor_as_it_is() -> None:
     zone = Zone(center=(0.0, 0.0), size=(1.0, 1.0), friction=0.1)
-    assert Empty(zones=(zone,)).build().ground.image() is None
-    assert Empty(zones=(msgspec.structs.replace(zone, color=(1, 2, 3)),)).build().ground.image() is not None
+    assert Empty(zones=(zone,)).build().ground.image is None
+    assert Empty(zones=(msgspec.structs.replace(zone, color=(1, 2, 3)),)).build().ground.image is not None

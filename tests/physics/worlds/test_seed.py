@@ -7,8 +7,9 @@ from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.scenario import loader as scenarios
-from vcmvsp.physics.world.targets import GroundTarget
-from vcmvsp.physics.worlds import RecreationCentre, Urban
+from vcmvsp.physics.world.floor import GroundTarget
+from vcmvsp.physics.worlds.recreation import RecreationCentre
+from vcmvsp.physics.worlds.urban import Urban
 
 
 def test_a_town_without_a_seed_of_its_own_has_that_of_the_run() -> None:

@@ -9,7 +9,7 @@ import pytest
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.world.solids import Box, Cylinder
-from vcmvsp.physics.worlds import Corridor, Gates, GatesOffset, Pillar
+from vcmvsp.physics.worlds.obstacle_courses import Corridor, Gates, GatesOffset, Pillar
 
 
 def disc(x: float, y: float, radius: float) -> Array:

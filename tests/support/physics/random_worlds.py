@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcmvsp.physics.raycast.caster import Nearest, Reached, touching_spheres
-from vcmvsp.physics.raycast.moving_hulls import hulls_of, in_frames, meet
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.raycast.sweep import in_frames, meet
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Hull, Mesh, Prism
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import Scene, World
 
 Floats = NDArray[np.float64]
 
@@ -115,7 +114,7 @@ def cast_bodies(
     Returns:
         The distances, 0 where a beam begins inside a body, and the rows, -1 where nothing was met.
     """
-    hulls = hulls_of(scene)
+    hulls = scene.placed_hulls
     beam, body = touching_spheres(origins, directions, reach_m, hulls.centre, hulls.radius)
     others = body != np.broadcast_to(own, len(origins))[beam]
     beam, body = beam[others], body[others]

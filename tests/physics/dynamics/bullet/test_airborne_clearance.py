@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from vcmvsp.physics.dynamics.bullet.airborne_clearance import REACH_M, SolidsMap, near_each_other
+from vcmvsp.physics.dynamics.bullet.quadrotors import REACH_M, SolidsMap, near_each_other
 from vcmvsp.physics.world.solids import Box, Mesh
 from vcmvsp.physics.world.world import World
 

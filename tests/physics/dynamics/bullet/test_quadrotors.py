@@ -8,12 +8,11 @@ import pytest
 
 from tests.support.physics.bullet_engines import engine
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.physics.dynamics.bullet.bodies import base_motion
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
-from vcmvsp.physics.dynamics.bullet.world_bodies import base_motion
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
-from vcmvsp.physics.engine.interface import BodyMotion, Touch
-from vcmvsp.physics.vehicles.models import P2DX
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.engine import BodyMotion, Touch
+from vcmvsp.physics.vehicles.models import P2DX, Quadrotor
 from vcmvsp.physics.world.solids import Box, Cylinder, Prism
 from vcmvsp.physics.world.world import Movable, Moving, World
 
