@@ -53,11 +53,7 @@ class Sightline:
             self.thickness_m[each.columns] = each.thickness_m
 
     def crossings(self, tx: Floats, rx: Floats) -> tuple[Bools, Floats]:
-        """Solids that the straight lines from one point to others pass through, with lengths.
-
-        Args:
-            tx: (3,) m, world.
-            rx: (n, 3) m, world.
+        """Solids that the straight lines from ``tx`` (3,) m to each of ``rx`` (n, 3) m, world, pass through.
 
         Returns:
             Whether each line passes through each solid, (n, m), and the length inside it, (n, m) m. Touching is not passing.
@@ -110,8 +106,7 @@ def _box_shares(lines: Floats, boxes: Floats) -> Floats:
         per_metre = 1.0 / (along + _NEVER_ZERO)
         centre, reach = offset * per_metre, half * np.abs(per_metre)
         entry, leave = np.maximum(entry, -centre - reach), np.minimum(leave, reach - centre)
-    shares: Floats = np.maximum(leave - entry, 0.0)
-    return shares
+    return np.asarray(np.maximum(leave - entry, 0.0))
 
 
 _SKIN_M = 1e-9  # solids are smaller by this all round, so that a line along a face does not count
@@ -226,8 +221,7 @@ class PrismObstacles:
         above = (a[:, 1] > 0.0) != (b[:, 1] > 0.0)
         slope = (b[:, 0] - a[:, 0]) / np.where(above, b[:, 1] - a[:, 1], 1.0)
         east = above & (a[:, 0] - a[:, 1] * slope > 0.0)
-        odd: Array = np.bincount(pair, east, count) % 2.0 == 1.0
-        return odd
+        return np.asarray(np.bincount(pair, east, count) % 2.0 == 1.0)
 
 
 def _pieces(solid: Cylinder | Prism) -> list[tuple[list[Array], float, float]]:
@@ -252,16 +246,13 @@ def _shrunk(ring: Array) -> Array:
     before = np.roll(inwards, 1, axis=0)
     total = before + inwards
     scale = np.maximum((total * total).sum(axis=1), 0.04)  # 2 (1 + cos of the turn)
-    result: Array = ring + 2.0 * _SKIN_M * total / scale[:, None]
-    return result
+    return np.asarray(ring + 2.0 * _SKIN_M * total / scale[:, None])
 
 
 SHEET_M = 0.01  # thickness of what has no inside: a mesh that is not closed, assumed
 _STEP_M = 1e-7  # aside, for a line through a corner
 _MESH_PAIRS = 1 << 16  # lines x triangles at a time
-_ASIDE = np.array(
-    [0.5377, 0.7241, 0.4319]
-)  # where a line is moved to that runs exactly through an edge: no mesh has this direction
+_ASIDE = np.array([0.5377, 0.7241, 0.4319])  # where a line exactly through an edge is moved to: no mesh has this direction
 
 
 class MeshObstacles:
@@ -338,22 +329,16 @@ class MeshObstacles:
         """
         a, b, c = (corners[:, k] - middle for k in range(3))
 
-        def side(p: Floats, q: Floats) -> Floats:
+        signs = np.zeros(len(run))
+        for k, (p, q) in enumerate(((a, b), (b, c), (c, a))):
             x = p[:, 1] * q[:, 2] - p[:, 2] * q[:, 1]
             y = p[:, 2] * q[:, 0] - p[:, 0] * q[:, 2]
             z = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
-            volume: Floats = run[:, 0] * x + run[:, 1] * y + run[:, 2] * z
-            return volume
-
-        def decided(volume: Floats, p: Floats, q: Floats) -> Floats:
-            even = np.flatnonzero(volume == 0.0)
-            signs = np.sign(volume)
-            signs[even] = np.sign((np.cross((p - q)[even], run[even]) * _ASIDE).sum(axis=1))
-            return signs
-
-        ab, bc, ca = side(a, b), side(b, c), side(c, a)
-        signs = decided(ab, corners[:, 0], corners[:, 1]) + decided(bc, corners[:, 1], corners[:, 2])
-        signs += decided(ca, corners[:, 2], corners[:, 0])
+            sign = np.sign(run[:, 0] * x + run[:, 1] * y + run[:, 2] * z)
+            (even,) = np.nonzero(sign == 0.0)
+            edge = corners[even, k] - corners[even, (k + 1) % 3]
+            sign[even] = np.sign((np.cross(edge, run[even]) * _ASIDE).sum(axis=1))
+            signs += sign
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         slope = (normal * run).sum(axis=1)
         crossed = np.flatnonzero((np.abs(signs) == 3.0) & (slope != 0.0))

@@ -1,6 +1,7 @@
 """Bodies other than vehicles, and the scene of an instant for the sensors."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -20,18 +21,15 @@ class SceneBuilder:
         things: list[Movable | Moving] = [*world.movables, *world.moving]
         self._world, self._gravity = world, gravity
         self._vehicles = tuple(spec.name for spec in vehicles)
-        vehicle_hulls = [spec.model.hull for spec in vehicles]
-        self._hulls = (*vehicle_hulls, *[each.solid.hull for each in things])
+        self._hulls = (*(spec.model.hull for spec in vehicles), *(each.solid.hull for each in things))
         self.names = (*self._vehicles, *[each.name for each in things])
         self._standing = start_of(world.movables)  # where no engine can push movables
         self._published = self._standing.position, self._standing.attitude
 
     def put(self, number: int, place: Vec3, yaw: float) -> None:
         """Put a movable that no engine can push: its centre at ``place``, m, turned by ``yaw`` rad."""
-        own = still(np.array([place]), np.array([yaw]))
-        arrays = []
-        for before, row in zip(self._standing, own, strict=True):
-            arrays.append(np.concatenate([before[:number], row, before[number + 1 :]]))
+        both = zip(self._standing, still(np.array([place]), np.array([yaw])), strict=True)
+        arrays = [np.concatenate([before[:number], row, before[number + 1 :]]) for before, row in both]
         self._standing = BodyMotion(*arrays)
 
     def pushed(self, movables: BodyMotion | None) -> Pushed | None:
@@ -50,21 +48,10 @@ class SceneBuilder:
             bodies = [np.concatenate(each) for each in zip(bodies, pushed[:4], obstacles[:4], strict=True)]
             for each in bodies:
                 each.flags.writeable = False
-        position, velocity, attitude, angular_velocity = bodies
-        return Scene(
-            now_ns=now_ns,
-            world=self._world,
-            vehicles=self._vehicles,
-            hulls=self._hulls,
-            position=position,
-            velocity=velocity,
-            attitude=attitude,
-            angular_velocity=angular_velocity,
-            acceleration=motion.acceleration,
-            wheels=motion.wheels,
-            touching=[(each.row, each.other, each.place) for each in touches],
-            gravity=self._gravity,
-        )
+        arrays: dict[str, Any] = dict(zip(("position", "velocity", "attitude", "angular_velocity"), bodies, strict=True))
+        arrays |= {"acceleration": motion.acceleration, "wheels": motion.wheels}
+        given: dict[str, Any] = {"world": self._world, "vehicles": self._vehicles, "hulls": self._hulls}
+        return Scene(now_ns=now_ns, touching=touches, gravity=self._gravity, **given, **arrays)
 
 
 TOUCHES_M = 1e-9  # bodies that only touch do not overlap

@@ -261,7 +261,6 @@ class Fusion:
         return OdometryMotion(self._speed[0] * held, self._speed[1] * held, seconds, measured=False)
 
     def _corrected(self, belief: _FilterState, time_ns: int, position: MeasuredPosition) -> tuple[_FilterState, Verdict]:
-        """Filter state after a position."""
         items = kalman_filter.trimmed((*belief.items, position))
         if belief.mean is None:
             return self._collected(belief, time_ns, items), Verdict("collected")
@@ -282,7 +281,6 @@ class Fusion:
         return msgspec.structs.replace(belief, items=items, gated=belief.gated + 1), Verdict("gated", nis)
 
     def _collected(self, belief: _FilterState, time_ns: int, items: kalman_filter.Items) -> _FilterState:
-        """Filter state after one more position with unknown heading."""
         count = belief.accepted + 1
         start = kalman_filter.aligned(items, self._prior, self._noise, self._heading_sigma, self._gate)
         if start is None:

@@ -82,7 +82,6 @@ class GeoJson(Surroundings):
         return self.complete(path.stem, solids=solids)
 
     def _extent(self, properties: Mapping[str, Any], words: str, path: Path) -> tuple[NonNegative, float]:
-        """Bottom and top of a building, m."""
         top, levels = metres(properties.get("height")), metres(properties.get("building:levels"))
         if top is None:
             top = self.default_height if levels is None or levels <= 0.0 else STOREY_M * levels

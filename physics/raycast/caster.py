@@ -25,21 +25,15 @@ class NearbyPieces(NamedTuple):
 class PieceIndex:
     """Upright convex prisms with their edges, and triangles.
 
+    ``triangles`` (t, 3, 3) m and ``triangle_solid`` (t,) are the world's; no result depends on the size of the cells ``cell_m``
+    (None: a quarter of the reach).
+
     Attributes:
         edges: (6, e) m: x where an edge begins and ends (counter-clockwise), y where it does, bottom and top of its prism.
-        first: (p,) number of each prism's first edge; the others follow.
-        corners: (p,) number of edges of each prism.
-        solid: (p,) solid of each prism.
-        bottom, top: (p,) m.
-        triangles: (t, 3, 3) m.
-        triangle_solid: (t,).
-        centre: (p + t, 3) m, of a sphere around each prism and each triangle.
-        radius: (p + t,) m, of these spheres.
+        first, corners: (p,) number of each prism's first edge, which the others follow, and how many it has.
+        solid, bottom, top: (p,) solid of each prism; m.
+        centre, radius: (p + t, 3) and (p + t,) m, of a sphere around each prism and each triangle.
         around: (p + t,) m, radius of a circle around each seen from above.
-
-    Args:
-        shapes: the world's.
-        cell_m: size of the cells; None: a quarter of the reach. No effect on results.
     """
 
     def __init__(self, shapes: Shapes, cell_m: float | None = None) -> None:
@@ -52,7 +46,10 @@ class PieceIndex:
         self.top = _joined([group.top for group in groups])
         self.edges = np.concatenate([np.empty((6, 0)), *(_edges(*group[:3]) for group in groups)], axis=1)
 
-        boxes = [np.empty((0, 6)), *(_bounds(*group[:3]) for group in groups)]
+        boxes = [
+            np.empty((0, 6)),
+            *(np.column_stack([g.corners.min(axis=1), g.bottom, g.corners.max(axis=1), g.top]) for g in groups),
+        ]
         bounds = np.concatenate([*boxes, np.concatenate([triangles.min(axis=1), triangles.max(axis=1)], axis=1)])
         lower, upper = bounds[:, :3], bounds[:, 3:]
         self._low, self._high = lower[:, :2].T, upper[:, :2].T
@@ -109,10 +106,6 @@ def _edges(corners: Array, bottom: Array, top: Array) -> Array:
     return np.concatenate([ends, np.repeat(bottom, k)[None], np.repeat(top, k)[None]])
 
 
-def _bounds(corners: Array, bottom: Array, top: Array) -> Array:
-    return np.column_stack([corners.min(axis=1), bottom, corners.max(axis=1), top])
-
-
 FLOOR = -2  # in `Reached.which`
 _FEW = 16  # beams in a cell: with fewer, all beams are tested with all pieces
 
@@ -154,13 +147,8 @@ def pairs(
 ) -> Iterator[tuple[Array, Array]]:
     """Candidate pairs (beam, piece), in portions; no other beam hits a piece.
 
-    Args:
-        origins: (r, 3) m.
-        directions: (r, 3), unit vectors.
-        reach_m: of the beams.
-        centre: (m, 3) m, of spheres around the pieces.
-        radius: (m,) m, of these spheres.
-        around: (m,) m, of circles around the pieces seen from above.
+    Beams from ``origins`` (r, 3) m along unit vectors (r, 3); pieces in spheres of ``centre`` (m, 3) m and ``radius`` (m,) m,
+    and in circles of radius ``around`` (m,) m seen from above.
     """
     if (origins == origins[:1]).all():
         yield from by_bearing(origins[0], directions, centre, around)
@@ -187,11 +175,8 @@ def touching_spheres(origins: Array, directions: Array, reach_m: float, centre: 
 def by_bearing(origin: Array, directions: Array, centre: Array, around: Array) -> Iterator[tuple[Array, Array]]:
     """Pairs of beams from one place and circles, by bearing alone, at any distance.
 
-    Args:
-        origin: (3,) m.
-        directions: (r, 3), of any length.
-        centre: (m, 3) m, of the circles; heights do not matter.
-        around: (m,) m, their radii.
+    Beams from ``origin`` (3,) m along vectors (r, 3) of any length; circles around ``centre`` (m, 3) m, of any height, with
+    radii ``around`` (m,) m.
     """
     beams = len(directions)
     bearing = np.arctan2(directions[:, 1], directions[:, 0])
@@ -218,23 +203,15 @@ class Caster:
     """Casts beams among the solids of a world.
 
     Beams hit a prism from outside; a beam that begins inside a prism has a length of 0 m. Triangles have two sides.
-
-    Args:
-        shapes: the solids in pieces.
-        cell_m: of the index of pieces; no effect on results.
     """
 
     def __init__(self, shapes: Shapes, cell_m: float | None = None) -> None:
         self.pieces = PieceIndex(shapes, cell_m)
 
     def cast(self, origins: Array, directions: Array, reach_m: float = math.inf, *, floor: bool = True) -> Array:
-        """Lengths of beams, (r,) m; inf: no hit within reach.
+        """Lengths, (r,) m, of beams from ``origins`` (r, 3) m along unit vectors (r, 3), world; inf: no hit within reach.
 
-        Args:
-            origins: (r, 3) m, world.
-            directions: (r, 3), unit vectors.
-            reach_m: of the beams.
-            floor: whether beams end at z = 0 from above.
+        With ``floor`` beams end at z = 0 from above.
         """
         return self.meet(origins, directions, reach_m, floor=floor).distance
 
@@ -255,8 +232,6 @@ class Caster:
         """Whether a point is inside a prism, faces included."""
         x, y, z = point
         prisms = self.pieces.near(x, y, 0.0).prisms
-        if not prisms.size:
-            return False
         prisms = prisms[(self.pieces.bottom[prisms] <= z) & (z <= self.pieces.top[prisms])]
         if not prisms.size:
             return False
@@ -283,10 +258,9 @@ class Caster:
 
     def _among(self, near: NearbyPieces, origins: Array, directions: Array, reach_m: float) -> Reached:
         pieces, nearest = self.pieces, Nearest(len(origins))
-        for some, before, lengths, solid in (
-            (near.prisms, 0, self._to_prisms, pieces.solid),
-            (near.triangles, len(pieces.first), self._to_triangles, pieces.triangle_solid),
-        ):
+        prisms = near.prisms, 0, self._to_prisms, pieces.solid
+        triangles = near.triangles, len(pieces.first), self._to_triangles, pieces.triangle_solid
+        for some, before, lengths, solid in (prisms, triangles):
             numbers = some + before
             spheres = pieces.centre[numbers], pieces.radius[numbers], pieces.around[numbers]
             for beam, place in pairs(origins, directions, reach_m, *spheres):

@@ -84,12 +84,10 @@ def _floor(fan: Fan) -> Array:
     height = fan.origin[2]
     fall = fan.frame[:2, 2] / -np.where(height > 0.0, height, np.inf)
     ahead, left = fall if fan.single else np.repeat(fall, fan.beams, axis=1)
-    inverse: Array = np.maximum(ahead * fan.cos + left * fan.sin, 0.0) + 0.0  # what is added makes 0 of -0
-    return inverse
+    return np.asarray(np.maximum(ahead * fan.cos + left * fan.sin, 0.0) + 0.0)  # what is added makes 0 of -0
 
 
 def _draw(fan: Fan, segments: Segments, inverse: Array) -> None:
-    """Add segments to 1 / distance of all beams."""
     scanner, x, y = segments
     angle = np.arctan2(y, x)
     width = angle[0] - angle[1]
@@ -122,7 +120,6 @@ def _between(fan: Fan, scanner: Array, low: Array, width: Array) -> tuple[Array,
 
 
 def _cast(caster: Caster, fan: Fan, each: int, distance: Array) -> None:
-    """Cast the beams of one scanner one by one among the solids."""
     before = int(fan.beams[:each].sum())
     beams = slice(before, before + fan.beams[each])
     toward = np.outer(fan.cos[beams], fan.frame[0, :, each]) + np.outer(fan.sin[beams], fan.frame[1, :, each])
@@ -132,7 +129,6 @@ def _cast(caster: Caster, fan: Fan, each: int, distance: Array) -> None:
 
 
 def _bodies(hulls: Hulls, fan: Fan, distance: Array) -> None:
-    """Add hulls to the distances of all beams."""
     offset = hulls.centre.T[:, None] - fan.origin[:, :, None]  # (3, scanners, bodies)
     near = (offset * offset).sum(axis=0) <= (fan.reach[:, None] + hulls.radius) ** 2
     near[np.arange(len(near)), fan.own] = False
@@ -156,12 +152,6 @@ def _bodies(hulls: Hulls, fan: Fan, distance: Array) -> None:
 
 _THIN = 1e-9  # m2: twice the area between scanner and segment; less is a view from the edge, without effect
 _COORDINATES = [0, 0, 1, 1, 2, 2]  # of the rows of `PieceIndex.edges`
-
-
-def spread_of(first: float, step: float, beams: int) -> tuple[float, float, float, float]:
-    """One scanner's column of `Fan.spread`, without the last row. The beams make at most a full turn, and step > 0."""
-    last = beams - 1.0
-    return math.tau / step, first / step + 0.5 * last, last, 1.0 / step
 
 
 def cut(pieces: PieceIndex, fan: Fan, scanners: Sequence[int]) -> Iterator[Segments]:
@@ -270,14 +260,12 @@ def _in_plane(fan: Fan, scanner: Array, x: Array, y: Array) -> tuple[Array, Arra
 def _height(fan: Fan, scanner: Array, x: Array, y: Array) -> Array:
     """Heights of points of the plane above the scanner, m."""
     ahead, left = fan.of(fan.frame[:2, 2], scanner)
-    height: Array = ahead * x + left * y
-    return height
+    return np.asarray(ahead * x + left * y)
 
 
 def _along(axis: Array, points: Array) -> Array:
     """Components of points (n, 3, k) along unit vectors (3, k) or (3, 1): (n, k)."""
-    components: Array = axis[0] * points[:, 0] + axis[1] * points[:, 1] + axis[2] * points[:, 2]
-    return components
+    return np.asarray(axis[0] * points[:, 0] + axis[1] * points[:, 1] + axis[2] * points[:, 2])
 
 
 def _clockwise(scanner: Array, x: Array, y: Array) -> Segments:

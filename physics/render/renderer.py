@@ -65,7 +65,8 @@ def render(
             small = draw_large(buffers, corner, triangles, source, view)
             corner, source = corner[small], source[small]
         floor, number = _draw(buffers, corner, triangles.color[source], source, view)
-    return Picture(_unpacked(floor), None if number is None else _depth(view, triangles, number))
+    pixels = cv2.cvtColor(floor.astype("<i4").view(np.uint8).reshape(*floor.shape, 4), cv2.COLOR_RGBA2RGB)
+    return Picture(pixels, None if number is None else _depth(view, triangles, number))
 
 
 def _visible(pieces: ScenePieces, view: View) -> Triangles:
@@ -78,32 +79,20 @@ def _visible(pieces: ScenePieces, view: View) -> Triangles:
 
 
 def _bodies_near(scene: Scene, without: int, view: View) -> Array:
-    hulls = scene.placed_hulls
-    visible = _in_frustum(hulls.centre, hulls.radius, view)
-    if without >= 0:
-        visible[without] = False
-    return np.flatnonzero(visible)
+    visible = _in_frustum(scene.placed_hulls.centre, scene.placed_hulls.radius, view)
+    return np.flatnonzero(visible & (np.arange(len(visible)) != without))
 
 
 def _in_frustum(center: Array, radius: Array, view: View) -> Array:
     """Spheres that may be in the picture, (m,) bool."""
     f, half_width, half_height = view.focal_px, 0.5 * view.width, 0.5 * view.height
     side, upper = np.hypot(f, half_width), np.hypot(f, half_height)
-    inward = np.array(
-        [
-            [f / side, 0.0, half_width / side],
-            [-f / side, 0.0, half_width / side],
-            [0.0, f / upper, half_height / upper],
-            [0.0, -f / upper, half_height / upper],
-            [0.0, 0.0, 1.0],
-            [0.0, 0.0, -1.0],
-        ]
-    )
-    inward = view.rotation @ inward.T  # (3, 6), world
+    sides = [[f / side, 0.0, half_width / side], [-f / side, 0.0, half_width / side]]
+    ends = [[0.0, f / upper, half_height / upper], [0.0, -f / upper, half_height / upper]]
+    inward = view.rotation @ np.array([*sides, *ends, [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]).T  # (3, 6), world
     offset = view.eye @ inward
     offset[5] -= view.reach_m
-    inside: Array = (center @ inward + radius[:, None] >= offset).all(axis=1)
-    return inside
+    return np.asarray((center @ inward + radius[:, None] >= offset).all(axis=1))
 
 
 def _facing(plane: Array, view: View) -> Array:
@@ -120,7 +109,8 @@ def _in_picture(corner: Array, view: View) -> tuple[Array, Array]:
     right, lower = z * (0.5 * view.width / view.focal_px), z * (0.5 * view.height / view.focal_px)
     behind = z < NEAREST_M
     outside = _all(behind) | _all(x > right) | _all(x < -right) | _all(y > lower) | _all(y < -lower)
-    cut = _any(behind | (np.abs(x) > _GUARD * right) | (np.abs(y) > _GUARD * lower)) & ~outside
+    near = ~(behind | (np.abs(x) > _GUARD * right) | (np.abs(y) > _GUARD * lower))
+    cut = ~(_all(near) | outside)
     whole = np.flatnonzero(~(outside | cut))
     if not cut.any():
         return corner[whole], whole
@@ -136,14 +126,7 @@ def _in_picture(corner: Array, view: View) -> tuple[Array, Array]:
 
 def _all(of_corners: Array) -> Array:
     first, second, third = of_corners.T
-    both: Array = first & second & third
-    return both
-
-
-def _any(of_corners: Array) -> Array:
-    first, second, third = of_corners.T
-    either: Array = first | second | third
-    return either
+    return np.asarray(first & second & third)
 
 
 def _draw(buffers: Buffers, corner: Array, color: Array, source: Array, view: View) -> tuple[Array, Array | None]:
@@ -155,24 +138,12 @@ def _draw(buffers: Buffers, corner: Array, color: Array, source: Array, view: Vi
     canvas[:, :, 0] = buffers.color
     if buffers.number is not None:
         canvas[:, :, 1] = buffers.number
-    _rasterize(buffers, canvas, corner, values, view)
+    places = (corner * (1.0, -1.0, -1.0)).astype(np.float32).reshape(1, -1, 3)  # as OpenGL has it: y up, looking along -z
+    numbers, colors = np.arange(3 * len(corner), dtype=np.int32).reshape(1, -1, 3), values.reshape(1, -1, 3)
+    opening, ends = 2.0 * float(np.arctan(0.5 * view.height / view.focal_px)), (buffers.near, buffers.far)
+    # OpenCV's own renderer samples pixel middles, too.
+    cv2.triangleRasterize(places, numbers, colors, canvas, buffers.depth, np.eye(4), opening, *ends, _SETTINGS)
     return cv2.extractChannel(canvas, 0), None if buffers.number is None else canvas[:, :, 1]
-
-
-def _rasterize(buffers: Buffers, canvas: Array, corner: Array, values: Array, view: View) -> None:
-    """OpenCV's own renderer, which samples pixel middles, too."""
-    cv2.triangleRasterize(
-        (corner * (1.0, -1.0, -1.0)).astype(np.float32).reshape(1, -1, 3),  # as OpenGL has it: y up, looking along -z
-        np.arange(3 * len(corner), dtype=np.int32).reshape(1, -1, 3),
-        values.reshape(1, -1, 3),
-        canvas,
-        buffers.depth,
-        np.eye(4),
-        2.0 * float(np.arctan(0.5 * view.height / view.focal_px)),
-        buffers.near,
-        buffers.far,
-        _SETTINGS,
-    )
 
 
 def _settings() -> cv2.TriangleRasterizeSettings:
@@ -188,13 +159,6 @@ _SETTINGS = _settings()
 # The C library gives freed memory back to the system, to get it again page by page, as long as nothing large has been freed: a
 # picture of 640 x 480 would take twice as long. So something large is freed, of which no page was ever touched.
 np.empty(24 << 20, np.uint8)
-
-
-def _unpacked(color: Array) -> Array:
-    """Packed colours, (h, w), as red, green, blue, (h, w, 3) uint8."""
-    rgba = color.astype("<i4").view(np.uint8).reshape(*color.shape, 4)
-    pixels: Array = cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB)
-    return pixels
 
 
 def _depth(view: View, triangles: Triangles, number: Array) -> Array:
@@ -240,8 +204,7 @@ def draw_large(buffers: Buffers, corner: Array, triangles: Triangles, source: Ar
 def _length(ends: Array, edge: int) -> Array:
     """Extent of the corners of each triangle along a picture's edge, (t,) px."""
     a, b, c = np.clip(ends, 0.0, edge).T
-    length: Array = np.maximum(np.maximum(a, b), c) - np.minimum(np.minimum(a, b), c)
-    return length
+    return np.asarray(np.maximum(np.maximum(a, b), c) - np.minimum(np.minimum(a, b), c))
 
 
 def _ends(u: Array, v: Array, first: Array, width: int, height: int) -> tuple[Array, Array]:
@@ -268,7 +231,6 @@ def _planes(buffers: Buffers, plane: Array, view: View) -> tuple[Array, Array]:
 
 
 def _fill(buffers: Buffers, left: Array, right: Array, planes: tuple[Array, Array], color: Array, number: Array) -> None:
-    """Draw one face after the other in front of the present content."""
     every = np.arange(buffers.depth.shape[1], dtype=np.int16)
     for i, value in enumerate(color.astype(np.int32)):
         rows = np.flatnonzero(left[i] < right[i])

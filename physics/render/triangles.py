@@ -31,24 +31,19 @@ class View(NamedTuple):
 
     def columns(self) -> Array:
         """Slope of each column's rays to the right, (width,)."""
-        slopes: Array = (np.arange(self.width) + (0.5 - 0.5 * self.width)) / self.focal_px
-        return slopes
+        return np.asarray((np.arange(self.width) + (0.5 - 0.5 * self.width)) / self.focal_px)
 
     def rows(self) -> Array:
         """Slope of each row's rays downwards, (height,)."""
-        slopes: Array = (np.arange(self.height) + (0.5 - 0.5 * self.height)) / self.focal_px
-        return slopes
+        return np.asarray((np.arange(self.height) + (0.5 - 0.5 * self.height)) / self.focal_px)
 
     def floor_from_pixel(self) -> Array:
         """Homography (3, 3) from columns and rows to x, y on the floor; behind the camera above the horizon."""
         (x, y, z), rotation = self.eye, self.rotation
         meets = np.stack([x * rotation[2] - z * rotation[0], y * rotation[2] - z * rotation[1], rotation[2]])
         focal, center = self.focal_px, 0.5 / self.focal_px
-        ray = np.array(
-            [[1 / focal, 0.0, center * (1 - self.width)], [0.0, 1 / focal, center * (1 - self.height)], [0.0, 0.0, 1.0]]
-        )
-        floor: Array = meets @ ray
-        return floor
+        right, down = [1 / focal, 0.0, center * (1 - self.width)], [0.0, 1 / focal, center * (1 - self.height)]
+        return np.asarray(meets @ np.array([right, down, [0.0, 0.0, 1.0]]))
 
 
 class Triangles(NamedTuple):
@@ -86,8 +81,7 @@ def packed(levels: Array) -> Array:
 def brightness(light: Light, normal: Array) -> Array:
     """Brightness of faces with these unit normals, (..., 3): Lambert's law, at least the ambient light."""
     direction = np.array(light.direction) / np.linalg.norm(light.direction)
-    shone: Array = light.ambient + (1.0 - light.ambient) * np.maximum(normal @ direction, 0.0)
-    return shone
+    return np.asarray(light.ambient + (1.0 - light.ambient) * np.maximum(normal @ direction, 0.0))
 
 
 @made_once
@@ -245,8 +239,7 @@ def shown(pieces: ScenePieces, near: Array, view: View) -> Array:
     lowest = eye[2] + np.minimum(enter * rise, leave * rise)
     through = (leave > enter + 1e-6) & (lowest < pieces.high[number, 2][:, None] - _MARGIN_M)
     hidden = through.reshape(len(number), 4, len(near)).all(axis=1).any(axis=0)
-    visible: Array = near[~hidden]
-    return visible
+    return np.asarray(near[~hidden])
 
 
 def _blocks(pieces: ScenePieces, near: Array, view: View) -> tuple[Array, Array]:

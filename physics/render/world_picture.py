@@ -5,6 +5,7 @@ import math
 from typing import NamedTuple
 
 import cv2
+import msgspec
 import numpy as np
 
 from vcmvsp.cosim.types import Array
@@ -30,14 +31,7 @@ class Drawing(NamedTuple):
 
 
 def draw_world(world: World, *, width: int = 1200, height: int = 800, time_s: float = 0.0) -> Drawing:
-    """Draw a world and its bodies.
-
-    Args:
-        world: the world.
-        width: of each picture, px.
-        height: px.
-        time_s: time of moving obstacles and targets.
-    """
+    """Draw a world and its bodies; each picture ``width`` x ``height`` px, with moving obstacles and targets at a time."""
     solids = (*world.solids, *(each.solid for each in world.movables), *(_placed(each, time_s) for each in world.moving))
     filled = dataclasses.replace(world, solids=solids)
     low, high = extent(filled)
@@ -87,40 +81,28 @@ def extent(world: World) -> tuple[Array, Array]:
 def _outer(solid: AnySolid) -> list[Array]:
     if isinstance(solid, Mesh):
         return [solid.triangles.reshape(-1, 3)]
-    return [
-        np.column_stack([np.tile(piece.corners, (2, 1)), np.repeat([piece.bottom, piece.top], len(piece.corners))])
-        for piece in solid.uprights()
-    ]
+    ends = [(each.corners, np.repeat([each.bottom, each.top], len(each.corners))) for each in solid.uprights()]
+    return [np.column_stack([np.tile(corners, (2, 1)), heights]) for corners, heights in ends]
 
 
 def _placed(moving: Moving, time_s: float) -> AnySolid:
-    """A moving obstacle at a time, as a solid."""
     x, y, z, yaw = moving.pose(time_s)
-    if isinstance(moving.solid, Box):
-        return Box(
-            center=(x, y, z), size=moving.solid.size, yaw_rad=yaw, material=moving.solid.material, color=moving.solid.color
-        )
-    solid = moving.solid
-    return type(solid)(center=(x, y, z), radius=solid.radius, height=solid.height, material=solid.material, color=solid.color)
+    turned = {"yaw_rad": yaw} if isinstance(moving.solid, Box) else {}
+    placed: AnySolid = msgspec.structs.replace(moving.solid, center=(x, y, z), **turned)
+    return placed
 
 
 def _grid(low: Array, high: Array, step: float, color: Color) -> GroundPicture:
     """A floor with grid lines as a scale, as far as the view reaches."""
     room = 2.0 * float((high - low).max())
-    west, south, east, north = (
-        step * round(edge / step) for edge in (low[0] - room, low[1] - room, high[0] + room, high[1] + room)
-    )
+    west, south, east, north = (step * round(edge / step) for edge in (*(low[:2] - room), *(high[:2] + room)))
     red, green, blue = color
     faint = (red * 9 // 10, green * 9 // 10, blue * 9 // 10)
     lines = [((x, south), (x, north)) for x in np.arange(west, east + 0.5 * step, step).tolist()]
     lines += [((west, y), (east, y)) for y in np.arange(south, north + 0.5 * step, step).tolist()]
-    return GroundPicture(
-        center=(0.5 * (west + east), 0.5 * (south + north)),
-        size=(east - west, north - south),
-        color=color,
-        resolution_m=max(east - west, north - south) / 4000,
-        marks=tuple(Mark(line=line, color=faint, width=0.03 * step) for line in lines),
-    )
+    center, size = (0.5 * (west + east), 0.5 * (south + north)), (east - west, north - south)
+    marks = tuple(Mark(line=line, color=faint, width=0.03 * step) for line in lines)
+    return GroundPicture(center=center, size=size, color=color, resolution_m=max(size) / 4000, marks=marks)
 
 
 def _oblique(world: World, low: Array, high: Array, width: int, height: int, time_s: float) -> Array:
@@ -140,16 +122,10 @@ def _oblique(world: World, low: Array, high: Array, width: int, height: int, tim
         aim = aim + distance * rotation[:, :2] @ (0.5 * (projected.min(axis=0) + projected.max(axis=0)))
     places = (corners - aim) @ rotation
     distance = float(((np.abs(places[:, :2]) / slopes).max(axis=1) - places[:, 2]).max())
-    view = View(
-        eye=aim + distance * back,
-        rotation=rotation,
-        width=_FINER * width,
-        height=_FINER * height,
-        focal_px=0.5 * _FINER * width / math.tan(0.5 * _FOV),
-        reach_m=distance + 2.0 * float(np.linalg.norm(high - low)),
-    )
-    picture: Array = cv2.resize(render(world, view, time_s=time_s).pixels, (width, height), interpolation=cv2.INTER_AREA)
-    return picture
+    reach_m = distance + 2.0 * float(np.linalg.norm(high - low))
+    focal_px = 0.5 * _FINER * width / math.tan(0.5 * _FOV)
+    view = View(aim + distance * back, rotation, _FINER * width, _FINER * height, focal_px, reach_m)
+    return np.asarray(cv2.resize(render(world, view, time_s=time_s).pixels, (width, height), interpolation=cv2.INTER_AREA))
 
 
 _PAPER, _INK, _FAINT, _WAY = (255, 255, 255), (40, 40, 40), (120, 120, 120), (30, 90, 200)
@@ -170,8 +146,7 @@ class _Sheet(NamedTuple):
         """Places (k, 2) m in OpenCV's fixed-point form: the middle of the first pixel is 0, in 16ths of a pixel."""
         column = _LEFT + (points[:, 0] - self.west) * self.scale - 0.5
         row = _TOP + (self.north - points[:, 1]) * self.scale - 0.5
-        fixed: Array = np.rint(np.column_stack([column, row]) * (1 << _BITS)).astype(np.int32)
-        return fixed
+        return np.asarray(np.rint(np.column_stack([column, row]) * (1 << _BITS)).astype(np.int32))
 
 
 def draw_map(world: World, low: Array, high: Array, width: int, height: int, time_s: float = 0.0) -> Array:
@@ -225,15 +200,8 @@ def _floor(sheet: _Sheet, world: World) -> None:
 
 def _targets(sheet: _Sheet, world: World, time_s: float) -> None:
     """Targets at their size, each with a ring: most are small."""
-    floor_from_pixel = np.linalg.inv(
-        np.array(
-            [
-                [sheet.scale, 0.0, _LEFT - sheet.west * sheet.scale - 0.5],
-                [0.0, -sheet.scale, _TOP + sheet.north * sheet.scale - 0.5],
-                [0.0, 0.0, 1.0],
-            ]
-        )
-    )
+    right, down = _LEFT - sheet.west * sheet.scale - 0.5, _TOP + sheet.north * sheet.scale - 0.5
+    floor_from_pixel = np.linalg.inv(np.array([[sheet.scale, 0.0, right], [0.0, -sheet.scale, down], [0.0, 0.0, 1.0]]))
     for target, texture in zip(world.targets, textures_of(world), strict=True):
         corners, place = corners_of(target, time_s), np.array([target.place(time_s)])
         lay(sheet.picture, texture, corners, sheet.pixel(corners) / (1 << _BITS), floor_from_pixel)

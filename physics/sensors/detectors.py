@@ -31,9 +31,7 @@ class Bumper(Sensor):
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Measured:
         """Segments with a contact now. No draws."""
         n = self.segments
-        names = ["front", "left", "back", "right"]
-        if n != 4:
-            names = [f"s{number}" for number in range(n)]
+        names = ["front", "left", "back", "right"] if n == 4 else [f"s{number}" for number in range(n)]
         values = dict.fromkeys(names, 0.0)
         for a, b, place in scene.touching:
             if row in (a, b) and (b is not None or place[2] > _FLOOR_M):
@@ -84,16 +82,13 @@ class NeighbourRange(Sensor):
         return Measured(time_ns=scene.now_ns, values=values)
 
     def _noise(self, names: tuple[str, ...], rng: np.random.Generator) -> Array:
-        """A normal draw for each vehicle, (n,)."""
         if not self._streams:
             seed = int(rng.integers(2**63))
             self._streams = [stream(seed, name) for name in names]
         if self._next == _AHEAD:
-            self._draws = np.array([each.standard_normal(_AHEAD) for each in self._streams])
-            self._next = 0
+            self._draws, self._next = np.array([each.standard_normal(_AHEAD) for each in self._streams]), 0
         self._next += 1
-        draws: Array = self._draws[:, self._next - 1]
-        return draws
+        return np.asarray(self._draws[:, self._next - 1])
 
 
 MOST_ACROSS = 2_000  # cells of one look: it takes half a second
@@ -135,7 +130,6 @@ class TargetSensor(Sensor):
         return np.column_stack([column[columns], row[rows]])
 
     def _between(self, at: float, low: float, high: float) -> Array:
-        """Columns, or rows, within reach and bounds."""
         first, last = np.floor(np.array([max(at - self.reach_m, low), min(at + self.reach_m, high)]) / self.cell_m)
         if last - first > MOST_ACROSS:
             problem = f"{last - first:.3g} cells of {self.cell_m:g} m across are more than {MOST_ACROSS}: make them larger"

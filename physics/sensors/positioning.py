@@ -32,14 +32,11 @@ class Positioning:
         dx, dy, turn = rng.standard_normal(3).tolist()
         far_x, far_y = jump(self.outlier_probability, self.outlier_m, rng)
         x, y, z = truth.position
-        yaw = wrap(truth.yaw + self.sigma_rad * turn) if self.heading else None
-        return Fix(
-            time_ns=now_ns,
-            position=(x + self.sigma_m * dx + far_x, y + self.sigma_m * dy + far_y, z),
-            yaw=yaw,
-            sigma_m=self.sigma_m,
-            sigma_rad=0.0 if yaw is None else self.sigma_rad,
-        )
+        place = (x + self.sigma_m * dx + far_x, y + self.sigma_m * dy + far_y, z)
+        if not self.heading:
+            return Fix(time_ns=now_ns, position=place, sigma_m=self.sigma_m)
+        yaw = wrap(truth.yaw + self.sigma_rad * turn)
+        return Fix(time_ns=now_ns, position=place, yaw=yaw, sigma_m=self.sigma_m, sigma_rad=self.sigma_rad)
 
 
 @dataclass(kw_only=True)
@@ -52,13 +49,8 @@ class PositioningSensor(Sensor):
     outlier_m: NonNegative = 2.0  # how far an outlier is displaced, m, in a random direction
 
     def __post_init__(self) -> None:
-        self._system = Positioning(
-            rate_hz=self.rate_hz,
-            sigma_m=self.sigma_m,
-            sigma_rad=self.sigma_rad,
-            outlier_probability=self.outlier_probability,
-            outlier_m=self.outlier_m,
-        )
+        keys = ("rate_hz", "sigma_m", "sigma_rad", "outlier_probability", "outlier_m")
+        self._system = Positioning(**{key: getattr(self, key) for key in keys})
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Fix:
         """The fix of a `Positioning`, from equal draws."""
@@ -97,12 +89,8 @@ class Gps(Sensor):
         """Measured position of the antenna."""
         x, y, z = self._errors.read(scene.point(row, self.mount), scene.now_ns, rng).tolist()
         dx, dy = jump(self.outlier_probability, self.outlier_m, rng)
-        return Fix(
-            time_ns=scene.now_ns,
-            position=(x + dx, y + dy, z),
-            sigma_m=math.hypot(self.sigma_m, self.drift_m),
-            sigma_z_m=math.hypot(self.sigma_z_m, self.drift_z_m),
-        )
+        sigma_m, sigma_z_m = math.hypot(self.sigma_m, self.drift_m), math.hypot(self.sigma_z_m, self.drift_z_m)
+        return Fix(time_ns=scene.now_ns, position=(x + dx, y + dy, z), sigma_m=sigma_m, sigma_z_m=sigma_z_m)
 
 
 _TINY_M = 1e-6  # stands for no error at all where errors are compared
@@ -177,5 +165,4 @@ class Uwb(Sensor):
 def _away(place: Array, near: NearestPoint | None, bias_m: float) -> Array:
     if near is None or near.distance_m == 0.0:
         return np.zeros(3)
-    away: Array = (place - near.point) * (bias_m / near.distance_m)
-    return away
+    return np.asarray((place - near.point) * (bias_m / near.distance_m))

@@ -11,7 +11,7 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability, Reading, Scan, Vec3, frozen
 from vcmvsp.physics.raycast.caster import caster_of
-from vcmvsp.physics.raycast.sweep import Fan, spread_of, sweep
+from vcmvsp.physics.raycast.sweep import Fan, sweep
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.world.world import Scene
 
@@ -86,7 +86,9 @@ class RangeScanner(Sensor):
     @cached_property
     def numbers(self) -> Array:
         """Columns of `Fan`: beams, reach and spread, (7, 1)."""
-        return np.array([(self.beams, self.range_max, *spread_of(self.first, self.angle_step, self.beams), 0.0)]).T
+        step, last = self.angle_step, self.beams - 1.0
+        spread = math.tau / step, self.first / step + 0.5 * last, last, 1.0 / step, 0.0
+        return np.array([(self.beams, self.range_max, *spread)]).T
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Scan:
         """One scan; beam angles count from the body's x axis, in the plane of the beams."""
@@ -103,13 +105,8 @@ class RangeScanner(Sensor):
 
     def scan(self, ranges: Array, now_ns: int, rng: np.random.Generator) -> Scan:
         """A scan of true ranges."""
-        return Scan(
-            ranges=frozen(self._noisy(ranges, rng).astype(np.float32)),
-            angle_min=self.yaw + self.first,
-            angle_step=self.angle_step,
-            range_max=self.range_max,
-            time_ns=now_ns,
-        )
+        measured, start, step = frozen(self._noisy(ranges, rng).astype(np.float32)), self.yaw + self.first, self.angle_step
+        return Scan(ranges=measured, angle_min=start, angle_step=step, range_max=self.range_max, time_ns=now_ns)
 
     def _noisy(self, ranges: Array, rng: np.random.Generator) -> Array:
         """Ranges with errors. Uniform draws come first, one for each beam: no parameter changes another's draws."""

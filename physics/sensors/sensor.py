@@ -85,12 +85,9 @@ class Errors:
     """
 
     def __init__(self, channels: Sequence[Noise]) -> None:
-        table = np.array([msgspec.structs.astuple(each) for each in channels], float).T  # (fields, channels)
-        columns = dict(zip(Noise.__struct_fields__, table, strict=True))
-        self._bias, self._bias_sd, self._sigma = columns["bias"], columns["bias_sd"], columns["sigma"]
-        self._drift_sd, self._drift_time_s, self._walk = columns["drift_sd"], columns["drift_time_s"], columns["walk"]
-        self._outlier, self._probability = columns["outlier"], columns["outlier_probability"]
-        self._quantum = columns["quantum"]
+        table = np.array([msgspec.structs.astuple(each) for each in channels], float).T  # the fields of `Noise`
+        self._bias, self._bias_sd, self._drift_sd, self._drift_time_s, self._walk = table[:5]
+        self._sigma, self._probability, self._outlier, self._quantum = table[5:]
         self._step = np.where(self._quantum > 0.0, self._quantum, 1.0)
         self._wanders, self._strays, self._steps = self._drift_sd.any(), self._probability.any(), self._quantum.any()
         self._drift = np.zeros(len(channels))
@@ -101,10 +98,8 @@ class Errors:
     def read(self, truth: Array, now_ns: int, rng: np.random.Generator) -> Array:
         """Readings of true values (channels,), at a time not before that of the last call."""
         if self._last_ns is None:
-            once = rng.standard_normal((2, len(self._bias)))
-            self._bias = self._bias + self._bias_sd * once[0]
-            self._drift = self._drift_sd * once[1]
-            self._last_ns = now_ns
+            bias, drift = rng.standard_normal((2, len(self._bias)))
+            self._bias, self._drift, self._last_ns = self._bias + self._bias_sd * bias, self._drift_sd * drift, now_ns
         dt_ns, self._last_ns = now_ns - self._last_ns, now_ns
         white, kick, stride = rng.standard_normal((3, len(self._bias)))
         chance, side = rng.random((2, len(self._bias)))

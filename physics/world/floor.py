@@ -93,8 +93,7 @@ class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
         def fixed(points: Array) -> Array:
             """Places on the floor as OpenCV draws them: the middle of the first pixel is (0, 0), in 64ths of a pixel."""
-            pixel: Array = np.rint(self._pixel(points, pixels.shape) * (1 << _SHIFT)).astype(np.int32)
-            return pixel
+            return np.asarray(np.rint(self._pixel(points, pixels.shape) * (1 << _SHIFT)).astype(np.int32))
 
         per_metre = pixels.shape[1] / self.size[0]
         if mark.outline:
@@ -112,8 +111,7 @@ class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         """Columns and rows (k, 2) of places (k, 2) m; whole numbers are middles of pixels."""
         (x, y), (length, width) = self.center, self.size
         right, down = points[:, 0] - (x - 0.5 * length), (y + 0.5 * width) - points[:, 1]
-        pixel: Array = np.column_stack([right * shape[1] / length - 0.5, down * shape[0] / width - 0.5])
-        return pixel
+        return np.asarray(np.column_stack([right * shape[1] / length - 0.5, down * shape[0] / width - 0.5]))
 
 
 def read_picture(path: str) -> Array:

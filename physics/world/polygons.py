@@ -15,8 +15,7 @@ _ROUNDING = 4e-16  # of a turn, against its two products (J. R. Shewchuk, Adapti
 def outward(corners: Array) -> Array:
     """Outward unit normals (..., k, 2) of the edges of counter-clockwise polygons."""
     along = np.roll(corners, -1, axis=-2) - corners
-    normals: Array = np.stack([along[..., 1], -along[..., 0]], axis=-1) / np.hypot(along[..., :1], along[..., 1:])
-    return normals
+    return np.asarray(np.stack([along[..., 1], -along[..., 0]], axis=-1) / np.hypot(along[..., :1], along[..., 1:]))
 
 
 def overlap_m(a: Array, b: Array) -> float:
@@ -123,8 +122,7 @@ def _meet(a: Array, b: Array, c: Array, d: Array) -> Array:
     def side(a: Array, b: Array, c: Array) -> Array:
         """On which side of a line through a and b each c lies: 1 left, -1 right, 0 on it."""
         one, other = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]), (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-        sign: Array = np.sign(one - other)
-        return sign
+        return np.asarray(np.sign(one - other))
 
     boxes = (np.minimum(a, b) <= np.maximum(c, d)) & (np.minimum(c, d) <= np.maximum(a, b))
     crossed: Array = (side(a, b, c) * side(a, b, d) <= 0.0) & (side(c, d, a) * side(c, d, b) <= 0.0)
@@ -215,7 +213,6 @@ def _turn(p: Point, q: Point, r: Point) -> float:
 
 
 def _triangles(corners: Sequence[Point], ring: Sequence[int]) -> list[list[int]]:
-    """Triangles, as numbers of corners, that fill a ring."""
     rest, triangles = list(ring), []
     while len(rest) > 3:
         for k in range(len(rest)):

@@ -131,8 +131,7 @@ def _of_triangles(triangles: Array, places: Array) -> Array:
     along = np.clip((to * edges).sum(axis=2) / np.maximum((edges * edges).sum(axis=2), 1e-300), 0.0, 1.0)
     feet = triangles + along[..., None] * edges
     best = ((feet - places[:, None]) ** 2).sum(axis=2).argmin(axis=1)
-    points: Array = np.where(inside[:, None], places - height[:, None] * normals, feet[np.arange(len(feet)), best])
-    return points
+    return np.asarray(np.where(inside[:, None], places - height[:, None] * normals, feet[np.arange(len(feet)), best]))
 
 
 _SKIN = 1e-9  # m: touching is not overlapping
@@ -203,8 +202,7 @@ def _triangle_depths(corners: Array, bottom: float, top: float, triangles: Array
     axes = axes / np.where(flat, 1.0, lengths)[:, :, None]
     mine, theirs = axes @ prism.T, axes @ triangles.transpose(0, 2, 1)  # shadows, (t, axes, corners)
     ahead, behind = mine.max(axis=2) - theirs.min(axis=2), theirs.max(axis=2) - mine.min(axis=2)
-    depths: Array = np.where(flat, np.inf, np.minimum(ahead, behind)).min(axis=1, initial=np.inf)
-    return depths
+    return np.asarray(np.where(flat, np.inf, np.minimum(ahead, behind)).min(axis=1, initial=np.inf))
 
 
 def _encloses(triangles: Array, point: Array) -> bool:

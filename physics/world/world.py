@@ -113,8 +113,7 @@ class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             cos, sin, half = np.cos(yaw), np.sin(yaw), 0.5 * np.array(self.solid.size)
             local = (cos * dx + sin * dy, cos * dy - sin * dx, dz)
             beyond = [np.abs(each) - reach for each, reach in zip(local, half, strict=True)]
-        distances: Array = np.sqrt(sum(np.maximum(each, 0.0) ** 2 for each in beyond))
-        return distances
+        return np.asarray(np.sqrt(sum(np.maximum(each, 0.0) ** 2 for each in beyond)))
 
     def _in_table(self, time_s: float) -> float:
         first, last = self.times_s[0], self.times_s[-1]
@@ -151,8 +150,7 @@ class World:
         """Red, green and blue of the triangles of `mesh`, (t, 3) uint8, without light."""
         prisms = [np.repeat(group.solid, 4 * group.corners.shape[1] - 4) for group in self.shapes.groups]  # sides, top, bottom
         solid = np.concatenate([*prisms, self.shapes.triangle_solid])
-        colors: Array = np.array([color_of(each) for each in self.solids], np.uint8).reshape(-1, 3)[solid]
-        return colors
+        return np.asarray(np.array([color_of(each) for each in self.solids], np.uint8).reshape(-1, 3)[solid])
 
     @cached_property
     def clearance(self) -> Clearance:
@@ -249,8 +247,7 @@ class Scene:
 
     def rotation(self, row: int) -> Array:
         """world_from_body of a body, (3, 3)."""
-        matrix: Array = self._rotations[row]
-        return matrix
+        return np.asarray(self._rotations[row])
 
     def point(self, row: int, mount: Vec3) -> Array:
         """Position of a point of a body, (3,) m, world; ``mount`` in the body frame, from its reference point."""

@@ -143,5 +143,4 @@ class Corridor(Surroundings):
         before, after = np.append(headings, headings[-1]), np.concatenate([headings[:1], headings])
         half = 0.5 * (after - before)  # at each corner, what is still to turn from the one to the other
         across = 0.5 * (before + after) + 0.5 * math.pi
-        line: Array = self.middle() + (left / np.cos(half))[:, None] * np.column_stack([np.cos(across), np.sin(across)])
-        return line
+        return np.asarray(self.middle() + (left / np.cos(half))[:, None] * np.column_stack([np.cos(across), np.sin(across)]))

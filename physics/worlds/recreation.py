@@ -59,7 +59,6 @@ class RecreationCentre(Surroundings):
 
 
 def _trees(number: int, seed: int) -> Iterator[Cylinder]:
-    """Trunks and crowns in a row along the border, without contact."""
     length, width = LENGTH - 2.0 * _TREES_FROM_BORDER, WIDTH - 2.0 * _TREES_FROM_BORDER
     rng, spacing = stream(seed, "recreation-centre/trees"), 2.0 * (length + width) / max(1, number)
     play = max(0.0, 0.5 * (spacing - math.sqrt(2.0) * 2.0 * _CROWN))  # round a corner, neighbours are closer by the root of 2

@@ -75,7 +75,6 @@ class Surroundings:
 
 
 def _with(ground: GroundPicture, zones: Sequence[Zone]) -> GroundPicture:
-    """The ground with the coloured zones painted on it."""
     colored = [(zone, zone.color) for zone in zones if zone.color is not None]
     marks = [Mark(outline=rectangle_points(zone.center, zone.size, zone.yaw_rad), color=color) for zone, color in colored]
     if marks and ground.plain:

@@ -95,7 +95,6 @@ class Urban(Surroundings):
         return self.complete("urban", solids=solids, ground=ground, bounds=bounds)
 
     def _building(self, place: Point2, draws: list[float]) -> Iterator[Box]:
-        """One or two storeys of walls, and a roof: boxes on each other."""
         long, wide, right, up, tall, look, step = draws
         size = (self.lot * (0.7 + 0.3 * long), self.lot * (0.7 + 0.3 * wide))
         center = (place[0] + (right - 0.5) * (self.lot - size[0]), place[1] + (up - 0.5) * (self.lot - size[1]))
@@ -134,7 +133,6 @@ class Urban(Surroundings):
         return tuple(targets)
 
     def _free(self, rng: np.random.Generator, target: GroundTarget, number: int, others: Sequence[PlacedTarget]) -> Point2:
-        """A place on a street with room for all of the target."""
         pitch, room = self.block + self.street, 0.5 * (self.street - target.size)
         for _ in range(_TRIES if room >= 0.0 else 0):
             axis = int(rng.integers(2))

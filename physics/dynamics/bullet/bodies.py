@@ -28,13 +28,11 @@ LEFT, RIGHT = 0, 1  # joints
 
 def hull_shape(client: int, kind: str, size: Vec3, **frame: Any) -> int:
     """Collision shape of a box or a cylinder of a size, m."""
+    lengths: dict[str, Any] = {"halfExtents": [0.5 * side for side in size]}
     if kind == "cylinder":
-        shape: int = p.createCollisionShape(
-            p.GEOM_CYLINDER, radius=0.5 * size[0], height=size[2], physicsClientId=client, **frame
-        )
-    else:
-        half = [0.5 * side for side in size]
-        shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half, physicsClientId=client, **frame)
+        lengths = {"radius": 0.5 * size[0], "height": size[2]}
+    geometry = p.GEOM_CYLINDER if kind == "cylinder" else p.GEOM_BOX
+    shape: int = p.createCollisionShape(geometry, physicsClientId=client, **lengths, **frame)
     return shape
 
 
@@ -93,17 +91,9 @@ def differential_drive(client: int, m: DifferentialDrive, position: Vec3, headin
 def finish(client: int, body: int, *, wheels: Sequence[int], wheel_friction: float, friction: float) -> None:
     """Set the friction of wheels and of all other links, no damping, and the collision groups."""
     for link in range(-1, p.getNumJoints(body, client)):
-        rolls = link in wheels
-        p.changeDynamics(
-            body,
-            link,
-            lateralFriction=wheel_friction if rolls else friction,
-            linearDamping=0.0,
-            angularDamping=0.0,
-            jointDamping=0.0,
-            physicsClientId=client,
-        )
-        group, mask = (WHEEL, FLOOR) if rolls else (SOLID, FLOOR | SOLID)
+        own, group, mask = (wheel_friction, WHEEL, FLOOR) if link in wheels else (friction, SOLID, FLOOR | SOLID)
+        damping = dict.fromkeys(("linearDamping", "angularDamping", "jointDamping"), 0.0)
+        p.changeDynamics(body, link, lateralFriction=own, **damping, physicsClientId=client)
         p.setCollisionFilterGroupMask(body, link, group, mask, physicsClientId=client)
 
 
@@ -128,28 +118,18 @@ class WorldBodies:
         p.changeDynamics(floor, -1, lateralFriction=floor_friction(world), physicsClientId=client)
         p.setCollisionFilterGroupMask(floor, -1, FLOOR, SOLID | WHEEL, physicsClientId=client)
         if world.solids:
-            self._build_solids(world)
+            vertices, triangles = world.mesh()
+            lists: dict[str, Any] = {"vertices": vertices.tolist(), "indices": triangles.ravel().tolist()}
+            mesh = p.createCollisionShape(p.GEOM_MESH, **lists, flags=p.GEOM_FORCE_CONCAVE_TRIMESH, physicsClientId=client)
+            p.setCollisionFilterGroupMask(p.createMultiBody(0.0, mesh, physicsClientId=client), -1, SOLID, SOLID, client)
         self.movables = [self._build(each.solid, each.mass_kg, each.friction, FLOOR | SOLID) for each in world.movables]
         for body in self.movables:
             sleep = {"activationState": p.ACTIVATION_STATE_ENABLE_SLEEPING, "sleepThreshold": _FALLS_ASLEEP}
             p.changeDynamics(body, -1, **sleep, physicsClientId=client)
         self.moving = [self._build(each.solid, HEAVY_KG, 0.5, SOLID) for each in world.moving]  # without contact to the floor
-        sizes = [each.solid.hull.size for each in world.movables]
-        sizes += [each.solid.hull.size for each in world.moving]
-        self._radii_m = np.array([0.5 * math.hypot(*size) for size in sizes])  # of spheres around them
+        solids = [*(each.solid for each in world.movables), *(each.solid for each in world.moving)]
+        self._radii_m = np.array([0.5 * math.hypot(*solid.hull.size) for solid in solids])  # of spheres around them
         self.place(0)
-
-    def _build_solids(self, world: World) -> None:
-        vertices, triangles = world.mesh()
-        mesh = p.createCollisionShape(
-            p.GEOM_MESH,
-            vertices=vertices.tolist(),
-            indices=triangles.ravel().tolist(),
-            flags=p.GEOM_FORCE_CONCAVE_TRIMESH,
-            physicsClientId=self._client,
-        )
-        body = p.createMultiBody(0.0, mesh, physicsClientId=self._client)
-        p.setCollisionFilterGroupMask(body, -1, SOLID, SOLID, physicsClientId=self._client)
 
     def _build(self, solid: Box | Cylinder, mass_kg: float, friction: float, mask: int) -> int:
         shape = hull_shape(self._client, solid.hull.kind, solid.hull.size)
@@ -185,14 +165,8 @@ class WorldBodies:
 
 def set_poses(client: int, bodies: Sequence[int], motion: BodyMotion) -> None:
     """Put bodies in place with their velocities; angular velocities in the world frame."""
-    for body, place, (w, x, y, z), velocity, spin in zip(
-        bodies,
-        motion.position.tolist(),
-        motion.attitude.tolist(),
-        motion.velocity.tolist(),
-        motion.angular_velocity.tolist(),
-        strict=True,
-    ):
+    arrays = (motion.position, motion.attitude, motion.velocity, motion.angular_velocity)
+    for body, place, (w, x, y, z), velocity, spin in zip(bodies, *(each.tolist() for each in arrays), strict=True):
         p.resetBasePositionAndOrientation(body, place, (x, y, z, w), client)
         p.resetBaseVelocity(body, velocity, spin, client)
 
@@ -219,21 +193,16 @@ def base_motion(client: int, bodies: list[int]) -> BodyMotion:
 
 def motion_of(states: list[BaseState], references: Array) -> BodyMotion:
     """Motion of reference points (n, 3) m, each in the frame of its body's centre of mass."""
-    rows = [(*position, *attitude, *velocity, *spin) for position, attitude, velocity, spin in states]
-    columns = np.array(rows, float).reshape(-1, 13).T.copy()  # (13, n), for few NumPy calls
+    numbers = [(*position, *attitude, *velocity, *spin) for position, attitude, velocity, spin in states]
+    columns = np.array(numbers, float).reshape(-1, 13).T.copy()  # (13, n), for few NumPy calls
     centre, attitude, velocity, spin = columns[:3], columns[3:7].take(_WXYZ, axis=0), columns[7:10], columns[10:]
     rotation = rotation_columns(attitude)
     terms = rotation * references.T
     to_reference = terms[:, 0] + terms[:, 1] + terms[:, 2]  # world
     swept = spin.take(_NEXT, axis=0) * to_reference.take(_LAST, axis=0)
     swept -= spin.take(_LAST, axis=0) * to_reference.take(_NEXT, axis=0)
-    return without_wheels(
-        (centre + to_reference).T.copy(),
-        (velocity + swept).T.copy(),
-        attitude.T.copy(),
-        into_body(rotation, spin).T.copy(),
-        np.zeros((len(states), 3)),
-    )
+    rows = centre + to_reference, velocity + swept, attitude, into_body(rotation, spin), np.zeros_like(centre)
+    return without_wheels(*(each.T.copy() for each in rows))
 
 
 _FRICTION = 0.5  # of the hulls, assumed

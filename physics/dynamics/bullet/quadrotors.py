@@ -151,10 +151,8 @@ class BulletQuadrotors:
             self._woken = []
         fleet, rows = self.fleet, self._rows
         motion = base_motion(self._client, [self.bodies[row] for row in rows])
-        off = np.abs(motion.position - fleet.position[rows]).max(axis=1)
-        off = np.maximum(off, np.abs(motion.velocity - fleet.velocity[rows]).max(axis=1))
-        off = np.maximum(off, np.abs(motion.angular_velocity - fleet.rate[rows]).max(axis=1))
-        touched = off > _SAME
+        both = ((motion.position, fleet.position), (motion.velocity, fleet.velocity), (motion.angular_velocity, fleet.rate))
+        touched = np.any([np.abs(there - here[rows]).max(axis=1) > _SAME for there, here in both], axis=0)
         before, self._touched = self._touched, np.zeros_like(self._touched)
         if touched.any():
             self._touched[rows] = touched
@@ -166,8 +164,8 @@ class BulletQuadrotors:
     def read(self) -> BodyMotion:
         """Motion of every quadrotor."""
         fleet, acceleration = self.fleet, (self.fleet.velocity - self._before) / self._step_s
-        state = (fleet.position.copy(), fleet.velocity.copy(), fleet.attitude.copy(), fleet.rate.copy())
-        return without_wheels(*state, acceleration)
+        state = fleet.position, fleet.velocity, fleet.attitude, fleet.rate, acceleration
+        return without_wheels(*(each.copy() for each in state))
 
 
 REACH_M = 1.5  # the map knows pieces this far around a cell: more than a vehicle and its way to the next look take together
@@ -215,8 +213,7 @@ class SolidsMap:
         i, j = np.arange(first[0], last[0]), np.arange(first[1], last[1])
         x, y = self._origin[0] + (i + 0.5) * self._size, self._origin[1] + (j + 0.5) * self._size
         beyond = (normals[:, 0, None, None] * x[:, None] + normals[:, 1, None, None] * y - offsets[:, None, None]).max(axis=0)
-        cells: Array = (i[:, None] * self._shape[1] + j)[beyond <= reach]
-        return cells
+        return np.asarray((i[:, None] * self._shape[1] + j)[beyond <= reach])
 
     def near(self, position: Array, margin: Array) -> Array:
         """Whether a solid may lie within ``margin`` (n,) m of places (n, 3) m; margins beyond `REACH_M` always say so."""
