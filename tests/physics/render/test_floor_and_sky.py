@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.physics.render.test_depth import a_rotation, towards
+from tests.physics.render.test_renderer import a_rotation, towards
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render.floor_and_sky import SKY
 from vcmvsp.physics.render.renderer import render

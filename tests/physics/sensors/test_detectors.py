@@ -1,20 +1,117 @@
-"""The simulated detector of targets: which cells it looks at, how often it is right, and where it serves."""
+"""Bumper, ranges to neighbours, and the simulated detector of targets."""
 
 import math
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import vcmvsp
-from tests.support.physics.sensor_scenes import readings, scene_of
+from tests.support.physics.sensor_scenes import readings, scene_of, still
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Looks
-from vcmvsp.physics.sensors.detectors import TargetSensor
+from vcmvsp.physics.sensors.detectors import Bumper, NeighbourRange, TargetSensor
 from vcmvsp.physics.world.floor import GroundTarget
+from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Empty
+
+LONG = Hull((2.0, 1.0, 0.2), (0.3, 0.0, 0.15))
+SIDES = {  # in the frame of the hull
+    "front": [(1.0, 0.0), (1.0, 0.49), (1.0, -0.49)],
+    "left": [(0.0, 0.5), (0.99, 0.5), (-0.99, 0.5)],
+    "back": [(-1.0, 0.0), (-1.0, 0.49), (-1.0, -0.49)],
+    "right": [(0.0, -0.5), (0.99, -0.5), (-0.99, -0.5)],
+}
+
+
+def pressed(x: float, y: float, *, segments: int = 4, yaw: float = 0.0, hull: Hull = LONG, z: float = 0.1) -> list[str]:
+    """Segments that say 1 when a place in the frame of the hull touches the world."""
+    x, y = x + hull.offset[0], y + hull.offset[1]
+    place = (5.0 + x * math.cos(yaw) - y * math.sin(yaw), 6.0 + x * math.sin(yaw) + y * math.cos(yaw), z)
+    (reading,) = readings(
+        Bumper(segments=segments), [scene_of((5.0, 6.0, 0.0), yaw=yaw, hull=hull, touching=[(0, None, place)])]
+    )
+    assert set(reading.values.values()) <= {0.0, 1.0}
+    assert len(reading.values) == segments
+    return [name for name, value in reading.values.items() if value]
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0, -1.0])
+@pytest.mark.parametrize("side", SIDES)
+def test_four_segments_are_the_sides_of_a_box(side: str, yaw: float) -> None:
+    for x, y in SIDES[side]:
+        assert pressed(x, y, yaw=yaw) == [side]
+
+
+@given(st.integers(1, 36).filter(lambda n: n != 4), st.floats(0.0, 1.0, exclude_max=True))
+def test_segments_of_a_round_hull_share_the_bearings_evenly(segments: int, turn: float) -> None:
+    offset = (turn * segments + 0.5) % 1.0
+    if 0.001 < offset < 0.999:
+        angle = math.tau * turn
+        hull = Hull((0.5, 0.5, 0.1), kind="cylinder")
+        expected = int(turn * segments + 0.5) % segments
+        assert pressed(0.25 * math.cos(angle), 0.25 * math.sin(angle), segments=segments, hull=hull) == [f"s{expected}"]
+
+
+def test_the_floor_does_not_count_but_a_body_at_its_height_does() -> None:
+    assert pressed(1.0, 0.0, z=0.0) == []
+    scene = scene_of((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), touching=[(0, 1, (0.25, 0.0, 0.0))])
+    assert readings(Bumper(), [scene])[0].values["front"] == 1.0
+
+
+def test_both_bodies_feel_a_contact_and_others_do_not() -> None:
+    scene = scene_of((0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (9.0, 0.0, 0.0), touching=[(1, 0, (0.25, 0.0, 0.1))])
+    felt = [readings(Bumper(), [scene], row=row)[0].values for row in range(3)]
+    assert felt[0] == {"front": 1.0, "left": 0.0, "back": 0.0, "right": 0.0}
+    assert felt[1] == {"front": 0.0, "left": 0.0, "back": 1.0, "right": 0.0}
+    assert not any(felt[2].values())
+
+
+PLACES = [(0.0, 0.0, 0.0), (3.0, 4.0, 0.0), (0.0, 0.0, 12.0), (30.0, 0.0, 0.0)]
+
+
+def test_without_noise_it_is_the_distance_to_each_within_reach() -> None:
+    scene = scene_of(*PLACES)
+    said = [readings(NeighbourRange(sigma_m=0.0), [scene], row=row)[0].values for row in range(4)]
+    assert said[0] == {"car1": 5.0, "car2": 12.0}
+    assert said[1] == {"car0": 5.0, "car2": 13.0}
+    assert said[3] == {}
+    far = readings(NeighbourRange(sigma_m=0.0, reach_m=30.0), [scene])[0].values
+    assert far == {"car1": 5.0, "car2": 12.0, "car3": 30.0}
+
+
+def test_noise_is_white_of_the_stated_size_and_independent_from_pair_to_pair() -> None:
+    n = 4000
+    said = readings(NeighbourRange(sigma_m=0.2, bias_m=0.5), still(n, *PLACES[:3]))
+    e = np.array([(reading.values["car1"] - 5.0, reading.values["car2"] - 12.0) for reading in said])
+    assert e.mean(axis=0) == pytest.approx(0.5, abs=4 * 0.2 / n**0.5)
+    assert e.std(axis=0) == pytest.approx(0.2, rel=4 / (2 * n) ** 0.5)
+    assert abs(np.corrcoef(e.T)[0, 1]) < 4 / n**0.5
+    assert abs(np.corrcoef(e[1:, 0], e[:-1, 0])[0, 1]) < 4 / n**0.5
+
+
+def test_a_further_vehicle_moves_no_draw() -> None:
+    few = readings(NeighbourRange(), still(150, *PLACES[:2]))
+    many = readings(NeighbourRange(), still(150, *PLACES))
+    assert [each.values["car1"] for each in few] == [each.values["car1"] for each in many]
+    other = readings(NeighbourRange(), still(150, *PLACES[:2]), "car7/range")
+    assert few[0] != other[0]
+
+
+def test_ranges_are_never_negative() -> None:
+    said = readings(NeighbourRange(sigma_m=1.0), still(50, (0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
+    assert min(reading.values["car1"] for reading in said) == 0.0
+
+
+def test_behind_a_wall_it_is_not_seen_where_sight_is_needed() -> None:
+    world = World(solids=(Box(center=(1.5, 2.0, 0.5), size=(3.0, 0.2, 2.0)),))
+    scene = scene_of(*PLACES, world=world)
+    assert set(readings(NeighbourRange(line_of_sight=True), [scene])[0].values) == {"car2"}
+    assert set(readings(NeighbourRange(), [scene])[0].values) == {"car1", "car2"}
 
 
 def look(sensor: TargetSensor, world: World, *place: float, seed: int = 1, t: float = 0.0) -> Looks:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.physics.render.test_depth import a_rotation, towards
+from tests.physics.render.test_renderer import a_rotation, towards
 from tests.support.physics.sensor_scenes import scene_of
 from vcmvsp.agents.reconnaissance.recognition.detector import Detector
 from vcmvsp.agents.reconnaissance.recognition.stages import TargetPicture as Wanted

@@ -1,4 +1,4 @@
-"""Lines through cylinders, prisms and meshes: against boxes, sampling and closed forms."""
+"""Lines through boxes, cylinders, prisms and meshes: against sampling, each other and closed forms."""
 
 import math
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.line_of_sight import SHEET_M, Sightline, is_closed, slab_m
@@ -22,6 +23,75 @@ COURT = Prism(outline=((0, 0), (6, 0), (6, 6), (0, 6)), holes=(((2, 2), (2, 4), 
 L_SHAPE = Prism(outline=((0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)), height=2.0)
 TETRAHEDRON = np.array([(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.0)])
 FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
+WALL = Box(center=(5.0, 0.0, 1.0), size=(0.2, 4.0, 2.0), material="brick")
+
+
+def inside(box: Box, points: NDArray[np.float64], margin: float) -> NDArray[np.bool_]:
+    """Which points are in the box, grown by the margin."""
+    offset = points - np.array(box.center)
+    c, s = math.cos(box.yaw_rad), math.sin(box.yaw_rad)
+    local = np.stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0], offset[:, 2]], axis=1)
+    return np.asarray((np.abs(local) < 0.5 * np.array(box.size) + margin).all(axis=1))
+
+
+def test_straight_slanting_past_over_and_short_of_a_wall() -> None:
+    found = lengths((0, 0, 1), (10, 0, 1), (10, 5, 1), (10, 0, 4), (10, 9, 1), (10, 0, 5), (4.9, 0, 1), (5, 0, 1), (-9, 0, 1))
+    slant = 0.2 * math.hypot(1.0, 0.5)  # the slope is 1/2: at x = 5 it is at y = 2.5 > 2, past the edge
+    assert found[0] == pytest.approx([0.2])
+    assert found[1] == [0.0]
+    assert lengths((0, 0, 1), (10, 3, 1))[0] == pytest.approx([0.2 * math.hypot(1.0, 0.3)])
+    assert lengths((0, -1, 1), (10, 4, 1))[0] == pytest.approx([slant])
+    assert found[2:5] == [[0.0], [0.0], [0.0]]  # above the wall at x = 5, beside it, above it
+    assert found[5:] == [[0.0], [pytest.approx(0.1)], [0.0]]  # touches it, ends inside it, goes the other way
+
+
+def test_along_a_face_or_through_an_edge_is_not_through_the_box() -> None:
+    assert lengths((4.9, -9, 1), (4.9, 9, 1)) == [[0.0]]
+    assert lengths((5.1, -9, 1), (5.1, 9, 1)) == [[0.0]]
+    assert lengths((5, -9, 2), (5, 9, 2)) == [[0.0]]
+    assert lengths((4.8, 1.9, 1), (5.0, 2.1, 1)) == [[0.0]]
+    assert lengths((5, -9, 1), (5, 9, 1))[0] == pytest.approx([4.0])
+    assert lengths((5, 0, -9), (5, 0, 9))[0] == pytest.approx([2.0])
+
+
+@given(tx=place, rx=place, box=boxes)
+def test_the_length_is_what_sampling_finds(tx: tuple[float, ...], rx: tuple[float, ...], box: Box) -> None:
+    assume(math.dist(tx, rx) > 1e-3)
+    count = 2000
+    points = np.array(tx) + (np.arange(count)[:, None] + 0.5) / count * (np.array(rx) - np.array(tx))
+    (length,) = lengths(tx, rx, among=(box,))[0]
+    share = math.dist(tx, rx) / count
+    least, most = (inside(box, points, margin).sum() * share for margin in (-1e-9, 1e-9))
+    assert least - 2.0 * share <= length <= most + 2.0 * share
+
+
+@pytest.mark.parametrize(("lines", "count"), [(0, 3), (3, 0), (40, 1000)])
+def test_any_number_of_lines_and_boxes(lines: int, count: int) -> None:
+    many = [Box(center=(float(k), 0.0, 0.0), size=(0.5, 2.0, 2.0)) for k in range(count)]
+    ends = np.stack([np.arange(lines) - 0.5, np.zeros(lines), np.zeros(lines)], axis=1)
+    crossed, inside_m = Sightline(many).crossings(np.array([-0.5, 0.0, 0.0]), ends)
+    assert crossed.shape == inside_m.shape == (lines, count)
+    assert crossed.sum(axis=1).tolist() == [min(k, count) for k in range(lines)]
+
+
+def test_a_crowd_of_lines_in_a_town_meets_what_each_meets_alone() -> None:
+    """Many lines are sorted by bearing and height first; a line alone is tested with all boxes."""
+    rng = np.random.default_rng(7)
+    corner, size = rng.uniform((-60.0, -60.0, 0.0), (60.0, 60.0, 9.0), (90, 3)), rng.uniform(0.2, 12.0, (90, 3))
+    town = [
+        Box(center=(x, y, z), size=(a, b, c), yaw_rad=float(k % 5))
+        for k, ((x, y, z), (a, b, c)) in enumerate(zip(corner.tolist(), size.tolist(), strict=True))
+    ]
+    sight = Sightline(town)
+    for tx in (np.array([3.0, -4.0, 30.0]), corner[0], np.array([-70.0, 0.0, 2.0])):
+        ends = rng.uniform((-70.0, -70.0, 0.0), (70.0, 70.0, 30.0), (40, 3))
+        ends[:3] = tx + np.array([(0.0, 0.0, 0.0), (0.0, 0.0, -9.0), (1e-9, -1e-9, 5.0)])  # nowhere, straight down, nearly up
+        ends[3:40:4, 1] = tx[1]
+        crossed, inside_m = sight.crossings(tx, ends)
+        alone = np.concatenate([sight.crossings(tx, end[None])[1] for end in ends])
+        assert inside_m.tolist() == alone.tolist()
+        assert crossed.any()
+        assert not crossed[0].any()
 
 
 def as_prism(box: Box) -> Prism:
@@ -45,7 +115,7 @@ def along_a_face(tx: tuple[float, ...], rx: tuple[float, ...], box: Box) -> bool
     return bool((near.all(axis=0) & (signs[0] == signs[1])).any())
 
 
-def lengths(tx: tuple[float, ...], *rx: tuple[float, ...], among: tuple[AnySolid, ...]) -> list[list[float]]:
+def lengths(tx: tuple[float, ...], *rx: tuple[float, ...], among: tuple[AnySolid, ...] = (WALL,)) -> list[list[float]]:
     crossed, inside_m = Sightline(among).crossings(np.array(tx), np.array(rx, float).reshape(-1, 3))
     assert (crossed == (inside_m > 0.0)).all()
     result: list[list[float]] = inside_m.tolist()
@@ -106,17 +176,12 @@ def holds(ring: Array, points: Array) -> Array:
     return odd
 
 
-@given(points=st.lists(place | whole, min_size=2, max_size=6))
-def test_the_same_there_and_back_and_each_for_itself(points: list[tuple[float, ...]]) -> None:
-    among = (
-        COURT,
-        Box(center=(1.0, 1.0, 1.0), size=(1.0, 2.0, 3.0)),
-        as_mesh(L_SHAPE),
-        L_SHAPE,
-        Cylinder(center=(0, 0, 0), radius=2.0, height=3.0),
-    )
+@given(points=st.lists(place | whole, min_size=2, max_size=8), some=st.lists(boxes, max_size=6))
+def test_the_same_there_and_back_and_each_for_itself(points: list[tuple[float, ...]], some: list[Box]) -> None:
+    among: tuple[AnySolid, ...] = (COURT, *some, as_mesh(L_SHAPE), L_SHAPE, Cylinder(center=(0, 0, 0), radius=2.0, height=3.0))
     tx, *rx = points
     together = lengths(tx, *rx, among=among)
+    assert len(together) == len(rx)
     for end, found in zip(rx, together, strict=True):
         assert [found] == lengths(tx, end, among=among) == lengths(end, tx, among=among)
         assert found == [lengths(tx, end, among=(solid,))[0][0] for solid in among]
@@ -129,11 +194,8 @@ def test_a_courtyard_by_hand() -> None:
     assert found[2] == [0.0]
     assert found[3] == [pytest.approx(5.0 / 8.0 * math.hypot(8.0, 2.0))]
     assert lengths((3, 3, -1), (3, 3, 9), (1, 1, 9), among=(COURT,))[0] == [0.0]
-    assert lengths((1, 1, -1), (1, 1, 9), (1, 1, 2), (1, 1, -0.5), among=(COURT,)) == [
-        [pytest.approx(3.0)],
-        [pytest.approx(2.0)],
-        [0.0],
-    ]
+    found = lengths((1, 1, -1), (1, 1, 9), (1, 1, 2), (1, 1, -0.5), among=(COURT,))
+    assert found == [[pytest.approx(3.0)], [pytest.approx(2.0)], [0.0]]
 
 
 def test_along_faces_and_through_corners_is_not_through() -> None:
@@ -143,17 +205,14 @@ def test_along_faces_and_through_corners_is_not_through() -> None:
         assert lengths((-1, 1, 1), (1, -1, 1), among=(solid,)) == [[0.0]]  # over the corner at the origin
         assert lengths((-1, 0.5, 0), (9, 0.5, 0), among=(solid,)) == [[0.0]]
     assert lengths((1, 1, 1), (1, 9, 1), (9, 1, 1), among=(L_SHAPE,)) == [[0.0], [0.0]]
-    assert lengths((-1, 1, 1), (9, 1, 1), among=(L_SHAPE,)) == [
-        [pytest.approx(1.0)]
-    ]  # along a face, then through the other arm
+    assert lengths((-1, 1, 1), (9, 1, 1), among=(L_SHAPE,)) == [[pytest.approx(1.0)]]  # along a face, then the other arm
 
 
 def test_a_line_along_an_inner_cut_is_inside() -> None:
     for x in (1.0, 0.5):
         assert lengths((x - 1e-6, -1, 1), (x - 1e-6, 9, 1), among=(L_SHAPE,)) == [[pytest.approx(3.0, abs=1e-5)]]
-    assert lengths((-1, 4, 1), (5, -2, 1), among=(COURT,))[0][0] == pytest.approx(
-        3.0 * math.sqrt(2.0)
-    )  # grazes a corner of the court
+    (grazing,) = lengths((-1, 4, 1), (5, -2, 1), among=(COURT,))[0]  # a corner of the court
+    assert grazing == pytest.approx(3.0 * math.sqrt(2.0))
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.3, -0.9])
@@ -177,7 +236,8 @@ def test_a_tetrahedron_and_its_mean_chord() -> None:
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     across = np.linalg.qr(np.stack([directions, *rng.normal(size=(2, 40_000, 3))], axis=2))[0][:, :, 1:]
     radius = 2.0  # lines uniform in direction and place around the middle: isotropic uniform
-    disc = radius * np.sqrt(rng.uniform(size=40_000))[:, None] * _unit(rng.uniform(0, math.tau, 40_000))
+    away, angle = radius * np.sqrt(rng.uniform(size=40_000)), rng.uniform(0, math.tau, 40_000)
+    disc = away[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     start = 0.5 + np.einsum("nij,nj->ni", across, disc) - 5.0 * directions
     sight = Sightline([mesh])
     chords = np.array(
@@ -187,10 +247,6 @@ def test_a_tetrahedron_and_its_mean_chord() -> None:
     volume, surface = 8.0 / 6.0, 3.0 * 2.0 + 0.5 * math.sqrt(3.0) / 2.0 * 8.0
     assert hit.mean() == pytest.approx(4.0 * volume / surface, rel=0.1)  # Cauchy
     assert slab_m(mesh.triangles) == pytest.approx(2.0 * volume / surface)
-
-
-def _unit(angle: Array) -> Array:
-    return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def test_an_open_mesh_is_made_of_sheets() -> None:
@@ -205,17 +261,8 @@ def test_thickness_is_that_of_a_wall() -> None:
     ring = Prism(
         outline=((0, 0), (20, 0), (20, 20), (0, 20)), holes=(((0.2, 0.2), (19.8, 0.2), (19.8, 19.8), (0.2, 19.8)),), height=3.0
     )
-    sight = Sightline(
-        [
-            wall,
-            as_prism(wall),
-            as_mesh(wall),
-            ring,
-            Cylinder(center=(0, 0, 0), radius=0.5, height=3.0),
-            Cylinder(center=(0, 0, 0), radius=5.0, height=0.1),
-        ]
-    )
-    found = sight.thickness_m.tolist()
+    pillars = [Cylinder(center=(0, 0, 0), radius=radius, height=height) for radius, height in ((0.5, 3.0), (5.0, 0.1))]
+    found = Sightline([wall, as_prism(wall), as_mesh(wall), ring, *pillars]).thickness_m.tolist()
     assert found[:2] == [pytest.approx(0.2), pytest.approx(0.2)]
     assert found[2] == pytest.approx(0.2, rel=0.1)
     assert found[3] == pytest.approx(0.2, rel=0.01)
@@ -223,13 +270,9 @@ def test_thickness_is_that_of_a_wall() -> None:
 
 
 def test_order_and_materials_are_those_of_the_world() -> None:
-    solids = (
-        COURT,
-        Box(center=(9.0, 0.0, 0.0), size=(1.0, 1.0, 1.0), material="wood"),
-        as_mesh(L_SHAPE),
-        Box(center=(12.0, 0.5, 1.0), size=(1.0, 1.0, 1.0), material="glass"),
-    )
-    sight = Sightline(solids)
+    wood = Box(center=(9.0, 0.0, 0.0), size=(1.0, 1.0, 1.0), material="wood")
+    glass = Box(center=(12.0, 0.5, 1.0), size=(1.0, 1.0, 1.0), material="glass")
+    sight = Sightline((COURT, wood, as_mesh(L_SHAPE), glass))
     assert sight.materials == ("brick", "wood", "concrete", "glass")
     crossed, _ = sight.crossings(np.array([-1.0, 0.5, 1.0]), np.array([[20.0, 0.5, 1.0], [8.0, 0.5, 1.0]]))
     assert crossed.tolist() == [[True, False, True, True], [True, False, True, False]]
