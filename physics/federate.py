@@ -135,12 +135,7 @@ class Physics:
             engine.close()
 
     def check_move(self, obstacle: str, position: tuple[float, float], yaw: float) -> None:
-        """Refuse an impossible place for a movable; changes nothing. Before the start, vehicles are ignored.
-
-        Args:
-            obstacle: name of the movable.
-            position: x, y m, world.
-            yaw: rad.
+        """Refuse an impossible place, x, y m and yaw rad, for the movable of a name. Before the start, vehicles are ignored.
 
         Raises:
             ValueError: there is no such movable, or no room for it there.

@@ -99,9 +99,8 @@ class PoseSources:
         for (number, source, estimate_key, odometry_key), row in zip(self._vehicles, numbers.tolist(), strict=True):
             px, py, pz, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz, x, y, yaw, v, w = row
             odometry = None if isnan(x) else Odometry(pose=(x, y, yaw), v=v, w=w)
-            state = VehicleState(
-                position=(px, py, pz), velocity=(vx, vy, vz), attitude=(qw, qx, qy, qz), angular_velocity=(wx, wy, wz)
-            )
+            place, attitude = (px, py, pz), (qw, qx, qy, qz)
+            state = VehicleState(position=place, velocity=(vx, vy, vz), attitude=attitude, angular_velocity=(wx, wy, wz))
             if source != "truth":
                 fused = self._fusers[number].estimator.estimate(now_ns) if number in self._fusers else None
                 state = estimate(source, state, odometry, self._fixes.get(number), fused)

@@ -96,10 +96,9 @@ class _LogEntry(msgspec.Struct, eq=False):
 
     def key(self) -> tuple[float, ...]:
         """Order in the log; independent of the order of arrival, also at equal times."""
-        position = self.what
-        return (
-            (self.time_ns, 1, position.x, position.y) if isinstance(position, MeasuredPosition) else (self.time_ns, 0, 0.0, 0.0)
-        )
+        what = self.what
+        place = (1, what.x, what.y) if isinstance(what, MeasuredPosition) else (0, 0.0, 0.0)
+        return self.time_ns, *place
 
 
 class Fusion:
@@ -184,15 +183,11 @@ class Fusion:
         belief = self._moved(self._nodes[index].belief, index, now_ns)
         if belief.mean is None and not belief.items:
             return None
-        heading_known = belief.mean is not None
-        mean, covariance = (
-            (belief.mean, belief.covariance)
-            if belief.mean is not None
-            else kalman_filter.rough(belief.items, self._prior, self._noise)
-        )
+        mean, covariance = belief.mean, belief.covariance
+        if mean is None:
+            mean, covariance = kalman_filter.rough(belief.items, self._prior, self._noise)
         x, y, heading, scale, veer, bias = mean.tolist()
-        odometry_ns = self._odometry_ns
-        holds = odometry_ns is not None and now_ns - odometry_ns <= self._coast_ns
+        holds = self._odometry_ns is not None and now_ns - self._odometry_ns <= self._coast_ns
         v, w = self._speed if holds else (0.0, 0.0)
         return FusedPose(
             time_ns=now_ns,
@@ -200,7 +195,7 @@ class Fusion:
             y=y,
             heading=math.remainder(heading, math.tau),
             covariance=frozen(covariance[:3, :3]),
-            heading_known=heading_known,
+            heading_known=belief.mean is not None,
             v=v,
             w=w,
             age_s=math.inf if belief.position_ns is None else (now_ns - belief.position_ns) / SECOND_NS,
@@ -267,11 +262,9 @@ class Fusion:
         difference, inverse, nis = innovation(belief.mean, belief.covariance, position)
         if nis <= self._bound:
             gain, covariance = corrected(belief.covariance, inverse, position)
-            mean = belief.mean + gain @ difference
-            count = belief.accepted + 1
-            return msgspec.structs.replace(
-                belief, mean=mean, covariance=covariance, items=(), position_ns=time_ns, accepted=count
-            ), Verdict("accepted", nis)
+            mean, count = belief.mean + gain @ difference, belief.accepted + 1
+            state = _FilterState(mean, covariance, (), time_ns, count, belief.gated, belief.restarts)
+            return state, Verdict("accepted", nis)
         items = kalman_filter.trimmed(items, self._restart_after)
         if kalman_filter.count(items) == self._restart_after:
             fit = kalman_filter.fitted(items, self._prior, self._noise)
@@ -285,9 +278,7 @@ class Fusion:
         start = kalman_filter.aligned(items, self._prior, self._noise, self._heading_sigma, self._gate)
         if start is None:
             return msgspec.structs.replace(belief, items=items, position_ns=time_ns, accepted=count)
-        return msgspec.structs.replace(
-            belief, mean=start.mean, covariance=start.covariance, items=(), position_ns=time_ns, accepted=count
-        )
+        return _FilterState(start.mean, start.covariance, (), time_ns, count, belief.gated, belief.restarts)
 
 
 def _check(*numbers: float) -> None:

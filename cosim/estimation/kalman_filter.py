@@ -10,7 +10,6 @@ mean and covariance: the noise of positions and of odometry counts once each.
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -106,8 +105,7 @@ def corrected(covariance: Array, inverse: Array, position: MeasuredPosition) -> 
 
 def symmetric(matrix: Array) -> Array:
     """The matrix without asymmetry from rounding."""
-    result: Any = 0.5 * (matrix + matrix.T)
-    return result  # type: ignore[no-any-return]
+    return np.asarray(0.5 * (matrix + matrix.T))
 
 
 def _sinc(half: float) -> tuple[float, float]:
@@ -183,7 +181,8 @@ def aligned(items: Items, prior: Array, noise: OdometryNoise, sigma_rad: float, 
         start = fitted(_without(items, dropped), prior, noise, heading)
         if start.fits(gate):
             return start
-        residuals = [_rotation(path[rest], [positions[i] for i in rest])[2] for rest in _one_less(remaining)]
+        others = [remaining[:each] + remaining[each + 1 :] for each in range(len(remaining))]
+        residuals = [_rotation(path[rest], [positions[i] for i in rest])[2] for rest in others]
         remaining.pop(int(np.argmin(residuals)))
     return None
 
@@ -269,20 +268,9 @@ def _rests(motion: OdometryMotion) -> bool:
     return motion.distance_m == 0.0 and motion.turn_rad == 0.0
 
 
-def _one_less(indices: list[int]) -> list[list[int]]:
-    return [indices[:each] + indices[each + 1 :] for each in range(len(indices))]
-
-
 def _without(items: Items, dropped: list[int]) -> Items:
     """The items without some positions, from the first remaining position on."""
-    remaining: list[OdometryMotion | MeasuredPosition] = []
-    number = -1
-    for item in items:
-        if isinstance(item, MeasuredPosition):
-            number += 1
-            if number in dropped:
-                continue
-        elif not remaining:
-            continue
-        remaining.append(item)
-    return tuple(remaining)
+    places = [index for index, item in enumerate(items) if isinstance(item, MeasuredPosition)]
+    left_out = {places[number] for number in dropped}
+    first = next(place for place in places if place not in left_out)
+    return tuple(item for index, item in enumerate(items) if index >= first and index not in left_out)

@@ -45,11 +45,7 @@ class QuadrotorFleet:
     - ``rate`` (n, 3) rad/s, body;
     - ``rotor`` (n, 4) rad/s: front, left, back, right.
 
-    Args:
-        models: one for each row.
-        positions: (n, 3) m, world, at the start.
-        headings: (n,) rad, at the start.
-        gravity: m/s2.
+    They start at ``positions`` (n, 3) m, world, with ``headings`` (n,) rad.
     """
 
     def __init__(self, models: Sequence[Quadrotor], positions: Any, headings: Any, gravity: float = 9.81) -> None:
@@ -114,14 +110,9 @@ class QuadrotorFleet:
         return world[:, 0].T, world[:, 1].T
 
     def integrate(self, force: Any, torque: Any, dt: float) -> None:
-        """Move all as free bodies by ``dt`` s under gravity, a force and a torque.
+        """Move all as free bodies by ``dt`` s under gravity, a force (n, 3) N and a torque (n, 3) N m, both world.
 
         After `wrench` in the same step, attitudes must not have changed.
-
-        Args:
-            force: (n, 3) N, world, on the centre of mass; without gravity.
-            torque: (n, 3) N m, world.
-            dt: s.
         """
         rotation = rotations(self._attitude) if self._rotation is None else self._rotation
         self._rotation = None
@@ -179,9 +170,8 @@ class Autopilot:
         self._gravity = gravity = max(gravity, _LEAST_GRAVITY)
         self._mass, self._max_speed = column(models, "mass_kg"), column(models, "max_speed")
         self._max_climb, self._max_yaw_rate = column(models, "max_climb"), column(models, "max_yaw_rate")
-        self._limits = list(
-            zip(*(each.tolist() for each in (self._max_speed, self._max_climb, self._max_yaw_rate)), strict=True)
-        )
+        limits = self._max_speed, self._max_climb, self._max_yaw_rate
+        self._limits = list(zip(*(each.tolist() for each in limits), strict=True))
         self._position_gain, self._braking = column(models, "position_gain"), column(models, "braking")
         self._gain_squared = self._position_gain**2
         self._knee = self._braking / self._gain_squared  # m, where braking begins to be the law
@@ -280,10 +270,9 @@ class Autopilot:
         # Both laws have the same value and slope at the knee, and this is the lower one everywhere else.
         near, beyond = np.minimum(distance, self._knee), np.maximum(distance - self._knee, 0.0)
         speed = np.sqrt(self._gain_squared * near * near + self._braking * (beyond + beyond))
-        want = way * (np.minimum(speed, self._speed) / np.maximum(distance, _TINY))
+        want: Floats = way * (np.minimum(speed, self._speed) / np.maximum(distance, _TINY))
         want *= self._max_climb / np.maximum(np.abs(want[2]), self._max_climb)
-        velocities: Floats = want
-        return velocities
+        return want
 
     def _face(self, yaw: Floats, elapsed_s: float) -> None:
         """Turn the desired heading: at the commanded rate, or towards that of the way-point."""
@@ -302,8 +291,7 @@ class Autopilot:
         stiff = self._attitude_gain * np.sqrt(2.0 / np.maximum(axis[2] + 1.0, _OVERHEAD))
         upright = rotation[2, 2]
         want = np.empty_like(rate)
-        want[0] = -stiff * axis[1]
-        want[1] = stiff * axis[0]
+        want[0], want[1] = -stiff * axis[1], stiff * axis[0]
         want[2] = self._turn + self._yaw_gain * (self._sin * rotation[0, 0] - self._cos * rotation[1, 0])
         torque = self._stiffness * (want - rate) + self._gyration * coupled(rate)
         return self._mixed(torque, self._lift * np.maximum(upright, 0.0) / np.square(np.maximum(upright, _UPRIGHT)))

@@ -84,16 +84,13 @@ def ground_effect(height: Floats, rotor_radius: Floats) -> Floats:
 def downwash(position: Floats, thrust: Floats, rotor_radius: Floats) -> Floats:
     """Downward airspeed, (n,) m/s, at each of n vehicles from the rotors of the others, which acts on it as wind.
 
+    Vehicles at ``position`` (3, n) m, with the thrust (n,) N of all four rotors and radii (n,) m of one.
+
     Rotors that carry T on a disc area A move the air through them at v = sqrt(T / 2 rho A), and behind them at 2 v through a
     jet of half the area (momentum theory; Leishman, "Principles of Helicopter Aerodynamics", 2.2). Further down it is a
     turbulent round jet: at the distance x, with the diameter d, its middle moves at 2 v min(1, 6 d / x), and sideways that
     falls off like a Gauss curve which is half as high at max(d / 2, 0.094 x) (Pope, "Turbulent Flows", 5.1). Jets point
     straight down and add up.
-
-    Args:
-        position: (3, n) m.
-        thrust: (n,) N, of all four rotors.
-        rotor_radius: (n,) m.
     """
     area = 4.0 * math.pi * rotor_radius**2
     jet = 2.0 * np.sqrt(0.5 * thrust / (AIR_KG_M3 * area))
@@ -125,6 +122,4 @@ class Rotorwash:
 
 def rotorwash_of(models: Sequence[Quadrotor]) -> Rotorwash | None:
     """Rotorwash of a fleet; None if no model asks for it."""
-    if any(model.ground_effect or model.downwash for model in models):
-        return Rotorwash(models)
-    return None
+    return Rotorwash(models) if any(model.ground_effect or model.downwash for model in models) else None

@@ -154,11 +154,10 @@ def corners_of(target: PlacedTarget, time_s: float) -> Array:
 
 
 def lay(picture: Array, texture: Texture, corners: Array, pixels: Array, floor_from_pixel: Array) -> None:
-    """Lay a target over a picture, (h, w, 3 or 4) uint8.
+    """Lay a target over a picture, (h, w, 3 or 4) uint8, which is changed.
 
     Args:
-        picture: changed.
-        texture: of the target.
+        picture, texture: of the floor, of the target.
         corners: of the target on the floor, (4, 2) m: its upper right, then counter-clockwise.
         pixels: corners of its visible part, (k, 2) column and row.
         floor_from_pixel: (3, 3), see `View`.

@@ -175,14 +175,10 @@ def _depth(view: View, triangles: Triangles, number: Array) -> Array:
 
 
 def draw_large(buffers: Buffers, corner: Array, triangles: Triangles, source: Array, view: View) -> Array:
-    """Draw all faces with a large triangle; returns the other triangles, (n,) int.
+    """Draw all faces with a large triangle into the buffers; returns the other triangles, (n,) int.
 
-    Args:
-        buffers: changed.
-        corner: triangles in the camera's frame, (t, 3, 3) m, all in front of it.
-        triangles: before clipping.
-        source: number of each in ``triangles``, (t,).
-        view: of the camera.
+    ``corner`` (t, 3, 3) m are triangles in the camera's frame, all in front of it, ``source`` (t,) their numbers in
+    ``triangles``, before clipping.
     """
     height, width = buffers.depth.shape
     scale = view.focal_px / corner[:, :, 2]

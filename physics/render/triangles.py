@@ -147,9 +147,7 @@ def planes(corner: Array) -> tuple[Array, Array]:
 def clipped(corner: Array, distance: Array) -> tuple[Array, Array]:
     """Parts of triangles on the positive side of a plane, (u, 3, 3), and the number of the original of each, (u,).
 
-    Args:
-        corner: (t, 3, 3).
-        distance: of each corner from the plane, (t, 3), in any unit.
+    The triangles have corners (t, 3, 3), at a distance (t, 3) from the plane in any unit.
     """
     inside = distance > 0.0
     count = inside.sum(axis=1)

@@ -162,14 +162,10 @@ class World:
         return Blocking(self.shapes)
 
     def least_clearance_m(self, time_ns: Array, position: Array) -> float | None:
-        """Smallest distance of vehicles to solids and moving obstacles, m, without floor and movables.
+        """Smallest distance of n vehicles to solids and moving obstacles, m, without floor and movables.
 
-        Args:
-            time_ns: (m,) instants.
-            position: (3, m, n) m, world, of n vehicles; NaN while a vehicle is absent.
-
-        Returns:
-            None: the world has no obstacle, or there was no vehicle.
+        ``position`` (3, m, n) m, world, is that at the m instants; NaN while a vehicle is absent. None: the world has no
+        obstacle, or there was no vehicle.
         """
         least = math.inf
         for way in position.transpose(2, 1, 0):

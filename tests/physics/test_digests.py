@@ -162,9 +162,8 @@ def test_something_of_everything_is_in_it(alone: Digest) -> None:
     assert digests(run(mixed_world(), seed=2))[0].bits != alone.bits
 
 
-@pytest.mark.parametrize("salt", ["1", "2"])
-def test_runs_in_other_processes_are_equal(alone: Digest, salt: str) -> None:
-    environment = {**os.environ, "PYTHONHASHSEED": salt, "PYTHONPATH": str(ROOT)}
+def test_runs_in_other_processes_are_equal(alone: Digest) -> None:
+    environment = {**os.environ, "PYTHONHASHSEED": "1", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, __file__]
     found = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, timeout=500)
     assert found.stdout.split()[-1] == alone.bits

@@ -168,12 +168,6 @@ def test_an_impossible_pose_source_is_refused(source: str) -> None:
 
 
 @BOTH
-def test_commands_of_vehicles_that_others_move_are_ignored(kind: type[Physics], play: Play) -> None:
-    steps = play(kind(world=World(), vehicles=[car()]), [(0.0, "robot", 0.3, 0.0)], 0.5, TENTH)
-    assert values(steps, "world/states")[-1].position[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-4)
-
-
-@BOTH
 @pytest.mark.parametrize("command", [(float("nan"), 0.0), (0.0, float("inf"))])
 def test_a_command_that_is_no_number_stops_the_run_and_names_the_vehicle(
     kind: type[Physics], command: tuple[float, float], play: Play

@@ -187,25 +187,16 @@ REACH, BEAMS, BODIES, POSES = 15.0, 60, 10, 50
 def load(among: Scene, client: int) -> None:
     vertices, triangles = among.world.mesh()
     floor = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-    solid = pybullet.createCollisionShape(
-        pybullet.GEOM_MESH,
-        vertices=vertices.tolist(),
-        indices=triangles.ravel().tolist(),
-        flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
-        physicsClientId=client,
-    )
+    lists = {"vertices": vertices.tolist(), "indices": triangles.ravel().tolist()}
+    concave = pybullet.GEOM_FORCE_CONCAVE_TRIMESH
+    solid = pybullet.createCollisionShape(pybullet.GEOM_MESH, **lists, flags=concave, physicsClientId=client)
     for shape in (floor, solid):
         pybullet.createMultiBody(0.0, shape, physicsClientId=client)
     for row in range(1, len(among.vehicles)):
         length, width, height = among.hulls[row].size
         kind = pybullet.GEOM_BOX if among.hulls[row].kind == "box" else pybullet.GEOM_CYLINDER
-        shape = pybullet.createCollisionShape(
-            kind,
-            radius=0.5 * length,
-            height=height,
-            halfExtents=[0.5 * length, 0.5 * width, 0.5 * height],
-            physicsClientId=client,
-        )
+        size = {"radius": 0.5 * length, "height": height, "halfExtents": [0.5 * length, 0.5 * width, 0.5 * height]}
+        shape = pybullet.createCollisionShape(kind, **size, physicsClientId=client)
         centre = among.position[row] + among.rotation(row) @ np.array(among.hulls[row].offset)
         w, x, y, z = among.attitude[row].tolist()
         pybullet.createMultiBody(0.0, shape, basePosition=centre.tolist(), baseOrientation=[x, y, z, w], physicsClientId=client)

@@ -25,8 +25,7 @@ def a_color(rng: Rng) -> tuple[int, int, int]:
 def a_rotation(rng: Rng) -> Array:
     """Any attitude, all alike."""
     q = rng.standard_normal(4)
-    rotation: Array = rotations(q[None] / np.linalg.norm(q))[0]
-    return rotation
+    return np.asarray(rotations(q[None] / np.linalg.norm(q))[0])
 
 
 def towards(eye: Array, aim: Array, roll: float = 0.0) -> Array:
@@ -41,15 +40,11 @@ def towards(eye: Array, aim: Array, roll: float = 0.0) -> Array:
 
 def scattered(rng: Rng) -> list[AnySolid]:
     """Boxes that run through each other."""
-    return [
-        Box(
-            center=(*rng.uniform(-10, 10, 2).tolist(), float(rng.uniform(0, 4))),
-            size=tuple(rng.uniform(0.3, 5, 3).tolist()),
-            yaw_rad=float(rng.uniform(0, 7)),
-            color=a_color(rng),
-        )
-        for _ in range(40)
-    ]
+    found: list[AnySolid] = []
+    for _ in range(40):
+        center, size = (*rng.uniform(-10, 10, 2).tolist(), float(rng.uniform(0, 4))), tuple(rng.uniform(0.3, 5, 3).tolist())
+        found.append(Box(center=center, size=size, yaw_rad=float(rng.uniform(0, 7)), color=a_color(rng)))
+    return found
 
 
 def stacked(rng: Rng) -> list[AnySolid]:
@@ -79,10 +74,8 @@ def mixed(rng: Rng) -> list[AnySolid]:
         x, y = rng.uniform(-10, 10, 2).tolist()
         height = float(rng.uniform(0.5, 5))
         angle = rng.uniform(0, 7)
-        corner = (
-            np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 2], [0, 2]])
-            @ rotations(np.array([[np.cos(angle), 0, 0, np.sin(angle)]]))[0, :2, :2]
-        )
+        turn = rotations(np.array([[np.cos(angle), 0, 0, np.sin(angle)]]))[0, :2, :2]
+        corner = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 2], [0, 2]]) @ turn
         outline = tuple((x + a, y + b) for a, b in corner.tolist())
         found += [
             Cylinder(center=(x + 3, y, height / 2), radius=float(rng.uniform(0.05, 1)), height=height, color=a_color(rng)),

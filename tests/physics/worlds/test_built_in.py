@@ -321,11 +321,6 @@ def test_a_run_its_drawing_and_its_radio_are_in_the_same_town(tmp_path: Path) ->
     assert len({worlds.world_of(str(tmp_path / "run" / "scenario.toml"), {"seed": k})[0].solids for k in range(4)}) == 4
 
 
-def circle(x: float, y: float, radius: float) -> Array:
-    angles = math.tau * np.arange(16) / 16
-    return np.column_stack([x + radius * np.cos(angles), y + radius * np.sin(angles)])
-
-
 @pytest.mark.parametrize("bends", [(), (0.5,), (0.7, -1.2, 1.57), (-1.0, -1.0)])
 def test_a_corridor_is_as_wide_as_asked_for_everywhere(bends: tuple[float, ...]) -> None:
     corridor = Corridor(length=30.0, width=2.0, bends=bends)
@@ -334,13 +329,13 @@ def test_a_corridor_is_as_wide_as_asked_for_everywhere(bends: tuple[float, ...])
     for a, b in itertools.pairwise(middle):
         for share in np.linspace(0.0, 1.0, 40).tolist():
             x, y = a + share * (b - a)
-            assert world.blocking(circle(x, y, 0.999), 0.0, 2.0) is None
-        assert world.blocking(circle(0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 1.05), 0.0, 2.0) is not None
+            assert world.blocking(disc(x, y, 0.999), 0.0, 2.0) is None
+        assert world.blocking(disc(0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 1.05), 0.0, 2.0) is not None
 
 
 def test_a_closed_corridor_ends() -> None:
-    assert Corridor(closed=True).build().blocking(circle(20.1, 0.0, 0.05), 0.0, 1.0) is not None
-    assert Corridor().build().blocking(circle(20.1, 0.0, 0.05), 0.0, 1.0) is None
+    assert Corridor(closed=True).build().blocking(disc(20.1, 0.0, 0.05), 0.0, 1.0) is not None
+    assert Corridor().build().blocking(disc(20.1, 0.0, 0.05), 0.0, 1.0) is None
 
 
 @pytest.mark.parametrize("bends", [(), (0.7, -1.2)])
@@ -366,9 +361,9 @@ def test_gates_are_open_where_they_should_be() -> None:
         world = gates.build()
         for gate in range(3):
             y = offset * (-1.0) ** gate
-            assert world.blocking(circle(4.0 * (gate + 1), y, 0.74), 0.0, 0.5) is None
+            assert world.blocking(disc(4.0 * (gate + 1), y, 0.74), 0.0, 0.5) is None
             for side in (-0.76, 0.76, 2.7, -2.7):
-                assert world.blocking(circle(4.0 * (gate + 1), y + side, 0.05), 0.0, 0.5) is not None
+                assert world.blocking(disc(4.0 * (gate + 1), y + side, 0.05), 0.0, 0.5) is not None
 
 
 @pytest.mark.parametrize("kind", [Gates, GatesOffset])
@@ -379,9 +374,9 @@ def test_gates_stand_where_each_was_put(kind: type[Gates]) -> None:
     assert world.name == "gates-offset"
     for gate, y in enumerate(offsets):
         x = 3.5 * (gate + 1)
-        assert world.blocking(circle(x, y, 0.449), 0.0, 0.5) is None
+        assert world.blocking(disc(x, y, 0.449), 0.0, 0.5) is None
         for side in (-0.46, 0.46, 2.4, -2.4):
-            assert world.blocking(circle(x, y + side, 0.02), 0.0, 0.5) is not None
+            assert world.blocking(disc(x, y + side, 0.02), 0.0, 0.5) is not None
     same = Gates(number=2, offsets=(0.75, -0.75)).build()
     assert same.solids == GatesOffset(number=2).build().solids
     assert Gates(number=2, offsets=(0.0, 0.0)).build().name == "gates"
@@ -403,16 +398,16 @@ def test_as_many_offsets_as_gates_are_asked_for(offsets: tuple[float, ...]) -> N
 
 def test_a_pillar_stands_where_it_was_put() -> None:
     world = Pillar(position=(3.0, 1.0), radius=0.5).build()
-    solid, depth = world.blocking(circle(3.0, 0.3, 0.3), 0.0, 0.5) or (None, 0.0)
+    solid, depth = world.blocking(disc(3.0, 0.3, 0.3), 0.0, 0.5) or (None, 0.0)
     assert isinstance(solid, Cylinder)
     assert depth == pytest.approx(0.1, abs=0.02)  # 0.7 m apart, radii 0.5 and 0.3
-    assert world.blocking(circle(3.0, 0.3, 0.19), 0.0, 0.5) is None
+    assert world.blocking(disc(3.0, 0.3, 0.19), 0.0, 0.5) is None
 
 
 def test_a_square_pillar_has_corners() -> None:
     """Its edge is twice the radius: 5 cm from its side, and outside the circle at its corner."""
     world = Pillar(position=(3.0, 1.0), radius=0.25, square=True).build()
     assert world.solids == (Box(center=(3.0, 1.0, 1.5), size=(0.5, 0.5, 3.0)),)
-    assert world.blocking(circle(3.0, 0.5, 0.2), 0.0, 0.5) is None
-    assert world.blocking(circle(3.24, 1.24, 0.005), 0.0, 0.5) is not None
-    assert Pillar(position=(3.0, 1.0), radius=0.25).build().blocking(circle(3.24, 1.24, 0.005), 0.0, 0.5) is None
+    assert world.blocking(disc(3.0, 0.5, 0.2), 0.0, 0.5) is None
+    assert world.blocking(disc(3.24, 1.24, 0.005), 0.0, 0.5) is not None
+    assert Pillar(position=(3.0, 1.0), radius=0.25).build().blocking(disc(3.24, 1.24, 0.005), 0.0, 0.5) is None
