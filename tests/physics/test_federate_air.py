@@ -29,10 +29,6 @@ def spec(name: str, model: Vehicle, position: Vec3 = HIGH, **also: Any) -> Vehic
     return VehicleSpec(name=name, model=model, position=position, **also)
 
 
-def values(steps: list[list[Event]], key: str) -> list[Any]:
-    return [event.value for events in steps for event in events if event.key == key]
-
-
 def flown(physics: Physics, commands: list[tuple[float, str, Velocity | Waypoint]], duration_s: float) -> list[dict[str, Any]]:
     """Values by key at every tenth of a second; commands are handed over at their own times."""
     run = RunInfo(scenario="test", seed=1, duration_ns=round(duration_s * SECOND_NS), vehicles=physics._names, instants=TENTH)

@@ -262,7 +262,6 @@ def test_vehicles_of_a_fleet_do_not_know_of_each_other() -> None:
 
 
 CALM = np.zeros((1, 3))
-FRONT, LEFT, BACK, RIGHT = range(4)
 
 
 def euler(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> tuple[float, float, float, float]:
@@ -286,22 +285,6 @@ def test_thrust_of_a_nose_that_is_down_points_forward_and_of_a_left_side_that_is
         assert force[0] / np.linalg.norm(force) == pytest.approx(direction, abs=5e-4)
 
 
-@pytest.mark.parametrize(
-    ("stronger", "weaker", "torque"),
-    [
-        ([BACK], [FRONT], (0, 1, 0)),  # nose down: forward
-        ([LEFT], [RIGHT], (1, 0, 0)),  # left side up: to the right
-        ([LEFT, RIGHT], [FRONT, BACK], (0, 0, 1)),
-    ],
-)
-def test_rotors_turn_the_body(stronger: list[int], weaker: list[int], torque: tuple[int, int, int]) -> None:
-    fleet = hovering()
-    fleet.rotor[0, stronger] = np.sqrt(fleet.rotor[0, stronger] ** 2 + 5e4)  # thrusts differ by the same
-    fleet.rotor[0, weaker] = np.sqrt(fleet.rotor[0, weaker] ** 2 - 5e4)
-    _, turning = fleet.wrench(1e-9, CALM)
-    assert np.sign(np.round(turning[0], 5)).tolist() == list(torque)
-
-
 def test_torques_are_those_of_the_arms() -> None:
     fleet = hovering()
     fleet.rotor[0] = 300.0, 500.0, 450.0, 400.0
@@ -311,23 +294,6 @@ def test_torques_are_those_of_the_arms() -> None:
     expected = (MODEL.arm_m * (left - right), MODEL.arm_m * (back - front), kappa * (-front + left - back + right))
     assert torque[0] == pytest.approx(expected, rel=1e-5)
     assert force[0] == pytest.approx((0.0, 0.0, front + left + back + right), rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("velocity", "stronger", "weaker"),
-    [((1, 0, 0), BACK, FRONT), ((-1, 0, 0), FRONT, BACK), ((0, 1, 0), RIGHT, LEFT), ((0, -1, 0), LEFT, RIGHT)],
-)
-def test_it_sets_off_with_the_rotor_opposite_to_where_it_goes(velocity: Any, stronger: int, weaker: int) -> None:
-    fleet = hovering()
-    fleet.set_velocity(0, velocity, 0.0)
-    fleet.wrench(0.01, CALM)
-    assert fleet.rotor[0, stronger] > fleet.rotor[0, weaker] + 10.0
-
-
-def test_velocities_are_in_the_world_frame_whatever_the_heading() -> None:
-    fleet = hovering(heading=2.0)
-    fleet.set_velocity(0, (1.0, -2.0, 0.5), 0.0)
-    assert fly(fleet, 6.0, 240.0).velocity[-1, 0] == pytest.approx((1.0, -2.0, 0.5), abs=0.01)
 
 
 def test_rates_are_damped_as_if_the_body_were_a_ball() -> None:
