@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.step_responses import overshoot, servo_step
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import arc, wrap
 from vcmvsp.cosim.types import Vec3
@@ -164,6 +165,27 @@ def test_a_fleet_moves_as_each_of_it_alone() -> None:
             moved.advance(k * SECOND_NS // 10)
     for number, moved in enumerate(alone):
         assert row(fleet, number) == pytest.approx(row(moved), abs=1e-12)
+
+
+def catching_up(model: GroundVehicle, k1: float, period_s: float = 0.1) -> list[float]:
+    """Errors z, m, of a vehicle that catches up by v = 0.3 + k1 z with a slot at 0.3 m/s, 0.5 m ahead at the start."""
+    moved, period_ns = engine(model), round(period_s * SECOND_NS)
+    moved.command(0, (0.3, 0.0, 0.0), 0.0)
+    moved.advance(60 * SECOND_NS)  # at speed when it begins
+    start_m, errors = row(moved)[0], []
+    for k in range(round(40.0 / period_s)):
+        z = start_m + 0.5 + 0.3 * k * period_s - row(moved)[0]
+        errors.append(z)
+        moved.command(0, (0.3 + k1 * z, 0.0, 0.0), 0.0)
+        moved.advance(60 * SECOND_NS + (k + 1) * period_ns)
+    return errors
+
+
+@pytest.mark.parametrize(("k1", "percent"), [(0.4, 0.0), (0.8, 2.6), (2.0, 20.6), (4.0, 39.6), (8.0, 62.2)])
+def test_sampled_servo_overshoots_by_its_transition_matrix(k1: float, percent: float) -> None:
+    exact = servo_step(k1, 0.1, 0.5, 400)
+    assert overshoot(exact) == pytest.approx(percent / 100.0, abs=5e-4)
+    assert catching_up(Lag(), k1) == pytest.approx(0.5 * exact, abs=1e-6)
 
 
 def test_through_the_federate(drive: Callable[..., Any]) -> None:

@@ -11,9 +11,9 @@ import pytest
 from tests.support.physics.sensor_scenes import readings, scene_of, still
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.config import binding, registry
-from vcmvsp.cosim.reference.describe import meanings
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event, Instants
+from vcmvsp.cosim.reference.describe import meanings
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Measured
 from vcmvsp.cosim.util.codec import Decoder, encode
