@@ -1,25 +1,255 @@
 """Host of agents: one federate for all agents of a process.
 
-It collects the published data of a vehicle into an `Observation`, calls the agent, and turns its command, messages and notes
-into events that take effect at tick + latency (`agents.agent_runner`).
+It collects the published data of a vehicle into an `Observation`, calls `Agent.act`, and turns command, messages and notes into
+events that take effect at tick + latency.
 """
 
+import math
+import traceback
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
-from vcmvsp.agents.agent_runner import NEVER_NS, AgentRunner
-from vcmvsp.agents.factory import Kinds
-from vcmvsp.cosim.agent import Agent, AgentSpec
+import msgspec
+
+from vcmvsp.agents.factory import Kinds, build, files_of
+from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
+from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.errors import AgentError, ScenarioError, place_of, words_of
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
+from vcmvsp.cosim.hosts.remote_host import Absence
+from vcmvsp.cosim.types import Follows, Note, Period, Readings, Reception, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.util.text import plain
+
+NEVER_NS = 2**63
+COMMANDS = (Velocity, Waypoint)
+MUTABLE = frozenset({dict, list})  # types that MessagePack decodes to
+ALWAYS = ("odometry", "fix")  # besides the sensors of the scenario
+
+
+class AgentRunner:
+    """Runs one agent: ``agent``, if it exists already, or one of the specification, whose class is looked up in ``kinds``."""
+
+    def __init__(self, spec: AgentSpec, agent: Agent | None, kinds: Kinds) -> None:
+        self.spec, self.vehicle, self.next_ns = spec, spec.vehicle, 0
+        self._started, self._command_key, self._note_key = False, f"{spec.vehicle}/command", f"{spec.vehicle}/note"
+        if agent is None:
+            self.agent, params, defaults_used = build(spec, kinds)
+        else:  # constructor arguments are unknown; the scenario's parameters stand in
+            parameters = binding.parameters(type(agent))
+            params_of_spec = {name: value for name, value in {**spec.defaults, **spec.params}.items() if name in parameters}
+            self.agent, params, defaults_used = agent, binding.complete(type(agent), params_of_spec), tuple(spec.defaults)
+        try:
+            self._ticks = Ticks.every(binding.convert(spec.period_s or self.agent.period, Period))
+        except ScenarioError as error:
+            problem = f"the class's own period {error.problem}"
+            raise ScenarioError(problem, key=f"vehicle.{spec.vehicle}.agent.kind", source=spec.source) from error
+        requested = self.agent.sensors
+        sensors = [each for each in dict.fromkeys((*ALWAYS, *spec.sensors)) if requested is None or each in requested]
+        self.info = AgentInfo(
+            vehicle=spec.vehicle,
+            agent=spec.kind,
+            ticks=self._ticks,
+            latency_ns=seconds_to_ns(spec.latency_s),
+            params=params,
+            known=tuple(binding.parameters(type(self.agent))),
+            taken=defaults_used,
+            sensors=tuple(requested or ()),
+            files=files_of(type(self.agent), params),
+        )
+        self._state: VehicleState | None = None
+        self._readings = Readings()
+        self._heard: list[Reception] = []
+        self.sees: dict[str, Callable[[Any], None]] = {
+            "estimate": self._locate,
+            **{sensor: partial(self._readings.__setitem__, sensor) for sensor in sensors},
+        }
+        self._follows: Follows | None = None
+        self.fails_ns = NEVER_NS if spec.fails_s is None else seconds_to_ns(spec.fails_s)
+        self._dead = False
+        self._absence: Absence | None = None
+
+    def start(self, run: RunInfo) -> None:
+        """Start the agent with the data of its vehicle and of the run."""
+        self._radio, self._started = Radio(self.vehicle, run.vehicles), True
+        self._vehicles = run.vehicles
+        about = VehicleInfo(
+            name=self.vehicle,
+            vehicles=run.vehicles,
+            period_s=float(self._ticks.period / SECOND_NS),
+            latency_s=self.spec.latency_s,
+            seed=run.seed,
+            body=self.spec.body,
+            sensors=self.spec.sensors,
+            beside_m=self.spec.beside_m,
+        )
+        try:
+            self.guarded(self.agent.start, about, passes=ValueError)
+        except ValueError as error:  # a name or number of the scenario that this agent cannot work with
+            key = f"vehicle.{self.vehicle}.agent"
+            raise ScenarioError(str(error), key=key, source=self.spec.source) from error
+
+    def close(self) -> AgentError | None:
+        """Close the agent; what goes wrong is the answer."""
+        try:
+            if self._started:
+                self.guarded(self.agent.close)
+        except AgentError as error:
+            return error
+        return None
+
+    def hear(self, reception: Reception) -> None:
+        """Queue a received message for the next observation."""
+        self._heard.append(reception if isinstance(reception.message.body, bytes) else _own_copy(reception))
+
+    def _locate(self, state: VehicleState) -> None:
+        self._state = state
+
+    def tick(self, now_ns: int, after_ns: int, events: list[Event]) -> None:
+        """Append the events of a tick, in effect from now + latency on."""
+        if self.next_ns < now_ns:  # ticks missed while the host was disconnected
+            self.next_ns = self._ticks.after(now_ns - 1)
+            if self.next_ns > now_ns:
+                return
+        self.next_ns = after_ns
+        if now_ns >= self.fails_ns:
+            self._die(now_ns, events)
+        elif self._absence is not None:
+            self._heard.clear()
+            events.extend(self._absence.go_on(now_ns + self.info.latency_ns))
+        else:
+            before = len(events)
+            try:
+                self._act(now_ns, now_ns + self.info.latency_ns, events)
+            except AgentError as error:
+                if self.spec.on_lost == "stop":
+                    raise
+                del events[before:]
+                self._leave(now_ns, error, events)
+
+    def _leave(self, now_ns: int, error: AgentError, events: list[Event]) -> None:
+        when, follows = now_ns + self.info.latency_ns, self._follows is not None
+        self._absence = Absence(self.spec, now_ns, when, error.cause, follows=follows)
+        events.extend(self._absence.news)
+
+    def _act(self, now_ns: int, when: int, events: list[Event]) -> None:
+        if self._state is None:
+            raise AgentError(
+                (self.vehicle,), self.spec.kind, "has no state to act on: nothing published its vehicle's estimate"
+            )
+        agent, radio = self.agent, self._radio
+        observation = Observation(
+            vehicle=self.vehicle,
+            time_ns=now_ns,
+            state=self._state,
+            readings=Readings(self._readings),
+            heard=tuple(self._heard) if self._heard else (),
+        )
+        if self._heard:
+            self._heard.clear()
+        try:
+            command = agent.act(observation, radio)
+        except KeyboardInterrupt as error:
+            about = f" in agent {self.spec.kind} of vehicle {self.vehicle}{place_of(error)}"
+            raise KeyboardInterrupt(about) from error
+        except BaseException as error:  # as in `guarded`, a call less
+            raise self._failure(error) from error
+        if command is not None:
+            events.append(Event(self._command_key, when, self._checked(command)))
+        if agent.follows is not self._follows and agent.follows != self._follows:
+            self._follows = agent.follows
+            events.append(Event(f"{self.vehicle}/follows", when, self._place(self._follows)))
+        if agent._notes or agent._shown or radio._outbox:  # noqa: SLF001  looked at here, as it is at every tick of every agent
+            self._tell(when, events)
+
+    def _tell(self, when: int, events: list[Event]) -> None:
+        if notes := self.agent.drain_notes():
+            events.append(Event(self._note_key, when, Note(values=notes)))
+        if self.agent._shown:  # noqa: SLF001  as in `_act`
+            events += [Event(f"{self.vehicle}/{what}", when, value) for what, value in self.agent.drain_shown().items()]
+        if self._radio._outbox:  # noqa: SLF001  as in `_act`
+            events += [Event(f"{self.vehicle}/send", when, message) for message in self._radio.drain()]
+
+    def _die(self, now_ns: int, events: list[Event]) -> None:
+        """Stop the vehicle and end all messages, at the failure time of the scenario."""
+        self._heard.clear()
+        if not self._dead:
+            self._dead, when = True, now_ns + self.info.latency_ns
+            note = Note(values={"status": "failed"})
+            events += [Event(f"{self.vehicle}/command", when, Velocity()), Event(f"{self.vehicle}/note", when, note)]
+            if self._follows is not None:
+                events.append(Event(f"{self.vehicle}/follows", when, self._place(None)))
+
+    def _checked(self, command: Any) -> Velocity | Waypoint:
+        if not isinstance(command, COMMANDS):
+            raise self._error(f"returned {binding.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
+        try:
+            plain_command, total = _plain(command)
+        except (TypeError, ValueError):
+            raise self._error(f"returned {command}; every coordinate must be a number") from None
+        if not math.isfinite(total):
+            raise self._error(f"returned a command that is not finite: {plain_command}")
+        return plain_command
+
+    def _place(self, follows: Any) -> Follows:
+        if follows is None:
+            return Follows(leader=None)
+        try:
+            place = msgspec.convert(msgspec.to_builtins(follows, enc_hook=lambda number: number.item()), Follows)
+        except (msgspec.ValidationError, TypeError, AttributeError):
+            raise self._error(f"has set follows to {binding.show(follows)}; it must be a Follows, or None") from None
+        if place.leader == self.vehicle or place.leader not in self._vehicles:
+            raise self._error(f"has set follows.leader to {place.leader!r}, which is not another vehicle of this run")
+        return place
+
+    def guarded(self, method: Any, *args: Any, passes: type[Exception] | tuple[()] = ()) -> Any:
+        """Call a method of the agent; an exception becomes an error with agent, vehicle and line."""
+        try:
+            return method(*args)
+        except KeyboardInterrupt:
+            raise
+        except passes:
+            raise
+        except BaseException as error:  # no exception of an agent may end the recording
+            raise self._failure(error) from error
+
+    def _failure(self, error: BaseException) -> AgentError:
+        cause = f"raised {words_of(error)}{place_of(error)}"
+        return self._error(cause, details="".join(traceback.format_exception(error)))
+
+    def _error(self, cause: str, *, details: str = "") -> AgentError:
+        return AgentError((self.vehicle,), self.spec.kind, plain(cause, lines=True), details=details)
+
+
+def _plain(command: Velocity | Waypoint) -> tuple[Velocity | Waypoint, float]:
+    """The command in plain floats, and their sum, which is finite only if all are."""
+    if isinstance(command, Velocity):
+        x, y, z = command.linear
+        rate = command.yaw_rate
+        if type(x) is type(y) is type(z) is type(rate) is float and type(command) is Velocity and type(command.linear) is tuple:
+            return command, x + y + z + rate
+        x, y, z, rate = float(x), float(y), float(z), float(rate)
+        return Velocity(linear=(x, y, z), yaw_rate=rate), x + y + z + rate
+    x, y, z = map(float, command.position)
+    yaw = None if command.yaw is None else float(command.yaw)
+    speed = None if command.speed is None else float(command.speed)
+    return Waypoint(position=(x, y, z), yaw=yaw, speed=speed), x + y + z + (yaw or 0.0) + (speed or 0.0)
+
+
+def _own_copy(reception: Reception) -> Reception:
+    """The reception with its own body: an agent that changes a body changes no other agent's, as over a wire."""
+    message = reception.message
+    assert isinstance(message.body, dict)  # noqa: S101  bytes need no copy
+    flat = MUTABLE.isdisjoint(map(type, message.body.values()))
+    body = message.body.copy() if flat else msgspec.msgpack.decode(msgspec.msgpack.encode(message.body))
+    return msgspec.structs.replace(reception, message=msgspec.structs.replace(message, body=body))
 
 
 class AgentHost:
     """A federate with agents, one per vehicle.
 
-    Args:
-        name: of the federate.
-        specs: specifications of the agents.
-        objects: existing agents, by vehicle; the rest of their specification still applies.
+    The specification of one of the existing agents, ``objects`` by vehicle, applies but for what its constructor was given.
     """
 
     slot = wake_slot = Slot.AGENT

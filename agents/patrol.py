@@ -70,22 +70,17 @@ class Patrol(Agent):
             self._report_at_s += self.report_s
             x, y, z = obs.state.position
             radio.send(x=x, y=y, z=z)
-        return self._fly(obs) if self.flies else self._drive(obs)
+        return Waypoint(position=self._aim(obs), speed=self.speed) if self.flies else self._drive(obs)
 
     def _aim(self, obs: Observation) -> Vec3:
         """The next point, or the one after it once that is reached."""
         for _ in self.way:
             x, y, z = (a + b for a, b in zip(self.way[self._next], self._origin or (0.0, 0.0, 0.0), strict=True))
-            away = [a - b for a, b in zip((x, y, z), obs.state.position, strict=True)]
-            if math.hypot(*away[: 3 if self.flies else 2]) > self.arrive_m or (
-                not self.loop and self._next == len(self.way) - 1
-            ):
+            coordinates, is_last = 3 if self.flies else 2, not self.loop and self._next == len(self.way) - 1
+            if is_last or math.dist((x, y, z)[:coordinates], obs.state.position[:coordinates]) > self.arrive_m:
                 break
             self._next = (self._next + 1) % len(self.way)
         return x, y, z
-
-    def _fly(self, obs: Observation) -> Waypoint:
-        return Waypoint(position=self._aim(obs), speed=self.speed)
 
     def _drive(self, obs: Observation) -> Velocity:
         x, y, _ = self._aim(obs)

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.measure import Row, cpu, in_turn, table
 from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
-from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.method import Settings
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.types import Array, Scan
 

@@ -14,7 +14,7 @@ from bench.measure import Row, cpu, in_turn, table
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.dynamics.bullet import p as pybullet  # there it is imported without its greeting
 from vcmvsp.physics.render.renderer import render
-from vcmvsp.physics.render.view import View
+from vcmvsp.physics.render.triangles import View
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 

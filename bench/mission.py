@@ -14,7 +14,8 @@ import numpy as np
 
 from bench.measure import Row, cpu, in_turn, measured, table
 from bench.workloads import run_cpu_s
-from vcmvsp.agents.reconnaissance.recognition import Detector, TargetPicture
+from vcmvsp.agents.reconnaissance.recognition.detector import Detector
+from vcmvsp.agents.reconnaissance.recognition.stages import TargetPicture
 from vcmvsp.cosim.analysis.snapshots import Snapshot, Snapshots
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Array

@@ -13,9 +13,8 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.dynamics.bullet import p as pybullet  # there it is imported without its greeting
 from vcmvsp.physics.raycast.caster import caster_of
 from vcmvsp.physics.sensors.range_scanner import Lms, RangeScanner, Ring, true_ranges
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.solids import Box, Hull
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import Scene, World
 
 ROUNDS = 7
 AREA_M = 120.0  # edge of the town, whatever the number of its buildings: the more, the smaller

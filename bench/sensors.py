@@ -14,8 +14,7 @@ from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.sensors.camera import NadirCamera
 from vcmvsp.physics.sensors.range_scanner import Lms, Ring
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.vehicles.models import P2DX
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
 

@@ -12,8 +12,7 @@ from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Later, Velocity
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, p
 from vcmvsp.physics.federate import BulletPhysics
-from vcmvsp.physics.vehicles.models import P2DX
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
 

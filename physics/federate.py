@@ -32,27 +32,13 @@ from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, ExternalMotion, Instants, Needed, RunInfo, Slot, Step
 from vcmvsp.cosim.types import Array, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
-from vcmvsp.physics.dynamics.external_vehicles import ExternalEngine, check_wheel_sensors
-from vcmvsp.physics.dynamics.kinematic_aerial import AerialEngine
-from vcmvsp.physics.dynamics.kinematic_ground import GroundEngine
-from vcmvsp.physics.engine.commands import Commands, Mover
-from vcmvsp.physics.engine.contacts import Contacts
-from vcmvsp.physics.engine.interface import BodyMotion, Engine, gathered
-from vcmvsp.physics.placement_checks import (
-    check_free,
-    check_instants,
-    check_lift,
-    check_names,
-    check_overlaps,
-    check_places,
-    check_sensors,
-    placed,
-)
+from vcmvsp.physics import placement_checks as checks
+from vcmvsp.physics.dynamics.kinematic import AerialEngine, ExternalEngine, GroundEngine
+from vcmvsp.physics.engine import BodyMotion, Commands, Contacts, Engine, Mover, gathered
 from vcmvsp.physics.pose_sources import PoseSources
 from vcmvsp.physics.scene_builder import SceneBuilder
 from vcmvsp.physics.sensor_scheduler import SensorScheduler
-from vcmvsp.physics.vehicles.models import DifferentialDrive, GroundVehicle, Point
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import DifferentialDrive, GroundVehicle, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec, flies
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
@@ -121,10 +107,9 @@ class Physics:
         self._sensors = SensorScheduler({spec.name: spec.sensors for spec in self.vehicles}, run.seed, requested=run.wanted)
         own = (*self._sensors.instants, *self._sources.instants, *([Instants(PACE)] if run.paced else []))
         self._needed, self._stops = Needed(run), Needed(msgspec.structs.replace(run, instants=(*run.instants, *own)))
-        check_names(self.world, self.vehicles)
-        check_places(self.world, self.vehicles)
-        check_sensors(self.vehicles)
-        check_wheel_sensors(external)
+        checks.check_names(self.world, self.vehicles)
+        checks.check_places(self.world, self.vehicles)
+        checks.check_sensors(self.vehicles, () if self._outside is None else self._outside.names)
         self._engines = [(engine, np.array(numbers, int)) for engine, numbers in self.engines()]
         self._commands = Commands(self._movers(), self._advance)
         self._contacts = Contacts(self._engines, len(self.vehicles), self._scenes.names)
@@ -150,17 +135,12 @@ class Physics:
             engine.close()
 
     def check_move(self, obstacle: str, position: tuple[float, float], yaw: float) -> None:
-        """Refuse an impossible place for a movable; changes nothing. Before the start, vehicles are ignored.
-
-        Args:
-            obstacle: name of the movable.
-            position: x, y m, world.
-            yaw: rad.
+        """Refuse an impossible place, x, y m and yaw rad, for the movable of a name. Before the start, vehicles are ignored.
 
         Raises:
             ValueError: there is no such movable, or no room for it there.
         """
-        number, place = placed(self.world, obstacle, position, yaw)
+        number, place = checks.placed(self.world, obstacle, position, yaw)
         if self._engines:
             self._check_free(number, place, yaw, SOON_S)
 
@@ -179,7 +159,7 @@ class Physics:
 
     def _check_free(self, number: int, place: Vec3, yaw: float, within_s: float) -> None:
         scene = self._scenes.scene(self._now_ns, self._motion(), self._movables(), ())
-        check_free(scene, self._scenes.names, len(self.vehicles) + number, place, yaw, within_s)
+        checks.check_free(scene, self._scenes.names, len(self.vehicles) + number, place, yaw, within_s)
 
     def _apply(self, inbox: Sequence[Event]) -> None:
         for event in inbox:
@@ -194,7 +174,7 @@ class Physics:
 
     def _put(self, obstacle: str, position: tuple[float, float], yaw: float) -> None:
         try:
-            number, place = placed(self.world, obstacle, position, yaw)
+            number, place = checks.placed(self.world, obstacle, position, yaw)
             self._check_free(number, place, yaw, 0.0)  # an engine throws overlapping bodies apart
         except ValueError as error:
             raise FederateError(self.name, str(error)) from error
@@ -227,11 +207,8 @@ class Physics:
         motion = self._motion()
         events = []
         if states:
-            position, velocity, attitude, angular_velocity = motion[:4]
-            true_states = States(
-                names=self._names, position=position, velocity=velocity, attitude=attitude, angular_velocity=angular_velocity
-            )
-            events.append(Event("world/states", now_ns, true_states))
+            arrays = dict(zip(("position", "velocity", "attitude", "angular_velocity"), motion[:4], strict=True))
+            events.append(Event("world/states", now_ns, States(names=self._names, **arrays)))
         events += self._sources.measure(now_ns, motion)
         if readings:
             scene = self._scenes.scene(now_ns, motion, self._movables(), self._contacts.now(passing=False))
@@ -253,15 +230,15 @@ class Physics:
     def _bodiless(self, numbers: Sequence[int]) -> list[tuple[Engine, list[int]]]:
         """Up to two engines without bodies, on the ground and in the air, for those of the numbered vehicles that they move."""
         engines: list[tuple[Engine, list[int]]] = []
+        starts = {n: (self.vehicles[n].start, self.vehicles[n].heading) for n in numbers}
         ground = {n: model for n in numbers if isinstance(model := self.vehicles[n].model, GroundVehicle)}
         if ground:
-            starts = [(self.vehicles[n].start, self.vehicles[n].heading) for n in ground]
             sensed = any(spec.sensors for spec in self.vehicles)
-            engines.append((GroundEngine([*ground.values()], *zip(*starts, strict=True), sensed=sensed), [*ground]))
+            at = zip(*(starts[n] for n in ground), strict=True)
+            engines.append((GroundEngine([*ground.values()], *at, sensed=sensed), [*ground]))
         air = {n: model for n in numbers if isinstance(model := self.vehicles[n].model, Point | Quadrotor)}
         if air:
-            starts = [(self.vehicles[n].start, self.vehicles[n].heading) for n in air]
-            engines.append((AerialEngine([*air.values()], *zip(*starts, strict=True)), [*air]))
+            engines.append((AerialEngine([*air.values()], *zip(*(starts[n] for n in air), strict=True)), [*air]))
         return engines
 
 
@@ -281,13 +258,13 @@ class BulletPhysics(Physics):
         """Bullet, and the engines of vehicles without bodies."""
         from vcmvsp.physics.dynamics.bullet.engine import BulletEngine  # loads PyBullet, 0.4 s
 
-        check_instants(self._run, self.rate_hz, self._sources.instants)
+        checks.check_instants(self._run, self.rate_hz, self._sources.instants)
         self._sensors.check(Ticks.rate(self.rate_hz))
         rigid = DifferentialDrive | UrdfDrive | Quadrotor
         bodies = [n for n, spec in enumerate(self.vehicles) if n in self._external or isinstance(spec.model, rigid)]
         specs = [self.vehicles[n] for n in bodies]
-        check_overlaps(self.world, specs)
-        check_lift([self.vehicles[n] for n in bodies if n not in self._external], self.gravity)
+        checks.check_overlaps(self.world, specs)
+        checks.check_lift([self.vehicles[n] for n in bodies if n not in self._external], self.gravity)
         bullet = BulletEngine(
             world=self.world,
             vehicles=specs,

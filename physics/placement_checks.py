@@ -1,6 +1,6 @@
 """Checks before time 0 (names, sensors, instants, places, overlaps), and of the place of a movable during a run."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from math import isfinite
 from typing import NamedTuple
 
@@ -12,11 +12,11 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Instants, RunInfo
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.types import Array, Vec3
-from vcmvsp.physics.dynamics.movables import TOUCHES_M, depth_m, outline
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.scene_builder import TOUCHES_M, depth_m, outline
+from vcmvsp.physics.sensors.motion import WheelOdometry
+from vcmvsp.physics.vehicles.models import Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec, flies
-from vcmvsp.physics.world.scene import Scene
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import Scene, World
 
 
 class _Body(NamedTuple):
@@ -37,11 +37,14 @@ def check_names(world: World, vehicles: Sequence[VehicleSpec]) -> None:
             names.add(each.name)
 
 
-def check_sensors(vehicles: Sequence[VehicleSpec]) -> None:
-    """Refuse sensors that do not fit their vehicles."""
+def check_sensors(vehicles: Sequence[VehicleSpec], external: Collection[str]) -> None:
+    """Refuse sensors that do not fit their vehicles; wheel odometry on external ones: physics does not turn their wheels."""
     for spec in vehicles:
         for name, sensor in spec.sensors.items():
-            if problem := sensor.misfit(spec.model):
+            problem = sensor.misfit(spec.model)
+            if not problem and spec.name in external and isinstance(sensor, WheelOdometry):
+                problem = "is not moved by physics, which cannot count its wheels' turns: leave this sensor out"
+            if problem:
                 raise ScenarioError(f"{spec.name} {problem}", key=f"vehicle.{spec.name}.sensors.{name}")
 
 
@@ -95,28 +98,20 @@ def check_overlaps(world: World, vehicles: Sequence[VehicleSpec]) -> None:
             bodies.append(_Body(each.name, key, *outline(each.solid.hull, (x, y, z), heading)))
     movables, cars = len(world.moving), len(bodies)
     for spec in vehicles:
-        corners, bottom, top = outline(spec.model.hull, spec.start, spec.heading)
-        bodies.append(_Body(spec.name, f"vehicle.{spec.name}.position", corners, bottom, top))
-    circles = np.array([_circle(body.corners) for body in bodies]).reshape(-1, 3)  # x, y, radius, m
-    for number in range(movables, len(bodies)):
-        body = bodies[number]
-        x, y, radius = circles[number]
-        apart = np.hypot(circles[:number, 0] - x, circles[:number, 1] - y)
+        hull = outline(spec.model.hull, spec.start, spec.heading)
+        bodies.append(_Body(spec.name, f"vehicle.{spec.name}.position", *hull))
+    middles = np.array([body.corners.mean(axis=0) for body in bodies]).reshape(-1, 2)
+    radii = np.array([np.hypot(*(body.corners - middle).T).max() for body, middle in zip(bodies, middles, strict=True)])
+    for number, body in enumerate(bodies[movables:], movables):
+        apart = np.hypot(*(middles[:number] - middles[number]).T)
         first = 0 if number >= cars else movables
-        for k in (first + np.flatnonzero(apart[first:] < circles[first:number, 2] + radius)).tolist():
-            _check_depth(body, bodies[k].name, depth_m(body[2:], bodies[k][2:]))
-        if blocking := world.blocking(body.corners, body.bottom, body.top):
-            _check_depth(body, blocking[0].words, blocking[1])
-
-
-def _check_depth(body: _Body, other: str, depth_m: float) -> None:
-    if depth_m > TOUCHES_M:
-        raise ScenarioError(f"{body.name} and {other} overlap at the start, by {depth_m:.3g} m; move one", key=body.key)
-
-
-def _circle(corners: Array) -> tuple[float, float, float]:
-    middle = corners.mean(axis=0)
-    return float(middle[0]), float(middle[1]), float(np.hypot(*(corners - middle).T).max())
+        near = first + np.flatnonzero(apart[first:] < radii[first:number] + radii[number])
+        overlaps = [(bodies[k].name, depth_m(body[2:], bodies[k][2:])) for k in near.tolist()]
+        if blocking := world.blocking(*body[2:]):
+            overlaps.append((blocking[0].words, blocking[1]))
+        for other, depth in overlaps:
+            if depth > TOUCHES_M:
+                raise ScenarioError(f"{body.name} and {other} overlap at the start, by {depth:.3g} m; move one", key=body.key)
 
 
 def placed(world: World, obstacle: str, position: tuple[float, float], yaw: float) -> tuple[int, Vec3]:
@@ -144,15 +139,9 @@ def placed(world: World, obstacle: str, position: tuple[float, float], yaw: floa
 
 
 def check_free(scene: Scene, names: tuple[str, ...], row: int, place: Vec3, yaw: float, within_s: float) -> None:
-    """Refuse a place that another body occupies; all bodies count as level.
+    """Refuse a place (centre, m, and yaw, rad) of the body in ``row`` that another occupies; all bodies count as level.
 
-    Args:
-        scene: poses of all bodies.
-        names: of all bodies.
-        row: of the body to be placed.
-        place: of its centre, m.
-        yaw: rad.
-        within_s: bodies also occupy the room that they can reach in this time.
+    Bodies also occupy the room that they can reach ``within_s``.
 
     Raises:
         ValueError: with the name of the other body.

@@ -15,13 +15,14 @@ import numpy as np
 
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.estimation.fusion import FusedPose, Fusion
 from vcmvsp.cosim.federate import Event, Instants
-from vcmvsp.cosim.frames import Quaternion, quaternion_from_yaw, travelled, yaw_of
+from vcmvsp.cosim.frames import quaternion_from_yaw, travelled, yaw_of
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Fix, Odometry, Vec3, VehicleState
-from vcmvsp.physics.engine.interface import BodyMotion
+from vcmvsp.physics.engine import BodyMotion
 from vcmvsp.physics.sensors.positioning import Positioning
-from vcmvsp.physics.vehicles.specification import Estimator, FusedPose, VehicleSpec
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 
 _FEED_TICKS = Ticks.rate(10.0)
 _LEAST_SIGMA_M = 1e-3  # of a fix, for estimators that divide by it
@@ -98,9 +99,8 @@ class PoseSources:
         for (number, source, estimate_key, odometry_key), row in zip(self._vehicles, numbers.tolist(), strict=True):
             px, py, pz, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz, x, y, yaw, v, w = row
             odometry = None if isnan(x) else Odometry(pose=(x, y, yaw), v=v, w=w)
-            state = VehicleState(
-                position=(px, py, pz), velocity=(vx, vy, vz), attitude=(qw, qx, qy, qz), angular_velocity=(wx, wy, wz)
-            )
+            place, attitude = (px, py, pz), (qw, qx, qy, qz)
+            state = VehicleState(position=place, velocity=(vx, vy, vz), attitude=attitude, angular_velocity=(wx, wy, wz))
             if source != "truth":
                 fused = self._fusers[number].estimator.estimate(now_ns) if number in self._fusers else None
                 state = estimate(source, state, odometry, self._fixes.get(number), fused)
@@ -110,10 +110,8 @@ class PoseSources:
         return events
 
 
-class _Fuser:
-    """An estimator, and the odometry that it got last."""
-
-    def __init__(self, estimator: Estimator) -> None:
+class _Fuser:  # an estimator, and the odometry that it got last
+    def __init__(self, estimator: Fusion) -> None:
         self.estimator = estimator
         self._last: tuple[int, Vec3] | None = None
 
@@ -138,7 +136,12 @@ def estimate(
         return truth
     if odometry is None:
         assert fix is not None  # noqa: S101  # else it is the truth
-        return msgspec.structs.replace(truth, position=fix.position, attitude=_turned_to(fix.yaw, truth.attitude))
+        attitude = truth.attitude
+        if fix.yaw is not None:  # turned about the vertical to it
+            c, _, _, s = quaternion_from_yaw(fix.yaw - yaw_of(attitude))
+            w, x, y, z = attitude
+            attitude = c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w
+        return msgspec.structs.replace(truth, position=fix.position, attitude=attitude)
     (x, y, yaw), z = odometry.pose, 0.0
     if pose_source == "fusion" and fused is not None:
         x, y, yaw = fused.x, fused.y, fused.heading if fused.heading_known else yaw
@@ -147,12 +150,3 @@ def estimate(
     w, _, _, s = attitude = quaternion_from_yaw(yaw)
     velocity = (odometry.v * (w * w - s * s), odometry.v * 2.0 * w * s, 0.0)
     return VehicleState(position=(x, y, z), velocity=velocity, attitude=attitude, angular_velocity=(0.0, 0.0, odometry.w))
-
-
-def _turned_to(yaw: float | None, attitude: Quaternion) -> Quaternion:
-    """The attitude turned about the vertical to this yaw, rad; None: unchanged."""
-    if yaw is None:
-        return attitude
-    c, _, _, s = quaternion_from_yaw(yaw - yaw_of(attitude))
-    w, x, y, z = attitude
-    return c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w

@@ -1,15 +1,17 @@
-"""Builds the scene of an instant for the sensors: vehicles, then movables and moving obstacles."""
+"""Bodies other than vehicles, and the scene of an instant for the sensors."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.types import Pushed, Vec3, frozen
-from vcmvsp.physics.dynamics.movables import on_time, start_of
-from vcmvsp.physics.engine.interface import BodyMotion, Touch, still
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.types import Array, Pushed, Vec3, frozen
+from vcmvsp.physics.engine import BodyMotion, Touch, still
 from vcmvsp.physics.vehicles.specification import VehicleSpec
-from vcmvsp.physics.world.scene import Scene
-from vcmvsp.physics.world.world import Movable, Moving, World
+from vcmvsp.physics.world.polygons import overlap_m
+from vcmvsp.physics.world.solids import Hull, rectangle
+from vcmvsp.physics.world.world import Movable, Moving, Scene, World
 
 
 class SceneBuilder:
@@ -19,18 +21,15 @@ class SceneBuilder:
         things: list[Movable | Moving] = [*world.movables, *world.moving]
         self._world, self._gravity = world, gravity
         self._vehicles = tuple(spec.name for spec in vehicles)
-        vehicle_hulls = [spec.model.hull for spec in vehicles]
-        self._hulls = (*vehicle_hulls, *[each.solid.hull for each in things])
+        self._hulls = (*(spec.model.hull for spec in vehicles), *(each.solid.hull for each in things))
         self.names = (*self._vehicles, *[each.name for each in things])
         self._standing = start_of(world.movables)  # where no engine can push movables
         self._published = self._standing.position, self._standing.attitude
 
     def put(self, number: int, place: Vec3, yaw: float) -> None:
         """Put a movable that no engine can push: its centre at ``place``, m, turned by ``yaw`` rad."""
-        own = still(np.array([place]), np.array([yaw]))
-        arrays = []
-        for before, row in zip(self._standing, own, strict=True):
-            arrays.append(np.concatenate([before[:number], row, before[number + 1 :]]))
+        both = zip(self._standing, still(np.array([place]), np.array([yaw])), strict=True)
+        arrays = [np.concatenate([before[:number], row, before[number + 1 :]]) for before, row in both]
         self._standing = BodyMotion(*arrays)
 
     def pushed(self, movables: BodyMotion | None) -> Pushed | None:
@@ -49,18 +48,47 @@ class SceneBuilder:
             bodies = [np.concatenate(each) for each in zip(bodies, pushed[:4], obstacles[:4], strict=True)]
             for each in bodies:
                 each.flags.writeable = False
-        position, velocity, attitude, angular_velocity = bodies
-        return Scene(
-            now_ns=now_ns,
-            world=self._world,
-            vehicles=self._vehicles,
-            hulls=self._hulls,
-            position=position,
-            velocity=velocity,
-            attitude=attitude,
-            angular_velocity=angular_velocity,
-            acceleration=motion.acceleration,
-            wheels=motion.wheels,
-            touching=[(each.row, each.other, each.place) for each in touches],
-            gravity=self._gravity,
-        )
+        arrays: dict[str, Any] = dict(zip(("position", "velocity", "attitude", "angular_velocity"), bodies, strict=True))
+        arrays |= {"acceleration": motion.acceleration, "wheels": motion.wheels}
+        given: dict[str, Any] = {"world": self._world, "vehicles": self._vehicles, "hulls": self._hulls}
+        return Scene(now_ns=now_ns, touching=touches, gravity=self._gravity, **given, **arrays)
+
+
+TOUCHES_M = 1e-9  # bodies that only touch do not overlap
+
+_SIDES = 16  # of the polygon that stands for a circle where outlines are compared
+
+
+def start_of(movables: Sequence[Movable]) -> BodyMotion:
+    """Movables at their places in the world, at rest."""
+    places = np.array([each.pose(0.0) for each in movables], float).reshape(-1, 4)
+    return still(places[:, :3], places[:, 3])
+
+
+def on_time(moving: Sequence[Moving], now_ns: int) -> BodyMotion:
+    """Moving obstacles at a time, by their time-tables."""
+    now_s = now_ns / SECOND_NS
+    places = np.array([each.pose(now_s) for each in moving], float).reshape(-1, 4)
+    speeds = np.array([each.rates(now_s) for each in moving], float).reshape(-1, 4)
+    turning = np.zeros((len(moving), 3))
+    turning[:, 2] = speeds[:, 3]
+    return still(places[:, :3], places[:, 3])._replace(velocity=speeds[:, :3], angular_velocity=turning)
+
+
+def outline(hull: Hull, position: Vec3, heading: float) -> tuple[Array, float, float]:
+    """A level hull from above: corners (k, 2) m, counter-clockwise, lowest and highest point, m."""
+    (length, width, height), (dx, dy, dz) = hull.size, hull.offset
+    cos, sin = np.cos(heading), np.sin(heading)
+    x, y = position[0] + cos * dx - sin * dy, position[1] + sin * dx + cos * dy
+    if hull.kind == "cylinder":
+        angles = heading + np.arange(_SIDES) * (2.0 * np.pi / _SIDES)
+        corners = np.column_stack([x + 0.5 * length * np.cos(angles), y + 0.5 * width * np.sin(angles)])
+    else:
+        corners = rectangle(float(x), float(y), 0.5 * length, 0.5 * width, heading)
+    middle = position[2] + dz
+    return corners, middle - 0.5 * height, middle + 0.5 * height
+
+
+def depth_m(a: tuple[Array, float, float], b: tuple[Array, float, float]) -> float:
+    """Depth, m, by which two level hulls of `outline` overlap; 0 or less: they are apart."""
+    return min(overlap_m(a[0], b[0]), min(a[2], b[2]) - max(a[1], b[1]))

@@ -9,7 +9,6 @@ reading on demand has a stream of its own.
 
 import copy
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -22,36 +21,37 @@ from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Later, Reading
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.world import Scene
 
 Train = tuple[Ticks, int]  # ticks, shifted by ns
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class FittedSensor:
-    """A sensor on a vehicle."""
+    """A copy of a sensor on a vehicle; ``key`` of its readings: ``<vehicle>/<sensor>``."""
 
-    vehicle: str
-    key: str  # of its readings
-    sensor: Sensor
-    rng: np.random.Generator  # for readings that are not on demand
-    drop_outs: np.random.Generator
-    train: Train
-    latency_ns: int
+    def __init__(self, key: str, sensor: Sensor, seed: int) -> None:
+        self.key, self.vehicle, self.sensor = key, key.partition("/")[0], copy.deepcopy(sensor)
+        self.rng = stream(seed, key)  # for readings that are not on demand
+        self.drop_outs = stream(seed, f"{key}/drop_out")
+        self.train: Train = Ticks.rate(sensor.rate_hz), seconds_to_ns(sensor.phase_s)
+        self.latency_ns = seconds_to_ns(sensor.latency_s)
+
+    def drops_out(self) -> bool:
+        """Whether the next reading is not delivered."""
+        return self.sensor.drop_out > 0.0 and self.drop_outs.random() < self.sensor.drop_out
 
 
 class SensorScheduler:
-    """All sensors of all vehicles.
+    """All sensors of all vehicles: ``fitted`` holds those of each vehicle by name.
 
-    Args:
-        fitted: the sensors of each vehicle by name; they are copied, so that every run begins with fresh ones.
-        seed: of the run.
-        requested: keys ``<vehicle>/<sensor>`` of readings on demand that are certainly used: they are computed together.
+    They are copied, so that every run begins with fresh ones. ``requested`` are keys ``<vehicle>/<sensor>`` of readings on
+    demand that are certainly used: they are computed together.
     """
 
     def __init__(self, fitted: Mapping[str, Mapping[str, Sensor]], seed: int, *, requested: Collection[str] = ()) -> None:
         self._seed, self._requested = seed, frozenset(requested)
-        self._sensors = [_fit(f"{vehicle}/{name}", each, seed) for vehicle, own in fitted.items() for name, each in own.items()]
+        sensors = {f"{vehicle}/{name}": each for vehicle, own in fitted.items() for name, each in own.items()}
+        self._sensors = [FittedSensor(key, each, seed) for key, each in sensors.items()]
         self._trains: dict[Train, list[int]] = {}
         for number, each in enumerate(self._sensors):
             self._trains.setdefault(each.train, []).append(number)
@@ -66,8 +66,9 @@ class SensorScheduler:
                 problem = f"{rate_hz:g} Hz is more than the {hz:g} steps a second of physics; "
                 raise ScenarioError(f"{problem}lower it, or raise physics.rate_hz", key=f"{key}.rate_hz")
             if not ticks.is_multiple_of(step):
-                problem = f"{rate_hz:g} Hz does not divide the {hz:g} steps a second of physics; "
-                raise ScenarioError(problem + f"use {_divisors(hz)}, or set physics.rate_hz", key=f"{key}.rate_hz")
+                rates = [f"{hz / by:g}" for by in (1, 2, 3, 4, 5, 6, 8, 10, 12, 24) if float(f"{hz / by:g}") == hz / by]
+                problem = f"{rate_hz:g} Hz does not divide the {hz:g} steps a second of physics; use {', '.join(rates)} Hz, "
+                raise ScenarioError(f"{problem}or set physics.rate_hz", key=f"{key}.rate_hz")
             if not step.hits(phase_ns):
                 problem = f"{each.sensor.phase_s:g} s is not a whole number of physics steps (1/{hz:g} s)"
                 raise ScenarioError(f"{problem}; use a multiple, or set physics.rate_hz", key=f"{key}.phase_s")
@@ -75,7 +76,7 @@ class SensorScheduler:
     @property
     def instants(self) -> tuple[Instants, ...]:
         """Instants of readings."""
-        return tuple(Instants(ticks, phase_ns) for ticks, phase_ns in self._trains)
+        return tuple(Instants(*train) for train in self._trains)
 
     def due(self, now_ns: int) -> bool:
         """Whether a reading is due now."""
@@ -90,16 +91,15 @@ class SensorScheduler:
         readings: dict[str, Any] = {}
         for own in _families(each for each in sensors if not each.sensor.on_demand):
             readings |= zip([each.key for each in own], _measure(scene, own, [each.rng for each in own]), strict=True)
-        delivered = [each for each in sensors if not _drops_out(each)]
+        delivered = [each for each in sensors if not each.drops_out()]
         readings |= self._later(scene, [each for each in delivered if each.sensor.on_demand])
         return [Event(each.key, now_ns + each.latency_ns, readings[each.key]) for each in delivered]
 
     def _later(self, scene: Scene, sensors: Sequence[FittedSensor]) -> dict[str, Later]:
         """Readings on demand by key: each computed alone, requested ones of a class together."""
         together = _families(each for each in sensors if each.key in self._requested)
-        batches = [*together, *([each] for each in sensors if each.key not in self._requested)]
         readings: dict[str, Later] = {}
-        for own in batches:
+        for own in [*together, *([each] for each in sensors if each.key not in self._requested)]:
             batch = ReadingBatch(self._seed, scene, own)
             readings |= {each.key: Later(partial(batch.reading, number)) for number, each in enumerate(own)}
         return readings
@@ -132,29 +132,10 @@ def _families(sensors: Iterable[FittedSensor]) -> list[list[FittedSensor]]:
     return [*families.values()]
 
 
-def _fit(key: str, sensor: Sensor, seed: int) -> FittedSensor:
-    return FittedSensor(
-        vehicle=key.partition("/")[0],
-        key=key,
-        sensor=copy.deepcopy(sensor),
-        rng=stream(seed, key),
-        drop_outs=stream(seed, f"{key}/drop_out"),
-        train=(Ticks.rate(sensor.rate_hz), seconds_to_ns(sensor.phase_s)),
-        latency_ns=seconds_to_ns(sensor.latency_s),
-    )
-
-
-def _drops_out(each: FittedSensor) -> bool:
-    return each.sensor.drop_out > 0.0 and each.drop_outs.random() < each.sensor.drop_out
-
-
 def _measure(scene: Scene, fitted: Sequence[FittedSensor], rngs: Sequence[np.random.Generator]) -> list[Reading]:
     sensors, kind = [each.sensor for each in fitted], type(fitted[0].sensor)
     try:
-        row_of = scene.cache.get("rows")
-        if row_of is None:
-            row_of = scene.cache["rows"] = {name: row for row, name in enumerate(scene.vehicles)}
-        readings = kind.measure_all(sensors, scene, [row_of[each.vehicle] for each in fitted], rngs)
+        readings = kind.measure_all(sensors, scene, [scene.row_of[each.vehicle] for each in fitted], rngs)
     except (VcmvspError, KeyboardInterrupt):
         raise
     except BaseException as error:  # of a sensor of a user's own
@@ -167,8 +148,3 @@ def _measure(scene: Scene, fitted: Sequence[FittedSensor], rngs: Sequence[np.ran
 def _named(fitted: Sequence[FittedSensor]) -> str:
     keys = ", ".join(each.key for each in fitted[:3]) + (", ..." if len(fitted) > 3 else "")
     return f"sensor{'s' if len(fitted) > 1 else ''} {keys} ({type(fitted[0].sensor).__name__})"
-
-
-def _divisors(hz: float) -> str:
-    rates = [f"{hz / by:g}" for by in (1, 2, 3, 4, 5, 6, 8, 10, 12, 24) if float(f"{hz / by:g}") == hz / by]
-    return ", ".join(rates) + " Hz"

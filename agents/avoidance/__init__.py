@@ -6,9 +6,8 @@ methods; `levels`: speed limits near obstacles; `steering`: a method around comm
 
 from vcmvsp.agents.avoidance.dynamic_window import DynamicWindow
 from vcmvsp.agents.avoidance.gap import Gap
-from vcmvsp.agents.avoidance.method import Decision, Method, Task
+from vcmvsp.agents.avoidance.method import Decision, Method, Own, Task
 from vcmvsp.agents.avoidance.potential_field import PotentialField
-from vcmvsp.agents.avoidance.user_method import Own
 from vcmvsp.agents.avoidance.vfh import Vfh
 from vcmvsp.agents.avoidance.view import View, view_of
 

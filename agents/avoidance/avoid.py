@@ -4,9 +4,8 @@ import math
 from typing import Any
 
 from vcmvsp.agents.avoidance import Avoidance
-from vcmvsp.agents.avoidance.method import Point
-from vcmvsp.agents.avoidance.steering import AvoidanceSteering, around
-from vcmvsp.agents.avoidance.waypoint import velocity_to
+from vcmvsp.agents.avoidance.steering import AvoidanceSteering, around, velocity_to
+from vcmvsp.agents.avoidance.view import Point
 from vcmvsp.agents.factory import build_nested
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.types import Velocity, Waypoint

@@ -5,14 +5,13 @@ D. Fox, W. Burgard, S. Thrun, The dynamic window approach to collision avoidance
 """
 
 import math
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 
-from vcmvsp.agents.avoidance.method import Decision, Method, Point, Task
-from vcmvsp.agents.avoidance.settings import Settings
-from vcmvsp.agents.avoidance.view import View, wrapped
+from vcmvsp.agents.avoidance.method import Decision, Method, Settings, Task
+from vcmvsp.agents.avoidance.view import Point, View, wrapped
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.frames import arc, rotate2, wrap
 from vcmvsp.cosim.types import Array, NonNegative, Positive
@@ -38,6 +37,8 @@ class DynamicWindow(Settings, frozen=True, kw_only=True, tag="dynamic_window"):
     The method passes obstacles closely and oscillates before wide walls.
     """
 
+    REACH = "lookahead_m"
+
     lookahead_m: Positive = 1.2  # clearances beyond that are all the same
     acceleration: Positive = 0.5  # m/s2: how far the window reaches in speed
     turn_acceleration: Positive = 1.05  # rad/s2: and in rate of turning; 60 degrees/s2
@@ -49,17 +50,8 @@ class DynamicWindow(Settings, frozen=True, kw_only=True, tag="dynamic_window"):
     turns: Grid = 11  # rates of turning in the window
     turn_rate: Positive = 0.6  # rad/s, where there is no way ahead
 
-    @property
-    def reach_m(self) -> float:
-        """The look-ahead distance."""
-        return self.lookahead_m
-
     def method(self, body: Body, period_s: float) -> Method:
-        """On wheels.
-
-        Raises:
-            ValueError: the vehicle flies: its speeds are not those of arcs.
-        """
+        """On wheels; a ValueError refuses a vehicle that flies, whose speeds are not those of arcs."""
         if body.flies:
             raise ValueError('avoidance.kind = "dynamic_window": for vehicles on wheels; one that flies takes another method')
         return _DynamicWindow(self, self.kept_m(body), period_s)
@@ -160,26 +152,29 @@ class _DynamicWindow:
         return Decision((speeds[0], 0.0), speeds[1], "avoid")
 
     def _around(self, points: Array, top: float, task: Task) -> tuple[float, float] | None:
-        """The best speeds towards the aim or along the detour; None: turn."""
-        far = self._set.lookahead_m
+        """The best speeds towards the aim, without one to the end of the task's own arc, or along the detour; None: turn."""
+        far, (v, _), w = self._set.lookahead_m, task.velocity, task.yaw_rate
         if self._side and self._detour is None:
             if _straight(points, 0.0, self._keep) < far:
                 return None
             self._detour, self._gone_m = 0.0, 0.0
-        best = self._best(points, top, _aim(task, far) if self._detour is None else rotate2(far, 0.0, self._detour))
+        if self._detour is not None:
+            aim = rotate2(far, 0.0, self._detour)
+        else:
+            aim = task.aim or arc((0.0, 0.0, 0.0), 1.0, w / v, far)[:2]
+        best = self._best(points, top, aim)
         if best is None:
             self._detour = None
         return best
 
     def _points(self, view: View, fastest: float) -> Array:
-        """Returns within reach, (n, 2) m."""
         within = max(self._set.lookahead_m, self._stopping_m(fastest + self._set.acceleration * self._period_s)) + self._keep
         near = view.ranges < within
         points: Array = view.units[near] * np.maximum(view.ranges[near], 1e-6)[:, None]  # a touch, too, has a direction
         return points
 
-    def _stopping_m(self, v: float) -> float:
-        """Distance to standstill from speed v after one more period, m."""
+    def _stopping_m(self, v: Any) -> Any:
+        """Distance to standstill from speeds v, m/s, after one more period, m."""
         return v * self._period_s + 0.5 * v * v / self._set.braking
 
     def _may_resume(self, view: View, task: Task) -> bool:
@@ -207,7 +202,7 @@ class _DynamicWindow:
         if not len(v):
             return None
         free = clearances(points, w / v, self._keep)
-        stopping = v * self._period_s + 0.5 * v * v / self._set.braking
+        stopping = self._stopping_m(v)
         admissible = stopping + SPARE_M <= free
         if not admissible.any():
             return None
@@ -241,12 +236,3 @@ def _straight(points: Array, bearing: float, keep: float) -> float:
     x, y = points @ (ahead, left), points @ (-left, ahead)
     met = (np.abs(y) < keep) & (x >= 0.0)
     return float(np.maximum(x[met] - np.sqrt(keep * keep - y[met] ** 2), 0.0).min(initial=math.inf))
-
-
-def _aim(task: Task, far: float) -> Point:
-    """The aim; without one, the end of the task's own arc."""
-    if task.aim is not None:
-        return task.aim
-    v, w = task.velocity[0], task.yaw_rate
-    x, y, _ = arc((0.0, 0.0, 0.0), 1.0, w / v, far)
-    return x, y

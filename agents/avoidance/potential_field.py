@@ -32,9 +32,8 @@ into fast: at 3 m/s with a lag of 0.5 s a vehicle comes nearer than 0.2 m. Limit
 
 import math
 
-from vcmvsp.agents.avoidance.method import Decision, Method, Point, Task, saturated
-from vcmvsp.agents.avoidance.settings import Settings
-from vcmvsp.agents.avoidance.view import View
+from vcmvsp.agents.avoidance.method import Decision, Method, Settings, Task, saturated
+from vcmvsp.agents.avoidance.view import Point, View
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.types import Array, NonNegative, Positive
 
@@ -61,11 +60,6 @@ class PotentialField(Settings, frozen=True, kw_only=True, tag="potential_field")
     def default_keep_m(self, body: Body) -> float:
         """The core, or the body and 5 cm where that is more."""
         return max(self.core, super().default_keep_m(body))
-
-    @property
-    def reach_m(self) -> float:
-        """From how near on things push, m."""
-        return self.reach
 
     def method(self, body: Body, period_s: float) -> Method:
         """The field of a vehicle."""

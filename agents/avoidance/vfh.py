@@ -8,18 +8,16 @@ plays no role. A threshold of the magnitude ``a - b d^2`` is then a distance, wh
 import math
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import msgspec
 import numpy as np
 
-from vcmvsp.agents.avoidance.lane import half_angles
-from vcmvsp.agents.avoidance.method import Decision, Method, Point, Task
-from vcmvsp.agents.avoidance.settings import Settings
-from vcmvsp.agents.avoidance.view import View, wrapped
+from vcmvsp.agents.avoidance.method import Decision, Method, Settings, Task
+from vcmvsp.agents.avoidance.view import Point, View, half_angles, wrapped
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.frames import rotate2, wrap
-from vcmvsp.cosim.types import Array, NonNegative, Positive
+from vcmvsp.cosim.types import Array, NonNegative, Positive, frozen
 
 Angle = Annotated[float, msgspec.Meta(gt=0, le=360)]
 
@@ -38,6 +36,8 @@ class Vfh(Settings, frozen=True, kw_only=True, tag="vfh"):
     hovers goes on hovering. Where no direction is free it turns on the spot.
     """
 
+    REACH = "freed_m"
+
     sectors: Annotated[int, msgspec.Meta(ge=8, le=720)] = 72  # of the histogram, around a full turn: 5 degrees each
     blocked_m: Positive = 1.2  # a sector is blocked when something in it comes nearer than that (the high threshold)
     freed_m: Positive = 1.4  # and is free again when nothing in it is nearer than that (the low threshold)
@@ -49,30 +49,14 @@ class Vfh(Settings, frozen=True, kw_only=True, tag="vfh"):
     max_yaw_rate: Positive = 1.2  # rad/s; at it, a vehicle on wheels no longer drives ahead
     turn_rate: Positive = 0.6  # rad/s, where no direction is free
 
-    @property
-    def reach_m(self) -> float:
-        """What frees a sector cannot block it."""
-        return self.freed_m
-
     def method(self, body: Body, period_s: float) -> Method:
-        """On wheels with speeds, in the air with a velocity.
-
-        Raises:
-            ValueError: the distances contradict each other.
-        """
+        """On wheels with speeds, in the air with a velocity; a ValueError says that the distances contradict each other."""
         keep = self.kept_m(body)
         if self.freed_m < self.blocked_m:
             raise ValueError(f"freed_m = {self.freed_m:g}: must not be less than blocked_m = {self.blocked_m:g}")
         if keep >= self.blocked_m:
             raise ValueError(f"blocked_m = {self.blocked_m:g}: must be more than what is kept away from things, {keep:g} m")
         return _Vfh(self, keep, period_s, flies=body.flies)
-
-
-class Valley(NamedTuple):
-    """A direction that is free."""
-
-    bearing: float  # rad
-    to_target: bool  # it is the one that the task takes
 
 
 def histogram(view: View, keep: float, sectors: int, within: float = math.inf) -> Array:
@@ -99,8 +83,7 @@ def openings(free: Array) -> Iterator[tuple[int, int]]:
     if free.all():
         yield 0, len(free)
         return
-    begins = np.flatnonzero(free & ~np.roll(free, 1)).tolist()
-    ends = np.flatnonzero(free & ~np.roll(free, -1)).tolist()
+    begins, ends = (np.flatnonzero(free & ~np.roll(free, by)).tolist() for by in (1, -1))
     if begins and ends[0] < begins[0]:
         ends = [*ends[1:], ends[0] + len(free)]
     for begin, end in zip(begins, ends, strict=True):
@@ -120,10 +103,8 @@ class _Vfh:
         self._side = 0
 
     def decide(self, view: View, task: Task) -> Decision:
-        """What to do at a tick."""
         self._remember(task.now[1] * self._period_s)
-        near = self._update(view, task)
-        decision = self._decided(view, task, near)
+        decision = self._decided(view, task, self._update(view, task))
         if decision.mode != "turn":
             self._side = 0
         return decision
@@ -140,15 +121,12 @@ class _Vfh:
     def _update(self, view: View, task: Task) -> Array:
         """Update the histogram; blocked sectors have hysteresis."""
         within = self._set.freed_m
-        if task.aim is not None:  # what stands behind a place does not keep it from getting there
-            within = min(within, math.hypot(*task.aim) + self._moving_m(task) + self._keep)
+        if task.aim is not None:  # what stands behind a place does not keep it from getting there; one in a formation moves on
+            moving_m = math.hypot(*task.velocity) / self._set.approach if task.leader is not None else 0.0
+            within = min(within, math.hypot(*task.aim) + moving_m + self._keep)
         near = histogram(view, self._keep, self._set.sectors, within)
         self._blocked = (near < self._set.blocked_m) | (self._blocked & (near < self._set.freed_m))
         return near
-
-    def _moving_m(self, task: Task) -> float:
-        """Distance that a follower's place moves on while an obstacle matters, m."""
-        return math.hypot(*task.velocity) / self._set.approach if task.leader is not None else 0.0
 
     def _decided(self, view: View, task: Task, near: Array) -> Decision:
         v = math.hypot(*task.velocity)
@@ -166,15 +144,14 @@ class _Vfh:
         way = self._way(free & self._turnable(view, radius), visible, target)
         if way is None:
             return self._turning(view, self._way(free, visible, target) if radius else None, task)
-        self._previous = way.bearing
-        if way.to_target and (self._flies or not v or not self._blocked[0]):
+        self._previous, to_target = way
+        if to_target and (self._flies or not v or not self._blocked[0]):
             return Decision(task.velocity, task.yaw_rate, "task")
         speed = task.max_speed if task.leader is not None else min(task.max_speed, self._cruise)
         if self._flies:
             catch_up = v if task.aim is None else max(v, CATCH_UP * math.hypot(*task.aim))
-            speed = min(speed, catch_up)
-            return Decision(rotate2(speed, 0.0, way.bearing), task.yaw_rate, "avoid")
-        return Decision((speed * self._slowed(float(near[0]), way.bearing), 0.0), self._rate(way.bearing), "avoid")
+            return Decision(rotate2(min(speed, catch_up), 0.0, way[0]), task.yaw_rate, "avoid")
+        return Decision((speed * self._slowed(float(near[0]), way[0]), 0.0), self._rate(way[0]), "avoid")
 
     def _target(self, task: Task) -> float:
         """Direction of the task, rad: in the air of its velocity, on wheels of its aim, or straight ahead."""
@@ -198,38 +175,35 @@ class _Vfh:
         turnable: Array = (directions <= left.min(initial=math.pi)) & (directions >= right.max(initial=-math.pi))
         return turnable
 
-    def _way(self, free: Array, visible: Array, target: float) -> Valley | None:
-        """The cheapest direction: where the task goes, or an edge of an opening, well clear of obstacles.
+    def _way(self, free: Array, visible: Array, target: float) -> tuple[float, bool] | None:
+        """The cheapest direction, rad, and whether the task goes there; else it is an edge of an opening, clear of obstacles.
 
         An opening is entered half of ``wide_deg`` beside an obstacle at its edge, in its middle if there are two and it is
         narrower. The edge of what is seen is no obstacle; a target beyond it counts as being there.
         """
-        choices = []
+        choices: list[tuple[float, bool]] = []
         target = self._into_view(target, visible)
         for first, count in openings(free):
             right, width = first * self._angle, (count - 1) * self._angle
             if count == len(free):
-                return Valley(target, to_target=True)
+                return target, True
             clear = min(0.5 * math.radians(self._set.wide_deg), 0.5 * width)
             low = clear if visible[first - 1] else 0.0
             high = width - (clear if visible[(first + count) % len(free)] else 0.0)
             inside = wrap(target - right - 0.5 * width) + 0.5 * width
             if low - 1e-9 <= inside <= high + 1e-9:
-                choices.append(Valley(target, to_target=True))
-            choices += [Valley(wrap(right + low), to_target=False), Valley(wrap(right + high), to_target=False)]
+                choices.append((target, True))
+            choices += [(wrap(right + low), False), (wrap(right + high), False)]
         # Of equals, the target, then the left-most: the order is that of the sectors.
-        return min(choices, key=lambda way: (round(self._cost(way.bearing, target), 9), not way.to_target), default=None)
+        return min(choices, key=lambda way: (round(self._cost(way[0], target), 9), not way[1]), default=None)
 
     def _into_view(self, target: float, visible: Array) -> float:
-        sector = round(target / self._angle) % len(visible)
-        if visible[sector]:
+        if visible[round(target / self._angle) % len(visible)]:
             return target
-        away = np.abs(wrapped(_directions(len(visible)) - target))
-        away[~visible] = math.inf
-        return float(_directions(len(visible))[int(away.argmin())])
+        directions = _directions(len(visible))
+        return float(directions[np.where(visible, np.abs(wrapped(directions - target)), math.inf).argmin()])
 
     def _cost(self, bearing: float, target: float) -> float:
-        """Cost of a direction: weighted angles to the target, the heading, and the last direction."""
         heading = self._previous if self._flies else 0.0  # what flies heads where it flies
         return (
             self._set.target_weight * abs(wrap(bearing - target))
@@ -250,11 +224,11 @@ class _Vfh:
         room = (min(ahead, far) ** 2 - self._keep**2) / (far**2 - self._keep**2)
         return max(0.0, room) * (1.0 - abs(self._rate(bearing)) / self._set.max_yaw_rate)
 
-    def _turning(self, view: View, way: Valley | None, task: Task) -> Decision:
+    def _turning(self, view: View, way: tuple[float, bool] | None, task: Task) -> Decision:
         """Turn on the spot: to a free direction that no arc reaches, or to one side until there is one."""
         if way is not None:
-            self._previous = way.bearing
-            return Decision((0.0, 0.0), self._rate(way.bearing), "turn")
+            self._previous = way[0]
+            return Decision((0.0, 0.0), self._rate(way[0]), "turn")
         if not self._side:
             target = self._target(task)
             aside = abs(target) > 0.5 * math.pi
@@ -262,27 +236,21 @@ class _Vfh:
         return Decision((0.0, 0.0), self._side * self._set.turn_rate, "turn")
 
 
-def _kept(values: Array) -> Array:
-    """The array as a shared, read-only one."""
-    values.flags.writeable = False
-    return values
-
-
 @lru_cache(maxsize=16)
 def _directions(sectors: int) -> Array:
     """Directions of the sectors, rad in (-pi, pi]."""
     numbers = np.arange(sectors)
-    return _kept(math.tau / sectors * np.where(2 * numbers > sectors, numbers - sectors, numbers))
+    return frozen(math.tau / sectors * np.where(2 * numbers > sectors, numbers - sectors, numbers))
 
 
 @lru_cache(maxsize=16)
 def _apart(count: int, first: float, step: float, sectors: int) -> Array:
     """Angles between beams and sectors, (count, sectors) rad."""
-    return _kept(np.abs(wrapped(first + step * np.arange(count)[:, None] - _directions(sectors))))
+    return frozen(np.abs(wrapped(first + step * np.arange(count)[:, None] - _directions(sectors))))
 
 
 @lru_cache(maxsize=16)
 def _seen(count: int, first: float, step: float, sectors: int, *, cyclic: bool) -> Array:
     """Sectors with beams in them, (sectors,) bool."""
     middle = first + 0.5 * (count - 1) * step
-    return _kept(cyclic | (np.abs(wrapped(_directions(sectors) - middle)) <= 0.5 * count * step))
+    return frozen(cyclic | (np.abs(wrapped(_directions(sectors) - middle)) <= 0.5 * count * step))

@@ -1,4 +1,4 @@
-"""What one sweep of a range scanner says, fit to decide by: nonsense counts as something that is touched."""
+"""What one sweep of a range scanner says, fit to decide by, and the lanes that it leaves free. Nonsense counts as touched."""
 
 import math
 from functools import lru_cache
@@ -12,11 +12,13 @@ from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array, Scan
 
 Geometry = tuple[int, float, float]  # beams, rad of the first, rad from one to the next
+Point = tuple[float, float]
 
 FEWEST = 2  # beams: with one, nothing is known of the ways beside it
 FINEST = 1e-5  # rad between beams, and FURTHEST rad from ahead: beyond that a scanner is out of order
 FURTHEST = 100.0
-EVEN = 1e-9  # less than that is rounding: of what lies straight ahead or behind, and of the sum of all ranges on a side, m
+EVEN = 1e-9  # less than that is rounding: of directions, beams, and the sum of all ranges on a side, m
+ASIDE = -1e-8  # cosine of a beam that points exactly aside, and is rounded
 ADOPTED_S = 0.5  # beams that lie otherwise than before: from then on that is believed
 FULL = 1.0 - 1e-6  # of the range: where nothing came back, some scanners say that
 
@@ -53,6 +55,12 @@ class View(NamedTuple):
         room, aside = np.minimum(self.ranges, within_m), self.units[:, 1]
         return 1 if room[aside > EVEN].sum() >= room[aside < -EVEN].sum() - EVEN else -1
 
+    def along(self, direction: Point, within_m: float) -> tuple[Array, Array, Array]:
+        """Ranges of the returns up to ``within_m``, m, and the parts of their beams along and across a direction, (k,) each."""
+        near = np.flatnonzero(self.ranges <= within_m)
+        units, (x, y) = self.units[near], direction
+        return self.ranges[near], units @ (x, y), units @ (-y, x)
+
 
 def view_of(scan: Any) -> View | None:
     """A sweep to decide by; None where nothing can be made of it.
@@ -62,7 +70,7 @@ def view_of(scan: Any) -> View | None:
     over at most a full turn.
     """
     try:
-        geometry = geometry_of(scan) if isinstance(scan, Scan) else None
+        geometry = _geometry(scan) if isinstance(scan, Scan) else None
         if geometry is None:
             return None
         bearings, units, cyclic = _beams(*geometry)
@@ -74,7 +82,7 @@ def view_of(scan: Any) -> View | None:
     return View(ranges, bearings, units, geometry[2], cyclic)
 
 
-def geometry_of(scan: Scan) -> Geometry | None:
+def _geometry(scan: Scan) -> Geometry | None:
     """How the beams of a scan lie; None where that makes no sense."""
     ranges, first, step = np.asarray(scan.ranges), float(scan.angle_min), float(scan.angle_step)
     if ranges.ndim != 1 or ranges.dtype.kind not in "fiu" or len(ranges) < FEWEST or not scan.range_max > 0.0:
@@ -84,13 +92,17 @@ def geometry_of(scan: Scan) -> Geometry | None:
     return len(ranges), first, step
 
 
-class ScanReader:
-    """What a vehicle sees by one of its scanners, tick by tick.
+@lru_cache(maxsize=64)
+def _beams(count: int, first: float, step: float) -> tuple[Array, Array, bool]:
+    """Bearings, unit vectors, and whether they close a turn."""
+    bearings = first + step * np.arange(count)
+    units = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    bearings.flags.writeable = units.flags.writeable = False
+    return bearings, units, abs(count * step - math.tau) < 0.5 * step
 
-    Args:
-        scanner: its name.
-        stale_s: a scan older than that is none.
-    """
+
+class ScanReader:
+    """What a vehicle sees by the scanner of that name, tick by tick; a scan older than ``stale_s`` is none."""
 
     def __init__(self, scanner: str, stale_s: float) -> None:
         self.scanner, self._stale_ns = scanner, seconds_to_ns(stale_s)
@@ -103,14 +115,8 @@ class ScanReader:
         self._since_ns: int | None = None  # and since when they do
 
     def start(self, info: VehicleInfo, key: str) -> None:
-        """Before the first tick; ``key`` is what names the scanner, for the message.
-
-        Raises:
-            ValueError: the vehicle has no such scanner.
-        """
-        if info.sensors is not None and self.scanner not in info.sensors:
-            carries = ", ".join(info.sensors) or "nothing"
-            raise ValueError(f"{key} = {self.scanner!r}: {info.name} has no such sensor (it carries: {carries})")
+        """Before the first tick; a ValueError says by ``key``, which names the scanner, that the vehicle has none."""
+        check_carried(info, self.scanner, key)
         self._beside_m = info.beside_m.get(self.scanner, 0.0)
         self._forget()
 
@@ -126,21 +132,25 @@ class ScanReader:
         if view is None or not 0 <= obs.time_ns - scan.time_ns <= self._stale_ns:
             self._since_ns = None
             return None
-        if not self._is_usual(geometry_of(scan), obs.time_ns):
+        if not self._is_usual(_geometry(scan), obs.time_ns):
             return None
         return view._replace(ranges=np.maximum(view.ranges - self._beside_m, 0.0)) if self._beside_m else view
 
     def _is_usual(self, geometry: Geometry | None, now_ns: int) -> bool:
-        """Whether the beams of a scan are unchanged, or have been for long enough since a change."""
-        if self._geometry is None or geometry == self._geometry:
-            self._geometry, self._since_ns = geometry, None
-            return True
-        if self._since_ns is None or geometry != self._other:
-            self._other, self._since_ns = geometry, now_ns
-        if now_ns - self._since_ns < seconds_to_ns(ADOPTED_S):
-            return False
+        if self._geometry is not None and geometry != self._geometry:
+            if self._since_ns is None or geometry != self._other:
+                self._other, self._since_ns = geometry, now_ns
+            if now_ns - self._since_ns < seconds_to_ns(ADOPTED_S):
+                return False
         self._geometry, self._since_ns = geometry, None
         return True
+
+
+def check_carried(info: VehicleInfo, sensor: str, key: str) -> None:
+    """Reject (ValueError) a sensor, named by ``key``, that the vehicle does not carry."""
+    if info.sensors is not None and sensor not in info.sensors:
+        carries = ", ".join(info.sensors) or "nothing"
+        raise ValueError(f"{key} = {sensor!r}: {info.name} has no such sensor (it carries: {carries})")
 
 
 def wrapped(angles: Array) -> Array:
@@ -149,10 +159,46 @@ def wrapped(angles: Array) -> Array:
     return result
 
 
-@lru_cache(maxsize=64)
-def _beams(count: int, first: float, step: float) -> tuple[Array, Array, bool]:
-    """Bearings, unit vectors, and whether they close a turn."""
-    bearings = first + step * np.arange(count)
-    units = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    bearings.flags.writeable = units.flags.writeable = False
-    return bearings, units, abs(count * step - math.tau) < 0.5 * step
+def lane_free(view: View, bearing: float, half_width: float, length: float) -> bool:
+    """Whether no return lies in a rectangle that leads to a bearing, rad, as far as one sees.
+
+    What just touches its side, ``half_width`` m from the middle, is beside it. A return at no distance at all lies where its
+    beam points: with a scanner touched from behind, the way ahead is free.
+    """
+    ranges, along, across = view.along((math.cos(bearing), math.sin(bearing)), math.hypot(half_width, length))
+    return not np.any((along >= ASIDE) & (ranges * along <= length) & (ranges * np.abs(across) < half_width))
+
+
+def ways(view: View, half_width: float, length: float) -> Array:
+    """Which beams, (n,), a disc of radius ``half_width`` can follow for ``length`` m without touching a return.
+
+    A return at the distance d keeps it from all directions less than ``asin(half_width / d)`` beside its own, a quarter turn
+    where d is less than ``half_width``.
+    """
+    count = len(view.ranges)
+    near = np.flatnonzero(view.ranges <= length)
+    beside = np.ceil(half_angles(view.ranges[near], half_width) / view.step - EVEN).astype(int) - 1
+    # What begins and ends to be blocked at each beam, also beyond both borders: in a full turn that is the other side.
+    rows = 3 if view.cyclic else 1
+    first, last = near - beside + (rows // 2) * count, near + beside + 1 + (rows // 2) * count
+    size = rows * count
+    begun = np.bincount(first.clip(0, size), minlength=size + 1) - np.bincount(last.clip(0, size), minlength=size + 1)
+    blocked = begun.cumsum()[:-1].reshape(rows, count)
+    return np.asarray(~blocked.any(axis=0))
+
+
+def free_m(view: View, direction: Point, radius: float, within_m: float, half_width: float | None = None) -> float:
+    """How far a disc can go in a direction, until it touches a return, m; inf: it passes all of those within ``within_m``.
+
+    Returns that lie no less than ``half_width`` m beside its way do not count; default: its radius, less rounding.
+    """
+    ranges, ahead, across = view.along(direction, within_m)
+    along, aside = ranges * ahead, ranges * across
+    met = (ahead > EVEN) & (np.abs(aside) < (radius - EVEN if half_width is None else half_width))
+    return float((along[met] - np.sqrt(radius**2 - aside[met] ** 2)).min(initial=math.inf))
+
+
+def half_angles(ranges: Array, half_width: float) -> Array:
+    """Half of the angle, (n,) rad, that returns at these distances, m, block for a disc of radius ``half_width``, m."""
+    half_angles: Array = np.arcsin(np.minimum(1.0, half_width / np.maximum(ranges, half_width)))
+    return half_angles

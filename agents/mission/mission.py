@@ -17,10 +17,9 @@ from typing import Any
 from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance.avoid import GetAround
 from vcmvsp.agents.factory import build_nested
-from vcmvsp.agents.formation.aerial.flight import along, told
+from vcmvsp.agents.formation.aerial import along, told
 from vcmvsp.agents.formation.reports.report import send_report
-from vcmvsp.agents.mission.runner import AlgorithmRunner
-from vcmvsp.agents.mission.speed_limit import Guard
+from vcmvsp.agents.mission.runner import AlgorithmRunner, Guard
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
 from vcmvsp.agents.reconnaissance.state_table import TASKS, MissionFacts, MissionState, step
 from vcmvsp.agents.reconnaissance.watch import Watch, Watching
@@ -38,8 +37,7 @@ class SearchMission(Agent):
 
     Args:
         algorithms: by task: ``search``, ``formation`` (for wingmen in a shared sector), ``track``; each a table with the
-            ``kind``
-            of an agent and its parameters. Without ``track`` no target is tracked.
+            ``kind`` of an agent and its parameters. Without ``track`` no target is tracked.
         watching: camera and targets, shared by all algorithms. Default: none.
         avoidance: method of avoidance and speed limit near obstacles; default: none.
         members: all members; default: all vehicles of the run.
@@ -144,7 +142,6 @@ class SearchMission(Agent):
         return AlgorithmRunner({**self._tasks, **around}, guard=guard, **self._limits)
 
     def _facts(self, obs: Observation) -> MissionFacts:
-        """Facts of all algorithms and the guard."""
         facts: dict[str, Any] = {}
         for task, algorithm in self._tasks.items():
             if (tell := getattr(algorithm, "facts", None)) is not None:
@@ -164,7 +161,6 @@ class SearchMission(Agent):
         return MissionFacts(now_ns=obs.time_ns, **facts)
 
     def _turn(self, obs: Observation, before: str, after: str, facts: MissionFacts) -> None:
-        """End one task and begin another."""
         if (end := getattr(self._tasks[before], "end", None)) is not None:
             end(obs)
         if (begin := getattr(self._tasks[after], "begin", None)) is not None:

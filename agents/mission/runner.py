@@ -1,4 +1,4 @@
-"""Several algorithms on one vehicle, of which one commands at a time.
+"""Several algorithms on one vehicle, of which one commands at a time, and the limit of the speed near obstacles for all.
 
 All of them run all the time: at every tick each computes a command, and the commander's counts. A suspended algorithm keeps its
 state (its next way-point, its estimate of a target), receives all messages and may send: maps are exchanged, and neighbours see
@@ -10,10 +10,66 @@ import math
 from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
-from vcmvsp.agents.mission.speed_limit import Guard
+from vcmvsp.agents.avoidance.method import Settings, body_of
+from vcmvsp.agents.avoidance.steering import ObstacleLevels, second_m, velocity_to
+from vcmvsp.agents.avoidance.view import ScanReader, View
 from vcmvsp.cosim.agent import Agent, Observation, Radio, Shown, VehicleInfo
 from vcmvsp.cosim.frames import rotate2
 from vcmvsp.cosim.types import Vec3, Velocity, Waypoint
+
+STANDING = Velocity()
+
+
+class Guard:
+    """Lets a vehicle come no faster towards anything than in proportion to the way that is left; blind, it has it stand.
+
+    It knows nothing of states, take-overs and reasons, and comes after them all: what it lets through is what the vehicle does.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings, self.sensors = settings, (settings.scanner,)
+        self._looking = ScanReader(settings.scanner, settings.stale_s)
+        self.nearest_m, self.second_m, self.closing = math.inf, 0.0, False
+
+    def start(self, info: VehicleInfo) -> None:
+        """Take the scanner and the body of the vehicle; a ValueError says which of them is missing."""
+        self._looking.start(info, "avoidance.scanner")
+        body = body_of(info)
+        self._levels = ObstacleLevels(self.settings, body, info.latency_s)
+        self._view: View | None = None
+        self._flies, self._latency_s = body.flies, info.latency_s
+
+    def look(self, obs: Observation) -> None:
+        """Take in what is around at a tick: once, and before `limited`."""
+        self._view = view = self._looking.look(obs)
+        x, y, _ = obs.state.velocity
+        self._speed = math.hypot(x, y)
+        self.second_m = second_m(self._speed, self._levels.keep_m, self.settings.braking, self._latency_s)
+        if view is None:
+            self.nearest_m, self.closing = 0.0, True
+            return
+        self.nearest_m = view.nearest_m
+        towards = rotate2(x, y, -obs.state.yaw)
+        direction = view.units[int(view.ranges.argmin())]
+        self.closing = math.isfinite(self.nearest_m) and float(direction @ towards) > 0.0
+
+    def limited(self, obs: Observation, command: Velocity | Waypoint) -> Velocity | Waypoint:
+        """The command, slowed near obstacles. The climb does not change, unless the vehicle has no valid scan.
+
+        Near an obstacle a way-point becomes a velocity towards it, because the speed of an autopilot is unknown.
+        """
+        if self._view is None or not self._view.ranges.any():
+            return STANDING
+        straight = velocity_to(obs, command, self.settings.max_speed) if isinstance(command, Waypoint) else command
+        x, y, z = straight.linear
+        yaw = obs.state.yaw if self._flies else 0.0
+        requested = rotate2(x, y, -yaw)
+        level = self._levels.update(obs.time_ns, self._view.nearest_m, max(self._speed, math.hypot(x, y)))
+        left = self._levels.limited(self._view, requested)
+        if left == requested:
+            return command if level < 2 else straight
+        return Velocity(linear=(*rotate2(*left, yaw), z), yaw_rate=straight.yaw_rate)
+
 
 Command = Velocity | Waypoint
 
@@ -37,18 +93,11 @@ class Avoidance(Protocol):
 
 
 class AlgorithmRunner:
-    """Runs algorithms, applies the command of one of them, and switches smoothly.
+    """Runs algorithms, by commander name, applies the command of one of them, and switches smoothly.
 
-    After a take-over the command moves from the last one towards the new commander's, no faster than the vehicle can
-    follow. The guard comes after that, and may brake harder. A commander that has never had a command stands still.
-
-    Notes ``commander``, ``since_s`` and ``why`` when they change.
-
-    Args:
-        algorithms: by commander name; one agent may have several names.
-        acceleration: limit for a take-over, m/s2.
-        yaw_acceleration: limit for a take-over, rad/s2.
-        guard: speed limit near obstacles for any commander; None: no limit.
+    After a take-over the command moves from the last one towards the new commander's, no faster than the vehicle can follow
+    (``acceleration``, m/s2, ``yaw_acceleration``, rad/s2). The guard comes after that, and may brake harder. A commander that
+    has never had a command stands still. Notes ``commander``, ``since_s`` and ``why`` when they change.
     """
 
     def __init__(
@@ -96,18 +145,14 @@ class AlgorithmRunner:
             self.guard.look(obs)
 
     def act(self, obs: Observation, radio: Radio, commander: str, *, task: str | None = None, why: str = "") -> Command | None:
-        """Run all algorithms for a tick; returns the command of one.
+        """Run all algorithms for a tick; returns the command of ``commander``, which is noted with ``why`` when it changes.
 
-        Args:
-            obs: of the tick.
-            radio: of the vehicle, shared by all.
-            commander: commander from now on.
-            task: source of the command for an `Avoidance` agent; default: the commander.
-            why: reason, noted when the commander changes.
+        An `Avoidance` leads the command of ``task`` around obstacles; default: that of the commander.
         """
         obeyed = self.algorithms[commander]
         self._ask(obs, radio, obeyed, self.algorithms[task or commander])
-        self._note(obs, commander, why)
+        is_new, self._commander = commander != self._commander, commander
+        self.notes = {"commander": commander, "since_s": obs.time_s, "why": why} if is_new else {}
         self._runs_up = self._runs_up or (self._obeyed is not None and obeyed is not self._obeyed)
         self._obeyed = obeyed
         requested = self._wants.get(id(obeyed))
@@ -139,12 +184,6 @@ class AlgorithmRunner:
                 self.said[names[id(agent)]] = notes
             self.shown += agent.drain_shown().values()
 
-    def _note(self, obs: Observation, commander: str, why: str) -> None:
-        self.notes = {}
-        if commander != self._commander:
-            self.notes = {"commander": commander, "since_s": obs.time_s, "why": why}
-        self._commander = commander
-
     def _run_up(self, obs: Observation, command: Command) -> Command:
         """The next command on the way from the last one to the requested one."""
         if not self._runs_up or isinstance(command, Waypoint):  # an autopilot applies its own limits
@@ -158,7 +197,6 @@ class AlgorithmRunner:
         return Velocity(linear=linear, yaw_rate=yaw_rate) if self._runs_up else command
 
     def _moving(self, obs: Observation) -> Velocity:
-        """The present motion as a command."""
         x, y, z = obs.state.velocity
         if not self._flies:
             x, y = rotate2(x, y, -obs.state.yaw)
@@ -166,7 +204,6 @@ class AlgorithmRunner:
 
 
 def _towards(start: Vec3, end: Vec3, most: float) -> Vec3:
-    """``start``, moved towards ``end`` by at most ``most``."""
     away = math.dist(start, end)
     if away <= most:
         return end

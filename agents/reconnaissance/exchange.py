@@ -4,50 +4,130 @@
 ``delta``       the increments since the last message (what is lost is lost).
 ``consensus``   after its own update each moves its map towards the received ones, ``l <- (1 - n / N) l + sum of l_j / N``,
                 n received of N members (Hu, Xie, Lum and Xu 2013): in the end all have the N-th part of all evidence.
-``ledger``      cumulative counts by contributor: see `agents.reconnaissance.ledger`.
+``ledger``      cumulative counts by contributor.
+
+The map is cut into square tiles, so that a message holds what changed and no more than fits. Bodies are ``{"ms": when it was
+sent, <key>: [[..., bytes], ...]}``, an inner list per tile, for any encoding that knows bytes. Counts are little-endian, of one
+or two bytes, the hits of all cells of the tile before the misses.
 """
 
-from collections.abc import Sequence
-from typing import Any, Literal, Protocol
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, Literal, TypeGuard
 
+import msgspec
 import numpy as np
 
-from vcmvsp.agents.reconnaissance.ledger import Ledger
 from vcmvsp.agents.reconnaissance.probability_map import LIMIT, Grid, Sensor, log_odds
-from vcmvsp.agents.reconnaissance.tiles import Body, Tiling, packed, parsed
 from vcmvsp.cosim.types import Array
 
 Kind = Literal["none", "delta", "consensus", "ledger"]
+Body = dict[str, Any]
+
+SIDES = (16, 8, 4, 2, 1)  # cells, of a tile
+OVERHEAD = 36  # bytes at most: "ms" with its number, the key, contributor, tile and age, and the lengths of all of it
+MOST = 65535  # that two bytes count
+LATEST_MS = 2**53  # of the clock; more is no time
+OLDEST_MS = 2**32 - 1  # 49 days, to which the room for ages in messages is cut
 STEPS = 1600  # of a number in a message for 1 of l: 20 is 32000, which two bytes hold, and half a step is 0.0003
+NEVER = -1
 
 
-class MapExchange(Protocol):
-    """A member's knowledge of the area. Each tick: `take` received messages, `look` (possibly at no cell), send `messages`."""
+class Tiling:
+    """Tiles of ``side`` x ``side`` cells over a grid; in tiled arrays the cells of a tile are neighbours.
 
-    @property
-    def log_odds(self) -> Array:
-        """The map to decide by, (rows, columns)."""
+    The side follows from ``max_bytes``, the size of the largest message, encoded, so that it is the same for the team.
+    """
 
-    def look(self, cells: Array, hits: Array, now_ns: int) -> None:
-        """Add own looks: cells (n,), each at most once, and the result of each."""
+    def __init__(self, grid: Grid, max_bytes: int) -> None:
+        fitting = [side for side in SIDES if 4 * side * side + OVERHEAD <= max_bytes]
+        if not fitting:
+            raise ValueError(f"max_bytes = {max_bytes}: a message of the map takes {4 + OVERHEAD} bytes at least")
+        self.grid, self.max_bytes, self.side = grid, max_bytes, fitting[0]
+        side, rows, columns = self.side, np.arange(grid.rows), np.arange(grid.columns)
+        self.across = -(-grid.columns // side)
+        self.tiles = self.across * -(-grid.rows // side)
+        self.per_tile = side * side
+        tile = (rows // side)[:, None] * self.across + columns // side
+        self.index = (tile * self.per_tile + (rows % side)[:, None] * side + columns % side).ravel()  # by cell of the grid
+        self.beyond: Array = np.ones((self.tiles, self.per_tile), bool)
+        self.beyond.reshape(-1)[self.index] = False
 
-    def messages(self, now_ns: int, most: int) -> list[Body]:
-        """Up to ``most`` messages to be sent now, each of ``max_bytes`` encoded bytes at most."""
+    def of_grid(self, tiled: Array) -> Array:
+        """Tiled arrays, (..., tiles, cells of a tile), as (..., rows, columns)."""
+        flat = tiled.reshape(*tiled.shape[:-2], -1)[..., self.index]
+        result: Array = flat.reshape(*flat.shape[:-1], self.grid.rows, self.grid.columns)
+        return result
 
-    def take(self, sender: str, body: Any, now_ns: int) -> bool:
-        """Merge a received message; False: it was invalid or of another kind, and nothing changed."""
+    def count(self, counts: Array, cells: Array, hits: Array) -> Array:
+        """Add looks at cells, each at most once, to counts, (tiles, 2, cells of a tile) uint16; the tiles of these cells."""
+        tiles, inner = np.divmod(self.index[cells], self.per_tile)
+        kind = np.where(hits, 0, 1)
+        counts[tiles, kind, inner] = np.minimum(counts[tiles, kind, inner], MOST - 1) + 1
+        return tiles
+
+    def counts_of(self, tile: Any, raw: bytes) -> Array | None:
+        """Hits and misses in bytes of a message, (2, cells of a tile) uint16; None where they are not such."""
+        width = {2 * self.per_tile: "<u1", 4 * self.per_tile: "<u2"}.get(len(raw))
+        if not _is_number(tile, self.tiles) or width is None:
+            return None
+        counts = np.frombuffer(raw, width).reshape(2, -1).astype(np.uint16)
+        return None if counts[:, self.beyond[tile]].any() else counts
+
+    def bodies(self, key: str, ms: int, entries: Iterable[list[Any]], most: int) -> tuple[list[Body], int]:
+        """Up to ``most`` messages with as many of the entries as fit, in their order; how many these were."""
+        empty = len(msgspec.msgpack.encode({"ms": ms, key: []})) + 2  # a list of more than 15 needs two bytes to say so
+        bodies: list[Body] = []
+        used, left = 0, 0
+        for entry in entries:
+            size = len(msgspec.msgpack.encode(entry))
+            if size > left:
+                if len(bodies) >= most:
+                    break
+                bodies.append({"ms": ms, key: []})
+                left = self.max_bytes - empty
+            bodies[-1][key].append(entry)
+            left -= size
+            used += 1
+        return bodies, used
 
 
-class Alone:
-    """A map of own looks (kind ``none``)."""
+def _packed(counts: Array) -> bytes:
+    """Hits and misses, (2, n), as bytes: one for each count where that is enough."""
+    return counts.astype("<u1" if counts.max(initial=0) < 256 else "<u2").tobytes()
 
-    def __init__(self, tiling: Tiling, sensor: Sensor, prior: float) -> None:
-        self.tiling, self.sensor = tiling, sensor
+
+def _is_number(value: Any, end: int) -> TypeGuard[int]:
+    return type(value) is int and 0 <= value < end
+
+
+class MapExchange:
+    """A member's knowledge of the area. Each tick: `take` received messages, `look` (possibly at no cell), send `messages`.
+
+    This one exchanges nothing (kind ``none``). An entry of a message is a list of ``length`` items that ends with bytes.
+
+    Args:
+        tiling: of the map, equal for all members.
+        sensor: error rates of looks.
+        prior: log-odds before the first look.
+        me: this vehicle.
+        members: all members, with this vehicle.
+        clock_bound_ms: largest lead of other clocks.
+    """
+
+    key = ""
+    length = 0
+
+    def __init__(
+        self, tiling: Tiling, sensor: Sensor, prior: float, me: str, members: Sequence[str], clock_bound_ms: int
+    ) -> None:
+        self.tiling, self.sensor, self.prior = tiling, sensor, prior
+        self._places = {name: place for place, name in enumerate(sorted(set(members)))}
+        self._me, self._clock_bound_ms = self._places[me], clock_bound_ms
         self._map = np.full((tiling.tiles, tiling.per_tile), float(prior))
 
     @property
     def log_odds(self) -> Array:
-        """The map, (rows, columns)."""
+        """The map to decide by, (rows, columns)."""
         return self.tiling.of_grid(self._map)
 
     def look(self, cells: Array, hits: Array, now_ns: int) -> None:
@@ -57,28 +137,55 @@ class Alone:
         flat[where] = np.clip(flat[where] + self.sensor.evidence(hits, ~np.asarray(hits, bool)), -LIMIT, LIMIT)
 
     def messages(self, now_ns: int, most: int) -> list[Body]:
-        """There are none."""
+        """Up to ``most`` messages to be sent now, each of ``max_bytes`` encoded bytes at most."""
         return []
 
     def take(self, sender: str, body: Any, now_ns: int) -> bool:
-        """Nothing is believed."""
-        return False
+        """Merge a received message; False: it was invalid or of another kind, and nothing changed."""
+        place, latest_ms = self._places.get(sender, self._me), now_ns // 1_000_000 + self._clock_bound_ms
+        if place == self._me or not self.key or not isinstance(body, dict):
+            return False
+        ms, entries = body.get("ms"), body.get(self.key)
+        if not _is_number(ms, min(latest_ms, LATEST_MS) + 1) or not isinstance(entries, list | tuple):
+            return False
+        if any(
+            not isinstance(each, list | tuple) or len(each) != self.length or not isinstance(each[-1], bytes)
+            for each in entries
+        ):
+            return False
+        checked = [self._checked(ms, latest_ms, *entry) for entry in entries]
+        valid = [entry for entry in checked if entry is not None]
+        if len(valid) < len(entries) or not self._fit(valid):
+            return False
+        for entry in valid:
+            self._merge(place, ms, *entry)
+        return True
+
+    def _checked(self, ms: int, latest_ms: int, *entry: Any) -> tuple[Any, ...] | None:
+        """An entry of a message as `_merge` takes it; None: it makes no sense."""
+        raise NotImplementedError
+
+    def _fit(self, entries: list[tuple[Any, ...]]) -> bool:
+        """Whether the entries of a message go together."""
+        return True
+
+    def _merge(self, place: int, ms: int, *entry: Any) -> None:
+        raise NotImplementedError
 
 
-class Delta(Alone):
+class Delta(MapExchange):
     """Counts since the last message, tile by tile; an entry is ``[tile, counts]``.
 
     Of a sender's messages about a tile only the newest counts: copies are not counted twice; one that was overtaken is lost.
     """
 
-    def __init__(
-        self, tiling: Tiling, sensor: Sensor, prior: float, me: str, members: Sequence[str], clock_bound_ms: int
-    ) -> None:
-        super().__init__(tiling, sensor, prior)
-        self._clock_bound_ms = clock_bound_ms
+    key, length = "d", 2
+
+    def __init__(self, tiling: Tiling, *args: Any) -> None:
+        super().__init__(tiling, *args)
         self._untold = np.zeros((tiling.tiles, 2, tiling.per_tile), np.uint16)
         self._since = np.zeros(tiling.tiles, np.int64)  # ms: the last look of these
-        self._newest = {name: np.full(tiling.tiles, -1) for name in members if name != me}
+        self._newest = np.full((len(self._places), tiling.tiles), NEVER)
 
     def look(self, cells: Array, hits: Array, now_ns: int) -> None:
         """Add own looks: cells (n,), each at most once, and the result of each."""
@@ -89,31 +196,27 @@ class Delta(Alone):
         """Up to ``most`` messages, newest tiles first; what has no room waits."""
         changed = np.nonzero(self._untold.any(axis=(1, 2)))[0]
         changed = changed[np.lexsort((changed, -self._since[changed]))]
-        entries = ([tile, packed(self._untold[tile])] for tile in changed.tolist())
-        bodies, used = self.tiling.bodies("d", now_ns // 1_000_000, entries, most)
+        entries = ([tile, _packed(self._untold[tile])] for tile in changed.tolist())
+        bodies, used = self.tiling.bodies(self.key, now_ns // 1_000_000, entries, most)
         self._untold[changed[:used]] = 0
         return bodies
 
-    def take(self, sender: str, body: Any, now_ns: int) -> bool:
-        """Add the increments of another; False: nonsense, and nothing was added."""
-        newest, message = self._newest.get(sender), parsed(body, "d", 2, now_ns // 1_000_000 + self._clock_bound_ms)
-        if newest is None or message is None:
-            return False
-        counts = {tile: self.tiling.counts_of(tile, raw) for tile, raw in message.entries if type(tile) is int}
-        if len(counts) < len(message.entries):  # what is no number, or a tile twice
-            return False
-        tiles = {tile: each for tile, each in counts.items() if each is not None}
-        if len(tiles) < len(counts):
-            return False
-        for tile, (hits, misses) in tiles.items():
-            if message.ms > newest[tile]:
-                newest[tile] = message.ms
-                odds = self._map[tile] + self.sensor.evidence(hits, misses)
-                self._map[tile] = np.clip(odds, -LIMIT, LIMIT)
-        return True
+    def _checked(self, ms: int, latest_ms: int, *entry: Any) -> tuple[int, Array] | None:
+        tile, raw = entry
+        counts = self.tiling.counts_of(tile, raw)
+        return None if counts is None else (tile, counts)
+
+    def _fit(self, entries: list[tuple[Any, ...]]) -> bool:
+        return len({tile for tile, _ in entries}) == len(entries)
+
+    def _merge(self, place: int, ms: int, *entry: Any) -> None:
+        tile, (hits, misses) = entry
+        if ms > self._newest[place, tile]:
+            self._newest[place, tile] = ms
+            self._map[tile] = np.clip(self._map[tile] + self.sensor.evidence(hits, misses), -LIMIT, LIMIT)
 
 
-class Consensus(Alone):
+class Consensus(MapExchange):
     """The own map, moved towards received ones; an entry is ``[tile, l]``, l in steps of 1/1600 as little-endian int16.
 
     A call of `look` is one step of the protocol: first towards the maps received since the last step, then the own update,
@@ -122,30 +225,20 @@ class Consensus(Alone):
     fast, but rash before all agree; without, it takes N times the looks.
     """
 
-    def __init__(
-        self,
-        tiling: Tiling,
-        sensor: Sensor,
-        prior: float,
-        me: str,
-        members: Sequence[str],
-        clock_bound_ms: int,
-        scaled: bool,
-    ) -> None:
-        super().__init__(tiling, sensor, prior)
-        self._prior, self._clock_bound_ms = prior, clock_bound_ms
-        self._members, self._next = len(set(members)), 0
+    key, length = "c", 2
+
+    def __init__(self, tiling: Tiling, *args: Any, scaled: bool) -> None:
+        super().__init__(tiling, *args)
+        self._members, self._next = len(self._places), 0
         self._gain = float(self._members) if scaled else 1.0
-        others = sorted({*members} - {me})
-        self._places = {name: place for place, name in enumerate(others)}
-        self._heard = np.zeros((len(others), tiling.tiles, tiling.per_tile))
-        self._fresh = np.zeros((len(others), tiling.tiles), bool)
-        self._newest = np.full((len(others), tiling.tiles), -1)
+        self._heard = np.zeros((self._members, tiling.tiles, tiling.per_tile))
+        self._fresh = np.zeros((self._members, tiling.tiles), bool)
+        self._newest = np.full((self._members, tiling.tiles), NEVER)
 
     @property
     def log_odds(self) -> Array:
         """The map to decide by, (rows, columns)."""
-        return np.clip(self._prior + self._gain * (super().log_odds - self._prior), -LIMIT, LIMIT)
+        return np.clip(self.prior + self._gain * (super().log_odds - self.prior), -LIMIT, LIMIT)
 
     def look(self, cells: Array, hits: Array, now_ns: int) -> None:
         """One step: agree with the others, then add own looks, cells (n,), each at most once, and the result of each."""
@@ -159,27 +252,126 @@ class Consensus(Alone):
         """Up to ``most`` messages; where the whole map does not fit, they go on where the last ones ended."""
         tiles = np.roll(np.arange(self.tiling.tiles), -self._next).tolist()
         entries = ([tile, np.rint(self._map[tile] * STEPS).astype("<i2").tobytes()] for tile in tiles)
-        bodies, used = self.tiling.bodies("c", now_ns // 1_000_000, entries, most)
+        bodies, used = self.tiling.bodies(self.key, now_ns // 1_000_000, entries, most)
         self._next = (self._next + used) % self.tiling.tiles
         return bodies
 
-    def take(self, sender: str, body: Any, now_ns: int) -> bool:
-        """Store a received map until the next step; False: it is invalid and was dropped."""
-        place, message = self._places.get(sender), parsed(body, "c", 2, now_ns // 1_000_000 + self._clock_bound_ms)
-        if place is None or message is None:
-            return False
-        entries: list[tuple[int, Array]] = []
-        for tile, raw in message.entries:
-            if type(tile) is not int or not 0 <= tile < self.tiling.tiles or len(raw) != 2 * self.tiling.per_tile:
-                return False
-            entries.append((tile, np.frombuffer(raw, "<i2") / STEPS))
-        if any(np.abs(odds).max() > LIMIT for _, odds in entries):
-            return False
-        for tile, odds in entries:
-            if message.ms > self._newest[place, tile]:
-                self._newest[place, tile] = message.ms
-                self._heard[place, tile], self._fresh[place, tile] = odds, True
-        return True
+    def _checked(self, ms: int, latest_ms: int, *entry: Any) -> tuple[int, Array] | None:
+        tile, raw = entry
+        if not _is_number(tile, self.tiling.tiles) or len(raw) != 2 * self.tiling.per_tile:
+            return None
+        odds = np.frombuffer(raw, "<i2") / STEPS
+        return None if np.abs(odds).max() > LIMIT else (tile, odds)
+
+    def _merge(self, place: int, ms: int, *entry: Any) -> None:
+        tile, odds = entry
+        if ms > self._newest[place, tile]:
+            self._newest[place, tile] = ms
+            self._heard[place, tile], self._fresh[place, tile] = odds, True
+
+
+class Ledger(MapExchange):
+    """All members store, by contributor, the number of looks at each cell with each result.
+
+    Such counts only grow, so the greater of two is the newer. They can be merged in any order, any number of times and over any
+    route, with the same result (a state-based grow-only counter: Shapiro, Preguica, Baquero and Zawirski, "Conflict-free
+    replicated data types", SSS 2011). When every message has arrived, all members have the map of a single observer of all
+    looks. Changed tiles are sent first, newest first, then all others as room is left.
+
+    An entry of a message is ``[contributor, tile, age_ms, counts]``: the contributor's number among the sorted members, the
+    number of the tile, the time from its last change to ``ms``, and hits and misses. Within a millisecond, look before sending.
+
+    Trust:
+
+    - A vehicle never accepts counts of its own looks from others.
+    - A contributor's own counts are accepted and never decrease: old messages, copies and a restarted contributor lower nothing
+      (a restarted one counts again where it has looked more often than before).
+    - Relayed counts of a contributor are accepted only if they are newer than its own last message about that tile, and not
+      from the future; they add to its counts and reduce none. Of relayed counts the newest apply.
+    - A false relay can raise counts only until the contributor's next own message about the tile, and none with
+      ``relay = False``. A contributor's own counts cannot be checked: looks have errors in any case.
+
+    Args:
+        tiling: as of every `MapExchange`, like those behind it.
+        relay: send and accept counts of third members.
+    """
+
+    key, length = "l", 4
+
+    def __init__(self, tiling: Tiling, *args: Any, relay: bool) -> None:
+        super().__init__(tiling, *args)
+        self.relay = relay
+        n, tiles, cells = len(self._places), tiling.tiles, tiling.per_tile
+        self._own = np.zeros((n, tiles, 2, cells), np.uint16)  # hits and misses from each contributor itself
+        self._changed = np.full((n, tiles), NEVER)  # ms: when these last changed,
+        self._said = np.full((n, tiles), NEVER)  # time of its last message
+        self._others = np.zeros((n, tiles, 2, cells), np.uint16)  # relayed hits and misses
+        self._others_changed = np.full((n, tiles), NEVER)
+        self._times = np.zeros((n, tiles), int)  # messages with the change, own and received
+        self._times_of = np.full((n, tiles), NEVER)  # which change that was
+
+    @property
+    def log_odds(self) -> Array:
+        """The map, (rows, columns): of all looks that are known."""
+        hits, misses = self.counts.sum(axis=0, dtype=np.int64)
+        return np.clip(self.prior + self.sensor.evidence(hits, misses), -LIMIT, LIMIT)
+
+    @property
+    def counts(self) -> Array:
+        """Hits and misses by contributor, (members, 2, rows, columns) uint16, as far as they are known."""
+        believed = np.where(self._newer()[..., None, None], np.maximum(self._own, self._others), self._own)
+        return self.tiling.of_grid(np.moveaxis(believed, 2, 1))
+
+    def look(self, cells: Array, hits: Array, now_ns: int) -> None:
+        """Add own looks: cells (n,), each at most once, and the result of each."""
+        self._changed[self._me, self.tiling.count(self._own[self._me], cells, hits)] = now_ns // 1_000_000
+
+    def messages(self, now_ns: int, most: int) -> list[Body]:
+        """Up to ``most`` messages to be sent now."""
+        changed = np.where(self._newer(), self._others_changed, self._changed)
+        self._times[changed != self._times_of] = 0
+        self._times_of = changed
+        changed_cells = changed != NEVER
+        if not self.relay:
+            changed_cells[np.arange(len(changed_cells)) != self._me] = False
+        who, tile = np.nonzero(changed_cells)
+        order = np.lexsort((tile, who, -changed[who, tile], who != self._me, self._times[who, tile]))
+        who, tile, ms = who[order], tile[order], now_ns // 1_000_000
+        bodies, used = self.tiling.bodies(self.key, ms, self._entries(who, tile, ms - changed[who, tile]), most)
+        self._times[who[:used], tile[:used]] += 1
+        return bodies
+
+    def _entries(self, who: Array, tile: Array, age_ms: Array) -> Iterator[list[Any]]:
+        """A generator, since few entries fit into a message."""
+        newer = self._newer()
+        for a, k, age in zip(who.tolist(), tile.tolist(), age_ms.tolist(), strict=True):
+            counts = np.maximum(self._own[a, k], self._others[a, k]) if newer[a, k] else self._own[a, k]
+            yield [a, k, age, _packed(counts)]
+
+    def _checked(self, ms: int, latest_ms: int, *entry: Any) -> tuple[int, int, int, Array] | None:
+        who, tile, age, raw = entry
+        counts = self.tiling.counts_of(tile, raw)
+        if counts is None or not _is_number(who, len(self._places)) or type(age) is not int:
+            return None
+        changed = ms - age  # where clocks differ, what is passed on may be from after it was sent
+        return (who, tile, changed, counts) if max(0, latest_ms - OLDEST_MS) <= changed <= latest_ms else None
+
+    def _merge(self, place: int, ms: int, *entry: Any) -> None:
+        who, tile, changed, counts = entry
+        if who == place:
+            np.maximum(self._own[who, tile], counts, out=self._own[who, tile])
+            self._changed[who, tile] = max(self._changed[who, tile], changed)
+            self._said[who, tile] = max(self._said[who, tile], ms)
+        elif who != self._me and self.relay:  # of relayed counts the newer; of equal times, the first received
+            self._times[who, tile] += changed == self._times_of[who, tile]  # already sent by another member: lower priority
+            before = self._others_changed[who, tile]
+            if changed > before or (changed == before and counts.tobytes() > self._others[who, tile].tobytes()):
+                self._others_changed[who, tile], self._others[who, tile] = changed, counts
+
+    def _newer(self) -> Array:
+        """(members, tiles): whether relayed counts are newer than the contributor's own; of this vehicle itself never."""
+        newer: Array = self._others_changed > self._said
+        return newer
 
 
 def exchange(
@@ -195,32 +387,19 @@ def exchange(
     scaled: bool = False,
     clock_bound_s: float = 0.0,
 ) -> MapExchange:
-    """One member's end of an exchange; all arguments but ``me`` must be equal for all members.
+    """One member's end of an exchange; all arguments but ``me`` must be equal for all members (`search.Search` explains them).
 
-    Args:
-        kind: of the protocol.
-        grid: the cells.
-        sensor: error rates of looks.
-        me: this vehicle.
-        members: all members, with this vehicle.
-        prior: probability of a target in a cell before the first look.
-        max_bytes: size of the largest message, encoded: about 100 for 802.15.4, 1400 for 802.11.
-        relay: of a ``ledger``: send and accept counts of third members.
-        scaled: of ``consensus``: decide by N times the map.
-        clock_bound_s: largest lead of other clocks, s; messages from further in the future are rejected.
-
-    Raises:
-        ValueError: ``me`` is not among the members, the prior is 0 or 1, or no cell fits into a message.
+    A ValueError says that ``me`` is not among the members, the prior is 0 or 1, or no cell fits into a message.
     """
     if me not in members:
         raise ValueError(f"members: they must include {me!r}; they are {', '.join(members)}")
-    tiling, start, bound_ms = Tiling(grid, max_bytes), log_odds(prior), round(clock_bound_s * 1000.0)
+    common = Tiling(grid, max_bytes), sensor, log_odds(prior), me, members, round(clock_bound_s * 1000.0)
     match kind:
         case "none":
-            return Alone(tiling, sensor, start)
+            return MapExchange(*common)
         case "delta":
-            return Delta(tiling, sensor, start, me, members, bound_ms)
+            return Delta(*common)
         case "consensus":
-            return Consensus(tiling, sensor, start, me, members, bound_ms, scaled)
+            return Consensus(*common, scaled=scaled)
         case "ledger":
-            return Ledger(tiling, sensor, start, me, members, relay=relay, clock_bound_ms=bound_ms)
+            return Ledger(*common, relay=relay)

@@ -32,18 +32,10 @@ class Rectangle(NamedTuple):
 
 @dataclass(frozen=True)
 class Sensor:
-    """How far looks are to be trusted.
+    """How far looks are to be trusted: 0 < q < p < 1, as with p = q they tell nothing, and with 0 or 1 one would be final."""
 
-    Args:
-        p: probability that a look at a target says so.
-        q: probability that a look at none says that there is one.
-
-    Raises:
-        ValueError: not 0 < q < p < 1; with p = q looks tell nothing, and with 0 or 1 a single one would be final.
-    """
-
-    p: float
-    q: float
+    p: float  # probability that a look at a target says so
+    q: float  # probability that a look at none says that there is one
 
     def __post_init__(self) -> None:
         if not 0.0 < self.q < self.p < 1.0:
@@ -70,17 +62,10 @@ class Grid:
     """Square cells over a rectangle; cell number ``row * columns + column``, rows going up from the bottom left.
 
     The last row and column reach beyond the rectangle where its sides are no multiples of a cell's.
-
-    Args:
-        area: what is to be searched.
-        cell: side of a cell, m.
-
-    Raises:
-        ValueError: an area or a cell without a size.
     """
 
     area: Rectangle
-    cell: float
+    cell: float  # side of a cell, m
 
     def __post_init__(self) -> None:
         if not (self.area.right > self.area.left and self.area.top > self.area.bottom and all(map(math.isfinite, self.area))):
@@ -90,13 +75,13 @@ class Grid:
 
     @cached_property
     def columns(self) -> int:
-        """How many cells there are along x."""
-        return _cells(self.area.right - self.area.left, self.cell)
+        """How many cells there are along x; with a tolerance for rounding."""
+        return max(1, math.ceil((self.area.right - self.area.left) / self.cell - 1e-9))
 
     @cached_property
     def rows(self) -> int:
         """How many cells there are along y."""
-        return _cells(self.area.top - self.area.bottom, self.cell)
+        return max(1, math.ceil((self.area.top - self.area.bottom) / self.cell - 1e-9))
 
     @cached_property
     def xs(self) -> Array:
@@ -129,9 +114,8 @@ class Grid:
     def inside(self, corners: Array) -> Array:
         """Cells with centres in a polygon, such as a camera's footprint, ascending.
 
-        Args:
-            corners: (n, 2) m, world, in order round it; with one that is not finite (an edge of the picture above the horizon)
-                nothing is inside.
+        ``corners`` are (n, 2) m, world, in order round it; with one that is not finite (an edge of the picture above the
+        horizon) nothing is inside.
         """
         corners = np.asarray(corners, float).reshape(-1, 2)
         if len(corners) < 3 or not np.isfinite(corners).all():
@@ -150,11 +134,7 @@ class Grid:
 
 
 def log_odds(probability: float) -> float:
-    """``ln(P / (1 - P))`` of a prior.
-
-    Raises:
-        ValueError: it is not between 0 and 1, where no look could ever change it.
-    """
+    """``ln(P / (1 - P))`` of a prior, which must lie between 0 and 1: at these no look could ever change it."""
     if not 0.0 < probability < 1.0:
         raise ValueError(f"a prior probability of {probability} must be > 0 and < 1")
     return math.log(probability / (1.0 - probability))
@@ -170,11 +150,6 @@ def decisions(odds: Array, target: float = TARGET, empty: float = EMPTY) -> Arra
     """By cell: 1 where P is above ``target``, -1 where it is below ``empty``, 0 where it is open (int8)."""
     above, below = log_odds(target), log_odds(empty)
     return (odds > above).astype(np.int8) - (odds < below).astype(np.int8)
-
-
-def _cells(length: float, cell: float) -> int:
-    """Number of cells along a length, rounded up, with a tolerance for rounding."""
-    return max(1, math.ceil(length / cell - 1e-9))
 
 
 def _in_polygon(corners: Array, x: Array, y: Array) -> Array:

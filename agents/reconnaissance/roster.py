@@ -17,6 +17,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeGuard
 
+from vcmvsp.agents.formation.reports.report import bodies
 from vcmvsp.agents.reconnaissance.state_table import TASKS, Task
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns
@@ -57,21 +58,10 @@ class MemberStatus(NamedTuple):
 class Roster:
     """The mission from the view of one member.
 
-    Args:
-        me: this vehicle.
-        members: all members, with this vehicle.
-        sectors: groups that search one sector together, led by their first; other members have a sector of their own.
-        alive_s: silence after which a member counts as lost, s.
-        claim_s: how long the claim of a lost member stands, s: most are only out of reach.
-        report_s: period of reports, s; a change of task or target is reported at once.
-        clock_bound_s: largest lead of other clocks, s.
-
-    Attributes:
-        sector: of this vehicle; named after its first member.
-        clock_bound_s: largest lead of other clocks, s.
-
-    Raises:
-        ValueError: members or sectors that do not fit one another.
+    Each of ``sectors`` is searched together, led by its first; other members have a sector of their own. ``sector`` is that of
+    this vehicle, named after its first. After ``alive_s`` of silence a member counts as lost; its claim stands for ``claim_s``,
+    as most are only out of reach. Reports come every ``report_s``, and at once when task or target change. Other clocks lead by
+    ``clock_bound_s`` at most. A ValueError says that members or sectors do not fit one another.
     """
 
     def __init__(
@@ -106,9 +96,8 @@ class Roster:
     def hear(self, obs: Observation) -> None:
         """Once a tick: take in received statuses. Any message of a member is a sign of life, except one of bytes."""
         self._start_ns = obs.time_ns if self._start_ns is None else self._start_ns
-        for reception in obs.heard:
-            sender, body = reception.message.sender, reception.message.body
-            if sender == self.me or sender not in self._sector_of or isinstance(body, bytes):
+        for sender, body in bodies(obs, self._sector_of):
+            if sender == self.me:
                 continue
             self._there_ns[sender] = obs.time_ns
             status = _parsed(body, (obs.time_ns + self._clock_bound_ns) // 1_000_000)
@@ -133,11 +122,8 @@ class Roster:
 
     def searchers(self, now_ns: int) -> tuple[str, ...]:
         """Living members that search, alone or in formation, with this one; members of unknown task count as searching."""
-        return tuple(
-            name
-            for name in self.alive(now_ns)
-            if name == self.me or name not in self._heard or self._heard[name].task != "track"
-        )
+        tracking = {name for name, status in self._heard.items() if status.task == "track"}
+        return tuple(name for name in self.alive(now_ns) if name == self.me or name not in tracking)
 
     def shared(self, now_ns: int) -> bool:
         """Whether somebody before this one searches its sector, so that this one only flies along."""
@@ -179,11 +165,7 @@ class Roster:
 
 
 def members_of(info: VehicleInfo, named: Sequence[str]) -> tuple[str, ...]:
-    """The given members; without any, all vehicles of the run.
-
-    Raises:
-        ValueError: one of them is no vehicle of the run.
-    """
+    """The given members; without any, all vehicles of the run. A ValueError names one that is no vehicle of it."""
     for name in named:
         if name not in info.vehicles:
             raise ValueError(f"members: {unknown('vehicle', name, info.vehicles)}")
@@ -210,10 +192,7 @@ def _by_sector(members: Sequence[str], sectors: Sequence[Sequence[str]]) -> dict
     return {name: of.get(name, name) for name in members}
 
 
-def _parsed(body: Any, latest_ms: int) -> MemberStatus | None:
-    """The status in a message; None if it is invalid."""
-    if not isinstance(body, Mapping):
-        return None
+def _parsed(body: Mapping[str, Any], latest_ms: int) -> MemberStatus | None:
     task, ms = body.get("do"), body.get("ms")
     if task not in TASKS or not _is_time(ms, min(latest_ms, LATEST_MS)):
         return None
@@ -222,9 +201,9 @@ def _parsed(body: Any, latest_ms: int) -> MemberStatus | None:
     target, place, since = body["tg"], body.get("at"), body.get("since")
     if not isinstance(target, str) or len(target) > LONGEST_NAME or not _is_time(since, ms):
         return None
-    if not isinstance(place, list) or len(place) != 2 or not all(type(each) is float for each in place):
+    if not isinstance(place, list) or len(place) != 2:
         return None
-    if not all(abs(each) <= FARTHEST_M for each in place):
+    if not all(type(each) is float and abs(each) <= FARTHEST_M for each in place):
         return None
     return MemberStatus(ms, task, Claim(target, (place[0], place[1]), since * 1_000_000))
 

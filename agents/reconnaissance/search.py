@@ -6,13 +6,13 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from vcmvsp.agents.formation.aerial.flight import GAIN, YAW_GAIN, check_flies
+from vcmvsp.agents.avoidance.view import check_carried
+from vcmvsp.agents.formation.aerial import GAIN, YAW_GAIN, check_flies
 from vcmvsp.agents.reconnaissance.exchange import Kind, exchange
-from vcmvsp.agents.reconnaissance.lane_following import LaneFollower
 from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor
 from vcmvsp.agents.reconnaissance.roster import Roster, members_of
 from vcmvsp.agents.reconnaissance.search_map import SearchMap, of_picture, of_reading, swaths_m
-from vcmvsp.agents.reconnaissance.sectors import Comb, Point
+from vcmvsp.agents.reconnaissance.sectors import Comb, LaneFollower, Point
 from vcmvsp.agents.reconnaissance.watch import Watch, Watching
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns
@@ -39,8 +39,7 @@ class Search(Agent):
     vehicle, and resumes its lane afterwards. On its own it flies on after all targets are found, with ``status`` ``done``.
 
     Notes ``map_bytes``, payload bytes of all messages of the map so far, when it changes; on its own also ``found``,
-    ``found_x`` and
-    ``found_y``, when the map becomes sure of a target (of unknown name), and ``status``.
+    ``found_x`` and ``found_y``, when the map becomes sure of a target (of unknown name), and ``status``.
 
     Args:
         area: left, bottom, right, top, m, world.
@@ -217,7 +216,6 @@ class Search(Agent):
         return of_picture(self.grid, frame)
 
     def _detector(self, obs: Observation) -> tuple[Array, Array] | None:
-        """The new reading of the detector of cells."""
         looks = obs.readings.get(self.sensor)
         if looks is None:
             return None
@@ -230,7 +228,6 @@ class Search(Agent):
         return of_reading(self.grid, looks)
 
     def _share(self, obs: Observation, radio: Radio) -> None:
-        """Send messages of the map when due."""
         if obs.time_ns < self._share_at_ns:
             return
         self._share_at_ns = obs.time_ns + self._share_ns
@@ -283,6 +280,5 @@ class Search(Agent):
                 raise ValueError("sensor = 'camera': say which camera it is and what to look for; give watching = {...}")
             if self.watch is self._own_watch:
                 self.watch.start(info)
-        elif info.sensors is not None and self.sensor not in info.sensors:
-            carries = ", ".join(info.sensors) or "nothing"
-            raise ValueError(f"sensor = {self.sensor!r}: {info.name} has no such sensor (it carries: {carries})")
+        else:
+            check_carried(info, self.sensor, "sensor")

@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vcmvsp.agents.reconnaissance.exchange import MapExchange
+from vcmvsp.agents.reconnaissance.exchange import Body, MapExchange
 from vcmvsp.agents.reconnaissance.probability_map import TARGET, Grid, decisions, log_odds, probability
-from vcmvsp.agents.reconnaissance.tiles import Body
 from vcmvsp.agents.reconnaissance.watch import WatchFrame
 from vcmvsp.cosim.agent import Observation
 from vcmvsp.cosim.types import Array, Looks, ProbabilityMap, frozen
@@ -28,12 +27,7 @@ class Blob(NamedTuple):
 
 
 class SearchMap:
-    """A map that is shared.
-
-    Args:
-        grid: its cells.
-        mind: how it is shared.
-    """
+    """A map with the cells of a grid, which is shared by an exchange."""
 
     def __init__(self, grid: Grid, mind: MapExchange) -> None:
         self.grid, self._mind = grid, mind
@@ -116,11 +110,7 @@ class SearchMap:
 
 
 def of_reading(grid: Grid, looks: Looks) -> tuple[Array, Array]:
-    """Cells of a detector's reading, (n,), and the results, (n,) bool.
-
-    Raises:
-        ValueError: its cells differ in size from those of the map.
-    """
+    """Cells of a detector's reading, (n,), and the results, (n,) bool; its cells must have the size of those of the map."""
     if not math.isclose(looks.cell_m, grid.cell):
         raise ValueError(f"cell_m = {grid.cell:g}: the sensor looks at cells of {looks.cell_m:g} m, so it must be that")
     # Cell (0, 0) of the sensor has its middle in this column and row, which is the same step for all: no two become one.

@@ -1,7 +1,11 @@
-"""Strips of an area and the lanes along them.
+"""Strips of an area, the lanes along them, and a vehicle's way along its lanes.
 
 The area is divided into vertical strips of equal width, one for each living member in the order of the names (2 before 10):
 the set of living members determines all strips, without a message. When a member fails, the strips are divided anew.
+
+Towards a way-point at a distance d a vehicle flies at ``min(speed, sqrt(2 a d))``, the speed from which it can still stop there
+with an acceleration a; as a way-point counts as reached before that, it turns at a speed that it can turn at. Beside a lane
+(after it has got around something, or was busy elsewhere) it makes for a point of the lane that lies a second ahead.
 """
 
 import math
@@ -10,6 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 from vcmvsp.agents.reconnaissance.probability_map import Rectangle
+from vcmvsp.cosim.clock import seconds_to_ns
 
 Point = tuple[float, float]
 
@@ -34,14 +39,8 @@ def lanes(area: Rectangle, radius: float, overlap: float = 0.2, start: Point | N
 
     Lanes run along y and end ``radius / 2`` short of the border, in the middle of an area that is no longer than that.
 
-    Args:
-        area: what is to be combed.
-        radius: how far is seen from the vehicle, m.
-        overlap: which part of the width that is seen from one lane is seen from the next one, too, at least.
-        start: begin at the end that is nearest to this point; default: bottom left.
-
-    Raises:
-        ValueError: a radius <= 0 or an overlap that is not >= 0 and < 1.
+    ``radius`` is how far is seen from the vehicle, m, ``overlap`` the part of that width that is seen from the next lane, too.
+    They begin at the end that is nearest to ``start``; default: bottom left.
     """
     if not (radius > 0.0 and 0.0 <= overlap < 1.0):
         raise ValueError(f"radius = {radius} m must be > 0 and overlap = {overlap} >= 0 and < 1")
@@ -68,17 +67,9 @@ class Comb:
 
     Lanes across show what buildings hide from lanes along y.
 
-    Args:
-        me: name of the vehicle.
-        area: of the team.
-        radius: visible distance from the vehicle, m.
-        overlap: of neighbouring lanes.
-        reached: distance at which a way-point is reached, m.
-        across: visible distance from lanes along x, m; 0: no such lanes.
-        is_open: whether a lane with these ends, m, world, is worth flying; other lanes are skipped as long as there are such.
-
-    Attributes:
-        came: way-point at the start of the present line; None: none yet.
+    ``radius`` is the visible distance from the vehicle, ``across`` that from lanes along x (0: no such lanes), ``reached`` the
+    distance at which a way-point is reached, m. ``is_open`` says whether a lane with these ends, m, world, is worth flying;
+    others are skipped as long as there are such. ``came`` is the way-point at the start of the present line; None: none yet.
     """
 
     def __init__(
@@ -180,7 +171,6 @@ class _Way:
         self.along = math.dist(position, near) == 0.0
 
     def _step(self, position: Point) -> None:
-        """Go to the next lane."""
         if 0 <= self.number + self.step < len(self.lanes):
             self.number += self.step
         elif self.across:
@@ -190,3 +180,57 @@ class _Way:
             self.number, self.step = (0, 1) if away[0] <= away[1] else (last, -1)
         else:
             self.step = -self.step
+
+
+AHEAD_S = 1.0  # how far ahead it looks along a lane
+PROGRESS_M = 1.0  # nearer to the way-point by less than that is no progress
+
+
+class LaneFollower:
+    """Velocities along the lanes of a comb, at ``speed`` m/s, with an ``acceleration``, m/s2, that the vehicle can do for sure.
+
+    A way-point is given up after ``stuck_s`` without progress. ``goal``, m, world: the present one; None: not begun, or paused.
+    """
+
+    def __init__(self, comb: Comb, *, speed: float, acceleration: float, stuck_s: float) -> None:
+        self.comb, self.speed, self.acceleration = comb, speed, acceleration
+        self.goal: Point | None = None
+        self._stuck_ns = seconds_to_ns(stuck_s)
+        self._progress_m = min(PROGRESS_M, 0.25 * speed * stuck_s)
+        self._nearest_m, self._since_ns = math.inf, 0  # how near it has come, by steps of progress, and since when
+
+    def pause(self) -> None:
+        """The vehicle does something else: it is not to blame for making no progress."""
+        self.goal = None
+
+    def velocity(self, now_ns: int, position: Point, living: Iterable[str]) -> Point:
+        """Velocity of a tick, m/s, world, at ``position``; ``living``: names of the members with a strip."""
+        names = tuple(living)
+        goal = self.comb.goal(position, names)
+        if goal == self.goal and self._is_stuck(now_ns, math.dist(position, goal)):
+            self.comb.skip()
+            goal = self.comb.goal(position, names)
+        if goal != self.goal:
+            self.goal, self._nearest_m, self._since_ns = goal, math.dist(position, goal), now_ns
+        speed = min(self.speed, math.sqrt(2.0 * self.acceleration * math.dist(position, goal)))
+        aim = self._aim(position, goal)
+        way = math.dist(position, aim)
+        if way == 0.0:
+            return 0.0, 0.0
+        return speed * (aim[0] - position[0]) / way, speed * (aim[1] - position[1]) / way
+
+    def _is_stuck(self, now_ns: int, away_m: float) -> bool:
+        if away_m <= self._nearest_m - self._progress_m:
+            self._nearest_m, self._since_ns = away_m, now_ns
+        return now_ns - self._since_ns >= self._stuck_ns
+
+    def _aim(self, position: Point, goal: Point) -> Point:
+        """The way-point, or a point before it on the line to it."""
+        came = self.comb.came
+        length = 0.0 if came is None else math.dist(came, goal)
+        if came is None or length == 0.0:
+            return goal
+        x, y = (goal[0] - came[0]) / length, (goal[1] - came[1]) / length
+        along = (position[0] - came[0]) * x + (position[1] - came[1]) * y
+        ahead = max(0.0, along) + AHEAD_S * self.speed
+        return goal if ahead >= length else (came[0] + ahead * x, came[1] + ahead * y)

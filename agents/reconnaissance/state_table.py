@@ -22,7 +22,7 @@ the reported place of a target (on a roof, in a narrow street), and so never lea
 
 There is no switch within 0.5 s of another, whatever happens. So avoid2 may begin half a second late, if something else began
 just before. That costs no safety, because no safety rests on it: the limit of the speed near obstacles holds for the command of
-any commander (`agents.mission.speed_limit`, `agents.avoidance.levels`), from the first tick at which something is nearer
+any commander (`agents.mission.runner`, `agents.avoidance.steering`), from the first tick at which something is nearer
 than d2. What is late is only the way around, and that of a vehicle which comes no nearer than it may. At the end of the half
 second the facts of then decide, and avoid2 goes before all: nothing stands in line before it.
 """
@@ -88,14 +88,14 @@ def step(state: MissionState, facts: MissionFacts) -> MissionState:
     if state.now_ns is None:
         state = state._replace(since_ns=facts.now_ns)
     state = _with_task(_timed(state, facts, facts.now_ns - before), facts)
-    next_mode, why = _avoidance(state, facts) or _the_task(state)
+    the_task = state.task, f"nothing is near any more ({state.task_why})" if state.avoids else state.task_why
+    next_mode, why = _avoidance(state, facts) or the_task
     if next_mode == state.name or (state.switches > 0 and facts.now_ns - state.since_ns < DWELL_NS):
         return state
     return state._replace(name=next_mode, since_ns=facts.now_ns, why=why, switches=state.switches + 1, clear_ns=None)
 
 
 def _timed(state: MissionState, facts: MissionFacts, passed_ns: int) -> MissionState:
-    """The state with timers updated."""
     clear_ns = None
     if state.name in CLEAR_M:
         begun_m = facts.first_m if state.name == "avoid1" else facts.second_m
@@ -110,7 +110,6 @@ def _timed(state: MissionState, facts: MissionFacts, passed_ns: int) -> MissionS
 
 
 def _with_task(state: MissionState, facts: MissionFacts) -> MissionState:
-    """The state with another task."""
     searching: Task = "formation" if facts.shared else "search"
     if state.task == "track":
         if facts.taken:
@@ -128,11 +127,6 @@ def _with_task(state: MissionState, facts: MissionFacts) -> MissionState:
 
 def _turned_to(state: MissionState, task: Task, why: str) -> MissionState:
     return state._replace(task=task, task_why=why, lost=False, spiral_ns=0)
-
-
-def _the_task(state: MissionState) -> tuple[Name, str]:
-    """The task as commander, and the reason."""
-    return state.task, f"nothing is near any more ({state.task_why})" if state.avoids else state.task_why
 
 
 def _avoidance(state: MissionState, facts: MissionFacts) -> tuple[Name, str] | None:

@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import msgspec
 
-from vcmvsp.agents.formation.aerial.flight import check_flies
-from vcmvsp.agents.reconnaissance.mosaic import Mosaicking, Sheet
-from vcmvsp.agents.reconnaissance.picture_recording import PictureRecording
+from vcmvsp.agents.formation.aerial import check_flies
+from vcmvsp.agents.reconnaissance.picture_recording import Mosaicking, PictureRecording, Sheet
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
 from vcmvsp.agents.reconnaissance.tracking import GAIN, LOST_S, SMOOTHING, SPIRAL_S, WITHIN_M, Confirmation, Point, Tracker
 from vcmvsp.agents.reconnaissance.watch import GroundDisc, Watch, WatchFrame, Watching
@@ -95,13 +94,7 @@ class TrackTarget(Agent):
             _sheet(mosaic)
 
     def start(self, info: VehicleInfo) -> None:
-        """Begin without a target.
-
-        Raises:
-            ValueError: the vehicle drives on wheels, has no such camera, or there are no targets to look for; the gain is
-                too large
-                for the period and the latency of this agent.
-        """
+        """Begin without a target; a ValueError says what the vehicle lacks, or that the gain is too large."""
         check_flies(info)
         self._alone = self._alone or self.roster is None
         if self._alone:
@@ -131,8 +124,6 @@ class TrackTarget(Agent):
         self._there_ns = 0  # until then it may take to get to a target that has not been seen yet
         self._whole_ns = 0  # when the newest picture was taken all of which was looked at
         self._height = 0.0
-
-    # --- what a mission asks ------------------------------------------------------------------------------------------------
 
     @property
     def claim(self) -> Claim | None:
@@ -195,7 +186,8 @@ class TrackTarget(Agent):
         elif self._asked_ns != obs.time_ns:
             self.facts(obs)
         if self._since_ns is None:
-            self._home = self._home or Waypoint(position=self._hover(obs))
+            x, y, z = obs.state.position
+            self._home = self._home or Waypoint(position=(x, y, z if self.height is None else self.height))
             return self._home
         vx, vy = self._tracker.command(obs.time_ns, obs.state.position)
         climb = max(-CLIMB, min(GAIN * (self._height - obs.state.position[2]), CLIMB))
@@ -206,18 +198,11 @@ class TrackTarget(Agent):
         if self._asked_ns != obs.time_ns:
             self.facts(obs)
 
-    # --- inside -------------------------------------------------------------------------------------------------------------
-
     def _ready(self) -> tuple[Watch, Roster]:
         assert self.watch is not None and self.roster is not None  # noqa: S101, PT018  both are there since the start
         return self.watch, self.roster
 
-    def _hover(self, obs: Observation) -> tuple[float, float, float]:
-        x, y, z = obs.state.position
-        return x, y, z if self.height is None else self.height
-
     def _decide(self, obs: Observation, radio: Radio) -> None:
-        """On its own: begin and end tracking, and exchange claims."""
         _, roster = self._ready()
         roster.hear(obs)
         facts = self.facts(obs)

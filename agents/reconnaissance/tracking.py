@@ -66,21 +66,9 @@ class Confirmation:
 class Tracker:
     """One target: where it is, as far as is known, and how to stay over it.
 
-    Args:
-        period_s: of the commands, s.
-        latency_s: from an observation to the effect of the command that follows from it, s.
-        gain: 1/s, speed towards the target for each metre that it is off.
-        smoothing: share of what is new in its estimated velocity, a tick; 0: it is taken to stand.
-        max_speed: m/s, of the commands.
-        within_m: a detection further than this from where the target is expected is not it, m.
-        target_speed: m/s: further than this times the time out of sight besides.
-        lost_s: without a detection for so long it is lost.
-        spiral_s: so long it is then searched for, reckoned in commands (a vehicle that is busy otherwise does not search).
-        spiral_speed: m/s, of the search.
-        spiral_pitch_m: from turn to turn of it, m.
-
-    Raises:
-        ValueError: with that period and that latency the gain is too large.
+    A detection further than ``within_m``, and ``target_speed`` times the time out of sight, from where the target is expected
+    is not it. The search is reckoned in commands: a vehicle that is busy otherwise does not search. A ValueError says that with
+    this period and latency the gain is too large. `agents.reconnaissance.track.TrackTarget` explains the other arguments.
     """
 
     def __init__(
@@ -172,16 +160,14 @@ class Tracker:
         (x, y), (vx, vy) = self.predicted(now_ns), self.velocity
         if phase == "spiral":
             heading = math.atan2(vy, vx)  # it went that way when it was seen last
-            now, then = (self._on_spiral(ticks, heading) for ticks in (self._searched, self._searched + 1))
+            times_s = (ticks * self.period_s for ticks in (self._searched, self._searched + 1))
+            now, then = (spiral(time_s, self.spiral_speed, self.spiral_pitch_m, heading) for time_s in times_s)
             x, y = x + now[0], y + now[1]
             vx, vy = (then[0] - now[0]) / self.period_s, (then[1] - now[1]) / self.period_s
             self._searched += 1
         vx, vy = vx + self.gain * (x - position[0]), vy + self.gain * (y - position[1])
         share = self.max_speed / speed if (speed := math.hypot(vx, vy)) > self.max_speed else 1.0
         return share * vx, share * vy
-
-    def _on_spiral(self, ticks: int, heading: float) -> Point:
-        return spiral(ticks * self.period_s, self.spiral_speed, self.spiral_pitch_m, heading)
 
 
 def _is_place(place: Point) -> bool:

@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, Point, Region, nadir_of
-from vcmvsp.agents.reconnaissance.poses import Poses
-from vcmvsp.agents.reconnaissance.recognition import Detector, TargetPicture
-from vcmvsp.agents.reconnaissance.recognition.detector import SMALLEST_PX
+from vcmvsp.agents.avoidance.view import check_carried
+from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, Point, Poses, Region, nadir_of
+from vcmvsp.agents.reconnaissance.recognition.detector import SMALLEST_PX, Detector
+from vcmvsp.agents.reconnaissance.recognition.stages import TargetPicture
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import ScenarioError
@@ -62,19 +62,10 @@ class WatchFrame:
 
 
 class Watch:
-    """Examines each picture of one camera once.
+    """Examines each picture of one camera once; ``region`` is the part of the ground to examine next, None: all of it.
 
-    Must be constructed in the constructor of an agent: only then are files of targets found in the scenario's folder.
-
-    Args:
-        settings: camera and targets.
-        key: of the settings in the scenario, for messages.
-
-    Attributes:
-        region: part of the ground to examine in the next pictures; None: all of it.
-
-    Raises:
-        ScenarioError: a picture of a target is unreadable or unfit for recognition.
+    Must be constructed in the constructor of an agent: only then are files of targets found in the scenario's folder. A
+    ScenarioError says under ``key`` that a picture of a target is unreadable or unfit for recognition.
     """
 
     region: GroundDisc | None = None
@@ -91,15 +82,8 @@ class Watch:
         self._smallest_m, self._largest_m = min(sizes_m), max(sizes_m)
 
     def start(self, info: VehicleInfo) -> None:
-        """Check the camera.
-
-        Raises:
-            ValueError: the vehicle has no such camera.
-        """
-        camera = self.settings.camera
-        if info.sensors is not None and camera not in info.sensors:
-            carries = ", ".join(info.sensors) or "nothing"
-            raise ValueError(f"{self._key}.camera = {camera!r}: {info.name} has no such sensor (it carries: {carries})")
+        """Check the camera; a ValueError says that the vehicle has none."""
+        check_carried(info, self.settings.camera, f"{self._key}.camera")
         self._poses = Poses(info.period_s)
         self._asked_ns: int | None = None
         self._frame: WatchFrame | None = None
@@ -109,10 +93,8 @@ class Watch:
     def look(self, obs: Observation) -> WatchFrame | None:
         """Content of a picture that arrived since the last tick; None: there is none, or its pose is unknown.
 
-        Must be called at least once a tick, to record the poses; further calls of a tick return the same.
-
-        Raises:
-            TypeError: the sensor is no camera.
+        Must be called at least once a tick, to record the poses; further calls of a tick return the same. A TypeError says
+        that the sensor is no camera.
         """
         if obs.time_ns == self._asked_ns:
             return self._frame
@@ -162,7 +144,6 @@ class Watch:
 
 
 def _common(one: Region, other: Region) -> Region | None:
-    """Intersection of two parts of a picture."""
     left, top, right, bottom = max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
     return (left, top, right, bottom) if left < right and top < bottom else None
 

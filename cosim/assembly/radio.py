@@ -119,7 +119,7 @@ def build(
     """
     from vcmvsp.netsim.channel import user_layers
     from vcmvsp.netsim.channel.channel import Channel
-    from vcmvsp.physics.line_of_sight.sightline import Sightline
+    from vcmvsp.physics.line_of_sight import Sightline
 
     for name in radio:
         if name not in ("preset", *LAYERS):

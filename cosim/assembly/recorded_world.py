@@ -21,8 +21,8 @@ from vcmvsp.cosim.recording.scene import OBSTACLE, TARGET_ID
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import read_json
+from vcmvsp.physics.world.floor import PlacedTarget
 from vcmvsp.physics.world.solids import Box, Cylinder, Mesh
-from vcmvsp.physics.world.targets import PlacedTarget
 from vcmvsp.physics.world.world import Movable, World
 
 T = TypeVar("T")

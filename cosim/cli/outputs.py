@@ -16,8 +16,7 @@ from vcmvsp.cosim.terminal.progress import StatusDisplay
 from vcmvsp.cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.view.player.playback import Player
-    from vcmvsp.cosim.view.player.recording import Recording
+    from vcmvsp.cosim.view.player.recording import Player, Recording
 
 
 RunDir = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left.")]
@@ -133,8 +132,7 @@ def view_command(
 
     Example: vcmvsp view runs/formation-circle-1
     """
-    from vcmvsp.cosim.view.player.playback import Player
-    from vcmvsp.cosim.view.player.recording import Recording
+    from vcmvsp.cosim.view.player.recording import Player, Recording
 
     try:
         with contextlib.closing(Recording(run_dir, trust)) as recording:

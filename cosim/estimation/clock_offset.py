@@ -91,7 +91,6 @@ class ForeignClock:
             self._restart(early)
 
     def _restart(self, early: int) -> None:
-        """Restart the window with the suspects."""
         self.jumps += 1
         self.jumped_ns = early
         suspects, self._suspects = self._suspects, []

@@ -6,7 +6,7 @@ depend on the order of arrival. A position between two odometry reports divides 
 older than the log is rejected.
 
 - **Heading.** Without a start the heading is unknown (variance pi^2/3) until the robot has moved far enough
-  (`heading_alignment`); until then the estimate is the last position.
+  (`kalman_filter.aligned`); until then the estimate is the last position.
 - **Gate.** A position with an improbable innovation (chi-square, 2 degrees of freedom) is rejected. If ``restart_after``
   consecutive rejected positions agree with each other and with odometry, the estimate restarts from them, heading unknown.
 - **Silence of odometry.** The last speeds hold for ``coast_s``, then the robot is assumed to stand; the uncertainty grows.
@@ -25,7 +25,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.estimation import heading_alignment
+from vcmvsp.cosim.estimation import kalman_filter
 from vcmvsp.cosim.estimation.kalman_filter import (
     MeasuredPosition,
     OdometryMotion,
@@ -72,7 +72,7 @@ class _FilterState(msgspec.Struct, frozen=True):
 
     mean: Array | None  # (6,); None while the heading is unknown
     covariance: Array
-    items: heading_alignment.Items = ()  # since the first collected or gated position
+    items: kalman_filter.Items = ()  # since the first collected or gated position
     position_ns: int | None = None
     accepted: int = 0
     gated: int = 0
@@ -96,10 +96,9 @@ class _LogEntry(msgspec.Struct, eq=False):
 
     def key(self) -> tuple[float, ...]:
         """Order in the log; independent of the order of arrival, also at equal times."""
-        position = self.what
-        return (
-            (self.time_ns, 1, position.x, position.y) if isinstance(position, MeasuredPosition) else (self.time_ns, 0, 0.0, 0.0)
-        )
+        what = self.what
+        place = (1, what.x, what.y) if isinstance(what, MeasuredPosition) else (0, 0.0, 0.0)
+        return self.time_ns, *place
 
 
 class Fusion:
@@ -140,7 +139,7 @@ class Fusion:
         self._prior = np.diag([0.0, 0.0, 0.0, scale_sigma**2, veer_sigma**2, bias_sigma**2])
         self._gate, self._restart_after, self._heading_sigma = gate, max(restart_after, 2), heading_sigma_rad
         self._coast_ns, self._history_ns = seconds_to_ns(coast_s), seconds_to_ns(history_s)
-        self._bound = heading_alignment.chi2_quantile(gate, 2)
+        self._bound = kalman_filter.chi2_quantile(gate, 2)
         covariance = self._prior + np.diag([start_sigma_m**2, start_sigma_m**2, start_sigma_rad**2, 0.0, 0.0, 0.0])
         mean = None if start is None else np.array([*start, 0.0, 0.0, 0.0])
         self._begin = _FilterState(mean, covariance)
@@ -184,15 +183,11 @@ class Fusion:
         belief = self._moved(self._nodes[index].belief, index, now_ns)
         if belief.mean is None and not belief.items:
             return None
-        heading_known = belief.mean is not None
-        mean, covariance = (
-            (belief.mean, belief.covariance)
-            if belief.mean is not None
-            else heading_alignment.rough(belief.items, self._prior, self._noise)
-        )
+        mean, covariance = belief.mean, belief.covariance
+        if mean is None:
+            mean, covariance = kalman_filter.rough(belief.items, self._prior, self._noise)
         x, y, heading, scale, veer, bias = mean.tolist()
-        odometry_ns = self._odometry_ns
-        holds = odometry_ns is not None and now_ns - odometry_ns <= self._coast_ns
+        holds = self._odometry_ns is not None and now_ns - self._odometry_ns <= self._coast_ns
         v, w = self._speed if holds else (0.0, 0.0)
         return FusedPose(
             time_ns=now_ns,
@@ -200,7 +195,7 @@ class Fusion:
             y=y,
             heading=math.remainder(heading, math.tau),
             covariance=frozen(covariance[:3, :3]),
-            heading_known=heading_known,
+            heading_known=belief.mean is not None,
             v=v,
             w=w,
             age_s=math.inf if belief.position_ns is None else (now_ns - belief.position_ns) / SECOND_NS,
@@ -241,7 +236,7 @@ class Fusion:
         if until_ns == since_ns:
             return belief
         motion = self._motion(index, since_ns, until_ns)
-        items = heading_alignment.extended(belief.items, motion) if belief.items else ()
+        items = kalman_filter.extended(belief.items, motion) if belief.items else ()
         if belief.mean is None:
             return msgspec.structs.replace(belief, items=items)
         mean, jacobian, added = moved(belief.mean, motion, self._noise)
@@ -261,35 +256,29 @@ class Fusion:
         return OdometryMotion(self._speed[0] * held, self._speed[1] * held, seconds, measured=False)
 
     def _corrected(self, belief: _FilterState, time_ns: int, position: MeasuredPosition) -> tuple[_FilterState, Verdict]:
-        """Filter state after a position."""
-        items = heading_alignment.trimmed((*belief.items, position))
+        items = kalman_filter.trimmed((*belief.items, position))
         if belief.mean is None:
             return self._collected(belief, time_ns, items), Verdict("collected")
         difference, inverse, nis = innovation(belief.mean, belief.covariance, position)
         if nis <= self._bound:
             gain, covariance = corrected(belief.covariance, inverse, position)
-            mean = belief.mean + gain @ difference
-            count = belief.accepted + 1
-            return msgspec.structs.replace(
-                belief, mean=mean, covariance=covariance, items=(), position_ns=time_ns, accepted=count
-            ), Verdict("accepted", nis)
-        items = heading_alignment.trimmed(items, self._restart_after)
-        if heading_alignment.count(items) == self._restart_after:
-            fit = heading_alignment.fitted(items, self._prior, self._noise)
+            mean, count = belief.mean + gain @ difference, belief.accepted + 1
+            state = _FilterState(mean, covariance, (), time_ns, count, belief.gated, belief.restarts)
+            return state, Verdict("accepted", nis)
+        items = kalman_filter.trimmed(items, self._restart_after)
+        if kalman_filter.count(items) == self._restart_after:
+            fit = kalman_filter.fitted(items, self._prior, self._noise)
             if fit.fits(self._gate):
                 fresh = _FilterState(None, self._prior, (), None, belief.accepted, belief.gated, belief.restarts + 1)
                 return self._collected(fresh, time_ns, items), Verdict("restarted", nis)
         return msgspec.structs.replace(belief, items=items, gated=belief.gated + 1), Verdict("gated", nis)
 
-    def _collected(self, belief: _FilterState, time_ns: int, items: heading_alignment.Items) -> _FilterState:
-        """Filter state after one more position with unknown heading."""
+    def _collected(self, belief: _FilterState, time_ns: int, items: kalman_filter.Items) -> _FilterState:
         count = belief.accepted + 1
-        start = heading_alignment.aligned(items, self._prior, self._noise, self._heading_sigma, self._gate)
+        start = kalman_filter.aligned(items, self._prior, self._noise, self._heading_sigma, self._gate)
         if start is None:
             return msgspec.structs.replace(belief, items=items, position_ns=time_ns, accepted=count)
-        return msgspec.structs.replace(
-            belief, mean=start.mean, covariance=start.covariance, items=(), position_ns=time_ns, accepted=count
-        )
+        return _FilterState(start.mean, start.covariance, (), time_ns, count, belief.gated, belief.restarts)
 
 
 def _check(*numbers: float) -> None:

@@ -1,11 +1,15 @@
-"""Steps of an extended Kalman filter of a wheeled robot's pose: prediction by odometry, correction by a position.
+"""Steps of an extended Kalman filter of a wheeled robot's pose, and its start with unknown heading.
 
 The state is (x m, y m, heading rad, scale, veer rad/m, bias rad/s): true distances are ``(1 + scale)`` times odometry, and
 the robot turns ``veer`` per metre (unequal wheels) and ``bias`` per second (bias of a gyro) more than odometry says.
+
+At the start odometry gives the shape of the path, positions its place, neither the heading. The best rotation is the closed
+form of the plane Procrustes problem. About it, one linear Kalman pass with unknown heading (uniform: variance pi^2 / 3) gives
+mean and covariance: the noise of positions and of odometry counts once each.
 """
 
 import math
-from typing import Any
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
@@ -101,8 +105,7 @@ def corrected(covariance: Array, inverse: Array, position: MeasuredPosition) -> 
 
 def symmetric(matrix: Array) -> Array:
     """The matrix without asymmetry from rounding."""
-    result: Any = 0.5 * (matrix + matrix.T)
-    return result  # type: ignore[no-any-return]
+    return np.asarray(0.5 * (matrix + matrix.T))
 
 
 def _sinc(half: float) -> tuple[float, float]:
@@ -111,3 +114,163 @@ def _sinc(half: float) -> tuple[float, float]:
         return 1.0 - half * half / 6.0, -half / 3.0
     ratio = math.sin(half) / half
     return ratio, (math.cos(half) - ratio) / half
+
+
+UNKNOWN = math.pi**2 / 3.0  # rad^2, variance of an unknown direction
+LEAST = 4  # positions; three are needed, one more lets them contradict each other
+MOST = 40  # positions
+LONGEST = 2000  # items
+
+Items = tuple[OdometryMotion | MeasuredPosition, ...]  # in order of time; the first is a position
+
+
+class AlignedStart(msgspec.Struct, frozen=True):
+    """State of the robot after the items."""
+
+    mean: Array  # (6,)
+    covariance: Array  # (6, 6)
+    chi2: float  # of the fit
+    count: int  # of the positions
+
+    def fits(self, gate: float) -> bool:
+        """Whether the positions agree with each other and with odometry: two degrees each, less pose and heading."""
+        return self.chi2 <= chi2_quantile(gate, max(2 * self.count - 3, 1))
+
+
+def chi2_quantile(probability: float, degrees: int) -> float:
+    """Quantile of the chi-square distribution."""
+    from scipy.special import gammaincinv
+
+    return 2.0 * float(gammaincinv(0.5 * degrees, probability))
+
+
+def trimmed(items: Items, most: int = MOST) -> Items:
+    """The items from the last ``most`` positions on."""
+    places = [index for index, item in enumerate(items) if isinstance(item, MeasuredPosition)]
+    return items[places[-most] :] if 0 < most < len(places) else items
+
+
+def extended(items: Items, motion: OdometryMotion) -> Items:
+    """The items and a motion; in a list that is too long, the oldest positions and their motions are dropped."""
+    last = items[-1]
+    if isinstance(last, OdometryMotion) and last.measured == motion.measured and _rests(last) and _rests(motion):
+        return (*items[:-1], OdometryMotion(0.0, 0.0, last.seconds + motion.seconds, motion.measured))
+    if len(items) < LONGEST:
+        return (*items, motion)
+    remaining = trimmed(items, count(items) - 1)
+    return (*remaining, motion) if remaining is not items else ()
+
+
+def count(items: Items) -> int:
+    """Number of positions."""
+    return sum(isinstance(item, MeasuredPosition) for item in items)
+
+
+def aligned(items: Items, prior: Array, noise: OdometryNoise, sigma_rad: float, gate: float) -> AlignedStart | None:
+    """The start, if the path gives the heading to ``sigma_rad`` and the positions agree; else None.
+
+    If they do not agree, up to a quarter is dropped: each time the position without which the others fit best.
+    """
+    path, positions = _path(items)
+    remaining = list(range(len(positions)))
+    while len(remaining) >= max(LEAST, len(positions) - len(positions) // 4):
+        heading, sigma, _ = _rotation(path[remaining], [positions[each] for each in remaining])
+        if sigma > sigma_rad:
+            return None
+        dropped = sorted(set(range(len(positions))) - set(remaining))
+        start = fitted(_without(items, dropped), prior, noise, heading)
+        if start.fits(gate):
+            return start
+        others = [remaining[:each] + remaining[each + 1 :] for each in range(len(remaining))]
+        residuals = [_rotation(path[rest], [positions[i] for i in rest])[2] for rest in others]
+        remaining.pop(int(np.argmin(residuals)))
+    return None
+
+
+def fitted(items: Items, prior: Array, noise: OdometryNoise, heading: float | None = None) -> AlignedStart:
+    """Least-squares start: a Kalman pass over the differences from the path that starts with ``heading``.
+
+    ``prior`` has the variances of scale, veer and bias in its diagonal.
+    """
+    path, positions = _path(items)
+    if heading is None:
+        heading = _rotation(path, positions)[0]
+    nominal = np.zeros(SIZE)
+    nominal[:3] = positions[0].x, positions[0].y, heading
+    covariance = prior.copy()
+    covariance[0, 0] = covariance[1, 1] = positions[0].sigma_m ** 2
+    covariance[2, 2] = UNKNOWN
+    difference, chi2 = np.zeros(SIZE), 0.0
+    for item in items[1:]:
+        if isinstance(item, OdometryMotion):
+            nominal, jacobian, added = moved(nominal, item, noise)
+            difference, covariance = jacobian @ difference, grown(covariance, jacobian, added)
+        else:
+            residual, inverse, length2 = innovation(nominal + difference, covariance, item)
+            gain, covariance = corrected(covariance, inverse, item)
+            difference, chi2 = difference + gain @ residual, chi2 + length2
+    return AlignedStart(nominal + difference, covariance, chi2, len(positions))
+
+
+def rough(items: Items, prior: Array, noise: OdometryNoise) -> tuple[Array, Array]:
+    """Mean and covariance with unknown heading: the last position, and a way from it in any direction."""
+    last = max(index for index, item in enumerate(items) if isinstance(item, MeasuredPosition))
+    positions, since = items[last], items[last:]
+    assert isinstance(positions, MeasuredPosition)  # noqa: S101
+    mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    mean[:2] = positions.x, positions.y
+    covariance[0, 0] = covariance[1, 1] = positions.sigma_m**2
+    end = np.zeros(SIZE)
+    for item in since[1:]:
+        assert isinstance(item, OdometryMotion)  # noqa: S101
+        end, jacobian, added = moved(end, item, noise)
+        covariance = grown(covariance, jacobian, added)
+    spread = 0.5 * float(end[0] ** 2 + end[1] ** 2)  # variance of each coordinate of a vector of random direction
+    covariance[:HEADING, HEADING:] = covariance[HEADING:, :HEADING] = 0.0
+    covariance[0, 0] += spread
+    covariance[1, 1] += spread
+    covariance[HEADING:, HEADING:] = prior[HEADING:, HEADING:]
+    covariance[HEADING, HEADING] = UNKNOWN
+    return mean, covariance
+
+
+def _path(items: Items) -> tuple[Array, list[MeasuredPosition]]:
+    """Path by odometry at each position, (n, 2) m, from the origin with heading 0; and the positions."""
+    at, noise = np.zeros(SIZE), OdometryNoise()
+    places, positions = [], []
+    for item in items:
+        if isinstance(item, OdometryMotion):
+            at, _, _ = moved(at, item, noise)
+        else:
+            places.append(at[:2])
+            positions.append(item)
+    return np.array(places), positions
+
+
+def _rotation(path: Array, positions: Sequence[MeasuredPosition]) -> tuple[float, float, float]:
+    """Heading that fits the path to the positions, its standard deviation, and the weighted squared residual.
+
+    Centred paths u and positions z with weights w = 1 / sigma^2: the heading is the argument of the sum of
+    ``w conj(u) z`` (as complex numbers), its variance ``1 / sum w |u|^2``, its residual
+    ``sum w (|u|^2 + |z|^2) - 2 |sum w conj(u) z|``.
+    """
+    weight = np.array([each.sigma_m**-2 for each in positions])
+    u = path[:, 0] + 1j * path[:, 1]
+    z = np.array([complex(each.x, each.y) for each in positions])
+    u, z = u - weight @ u / weight.sum(), z - weight @ z / weight.sum()
+    product = complex(weight @ (u.conj() * z))
+    spread = float(weight @ np.abs(u) ** 2)
+    residual = spread + float(weight @ np.abs(z) ** 2) - 2.0 * abs(product)
+    return math.atan2(product.imag, product.real), spread**-0.5 if spread > 0.0 else math.inf, residual
+
+
+def _rests(motion: OdometryMotion) -> bool:
+    return motion.distance_m == 0.0 and motion.turn_rad == 0.0
+
+
+def _without(items: Items, dropped: list[int]) -> Items:
+    """The items without some positions, from the first remaining position on."""
+    places = [index for index, item in enumerate(items) if isinstance(item, MeasuredPosition)]
+    left_out = {places[number] for number in dropped}
+    first = next(place for place in places if place not in left_out)
+    return tuple(item for index, item in enumerate(items) if index >= first and index not in left_out)

@@ -66,8 +66,8 @@ class Bag:
             messages.FrameTransforms: self._take_transforms,
             messages.RawImage: self._take_image,
             messages.CameraCalibration: self._take_calibration,
-            messages.Log: self._take_log,
-            CompressedImage: self._take_compressed,
+            messages.Log: lambda said, value: self._write("rosout", ros.log(value, said.time_ns), said.time_ns),
+            CompressedImage: lambda said, value: self._put(said, ros.compressed_image(value, said.topic), "/compressed"),
             Grid: self._take_grid,
         }
 
@@ -113,12 +113,6 @@ class Bag:
 
     def _take_calibration(self, said: Recorded, value: messages.CameraCalibration) -> None:
         self._calibrations[said.topic.removesuffix(f"/{CALIBRATION}")] = value
-
-    def _take_log(self, said: Recorded, value: messages.Log) -> None:
-        self._write("rosout", ros.log(value, said.time_ns), said.time_ns)
-
-    def _take_compressed(self, said: Recorded, value: CompressedImage) -> None:
-        self._put(said, ros.compressed_image(value, said.topic), "/compressed")
 
     def _take_grid(self, said: Recorded, value: Grid) -> None:
         if value.fields[0].name == "probability":

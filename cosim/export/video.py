@@ -53,20 +53,10 @@ def write_video(source: Source, path: Path, progress: Callable[[float], None]) -
     write_film(path, frames(), FPS)
 
 
-class _Ways:
-    def __init__(self) -> None:
-        self.time_ns: list[int] = []
-        self.poses: list[tuple[float, float, float]] = []  # x, y m, yaw rad
-
-    def add(self, time_ns: int, state: VehicleState) -> None:
-        self.time_ns.append(time_ns)
-        self.poses.append((*state.position[:2], state.yaw))
-
-
 class _Film:
     def __init__(self, source: Source) -> None:
         self._vehicles = source.vehicles
-        self._ways: dict[str, _Ways] = {}
+        self._ways: dict[str, list[tuple[int, tuple[float, float, float]]]] = {}  # ns; x, y m, yaw rad
         self._lost: list[tuple[int, str, str]] = []  # when, sender, receiver
         self._obstacles: list[tuple[int, FrameTransforms]] = []
         self._outlines: dict[str, Array] = {}  # of obstacles in their own frames, (k, 2) m
@@ -74,7 +64,7 @@ class _Film:
         self._colors: Array = np.empty((0, 3), np.uint8)
         self._end_ns = 0
         self._read(source)
-        self._arrays = {name: (way.time_ns, np.array(way.poses)) for name, way in self._ways.items()}
+        self._arrays = {name: ([at for at, _ in way], np.array([pose for _, pose in way])) for name, way in self._ways.items()}
         if not any(np.isfinite(poses).any() for _, poses in self._arrays.values()):
             raise UsageError("--mp4: the recording shows no vehicle")
         self.step_ns = max(SECOND_NS // FPS, -(-self._end_ns // MOST_FRAMES))
@@ -93,7 +83,8 @@ class _Film:
             self._end_ns = max(self._end_ns, said.time_ns)
             vehicle, _, what = said.topic.partition("/")
             if what == "state" and vehicle in self._vehicles:
-                self._ways.setdefault(vehicle, _Ways()).add(said.time_ns, values.of(said))
+                state: VehicleState = values.of(said)
+                self._ways.setdefault(vehicle, []).append((said.time_ns, (*state.position[:2], state.yaw)))
             elif said.topic == "radio/frame":
                 self._take_frame(values.of(said))
             elif said.topic == "world/moving":

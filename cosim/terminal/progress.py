@@ -206,6 +206,7 @@ def summary(result: "Result") -> str:
     agents = f"{len(about['agents'])} agents" + (f" ({places})" if places else "")
     simulated = f"{metrics['duration_s']:g} s simulated in {about['simulating_s']:.1f} s"
     speed = metrics["duration_s"] / max(about["simulating_s"], 1e-9)
+    collisions, lost = metrics["safety"]["collisions"], {name: each["lost_s"] for name, each in metrics["agents"].items()}
     lines = {
         "radio": _of_radio(metrics["radio"]),
         "routing": _of_routing(metrics["routing"]) if metrics.get("routing") else "",
@@ -214,8 +215,8 @@ def summary(result: "Result") -> str:
         **{name: _of_real(real) for name, real in metrics.get("hardware", {}).items()},
         "lateness": lateness(about["lateness"]) if about["lateness"] else "",
         "bridge": _of_bridge(about["bridge"]) if about.get("bridge") else "",
-        "safety": _of_safety(metrics["safety"]),
-        "lost": _of_lost(metrics["agents"]),
+        "safety": f"{collisions} collisions" if collisions else "",
+        "lost": ", ".join(f"{name} for {lost_s:.1f} s" for name, lost_s in lost.items() if lost_s),
         "results": str(result.folder),
     }
     told = {f"{label}:": words for label, words in lines.items() if words}
@@ -273,14 +274,6 @@ def _of_formation(formation: Mapping[str, Any]) -> str:
     chain = formation["hop_gain"] is not None  # errors of links add up
     shape = f", shape {formation['shape']['rms_m']:.4f} m" if chain else ""
     return f"error {formation['rms_m']:.4f} m RMS, {formation['max_m']:.4f} m at most{shape}, {settled}"
-
-
-def _of_safety(safety: Mapping[str, Any]) -> str:
-    return f"{safety['collisions']} collisions" if safety["collisions"] else ""
-
-
-def _of_lost(agents: Mapping[str, Mapping[str, Any]]) -> str:
-    return ", ".join(f"{name} for {each['lost_s']:.1f} s" for name, each in agents.items() if each["lost_s"])
 
 
 def _of_mission(mission: Mapping[str, Any]) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.physics.world.scene import pairs
+from vcmvsp.physics.world.world import pairs
 
 Floats = NDArray[np.float64]
 
@@ -62,11 +62,10 @@ def turned(attitude: Floats, rate: Floats, dt: float) -> Floats:
     n = attitude.shape[1]
     terms = (attitude[:, None] * turn).reshape(16, n).take(_TERMS, axis=0).reshape(4, 4, n)
     terms *= _TERM_SIGN
-    after = terms[0] + terms[1] + terms[2] + terms[3]
+    after: Floats = terms[0] + terms[1] + terms[2] + terms[3]
     squares = after * after
     after /= np.sqrt(squares[0] + squares[1] + squares[2] + squares[3])
-    result: Floats = after
-    return result
+    return after
 
 
 def gyration(inertia: Floats) -> Floats:
@@ -85,14 +84,8 @@ def precession(rate: Floats, torque: Floats, flexibility: Floats, gyrations: Flo
 
     Bullet takes ``rate x J rate`` at the beginning of a step, which adds energy and angular momentum to a body that spins about
     more than one axis. The midpoint rule conserves both, as it does all quadratic invariants (E. Hairer, C. Lubich, G. Wanner,
-    Geometric numerical integration, 2006, IV.2.1).
-
-    Args:
-        rate: (3, n) rad/s, body.
-        torque: (3, n) N m, body, of all other causes.
-        flexibility: (3, n), one over the principal moments of inertia.
-        gyrations: (3, n) kg m2, see `gyration`.
-        dt: s.
+    Geometric numerical integration, 2006, IV.2.1). All arrays are (3, n), in the body's frame: ``rate`` rad/s, ``torque`` N m
+    of all other causes, ``flexibility`` one over the principal moments of inertia, ``gyrations`` kg m2 (`gyration`).
     """
     early = gyrations * coupled(rate)
     tumbling = (np.abs(flexibility * early) > _TUMBLING).any(axis=0)

@@ -1,13 +1,4 @@
-"""Wind at each vehicle: the mean wind of the world, and gusts of its own.
-
-A gust is a first-order Gauss-Markov (Ornstein-Uhlenbeck) process in each component: with correlation time T and standard
-deviation s, its values a time h apart obey exactly
-
-    g(t + h) = exp(-h/T) g(t) + s sqrt(1 - exp(-2 h/T)) N(0, 1)
-
-which has standard deviation s at any time and the correlation exp(-h/T) for any h; its spectrum is that of Dryden's along-wind
-turbulence (MIL-F-8785C, 3.7.2) for an aircraft that stays in its place. Vertically, s is half as large.
-"""
+"""Air around vehicles that fly: wind with gusts, more lift above the floor, wind below rotors."""
 
 import math
 from collections.abc import Sequence
@@ -18,6 +9,8 @@ from numpy.typing import NDArray
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import frozen
+from vcmvsp.physics.dynamics.rigid_body import Floats, column
+from vcmvsp.physics.vehicles.models import Quadrotor
 from vcmvsp.physics.world.world import Wind
 
 GUST_HZ = 60  # new values a second; in between the wind is steady
@@ -26,12 +19,15 @@ _BLOCK = 256  # values drawn at once, of which a run uses the same whatever this
 
 
 class Gusts:
-    """Wind at n vehicles from time 0 on, each with gusts that depend on nothing but the seed and its name.
+    """Wind at n vehicles from time 0 on: the mean wind, and gusts that depend on nothing but the seed and a vehicle's name.
 
-    Args:
-        wind: mean wind, and spread of the gusts.
-        names: of the vehicles, a row each.
-        seed: of the run.
+    A gust is a first-order Gauss-Markov (Ornstein-Uhlenbeck) process in each component: with correlation time T and standard
+    deviation s, its values a time h apart obey exactly
+
+        g(t + h) = exp(-h/T) g(t) + s sqrt(1 - exp(-2 h/T)) N(0, 1)
+
+    which has standard deviation s at any time and the correlation exp(-h/T) for any h; its spectrum is that of Dryden's
+    along-wind turbulence (MIL-F-8785C, 3.7.2) for an aircraft that stays in its place. Vertically, s is half as large.
     """
 
     def __init__(self, wind: Wind, names: Sequence[str], seed: int) -> None:
@@ -64,3 +60,66 @@ class Gusts:
             self._block = np.array([each.standard_normal((_BLOCK, 3)) for each in self._streams])
         draw: NDArray[np.float64] = self._block[:, place]
         return draw
+
+
+AIR_KG_M3 = 1.225  # at sea level, 15 degrees (ISO 2533)
+
+_CORE = 6.0  # diameters that the middle of a jet keeps its speed for
+_SPREAD = 0.094  # half width of a jet for each metre
+_NEAREST = 0.5  # rotor radii
+
+
+def ground_effect(height: Floats, rotor_radius: Floats) -> Floats:
+    """Factors of the thrust at these heights above the floor, m.
+
+    The air under a rotor of radius R at height z cannot flow off freely, which gives it 1 / (1 - (R / 4z)^2) times the thrust
+    (Cheeseman and Bennett, "The effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021, 1955); below
+    z = R/2 the factor is constant. Only the floor counts (z = 0), not roofs and tables.
+    """
+    quarter = 0.25 * rotor_radius / np.maximum(height, _NEAREST * rotor_radius)
+    factors: Floats = 1.0 / (1.0 - quarter * quarter)
+    return factors
+
+
+def downwash(position: Floats, thrust: Floats, rotor_radius: Floats) -> Floats:
+    """Downward airspeed, (n,) m/s, at each of n vehicles from the rotors of the others, which acts on it as wind.
+
+    Vehicles at ``position`` (3, n) m, with the thrust (n,) N of all four rotors and radii (n,) m of one.
+
+    Rotors that carry T on a disc area A move the air through them at v = sqrt(T / 2 rho A), and behind them at 2 v through a
+    jet of half the area (momentum theory; Leishman, "Principles of Helicopter Aerodynamics", 2.2). Further down it is a
+    turbulent round jet: at the distance x, with the diameter d, its middle moves at 2 v min(1, 6 d / x), and sideways that
+    falls off like a Gauss curve which is half as high at max(d / 2, 0.094 x) (Pope, "Turbulent Flows", 5.1). Jets point
+    straight down and add up.
+    """
+    area = 4.0 * math.pi * rotor_radius**2
+    jet = 2.0 * np.sqrt(0.5 * thrust / (AIR_KG_M3 * area))
+    diameter = np.sqrt(2.0 * area / math.pi)
+    below = position[2, :, None] - position[2]  # (from, to)
+    aside = (position[0, :, None] - position[0]) ** 2 + (position[1, :, None] - position[1]) ** 2
+    under = below > 0.0
+    half_width = np.maximum(0.5 * diameter[:, None], _SPREAD * below)
+    middle = jet[:, None] * np.minimum(1.0, _CORE * diameter[:, None] / np.where(under, below, 1.0))
+    speeds: Floats = np.where(under, middle * np.exp2(-aside / half_width**2), 0.0).sum(axis=0)
+    return speeds
+
+
+class Rotorwash:
+    """Ground effect and downwash of the vehicles with these models."""
+
+    def __init__(self, models: Sequence[Quadrotor]) -> None:
+        self._radius = column(models, "rotor_radius_m")
+        self._near_ground = np.array([model.ground_effect for model in models], bool)
+        self._blown = np.array([model.downwash for model in models], bool)
+
+    def act(self, position: Floats, thrust: Floats, air: Floats) -> None:
+        """Change, in place, the thrust (4, n) N of the rotors and the velocity against the air (3, n) m/s, world."""
+        if self._near_ground.any():
+            thrust *= np.where(self._near_ground, ground_effect(position[2], self._radius), 1.0)
+        if self._blown.any():
+            air[2] += np.where(self._blown, downwash(position, thrust.sum(axis=0), self._radius), 0.0)
+
+
+def rotorwash_of(models: Sequence[Quadrotor]) -> Rotorwash | None:
+    """Rotorwash of a fleet; None if no model asks for it."""
+    return Rotorwash(models) if any(model.ground_effect or model.downwash for model in models) else None

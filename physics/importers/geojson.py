@@ -11,17 +11,16 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.estimation.tangent_plane import E2, A
 from vcmvsp.cosim.types import Array, FileName, NonNegative, Positive
 from vcmvsp.cosim.util.documents import read_json
-from vcmvsp.physics.importers.file_access import require_file, text_of
+from vcmvsp.physics.importers.files import require_file, text_of
 from vcmvsp.physics.world.polygons import problem_of
 from vcmvsp.physics.world.solids import Color, Point2, Prism
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Surroundings
 
 STOREY_M = 3.0  # of a building with levels and no height
-
-_AXIS_M, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563  # WGS 84 (NIMA TR8350.2, 2000)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +32,8 @@ class GeoJson(Surroundings):
     """
 
     path: FileName  # of the file
-    origin: Point2 | None = (
-        None  # longitude, latitude, degrees (metric: x, y, m) of the world's origin; None: the middle of all
-    )
+    # longitude, latitude, degrees (metric: x, y, m) of the world's origin; None: the middle of all
+    origin: Point2 | None = None
     metric: bool = False  # whether coordinates are metres already
     default_height: Positive = 6.0  # of buildings that tell none, m
     skip_invalid: bool = False  # whether to leave out footprints that cross themselves; else they are refused
@@ -76,24 +74,14 @@ class GeoJson(Surroundings):
             if problem := problem_of(outline, holes):
                 if self.skip_invalid:
                     continue
-                raise ScenarioError(
-                    f"the footprint {problem}: repair it, or say skip_invalid = true", key=words, source=str(path)
-                )
+                problem = f"the footprint {problem}: repair it, or say skip_invalid = true"
+                raise ScenarioError(problem, key=words, source=str(path))
             bottom, top = self._extent(properties, words, path)
-            solids.append(
-                Prism(
-                    outline=outline,
-                    holes=tuple(holes),
-                    bottom=bottom,
-                    height=top - bottom,
-                    material=self.material,
-                    color=self.color,
-                )
-            )
+            look: dict[str, Any] = {"material": self.material, "color": self.color}
+            solids.append(Prism(outline=outline, holes=tuple(holes), bottom=bottom, height=top - bottom, **look))
         return self.complete(path.stem, solids=solids)
 
     def _extent(self, properties: Mapping[str, Any], words: str, path: Path) -> tuple[NonNegative, float]:
-        """Bottom and top of a building, m."""
         top, levels = metres(properties.get("height")), metres(properties.get("building:levels"))
         if top is None:
             top = self.default_height if levels is None or levels <= 0.0 else STOREY_M * levels
@@ -121,9 +109,8 @@ def metres_per_degree(latitude: float) -> Array:
     within a square kilometre around the origin, and grows with the square of the distance.
     """
     phi = math.radians(latitude)
-    eccentricity2 = _FLATTENING * (2.0 - _FLATTENING)
-    w2 = 1.0 - eccentricity2 * math.sin(phi) ** 2
-    prime_vertical, meridian = _AXIS_M / math.sqrt(w2), _AXIS_M * (1.0 - eccentricity2) / w2**1.5
+    w2 = 1.0 - E2 * math.sin(phi) ** 2
+    prime_vertical, meridian = A / math.sqrt(w2), A * (1.0 - E2) / w2**1.5
     return np.radians([prime_vertical * math.cos(phi), meridian])
 
 

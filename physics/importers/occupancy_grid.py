@@ -12,7 +12,7 @@ from vcmvsp.cosim.frames import rotate2
 from vcmvsp.cosim.types import Array, FileName, Positive
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import DEEPEST
-from vcmvsp.physics.importers.file_access import library, require_file, text_of
+from vcmvsp.physics.importers.files import library, require_file, text_of
 from vcmvsp.physics.world.floor import read_picture
 from vcmvsp.physics.world.solids import Box, Color
 from vcmvsp.physics.world.world import World
@@ -61,13 +61,11 @@ class Map(Surroundings):
             u, v = rotate2(east, north, yaw)
             return x + u, y + v
 
-        solids = []
+        solids, look = [], {"yaw_rad": yaw, "material": self.material, "color": self.color}
         for top, bottom, left, right in blocks_of(cells):
             center = place(0.5 * (left + right) * resolution, (rows - 0.5 * (top + bottom)) * resolution)
             size = ((right - left) * resolution, (bottom - top) * resolution, self.height)
-            solids.append(
-                Box(center=(*center, 0.5 * self.height), size=size, yaw_rad=yaw, material=self.material, color=self.color)
-            )
+            solids.append(Box(center=(*center, 0.5 * self.height), size=size, **look))
         corners = [place(u * columns * resolution, v * rows * resolution) for u in (0, 1) for v in (0, 1)]
         bounds: Bounds = (*map(min, zip(*corners, strict=True)), *map(max, zip(*corners, strict=True)))
         return self.complete(path.stem, solids=solids, bounds=bounds)
@@ -139,11 +137,9 @@ def occupied_cells(about: dict[str, Any], path: Path) -> Array:
 
 def blocks_of(cells: Array) -> list[Block]:
     """Few rectangles that hold each true cell once and no other: equal runs of consecutive rows, or of columns."""
-    by_rows = list(_runs(cells))
-    by_columns = list(_runs(cells.T))
-    if len(by_rows) <= len(by_columns):
-        return by_rows
-    return [(top, bottom, left, right) for left, right, top, bottom in by_columns]
+    by_rows, by_columns = list(_runs(cells)), list(_runs(cells.T))
+    turned = [(top, bottom, left, right) for left, right, top, bottom in by_columns]
+    return by_rows if len(by_rows) <= len(by_columns) else turned
 
 
 def _runs(cells: Array) -> Iterator[Block]:

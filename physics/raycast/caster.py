@@ -1,4 +1,4 @@
-"""Ray casting among the solids of a world."""
+"""Ray casting among the solids of a world, and the spatial index of their pieces."""
 
 import math
 from collections.abc import Iterator
@@ -7,9 +7,104 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.raycast.spatial_index import NearbyPieces, PieceIndex
 from vcmvsp.physics.world.solids import Shapes
 from vcmvsp.physics.world.world import World, made_once
+
+_CELLS_PER_REACH = 4.0
+_MOST = 4_000_000  # numbers of pieces in the index; then it is begun anew
+
+
+class NearbyPieces(NamedTuple):
+    """Pieces within reach of a cell."""
+
+    prisms: Array  # (p,) intp, rising
+    edges: Array  # (e,) intp: all edges of these prisms, in order
+    triangles: Array  # (t,) intp, rising
+
+
+class PieceIndex:
+    """Upright convex prisms with their edges, and triangles.
+
+    ``triangles`` (t, 3, 3) m and ``triangle_solid`` (t,) are the world's; no result depends on the size of the cells ``cell_m``
+    (None: a quarter of the reach).
+
+    Attributes:
+        edges: (6, e) m: x where an edge begins and ends (counter-clockwise), y where it does, bottom and top of its prism.
+        first, corners: (p,) number of each prism's first edge, which the others follow, and how many it has.
+        solid, bottom, top: (p,) solid of each prism; m.
+        centre, radius: (p + t, 3) and (p + t,) m, of a sphere around each prism and each triangle.
+        around: (p + t,) m, radius of a circle around each seen from above.
+    """
+
+    def __init__(self, shapes: Shapes, cell_m: float | None = None) -> None:
+        groups, triangles = shapes.groups, shapes.triangles
+        self.triangles, self.triangle_solid = triangles, shapes.triangle_solid
+        self.corners = _joined([np.full(len(group.corners), group.corners.shape[1]) for group in groups], np.intp)
+        self.first = np.cumsum(self.corners) - self.corners
+        self.solid = _joined([group.solid for group in groups], np.int64)
+        self.bottom = _joined([group.bottom for group in groups])
+        self.top = _joined([group.top for group in groups])
+        self.edges = np.concatenate([np.empty((6, 0)), *(_edges(*group[:3]) for group in groups)], axis=1)
+
+        boxes = [
+            np.empty((0, 6)),
+            *(np.column_stack([g.corners.min(axis=1), g.bottom, g.corners.max(axis=1), g.top]) for g in groups),
+        ]
+        bounds = np.concatenate([*boxes, np.concatenate([triangles.min(axis=1), triangles.max(axis=1)], axis=1)])
+        lower, upper = bounds[:, :3], bounds[:, 3:]
+        self._low, self._high = lower[:, :2].T, upper[:, :2].T
+        self.around: Array = 0.5 * np.hypot(*(self._high - self._low))
+        self.centre: Array = 0.5 * (lower + upper)
+        self.radius: Array = 0.5 * np.sqrt(((upper - lower) ** 2).sum(axis=1))
+        self._cell_m = cell_m
+        self._cells: dict[tuple[float, int, int], NearbyPieces] = {}
+        self._size = 0
+
+    def cell_m(self, reach_m: float) -> float:
+        """Edge of the cells for this reach, m."""
+        return self._cell_m or max(reach_m / _CELLS_PER_REACH, 1.0)
+
+    def near(self, x: float, y: float, reach_m: float) -> NearbyPieces:
+        """Pieces within ``reach_m``, seen from above, of the cell around (x, y)."""
+        cell = self.cell_m(reach_m)
+        place = (reach_m, math.floor(x / cell), math.floor(y / cell)) if reach_m < math.inf else (reach_m, 0, 0)
+        pieces = self._cells.get(place)
+        if pieces is None:
+            pieces = self._search(*place, cell)
+            if self._size > _MOST:
+                self._cells.clear()
+                self._size = 0
+            self._size += 1 + sum(map(len, pieces))
+            self._cells[place] = pieces
+        return pieces
+
+    def edges_of(self, prisms: Array) -> Array:
+        """Numbers of all edges of some prisms, in order."""
+        count = self.corners[prisms]
+        return np.repeat(self.first[prisms] - np.cumsum(count) + count, count) + np.arange(count.sum())
+
+    def _search(self, reach_m: float, i: int, j: int, cell: float) -> NearbyPieces:
+        if reach_m == math.inf:
+            within = np.arange(len(self.centre))
+        else:
+            corner = np.array([[i * cell], [j * cell]])
+            gap = np.maximum(self._low - (corner + cell), corner - self._high).clip(0.0)
+            margin = 1e-9 * cell
+            (within,) = np.nonzero((gap * gap).sum(axis=0) <= (reach_m + margin) ** 2)
+        count = len(self.first)
+        prisms = within[within < count]
+        return NearbyPieces(prisms, self.edges_of(prisms), within[within >= count] - count)
+
+
+def _joined(parts: list[Array], dtype: type = np.float64) -> Array:
+    return np.concatenate([np.empty(0, dtype), *parts]).astype(dtype)
+
+
+def _edges(corners: Array, bottom: Array, top: Array) -> Array:
+    m, k, _ = corners.shape
+    ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(m * k, 4).T
+    return np.concatenate([ends, np.repeat(bottom, k)[None], np.repeat(top, k)[None]])
+
 
 FLOOR = -2  # in `Reached.which`
 _FEW = 16  # beams in a cell: with fewer, all beams are tested with all pieces
@@ -52,13 +147,8 @@ def pairs(
 ) -> Iterator[tuple[Array, Array]]:
     """Candidate pairs (beam, piece), in portions; no other beam hits a piece.
 
-    Args:
-        origins: (r, 3) m.
-        directions: (r, 3), unit vectors.
-        reach_m: of the beams.
-        centre: (m, 3) m, of spheres around the pieces.
-        radius: (m,) m, of these spheres.
-        around: (m,) m, of circles around the pieces seen from above.
+    Beams from ``origins`` (r, 3) m along unit vectors (r, 3); pieces in spheres of ``centre`` (m, 3) m and ``radius`` (m,) m,
+    and in circles of radius ``around`` (m,) m seen from above.
     """
     if (origins == origins[:1]).all():
         yield from by_bearing(origins[0], directions, centre, around)
@@ -85,11 +175,8 @@ def touching_spheres(origins: Array, directions: Array, reach_m: float, centre: 
 def by_bearing(origin: Array, directions: Array, centre: Array, around: Array) -> Iterator[tuple[Array, Array]]:
     """Pairs of beams from one place and circles, by bearing alone, at any distance.
 
-    Args:
-        origin: (3,) m.
-        directions: (r, 3), of any length.
-        centre: (m, 3) m, of the circles; heights do not matter.
-        around: (m,) m, their radii.
+    Beams from ``origin`` (3,) m along vectors (r, 3) of any length; circles around ``centre`` (m, 3) m, of any height, with
+    radii ``around`` (m,) m.
     """
     beams = len(directions)
     bearing = np.arctan2(directions[:, 1], directions[:, 0])
@@ -116,23 +203,15 @@ class Caster:
     """Casts beams among the solids of a world.
 
     Beams hit a prism from outside; a beam that begins inside a prism has a length of 0 m. Triangles have two sides.
-
-    Args:
-        shapes: the solids in pieces.
-        cell_m: of the index of pieces; no effect on results.
     """
 
     def __init__(self, shapes: Shapes, cell_m: float | None = None) -> None:
         self.pieces = PieceIndex(shapes, cell_m)
 
     def cast(self, origins: Array, directions: Array, reach_m: float = math.inf, *, floor: bool = True) -> Array:
-        """Lengths of beams, (r,) m; inf: no hit within reach.
+        """Lengths, (r,) m, of beams from ``origins`` (r, 3) m along unit vectors (r, 3), world; inf: no hit within reach.
 
-        Args:
-            origins: (r, 3) m, world.
-            directions: (r, 3), unit vectors.
-            reach_m: of the beams.
-            floor: whether beams end at z = 0 from above.
+        With ``floor`` beams end at z = 0 from above.
         """
         return self.meet(origins, directions, reach_m, floor=floor).distance
 
@@ -153,8 +232,6 @@ class Caster:
         """Whether a point is inside a prism, faces included."""
         x, y, z = point
         prisms = self.pieces.near(x, y, 0.0).prisms
-        if not prisms.size:
-            return False
         prisms = prisms[(self.pieces.bottom[prisms] <= z) & (z <= self.pieces.top[prisms])]
         if not prisms.size:
             return False
@@ -181,10 +258,9 @@ class Caster:
 
     def _among(self, near: NearbyPieces, origins: Array, directions: Array, reach_m: float) -> Reached:
         pieces, nearest = self.pieces, Nearest(len(origins))
-        for some, before, lengths, solid in (
-            (near.prisms, 0, self._to_prisms, pieces.solid),
-            (near.triangles, len(pieces.first), self._to_triangles, pieces.triangle_solid),
-        ):
+        prisms = near.prisms, 0, self._to_prisms, pieces.solid
+        triangles = near.triangles, len(pieces.first), self._to_triangles, pieces.triangle_solid
+        for some, before, lengths, solid in (prisms, triangles):
             numbers = some + before
             spheres = pieces.centre[numbers], pieces.radius[numbers], pieces.around[numbers]
             for beam, place in pairs(origins, directions, reach_m, *spheres):
@@ -233,12 +309,9 @@ class Caster:
         return np.where(hit, along, np.inf)
 
 
+@made_once
 def caster_of(world: World) -> Caster:
-    """The caster of a world, made once."""
-    return made_once(world, _caster)
-
-
-def _caster(world: World) -> Caster:
+    """The caster of a world."""
     return Caster(world.shapes)
 
 

@@ -7,11 +7,9 @@ import cv2
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.render.triangles import clipped, packed
-from vcmvsp.physics.render.view import View
-from vcmvsp.physics.world.floor import read_picture
+from vcmvsp.physics.render.triangles import View, clipped, packed
+from vcmvsp.physics.world.floor import PlacedTarget, read_picture
 from vcmvsp.physics.world.solids import rectangle
-from vcmvsp.physics.world.targets import PlacedTarget
 from vcmvsp.physics.world.world import World, made_once
 
 SKY = (172, 204, 235)  # above the horizon
@@ -27,13 +25,17 @@ class Level(NamedTuple):
     metre_px: float  # pixels a metre, along the finer axis
 
 
+@made_once
 def levels_of(world: World) -> list[Level]:
     """The ground picture, and smaller copies, each half as large; empty: there is none."""
-    picture = world.ground.image()
+    picture = world.ground.image
     if picture is None:
         return []
     rgba: Array = cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2RGBA)
-    levels = [_level(world, _fitting(rgba))]
+    height, width = rgba.shape[:2]
+    if max(height, width) > _LARGEST:
+        rgba = cv2.resize(rgba, (min(width, _LARGEST), min(height, _LARGEST)), interpolation=cv2.INTER_AREA)
+    levels = [_level(world, rgba)]
     while min(levels[-1].pixels.shape[:2]) > 1:
         height, width = levels[-1].pixels.shape[:2]
         half = ((width + 1) // 2, (height + 1) // 2)
@@ -41,34 +43,20 @@ def levels_of(world: World) -> list[Level]:
     return levels
 
 
-def _fitting(rgba: Array) -> Array:
-    height, width = rgba.shape[:2]
-    if max(height, width) <= _LARGEST:
-        return rgba
-    smaller: Array = cv2.resize(rgba, (min(width, _LARGEST), min(height, _LARGEST)), interpolation=cv2.INTER_AREA)
-    return smaller
-
-
 def _level(world: World, pixels: Array) -> Level:
     (x, y), (east_west, north_south) = world.ground.center, world.ground.size
     height, width = pixels.shape[:2]
     right, up = width / east_west, height / north_south
-    from_world = np.array(  # the middle of the first pixel is (0, 0)
-        [
-            [right, 0.0, -right * (x - 0.5 * east_west) - 0.5],
-            [0.0, -up, up * (y + 0.5 * north_south) - 0.5],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    return Level(pixels, from_world, max(right, up))
+    # The middle of the first pixel is (0, 0).
+    first, second = [right, 0.0, -right * (x - 0.5 * east_west) - 0.5], [0.0, -up, up * (y + 0.5 * north_south) - 0.5]
+    return Level(pixels, np.array([first, second, [0.0, 0.0, 1.0]]), max(right, up))
 
 
 def inverse_depth(view: View) -> Array:
     """One over the depth of the floor, along the optical axis, (height, width) 1/m; not positive: the sky."""
     right, down, ahead = view.rotation[2]
     rows = (view.rows() * down + ahead) / -view.eye[2]
-    result: Array = rows[:, None] + view.columns() * (right / -view.eye[2])
-    return result
+    return np.asarray(rows[:, None] + view.columns() * (right / -view.eye[2]))
 
 
 def ground(world: World, levels: list[Level], view: View, time_s: float) -> Array:
@@ -88,7 +76,7 @@ def ground(world: World, levels: list[Level], view: View, time_s: float) -> Arra
         picture = np.full((view.height, view.width), plain)
     if world.targets:
         pixels = picture.view(np.uint8).reshape(view.height, view.width, 4)
-        lay_seen(pixels, world, made_once(world, textures_of), view, time_s)
+        lay_seen(pixels, world, textures_of(world), view, time_s)
     picture[above] = sky
     both = ~(above | below)
     if both.any():
@@ -109,30 +97,23 @@ def _warped(world: World, levels: list[Level], view: View, nearest: float) -> Ar
         borderMode=cv2.BORDER_CONSTANT,
         borderValue=world.ground.color,
     )
-    packed_picture: Array = picture.view(np.int32)[:, :, 0] & 0xFFFFFF
-    return packed_picture
+    return np.asarray(picture.view(np.int32)[:, :, 0] & 0xFFFFFF)
 
 
 _NEAREST_M = 0.005  # along the optical axis
 _DISC_PX = 128
 
 
-class Texture(NamedTuple):
-    """Look of a target: red, green, blue, each times the opacity, and that, (n, n, 4) uint8; then each half as large."""
-
-    levels: list[Array]
+Texture = list[Array]
+"""Look of a target: red, green, blue, each times the opacity, and that, (n, n, 4) uint8; then each half as large."""
 
 
+@made_once
 def textures_of(world: World) -> list[Texture]:
     """Textures of the targets of a world."""
-    by_look: dict[object, Texture] = {}
-    textures = []
-    for target in world.targets:
-        look = target.picture or target.color
-        if look not in by_look:
-            by_look[look] = _texture(target)
-        textures.append(by_look[look])
-    return textures
+    looks = [target.picture or target.color for target in world.targets]
+    by_look = {look: _texture(target) for look, target in dict(zip(looks, world.targets, strict=True)).items()}
+    return [by_look[look] for look in looks]
 
 
 def _texture(target: PlacedTarget) -> Texture:
@@ -147,7 +128,7 @@ def _texture(target: PlacedTarget) -> Texture:
     levels = [rgba]
     while (edge := levels[-1].shape[0]) > 1:
         levels.append(cv2.resize(levels[-1], ((edge + 1) // 2,) * 2, interpolation=cv2.INTER_AREA))
-    return Texture(levels)
+    return levels
 
 
 def lay_seen(picture: Array, world: World, textures: list[Texture], view: View, time_s: float) -> None:
@@ -173,19 +154,18 @@ def corners_of(target: PlacedTarget, time_s: float) -> Array:
 
 
 def lay(picture: Array, texture: Texture, corners: Array, pixels: Array, floor_from_pixel: Array) -> None:
-    """Lay a target over a picture, (h, w, 3 or 4) uint8.
+    """Lay a target over a picture, (h, w, 3 or 4) uint8, which is changed.
 
     Args:
-        picture: changed.
-        texture: of the target.
+        picture, texture: of the floor, of the target.
         corners: of the target on the floor, (4, 2) m: its upper right, then counter-clockwise.
         pixels: corners of its visible part, (k, 2) column and row.
         floor_from_pixel: (3, 3), see `View`.
     """
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     size = math.sqrt(max(cv2.contourArea(cv2.convexHull(pixels.astype(np.float32))), 1.0))  # of it in the picture, px
-    level = round(math.log2(max(texture.levels[0].shape[0] / size, 1.0)))
-    pixel_of = texture.levels[min(level, len(texture.levels) - 1)]
+    level = round(math.log2(max(texture[0].shape[0] / size, 1.0)))
+    pixel_of = texture[min(level, len(texture) - 1)]
     edge = pixel_of.shape[0]
     room = 1.0 + (high - low).max() / edge  # it fades out half a pixel of its own beyond its edges
     left, top = np.maximum(np.floor(low - room), 0).astype(int).tolist()

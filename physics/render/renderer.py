@@ -7,14 +7,22 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.raycast.moving_hulls import hulls_of
 from vcmvsp.physics.render.floor_and_sky import ground, inverse_depth, levels_of
-from vcmvsp.physics.render.large_faces import LARGE_PX, Buffers, draw_large
-from vcmvsp.physics.render.occlusion import shown
-from vcmvsp.physics.render.triangles import ScenePieces, Triangles, bodies, clipped, pieces_of
-from vcmvsp.physics.render.view import View
-from vcmvsp.physics.world.scene import Scene
-from vcmvsp.physics.world.world import World, made_once
+from vcmvsp.physics.render.triangles import ScenePieces, Triangles, View, bodies, clipped, pieces_of, shown
+from vcmvsp.physics.world.world import Scene, World
+
+LARGE_PX = 6000  # a triangle in a rectangle of so many pixels is drawn here: about where both ways take as long
+
+
+class Buffers(NamedTuple):
+    """Buffers of a picture, (height, width) each."""
+
+    color: Array  # int32, see `packed`
+    number: Array | None  # int32: one plus the number of the triangle; 0: floor or sky
+    depth: Array  # float32, from 0 (at ``near``) to 1 (at ``far``): a linear function of one over the depth, as in OpenGL
+    near: float  # m
+    far: float
+
 
 NEAREST_M = 0.005  # along the optical axis: what is nearer is cut off
 
@@ -42,8 +50,8 @@ def render(
         time_s: time of the targets' places without a scene.
     """
     time_s = time_s if scene is None else scene.now_ns / SECOND_NS
-    floor = ground(world, made_once(world, levels_of), view, time_s)
-    triangles = _visible(made_once(world, pieces_of), view)
+    floor = ground(world, levels_of(world), view, time_s)
+    triangles = _visible(pieces_of(world), view)
     if scene is not None and len(rows := _bodies_near(scene, without, view)):
         moving = bodies(scene, rows)
         moving = moving.take(_facing(moving.plane, view))
@@ -57,7 +65,8 @@ def render(
             small = draw_large(buffers, corner, triangles, source, view)
             corner, source = corner[small], source[small]
         floor, number = _draw(buffers, corner, triangles.color[source], source, view)
-    return Picture(_unpacked(floor), None if number is None else _depth(view, triangles, number))
+    pixels = cv2.cvtColor(floor.astype("<i4").view(np.uint8).reshape(*floor.shape, 4), cv2.COLOR_RGBA2RGB)
+    return Picture(pixels, None if number is None else _depth(view, triangles, number))
 
 
 def _visible(pieces: ScenePieces, view: View) -> Triangles:
@@ -70,32 +79,20 @@ def _visible(pieces: ScenePieces, view: View) -> Triangles:
 
 
 def _bodies_near(scene: Scene, without: int, view: View) -> Array:
-    hulls = hulls_of(scene)
-    visible = _in_frustum(hulls.centre, hulls.radius, view)
-    if without >= 0:
-        visible[without] = False
-    return np.flatnonzero(visible)
+    visible = _in_frustum(scene.placed_hulls.centre, scene.placed_hulls.radius, view)
+    return np.flatnonzero(visible & (np.arange(len(visible)) != without))
 
 
 def _in_frustum(center: Array, radius: Array, view: View) -> Array:
     """Spheres that may be in the picture, (m,) bool."""
     f, half_width, half_height = view.focal_px, 0.5 * view.width, 0.5 * view.height
     side, upper = np.hypot(f, half_width), np.hypot(f, half_height)
-    inward = np.array(
-        [
-            [f / side, 0.0, half_width / side],
-            [-f / side, 0.0, half_width / side],
-            [0.0, f / upper, half_height / upper],
-            [0.0, -f / upper, half_height / upper],
-            [0.0, 0.0, 1.0],
-            [0.0, 0.0, -1.0],
-        ]
-    )
-    inward = view.rotation @ inward.T  # (3, 6), world
+    sides = [[f / side, 0.0, half_width / side], [-f / side, 0.0, half_width / side]]
+    ends = [[0.0, f / upper, half_height / upper], [0.0, -f / upper, half_height / upper]]
+    inward = view.rotation @ np.array([*sides, *ends, [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]).T  # (3, 6), world
     offset = view.eye @ inward
     offset[5] -= view.reach_m
-    inside: Array = (center @ inward + radius[:, None] >= offset).all(axis=1)
-    return inside
+    return np.asarray((center @ inward + radius[:, None] >= offset).all(axis=1))
 
 
 def _facing(plane: Array, view: View) -> Array:
@@ -112,7 +109,8 @@ def _in_picture(corner: Array, view: View) -> tuple[Array, Array]:
     right, lower = z * (0.5 * view.width / view.focal_px), z * (0.5 * view.height / view.focal_px)
     behind = z < NEAREST_M
     outside = _all(behind) | _all(x > right) | _all(x < -right) | _all(y > lower) | _all(y < -lower)
-    cut = _any(behind | (np.abs(x) > _GUARD * right) | (np.abs(y) > _GUARD * lower)) & ~outside
+    near = ~(behind | (np.abs(x) > _GUARD * right) | (np.abs(y) > _GUARD * lower))
+    cut = ~(_all(near) | outside)
     whole = np.flatnonzero(~(outside | cut))
     if not cut.any():
         return corner[whole], whole
@@ -128,14 +126,7 @@ def _in_picture(corner: Array, view: View) -> tuple[Array, Array]:
 
 def _all(of_corners: Array) -> Array:
     first, second, third = of_corners.T
-    both: Array = first & second & third
-    return both
-
-
-def _any(of_corners: Array) -> Array:
-    first, second, third = of_corners.T
-    either: Array = first | second | third
-    return either
+    return np.asarray(first & second & third)
 
 
 def _draw(buffers: Buffers, corner: Array, color: Array, source: Array, view: View) -> tuple[Array, Array | None]:
@@ -147,24 +138,12 @@ def _draw(buffers: Buffers, corner: Array, color: Array, source: Array, view: Vi
     canvas[:, :, 0] = buffers.color
     if buffers.number is not None:
         canvas[:, :, 1] = buffers.number
-    _rasterize(buffers, canvas, corner, values, view)
+    places = (corner * (1.0, -1.0, -1.0)).astype(np.float32).reshape(1, -1, 3)  # as OpenGL has it: y up, looking along -z
+    numbers, colors = np.arange(3 * len(corner), dtype=np.int32).reshape(1, -1, 3), values.reshape(1, -1, 3)
+    opening, ends = 2.0 * float(np.arctan(0.5 * view.height / view.focal_px)), (buffers.near, buffers.far)
+    # OpenCV's own renderer samples pixel middles, too.
+    cv2.triangleRasterize(places, numbers, colors, canvas, buffers.depth, np.eye(4), opening, *ends, _SETTINGS)
     return cv2.extractChannel(canvas, 0), None if buffers.number is None else canvas[:, :, 1]
-
-
-def _rasterize(buffers: Buffers, canvas: Array, corner: Array, values: Array, view: View) -> None:
-    """OpenCV's own renderer, which samples pixel middles, too."""
-    cv2.triangleRasterize(
-        (corner * (1.0, -1.0, -1.0)).astype(np.float32).reshape(1, -1, 3),  # as OpenGL has it: y up, looking along -z
-        np.arange(3 * len(corner), dtype=np.int32).reshape(1, -1, 3),
-        values.reshape(1, -1, 3),
-        canvas,
-        buffers.depth,
-        np.eye(4),
-        2.0 * float(np.arctan(0.5 * view.height / view.focal_px)),
-        buffers.near,
-        buffers.far,
-        _SETTINGS,
-    )
 
 
 def _settings() -> cv2.TriangleRasterizeSettings:
@@ -182,13 +161,6 @@ _SETTINGS = _settings()
 np.empty(24 << 20, np.uint8)
 
 
-def _unpacked(color: Array) -> Array:
-    """Packed colours, (h, w), as red, green, blue, (h, w, 3) uint8."""
-    rgba = color.astype("<i4").view(np.uint8).reshape(*color.shape, 4)
-    pixels: Array = cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB)
-    return pixels
-
-
 def _depth(view: View, triangles: Triangles, number: Array) -> Array:
     """Depths from the planes of what was drawn: one over the depth is linear in the picture."""
     inverse = inverse_depth(view)
@@ -200,3 +172,76 @@ def _depth(view: View, triangles: Triangles, number: Array) -> Array:
     with np.errstate(divide="ignore"):
         metres = np.where(inverse > 1.0 / view.reach_m, 1.0 / inverse, np.inf)
     return metres.astype(np.float32)
+
+
+def draw_large(buffers: Buffers, corner: Array, triangles: Triangles, source: Array, view: View) -> Array:
+    """Draw all faces with a large triangle into the buffers; returns the other triangles, (n,) int.
+
+    ``corner`` (t, 3, 3) m are triangles in the camera's frame, all in front of it, ``source`` (t,) their numbers in
+    ``triangles``, before clipping.
+    """
+    height, width = buffers.depth.shape
+    scale = view.focal_px / corner[:, :, 2]
+    u, v = corner[:, :, 0] * scale + 0.5 * width, corner[:, :, 1] * scale + 0.5 * height
+    large = _length(u, width) * _length(v, height) > LARGE_PX
+    if not large.any():
+        return np.arange(len(corner))
+    face = triangles.face[source]
+    whole = np.isin(face, face[large])
+    some = np.flatnonzero(whole)
+    some = some[np.argsort(face[some], kind="stable")]
+    first = np.flatnonzero(np.diff(face[some], prepend=face[some[0]] - 1))
+    left, right = _ends(u[some], v[some], first, width, height)
+    one = source[some[first]]
+    _fill(buffers, left, right, _planes(buffers, triangles.plane[one], view), triangles.color[one], one)
+    return np.flatnonzero(~whole)
+
+
+def _length(ends: Array, edge: int) -> Array:
+    """Extent of the corners of each triangle along a picture's edge, (t,) px."""
+    a, b, c = np.clip(ends, 0.0, edge).T
+    return np.asarray(np.maximum(np.maximum(a, b), c) - np.minimum(np.minimum(a, b), c))
+
+
+def _ends(u: Array, v: Array, first: Array, width: int, height: int) -> tuple[Array, Array]:
+    """First columns with their middle in a face, and the columns behind the last, row by row, (f, height) int16."""
+    middle = np.arange(height) + 0.5
+    u0, v0, u1, v1 = (each[:, :, None] for each in (u, v, np.roll(u, -1, axis=1), np.roll(v, -1, axis=1)))
+    crossing = (v0 <= middle) != (v1 <= middle)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        column = u0 + (middle - v0) * ((u1 - u0) / (v1 - v0))
+    left = np.minimum.reduceat(np.where(crossing, column, np.inf).min(axis=1), first)
+    right = np.maximum.reduceat(np.where(crossing, column, -np.inf).max(axis=1), first)
+    ends = np.ceil(np.clip([left, right], 0.0, width) - 0.5).astype(np.int16)
+    return ends[0], ends[1]
+
+
+def _planes(buffers: Buffers, plane: Array, view: View) -> tuple[Array, Array]:
+    """Depth buffer of each face as a sum of a value for each row, (f, height), and for each column, (f, width)."""
+    normal, (near, far) = plane[:, :3], buffers[3:]
+    inverse = (normal @ view.rotation) / (plane[:, 3] - normal @ view.eye)[:, None]  # of a ray's right, down, ahead: 1/m
+    inverse *= -far * near / (far - near)
+    rows = inverse[:, 1:2] * view.rows() + (inverse[:, 2:] + far / (far - near))
+    columns = inverse[:, :1] * view.columns()
+    return rows.astype(np.float32), columns.astype(np.float32)
+
+
+def _fill(buffers: Buffers, left: Array, right: Array, planes: tuple[Array, Array], color: Array, number: Array) -> None:
+    every = np.arange(buffers.depth.shape[1], dtype=np.int16)
+    for i, value in enumerate(color.astype(np.int32)):
+        rows = np.flatnonzero(left[i] < right[i])
+        if not len(rows):
+            continue
+        top, bottom = int(rows[0]), int(rows[-1]) + 1
+        begin, end = left[i, top:bottom, None], right[i, top:bottom, None]
+        west, east = int(begin.min()), int(end.max())
+        part, columns = np.s_[top:bottom, west:east], every[west:east]
+        depth = planes[0][i, top:bottom, None] + planes[1][i, west:east]
+        nearer = depth < buffers.depth[part]
+        nearer &= columns >= begin
+        nearer &= columns < end
+        mask = nearer.view(np.uint8)
+        cv2.copyTo(depth, mask, buffers.depth[part])
+        cv2.copyTo(np.full(depth.shape, value), mask, buffers.color[part])
+        if buffers.number is not None:
+            cv2.copyTo(np.full(depth.shape, number[i] + 1, np.int32), mask, buffers.number[part])

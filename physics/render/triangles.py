@@ -1,4 +1,4 @@
-"""Triangles of solids and bodies with their planes and colours, in pieces for quick culling."""
+"""View of a camera; triangles of solids and bodies with their planes and colours, in pieces for quick culling."""
 
 import math
 from functools import cache
@@ -7,14 +7,43 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.raycast.moving_hulls import hulls_of
 from vcmvsp.physics.world.polygons import outward
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.solids import Shapes, color_of, prism_triangles
-from vcmvsp.physics.world.world import Light, World
+from vcmvsp.physics.world.world import Light, Scene, World, made_once
 
 _CHUNK = 64  # triangles of a mesh that are looked up together
 _SIDES = 32  # of cylinders that move
+
+
+class View(NamedTuple):
+    """View of a pinhole camera with its principal point in the middle of the picture.
+
+    A pixel samples its middle: column c and row r look along
+    ``((c + 0.5 - width / 2) / focal_px, (r + 0.5 - height / 2) / focal_px, 1)`` in the camera's frame.
+    """
+
+    eye: Array  # (3,) m, world, above the floor
+    rotation: Array  # (3, 3) world_from_camera; camera: x to the right of the picture, y down, z along the optical axis
+    width: int  # px
+    height: int
+    focal_px: float
+    reach_m: float = 1000.0  # solids and bodies further away, along the optical axis, are left out
+
+    def columns(self) -> Array:
+        """Slope of each column's rays to the right, (width,)."""
+        return np.asarray((np.arange(self.width) + (0.5 - 0.5 * self.width)) / self.focal_px)
+
+    def rows(self) -> Array:
+        """Slope of each row's rays downwards, (height,)."""
+        return np.asarray((np.arange(self.height) + (0.5 - 0.5 * self.height)) / self.focal_px)
+
+    def floor_from_pixel(self) -> Array:
+        """Homography (3, 3) from columns and rows to x, y on the floor; behind the camera above the horizon."""
+        (x, y, z), rotation = self.eye, self.rotation
+        meets = np.stack([x * rotation[2] - z * rotation[0], y * rotation[2] - z * rotation[1], rotation[2]])
+        focal, center = self.focal_px, 0.5 / self.focal_px
+        right, down = [1 / focal, 0.0, center * (1 - self.width)], [0.0, 1 / focal, center * (1 - self.height)]
+        return np.asarray(meets @ np.array([right, down, [0.0, 0.0, 1.0]]))
 
 
 class Triangles(NamedTuple):
@@ -52,10 +81,10 @@ def packed(levels: Array) -> Array:
 def brightness(light: Light, normal: Array) -> Array:
     """Brightness of faces with these unit normals, (..., 3): Lambert's law, at least the ambient light."""
     direction = np.array(light.direction) / np.linalg.norm(light.direction)
-    shone: Array = light.ambient + (1.0 - light.ambient) * np.maximum(normal @ direction, 0.0)
-    return shone
+    return np.asarray(light.ambient + (1.0 - light.ambient) * np.maximum(normal @ direction, 0.0))
 
 
+@made_once
 def pieces_of(world: World) -> ScenePieces:
     """All solids of a world above the floor."""
     corner, solid, piece, face = _soup(world.shapes)
@@ -118,9 +147,7 @@ def planes(corner: Array) -> tuple[Array, Array]:
 def clipped(corner: Array, distance: Array) -> tuple[Array, Array]:
     """Parts of triangles on the positive side of a plane, (u, 3, 3), and the number of the original of each, (u,).
 
-    Args:
-        corner: (t, 3, 3).
-        distance: of each corner from the plane, (t, 3), in any unit.
+    The triangles have corners (t, 3, 3), at a distance (t, 3) from the plane in any unit.
     """
     inside = distance > 0.0
     count = inside.sum(axis=1)
@@ -155,7 +182,7 @@ def _unit(kind: str) -> tuple[Array, Array, Array]:
 
 def bodies(scene: Scene, rows: Array) -> Triangles:
     """Hulls of bodies in the world, clipped at the floor. Their faces have numbers below zero."""
-    hulls = hulls_of(scene)
+    hulls = scene.placed_hulls
     kinds = (("box", rows[~hulls.round[rows]]), ("cylinder", rows[hulls.round[rows]]))
     parts = [_bodies(scene, some, kind) for kind, some in kinds if len(some)]
     corner, plane, color, face = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -166,7 +193,7 @@ def bodies(scene: Scene, rows: Array) -> Triangles:
 
 
 def _bodies(scene: Scene, rows: Array, kind: str) -> Triangles:
-    hulls, (unit, normals, face) = hulls_of(scene), _unit(kind)
+    hulls, (unit, normals, face) = scene.placed_hulls, _unit(kind)
     size, turn = 2.0 * hulls.half[:, rows].T, np.moveaxis(hulls.rotation[:, :, rows], 2, 0)
     count = len(rows) * len(unit)
     local = (unit * size[:, None, None]).reshape(len(rows), 3 * len(unit), 3)
@@ -178,3 +205,51 @@ def _bodies(scene: Scene, rows: Array, kind: str) -> Triangles:
     color = packed(colors * brightness(scene.world.light, normal)[:, None])
     plane = np.column_stack([normal, (normal * corner[:, 0]).sum(axis=1)])
     return Triangles(corner, plane, color, -1 - (rows[:, None] * (_SIDES + 2) + face).reshape(count))
+
+
+_FEWEST = 48  # pieces: of fewer it is quicker to draw all
+_BLOCKS = 8  # buildings tested as occluders
+_GAP_M = 0.05  # a nearer building is no occluder: part of it may be clipped
+_MARGIN_M = 0.001
+
+
+def shown(pieces: ScenePieces, near: Array, view: View) -> Array:
+    """The pieces (numbers) among ``near`` that no single building hides.
+
+    The shadow of a convex body is convex, so a piece is hidden if the corners of its bounding box are. Behind a building on the
+    floor the lower corners are hidden where the upper ones are, as the eye is above the floor. A corner is hidden if its line
+    to the eye passes through the building: between two places, below the roof at one.
+    """
+    if len(near) < _FEWEST:
+        return near
+    number, where = _blocks(pieces, near, view)
+    if not len(number):
+        return near
+    (low, high), eye = (pieces.low[near], pieces.high[near]), view.eye
+    corners = np.concatenate([[low[:, 0], high[:, 0], high[:, 0], low[:, 0]], [low[:, 1], low[:, 1], high[:, 1], high[:, 1]]])
+    plan = corners.reshape(2, -1).T - eye[:2]  # (4 n, 2): the four corners of each behind those of all
+    speed = np.einsum("pc,kec->ekp", plan, pieces.walls[number, :, :2])  # to the outside of each wall, along each line
+    speed[speed == 0.0] = -1e-300  # a line along a wall: it is outside all the way, or never
+    when = where.T[:, :, None] / speed
+    enter = np.where(speed < 0.0, when, 0.0).max(axis=0)
+    leave = np.where(speed > 0.0, when, 1.0).min(axis=0)
+    rise = np.tile(high[:, 2], 4) - eye[2]
+    lowest = eye[2] + np.minimum(enter * rise, leave * rise)
+    through = (leave > enter + 1e-6) & (lowest < pieces.high[number, 2][:, None] - _MARGIN_M)
+    hidden = through.reshape(len(number), 4, len(near)).all(axis=1).any(axis=0)
+    return np.asarray(near[~hidden])
+
+
+def _blocks(pieces: ScenePieces, near: Array, view: View) -> tuple[Array, Array]:
+    """The widest buildings in the picture among those higher than the eye.
+
+    Also returns how far inside each of their four walls the eye is, (k, 4) m.
+    """
+    blocks = near[pieces.block[near] & (pieces.high[near, 2] > view.eye[2])]
+    away = pieces.center[blocks, :2] - view.eye[:2]
+    wide = pieces.radius[blocks] ** 2 / ((away * away).sum(axis=1) + 1e-9)
+    blocks = blocks[np.argsort(-wide, kind="stable")[:_BLOCKS]]
+    walls = pieces.walls[blocks]
+    where = walls[:, :, 2] - walls[:, :, :2] @ view.eye[:2]
+    outside = where.min(axis=1) < -_GAP_M
+    return blocks[outside], where[outside]

@@ -11,9 +11,9 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array, Image, NonNegative, Positive, Vec3, frozen
 from vcmvsp.physics.render.renderer import render
-from vcmvsp.physics.render.view import View
+from vcmvsp.physics.render.triangles import View
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.world import Scene
 
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=8192)]
 Angle = Annotated[float, msgspec.Meta(gt=0, lt=math.pi)]
@@ -62,8 +62,7 @@ class Camera(Sensor):
         about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
         about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
         about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-        turned: Array = about_z @ about_y @ about_x @ _BODY_FROM_CAMERA
-        return turned
+        return np.asarray(about_z @ about_y @ about_x @ _BODY_FROM_CAMERA)
 
     def view(self, scene: Scene, row: int) -> View:
         """Its view from a vehicle."""
@@ -75,16 +74,11 @@ class Camera(Sensor):
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Image:
         """A picture of the scene without the camera's own vehicle."""
         picture = render(scene.world, self.view(scene, row), scene=scene, without=row, depth=self.depth)
-        pixels = picture.pixels
+        pixels, depth_m = picture.pixels, None if picture.depth_m is None else _read_only(picture.depth_m)
         if self.noise > 0.0:
             added = rng.standard_normal(pixels.shape, np.float32) * np.float32(self.noise)
             pixels = np.rint(np.clip(pixels + added, 0.0, 255.0)).astype(np.uint8)
-        return Image(
-            pixels=_read_only(pixels),
-            time_ns=scene.now_ns,
-            focal_px=self.focal_px,
-            depth_m=None if picture.depth_m is None else _read_only(picture.depth_m),
-        )
+        return Image(pixels=_read_only(pixels), time_ns=scene.now_ns, focal_px=self.focal_px, depth_m=depth_m)
 
 
 @dataclass(kw_only=True)

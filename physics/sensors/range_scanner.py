@@ -11,11 +11,9 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability, Reading, Scan, Vec3, frozen
 from vcmvsp.physics.raycast.caster import caster_of
-from vcmvsp.physics.raycast.moving_hulls import hulls_of
-from vcmvsp.physics.raycast.plane_section import Fan, spread_of
-from vcmvsp.physics.raycast.sweep import sweep
+from vcmvsp.physics.raycast.sweep import Fan, sweep
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.world import Scene
 
 Beams = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 Opening = Annotated[float, msgspec.Meta(gt=0, le=6.2832)]
@@ -88,7 +86,9 @@ class RangeScanner(Sensor):
     @cached_property
     def numbers(self) -> Array:
         """Columns of `Fan`: beams, reach and spread, (7, 1)."""
-        return np.array([(self.beams, self.range_max, *spread_of(self.first, self.angle_step, self.beams), 0.0)]).T
+        step, last = self.angle_step, self.beams - 1.0
+        spread = math.tau / step, self.first / step + 0.5 * last, last, 1.0 / step, 0.0
+        return np.array([(self.beams, self.range_max, *spread)]).T
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Scan:
         """One scan; beam angles count from the body's x axis, in the plane of the beams."""
@@ -105,13 +105,8 @@ class RangeScanner(Sensor):
 
     def scan(self, ranges: Array, now_ns: int, rng: np.random.Generator) -> Scan:
         """A scan of true ranges."""
-        return Scan(
-            ranges=frozen(self._noisy(ranges, rng).astype(np.float32)),
-            angle_min=self.yaw + self.first,
-            angle_step=self.angle_step,
-            range_max=self.range_max,
-            time_ns=now_ns,
-        )
+        measured, start, step = frozen(self._noisy(ranges, rng).astype(np.float32)), self.yaw + self.first, self.angle_step
+        return Scan(ranges=measured, angle_min=start, angle_step=step, range_max=self.range_max, time_ns=now_ns)
 
     def _noisy(self, ranges: Array, rng: np.random.Generator) -> Array:
         """Ranges with errors. Uniform draws come first, one for each beam: no parameter changes another's draws."""
@@ -157,7 +152,7 @@ class Ring(RangeScanner):
 
 def true_ranges(sensors: Sequence[RangeScanner], scene: Scene, rows: Sequence[int]) -> list[Array]:
     """Ranges of scanners on some vehicles without errors, m; inf: nothing within reach."""
-    caster, hulls = caster_of(scene.world), hulls_of(scene)
+    caster, hulls = caster_of(scene.world), scene.placed_hulls
     ranges, first = [], 0
     while first < len(sensors):
         last, beams = first + 1, sensors[first].beams
@@ -179,6 +174,6 @@ def fan_of(sensors: Sequence[RangeScanner], scene: Scene, rows: Sequence[int]) -
         cos, sin = np.concatenate([each.circle for each in sensors], axis=1)
         numbers = np.concatenate([each.numbers for each in sensors], axis=1)
         numbers[6] = np.cumsum(numbers[0]) - numbers[0]
-    turned = (hulls_of(scene).rotation[:, :, None, own] * mounts).sum(axis=1)  # (x, y, z; columns; sensors)
+    turned = (scene.placed_hulls.rotation[:, :, None, own] * mounts).sum(axis=1)  # (x, y, z; columns; sensors)
     origin, frame = turned[:, 0] + scene.position[own].T, turned[:, 1:].swapaxes(0, 1)
     return Fan(origin, frame, numbers[0].astype(np.intp), cos, sin, numbers[2:], numbers[1], own, not frame[:2, 2].any())

@@ -6,11 +6,11 @@ from typing import Protocol
 
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.estimation.fusion import Fusion
 from vcmvsp.cosim.types import Value, Vec3
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.vehicles.models import Point
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import Point, Quadrotor
 from vcmvsp.physics.world.solids import Hull
 
 POSE_SOURCES = ("truth", "odometry", "positioning", "fusion")
@@ -46,39 +46,6 @@ def body_of(model: Vehicle) -> Body:
     return Body(width_m=2.0 * aside, radius_m=round_m, flies=flies(model))
 
 
-class FusedPose(Protocol):
-    """A pose estimated from odometry and positions."""
-
-    @property
-    def x(self) -> float:
-        """World, m."""
-
-    @property
-    def y(self) -> float:
-        """World, m."""
-
-    @property
-    def heading(self) -> float:
-        """Rad; meaningless unless known."""
-
-    @property
-    def heading_known(self) -> bool:
-        """Whether the vehicle has moved far enough to determine its heading."""
-
-
-class Estimator(Protocol):
-    """Estimates a pose from odometry and positions, on real and simulated robots."""
-
-    def odometry(self, time_ns: int, distance_m: float, turn_rad: float) -> object:
-        """Distance and turn since the last call; the first call only sets the time."""
-
-    def fix(self, time_ns: int, x: float, y: float, sigma_m: float) -> object:
-        """A position at a time, m, with the standard deviation ``sigma_m`` > 0 of x and of y."""
-
-    def estimate(self, now_ns: int) -> FusedPose | None:
-        """The pose at a time; None without data."""
-
-
 class VehicleSpec(Value, frozen=True, kw_only=True):
     """One vehicle of a run: model, start, sensors and pose source."""
 
@@ -88,7 +55,7 @@ class VehicleSpec(Value, frozen=True, kw_only=True):
     heading: float = 0.0  # rad
     pose_source: str = "truth"  # "truth" | "odometry" | "positioning" | "fusion"
     positioning: Positioning | None = None  # the sensor, if fitted
-    fusion: Estimator | None = None  # for the pose source "fusion"; every run has its own copy
+    fusion: Fusion | None = None  # for the pose source "fusion"; every run has its own copy
     sensors: Mapping[str, Sensor] = {}  # others, by name
 
     def __post_init__(self) -> None:
@@ -105,9 +72,7 @@ class VehicleSpec(Value, frozen=True, kw_only=True):
     @property
     def start(self) -> Vec3:
         """Real start, m: on the ground at z = 0; in the air, not lower than standing on the floor."""
-        x, y, z = self.position
-        hull = self.model.hull
-        lowest = 0.5 * hull.size[2] - hull.offset[2]
+        (x, y, z), hull = self.position, self.model.hull
         if not flies(self.model):
             return x, y, 0.0
-        return x, y, max(z, lowest) if z >= 0.0 else z
+        return x, y, max(z, 0.5 * hull.size[2] - hull.offset[2]) if z >= 0.0 else z

@@ -8,6 +8,7 @@ root link with a turned inertia.
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,8 +19,7 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array, FileName, NonNegative, Positive, Vec3
 from vcmvsp.cosim.util import limits
-from vcmvsp.physics.vehicles.models import GroundVehicle
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import GroundVehicle, Quadrotor
 
 _TURNS = ("continuous", "revolute")
 _OFF_DIAGONAL = ("ixy", "ixz", "iyz")
@@ -96,9 +96,8 @@ class UrdfQuadrotor(Quadrotor):
     file: FileName  # of the URDF, in a scenario relative to its folder
 
     def __post_init__(self) -> None:
-        mass, inertia = _Tree(self.file).whole()
-        object.__setattr__(self, "mass_kg", mass)
-        object.__setattr__(self, "inertia", inertia)
+        for key, value in zip(("mass_kg", "inertia"), _Tree(self.file).whole(), strict=True):
+            object.__setattr__(self, key, value)
         super().__post_init__()
 
 
@@ -114,10 +113,9 @@ class _Tree:
         try:
             limits.check_size(self.path, limits.JSON_BYTES)
             root = ET.parse(self.path).getroot()  # noqa: S314  # the user's own file
-        except (OSError, ValueError) as error:
-            raise ScenarioError(f"{self.path} cannot be read: {error}", key="file") from error
-        except ET.ParseError as error:
-            raise ScenarioError(f"{self.path} is no XML: {error}", key="file") from error
+        except (OSError, ValueError, ET.ParseError) as error:
+            problem = "is no XML" if isinstance(error, ET.ParseError) else "cannot be read"
+            raise ScenarioError(f"{self.path} {problem}: {error}", key="file") from error
         self._links = {link.get("name", ""): link for link in root.iterfind("link")}
         self._joints = {joint.get("name", ""): joint for joint in root.iterfind("joint")}
         if root.tag != "robot" or not self._links:
@@ -149,8 +147,7 @@ class _Tree:
         off = [abs(float(_attributes(inertial, "inertia").get(each, "0"))) for each in _OFF_DIAGONAL]
         if max(off) > 0.0 or not np.array_equal(turned, np.eye(3)):
             problem = f"the inertia of the root link {root!r} of {self.path.name} must be about x, y and z: "
-            problem += "without rpy, ixy, ixz, iyz"
-            raise ScenarioError(problem, key="file")
+            raise ScenarioError(f"{problem}without rpy, ixy, ixz, iyz", key="file")
 
     def _check_tree(self) -> str:
         children = [_name(joint, "child") for joint in self._joints.values()]
@@ -191,8 +188,7 @@ class _Tree:
         joint = next((each for each in self._joints.values() if _name(each, "child") == link), None)
         if joint is None:
             return np.eye(4)
-        frame: Array = self.frame(_name(joint, "parent")) @ _origin(joint)
-        return frame
+        return np.asarray(self.frame(_name(joint, "parent")) @ _origin(joint))
 
     def wheel(self, name: str, key: str) -> _Wheel:
         joint = self._joints.get(name)
@@ -200,9 +196,8 @@ class _Tree:
             there = ", ".join(self._joints) or "none"
             raise ScenarioError(f"{self.path.name} has no joint {name!r}; there are: {there}", key=key)
         if joint.get("type") not in _TURNS:
-            raise ScenarioError(
-                f"the joint {name!r} of {self.path.name} is {joint.get('type')}, and a wheel must turn", key=key
-            )
+            problem = f"the joint {name!r} of {self.path.name} is {joint.get('type')}, and a wheel must turn"
+            raise ScenarioError(problem, key=key)
         if joint.get("type") == "revolute" and {"lower", "upper"} & {*_attributes(joint, "limit")}:
             problem = f"the joint {name!r} of {self.path.name} has limits, and a wheel must turn without end: "
             raise ScenarioError(problem + "make it continuous, or take lower and upper out of its <limit>", key=key)
@@ -219,11 +214,9 @@ class _Tree:
         raise ScenarioError(f"the link {link!r} of {self.path.name} needs a sphere or cylinder to roll on", key=key)
 
     def _radius(self, geometry: ET.Element, what: str, key: str) -> float:
-        text = geometry.get("radius", "")
-        try:
+        text, radius_m = geometry.get("radius", ""), math.nan
+        with suppress(ValueError):
             radius_m = float(text)
-        except ValueError:
-            radius_m = math.nan
         if not 0.0 < radius_m < math.inf:
             raise ScenarioError(f"{what} of {self.path.name} needs a positive radius, not {text!r}", key=key)
         return radius_m
@@ -271,11 +264,7 @@ def _origin(element: ET.Element | None) -> Array:
     origin = _attributes(element, "origin")
     roll, pitch, yaw = _numbers(origin.get("rpy", "0 0 0"))
     (cr, sr), (cp, sp), (cy, sy) = ((float(np.cos(a)), float(np.sin(a))) for a in (roll, pitch, yaw))
-    transform = np.eye(4)
-    transform[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    transform[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
-    return transform
+    x, y, z = _numbers(origin.get("xyz", "0 0 0"))
+    ahead = [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr, x]
+    left = [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr, y]
+    return np.array([ahead, left, [-sp, cp * sr, cp * cr, z], [0.0, 0.0, 0.0, 1.0]])

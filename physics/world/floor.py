@@ -1,8 +1,10 @@
-"""Appearance of the floor: a colour, a picture file, and marks painted on it: lawns, lanes."""
+"""Floor of a world as it looks (a colour, a picture, marks), and targets of searches that lie on it."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 import msgspec
@@ -67,18 +69,13 @@ class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         """Whether the floor has one colour and no picture."""
         return not (self.picture or self.marks)
 
+    @cached_property
     def image(self) -> Array | None:
         """The picture, (h, w, 3) uint8 red, green, blue, read-only; row 0 is the north edge. None: one colour.
-
-        Painted at the first call.
 
         Raises:
             ValueError: a file is no picture.
         """
-        return self._image
-
-    @cached_property
-    def _image(self) -> Array | None:
         if self.plain:
             return None
         if self.picture:
@@ -96,8 +93,7 @@ class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
         def fixed(points: Array) -> Array:
             """Places on the floor as OpenCV draws them: the middle of the first pixel is (0, 0), in 64ths of a pixel."""
-            pixel: Array = np.rint(self._pixel(points, pixels.shape) * (1 << _SHIFT)).astype(np.int32)
-            return pixel
+            return np.asarray(np.rint(self._pixel(points, pixels.shape) * (1 << _SHIFT)).astype(np.int32))
 
         per_metre = pixels.shape[1] / self.size[0]
         if mark.outline:
@@ -106,8 +102,7 @@ class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             thickness = max(1, round(mark.width * per_metre))
             cv2.polylines(pixels, [fixed(mark.points())], False, mark.color, thickness, cv2.LINE_AA, _SHIFT)
         elif mark.radius:
-            (middle,) = fixed(np.array([mark.center]))
-            radius = round(mark.radius * per_metre * (1 << _SHIFT))
+            (middle,), radius = fixed(np.array([mark.center])), round(mark.radius * per_metre * (1 << _SHIFT))
             cv2.circle(pixels, middle.tolist(), radius, mark.color, cv2.FILLED, cv2.LINE_AA, _SHIFT)
         else:
             _stick(pixels, read_picture(mark.picture), self._pixel(mark.points(), pixels.shape))
@@ -116,8 +111,7 @@ class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         """Columns and rows (k, 2) of places (k, 2) m; whole numbers are middles of pixels."""
         (x, y), (length, width) = self.center, self.size
         right, down = points[:, 0] - (x - 0.5 * length), (y + 0.5 * width) - points[:, 1]
-        pixel: Array = np.column_stack([right * shape[1] / length - 0.5, down * shape[0] / width - 0.5])
-        return pixel
+        return np.asarray(np.column_stack([right * shape[1] / length - 0.5, down * shape[0] / width - 0.5]))
 
 
 def read_picture(path: str) -> Array:
@@ -136,8 +130,7 @@ def read_picture(path: str) -> Array:
             problem = f"{path} cannot be read: {error.strerror or error}"
     if pixels is None:
         raise ValueError(problem or f"{path} is a picture, but broken: save it again{limits.PICTURE}")
-    found: Array = pixels
-    return found
+    return np.asarray(pixels)
 
 
 def problem_of_picture(path: str) -> str:
@@ -146,9 +139,8 @@ def problem_of_picture(path: str) -> str:
 
     if not Path(path).is_file():
         return f"there is no picture file {path}"
-    return (
-        "" if cv2.haveImageReader(path) else f"{path} is no picture that OpenCV can read: use PNG, JPEG, TIFF, BMP, PGM or PPM"
-    )
+    problem = f"{path} is no picture that OpenCV can read: use PNG, JPEG, TIFF, BMP, PGM or PPM"
+    return "" if cv2.haveImageReader(path) else problem
 
 
 def _stick(pixels: Array, picture: Array, corners: Array) -> None:
@@ -181,10 +173,81 @@ def around(marks: Sequence[Mark], color: Color) -> GroundPicture:
     low, high = points.min(axis=0), points.max(axis=0)
     size, center = np.maximum(high - low, 0.1), 0.5 * (low + high)
     resolution = max(0.02, math.sqrt(float(size.prod()) / MOST_PIXELS))
-    return GroundPicture(
-        center=(float(center[0]), float(center[1])),
-        size=(float(size[0]), float(size[1])),
-        color=color,
-        resolution_m=resolution,
-        marks=tuple(marks),
-    )
+    (x, y), (length, width) = center.tolist(), size.tolist()
+    return GroundPicture(center=(x, y), size=(length, width), color=color, resolution_m=resolution, marks=tuple(marks))
+
+
+class GroundTarget(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A target of a search, flat on the ground: a picture or a disc, at rest or moving."""
+
+    name: str = ""  # its label; empty: target1, target2 and so on
+    picture: FileName = ""  # an image file, made square; its upper edge is north before it is turned. Empty: a disc
+    color: Color = (224, 32, 160)  # of the disc
+    size: Positive = 2.0  # edge of the picture or diameter of the disc, m
+    place: Point2 | None = None  # where its middle lies, x, y, m; default: somewhere on a street of a town
+    yaw_rad: float = 0.0  # the picture is turned by this, counter-clockwise, and stays so on its way
+    way: tuple[Point2, ...] = ()  # it moves instead: from the first of these places, x, y, m, straight to the next, and so on
+    speed: Positive | None = None  # along its way, m/s; default: it has none
+    loop: bool = False  # from the last place it goes back to the first, and so on; else it stays there
+
+    def __post_init__(self) -> None:
+        numbers = (*(self.place or ()), self.yaw_rad, *(value for place in self.way for value in place))
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError(f"place, yaw_rad and way of a target must be finite, not {numbers}")
+        if self.way and self.place is not None:
+            raise ValueError("a target has a place or a way, not both")
+        if self.way and (len(self.way) < 2 or any(a == b for a, b in pairwise(self.way))):
+            raise ValueError("the way of a target needs two places or more, each unlike the one before")
+        if bool(self.way) != (self.speed is not None) or (self.loop and not self.way):
+            raise ValueError("a target that moves needs way and speed; one at rest has neither, nor loop")
+
+
+@dataclass(frozen=True)
+class PlacedTarget:
+    """A target in a world."""
+
+    name: str  # unique among the targets of the world
+    size_m: float  # edge of the picture, or diameter of the disc
+    picture: str  # an image file; empty: a disc
+    color: Color  # of the disc
+    yaw_rad: float  # the picture is turned by this
+    way: tuple[Point2, ...]  # corners of its way, x, y, m; the only one of a target at rest
+    speed: float = 0.0  # along the way, m/s
+    loop: bool = False  # it goes round
+
+    def place(self, time_s: float) -> Point2:
+        """Its middle at a time, x, y, m."""
+        if len(self.way) == 1:
+            return self.way[0]
+        corners, run = self._corners, self.speed * max(time_s, 0.0)
+        if self.loop:
+            run %= self._runs[-1]
+        x, y = (float(np.interp(run, self._runs, column)) for column in zip(*corners, strict=True))
+        return x, y
+
+    def yaw(self, time_s: float) -> float:
+        """Its yaw at a time, rad."""
+        return self.yaw_rad
+
+    @cached_property
+    def _corners(self) -> tuple[Point2, ...]:
+        return (*self.way, self.way[0]) if self.loop else self.way
+
+    @cached_property
+    def _runs(self) -> list[float]:
+        return [0.0, *accumulate(math.dist(a, b) for a, b in pairwise(self._corners))]
+
+
+def names(targets: Sequence[GroundTarget]) -> list[str]:
+    """Names of targets."""
+    return [each.name or f"target{number}" for number, each in enumerate(targets, start=1)]
+
+
+def placed(targets: Sequence[GroundTarget]) -> tuple[PlacedTarget, ...]:
+    """Targets with a place or a way, as they lie in a world."""
+    in_world = []
+    for name, each in zip(names(targets), targets, strict=True):
+        way, speed = each.way if each.place is None else (each.place,), each.speed or 0.0
+        target = PlacedTarget(name, each.size, each.picture, each.color, each.yaw_rad, way, speed, each.loop)
+        in_world.append(target)
+    return tuple(in_world)

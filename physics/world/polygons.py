@@ -15,8 +15,7 @@ _ROUNDING = 4e-16  # of a turn, against its two products (J. R. Shewchuk, Adapti
 def outward(corners: Array) -> Array:
     """Outward unit normals (..., k, 2) of the edges of counter-clockwise polygons."""
     along = np.roll(corners, -1, axis=-2) - corners
-    normals: Array = np.stack([along[..., 1], -along[..., 0]], axis=-1) / np.hypot(along[..., :1], along[..., 1:])
-    return normals
+    return np.asarray(np.stack([along[..., 1], -along[..., 0]], axis=-1) / np.hypot(along[..., :1], along[..., 1:]))
 
 
 def overlap_m(a: Array, b: Array) -> float:
@@ -90,11 +89,11 @@ class _Edges:
         neighbours = (self._ring[i] == self._ring[j]) & ((apart == 1) | (apart == length - 1))
         i, j = i[~neighbours], j[~neighbours]
         meeting = np.flatnonzero(_meet(self.start[i], self.end[i], self.start[j], self.end[j]))
-        return (self._name(int(i[meeting[0]])), self._name(int(j[meeting[0]]))) if len(meeting) else None
-
-    def _name(self, edge: int) -> str:
-        of = f" of hole {self._ring[edge] - 1}" if self._ring[edge] else ""
-        return f"edge {self._number[edge]}{of}"
+        if not len(meeting):
+            return None
+        numbers = (int(each[meeting[0]]) for each in (i, j))
+        one, other = (f"edge {self._number[k]}" + (f" of hole {self._ring[k] - 1}" if self._ring[k] else "") for k in numbers)
+        return one, other
 
     def inside(self, point: Array, without: int) -> bool:
         """Whether an odd number of edges, without one ring, lies east of a point."""
@@ -123,8 +122,7 @@ def _meet(a: Array, b: Array, c: Array, d: Array) -> Array:
     def side(a: Array, b: Array, c: Array) -> Array:
         """On which side of a line through a and b each c lies: 1 left, -1 right, 0 on it."""
         one, other = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]), (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-        sign: Array = np.sign(one - other)
-        return sign
+        return np.asarray(np.sign(one - other))
 
     boxes = (np.minimum(a, b) <= np.maximum(c, d)) & (np.minimum(c, d) <= np.maximum(a, b))
     crossed: Array = (side(a, b, c) * side(a, b, d) <= 0.0) & (side(c, d, a) * side(c, d, b) <= 0.0)
@@ -171,7 +169,6 @@ def is_convex(outline: Sequence[Point]) -> bool:
 
 
 def _turns(ring: Sequence[Point]) -> list[float]:
-    """Turn at each corner: positive to the left."""
     return [_turn(ring[k - 1], ring[k], ring[(k + 1) % len(ring)]) for k in range(len(ring))]
 
 
@@ -216,7 +213,6 @@ def _turn(p: Point, q: Point, r: Point) -> float:
 
 
 def _triangles(corners: Sequence[Point], ring: Sequence[int]) -> list[list[int]]:
-    """Triangles, as numbers of corners, that fill a ring."""
     rest, triangles = list(ring), []
     while len(rest) > 3:
         for k in range(len(rest)):
@@ -236,12 +232,9 @@ def _triangles(corners: Sequence[Point], ring: Sequence[int]) -> list[list[int]]
 def _any_inside(corners: Sequence[Point], triangle: tuple[int, int, int], ring: Sequence[int]) -> bool:
     a, b, c = (corners[k] for k in triangle)
     (low_x, _, high_x), (low_y, _, high_y) = (sorted(axis) for axis in zip(a, b, c, strict=True))
-    for k in ring:
-        x, y = p = corners[k]
-        near = low_x <= x <= high_x and low_y <= y <= high_y and k not in triangle
-        if near and _turn(a, b, p) >= 0.0 and _turn(b, c, p) >= 0.0 and _turn(c, a, p) >= 0.0:
-            return True
-    return False
+    places = (corners[k] for k in ring if k not in triangle)
+    near = (p for p in places if low_x <= p[0] <= high_x and low_y <= p[1] <= high_y)
+    return any(_turn(a, b, p) >= 0.0 and _turn(b, c, p) >= 0.0 and _turn(c, a, p) >= 0.0 for p in near)
 
 
 def _together(corners: Sequence[Point], one: list[int], other: list[int]) -> list[int] | None:
@@ -252,7 +245,6 @@ def _together(corners: Sequence[Point], one: list[int], other: list[int]) -> lis
             j = other.index(b)
             rest = other[j:] + other[:j]  # b, a, ...
             whole = one[: i + 1] + rest[2:] + one[i + 1 :]
-            n = len(whole)
-            if all(_turn(*(corners[whole[m % n]] for m in (k - 1, k, k + 1))) >= 0.0 for k in range(n)):
+            if min(_turns([corners[k] for k in whole])) >= 0.0:
                 return whole
     return None

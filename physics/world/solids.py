@@ -61,15 +61,6 @@ class Solid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     material: str = "concrete"  # what it is made of, a name for the radio's obstruction loss
     color: Color | None = None  # red, green, blue, 0 to 255; default: that of its material
 
-    @property
-    def words(self) -> str:
-        """Its kind and place, for messages."""
-        raise NotImplementedError
-
-    def uprights(self) -> Sequence[Upright]:
-        """Convex prisms that fill it without overlap."""
-        raise NotImplementedError
-
 
 class Box(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="box"):
     """A wall, a table, a building. Where it may be a cylinder as well: ``kind = "box"``."""
@@ -79,7 +70,7 @@ class Box(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_fiel
     yaw_rad: float = 0.0  # turned by this about the vertical through its centre
 
     def __post_init__(self) -> None:
-        if not all(math.isfinite(value) for value in (*self.center, *self.size, self.yaw_rad)) or min(self.size) <= 0.0:
+        if not all(map(math.isfinite, (*self.center, *self.size, self.yaw_rad))) or min(self.size) <= 0.0:
             raise ValueError(f"a box needs finite numbers and three positive sizes, not center {self.center}, size {self.size}")
 
     @property
@@ -107,8 +98,7 @@ class Cylinder(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag
     height: Positive  # of the cylinder, m
 
     def __post_init__(self) -> None:
-        numbers = (*self.center, self.radius, self.height)
-        if not all(math.isfinite(value) for value in numbers) or min(self.radius, self.height) <= 0.0:
+        if not all(map(math.isfinite, (*self.center, self.radius, self.height))) or min(self.radius, self.height) <= 0.0:
             sizes = f"radius {self.radius}, height {self.height}"
             raise ValueError(f"a cylinder needs finite numbers, and positive sizes, not center {self.center}, {sizes}")
 
@@ -125,8 +115,8 @@ class Cylinder(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag
     def uprights(self) -> list[Upright]:
         """A regular polygon inside the circle."""
         x, y, z = self.center
-        sides = math.ceil(math.pi / math.acos(1.0 - min(_SAGITTA_M / self.radius, 0.5)))
-        angles = math.tau * np.arange(max(_FEWEST, min(sides, _MOST))) / max(_FEWEST, min(sides, _MOST))
+        sides = max(_FEWEST, min(math.ceil(math.pi / math.acos(1.0 - min(_SAGITTA_M / self.radius, 0.5))), _MOST))
+        angles = math.tau * np.arange(sides) / sides
         corners = np.column_stack([x + self.radius * np.cos(angles), y + self.radius * np.sin(angles)])
         return [Upright(corners, z - 0.5 * self.height, z + 0.5 * self.height)]
 
@@ -175,12 +165,12 @@ class Mesh:
         """Its kind and size, for messages."""
         return f"the mesh of {len(self.triangles)} triangles"
 
-    def uprights(self) -> Sequence[Upright]:
+    def uprights(self) -> list[Upright]:
         """No prisms: a mesh has triangles."""
-        return ()
+        return []
 
 
-AnySolid = Solid | Mesh
+AnySolid = Box | Cylinder | Prism | Mesh
 
 
 def color_of(solid: AnySolid) -> Color:
@@ -195,8 +185,7 @@ def heading_of(solid: Box | Cylinder) -> float:
 
 def rectangle(x: float, y: float, half_length: float, half_width: float, yaw: float) -> Array:
     """Corners of a rectangle around (x, y), (4, 2) m, counter-clockwise from the upper right; length along ``yaw``, rad."""
-    c, s = math.cos(yaw), math.sin(yaw)
-    a, b = half_length, half_width
+    c, s, a, b = math.cos(yaw), math.sin(yaw), half_length, half_width
     return np.array([(x + c * u - s * v, y + s * u + c * v) for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))])
 
 
@@ -242,14 +231,9 @@ def prism_triangles(k: int) -> tuple[Array, Array]:
     """Triangles (4 k - 4, 3) of a prism by its k lower and then its k upper corners, and the face of each, (4 k - 4,)."""
     i, fan = np.arange(k), np.arange(1, k - 1)
     j = (i + 1) % k
-    numbers = [
-        (i, j, k + j),
-        (i, k + j, k + i),
-        (np.full(k - 2, k), k + fan, k + fan + 1),
-        (np.zeros(k - 2, int), fan + 1, fan),
-    ]
-    face = np.concatenate([i, i, np.full(k - 2, k), np.full(k - 2, k + 1)])
-    return np.concatenate([np.column_stack(each) for each in numbers]), face
+    top, bottom = np.full(k - 2, k), np.zeros(k - 2, int)
+    numbers = [(i, j, k + j), (i, k + j, k + i), (top, k + fan, k + fan + 1), (bottom, fan + 1, fan)]
+    return np.concatenate([np.column_stack(each) for each in numbers]), np.concatenate([i, i, top, top + 1])
 
 
 def shapes_of(solids: Sequence[AnySolid]) -> Shapes:

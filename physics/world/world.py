@@ -1,4 +1,4 @@
-"""World of the vehicles: a flat floor, solids on it, moving bodies, wind and light.
+"""World of the vehicles: a flat floor, solids on it, moving bodies, wind and light; and its state at one instant.
 
 One description serves all: Bullet collides with its triangles (`World.mesh`); scanners, cameras and the radio use its pieces
 (`World.shapes`).
@@ -6,23 +6,20 @@ One description serves all: Bullet collides with its triangles (`World.mesh`); s
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, TypeVar
+from functools import cached_property, lru_cache, wraps
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability, Vec3
-from vcmvsp.physics.world.clearance import Clearance
-from vcmvsp.physics.world.floor import GroundPicture
-from vcmvsp.physics.world.overlap import Blocking
-from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder, Shapes, color_of, heading_of, shapes_of
-from vcmvsp.physics.world.targets import PlacedTarget
-
-__all__ = ["GroundPicture", "Light", "Movable", "Moving", "Wind", "World", "Zone", "made_once"]
+from vcmvsp.physics.world.floor import GroundPicture, PlacedTarget
+from vcmvsp.physics.world.proximity import Blocking, Clearance
+from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder, Hull, Shapes, color_of, heading_of, shapes_of
 
 T = TypeVar("T")
 
@@ -116,8 +113,7 @@ class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             cos, sin, half = np.cos(yaw), np.sin(yaw), 0.5 * np.array(self.solid.size)
             local = (cos * dx + sin * dy, cos * dy - sin * dx, dz)
             beyond = [np.abs(each) - reach for each, reach in zip(local, half, strict=True)]
-        distances: Array = np.sqrt(sum(np.maximum(each, 0.0) ** 2 for each in beyond))
-        return distances
+        return np.asarray(np.sqrt(sum(np.maximum(each, 0.0) ** 2 for each in beyond)))
 
     def _in_table(self, time_s: float) -> float:
         first, last = self.times_s[0], self.times_s[-1]
@@ -154,23 +150,22 @@ class World:
         """Red, green and blue of the triangles of `mesh`, (t, 3) uint8, without light."""
         prisms = [np.repeat(group.solid, 4 * group.corners.shape[1] - 4) for group in self.shapes.groups]  # sides, top, bottom
         solid = np.concatenate([*prisms, self.shapes.triangle_solid])
-        colors: Array = np.array([color_of(each) for each in self.solids], np.uint8).reshape(-1, 3)[solid]
-        return colors
+        return np.asarray(np.array([color_of(each) for each in self.solids], np.uint8).reshape(-1, 3)[solid])
 
     @cached_property
     def clearance(self) -> Clearance:
         """Distances to its solids."""
         return Clearance(self.shapes)
 
+    @cached_property
+    def _blocking(self) -> Blocking:
+        return Blocking(self.shapes)
+
     def least_clearance_m(self, time_ns: Array, position: Array) -> float | None:
-        """Smallest distance of vehicles to solids and moving obstacles, m, without floor and movables.
+        """Smallest distance of n vehicles to solids and moving obstacles, m, without floor and movables.
 
-        Args:
-            time_ns: (m,) instants.
-            position: (3, m, n) m, world, of n vehicles; NaN while a vehicle is absent.
-
-        Returns:
-            None: the world has no obstacle, or there was no vehicle.
+        ``position`` (3, m, n) m, world, is that at the m instants; NaN while a vehicle is absent. None: the world has no
+        obstacle, or there was no vehicle.
         """
         least = math.inf
         for way in position.transpose(2, 1, 0):
@@ -189,24 +184,116 @@ class World:
     def blocking(self, corners: Array, bottom: float, top: float) -> tuple[AnySolid, float] | None:
         """The solid that a body overlaps most, and the way out of it, m; None: no overlap.
 
-        Args:
-            corners: convex outline of the body from above, (k, 2) m, counter-clockwise.
-            bottom: m.
-            top: m.
+        ``corners`` (k, 2) m are those of its convex outline from above, counter-clockwise; ``bottom`` and ``top`` m.
         """
-        deepest = made_once(self, _blocking).deepest(corners, bottom, top)
+        deepest = self._blocking.deepest(corners, bottom, top)
         return None if deepest is None else (self.solids[deepest[0]], deepest[1])
 
 
-def _blocking(world: World) -> Blocking:
-    return Blocking(world.shapes)
-
-
-def made_once(world: World, make: Callable[[World], T]) -> T:
-    """The result of ``make(world)``, computed once for each world: worlds never change."""
-    cache: dict[str, Any] = vars(world)  # as a cached property does
+def made_once(make: Callable[[World], T]) -> Callable[[World], T]:
+    """Decorator of a function of a world: its result is computed once for each world, since worlds never change."""
     name = f"_{make.__module__}.{make.__qualname__}"
-    if name not in cache:
-        cache[name] = make(world)
-    result: T = cache[name]
-    return result
+
+    @wraps(make)
+    def cached(world: World) -> T:
+        cache: dict[str, Any] = vars(world)  # as a cached property does
+        if name not in cache:
+            cache[name] = make(world)
+        result: T = cache[name]
+        return result
+
+    return cached
+
+
+class Hulls(NamedTuple):
+    """Hulls of all b bodies of a scene, in the world."""
+
+    centre: Array  # (b, 3) m, world
+    rotation: Array  # (3, 3, b), world_from_body
+    half: Array  # (3, b) m, half the size
+    round: Array  # (b,) bool, whether it is a cylinder
+    radius: Array  # (b,) m, of a sphere around it
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """All vehicles and other moving bodies at one instant. Rows: the n vehicles first, then the other bodies.
+
+    Arrays are read-only and never change: a scene may be used later.
+    """
+
+    now_ns: int  # the instant
+    world: World  # what stands still
+    vehicles: tuple[str, ...]  # names of the n vehicles
+    hulls: tuple[Hull, ...]  # of all b bodies
+    position: Array  # (b, 3) m, world, of the reference points
+    velocity: Array  # (b, 3) m/s, world
+    attitude: Array  # (b, 4) w, x, y, z; world_from_body
+    angular_velocity: Array  # (b, 3) rad/s, body
+    acceleration: Array  # (n, 3) m/s2, world, mean over the last step of physics; without gravity taken off or added
+    wheels: Array  # (n, 2) rad, how far the left and right wheel have turned; NaN where there are none
+    # pairs of rows that touch; None stands for the world. With the place of the contact, m, world
+    touching: Sequence[tuple[int, int | None, Vec3]] = ()
+    gravity: float = 9.81  # m/s2
+
+    @cached_property
+    def row_of(self) -> dict[str, int]:
+        """Rows of the vehicles by name."""
+        return {name: row for row, name in enumerate(self.vehicles)}
+
+    def rotation(self, row: int) -> Array:
+        """world_from_body of a body, (3, 3)."""
+        return np.asarray(self._rotations[row])
+
+    def point(self, row: int, mount: Vec3) -> Array:
+        """Position of a point of a body, (3,) m, world; ``mount`` in the body frame, from its reference point."""
+        place: Array = self.position[row]
+        return place + self.rotation(row) @ np.array(mount) if any(mount) else place
+
+    @cached_property
+    def _rotations(self) -> Array:
+        return rotations(self.attitude)
+
+    @cached_property
+    def placed_hulls(self) -> Hulls:
+        """The hulls in the world."""
+        half, offset, around, radius = _sizes(self.hulls)
+        rotation = rotation_columns(self.attitude.T)
+        centre = self.position + (rotation * offset).sum(axis=1).T
+        return Hulls(centre, rotation, half, around, radius)
+
+
+@lru_cache(maxsize=1)
+def _sizes(hulls: tuple[Hull, ...]) -> tuple[Array, Array, Array, Array]:
+    """Half sizes and offsets (3, b) m, cylinders (b,) bool and radii (b,) m: the bodies of a run stay the same."""
+    size = np.array([hull.size for hull in hulls]).reshape(-1, 3).T
+    offset = np.array([hull.offset for hull in hulls]).reshape(-1, 3).T
+    around = np.array([hull.kind == "cylinder" for hull in hulls], bool)
+    across = np.where(around, size[0] ** 2, size[0] ** 2 + size[1] ** 2)
+    return 0.5 * size, offset, around, 0.5 * np.sqrt(across + size[2] ** 2)
+
+
+def rotations(attitude: Array) -> Array:
+    """Rotation matrices (n, 3, 3) of unit quaternions (n, 4) w, x, y, z."""
+    return np.moveaxis(rotation_columns(attitude.T), -1, 0)
+
+
+def pairs(*products: tuple[int, int]) -> NDArray[np.intp]:
+    """Places of products of two components of a quaternion among all 16."""
+    return np.array([4 * a + b for a, b in products])
+
+
+_W, _X, _Y, _Z = range(4)
+# Half of each entry of a rotation matrix, row by row: the first of these products plus or minus the second; on the diagonal,
+# half of 1 less the entry.
+_FIRST = pairs((_Y, _Y), (_X, _Y), (_X, _Z), (_X, _Y), (_X, _X), (_Y, _Z), (_X, _Z), (_Y, _Z), (_X, _X))
+_SECOND = pairs((_Z, _Z), (_W, _Z), (_W, _Y), (_W, _Z), (_Z, _Z), (_W, _X), (_W, _Y), (_W, _X), (_Y, _Y))
+_SIGN = np.array([1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])[:, None]
+
+
+def rotation_columns(attitude: Array) -> Array:
+    """Rotation matrices (3, 3, n) of unit quaternions (4, n) w, x, y, z."""
+    products = (attitude[:, None] * attitude).reshape(16, -1)
+    entries: Array = 2.0 * (products.take(_FIRST, axis=0) + _SIGN * products.take(_SECOND, axis=0))
+    entries[::4] = 1.0 - entries[::4]
+    return entries.reshape(3, 3, -1)

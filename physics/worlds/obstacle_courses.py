@@ -11,7 +11,7 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array, Positive
 from vcmvsp.physics.world.polygons import overlap_m
-from vcmvsp.physics.world.solids import Box, Color, Cylinder, Point2, Prism, Solid
+from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder, Point2, Prism
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Surroundings
 
@@ -76,7 +76,7 @@ class Pillar(Surroundings):
     def build(self) -> World:
         """The world itself."""
         center, edge = (*self.position, 0.5 * self.height), 2.0 * self.radius
-        pillar: Solid = Cylinder(center=center, radius=self.radius, height=self.height)
+        pillar: AnySolid = Cylinder(center=center, radius=self.radius, height=self.height)
         if self.square:
             pillar = Box(center=center, size=(edge, edge, self.height))
         return self.complete("pillar", solids=[pillar])
@@ -128,10 +128,8 @@ class Corridor(Surroundings):
             walls.append(np.array([end - across, end - across + along, end + across + along, end + across]))
         if any(overlap_m(a, b) > 1e-9 for a, b in combinations(walls, 2)):
             raise ScenarioError("the corridor would run into itself: make length longer, or bends smaller", key="bends")
-        solids = []
-        for wall in walls:
-            outline = tuple((x, y) for x, y in wall.tolist())
-            solids.append(Prism(outline=outline, height=self.height, material=self.material))
+        outlines = [tuple((x, y) for x, y in wall.tolist()) for wall in walls]
+        solids = [Prism(outline=outline, height=self.height, material=self.material) for outline in outlines]
         return self.complete("corridor", solids=solids)
 
     def _wall(self, right: float, left: float) -> list[Array]:
@@ -145,5 +143,4 @@ class Corridor(Surroundings):
         before, after = np.append(headings, headings[-1]), np.concatenate([headings[:1], headings])
         half = 0.5 * (after - before)  # at each corner, what is still to turn from the one to the other
         across = 0.5 * (before + after) + 0.5 * math.pi
-        line: Array = self.middle() + (left / np.cos(half))[:, None] * np.column_stack([np.cos(across), np.sin(across)])
-        return line
+        return np.asarray(self.middle() + (left / np.cos(half))[:, None] * np.column_stack([np.cos(across), np.sin(across)]))

@@ -11,18 +11,13 @@ import numpy as np
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Seed
 from vcmvsp.physics.world.floor import GroundPicture, Mark
-from vcmvsp.physics.world.solids import Box, Color, Cylinder, Point2
+from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder, Point2
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Surroundings, rectangle_points
 
 LENGTH, WIDTH = 300.0, 250.0  # east-west, north-south, m
 
-_STRAIGHT, _BEND, _LANES, _LANE = (
-    84.39,
-    36.5,
-    8,
-    1.22,
-)  # of a 400 m track, m (World Athletics, Track and Field Facilities Manual)
+_STRAIGHT, _BEND, _LANES, _LANE = 84.39, 36.5, 8, 1.22  # of a 400 m track, m (World Athletics, Facilities Manual)
 _PITCH = (105.0, 68.0)  # m (FIFA)
 _CROWN = 2.5  # greatest radius of a crown, m
 _TREES_FROM_BORDER = 8.0  # m
@@ -40,6 +35,10 @@ _HALLS = (  # centre, size, m; material, colour
     ((0.0, -96.0, 3.0), (36.0, 12.0, 6.0), "concrete", (208, 196, 168)),  # club house
     ((112.0, -92.0, 2.0), (18.0, 10.0, 4.0), "wood", (140, 96, 60)),  # boat shed
 )
+_YARDS: tuple[tuple[Point2, Point2], ...] = (  # middle, size, m
+    *(((0.0, -110.0), (LENGTH, 6.0)), ((0.0, -100.0), (60.0, 26.0)), ((-95.0, 64.0), (70.0, 14.0))),
+    *(((98.0, 64.0), (58.0, 16.0)), ((-134.0, -23.0), (6.0, 174.0)), ((134.0, -23.0), (6.0, 174.0))),
+)
 _COURTS = ((-112.0, -72.0), (-92.0, -72.0), (-72.0, -72.0))  # middles of tennis courts, m
 _COURT = (10.97, 23.77)  # m (ITF)
 
@@ -55,12 +54,11 @@ class RecreationCentre(Surroundings):
         """The world itself."""
         halls = [Box(center=center, size=size, material=material, color=color) for center, size, material, color in _HALLS]
         bounds = (-0.5 * LENGTH, -0.5 * WIDTH, 0.5 * LENGTH, 0.5 * WIDTH)
-        solids = [*halls, *_trees(self.trees, self.seed)]
+        solids: list[AnySolid] = [*halls, *_trees(self.trees, self.seed)]
         return self.complete("recreation-centre", solids=solids, ground=_ground(), bounds=bounds)
 
 
 def _trees(number: int, seed: int) -> Iterator[Cylinder]:
-    """Trunks and crowns in a row along the border, without contact."""
     length, width = LENGTH - 2.0 * _TREES_FROM_BORDER, WIDTH - 2.0 * _TREES_FROM_BORDER
     rng, spacing = stream(seed, "recreation-centre/trees"), 2.0 * (length + width) / max(1, number)
     play = max(0.0, 0.5 * (spacing - math.sqrt(2.0) * 2.0 * _CROWN))  # round a corner, neighbours are closer by the root of 2
@@ -77,19 +75,10 @@ def _trees(number: int, seed: int) -> Iterator[Cylinder]:
 
 
 def _ground() -> GroundPicture:
-    paths = [(0.5 * (x + math.copysign(134.0, x)), abs(abs(x) - 134.0) + 6.0) for x in (-95.0, 98.0)]  # middle, length, m
-    marks = [
-        _area((0.0, -110.0), (LENGTH, 6.0), _PAVED),
-        _area((0.0, -100.0), (60.0, 26.0), _PAVED),
-        _area((-95.0, 64.0), (70.0, 14.0), _PAVED),
-        _area((98.0, 64.0), (58.0, 16.0), _PAVED),
-        _area((-134.0, -23.0), (6.0, 174.0), _PAVED),
-        _area((134.0, -23.0), (6.0, 174.0), _PAVED),
-        *[_area((x, 61.0), (length, 6.0), _PAVED) for x, length in paths],
-        *[mark for middle in _COURTS for mark in _court(middle)],
-        Mark(outline=_stadium(_BEND + _LANES * _LANE), color=_TARTAN),
-        Mark(outline=_stadium(_BEND), color=_PITCH_GREEN),
-    ]
+    paths = [((0.5 * (x + math.copysign(134.0, x)), 61.0), (abs(abs(x) - 134.0) + 6.0, 6.0)) for x in (-95.0, 98.0)]
+    marks = [_area(center, size, _PAVED) for center, size in (*_YARDS, *paths)]
+    marks += [mark for middle in _COURTS for mark in _court(middle)]
+    marks += [Mark(outline=_stadium(_BEND + _LANES * _LANE), color=_TARTAN), Mark(outline=_stadium(_BEND), color=_PITCH_GREEN)]
     for lane in range(_LANES + 1):
         ring = _stadium(_BEND + lane * _LANE)
         marks.append(Mark(line=(*ring, ring[0]), width=0.05, color=_WHITE))

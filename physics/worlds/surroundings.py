@@ -1,15 +1,14 @@
 """Common parameters of all kinds of worlds: further solids, moving bodies, targets, floor, wind, light."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import msgspec
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import NonNegative
-from vcmvsp.physics.world.floor import GroundPicture, Mark, around, read_picture
+from vcmvsp.physics.world.floor import GroundPicture, GroundTarget, Mark, around, names, placed, read_picture
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Point2, Prism, rectangle
-from vcmvsp.physics.world.targets import GroundTarget, names, placed
 from vcmvsp.physics.world.world import Light, Movable, Moving, Wind, World, Zone
 
 Bounds = tuple[float, float, float, float]
@@ -35,8 +34,7 @@ class Surroundings:
     light: Light = DAYLIGHT  # where the sun is: ``{ direction = [0.3, 0.2, 1], ambient = 0.6 }``
 
     def __post_init__(self) -> None:
-        bodies = [each.name for each in self.movables]
-        bodies += [each.name for each in self.moving]
+        bodies = [*(each.name for each in self.movables), *(each.name for each in self.moving)]
         for what, called in (("two of movables and moving", bodies), ("two targets", names(self.targets))):
             for name in called:
                 if called.count(name) > 1:
@@ -64,44 +62,49 @@ class Surroundings:
         """
         if bounds is not None and not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
             raise ScenarioError(f"west, south, east, north: the first two must be less, not {bounds}", key="bounds")
-        _check_pictures(ground, self.targets)
-        return World(
-            name=name,
-            solids=(*solids, *self.boxes, *self.cylinders, *self.prisms),
-            movables=self.movables,
-            moving=self.moving,
-            targets=placed(self.sited()),
-            floor_friction=self.floor_friction,
-            zones=self.zones,
-            ground=_with(ground, self.zones),
-            wind=self.wind,
-            light=self.light,
-            bounds=bounds,
-        )
+        pictures = [ground.picture, *[mark.picture for mark in ground.marks], *[target.picture for target in self.targets]]
+        try:
+            for picture in filter(None, dict.fromkeys(pictures)):
+                read_picture(picture)
+        except ValueError as error:
+            raise ScenarioError(str(error)) from error
+        given = {key: getattr(self, key) for key in ("movables", "moving", "floor_friction", "zones", "wind", "light")}
+        solids = (*solids, *self.boxes, *self.cylinders, *self.prisms)
+        ground = _with(ground, self.zones)
+        return World(name=name, solids=solids, targets=placed(self.sited()), ground=ground, bounds=bounds, **given)
 
 
 def _with(ground: GroundPicture, zones: Sequence[Zone]) -> GroundPicture:
-    """The ground with the coloured zones painted on it."""
     colored = [(zone, zone.color) for zone in zones if zone.color is not None]
     marks = [Mark(outline=rectangle_points(zone.center, zone.size, zone.yaw_rad), color=color) for zone, color in colored]
-    if not marks:
-        return ground
-    if ground.plain:
+    if marks and ground.plain:
         return around(marks, ground.color)
-    return msgspec.structs.replace(ground, marks=(*ground.marks, *marks))
-
-
-def _check_pictures(ground: GroundPicture, targets: Sequence[GroundTarget]) -> None:
-    pictures = [ground.picture, *[mark.picture for mark in ground.marks]]
-    pictures += [target.picture for target in targets]
-    for picture in filter(None, dict.fromkeys(pictures)):
-        try:
-            read_picture(picture)
-        except ValueError as error:
-            raise ScenarioError(str(error)) from error
+    return msgspec.structs.replace(ground, marks=(*ground.marks, *marks)) if marks else ground
 
 
 def rectangle_points(center: Point2, size: Point2, yaw_rad: float = 0.0) -> tuple[Point2, ...]:
     """Corners of a rectangle, m, for marks and prisms."""
-    corners = rectangle(*center, 0.5 * size[0], 0.5 * size[1], yaw_rad).tolist()
-    return tuple((x, y) for x, y in corners)
+    return tuple((x, y) for x, y in rectangle(*center, 0.5 * size[0], 0.5 * size[1], yaw_rad).tolist())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Empty(Surroundings):
+    """A floor with the listed surroundings only (kind ``empty``)."""
+
+    ground: GroundPicture = BARE  # how the floor looks
+    bounds: Bounds | None = None  # west, south, east, north end, m: vehicles start inside; None: no end
+
+    def build(self) -> World:
+        """The world itself."""
+        return self.complete("empty", ground=self.ground, bounds=self.bounds)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Boxes(Empty):
+    """Boxes as the scenario lists them (kind ``boxes``): ``boxes = [{ center = [2, 0, 0.5], size = [0.2, 4, 1] }]``."""
+
+    boxes: tuple[Box, ...] = field()  # required here
+
+    def build(self) -> World:
+        """The world itself."""
+        return self.complete("boxes", ground=self.ground, bounds=self.bounds)

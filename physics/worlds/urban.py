@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Annotated
 
 import msgspec
@@ -11,31 +12,19 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import NonNegative, Positive, Probability, Seed
-from vcmvsp.physics.world.floor import MOST_PIXELS, GroundPicture, Mark
+from vcmvsp.physics.world.floor import MOST_PIXELS, GroundPicture, GroundTarget, Mark, PlacedTarget, placed
 from vcmvsp.physics.world.solids import Box, Color, Point2
-from vcmvsp.physics.world.targets import GroundTarget, PlacedTarget, placed
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Surroundings, rectangle_points
 
-_ASPHALT: Color = (92, 94, 98)
-_PAVED: Color = (172, 168, 160)
-_PARK: Color = (108, 150, 84)
-_LINE: Color = (226, 226, 220)
+_ASPHALT, _PAVED, _PARK, _LINE = (92, 94, 98), (172, 168, 160), (108, 150, 84), (226, 226, 220)
 _WALLS: tuple[tuple[str, Color], ...] = (
-    ("concrete", (186, 182, 172)),
-    ("concrete", (160, 158, 154)),
-    ("brick", (172, 104, 82)),
-    ("brick", (196, 150, 112)),
+    *(("concrete", (186, 182, 172)), ("concrete", (160, 158, 154))),
+    *(("brick", (172, 104, 82)), ("brick", (196, 150, 112))),
 )
 _ROOFS: tuple[Color, ...] = (
-    (198, 62, 50),
-    (216, 138, 44),
-    (232, 204, 72),
-    (70, 140, 78),
-    (48, 112, 176),
-    (116, 82, 154),
-    (72, 74, 82),
-    (150, 150, 152),
+    *((198, 62, 50), (216, 138, 44), (232, 204, 72), (70, 140, 78)),
+    *((48, 112, 176), (116, 82, 154), (72, 74, 82), (150, 150, 152)),
 )
 _ROOF_M = 0.5  # thickness of a roof
 _STEPPED = 0.35  # of the higher buildings have a narrower upper part
@@ -71,9 +60,8 @@ class Urban(Surroundings):
         if (lots := across[0] * across[1] * self.lots**2) > MOST_LOTS:
             raise ScenarioError(f"a town of {lots} lots is too large: at most {MOST_LOTS}; give larger blocks", key="size")
         if self.lot <= 1.0:
-            raise ScenarioError(
-                f"{self.lots} lots in a block of {self.block:g} m leave less than 1 m for a building", key="gap"
-            )
+            problem = f"{self.lots} lots in a block of {self.block:g} m leave less than 1 m for a building"
+            raise ScenarioError(problem, key="gap")
 
     @property
     def lot(self) -> float:
@@ -91,31 +79,22 @@ class Urban(Surroundings):
         rng = stream(self.seed or 0, "urban")
         solids: list[Box] = []
         blocks, parks = [], []
-        for x in self.middles(0):
-            for y in self.middles(1):
-                blocks.append(Mark(outline=rectangle_points((x, y), (self.block, self.block)), color=_PAVED))
-                for place in self._lots(x, y):
-                    draws = rng.uniform(size=8).tolist()
-                    if draws[0] < self.density:
-                        solids += self._building(place, draws[1:])
-                    else:
-                        parks.append(Mark(outline=rectangle_points(place, (self.lot, self.lot)), color=_PARK))
-        half_length, half_width = 0.5 * self.size[0], 0.5 * self.size[1]
-        ground = GroundPicture(
-            size=self.size,
-            color=_ASPHALT,
-            resolution_m=max(0.1, math.sqrt(self.size[0] * self.size[1] / MOST_PIXELS)),
-            marks=(*self._lines(), *blocks, *parks),
-        )
+        lots = [(self.lot + self.gap) * (k - 0.5 * (self.lots - 1)) for k in range(self.lots)]  # from the middle of a block
+        for x, y in product(self.middles(0), self.middles(1)):
+            blocks.append(Mark(outline=rectangle_points((x, y), (self.block, self.block)), color=_PAVED))
+            for u, v in product(lots, lots):
+                draws = rng.uniform(size=8).tolist()
+                if draws[0] < self.density:
+                    solids += self._building((x + u, y + v), draws[1:])
+                else:
+                    parks.append(Mark(outline=rectangle_points((x + u, y + v), (self.lot, self.lot)), color=_PARK))
+        (half_length, half_width), marks = (0.5 * edge for edge in self.size), (*self._lines(), *blocks, *parks)
+        resolution_m = max(0.1, math.sqrt(self.size[0] * self.size[1] / MOST_PIXELS))
+        ground = GroundPicture(size=self.size, color=_ASPHALT, resolution_m=resolution_m, marks=marks)
         bounds = (-half_length, -half_width, half_length, half_width)
         return self.complete("urban", solids=solids, ground=ground, bounds=bounds)
 
-    def _lots(self, x: float, y: float) -> Iterator[Point2]:
-        places = [(self.lot + self.gap) * (k - 0.5 * (self.lots - 1)) for k in range(self.lots)]
-        return ((x + u, y + v) for u in places for v in places)
-
     def _building(self, place: Point2, draws: list[float]) -> Iterator[Box]:
-        """One or two storeys of walls, and a roof: boxes on each other."""
         long, wide, right, up, tall, look, step = draws
         size = (self.lot * (0.7 + 0.3 * long), self.lot * (0.7 + 0.3 * wide))
         center = (place[0] + (right - 0.5) * (self.lot - size[0]), place[1] + (up - 0.5) * (self.lot - size[1]))
@@ -154,7 +133,6 @@ class Urban(Surroundings):
         return tuple(targets)
 
     def _free(self, rng: np.random.Generator, target: GroundTarget, number: int, others: Sequence[PlacedTarget]) -> Point2:
-        """A place on a street with room for all of the target."""
         pitch, room = self.block + self.street, 0.5 * (self.street - target.size)
         for _ in range(_TRIES if room >= 0.0 else 0):
             axis = int(rng.integers(2))
@@ -165,10 +143,8 @@ class Urban(Surroundings):
             place = (across, along) if axis == 0 else (along, across)
             if all(math.dist(place, other.place(0.0)) > 0.75 * (target.size + other.size_m) for other in others):
                 return place
-        problem = (
-            f"there is no free place for number {number} on streets {self.street:g} m wide: give it a place, or make it smaller"
-        )
-        raise ScenarioError(problem, key="targets")
+        problem = f"there is no free place for number {number} on streets {self.street:g} m wide: "
+        raise ScenarioError(f"{problem}give it a place, or make it smaller", key="targets")
 
 
 def _box(center: Point2, size: Point2, bottom: float, top: float, material: str, color: Color) -> Box:

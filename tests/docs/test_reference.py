@@ -9,8 +9,8 @@ import pytest
 from tests.support.paths import SCENARIOS
 from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Vfh
 from vcmvsp.agents.formation.reports.sending import Sending
-from vcmvsp.agents.formation.team.formation import Formation, Passage
-from vcmvsp.agents.reconnaissance.mosaic import Mosaicking
+from vcmvsp.agents.formation.team.shape import Formation, Passage
+from vcmvsp.agents.reconnaissance.picture_recording import Mosaicking
 from vcmvsp.agents.reconnaissance.watch import Wanted, Watching
 from vcmvsp.cosim.assembly.parts.presets import LAYERS, PRESETS
 from vcmvsp.cosim.assembly.parts.radio import Radio
@@ -21,10 +21,9 @@ from vcmvsp.cosim.scenario import loader, schema
 from vcmvsp.netsim.impairments.jammer import Emitter
 from vcmvsp.netsim.impairments.script import Change
 from vcmvsp.netsim.propagation.walls import ITU_MATERIALS
-from vcmvsp.physics.sensors.noise import Noise
-from vcmvsp.physics.world.floor import GroundPicture, Mark
+from vcmvsp.physics.sensors.sensor import Noise
+from vcmvsp.physics.world.floor import GroundPicture, GroundTarget, Mark
 from vcmvsp.physics.world.solids import MATERIAL_COLORS, Box, Cylinder, Prism
-from vcmvsp.physics.world.targets import GroundTarget
 from vcmvsp.physics.world.world import Light, Movable, Moving, Wind, Zone
 
 FOLDER = SCENARIOS

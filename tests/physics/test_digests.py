@@ -18,15 +18,13 @@ from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Later, Velocity, Waypoint
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.physics.federate import BulletPhysics
-from vcmvsp.physics.sensors.bumper import Bumper
 from vcmvsp.physics.sensors.camera import Camera, NadirCamera
-from vcmvsp.physics.sensors.gps import Gps
-from vcmvsp.physics.sensors.imu import InertialUnit
-from vcmvsp.physics.sensors.positioning import Positioning
+from vcmvsp.physics.sensors.detectors import Bumper
+from vcmvsp.physics.sensors.motion import InertialUnit
+from vcmvsp.physics.sensors.positioning import Gps, Positioning
 from vcmvsp.physics.sensors.range_scanner import Lms, Ring
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Point
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.solids import Box, Cylinder
@@ -164,9 +162,8 @@ def test_something_of_everything_is_in_it(alone: Digest) -> None:
     assert digests(run(mixed_world(), seed=2))[0].bits != alone.bits
 
 
-@pytest.mark.parametrize("salt", ["1", "2"])
-def test_runs_in_other_processes_are_equal(alone: Digest, salt: str) -> None:
-    environment = {**os.environ, "PYTHONHASHSEED": salt, "PYTHONPATH": str(ROOT)}
+def test_runs_in_other_processes_are_equal(alone: Digest) -> None:
+    environment = {**os.environ, "PYTHONHASHSEED": "1", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, __file__]
     found = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, timeout=500)
     assert found.stdout.split()[-1] == alone.bits

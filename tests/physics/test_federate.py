@@ -16,10 +16,9 @@ from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.sensors.motion import WheelOdometry
 from vcmvsp.physics.sensors.positioning import Positioning
-from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
-from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import Movable, Moving, World
@@ -166,12 +165,6 @@ def test_an_impossible_pose_source_is_refused(source: str) -> None:
     with pytest.raises(ScenarioError, match=source) as raised:
         car(source=source)
     assert raised.value.key == "pose_source"
-
-
-@BOTH
-def test_commands_of_vehicles_that_others_move_are_ignored(kind: type[Physics], play: Play) -> None:
-    steps = play(kind(world=World(), vehicles=[car()]), [(0.0, "robot", 0.3, 0.0)], 0.5, TENTH)
-    assert values(steps, "world/states")[-1].position[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-4)
 
 
 @BOTH
@@ -334,8 +327,8 @@ from vcmvsp.cosim.federate import Instants, RunInfo
 from vcmvsp.physics.federate import {kind}
 from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.vehicles.specification import VehicleSpec
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
-from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
+from vcmvsp.physics.vehicles.models import Quadrotor
+from vcmvsp.physics.sensors.motion import WheelOdometry
 from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import World
 world = World(solids=(Box(center=(3.0, 0.0, 0.5), size=(0.1, 1.0, 1.0)),))

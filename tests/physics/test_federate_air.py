@@ -14,8 +14,7 @@ from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Contact, Vec3, Velocity, Waypoint
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.positioning import Positioning
-from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World
@@ -28,10 +27,6 @@ HIGH = (0.0, 0.0, 3.0)
 
 def spec(name: str, model: Vehicle, position: Vec3 = HIGH, **also: Any) -> VehicleSpec:
     return VehicleSpec(name=name, model=model, position=position, **also)
-
-
-def values(steps: list[list[Event]], key: str) -> list[Any]:
-    return [event.value for events in steps for event in events if event.key == key]
 
 
 def flown(physics: Physics, commands: list[tuple[float, str, Velocity | Waypoint]], duration_s: float) -> list[dict[str, Any]]:

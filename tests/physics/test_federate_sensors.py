@@ -11,15 +11,13 @@ from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Measured, Velocity
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
-from vcmvsp.physics.sensors.bumper import Bumper
+from vcmvsp.physics.sensors.detectors import Bumper
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.vehicles.models import P2DX, Point
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.solids import Box, Cylinder
-from vcmvsp.physics.world.world import Movable, Moving, World
+from vcmvsp.physics.world.world import Movable, Moving, Scene, World
 
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 FIFTH = (Instants(Ticks.every(0.2)),)

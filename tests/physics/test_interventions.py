@@ -15,8 +15,7 @@ from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Array, Contact, Halted, Moved, Pushed, States, Velocity, Waypoint
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
-from vcmvsp.physics.vehicles.models import P2DX, Inertial, Kinematic, Point
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, Inertial, Kinematic, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, Moving, World

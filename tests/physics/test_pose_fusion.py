@@ -20,8 +20,7 @@ from vcmvsp.cosim.frames import arc, travelled, wrap, yaw_of
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.positioning import Positioning
-from vcmvsp.physics.vehicles.models import Lag
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import Lag, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
 

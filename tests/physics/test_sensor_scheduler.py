@@ -14,14 +14,11 @@ from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Later, Measured, Rate, Reading
 from vcmvsp.physics.sensor_scheduler import SensorScheduler
-from vcmvsp.physics.sensors.altimeter import Altimeter
-from vcmvsp.physics.sensors.gps import Gps
-from vcmvsp.physics.sensors.imu import InertialUnit
-from vcmvsp.physics.sensors.neighbour_range import NeighbourRange
-from vcmvsp.physics.sensors.noise import Noise
-from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.sensors.uwb import Uwb
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.sensors.detectors import NeighbourRange
+from vcmvsp.physics.sensors.motion import Altimeter, InertialUnit
+from vcmvsp.physics.sensors.positioning import Gps, Uwb
+from vcmvsp.physics.sensors.sensor import Noise, Sensor
+from vcmvsp.physics.world.world import Scene
 
 Fitted = Mapping[str, Mapping[str, Sensor]]
 

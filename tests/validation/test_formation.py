@@ -14,8 +14,8 @@ from tests.support.validation.fleets import (
     fleet,
     lossy,
 )
-from vcmvsp.agents.formation import LeaderFollower
-from vcmvsp.agents.formation.followers.leader_follower_law import FollowerPlace
+from vcmvsp.agents.formation.followers.laws import FollowerPlace
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.types import Follows, Velocity
 

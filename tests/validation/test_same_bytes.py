@@ -16,7 +16,8 @@ import pytest
 import vcmvsp
 from tests.support.cosim.command_line import contents
 from tests.support.netsim.gateway_context import free_ports
-from vcmvsp.agents.formation import LeaderFollower, Trajectory
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.cosim.runs.result import Result
 
 pytestmark = pytest.mark.usefixtures("figures")

@@ -11,7 +11,8 @@ from tests.support.agents.agent_loop import drive
 from tests.support.agents.straight_paths import crosses
 from tests.support.validation.fleets import T, lossy, poses
 from tests.support.validation.teams import COLUMN, link_errors, neighbours_only, parents_of, rms_of_links, team
-from vcmvsp.agents.formation import LeaderFollower, Trajectory
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 
 SHAPES = ("column", "line", "echelon", "wedge", "box", "diamond")
 

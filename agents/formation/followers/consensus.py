@@ -22,10 +22,9 @@ from bisect import bisect_left
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
-from vcmvsp.agents.formation.followers.hand_point import axle_velocity, hand_point
-from vcmvsp.agents.formation.reports.report import PLAUSIBLE
-from vcmvsp.agents.formation.team.formation import Formation, ShapeName
-from vcmvsp.agents.formation.team.shape import slots
+from vcmvsp.agents.formation.followers.laws import axle_velocity, hand_point
+from vcmvsp.agents.formation.reports.report import PLAUSIBLE, bodies
+from vcmvsp.agents.formation.team.shape import Formation, ShapeName, slots
 from vcmvsp.agents.formation.team.team import members_of
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns
@@ -100,23 +99,20 @@ class Consensus(Agent):
         self._changes: list[tuple[int, ShapeName]] = []  # still to come, the next one last
 
     def start(self, info: VehicleInfo) -> None:
-        """Find the neighbours, and take the formation's first shape.
-
-        Raises:
-            ValueError: a vehicle on wheels without a handle, or names that do not fit.
-        """
+        """Find the neighbours, and take the first shape; a ValueError says that a handle is missing or names do not fit."""
         if self.handle is None and info.body is not None and not info.body.flies:
             raise ValueError("handle is missing: on wheels no vehicle moves sideways; give one, e.g. handle = 0.3 (m, > 0)")
         members = members_of(self.formation or Formation(), info.vehicles, info.name)
         self._members, self._index = members, members.index(info.name)
-        self._neighbours = self._named_neighbours(info.name) if self.neighbours is not None else self._of_graph()
-        shape: ShapeName | None = None
+        if self.neighbours is None:
+            self._neighbours = neighbours_of(self.graph, self._index, len(members))
+        else:
+            self._neighbours = self._named_neighbours(info.name)
         if self.formation and self.formation.passage:
             raise ValueError("formation.passage needs a leader who decides, and here nobody leads; leave it out")
         if self.formation:
-            shape = self.formation.shape
             self._changes = [(seconds_to_ns(at_s), to) for at_s, to in reversed(self.formation.changes)]
-        self._take(shape)
+        self._take(self.formation.shape if self.formation else None)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """Move towards agreement with the neighbours that reported lately."""
@@ -165,12 +161,8 @@ class Consensus(Agent):
         return NeighbourPoint(obs.time_ns, x, y)
 
     def _listen(self, obs: Observation) -> None:
-        """Store the newest report of every neighbour; count invalid ones."""
         latest_ns = obs.time_ns + self._clock_bound_ns
-        for reception in obs.heard:
-            sender, body = reception.message.sender, reception.message.body
-            if sender not in self._places or isinstance(body, bytes):  # which are of a program there
-                continue
+        for sender, body in bodies(obs, self._places):
             member = _parse(body, latest_ns)
             if member is None:
                 self._refused += 1
@@ -223,9 +215,6 @@ class Consensus(Agent):
             raise ValueError(f"neighbours: {wrong[0]!r} is not another member of the formation ({others})")
         return tuple(sorted({self._members.index(name) for name in named}))
 
-    def _of_graph(self) -> tuple[int, ...]:
-        return neighbours_of(self.graph, self._index, len(self._members))
-
 
 def neighbours_of(graph: Graph, index: int, count: int) -> tuple[int, ...]:
     """The neighbours of member ``index`` of ``count``, in ascending order."""
@@ -239,7 +228,6 @@ def neighbours_of(graph: Graph, index: int, count: int) -> tuple[int, ...]:
 
 
 def _parse(body: Mapping[str, Any], latest_ns: int) -> NeighbourPoint | None:
-    """The report in a message body; None if it is invalid."""
     try:
         t_ns, x, y = body["t_ns"], body["x"], body["y"]
         if type(t_ns) is not int or t_ns > latest_ns or not abs(x) + abs(y) < PLAUSIBLE:

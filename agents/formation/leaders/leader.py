@@ -15,12 +15,11 @@ import msgspec
 from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance.steering import AvoidanceSteering
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
-from vcmvsp.agents.formation.reports.received import ReportReceiver
+from vcmvsp.agents.formation.reports.report import ReportReceiver
 from vcmvsp.agents.formation.reports.sending import Reporter, Sending
-from vcmvsp.agents.formation.team.formation import Formation
-from vcmvsp.agents.formation.team.membership import check_silence
 from vcmvsp.agents.formation.team.passage import Guide, places_of, scanners
-from vcmvsp.agents.formation.team.team import Team
+from vcmvsp.agents.formation.team.shape import Formation
+from vcmvsp.agents.formation.team.team import Team, check_silence
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.types import NonNegative, Positive, Velocity
 

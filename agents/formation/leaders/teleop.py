@@ -1,11 +1,247 @@
-"""A leader that a person drives."""
+"""A leader that a person drives, by keyboard, gamepad, or a recorded table.
 
-from typing import Any
+`Device.read` returns at once, without waiting, from the input since the last call.
+"""
 
-from vcmvsp.agents.formation.leaders.input_devices import KEYBOARD, Device, DeviceLostError, open_device
+import atexit
+import csv
+import math
+import os
+import stat
+import struct
+import termios
+import tty
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
 from vcmvsp.agents.formation.leaders.leader import Leader, towards
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.types import Count, NonNegative, Positive, Probability
+from vcmvsp.cosim.util import limits
+
+Speeds = tuple[float, float]  # forward, m/s, and turning, rad/s
+
+KEYBOARD = "keyboard"
+TERMINAL = Path("/dev/tty")  # of this process, wherever its input and output go
+CHUNK = 4096
+
+# Linux joystick API, Documentation/input/joydev/joystick-api.rst: struct js_event.
+EVENT = struct.Struct("=IhBB")  # time ms, value, type, number
+AXIS, INITIAL = 0x02, 0x80  # types; the state at the start comes as events with the second bit set
+FULL = 32767  # of an axis that is pushed to its end; forward and left are negative
+
+STEPS = 4  # presses from rest to a limit
+PRESSES = {
+    **dict.fromkeys([b"w", b"W", b"\x1b[A", b"\x1bOA"], (1, 0)),
+    **dict.fromkeys([b"s", b"S", b"\x1b[B", b"\x1bOB"], (-1, 0)),
+    **dict.fromkeys([b"a", b"A", b"\x1b[D", b"\x1bOD"], (0, 1)),
+    **dict.fromkeys([b"d", b"D", b"\x1b[C", b"\x1bOC"], (0, -1)),
+}
+ESCAPE, SPACE = 0x1B, 0x20
+LONGEST_KEY = 3  # bytes
+
+HINT = (
+    "allowed are 'keyboard' (an agent in the simulation's own process, started in the foreground of a terminal), a joystick "
+    "such as /dev/input/js0, and a table FILE.csv"
+)
+
+
+class DeviceLostError(Exception):
+    """The device is not there any more."""
+
+
+class Device(Protocol):
+    """Something that tells how a vehicle is to move."""
+
+    def read(self, time_s: float) -> Speeds:
+        """Requested speed, m/s, and yaw rate, rad/s."""
+
+    def close(self) -> None:
+        """Leave the device as it was found."""
+
+
+def open_device(name: str, *, limits: Speeds, axes: tuple[int, int], deadband: float) -> Device:
+    """The device of that name.
+
+    Args:
+        name: ``keyboard``, or a path: of a joystick such as ``/dev/input/js0``, a terminal, or a table ``*.csv``.
+        limits: speed and yaw rate of a key held down, or a stick pushed to its end.
+        axes: of a joystick, for the speed and the yaw rate.
+        deadband: of a joystick: the share of an axis about its middle that counts as none.
+
+    Raises:
+        ValueError: there is no such device, or it cannot be used here.
+    """
+    path = TERMINAL if name == KEYBOARD else Path(name)
+    if path.suffix == ".csv":
+        return Table(path)
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    except OSError as error:
+        problem = "this process has no terminal" if name == KEYBOARD else f"cannot be opened ({error.strerror})"
+        raise ValueError(f"device = {name!r}: {problem}; {HINT}") from error
+    try:
+        return _device(name, file, limits, axes, deadband)
+    except (OSError, termios.error, ValueError):
+        os.close(file)
+        raise
+
+
+def _device(name: str, file: int, limits: Speeds, axes: tuple[int, int], deadband: float) -> Device:
+    if name == KEYBOARD and os.tcgetpgrp(file) != os.getpgrp():  # the system would stop a process that reads keys there
+        raise ValueError(f"device = {name!r}: this process runs in the background of its terminal; {HINT}")
+    if os.isatty(file):
+        return Keyboard(file, limits)
+    mode = os.fstat(file).st_mode
+    if not (stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)):
+        raise ValueError(f"device = {name!r}: is neither a device nor a table *.csv; {HINT}")
+    return Joystick(file, limits, axes, deadband)
+
+
+class Keyboard:
+    """Keys of a terminal: W, S or up, down for the speed, A, D or left, right for the yaw rate; space stops.
+
+    Each press takes one up or down by a quarter of its limit: terminals tell of no key that is let go. The terminal hands over
+    each key at once while this is open, and is set back when it is closed or the process ends.
+    """
+
+    def __init__(self, file: int, limits: Speeds) -> None:
+        self._file: int | None = file
+        self._limits = limits
+        self._ahead = self._left = 0  # presses
+        self._rest = b""
+        self._before = termios.tcgetattr(file)
+        tty.setcbreak(file, termios.TCSANOW)
+        atexit.register(self.close)
+
+    def read(self, time_s: float) -> Speeds:
+        """What the presses so far come to."""
+        keys = self._rest + _new(self._file)
+        while keys:
+            length = 1
+            if keys[0] == ESCAPE:
+                if len(keys) < LONGEST_KEY and keys in (b"\x1b", b"\x1b[", b"\x1bO"):
+                    break  # the rest of an arrow is still under way
+                length = LONGEST_KEY if keys[:LONGEST_KEY] in PRESSES else 1
+            self._press(keys[:length])
+            keys = keys[length:]
+        self._rest = keys
+        v, w = self._limits
+        return v * self._ahead / STEPS, w * self._left / STEPS
+
+    def _press(self, key: bytes) -> None:
+        ahead, left = PRESSES.get(key, (0, 0))
+        if key[0] == SPACE:
+            self._ahead = self._left = 0
+        self._ahead = max(-STEPS, min(self._ahead + ahead, STEPS))
+        self._left = max(-STEPS, min(self._left + left, STEPS))
+
+    def close(self) -> None:
+        """Set the terminal back."""
+        if self._file is None:
+            return
+        file, self._file = self._file, None
+        atexit.unregister(self.close)
+        try:
+            termios.tcsetattr(file, termios.TCSANOW, self._before)
+        except termios.error:
+            pass  # the terminal is gone
+        finally:
+            os.close(file)
+
+
+class Joystick:
+    """Two axes of a gamepad or joystick, as the Linux joystick API tells them."""
+
+    def __init__(self, file: int, limits: Speeds, axes: tuple[int, int], deadband: float) -> None:
+        self._file: int | None = file
+        self._limits, self._axes, self._deadband = limits, axes, deadband
+        self._rest = b""
+        self._values = dict.fromkeys(axes, 0.0)
+
+    def read(self, time_s: float) -> Speeds:
+        """Where the axes are."""
+        came = self._rest + _new(self._file)
+        whole = len(came) - len(came) % EVENT.size
+        for _, value, kind, number in EVENT.iter_unpack(came[:whole]):
+            if kind & ~INITIAL == AXIS and number in self._values:
+                self._values[number] = self._share(value)
+        self._rest = came[whole:]
+        ahead, left = self._axes
+        v, w = self._limits
+        return v * self._values[ahead], w * self._values[left]
+
+    def _share(self, value: int) -> float:
+        """Deflection as a share, positive forward and left, 0 at the edge of the dead band."""
+        beyond = (min(abs(value) / FULL, 1.0) - self._deadband) / (1.0 - self._deadband)
+        return math.copysign(beyond, -value) if beyond > 0.0 else 0.0
+
+    def close(self) -> None:
+        """Close the device."""
+        file, self._file = self._file, None
+        if file is not None:
+            os.close(file)
+
+
+class Table:
+    """Rows ``t_s,v,w``: speed (m/s) and yaw rate (rad/s) from ``t_s`` (s) until the next row; both 0 before the first row.
+
+    Replays a drive of a person.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._rows = _rows(path)
+        self._next = 0
+
+    def read(self, time_s: float) -> Speeds:
+        """The values of the current row."""
+        while self._next < len(self._rows) and self._rows[self._next][0] <= time_s:
+            self._next += 1
+        if self._next == 0:
+            return 0.0, 0.0
+        _, v, w = self._rows[self._next - 1]
+        return v, w
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def _rows(path: Path) -> Sequence[tuple[float, float, float]]:
+    try:
+        limits.check_size(path, limits.JSON_BYTES)
+        with path.open(newline="", encoding="utf-8") as file:
+            lines = [line for line in csv.reader(file) if line]
+    except (OSError, ValueError, csv.Error) as error:
+        raise ValueError(f"device = {str(path)!r} cannot be read: {error}") from error
+    rows: list[tuple[float, float, float]] = []
+    for number, line in enumerate(lines, 1):
+        if number == 1 and line == ["t_s", "v", "w"]:
+            continue
+        try:
+            t_s, v, w = map(float, line)
+        except ValueError:
+            t_s = v = w = math.nan
+        if not math.isfinite(t_s + v + w) or (rows and t_s < rows[-1][0]):
+            raise ValueError(f"device = {str(path)!r}, row {number}: must be three numbers t_s,v,w, no time before the last")
+        rows.append((t_s, v, w))
+    return rows
+
+
+def _new(file: int | None) -> bytes:
+    """All new input. A removed device, or one with a closed end, is lost."""
+    came = b""
+    while file is not None:
+        try:
+            part = os.read(file, CHUNK)
+        except BlockingIOError:
+            return came
+        except OSError as error:
+            raise DeviceLostError(error.strerror) from error
+        if not part:
+            raise DeviceLostError("closed")
+        came += part
+    raise DeviceLostError("closed")
 
 
 class Teleop(Leader):

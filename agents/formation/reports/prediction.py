@@ -136,33 +136,23 @@ def estimator_of(kind: Any, *, horizon_s: float, fade_s: float) -> Estimator:
     Raises:
         ValueError: an unknown name, or something without `predict`.
     """
-    if isinstance(kind, str | Mapping):
-        return _made({"kind": kind} if isinstance(kind, str) else kind, horizon_s, fade_s)
-    if not hasattr(kind, "predict"):
-        raise ValueError(
-            f"estimator {kind!r} has no method predict(report, age_s); allowed are {', '.join(ESTIMATORS)} or such an object"
-        )
-    estimator: Estimator = kind
-    return estimator
-
-
-def _made(content: Mapping[str, Any], horizon_s: float, fade_s: float) -> Estimator:
-    kind = content.get("kind")
-    if not isinstance(kind, str):
+    if not isinstance(kind, str | Mapping):
+        if not hasattr(kind, "predict"):
+            known = ", ".join(ESTIMATORS)
+            raise ValueError(f"estimator {kind!r} has no method predict(report, age_s); allowed are {known} or such an object")
+        estimator: Estimator = kind
+        return estimator
+    content = {"kind": kind} if isinstance(kind, str) else dict(kind)
+    name = content.pop("kind", None)
+    if not isinstance(name, str):
         raise ScenarioError(f"must be a string, one of {', '.join(ESTIMATORS)}", key="estimator.kind")
-    if kind not in ESTIMATORS and ":" not in kind:
-        raise ValueError(
-            unknown("estimator", kind, ESTIMATORS)
-            + "; or give module:Class or file.py:Class with a method predict(report, age_s)"
-        )
-    estimator_class: type[Estimator] = ESTIMATORS[kind] if kind in ESTIMATORS else find("estimator", kind, key="estimator")
-    own = {name: value for name, value in content.items() if name != "kind"}
+    if name not in ESTIMATORS and ":" not in name:
+        also = "; or give module:Class or file.py:Class with a method predict(report, age_s)"
+        raise ValueError(unknown("estimator", name, ESTIMATORS) + also)
+    estimator_class: type[Estimator] = ESTIMATORS[name] if name in ESTIMATORS else find("estimator", name, key="estimator")
     offered = {"horizon_s": horizon_s, "fade_s": fade_s}
-    return call(
-        estimator_class,
-        {**{name: value for name, value in offered.items() if name in parameters(estimator_class)}, **own},
-        key="estimator",
-    )
+    common = {name: value for name, value in offered.items() if name in parameters(estimator_class)}
+    return call(estimator_class, common | content, key="estimator")
 
 
 def moved(state: LeaderState, age_s: float, horizon_s: float, fade_s: float) -> LeaderState:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import msgspec
 
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning, Estimator
-from vcmvsp.agents.formation.reports.report import LeaderState, Report, send_report
+from vcmvsp.agents.formation.reports.report import LeaderState, Report, bodies, send_report
 from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.frames import wrap, yaw_of
 from vcmvsp.cosim.types import NonNegative, Positive
@@ -40,12 +40,7 @@ def acknowledge(radio: Radio, report: Report, to: str) -> None:
 
 
 class Reporter:
-    """Sends the reports of one vehicle.
-
-    Args:
-        sending: when; default: at every tick.
-        estimator: what the followers make of a report; default: `DeadReckoning`.
-    """
+    """Sends the reports of one vehicle; ``estimator`` is what the followers make of a report, `DeadReckoning` by default."""
 
     def __init__(self, sending: Sending | None = None, estimator: Estimator | None = None) -> None:
         self.sending = sending or Sending()
@@ -60,9 +55,8 @@ class Reporter:
     def start(self, listeners: Iterable[str]) -> None:
         """Set the followers, whose answers are awaited; before the first tick and whenever they change.
 
-        Answers of any other vehicle are awaited, too. A vehicle without an answer for ``GIVEN_UP`` times ``silence_s``
-        counts as
-        gone: reports are not repeated for it until it answers again.
+        Answers of any other vehicle are awaited, too. A vehicle without an answer for ``GIVEN_UP`` times ``silence_s`` counts
+        as gone: reports are not repeated for it until it answers again.
         """
         names = tuple(listeners)
         self._has = {name: self._has.get(name, -1) for name in names}
@@ -88,10 +82,8 @@ class Reporter:
                 self._sent = {number: report for number, report in self._sent.items() if number in needed}
 
     def _hear(self, obs: Observation) -> None:
-        """Take in acknowledgements."""
-        for reception in obs.heard:
-            body, name = reception.message.body, reception.message.sender
-            number = None if isinstance(body, bytes) else body.get("ack")
+        for name, body in bodies(obs):
+            number = body.get("ack")
             if type(number) is int and number in self._sent:
                 self._has[name] = max(number, self._has.get(name, -1))
                 self._answered_ns[name] = obs.time_ns
@@ -107,10 +99,8 @@ class Reporter:
         since_s = (now.t_ns - self._sent[self._seq - 1].t_ns) / 1e9
         if since_s >= self.sending.silence_s:
             return True
-        if not self.sending.acknowledge or since_s < self.sending.answer_s or not self._has:
-            numbers = {self._seq - 1}
-        else:
-            numbers = set(self._has.values())
+        unanswered = not self.sending.acknowledge or since_s < self.sending.answer_s or not self._has
+        numbers = {self._seq - 1} if unanswered else set(self._has.values())
         return any(number < 0 or self._wrong(self._sent[number], now) for number in sorted(numbers))
 
     def _wrong(self, last: Report, now: Report) -> bool:

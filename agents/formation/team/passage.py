@@ -1,41 +1,170 @@
 """When a team makes itself narrow, as ``[agents.formation.passage]`` says, and what its members see of the lane that it needs.
 
 The team needs a lane as wide as its wide shape, bodies included, and a margin on either side. Its leader calls the narrow shape
-as soon as its own scan shows anything in that lane; when to change back, a policy says
-(`agents.formation.team.passage_policy`).
+as soon as its own scan shows anything in that lane, and the wide one when a policy says so. A lane is free up to a greater
+distance than that at which the narrow shape is called, so that noise does not switch to and fro. Where the leader itself is
+lost, the team stays as it is: a member that leads in its place drives nowhere, and calls no shapes.
 
-Where the leader itself is lost, the team stays as it is: a member that leads in its place drives nowhere, and calls no shapes.
+Widening is harder to time than narrowing: the last members are in the passage when the leader is out of it, and Toh 2012 (7.2)
+leaves the question open:
 
-A lane is free up to a greater distance than that at which the narrow shape is called, so that noise does not switch to and fro.
-What the scans show of members themselves does not count (`agents.formation.team.visible_members`).
+============= ====================================================================================================
+``immediate`` the leader's lane is free (Toh 2012): members behind are called out of the passage sideways
+``timer``     it has been free for ``timer_s``: right for one length of the team at one speed only
+``all-clear`` it is free, and all members report clear lanes, for ``steady_s`` on end; a silent member counts as not clear,
+              and as gone after ``silence_s`` without any message
+============= ====================================================================================================
+
+The leader uses only reports that it receives itself: lane states are not relayed. Members beyond the reach of its radio, at
+the end of a long chain, count as gone.
+
+What the scans show of members themselves does not count. On wheels, a follower with avoidance does not drive around vehicles
+with known reports (a team's members or its single leader): it stays behind them. In the air it avoids them like obstacles.
+
+Returns within ``member_m`` plus the radius of a member's reported place are taken for the member. ``member_m`` must exceed
+about three standard deviations of the difference between the own and the reported pose: 0.2 m suits errors of up to 4 cm in
+each coordinate of either, 0.25 m suits 5 cm. With worse poses members are now and then taken for obstacles, and the team stays
+narrow for longer, or for ever: then mount scanners above the members, or raise ``member_m``, though no more than needed:
+obstacles that near to a member, such as the wall of the passage, are hidden.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
-from vcmvsp.agents.avoidance.settings import Settings
-from vcmvsp.agents.avoidance.view import ScanReader
+from vcmvsp.agents.avoidance.method import Settings
+from vcmvsp.agents.avoidance.view import ScanReader, View, view_of
 from vcmvsp.agents.formation.reports.prediction import Estimator
-from vcmvsp.agents.formation.reports.received import ReportReceiver
-from vcmvsp.agents.formation.reports.report import Report
-from vcmvsp.agents.formation.team.formation import Formation, Passage
-from vcmvsp.agents.formation.team.passage_policy import policy_of
-from vcmvsp.agents.formation.team.shape import Slot
+from vcmvsp.agents.formation.reports.report import LeaderState, Report, ReportReceiver, height_of
+from vcmvsp.agents.formation.team.shape import Formation, Passage, Slot
 from vcmvsp.agents.formation.team.team import Team
-from vcmvsp.agents.formation.team.visible_members import VisibleMembers, moved_to
-from vcmvsp.cosim.agent import Observation, VehicleInfo
+from vcmvsp.cosim.agent import Body, Observation, VehicleInfo
+from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.frames import rotate2
+from vcmvsp.cosim.types import Array, Readings, Scan
 
+BESIDE_M = 0.05  # between bodies side by side that are not in each other's way
 NAMED = 3  # most names in the note ``waits_for``
 
 
-class Lookout(VisibleMembers):
-    """The part of the team's lane that one vehicle sees.
+class Mate(NamedTuple):
+    """Where another member is now, as far as its report tells."""
 
-    Raises:
-        ValueError: the scanner is missing, or the size of the vehicle is unknown.
+    x: float  # m ahead
+    y: float  # m to the left
+    away: float  # m/s, its speed in the direction in which this vehicle heads
+
+
+class VisibleMembers:
+    """Members with known reports in a vehicle's scan: a team's, or its single leader. All are assumed to have its ``body``."""
+
+    def __init__(self, body: Body, settings: Passage) -> None:
+        self._body, self._member_m = body, settings.member_m
+        self._report_ns = seconds_to_ns(settings.report_s)
+
+    def without_members(self, obs: Observation, listening: ReportReceiver, estimator: Estimator, scanner: str) -> Observation:
+        """The observation without the members' returns in its scan, for keeping a place close to them.
+
+        As obstacles, members ahead in a column would stop the ones behind, and members on their way to new places would
+        deflect each other. `behind_members` prevents collisions.
+        """
+        scan = obs.readings.get(scanner)
+        view = view_of(scan)
+        if not isinstance(scan, Scan) or view is None:
+            return obs
+        mine, ranges = self._of_members(view, obs, listening, estimator), view.ranges.copy()
+        ranges[mine] = np.inf
+        return replace(obs, readings=Readings({**obs.readings, scanner: replace(scan, ranges=ranges)}))
+
+    def behind_members(
+        self, obs: Observation, v: float, listening: ReportReceiver, estimator: Estimator, approach: float
+    ) -> float:
+        """The part of a speed (m/s) that prevents running into a member ahead, or back into one behind.
+
+        The approach speed is at most ``approach`` (1/s) times the gap between circles around both bodies. The law uses
+        present places only, not crossing paths.
+        """
+        lane, apart = self._body.width_m + BESIDE_M, 2.0 * self._body.radius_m
+        for x, y, away in self._mates(obs, listening, estimator):
+            room = approach * (abs(x) - apart)
+            if abs(y) < lane:
+                v = min(v, max(0.0, away + room)) if x > 0.0 else max(v, min(0.0, away - room))
+        return v
+
+    def _mates(self, obs: Observation, listening: ReportReceiver, estimator: Estimator) -> list[Mate]:
+        """Members with a fresh report, at the height of this vehicle."""
+        (x, y, z), yaw, mates = obs.state.position, obs.state.yaw, []
+        for report in listening.newest.values():
+            height = height_of(report)
+            if height is None:
+                height = 0.0 if self._body.flies else z  # of one on wheels
+            if obs.time_ns - report.t_ns <= self._report_ns and abs(height - z) <= 2.0 * self._body.radius_m:
+                then = moved_to(obs, report, estimator)
+                mates.append(Mate(*rotate2(then.x - x, then.y - y, -yaw), then.v * math.cos(then.th - yaw)))
+        return mates
+
+    def _of_members(self, view: View, obs: Observation, listening: ReportReceiver, estimator: Estimator) -> Array:
+        """Indices of the beams that end at a member, or near enough to its estimated place.
+
+        Only returns near the place of a member's own fresh report, at its height. This is safe: an obstacle that near to a
+        member stands beside one with a scanner of its own, which reports its lane as not clear; larger obstacles are seen
+        beside the circle; a lost or old report hides nothing. Returns below the measuring range, and NaN, belong to no member.
+        """
+        mates = self._mates(obs, listening, estimator)
+        if not mates:
+            return np.zeros(0, np.intp)
+        (finite,) = np.nonzero(np.isfinite(view.ranges) & (view.ranges > 0.0))
+        points = view.ranges[finite, None] * view.units[finite]
+        away = np.hypot(*np.moveaxis(points[:, None] - np.array(mates)[:, :2], -1, 0))
+        return np.asarray(finite[(away <= self._body.radius_m + self._member_m).any(axis=1)])
+
+
+def moved_to(obs: Observation, report: Report, estimator: Estimator) -> LeaderState:
+    """The sender of a report as it is estimated to be now."""
+    return estimator.predict(report, max(0, obs.time_ns - report.t_ns) / 1e9)
+
+
+class Widening:
+    """When a narrow team becomes wide again, as the policy of its table says; one object per leader.
+
+    Attributes:
+        waits_for: members that prevented widening at the last tick.
     """
+
+    def __init__(self, passage: Passage) -> None:
+        wait_s = {"immediate": 0.0, "timer": passage.timer_s, "all-clear": passage.steady_s}[passage.policy]
+        self._wait_ns, self._for_all = seconds_to_ns(wait_s), passage.policy == "all-clear"
+        self._report_ns, self._silence_ns = seconds_to_ns(passage.report_s), seconds_to_ns(passage.silence_s)
+        self._since_ns: int | None = None  # since when everything is free
+        self.waits_for: Sequence[str] = ()
+
+    def widens(self, now_ns: int, free: bool, names: Iterable[str], listening: ReportReceiver) -> bool:
+        """Whether to widen; called at every tick at which the team is narrow.
+
+        ``free`` tells of the leader's own lane; ``names`` are the members behind it, and ``listening`` has their reports.
+        """
+        if self._for_all:
+            self.waits_for = [name for name in names if not self._is_clear(now_ns, name, listening)]
+            free = free and not self.waits_for
+        if free and self._since_ns is None:
+            self._since_ns = now_ns
+        over = free and self._since_ns is not None and now_ns - self._since_ns >= self._wait_ns
+        if over or not free:
+            self._since_ns = None
+        return over
+
+    def _is_clear(self, now_ns: int, name: str, listening: ReportReceiver) -> bool:
+        if listening.absent_ns(name, now_ns) >= self._silence_ns:
+            return True  # it is gone
+        report = listening.newest.get(name)
+        return report is not None and now_ns - report.t_ns <= self._report_ns and report.body.get("cl") == 1
+
+
+class Lookout(VisibleMembers):
+    """The part of the team's lane that one vehicle sees; a ValueError says that its scanner is missing, or its size unknown."""
 
     def __init__(self, passage: Passage, team: Team, info: VehicleInfo) -> None:
         self._looking = ScanReader(passage.scanner, passage.stale_s)
@@ -44,10 +173,6 @@ class Lookout(VisibleMembers):
             raise ValueError(f"formation.passage: nobody says how large {info.name} is, so its team's lane is not known")
         super().__init__(info.body, passage)
         self.passage, self.team = passage, team
-
-    def is_clear(self, obs: Observation, listening: ReportReceiver, estimator: Estimator) -> bool:
-        """Whether a member is to say so."""
-        return self.is_free(obs, listening, estimator, self.passage.clear_m)
 
     def is_free(self, obs: Observation, listening: ReportReceiver, estimator: Estimator, ahead_m: float) -> bool:
         """Whether nothing but members stands in the lane up to ``ahead_m``; a bad scan, or none, means that something may."""
@@ -68,12 +193,11 @@ class Guide:
 
     Attributes:
         notes: changes of the last tick, for `cosim.agent.Agent.note`: ``lane``, ``narrow`` or ``free``, and ``waits_for``,
-            up to
-            three members for which a narrow team waits although the leader's lane is free.
+            up to three members for which a narrow team waits although the leader's lane is free.
     """
 
     def __init__(self, passage: Passage, team: Team, info: VehicleInfo) -> None:
-        self._lookout, self._policy = Lookout(passage, team, info), policy_of(passage)
+        self._lookout, self._policy = Lookout(passage, team, info), Widening(passage)
         self._names = tuple(name for name in team.members if name != team.name)
         self._told = {"lane": "", "waits_for": ""}
         self.notes: dict[str, str] = {}
@@ -93,11 +217,9 @@ class Guide:
 
 def places_of(obs: Observation, reports: Mapping[str, Report], estimator: Estimator) -> dict[str, Slot]:
     """Estimated positions of the senders of reports: m in this vehicle's frame, x forward, y left."""
-    (x, y, _), yaw, places = obs.state.position, obs.state.yaw, {}
-    for name, report in reports.items():
-        then = moved_to(obs, report, estimator)
-        places[name] = rotate2(then.x - x, then.y - y, -yaw)
-    return places
+    (x, y, _), yaw = obs.state.position, obs.state.yaw
+    now = {name: moved_to(obs, report, estimator) for name, report in reports.items()}
+    return {name: rotate2(state.x - x, state.y - y, -yaw) for name, state in now.items()}
 
 
 def scanners(avoidance: Settings | None, formation: Formation | None) -> tuple[str, ...]:

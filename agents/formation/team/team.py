@@ -5,16 +5,23 @@ the new shape, the number of changes and the assignment of places. Every member 
 pass down a chain over any lossy link. The highest number counts, from any sender.
 """
 
-import functools
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
-from vcmvsp.agents.formation.team.formation import Formation
-from vcmvsp.agents.formation.team.shape import SHAPES, Slot, Slots, slots, width
-from vcmvsp.agents.formation.team.topology import ancestors, named_parents, parents, ranks
+from vcmvsp.agents.formation.reports.sending import Sending
+from vcmvsp.agents.formation.team.shape import (
+    Formation,
+    ShapeName,
+    Slot,
+    Slots,
+    ancestors,
+    named_parents,
+    parents,
+    ranks,
+    slots,
+)
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.config.binding import unknown
 
@@ -24,42 +31,28 @@ JUMP = 10_000  # larger increments of ``sn`` are implausible
 class Team:
     """The formation from the view of one member.
 
-    Attributes:
-        members: all names; the first leads.
-        name, index: of this member, and its number among them.
-        shape: the present one.
-        wide: the shape outside passages (`agents.formation.team.passage`).
-        changed: number of changes of shape.
-        place: number of this member's place; the leader's is 0.
-        slot: that place, m in the leader's frame, x forward, y left.
-        parent: member to follow; None: this member leads.
-        ancestors: parent, its parent, and so on up to the leader.
-        children: members whose parent this one is.
-        ranks: all members, nearest to the leader first; ancestors come before descendants.
-
-    Raises:
-        ValueError: a formation that does not fit these vehicles; the message names its key.
+    The first of all ``members`` leads. ``shape`` is the present one, ``wide`` that outside of passages, ``changed`` the number
+    of changes. ``place`` is the number of this member's place, 0 the leader's, and ``slot`` where that is, m in the leader's
+    frame. ``parent`` is whom to follow (None: it leads), ``ancestors`` go on up to the leader, and ``ranks`` has all, the
+    nearest to the leader first. A ValueError names the key of what does not fit these vehicles.
     """
 
     def __init__(self, formation: Formation, vehicles: Sequence[str], name: str) -> None:
         self.formation, self.name = formation, name
         self.members = members_of(formation, vehicles, name)
         self.index, count = self.members.index(name), len(self.members)
-        self._by_name = formation.topology == "graph"
+        self._by_name, narrow = formation.topology == "graph", formation.passage
         if self._by_name:
             self._tree = named_parents(formation.parents or {}, self.members)
         else:
             self._tree = parents(formation.topology, count, formation.branching)
-        narrow = formation.passage
-        shapes = {formation.shape, *(shape for _, shape in formation.changes), narrow and narrow.shape}
-        spacings = ((narrow.shape, narrow.spacing),) if narrow is not None and narrow.spacing is not None else ()
-        self._slots = _all_slots(count, formation.spacing, spacings, formation.offsets, "own" in shapes)
+        self._slots = _all_slots(formation, count)
         if narrow is not None:
             _check_narrower(narrow.shape, self._slots[narrow.shape], formation.shape, self._slots[formation.shape])
         self.shape: str = formation.shape
         self.wide: str = formation.shape
         self.changed = 0
-        self._coming = deque((seconds_to_ns(at_s), shape) for at_s, shape in formation.changes)
+        self._coming = [(seconds_to_ns(at_s), shape) for at_s, shape in formation.changes]
         self._order = tuple(range(count))
         self._settle()
         if self.parent is None and (formation.changes or narrow is not None):
@@ -84,10 +77,9 @@ class Team:
 
     def due(self, now_ns: int) -> list[str]:
         """Scheduled shapes that have become due since the last call."""
-        shapes: list[str] = []
-        while self._coming and now_ns >= self._coming[0][0]:
-            shapes.append(self._coming.popleft()[1])
-        return shapes
+        due: list[str] = [shape for at_ns, shape in self._coming if now_ns >= at_ns]
+        del self._coming[: len(due)]
+        return due
 
     def take(self, body: Mapping[str, Any]) -> bool:
         """Adopt the shape that a report tells of, where it is newer than the own; whether it was.
@@ -110,9 +102,7 @@ class Team:
     def change(self, shape: str, positions: Mapping[str, Slot]) -> None:
         """As the leader: give the team another shape, and everybody the place that makes the ways shortest and crosses none.
 
-        Args:
-            shape: the new one.
-            positions: where members are, as far as known, m in the leader's frame; the others are taken to be in their places.
+        ``positions`` of members are m in the leader's frame; those that are not known are taken to be in their places.
         """
         if shape not in self._slots:
             raise ValueError(f"shape = {shape!r}: {unknown('shape', shape, self._slots)}")
@@ -137,7 +127,6 @@ class Team:
         self._settle()
 
     def _settle(self) -> None:
-        """Recompute places and relations from the shape and the assignment."""
         self.place = self._order.index(self.index)
         self.slot = self._slots[self.shape][self.place]
         of_node = range(len(self.members)) if self._by_name else self._order  # the member at each node of the tree
@@ -153,17 +142,16 @@ class Team:
         self._fields = fields
 
 
-@functools.lru_cache(maxsize=16)  # all members of a run ask for the same
-def _all_slots(
-    count: int, spacing: float, spacings: tuple[tuple[str, float], ...], offsets: tuple[Slot, ...], own: bool
-) -> Mapping[str, Slots]:
-    """Slots of every possible shape; ``spacings``: of single shapes; ``own``: whether offsets are required."""
-    shapes = [shape for shape in SHAPES if shape != "own" or own or offsets]
-    return {shape: slots(shape, count, dict(spacings).get(shape, spacing), offsets) for shape in shapes}
+def _all_slots(formation: Formation, count: int) -> Mapping[str, Slots]:
+    narrow, offsets = formation.passage, formation.offsets
+    required = {formation.shape, *(shape for _, shape in formation.changes), narrow and narrow.shape}
+    spacings = {narrow.shape: narrow.spacing} if narrow is not None and narrow.spacing is not None else {}
+    shapes = [shape for shape in get_args(ShapeName) if shape != "own" or "own" in required or offsets]
+    return {shape: slots(shape, count, spacings.get(shape, formation.spacing), offsets) for shape in shapes}
 
 
 def _check_narrower(narrow: str, places: Slots, wide: str, wide_places: Slots) -> None:
-    needs, has = width(places, 0.0), width(wide_places, 0.0)
+    needs, has = (max(across) - min(across) for across in ([y for _, y in each] for each in (places, wide_places)))
     if len(places) > 1 and needs >= has:
         raise ValueError(
             f"formation.passage.shape = {narrow!r} is no narrower than the formation's own, {wide!r}: "
@@ -172,11 +160,7 @@ def _check_narrower(narrow: str, places: Slots, wide: str, wide_places: Slots) -
 
 
 def members_of(formation: Formation, vehicles: Sequence[str], name: str) -> tuple[str, ...]:
-    """Names of the formation's members: as listed, or else all vehicles.
-
-    Raises:
-        ValueError: an unknown name, a name twice, or this vehicle is missing.
-    """
+    """The formation's members: as listed, or else all vehicles; a ValueError names what is unknown, twice or missing."""
     members = formation.members or tuple(vehicles)
     names, used = frozenset(vehicles), set()
     for member in members:
@@ -206,3 +190,20 @@ def assign(positions: Sequence[Slot], places: Sequence[Slot]) -> tuple[int, ...]
     way = np.hypot(*(targets[:, None, :] - others[None, :, :]).transpose(2, 0, 1))
     _, who = linear_sum_assignment(way)  # rows, here the places, come in their order
     return (0, *(int(member) + 1 for member in who))
+
+
+def check_silence(sending: Sending, formation: Formation | None, heartbeat_s: float | None = None) -> None:
+    """Reject (ValueError) a longest silence of a sender that exceeds the time after which it counts as gone."""
+    if sending.when == "always":
+        return
+    if heartbeat_s is not None and heartbeat_s <= sending.silence_s:
+        raise ValueError(
+            f"heartbeat_s = {heartbeat_s} s would take those for dead who have nothing to tell: it must be longer than the "
+            f"silence that sending allows, silence_s = {sending.silence_s} s"
+        )
+    passage = None if formation is None else formation.passage
+    if passage is not None and sending.silence_s >= passage.report_s:
+        raise ValueError(
+            f"sending.silence_s = {sending.silence_s} s lets reports become older than formation.passage.report_s = "
+            f"{passage.report_s} s, after which they count for nothing: make silence_s shorter, or report_s longer"
+        )

@@ -7,10 +7,23 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from vcmvsp.agents.reconnaissance.recognition import colour
-from vcmvsp.agents.reconnaissance.recognition.match import MatchedPose, match
-from vcmvsp.agents.reconnaissance.recognition.polar import COARSE, FULL, Rings, Signature, product, rotation
-from vcmvsp.agents.reconnaissance.recognition.template import PATCH, TargetPicture, Template
+from vcmvsp.agents.reconnaissance.recognition.stages import (
+    APART,
+    COARSE,
+    FULL,
+    PATCH,
+    SIDE_PX,
+    MatchedPose,
+    Rings,
+    Signature,
+    TargetPicture,
+    Template,
+    colour_peaks,
+    colour_scores,
+    match,
+    product,
+    rotation,
+)
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
@@ -105,7 +118,8 @@ class Detector:
             if SMALLEST_PX <= side <= min(image_rgb.shape[:2]) and (part := _part(image_rgb, side, region)) is not None:
                 detections += self._of_size(size_m, side, part)
         if region is not None:
-            detections = [one for one in detections if _contains(region, *one.centre_px)]
+            left, top, right, bottom = region
+            detections = [one for one in detections if left <= one.centre_px[0] <= right and top <= one.centre_px[1] <= bottom]
         detections.sort(key=lambda one: -one.match)
         distinct: list[Detection] = []
         for one in detections:  # one place holds one target
@@ -114,8 +128,7 @@ class Detector:
         return distinct
 
     def _of_size(self, size_m: float, side: float, search: _Search) -> list[Detection]:
-        """Targets with sides of a given number of pixels."""
-        small = search.reduced(colour.SIDE_PX / side)
+        small = search.reduced(SIDE_PX / side)
         hsv = cv2.cvtColor(small.image, cv2.COLOR_RGB2HSV)
         window = round(0.5 * (side * small.scale - 1.0)) * 2 + 1  # odd
         sharp: _Search | None = None
@@ -124,8 +137,8 @@ class Detector:
             if target.size_m != size_m:
                 continue
             template = target.template(round(side))
-            score = colour.scores(hsv, template.hues, window)
-            peaks = colour.peaks(score, window, _inside(small, search.inside))
+            score = colour_scores(hsv, template.hues, window)
+            peaks = colour_peaks(score, window, _inside(small, search.inside))
             if not len(peaks):
                 continue
             places = np.column_stack([*small.whole(peaks[:, 0], peaks[:, 1]), peaks[:, 2]])
@@ -161,13 +174,8 @@ class Detector:
         return detections
 
 
-def _contains(region: Region, u: float, v: float) -> bool:
-    left, top, right, bottom = region
-    return left <= u <= right and top <= v <= bottom
-
-
 def _same_place(one: Detection, other: Detection) -> bool:
-    return math.dist(one.centre_px, other.centre_px) <= colour.APART * min(one.side_px, other.side_px)
+    return math.dist(one.centre_px, other.centre_px) <= APART * min(one.side_px, other.side_px)
 
 
 def _best(
@@ -197,6 +205,5 @@ def _part(image: Array, side: float, region: Region | None) -> _Search | None:
 
 
 def _inside(search: _Search, region: Region) -> tuple[int, int, int, int]:
-    """Pixels of a part within a region: left, top, right, bottom."""
     (left, right), (top, bottom) = search.within(np.array(region[::2]), np.array(region[1::2]))
     return max(math.ceil(left), 0), max(math.ceil(top), 0), math.ceil(right), math.ceil(bottom)

@@ -6,10 +6,21 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from vcmvsp.agents.reconnaissance.recognition import colour
-from vcmvsp.agents.reconnaissance.recognition.match import SHIFT, MatchedPose, match
-from vcmvsp.agents.reconnaissance.recognition.polar import FULL, product, rotation
-from vcmvsp.agents.reconnaissance.recognition.template import PATCH, TargetPicture, Template
+from vcmvsp.agents.reconnaissance.recognition.stages import (
+    FULL,
+    PATCH,
+    SHIFT,
+    SIDE_PX,
+    Hues,
+    MatchedPose,
+    TargetPicture,
+    Template,
+    colour_peaks,
+    colour_scores,
+    match,
+    product,
+    rotation,
+)
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
 
@@ -39,13 +50,13 @@ class ColourMap(NamedTuple):
 def colour_map(target: TargetPicture, image: Array, height_m: float, focal_px: float, *, most_hues: int = 4) -> ColourMap:
     """The score of a picture (h, w, 3) by the target's most frequent hues, so many of them."""
     side = target.size_m * focal_px / height_m
-    scale = min(1.0, colour.SIDE_PX / side)
+    scale = min(1.0, SIDE_PX / side)
     small = _resized(image, scale)
     window = round(0.5 * (side * scale - 1.0)) * 2 + 1
     hues = target.template(round(side)).hues
     label = np.where(hues.label <= most_hues, hues.label, 0).astype(np.uint8)
-    score = colour.scores(cv2.cvtColor(small, cv2.COLOR_RGB2HSV), colour.Hues(label, hues.shares[:most_hues]), window)
-    places = colour.peaks(score, window, (0, 0, score.shape[1], score.shape[0]))
+    score = colour_scores(cv2.cvtColor(small, cv2.COLOR_RGB2HSV), Hues(label, hues.shares[:most_hues]), window)
+    places = colour_peaks(score, window, (0, 0, score.shape[1], score.shape[0]))
     exact = np.array([small.shape[1] / image.shape[1], small.shape[0] / image.shape[0]])
     places[:, :2] = (places[:, :2] + 0.5) / exact - 0.5  # the edges of pixels coincide, not their middles
     return ColourMap(score, scale, places)

@@ -4,7 +4,7 @@ from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.netsim.calibration.fit import FigureData, calibrate_file, figure_data
 from vcmvsp.netsim.calibration.result import Calibration
-from vcmvsp.physics.line_of_sight.sightline import Sightline
+from vcmvsp.physics.line_of_sight import Sightline
 
 __all__ = ["Calibration", "FigureData", "calibrate_file", "figure_data", "sightline_of"]
 

@@ -1,13 +1,14 @@
 """Recognition of targets in pictures from the air: cameras, detector and its stages, synthetic pictures."""
 
 from vcmvsp.agents.reconnaissance.ground_point import Nadir, turned
-from vcmvsp.agents.reconnaissance.recognition import Detector, TargetPicture, ground, inspection
-from vcmvsp.agents.reconnaissance.recognition.detector import Detection
+from vcmvsp.agents.reconnaissance.recognition import ground, inspection
+from vcmvsp.agents.reconnaissance.recognition.detector import Detection, Detector
+from vcmvsp.agents.reconnaissance.recognition.stages import TargetPicture
 from vcmvsp.agents.reconnaissance.watch import Watch, WatchFrame, Watching
 from vcmvsp.physics.sensors.camera import Camera
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.floor import PlacedTarget
 from vcmvsp.physics.world.solids import Hull
-from vcmvsp.physics.world.targets import PlacedTarget
+from vcmvsp.physics.world.world import Scene
 
 __all__ = [
     "Camera",

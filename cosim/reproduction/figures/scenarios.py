@@ -73,6 +73,12 @@ def places_of(movement: Motion, names: Sequence[str]) -> Array:
     return np.stack([movement.position[axis][:, columns] for axis in (0, 1)], axis=-1)
 
 
+def scene(name: str, duration_s: float, cars: Sequence[Mapping[str, Any]], /, **tables: object) -> dict[str, Any]:
+    """A scenario of these vehicles: without inertia and over an ideal radio, unless further tables say otherwise."""
+    fixed = {"physics": {"kind": "kinematic"}, "radio": IDEAL}
+    return {"name": name, "duration_s": duration_s, "vehicle": cars, **fixed, **tables}
+
+
 def fleet(
     duration_s: float,
     followers: Sequence[Mapping[str, Any]] = TRIANGLE,
@@ -108,15 +114,7 @@ def fleet(
         slot_x, slot_y, _ = place_of(agent)
         starts[name] = follower.get("pose", (x + slot_x, y + slot_y, 0.0))
         cars.append({"name": name, "pose": starts[name], "agent": agent})
-    return {
-        "name": "figure",
-        "duration_s": duration_s,
-        "physics": {"kind": "kinematic"},
-        "vehicles": {"kind": kind, **(vehicles or {})},
-        "vehicle": cars,
-        "radio": IDEAL,
-        **tables,
-    }
+    return scene("figure", duration_s, cars, vehicles={"kind": kind, **(vehicles or {})}, **tables)
 
 
 def lossy(probability: float = 0.0, delay_s: float = 0.0) -> dict[str, Any]:

@@ -277,7 +277,6 @@ class Choice:
         self._ticked: set[str] = set()  # names of sensors, of whichever vehicle
         self._boxes: list[viser.GuiCheckboxHandle] = []
         self._asked: tuple[str, ...] = ()
-        self._pages = len(server.get_clients())
         self._which = gui.add_dropdown("Vehicle", list(self._row) or ["none"])
         self._follows = gui.add_checkbox("Camera follows", initial_value=False)
         self._stops = [gui.add_button("Stop this vehicle"), gui.add_button("Let it go")] if "halt" in may and self._row else []

@@ -1,22 +1,20 @@
 """The Bullet engine: ground robots, quadrotors, external vehicles and movables in one Bullet world, and their contacts."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet import p
-from vcmvsp.physics.dynamics.bullet.airborne_clearance import REACH_M
-from vcmvsp.physics.dynamics.bullet.contacts import ContactFinder
+from vcmvsp.physics.dynamics.bullet.bodies import ExternalBodies, WorldBodies
 from vcmvsp.physics.dynamics.bullet.ground_robots import GroundRobots
-from vcmvsp.physics.dynamics.bullet.quadrotors import BulletQuadrotors
-from vcmvsp.physics.dynamics.bullet.world_bodies import ExternalBodies, WorldBodies
-from vcmvsp.physics.dynamics.external_vehicles import ExternalEngine
+from vcmvsp.physics.dynamics.bullet.quadrotors import REACH_M, BulletQuadrotors
+from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.dynamics.wind import Gusts
-from vcmvsp.physics.engine.interface import BodyMotion, Touch, gathered
-from vcmvsp.physics.vehicles.models import DifferentialDrive
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.engine import BodyMotion, Engine, Touch, gathered
+from vcmvsp.physics.vehicles.models import DifferentialDrive, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
@@ -24,7 +22,7 @@ from vcmvsp.physics.world.world import World
 _ENCODER_HZ = 40.0
 
 
-class BulletEngine:
+class BulletEngine(Engine):
     """Moves differential drives and quadrotors in one Bullet world without a window.
 
     Args:
@@ -72,27 +70,25 @@ class BulletEngine:
         self._client: int = p.connect(p.DIRECT)
         if self._client < 0:
             raise RuntimeError("Bullet gave no physics client: too many are open in this process")
-        p.setPhysicsEngineParameter(
-            fixedTimeStep=self._step_s,
-            numSolverIterations=iterations,
-            deterministicOverlappingPairs=1,
-            physicsClientId=self._client,
-        )
+        solver = {"fixedTimeStep": self._step_s, "numSolverIterations": iterations, "deterministicOverlappingPairs": 1}
+        p.setPhysicsEngineParameter(**solver, physicsClientId=self._client)
         p.setGravity(0.0, 0.0, -gravity, physicsClientId=self._client)
         try:
             self._things = WorldBodies(self._client, world)
-            starts = [(vehicles[row].start, vehicles[row].heading) for row in self._ground_rows]
+            on_ground, in_air = ([vehicles[row] for row in rows] for rows in (drives, quadrotors))
+            starts = [(spec.start, spec.heading) for spec in on_ground]
             self._robots = GroundRobots(self._client, world, [*drives.values()], starts, self._step_s)
-            starts = [(vehicles[row].start, vehicles[row].heading) for row in self._air_rows]
-            gusts = Gusts(world.wind, [vehicles[row].name for row in self._air_rows], seed)
-            options = {"gravity": gravity, "step_s": self._step_s}
-            self._flyers = BulletQuadrotors(
-                self._client, [*quadrotors.values()], starts, gusts=gusts, shapes=world.shapes, **options
+            starts, gusts = (
+                [(spec.start, spec.heading) for spec in in_air],
+                Gusts(world.wind, [spec.name for spec in in_air], seed),
             )
+            step: dict[str, Any] = {"gravity": gravity, "step_s": self._step_s}
+            models = [*quadrotors.values()]
+            self._flyers = BulletQuadrotors(self._client, models, starts, gusts=gusts, shapes=world.shapes, **step)
             self._external_bodies: ExternalBodies | None = None
             if external:
                 hulls = [vehicles[row].model.hull for row in self._external_rows]
-                self._external_bodies = ExternalBodies(self._client, external, hulls, **options)
+                self._external_bodies = ExternalBodies(self._client, external, hulls, **step)
         except BaseException:
             self.close()
             raise
@@ -105,9 +101,8 @@ class BulletEngine:
         self._contacts = ContactFinder(self._client, bodies, others, jointed)
         self._passing: list[Touch] = []  # of quadrotors, since the last call of `touching` with ``passing``
         # How far from its centre of mass each robot may touch something before the next look, m.
-        hulls_m = [float(np.linalg.norm(model.hull.size)) for model in drives.values()]
-        ways_m = [model.max_speed * self._flyers.look_s for model in drives.values()]
-        self._robot_reach = np.array(hulls_m) + np.array(ways_m)
+        models_m = [(float(np.linalg.norm(each.hull.size)), each.max_speed * self._flyers.look_s) for each in drives.values()]
+        self._robot_reach = np.array(models_m).reshape(-1, 2).sum(axis=1)
         self._robot_top = max((model.hull.size[2] for model in drives.values()), default=0.0)
 
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
@@ -127,13 +122,15 @@ class BulletEngine:
         until = (to_ns * ticks.per + ticks.ns // 2) // ticks.ns
         robots, flyers = self._robots, self._flyers
         step, client, drive, fly = p.stepSimulation, self._client, bool(self._ground_rows), bool(self._air_rows)
+        placed: list[WorldBodies | ExternalBodies] = [self._things, *filter(None, [self._external_bodies])]
         while self._step < until:
             if drive:
                 robots.cycle()
                 if self._accelerations and self._step + 1 == until:
                     robots.save_velocities()
             now_ns = ticks.at(self._step)
-            self._place(now_ns)
+            for bodies in placed:
+                bodies.place(now_ns)
             if fly:
                 if flyers.look_is_due:
                     self._look(now_ns)
@@ -142,18 +139,11 @@ class BulletEngine:
             self._step += 1
             if fly:
                 flyers.take()
-                if flyers.hits:
-                    self._passing += self._contacts.now([self._air_rows[k] for k in flyers.hits])
+                self._passing += self._contacts.now([self._air_rows[k] for k in flyers.hits])
             if drive and self._step % self._encoder_steps == 0:
                 robots.encode()
         if self._external:
             self._external.advance(to_ns)
-
-    def _place(self, now_ns: int) -> None:
-        """Put bodies with prescribed motion in place before a step."""
-        self._things.place(now_ns)
-        if self._external_bodies:
-            self._external_bodies.place(now_ns)
 
     def _look(self, now_ns: int) -> None:
         places, reach = self._things.spheres(now_ns, self._flyers.look_s)
@@ -167,14 +157,9 @@ class BulletEngine:
 
     def read(self) -> BodyMotion:
         """Motion of every vehicle."""
-        parts = []
-        if self._ground_rows:
-            parts.append((self._robots.read(), np.array(self._ground_rows)))
-        if self._air_rows:
-            parts.append((self._flyers.read(), np.array(self._air_rows)))
-        if self._external:
-            parts.append((self._external.read(), np.array(self._external_rows)))
-        return gathered(parts, self._count)
+        rows = (self._ground_rows, self._air_rows, self._external_rows)
+        parts = zip((self._robots, self._flyers, self._external), rows, strict=True)
+        return gathered([(each.read(), np.array(own)) for each, own in parts if each and own], self._count)
 
     def movables(self) -> BodyMotion:
         """Motion of every movable."""
@@ -194,7 +179,38 @@ class BulletEngine:
         return touches
 
     def close(self) -> None:
-        """Release the Bullet world; a second call has no effect."""
+        """Release the Bullet world."""
         if self._client >= 0:
             p.disconnect(self._client)
             self._client = -1
+
+
+_ANY_BODY, _ANY_LINK, _BASE = -1, -2, -1
+_FLOOR = 0  # the first body of all
+
+
+class ContactFinder:
+    """Finds contacts of vehicles: ``bodies`` of the vehicles by row, ``others`` in the rows behind them.
+
+    Bodies in ``jointed`` count with all links, others with the base alone.
+    """
+
+    def __init__(self, client: int, bodies: Mapping[int, int], others: Sequence[int], jointed: Container[int] = ()) -> None:
+        self._client, self._bodies = client, bodies
+        # Where only the base can touch more than the floor, contacts of wheels need not be listed.
+        self._links = {row: _ANY_LINK if row in jointed else _BASE for row in bodies}
+        self._row_of = {body: row for row, body in (*bodies.items(), *enumerate(others, len(bodies)))}
+
+    def now(self, rows: Sequence[int]) -> list[Touch]:
+        """Contacts of these rows with a force in this step, by rows: one for each place."""
+        touches = []
+        for row in rows:
+            for contact in p.getContactPoints(self._bodies[row], _ANY_BODY, self._links[row], _ANY_LINK, self._client):
+                body, place, force = contact[2], contact[5], contact[9]
+                if force > 0.0 and body != _FLOOR:
+                    other = self._row_of.get(body)
+                    if other is None or other > row:
+                        touches.append(Touch(row, other, place))
+                    elif other not in rows:  # else the row of the other body adds it
+                        touches.append(Touch(other, row, place))
+        return sorted(touches, key=lambda each: each.key)

@@ -14,11 +14,18 @@ import numpy as np
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet import p, turned
-from vcmvsp.physics.dynamics.bullet.body_builder import LEFT, RIGHT, differential_drive, finish
-from vcmvsp.physics.dynamics.bullet.world_bodies import BaseState, base_states, floor_friction, motion_of
-from vcmvsp.physics.dynamics.firmware import Firmware
-from vcmvsp.physics.dynamics.kinematic_ground import wrapped
-from vcmvsp.physics.engine.interface import BodyMotion
+from vcmvsp.physics.dynamics.bullet.bodies import (
+    LEFT,
+    RIGHT,
+    BaseState,
+    base_states,
+    differential_drive,
+    finish,
+    floor_friction,
+    motion_of,
+)
+from vcmvsp.physics.dynamics.kinematic import Firmware, wrapped
+from vcmvsp.physics.engine import BodyMotion
 from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World, Zone
@@ -49,14 +56,11 @@ class GroundRobots:
     ) -> None:
         self._client, self._step_s = client, step_s
         self.firmware = Firmware(models)
-        self._wheels: list[_Wheels] = []
-        references: list[Vec3] = []  # from the centre of mass to the reference point, body frame
-        for model, (position, heading) in zip(models, starts, strict=True):
-            wheels, reference = _build(client, model, position, heading)
-            self._wheels.append(wheels)
-            references.append(reference)
+        built = [_build(client, model, *start) for model, start in zip(models, starts, strict=True)]
+        self._wheels = [wheels for wheels, _ in built]
         self.bodies = [each.body for each in self._wheels]
-        self._references = np.array(references, float).reshape(len(models), 3)
+        # From the centres of mass to the reference points, body frame.
+        self._references = np.array([reference for _, reference in built], float).reshape(len(models), 3)
         self._twice = np.concatenate([self._references, self._references])
         self._signs = np.array([each.signs for each in self._wheels], float).reshape(len(models), 2)
         self._radius = np.array([each.radius_m for each in self._wheels])
@@ -98,8 +102,7 @@ class GroundRobots:
         """Motion of every robot, and its wheel odometry up to now; reading changes nothing."""
         n = len(self._wheels)
         states = self._joint_states()
-        angles = [(left_joint[0], right_joint[0]) for left_joint, right_joint in states]
-        rates = [(left_joint[1], right_joint[1]) for left_joint, right_joint in states]
+        angles, rates = ([(left[k], right[k]) for left, right in states] for k in (0, 1))
         turning = self._signs * np.array(rates).reshape(n, 2)
         odometry = np.empty((n, 5))
         odometry[:, :3] = np.array([self._reckon(row, each) for row, each in enumerate(angles)]).reshape(n, 3)
@@ -144,13 +147,8 @@ def _build(client: int, model: DifferentialDrive | UrdfDrive, position: Vec3, he
     axle = model.plan.axle  # the reference point, in the frame of the root link, which is level
     cos, sin = math.cos(heading), math.sin(heading)
     x, y = position[0] - cos * axle[0] + sin * axle[1], position[1] - sin * axle[0] - cos * axle[1]
-    body = p.loadURDF(
-        str(model.plan.path),
-        (x, y, -axle[2]),
-        turned(heading),
-        flags=p.URDF_USE_INERTIA_FROM_FILE | p.URDF_USE_IMPLICIT_CYLINDER,
-        physicsClientId=client,
-    )
+    flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_USE_IMPLICIT_CYLINDER
+    body = p.loadURDF(str(model.plan.path), (x, y, -axle[2]), turned(heading), flags=flags, physicsClientId=client)
     names = [p.getJointInfo(body, joint, client)[1].decode() for joint in range(p.getNumJoints(body, client))]
     joints = (names.index(model.left_wheel), names.index(model.right_wheel))
     finish(client, body, wheels=joints, wheel_friction=model.wheel_friction, friction=model.body_friction)

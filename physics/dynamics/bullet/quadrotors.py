@@ -9,21 +9,21 @@ Without a contact, the state of a near quadrotor is still NumPy's, which differs
 contact comes from Bullet. So near bodies without contact change no bit of a flight.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, UPRIGHT, p
-from vcmvsp.physics.dynamics.bullet.airborne_clearance import SolidsMap, near_each_other, near_others
-from vcmvsp.physics.dynamics.bullet.body_builder import rigid_body
-from vcmvsp.physics.dynamics.bullet.world_bodies import base_motion
+from vcmvsp.physics.dynamics.bullet.bodies import base_motion, rigid_body
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.dynamics.wind import Gusts
-from vcmvsp.physics.engine.interface import BodyMotion, without_wheels
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
-from vcmvsp.physics.world.scene import rotations
+from vcmvsp.physics.engine import BodyMotion, without_wheels
+from vcmvsp.physics.vehicles.models import Quadrotor
+from vcmvsp.physics.world.polygons import outward
 from vcmvsp.physics.world.solids import Shapes
+from vcmvsp.physics.world.world import rotations
 
 _LOOK_HZ = 20.0
 _AWAY_LOOKS = 10  # parked after so many clear looks
@@ -151,10 +151,8 @@ class BulletQuadrotors:
             self._woken = []
         fleet, rows = self.fleet, self._rows
         motion = base_motion(self._client, [self.bodies[row] for row in rows])
-        off = np.abs(motion.position - fleet.position[rows]).max(axis=1)
-        off = np.maximum(off, np.abs(motion.velocity - fleet.velocity[rows]).max(axis=1))
-        off = np.maximum(off, np.abs(motion.angular_velocity - fleet.rate[rows]).max(axis=1))
-        touched = off > _SAME
+        both = ((motion.position, fleet.position), (motion.velocity, fleet.velocity), (motion.angular_velocity, fleet.rate))
+        touched = np.any([np.abs(there - here[rows]).max(axis=1) > _SAME for there, here in both], axis=0)
         before, self._touched = self._touched, np.zeros_like(self._touched)
         if touched.any():
             self._touched[rows] = touched
@@ -166,5 +164,109 @@ class BulletQuadrotors:
     def read(self) -> BodyMotion:
         """Motion of every quadrotor."""
         fleet, acceleration = self.fleet, (self.fleet.velocity - self._before) / self._step_s
-        state = (fleet.position.copy(), fleet.velocity.copy(), fleet.attitude.copy(), fleet.rate.copy())
-        return without_wheels(*state, acceleration)
+        state = fleet.position, fleet.velocity, fleet.attitude, fleet.rate, acceleration
+        return without_wheels(*(each.copy() for each in state))
+
+
+REACH_M = 1.5  # the map knows pieces this far around a cell: more than a vehicle and its way to the next look take together
+_CELLS = 250_000
+_FINEST_M = 0.5
+_SMALL_M = 1.0  # triangles up to this size are taken together, by cubes of this size
+
+
+class SolidsMap:
+    """Clearance of vehicles in the air: a clear vehicle cannot touch a solid before the next look.
+
+    A map of square cells, each with the pieces near to it: upright convex prisms, and boxes that stand for triangles of meshes,
+    one for several small ones. Distances are never overestimated.
+    """
+
+    def __init__(self, shapes: Shapes) -> None:
+        pieces = [piece for group in shapes.groups for piece in zip(*group[:3], strict=True)]
+        pieces += _boxes(shapes.triangles)
+        self._empty = not pieces
+        if self._empty:
+            return
+        every = np.concatenate([corners for corners, _, _ in pieces])
+        low, high = every.min(axis=0) - REACH_M, every.max(axis=0) + REACH_M
+        self._size = max(_FINEST_M, math.sqrt(float(np.prod(high - low)) / _CELLS))
+        self._origin, self._shape = low, np.ceil((high - low) / self._size).astype(int) + 1
+        edges = max(len(corners) for corners, _, _ in pieces)
+        # Outward normals and offsets of all sides; a missing side has an infinite offset.
+        self._normals, self._offsets = np.zeros((len(pieces), edges, 2)), np.full((len(pieces), edges), np.inf)
+        self._bottom, self._top = (np.array([piece[k] for piece in pieces], float) for k in (1, 2))
+        cells = [self._enter(number, corners) for number, (corners, _, _) in enumerate(pieces)]
+        of = np.repeat(np.arange(len(pieces)), [len(each) for each in cells])
+        where = np.concatenate(cells)
+        self._pieces = of[np.argsort(where, kind="stable")]
+        self._count = np.bincount(where, minlength=int(np.prod(self._shape)))
+        self._first = np.cumsum(self._count) - self._count
+
+    def _enter(self, number: int, corners: Array) -> Array:
+        """Store the sides of a piece; returns the cells within reach of it."""
+        normals = outward(corners)
+        offsets = (normals * corners).sum(axis=1)
+        self._normals[number, : len(corners)], self._offsets[number, : len(corners)] = normals, offsets
+        reach = REACH_M + self._size * math.sqrt(0.5)  # from the middle of a cell
+        first = np.maximum(((corners.min(axis=0) - reach - self._origin) / self._size).astype(int), 0)
+        last = np.minimum(((corners.max(axis=0) + reach - self._origin) / self._size).astype(int) + 1, self._shape)
+        i, j = np.arange(first[0], last[0]), np.arange(first[1], last[1])
+        x, y = self._origin[0] + (i + 0.5) * self._size, self._origin[1] + (j + 0.5) * self._size
+        beyond = (normals[:, 0, None, None] * x[:, None] + normals[:, 1, None, None] * y - offsets[:, None, None]).max(axis=0)
+        return np.asarray((i[:, None] * self._shape[1] + j)[beyond <= reach])
+
+    def near(self, position: Array, margin: Array) -> Array:
+        """Whether a solid may lie within ``margin`` (n,) m of places (n, 3) m; margins beyond `REACH_M` always say so."""
+        if self._empty:
+            return np.zeros(len(position), bool)
+        cell = np.floor((position[:, :2] - self._origin) / self._size).astype(int)
+        inside = ((cell >= 0) & (cell < self._shape)).all(axis=1)
+        place = np.where(inside, cell[:, 0] * self._shape[1] + cell[:, 1], 0)
+        count = np.where(inside, self._count[place], 0)
+        result = margin > REACH_M
+        rows = np.repeat(np.arange(len(position)), count)  # one for each piece to be looked at
+        if len(rows):
+            nth = np.arange(len(rows)) - np.repeat(np.cumsum(count) - count, count)
+            piece = self._pieces[self._first[place[rows]] + nth]
+            at = position[rows]
+            beyond = ((self._normals[piece] * at[:, None, :2]).sum(axis=2) - self._offsets[piece]).max(axis=1)
+            beyond = np.maximum(beyond, np.maximum(self._bottom[piece] - at[:, 2], at[:, 2] - self._top[piece]))
+            result[rows[beyond < margin[rows]]] = True
+        return result
+
+
+def _boxes(triangles: Array) -> list[tuple[Array, float, float]]:
+    low, high = triangles.min(axis=1), triangles.max(axis=1)
+    small = (high - low).max(axis=1) <= _SMALL_M
+    cubes, of = np.unique(np.floor(low[small] / _SMALL_M).astype(int), axis=0, return_inverse=True)
+    lows, highs = np.full((len(cubes), 3), np.inf), np.full((len(cubes), 3), -np.inf)
+    np.minimum.at(lows, of.ravel(), low[small])
+    np.maximum.at(highs, of.ravel(), high[small])
+    lows, highs = np.concatenate([lows, low[~small]]) - 1e-3, np.concatenate([highs, high[~small]]) + 1e-3  # no flat box
+    ends = np.stack([lows, highs], axis=1)  # (boxes, 2, 3)
+    corners = np.stack([ends[:, [0, 1, 1, 0], 0], ends[:, [0, 0, 1, 1], 1]], axis=2)
+    return list(zip(corners, lows[:, 2].tolist(), highs[:, 2].tolist(), strict=True))
+
+
+def near_each_other(position: Array, velocity: Array, radius: Array, span_s: float, slack_m: float) -> Array:
+    """Whether another of n spheres may touch each within ``span_s``; ``slack_m`` allows for accelerations."""
+    x, y, z = position.T
+    square = np.square(x[:, None] - x) + np.square(y[:, None] - y) + np.square(z[:, None] - z)
+    apart = radius[:, None] + radius + slack_m
+    fastest = 2.0 * span_s * float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
+    candidates = square < np.square(apart + fastest)
+    np.fill_diagonal(candidates, val=False)
+    result = np.zeros(len(position), bool)
+    if candidates.any():
+        a, b = np.nonzero(candidates)
+        closing = np.sqrt(np.square(velocity[a] - velocity[b]).sum(axis=1)) * span_s
+        result[a[square[a, b] < np.square(apart[a, b] + closing)]] = True
+    return result
+
+
+def near_others(position: Array, margin: Array, others: Array, other_margin: Array) -> Array:
+    """Whether any of m other spheres may touch each of n; margins are radius plus way, m."""
+    if not len(others):
+        return np.zeros(len(position), bool)
+    square = np.square(position[:, None] - others).sum(axis=2)
+    return np.asarray((square < np.square(margin[:, None] + other_margin)).any(axis=1))

@@ -6,14 +6,29 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from tests.support.agents.obstacle_fields import WHEELS, WINGS, Box, scattered, seen_from, steered, steering, sweep
+from tests.support.agents.obstacle_fields import (
+    DRONE,
+    ROBOT,
+    WHEELS,
+    WINGS,
+    Box,
+    Point,
+    scattered,
+    seen_from,
+    steered,
+    steering,
+    sweep,
+)
+from tests.support.agents.scans import view
 from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
-from vcmvsp.agents.avoidance.gaps import gaps_ahead
-from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.gap import gaps_ahead
+from vcmvsp.agents.avoidance.method import Settings
 from vcmvsp.agents.avoidance.steering import AvoidanceSteering
-from vcmvsp.cosim.agent import VehicleInfo
-from vcmvsp.cosim.types import Scan
+from vcmvsp.cosim.agent import Body, VehicleInfo
+from vcmvsp.cosim.types import Array, Scan
 
 FIELD = PotentialField(core=0.3, reach=0.8)
 METHODS = [FIELD, Gap(), Vfh(), DynamicWindow()]
@@ -158,6 +173,41 @@ def test_a_method_is_told_what_was_commanded_after_all_limits() -> None:
     made.steer(seen_from((0.0, 0.0, 0.0), None, 5), Task((0.5, 0.0)))
     made.drive(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 6), 6), (0.5, 0.1), (0.3, 0.0))
     assert asked.now[4] == (0.0, 0.0) != (last.velocity[0], last.yaw_rate)
+
+
+# --- whatever is seen ---
+
+DECIDING = pytest.mark.parametrize(("method", "body"), [(Vfh(), ROBOT), (Vfh(), DRONE), (DynamicWindow(), ROBOT)])
+
+
+@DECIDING
+@given(st.floats(-0.1, 0.6), st.floats(-1.2, 1.2), st.none() | st.tuples(st.floats(-3, 3), st.floats(-3, 3)))
+def test_where_all_is_free_the_task_is_left_as_it_is(
+    method: Settings, body: Body, v: float, w: float, aim: Point | None
+) -> None:
+    for seen in (view(np.full(64, math.inf), math.tau), view(np.full(64, 2.0))):
+        assert method.method(body, 0.1).decide(seen, Task((v, 0.0), w, aim)) == ((v, 0.0), w, "task")
+
+
+@DECIDING
+@given(st.integers(0, 2**32), st.sampled_from((math.pi, math.tau)))
+def test_nothing_makes_it_raise_or_go_faster_than_it_may(method: Settings, body: Body, seed: int, fov: float) -> None:
+    rng, made = np.random.default_rng(seed), method.method(body, 0.1)
+    for aim in ((2.0, 0.4), (0.0, 0.0), (-1.0, 0.2), None):
+        ranges = rng.choice([0.0, 0.01, 0.2, 0.27, 0.9, 1.3, 5.0, math.inf], 64)
+        decision = made.decide(view(ranges, fov), Task((0.3, 0.0), 0.1, aim, (2.5, 0.0), 0.6))
+        assert math.hypot(*decision.velocity) <= 0.6 + 1e-12
+        assert body.flies or (decision.velocity[1] == 0.0 and decision.velocity[0] >= 0.0)
+
+
+@DECIDING
+@pytest.mark.parametrize("ranges", [np.zeros(64), np.full(64, 0.28)])
+def test_where_there_is_no_way_it_turns_to_one_side(method: Settings, body: Body, ranges: Array) -> None:
+    made = method.method(body, 0.1)
+    decisions = [made.decide(view(ranges), Task((0.3, 0.0), 0.0, (2.0, 0.3))) for _ in range(5)]
+    assert all(each.velocity == (0.0, 0.0) and each.mode == "turn" for each in decisions)
+    assert abs(decisions[0].yaw_rate) == 0.6
+    assert len({each.yaw_rate for each in decisions}) == 1
 
 
 # --- where beams point ---

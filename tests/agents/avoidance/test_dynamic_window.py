@@ -7,36 +7,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.obstacle_fields import Box, Point, Pose, Way, drive
-from vcmvsp.agents.avoidance import DynamicWindow, Method, Task, View, view_of
+from tests.support.agents.obstacle_fields import ROBOT, Box, Pose, Way, drive, rooms, there, to_goal
+from tests.support.agents.scans import view as scan
+from vcmvsp.agents.avoidance import DynamicWindow, Method, Task, View
 from vcmvsp.agents.avoidance.dynamic_window import clearances
 from vcmvsp.cosim.agent import Body
-from vcmvsp.cosim.frames import arc, rotate2
-from vcmvsp.cosim.types import Array, Scan
+from vcmvsp.cosim.types import Array
 
-ROBOT = Body(width_m=0.33, radius_m=0.216)
 KEEP = 0.266
-GOAL = (3.0, 0.0)
 PERIOD_S, BRAKING = 0.1, 0.3
-
-
-def scan(ranges: Array, fov: float = math.pi) -> View:
-    n = len(ranges)
-    step = fov / n if fov == math.tau else fov / (n - 1)
-    found = view_of(Scan(ranges=np.asarray(ranges, float), angle_min=-fov / 2, angle_step=step, range_max=20.0))
-    assert found is not None
-    return found
 
 
 def points_of(view: View) -> Array:
     seen = np.isfinite(view.ranges)
     found: Array = view.units[seen] * view.ranges[seen, None]
     return found
-
-
-def rooms(seed: int, beams: int = 181) -> Array:
-    rng = np.random.default_rng(seed)
-    return np.repeat(rng.uniform(0.3, 2.5, 12), 16)[:beams] + rng.uniform(0.0, 0.05, beams)
 
 
 def along(curvature: float, length: float, step: float = 2e-4) -> Array:
@@ -122,13 +107,6 @@ def test_it_stays_in_the_window_that_its_accelerations_open(seed: int) -> None:
         last = now
 
 
-@given(st.floats(-0.1, 0.6), st.floats(-1.2, 1.2), st.none() | st.tuples(st.floats(-3, 3), st.floats(-3, 3)))
-def test_where_all_is_free_the_task_is_left_as_it_is(v: float, w: float, aim: Point | None) -> None:
-    for view in (scan(np.full(64, math.inf), math.tau), scan(np.full(64, 2.0))):
-        task = Task((v, 0.0), w, aim)
-        assert DynamicWindow().method(ROBOT, PERIOD_S).decide(view, task) == (task.velocity, w, "task")
-
-
 @settings(max_examples=60)
 @given(st.integers(0, 2**32), st.floats(0.1, 2.0))
 def test_a_mirrored_scan_gives_the_mirrored_decision(seed: int, y: float) -> None:
@@ -142,39 +120,9 @@ def test_a_mirrored_scan_gives_the_mirrored_decision(seed: int, y: float) -> Non
         assert left.yaw_rate == pytest.approx(-right.yaw_rate)
 
 
-def test_where_there_is_no_way_it_turns_to_one_side() -> None:
-    for ranges in (np.zeros(64), np.full(64, 0.28)):
-        method = DynamicWindow().method(ROBOT, PERIOD_S)
-        decisions = [method.decide(scan(ranges), Task((0.3, 0.0), 0.0, (2.0, 0.3))) for _ in range(5)]
-        assert all(each.velocity == (0.0, 0.0) and each.mode == "turn" for each in decisions)
-        assert len({each.yaw_rate for each in decisions}) == 1
-        assert abs(decisions[0].yaw_rate) == 0.6
-
-
-@given(st.integers(0, 2**32), st.sampled_from((math.pi, math.tau)))
-def test_nothing_makes_it_raise_or_go_faster_than_it_may(seed: int, fov: float) -> None:
-    rng = np.random.default_rng(seed)
-    method = DynamicWindow().method(ROBOT, PERIOD_S)
-    for aim in ((2.0, 0.4), (0.0, 0.0), (-1.0, 0.2), None):
-        ranges = rng.choice([0.0, 0.01, 0.2, 0.27, 0.9, 1.3, 5.0, math.inf], 64)
-        decision = method.decide(scan(ranges, fov), Task((0.3, 0.0), 0.1, aim, (2.5, 0.0), 0.6))
-        assert 0.0 <= decision.velocity[0] <= 0.6 + 1e-12
-
-
 def test_what_flies_is_refused() -> None:
     with pytest.raises(ValueError, match='"dynamic_window": for vehicles on wheels'):
         DynamicWindow().method(Body(width_m=0.5, radius_m=0.25, flies=True), PERIOD_S)
-
-
-def to_goal(pose: Pose) -> Task:
-    """Straight to it, turning on the spot before where it lies aside."""
-    aim = rotate2(GOAL[0] - pose[0], GOAL[1] - pose[1], -pose[2])
-    aside = math.atan2(aim[1], aim[0])
-    return Task((0.0 if abs(aside) > 0.8 else min(0.3, math.hypot(*aim)), 0.0), max(-0.8, min(1.5 * aside, 0.8)), aim)
-
-
-def there(pose: Pose) -> bool:
-    return math.dist(pose[:2], GOAL) < 0.15
 
 
 def driven(method: Method, start: Pose, **options: object) -> Way:
@@ -203,10 +151,3 @@ def test_it_goes_through_a_door_and_touches_nothing_where_there_is_none() -> Non
     way = driven(DynamicWindow().method(ROBOT, PERIOD_S), (-3.0, 0.3, 0.1), boxes=wall)
     assert way.end[0] < -0.1
     assert way.clearance > KEEP - 0.02
-
-
-def test_arcs_are_those_of_the_vehicle() -> None:
-    """The arcs of these tests are the motion that commands mean."""
-    for curvature in (0.0, 0.5, -3.0):
-        x, y, _ = arc((0.0, 0.0, 0.0), 0.4, 0.4 * curvature, 2.0)
-        assert along(curvature, 0.8)[4000] == pytest.approx((x, y))

@@ -9,12 +9,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from tests.support.agents.scans import ranges_of, view, wall_with_doors
-from vcmvsp.agents.avoidance.lane import ASIDE, free_m, lane_free, ways
-from vcmvsp.agents.avoidance.view import View, view_of
+from vcmvsp.agents.avoidance.view import ASIDE, Point, View, free_m, lane_free, view_of, ways
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array, Scan
 
 Ranges = arrays.arrays(float, 36, elements=st.sampled_from([0.0, 0.5, math.inf]) | st.floats(0.0, 3.0))
+
+
+def towards(bearing: float) -> Point:
+    return math.cos(bearing), math.sin(bearing)
 
 
 def held(scan: View, bearing: float, half: float, length: float) -> bool:
@@ -77,18 +80,18 @@ def test_ways_are_those_that_a_disc_can_follow(ranges: Array, half: float, lengt
         room = [abs(wrap(b - bearing)) - math.asin(min(1.0, half / max(d, half))) for d, b in near]
         if min(room, default=1.0) > 1e-6:
             assert free
-            assert free_m(scan, bearing, half, length) == math.inf
+            assert free_m(scan, towards(bearing), half, length) == math.inf
         if min(room, default=1.0) < -1e-6:
             assert not free
-            assert free_m(scan, bearing, half, length) <= length
+            assert free_m(scan, towards(bearing), half, length) <= length
 
 
 def test_how_far_a_disc_gets_to_a_wall() -> None:
     scan = view(ranges_of([((1.0, -9.0), (1.0, 9.0))], beams=2048))
-    assert free_m(scan, 0.0, 0.3, 3.0) == pytest.approx(0.7, abs=1e-3)
-    assert free_m(scan, 0.0, 0.3, 0.9) == math.inf
-    assert free_m(scan, 1.0, 0.3, 3.0) == pytest.approx(0.7 / math.cos(1.0), abs=2e-2)
-    assert free_m(view(np.zeros(181)), 0.0, 0.3, 3.0) <= 0.0
+    assert free_m(scan, (1.0, 0.0), 0.3, 3.0) == pytest.approx(0.7, abs=1e-3)
+    assert free_m(scan, (1.0, 0.0), 0.3, 0.9) == math.inf
+    assert free_m(scan, towards(1.0), 0.3, 3.0) == pytest.approx(0.7 / math.cos(1.0), abs=2e-2)
+    assert free_m(view(np.zeros(181)), (1.0, 0.0), 0.3, 3.0) <= 0.0
 
 
 def test_a_return_exactly_aside_is_in_the_lane() -> None:

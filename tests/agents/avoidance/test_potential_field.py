@@ -12,7 +12,7 @@ from tests.support.agents.obstacle_fields import PILLAR, Box, Point, Pose, Way, 
 from vcmvsp.agents.avoidance import PotentialField, Task, View, view_of
 from vcmvsp.agents.avoidance.method import Method
 from vcmvsp.agents.avoidance.potential_field import repulsion
-from vcmvsp.agents.formation import axle_velocity
+from vcmvsp.agents.formation.followers.laws import axle_velocity
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.frames import rotate2, wrap
 from vcmvsp.cosim.types import Scan
@@ -47,17 +47,6 @@ def ahead(speed: float, max_speed: float = 0.6) -> Task:
 
 def passed(place: Point | Pose) -> bool:
     return place[0] > 4.0
-
-
-def to(goal: Point, method: Method, start: Point, *, beams: int = 32, seconds: float = 60.0, yaw: float = 0.0) -> Way:
-    """A flight to a goal: 0.3 m/s, and slower over the last 0.375 m; it is there at 0.1 m."""
-
-    def task(place: Point) -> Task:
-        dx, dy = goal[0] - place[0], goal[1] - place[1]
-        left = math.hypot(dx, dy)
-        return Task((dx / left * min(0.3, 0.8 * left), dy / left * min(0.3, 0.8 * left)))
-
-    return fly(method, start, task, lambda p: math.dist(p, goal) < 0.1, beams=beams, seconds=seconds, yaw=yaw)
 
 
 def drive_to(
@@ -168,51 +157,6 @@ def test_a_vehicle_that_hovers_is_pushed_to_the_edge_of_the_reach_and_rests() ->
     way = fly(field(), (-0.5, 0.0), lambda place: Task((0.0, 0.0)), lambda place: False)
     assert clearance(way.end[:2], [PILLAR]) == pytest.approx(REACH, abs=0.01)
     assert math.hypot(*way.decisions[-1].velocity) < 1e-5
-
-
-@pytest.mark.parametrize(("y0", "least"), [(0.1, 0.795), (0.2, 0.796), (0.4, 0.799)])
-def test_fig_28_a_flight_past_a_pillar_is_pushed_aside_and_goes_on_straight(y0: float, least: float) -> None:
-    way = fly(field(tang=0.0), (-3.0, y0), lambda place: ahead(0.3), passed)
-    assert way.clearance == pytest.approx(least, abs=MM)
-    assert way.end[1] == pytest.approx(1.36, abs=0.005)
-    assert way.decisions[-1].mode == "task"
-    led = fly(field(), (-3.0, y0), lambda place: ahead(0.3), passed)  # the term that leads around changes little here
-    assert (led.clearance, abs(led.end[1])) == pytest.approx((least, 1.36), abs=0.02)
-
-
-def test_fig_28_a_stronger_field_keeps_it_farther_off() -> None:
-    way = fly(field(tang=0.0, gain=0.3), (-3.0, 0.2), lambda place: ahead(0.3), passed)
-    assert (way.clearance, way.end[1]) == pytest.approx((0.919, 1.43), abs=0.005)
-
-
-def test_as_printed_it_stops_before_what_stands_in_the_way_to_its_goal() -> None:
-    way = to((4.0, 0.0), field(tang=0.0), (-3.0, 0.0))
-    assert way.end[0] == pytest.approx(-1.137, abs=MM)
-    assert math.hypot(*way.decisions[-1].velocity) < 1e-6
-
-
-@pytest.mark.parametrize("yaw", [0.0, 1.0])
-def test_led_around_it_reaches_its_goal(yaw: float) -> None:
-    way = to((4.0, 0.0), field(), (-3.0, 0.0), yaw=yaw)
-    assert way.seconds == pytest.approx(25.6, abs=0.1 if yaw == 0.0 else 1.0)
-    assert way.clearance == pytest.approx(0.788, abs=MM if yaw == 0.0 else 0.02)
-
-
-@pytest.mark.parametrize(("beams", "least"), [(16, 0.763), (32, 0.791), (64, 0.794), (128, 0.794)])
-def test_the_resolution_hardly_matters(beams: int, least: float) -> None:
-    way = to((4.0, 0.2), field(tang=0.0), (-3.0, 0.2), beams=beams)
-    assert math.dist(way.end[:2], (4.0, 0.2)) < 0.1
-    assert way.clearance == pytest.approx(least, abs=MM)
-
-
-@pytest.mark.parametrize(("speed", "least", "exactly"), [(1.0, 0.613, 0.580), (2.0, 0.404, 0.316), (3.0, 0.167, 0.074)])
-def test_a_fast_vehicle_with_a_lag_enters_the_core(speed: float, least: float, exactly: float) -> None:
-    """The first figures come of a lag that is stepped once a period; solved exactly, it lets the vehicle come nearer still."""
-    for fine, expected in ((False, least), (True, exactly)):
-        way = fly(
-            field(tang=0.0), (-5.0, 0.2), lambda place: ahead(speed, 2 * speed), passed, lag_s=0.5, fine=fine, seconds=20.0
-        )
-        assert way.clearance == pytest.approx(expected, abs=0.01)
 
 
 # On wheels

@@ -8,45 +8,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.obstacle_fields import Point, Pose, Way, drive, fly
+from tests.support.agents.obstacle_fields import DRONE, GOAL, ROBOT, Point, Pose, Way, drive, fly, rooms, there, to_goal
+from tests.support.agents.scans import view as scan
 from vcmvsp.agents.avoidance import Method, Task, Vfh, View, view_of
 from vcmvsp.agents.avoidance.vfh import _Vfh, histogram, openings
-from vcmvsp.cosim.agent import Body
-from vcmvsp.cosim.frames import rotate2, wrap
-from vcmvsp.cosim.types import Array, Scan
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.types import Scan
 
-ROBOT = Body(width_m=0.33, radius_m=0.216)
-DRONE = Body(width_m=0.5, radius_m=0.25, flies=True)
-GOAL = (3.0, 0.0)
 AHEAD = Task((0.3, 0.0))
-
-
-def scan(ranges: Array, *, fov: float = math.pi) -> View:
-    n = len(ranges)
-    step = fov / n if fov == math.tau else fov / (n - 1)
-    found = view_of(Scan(ranges=np.asarray(ranges, float), angle_min=-fov / 2, angle_step=step, range_max=20.0))
-    assert found is not None
-    return found
 
 
 def posts(*places: tuple[float, float], beams: int = 361, fov: float = math.tau) -> View:
     """Thin posts at (distance, bearing), each on the nearest beam."""
-    view = scan(np.full(beams, math.inf), fov=fov)
+    view = scan(np.full(beams, math.inf), fov)
     ranges = view.ranges.copy()
     for distance, bearing in places:
         ranges[int(np.abs((view.bearings - bearing + math.pi) % math.tau - math.pi).argmin())] = distance
     return view._replace(ranges=ranges)
-
-
-def to_goal(pose: Pose, goal: Point = GOAL, speed: float = 0.3) -> Task:
-    """Straight to it, turning on the spot before where it lies aside."""
-    aim = rotate2(goal[0] - pose[0], goal[1] - pose[1], -pose[2])
-    aside = math.atan2(aim[1], aim[0])
-    return Task((0.0 if abs(aside) > 0.8 else min(speed, math.hypot(*aim)), 0.0), max(-0.8, min(1.5 * aside, 0.8)), aim)
-
-
-def there(pose: tuple[float, ...], goal: Point = GOAL) -> bool:
-    return math.dist(pose[:2], goal) < 0.15
 
 
 @given(
@@ -143,18 +121,6 @@ def test_a_moving_robot_does_not_turn_past_what_its_circle_touches() -> None:
     assert decision.yaw_rate > -1.5 * math.radians(40.0)
 
 
-@given(st.floats(-0.1, 0.6), st.floats(-1.2, 1.2), st.none() | st.tuples(st.floats(-3, 3), st.floats(-3, 3)), st.booleans())
-def test_where_all_is_free_the_task_is_left_as_it_is(v: float, w: float, aim: Point | None, flies: bool) -> None:
-    for view in (scan(np.full(64, math.inf), fov=math.tau), scan(np.full(64, 2.0))):
-        task = Task((v, 0.0), w, aim)
-        assert Vfh().method(DRONE if flies else ROBOT, 0.1).decide(view, task) == (task.velocity, w, "task")
-
-
-def rooms(seed: int, beams: int = 181) -> Array:
-    rng = np.random.default_rng(seed)
-    return np.repeat(rng.uniform(0.3, 2.5, 12), 16)[:beams] + rng.uniform(0.0, 0.05, beams)
-
-
 @settings(max_examples=60)
 @given(st.integers(0, 2**32), st.floats(0.1, 2.0), st.booleans())
 def test_a_mirrored_scan_gives_the_mirrored_decision(seed: int, y: float, flies: bool) -> None:
@@ -169,28 +135,6 @@ def test_a_mirrored_scan_gives_the_mirrored_decision(seed: int, y: float, flies:
             assert right.mode == "turn"
             return
         assert (*left.velocity, left.yaw_rate) == pytest.approx((right.velocity[0], -right.velocity[1], -right.yaw_rate))
-
-
-@given(st.integers(0, 2**32))
-def test_nothing_makes_it_raise_or_go_faster_than_it_may(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    ranges = rng.choice([0.0, 0.01, 0.2, 0.9, 1.3, 5.0, math.inf], 64)
-    for body in (ROBOT, DRONE):
-        method = Vfh().method(body, 0.1)
-        for fov in (math.pi, math.tau):
-            decision = method.decide(scan(ranges, fov=fov), Task((0.3, 0.0), 0.1, (2.0, 0.4), (2.5, 0.0), 0.6))
-            assert math.hypot(*decision.velocity) <= 0.6 + 1e-12
-            assert body.flies or (decision.velocity[1] == 0.0 and decision.velocity[0] >= 0.0)
-
-
-def test_where_there_is_no_way_it_turns_to_one_side() -> None:
-    for body in (ROBOT, DRONE):
-        for ranges in (np.zeros(64), np.full(64, 0.4)):
-            method = Vfh().method(body, 0.1)
-            decisions = [method.decide(scan(ranges), Task((0.3, 0.0), 0.0, (2.0, 0.3))) for _ in range(5)]
-            assert all(each.velocity == (0.0, 0.0) and each.mode == "turn" for each in decisions)
-            assert len({each.yaw_rate for each in decisions}) == 1
-            assert abs(decisions[0].yaw_rate) == 0.6
 
 
 def starts(count: int) -> list[Pose]:

@@ -1,5 +1,6 @@
 """Maps that are shared: without loss all have the central map, with loss the ledger catches up."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -7,11 +8,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.area_search import GRID, S, over_the_air
-from tests.support.agents.shared_maps import KINDS, SENSOR, SMALL, TEAM, everything, ledger, look, tell
-from vcmvsp.agents.reconnaissance import exchange, log_odds
-from vcmvsp.agents.reconnaissance.exchange import Consensus, Kind, MapExchange
-from vcmvsp.agents.reconnaissance.ledger import Ledger
+from tests.support.agents.shared_maps import (
+    GRID,
+    KINDS,
+    SENSOR,
+    SMALL,
+    TEAM,
+    S,
+    everything,
+    ledger,
+    look,
+    over_the_air,
+    size,
+    tell,
+)
+from vcmvsp.agents.reconnaissance.exchange import Consensus, Kind, Ledger, MapExchange, exchange
+from vcmvsp.agents.reconnaissance.probability_map import log_odds
+from vcmvsp.cosim.agent import Radio
 
 # -- without loss
 
@@ -230,3 +243,265 @@ def test_consensus_moves_once_for_each_message_and_never_for_an_old_one() -> Non
 def test_me_must_be_a_member() -> None:
     with pytest.raises(ValueError, match="must include 'x'"):
         exchange("ledger", SMALL, SENSOR, "x", TEAM)
+
+
+# --- messages of a shared map: real sizes, and how full they are ---
+
+
+@pytest.mark.parametrize("max_bytes", [40, 64, 100, 127, 300, 1400, 2312])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("busy", [False, True])
+def test_messages_are_no_larger_than_allowed_and_pass_the_radio(kind: Kind, max_bytes: int, busy: bool) -> None:
+    rng, now_ns = np.random.default_rng(6), 1_800_000_000 * S  # as of a clock on a wall, whose numbers are long
+    mind = exchange(kind, GRID, SENSOR, "a", TEAM, max_bytes=max_bytes)
+    every = np.arange(GRID.rows * GRID.columns)
+    for _ in range(400 if busy else 1):  # beyond one byte
+        mind.look(every, rng.random(len(every)) < 0.9, now_ns - 3600 * S)
+    bodies = mind.messages(now_ns, 3000)
+    radio = Radio("a", TEAM)
+    for body in bodies:
+        assert size(body) <= max_bytes
+        radio.send(body)
+    assert [message.body for message in radio.drain()] == bodies
+    assert (bodies == []) == (kind == "none")
+    listener = exchange(kind, GRID, SENSOR, "b", TEAM, max_bytes=max_bytes)
+    assert all(listener.take("a", over_the_air(body), now_ns) for body in bodies)
+    if kind == "ledger" or (kind == "delta" and not busy):  # which clamps sums, not increments
+        assert listener.log_odds == pytest.approx(mind.log_odds)
+
+
+@pytest.mark.parametrize("kind", ["ledger", "delta"])
+def test_messages_of_many_tiles_are_no_larger_than_allowed(kind: Kind) -> None:
+    for max_bytes in range(8300, 8500):  # 15 to 16 tiles of 16 x 16, where a list needs more bytes to say how long it is
+        mind = exchange(kind, GRID, SENSOR, "a", TEAM, max_bytes=max_bytes)
+        mind.look(np.arange(2500), np.zeros(2500, bool), S)
+        assert max(map(size, mind.messages(S, 9))) <= max_bytes
+
+
+@pytest.mark.parametrize("max_bytes", [100, 1400])
+def test_messages_are_well_filled(max_bytes: int) -> None:
+    """Nearly all of a full message of 1400 bytes, and most of one of 100, is counts."""
+    mind = ledger("a", GRID, max_bytes=max_bytes)
+    every = np.arange(GRID.rows * GRID.columns)
+    mind.look(every, every % 7 == 0, S)
+    bodies = mind.messages(S, 2000)[:-1]
+    counts = sum(len(entry[3]) for body in bodies for entry in body["l"])
+    assert counts / sum(size(body) for body in bodies) > (0.97 if max_bytes == 1400 else 0.6)
+
+
+def test_no_more_messages_than_asked_for() -> None:
+    for kind in KINDS:
+        mind = exchange(kind, GRID, SENSOR, "a", TEAM, max_bytes=100)
+        mind.look(np.arange(2500), np.zeros(2500, bool), S)
+        assert [len(mind.messages(S, most)) for most in (0, 1, 3)] == ([0, 0, 0] if kind == "none" else [0, 1, 3])
+
+
+@pytest.mark.parametrize("kind", ["consensus", "delta"])
+def test_what_has_no_room_comes_next(kind: Kind) -> None:
+    mind = exchange(kind, GRID, SENSOR, "a", TEAM, max_bytes=100)
+    mind.look(np.arange(2500), np.zeros(2500, bool), S)
+    told = [entry[0] for _ in range(600) for body in mind.messages(S, 1) for entry in body[kind[0]]]
+    assert len(set(told)) == 169  # ceil(50 / 4)^2
+    assert kind == "consensus" or len(told) == 169
+
+
+def test_a_message_must_hold_a_cell() -> None:
+    with pytest.raises(ValueError, match="max_bytes = 39"):
+        ledger("a", max_bytes=39)
+
+
+def test_counts_end_at_what_two_bytes_hold() -> None:
+    a, b, cell = ledger("a"), ledger("b"), np.array([5])
+    a._own[0, 0, :, 5] = 65534
+    for tick in range(3):
+        a.look(cell, np.array([True]), tick * S)
+    assert a.counts[0, :, 0, 5].tolist() == [65535, 65534]
+    a.look(cell, np.array([False]), 4 * S)
+    tell(a, {"b": b}, "a", 5 * S)
+    assert b.counts[0, :, 0, 5].tolist() == [65535, 65535]
+
+
+# --- what nonsense, liars and clocks can do to a shared map: never touch own looks, and little besides ---
+
+
+COUNTS = bytes(range(200)) + bytes(312)  # hits and misses of a tile of 16 x 16
+
+
+def told(*entries: Any, ms: Any = 1000, key: str = "l") -> dict[str, Any]:
+    return {"ms": ms, key: [list(entry) for entry in entries]}
+
+
+def known() -> Ledger:
+    """What b knows after some seconds with a and c (grid of 50 x 50, tiles of 16 x 16)."""
+    b, rng = ledger("b", GRID), np.random.default_rng(7)
+    b.look(np.arange(2500), rng.random(2500) < 0.1, S)
+    for name in ("a", "c"):
+        mind = ledger(name, GRID)
+        mind.look(np.arange(2500), rng.random(2500) < 0.1, S)
+        tell(mind, {"b": b}, name, S)
+    return b
+
+
+GOOD = (0, 0, 5, COUNTS)
+BAD_ENTRIES = [
+    (-1, 0, 5, COUNTS), (3, 0, 5, COUNTS), (2**63, 0, 5, COUNTS),
+    (0.0, 0, 5, COUNTS), ("a", 0, 5, COUNTS), (True, 0, 5, COUNTS),
+    (0, -1, 5, COUNTS), (0, 16, 5, COUNTS), (0, 2**63, 5, COUNTS), (0, None, 5, COUNTS),
+    (0, 0, -1, COUNTS), (0, 0, 1001, COUNTS), (0, 0, -(2**63), COUNTS), (0, 0, 2**64 - 1, COUNTS), (0, 0, math.nan, COUNTS),
+    (0, 0, 5, b""), (0, 0, 5, COUNTS[:-1]), (0, 0, 5, COUNTS + b"x"), (0, 0, 5, COUNTS * 4),
+    (0, 0, 5, list(COUNTS)), (0, 0, 5, "x" * 512),
+    (0, 3, 5, COUNTS),  # counts of cells beyond the grid
+    (0, 0, 5), (0, 0, 5, 5, COUNTS), (), (None,),
+]  # fmt: skip
+BAD_BODIES: list[Any] = [
+    b"", b"\x00" * 50, None, {}, {"ms": 1000}, {"l": []},
+    {"ms": 1000, "l": None}, {"ms": 1000, "l": {}}, {"ms": 1000, "l": [5]},
+    *[told(GOOD, ms=ms) for ms in (-1, 1001, 2**63, 2**53 + 1, 1e3, math.nan, math.inf, "1", None, True)],
+    told(GOOD, key="c"), told(GOOD, key="d"), {"ms": 1000, "d": [[0, COUNTS]]},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "body", [*BAD_BODIES, *[told(GOOD, bad) for bad in BAD_ENTRIES], *[told(bad, GOOD) for bad in BAD_ENTRIES]]
+)
+def test_a_ledger_takes_nothing_from_a_message_with_nonsense_in_it(body: Any) -> None:
+    b = known()
+    before = everything(b)
+    assert not b.take("a", body, S)
+    assert everything(b) == before
+
+
+@pytest.mark.parametrize("sender", ["b", "x", "", "A"])
+def test_nobody_else_is_a_contributor_and_nobody_hears_itself(sender: str) -> None:
+    b = known()
+    before = everything(b)
+    assert not b.take(sender, told(GOOD), S)
+    assert everything(b) == before
+
+
+JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.binary(max_size=8) | st.just(COUNTS),
+    lambda inner: st.lists(inner, max_size=4),
+    max_leaves=8,
+)
+LIES = st.tuples(st.integers(-1, 3), st.integers(-1, 16), st.integers(-5, 1005), st.binary(min_size=512, max_size=512))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    sender=st.sampled_from(["a", "c"]),
+    ms=st.integers(0, 1001) | JUNK,
+    entries=st.lists(st.one_of(LIES, JUNK, st.tuples(st.integers(0, 2), st.integers(0, 15), st.just(5), JUNK)), max_size=4),
+    kind=st.sampled_from(KINDS),
+)
+def test_whatever_is_heard_nothing_breaks_and_no_own_look_is_touched(
+    sender: str, ms: Any, entries: list[Any], kind: Kind
+) -> None:
+    for key in ("l", "d", "c"):
+        mind = exchange(kind, GRID, SENSOR, "b", TEAM)
+        mind.take(sender, {"ms": ms, key: entries}, S)
+        mind.look(np.array([7]), np.array([True]), S)
+        assert np.isfinite(mind.log_odds).all()
+        assert np.abs(mind.log_odds).max() <= 20.0
+    b = known()
+    before = b.counts
+    b.take(sender, {"ms": ms, "l": entries}, S)
+    assert (b.counts[1] == before[1]).all()
+    assert (b.counts >= before).all()
+
+
+@pytest.mark.parametrize(("kind", "raw"), [("delta", COUNTS), ("consensus", bytes(512))])
+def test_delta_and_consensus_take_nothing_from_a_message_with_nonsense_in_it(kind: Kind, raw: bytes) -> None:
+    far = np.full(256, 32001, "<i2").tobytes()  # |l| > 20
+    good, key = (0, raw), kind[0]
+    bad: list[Any] = [(-1, raw), (16, raw), (2**63, raw), (0.0, raw), (0, raw[:-1]), (0, raw + b"x"), (0, list(raw)), (0,), ()]
+    bad += [(1, far)] if kind == "consensus" else [good, (3, raw)]  # a tile twice, and counts beyond the grid
+    for body in [
+        *BAD_BODIES[:-2],
+        *[told(good, each, key=key) for each in bad],
+        *[told(good, key=key, ms=ms) for ms in (-1, 1001, 2**63)],
+    ]:
+        mind = exchange(kind, GRID, SENSOR, "b", TEAM)
+        assert not mind.take("a", body, S)
+        mind.look(np.empty(0, int), np.empty(0, bool), S)
+        assert not mind.log_odds.any()
+    for stranger in ("b", "x"):
+        assert not exchange(kind, GRID, SENSOR, "b", TEAM).take(stranger, told(good, key=key), S)
+    assert exchange(kind, GRID, SENSOR, "b", TEAM).take("a", told(good, key=key), S)
+
+
+def test_copies_and_late_messages_add_nothing_to_delta() -> None:
+    b, entry = exchange("delta", GRID, SENSOR, "b", TEAM), (0, COUNTS)
+    assert b.take("a", told(entry, key="d", ms=900), S)
+    once = b.log_odds
+    for ms in (900, 899):
+        assert b.take("a", told(entry, key="d", ms=ms), S)
+        assert (b.log_odds == once).all()
+
+
+@pytest.mark.parametrize("relay", [True, False])
+def test_a_lie_about_another_lives_until_that_one_speaks(relay: bool) -> None:
+    """c claims that a saw a target everywhere: b may believe it where it has no newer word of a, and no longer than that."""
+    rng, a, b, honest = np.random.default_rng(8), ledger("a", GRID), ledger("b", GRID, relay=relay), ledger("b", GRID)
+    a.look(np.arange(2500), rng.random(2500) < 0.1, S)
+    for mind in (b, honest):
+        tell(a, {"b": mind}, "a", 2 * S)
+    lie = [(0, tile, 0, np.full(512, 255, np.uint8).tobytes()) for tile in (0, 1, 2)]
+    for ms in (1000, 2000):  # no newer than a's own word
+        assert b.take("c", told(*lie, ms=ms), 3 * S)
+        assert everything(b)[0] == everything(honest)[0]
+        assert b.log_odds.tobytes() == honest.log_odds.tobytes()
+    assert not b.take("c", told(*lie, ms=3001), 3 * S)  # of the future
+    assert b.take("c", told(*lie, ms=3000), 3 * S)
+    assert (b.counts >= honest.counts).all()
+    assert (b.log_odds.tobytes() == honest.log_odds.tobytes()) == (not relay)
+    assert b.take("c", told(*[(0, tile, 0, bytes(512)) for tile in (0, 1, 2, 4)], ms=3001), 4 * S)  # as if a had seen nothing
+    assert (b.counts == honest.counts).all()
+    assert b.take("c", told(*lie, ms=3002), 4 * S)
+    for mind in (b, honest):
+        tell(a, {"b": mind}, "a", 4 * S)  # nothing new, but the word of a
+    assert (b.counts == honest.counts).all()
+    assert b.log_odds.tobytes() == honest.log_odds.tobytes()
+    assert not ledger("a", GRID).take("a", told(*lie), 5 * S)
+
+
+def test_two_lies_of_one_instant_are_as_good_as_each_other_whichever_comes_first() -> None:
+    lies = [told((0, 0, 0, bytes([value]) * 512)) for value in (3, 5)]
+    minds = []
+    for order in (lies, lies[::-1]):
+        minds.append(ledger("b", GRID))
+        for lie in order:
+            assert minds[-1].take("c", lie, S)
+    assert everything(minds[0]) == everything(minds[1])
+
+
+def test_what_is_too_old_for_its_age_to_be_told_is_refused() -> None:
+    now_ms, b = 1_800_000_000_000, ledger("b", GRID)
+    assert b.take("a", told((0, 0, 2**32 - 1, COUNTS), ms=now_ms), now_ms * 1_000_000)
+    assert not b.take("a", told((0, 1, 2**32, COUNTS), ms=now_ms), now_ms * 1_000_000)
+    assert not b.take("a", told((0, 1, 0, COUNTS), ms=1), now_ms * 1_000_000)
+
+
+def test_nobody_is_told_what_it_saw_itself() -> None:
+    a = ledger("a", GRID)
+    assert a.take("c", told((0, 0, 0, COUNTS)), S)
+    assert not a.counts.any()
+    assert a.messages(S, 10) == []
+
+
+def test_who_does_not_relay_tells_of_itself_alone() -> None:
+    b = known()
+    for relay, contributors in ((True, {0, 1, 2}), (False, {1})):
+        b.relay = relay
+        assert {entry[0] for body in b.messages(2 * S, 1000) for entry in body["l"]} == contributors
+
+
+def test_clocks_may_differ_by_the_bound_that_is_given() -> None:
+    a, b, c = (ledger(name, clock_bound_s=0.1) for name in TEAM)
+    a.look(np.array([3]), np.array([True]), S)
+    tell_a = a.messages(S, 1)[0]
+    assert b.take("a", over_the_air(tell_a), S - 90_000_000)
+    passed_on = b.messages(S - 80_000_000, 1)[0]  # by b's clock from before a's look
+    assert c.take("b", over_the_air(passed_on), S - 80_000_000)
+    assert c.counts[0].sum() == 1
+    assert not b.take("a", over_the_air(tell_a), S - 110_000_000)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.agents.reconnaissance import Grid, Rectangle, Sensor, decisions, log_odds, probability
+from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor, decisions, log_odds, probability
 from vcmvsp.cosim.types import Array
 
 GRID = Grid(Rectangle(-10.0, 5.0, 21.0, 25.0), 2.0)  # 31 m are no multiple of 2 m

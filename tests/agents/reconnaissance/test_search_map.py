@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.agents.reconnaissance import Grid, Rectangle, Sensor, exchange
+from vcmvsp.agents.reconnaissance.exchange import exchange
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
+from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor
 from vcmvsp.agents.reconnaissance.search_map import SearchMap, of_picture, of_reading, swaths_m
 from vcmvsp.agents.reconnaissance.watch import WatchFrame
 from vcmvsp.cosim.frames import quaternion_from_yaw

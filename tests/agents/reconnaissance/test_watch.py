@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.agents.aerial_loop import BODY, T
-from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, nadir_of
-from vcmvsp.agents.reconnaissance.poses import Poses
+from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, Poses, nadir_of
 from vcmvsp.agents.reconnaissance.recognition.ground import FOCAL_PX, SyntheticFrame, frame, glyph, tilted
 from vcmvsp.agents.reconnaissance.watch import GroundDisc, Wanted, Watch, Watching
 from vcmvsp.cosim.agent import Observation, VehicleInfo

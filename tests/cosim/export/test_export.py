@@ -15,6 +15,7 @@ import pytest
 import vcmvsp
 from tests.support.cosim import export_runs
 from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.export_runs import recorded
 from tests.support.cosim.full_disk import room_for
 from tests.support.cosim.studies import two
 from vcmvsp.cosim.clock import SECOND_NS
@@ -33,11 +34,6 @@ from vcmvsp.cosim.types import VehicleState
 def rows(path: Path) -> list[dict[str, str]]:
     with path.open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(stream))
-
-
-def recorded(name: str, topic: str) -> list[tuple[int, Any]]:
-    with (export_runs.run_of(name) / "run.mcap").open("rb") as stream:
-        return [(time_ns, json.loads(data)) for each, time_ns, data in messages(stream) if each == topic]
 
 
 @pytest.fixture(scope="module")

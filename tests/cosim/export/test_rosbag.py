@@ -15,12 +15,12 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from tests.support.cosim import export_runs
+from tests.support.cosim.export_runs import recorded
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.export.formats import export
 from vcmvsp.cosim.export.rosbag import ros_name, write_bag
 from vcmvsp.cosim.frames import product
 from vcmvsp.cosim.recording import recorded_run
-from vcmvsp.cosim.recording.mcap_reader import messages
 
 RERUN = Path(sys.executable).with_name("rerun")
 RUNS = ("lab-patrol", "recon-team", "a crossing cart", "a tag and late sensors")
@@ -39,12 +39,6 @@ def read(bag: Path) -> dict[str, list[tuple[int, Any]]]:
         for connection, time_ns, data in reader.messages():
             found.setdefault(connection.topic, []).append((time_ns, reader.deserialize(data, connection.msgtype)))
     return found
-
-
-def recorded(name: str, topic: str) -> list[tuple[int, Any]]:
-    """Time and content of each message of a topic of the recording."""
-    with (export_runs.run_of(name) / "run.mcap").open("rb") as stream:
-        return [(time_ns, json.loads(data)) for each, time_ns, data in messages(stream) if each == topic]
 
 
 def ns(stamp: Any) -> int:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.cosim.figures import drawn, missed
-from vcmvsp.agents.reconnaissance.recognition import Detection
+from vcmvsp.agents.reconnaissance.recognition.detector import Detection
 from vcmvsp.agents.reconnaissance.recognition.ground import Truth
 from vcmvsp.agents.reconnaissance.recognition.inspection import colour_map, inspect
 from vcmvsp.cosim.frames import wrap

@@ -16,8 +16,7 @@ from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.scenario.schema import SetTable
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.view.messages import Go, PageUpdate, Seek, Sensors
-from vcmvsp.cosim.view.player.playback import FASTEST, Player
-from vcmvsp.cosim.view.player.recording import Recording
+from vcmvsp.cosim.view.player.recording import FASTEST, Player, Recording
 
 TIMES = st.integers(0, END_NS)
 

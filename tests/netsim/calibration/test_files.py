@@ -19,7 +19,7 @@ from vcmvsp.netsim.propagation.fading import Nakagami
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 from vcmvsp.netsim.propagation.shadowing import Shadowing
 from vcmvsp.netsim.propagation.walls import FixedWalls
-from vcmvsp.physics.line_of_sight.sightline import Sightline
+from vcmvsp.physics.line_of_sight import Sightline
 
 
 def test_a_long_log_is_sampled_evenly_and_in_neighbours() -> None:

@@ -14,7 +14,7 @@ from vcmvsp.netsim.calibration.likelihood import Survey, below, covariance, log_
 from vcmvsp.netsim.calibration.measurements import MeasuredLinks
 from vcmvsp.netsim.propagation.shadowing import Shadowing
 from vcmvsp.netsim.propagation.walls import FixedWalls
-from vcmvsp.physics.line_of_sight.sightline import Sightline
+from vcmvsp.physics.line_of_sight import Sightline
 
 SEEDS = range(4)
 

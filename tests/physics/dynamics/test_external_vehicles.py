@@ -18,17 +18,15 @@ from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
 from vcmvsp.cosim.types import FrameReport, Later, Message, VehicleState, Velocity, Waypoint
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.federate import RadioFederate
-from vcmvsp.physics.dynamics.external_vehicles import ExternalEngine
+from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
-from vcmvsp.physics.sensors.imu import InertialUnit
-from vcmvsp.physics.sensors.neighbour_range import NeighbourRange
+from vcmvsp.physics.sensors.detectors import NeighbourRange
+from vcmvsp.physics.sensors.motion import InertialUnit, WheelOdometry
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
-from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
 from vcmvsp.physics.vehicles.models import P2DX, Lag
-from vcmvsp.physics.world.scene import rotations
 from vcmvsp.physics.world.solids import Box, Hull
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import World, rotations
 
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 SETTLES = {KinematicPhysics: 2e-6, BulletPhysics: 3e-4}  # m, how far a simulated robot may roll as it settles on its wheels

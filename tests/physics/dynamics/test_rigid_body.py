@@ -9,7 +9,7 @@ import pytest
 
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.dynamics.rigid_body import gyration, into_body, precession, rotations
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import Quadrotor
 
 MODEL = Quadrotor(inertia=(0.0040, 0.0055, 0.0073))  # three different moments: it tumbles
 NOTHING = np.zeros((1, 3))

@@ -13,8 +13,7 @@ from hypothesis.extra import numpy as arrays
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.importers import Map
-from vcmvsp.physics.importers.occupancy_grid import blocks_of
+from vcmvsp.physics.importers.occupancy_grid import Map, blocks_of
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 

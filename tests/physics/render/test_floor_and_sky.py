@@ -7,14 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.physics.render.test_depth import a_rotation, towards
+from tests.physics.render.test_renderer import a_rotation, towards
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render.floor_and_sky import SKY
 from vcmvsp.physics.render.renderer import render
-from vcmvsp.physics.render.view import View
-from vcmvsp.physics.world.floor import GroundPicture, Mark
+from vcmvsp.physics.render.triangles import View
+from vcmvsp.physics.world.floor import GroundPicture, GroundTarget, Mark, placed
 from vcmvsp.physics.world.solids import Box
-from vcmvsp.physics.world.targets import GroundTarget, placed
 from vcmvsp.physics.world.world import World
 
 

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics import worlds
 from vcmvsp.physics.render.world_picture import draw_world, extent, png
 from vcmvsp.physics.world.floor import GroundPicture
 from vcmvsp.physics.world.solids import Box, Cylinder, Mesh
@@ -100,10 +100,10 @@ def test_png_keeps_every_pixel() -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", ["Empty", "Laboratory", "RecreationCentre", "Urban", "Corridor", "Gates", "GatesOffset", "Pillar"]
+    "kind", ["empty", "laboratory", "recreation-centre", "urban", "corridor", "gates", "gates-offset", "pillar"]
 )
 def test_every_built_in_world_can_be_drawn_and_is_not_one_colour(kind: str) -> None:
-    world = getattr(worlds, kind)().build()
+    world = registry.find("world", kind)().build()
     for picture in draw_world(world, width=300, height=200):
         assert picture.shape == (200, 300, 3)
         assert picture.reshape(-1, 3).std(axis=0).max() > 3.0

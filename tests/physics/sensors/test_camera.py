@@ -14,9 +14,8 @@ from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Image
 from vcmvsp.physics.render.floor_and_sky import SKY
 from vcmvsp.physics.sensors.camera import LOWEST_M, Camera, NadirCamera
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.solids import Box, Hull, Prism
-from vcmvsp.physics.world.world import Light, World
+from vcmvsp.physics.world.world import Light, Scene, World
 
 RED, GREEN = (220, 30, 30), (30, 200, 40)
 RNG = np.random.default_rng(0)

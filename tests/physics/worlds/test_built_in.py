@@ -3,23 +3,32 @@
 import itertools
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
+import vcmvsp
+from vcmvsp.cosim.assembly import worlds
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.vehicles.models import P2DX
-from vcmvsp.physics.world.overlap import Blocking
+from vcmvsp.physics.world.floor import GroundTarget
 from vcmvsp.physics.world.polygons import overlap_m
+from vcmvsp.physics.world.proximity import Blocking
 from vcmvsp.physics.world.solids import Box, Cylinder, Prism, rectangle
-from vcmvsp.physics.world.targets import GroundTarget
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World, Zone
-from vcmvsp.physics.worlds import Boxes, Corridor, Empty, Gates, GatesOffset, Laboratory, Pillar, RecreationCentre, Urban
-from vcmvsp.physics.worlds.laboratory import AISLES, PATROL
+from vcmvsp.physics.worlds.laboratory import AISLES, PATROL, Laboratory
+from vcmvsp.physics.worlds.obstacle_courses import Corridor, Gates, GatesOffset, Pillar
+from vcmvsp.physics.worlds.recreation import RecreationCentre
+from vcmvsp.physics.worlds.surroundings import Boxes, Empty
+from vcmvsp.physics.worlds.urban import Urban
 
 TURNS = (0.7, -1.2, 1.57)
 WORLDS: dict[str, Any] = {
@@ -120,7 +129,7 @@ def test_every_kind_takes_the_surroundings(kind: Any) -> None:
     assert (world.wind, world.light.ambient) == (Wind(velocity=(3.0, 0.0, 0.0), gust=1.0), 0.4)
     plain = binding.complete(kind, given)
     assert binding.call(kind, plain).build() == world  # what the resolved scenario says is the same world
-    picture = world.ground.image()
+    picture = world.ground.image
     x, y = world.ground.center
     row = (y + 0.5 * world.ground.size[1] - 0.1) / world.ground.size[1] * len(picture)
     column = (0.1 - x + 0.5 * world.ground.size[0]) / world.ground.size[0] * picture.shape[1]
@@ -273,5 +282,132 @@ def test_bounds_the_wrong_way_round_are_refused() -> None:
 
 def test_a_zone_without_colour_leaves_the_floor_as_it_is() -> None:
     zone = Zone(center=(0.0, 0.0), size=(1.0, 1.0), friction=0.1)
-    assert Empty(zones=(zone,)).build().ground.image() is None
-    assert Empty(zones=(msgspec.structs.replace(zone, color=(1, 2, 3)),)).build().ground.image() is not None
+    assert Empty(zones=(zone,)).build().ground.image is None
+    assert Empty(zones=(msgspec.structs.replace(zone, color=(1, 2, 3)),)).build().ground.image is not None
+
+
+def test_a_town_without_a_seed_of_its_own_has_that_of_the_run() -> None:
+    source = Source("test", Path())
+    towns = {seed: worlds.build({"kind": "urban", "targets": [{}]}, source, seed=seed) for seed in (1, 2)}
+    for seed, (world, resolved) in towns.items():
+        assert world == Urban(seed=seed, targets=(GroundTarget(),)).build()
+        assert "seed" not in resolved  # the resolved scenario has that of the run
+        assert worlds.build({"kind": "urban", "seed": 2}, source, seed=seed)[1]["seed"] == 2
+    assert towns[1][0].solids != towns[2][0].solids
+    assert towns[1][0].targets != towns[2][0].targets
+    assert worlds.build({"kind": "recreation-centre"}, source, seed=5)[0] == RecreationCentre().build()
+
+
+def test_a_run_its_drawing_and_its_radio_are_in_the_same_town(tmp_path: Path) -> None:
+    """And what the run keeps is the same town again, with its pictures."""
+    listed = [{"name": name, "picture": f"targets/{name}.png"} for name in ("alpha", "bravo")]
+    scenario = {
+        "name": "town",
+        "duration_s": 0.1,
+        "seed": 7,
+        "physics": {"kind": "kinematic"},
+        "world": {"kind": "urban", "targets": listed},
+        "vehicle": [{"name": "uav", "kind": "point", "position": [0, 0, 40]}],
+    }
+    world = Urban(seed=7, targets=tuple(GroundTarget(name=each["name"]) for each in listed)).build()
+    with assemble(*scenarios.load(scenario)) as assembled:
+        assert assembled.world.solids == world.solids
+        assert [each.place(0.0) for each in assembled.world.targets] == [each.place(0.0) for each in world.targets]
+    vcmvsp.run(scenario, out=tmp_path / "run")
+    assert {"alpha.png", "bravo.png"} <= {path.name for path in (tmp_path / "run").iterdir()}
+    kept, _ = worlds.world_of(str(tmp_path / "run" / "scenario.toml"), {})
+    assert kept.solids == world.solids
+    assert [each.picture for each in kept.targets] == [str(tmp_path / "run" / f"{each['name']}.png") for each in listed]
+    assert len({worlds.world_of(str(tmp_path / "run" / "scenario.toml"), {"seed": k})[0].solids for k in range(4)}) == 4
+
+
+@pytest.mark.parametrize("bends", [(), (0.5,), (0.7, -1.2, 1.57), (-1.0, -1.0)])
+def test_a_corridor_is_as_wide_as_asked_for_everywhere(bends: tuple[float, ...]) -> None:
+    corridor = Corridor(length=30.0, width=2.0, bends=bends)
+    world, middle = corridor.build(), corridor.middle()
+    assert np.hypot(*np.diff(middle, axis=0).T).sum() == pytest.approx(30.0)
+    for a, b in itertools.pairwise(middle):
+        for share in np.linspace(0.0, 1.0, 40).tolist():
+            x, y = a + share * (b - a)
+            assert world.blocking(disc(x, y, 0.999), 0.0, 2.0) is None
+        assert world.blocking(disc(0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 1.05), 0.0, 2.0) is not None
+
+
+def test_a_closed_corridor_ends() -> None:
+    assert Corridor(closed=True).build().blocking(disc(20.1, 0.0, 0.05), 0.0, 1.0) is not None
+    assert Corridor().build().blocking(disc(20.1, 0.0, 0.05), 0.0, 1.0) is None
+
+
+@pytest.mark.parametrize("bends", [(), (0.7, -1.2)])
+def test_a_corridor_may_begin_anywhere_on_its_axis(bends: tuple[float, ...]) -> None:
+    plain, moved = Corridor(bends=bends, closed=True), Corridor(bends=bends, closed=True, start=-2.5)
+    assert moved.middle() == pytest.approx(plain.middle() - (2.5, 0.0))
+    for one, other in zip(plain.build().shapes.groups, moved.build().shapes.groups, strict=True):
+        assert other.corners == pytest.approx(one.corners - (2.5, 0.0))
+
+
+@pytest.mark.parametrize(("bends", "words"), [((2.0,), ""), ((1.5,) * 4, "run into itself"), ((3.13,), "too short")])
+def test_corridors_that_cannot_be(bends: tuple[float, ...], words: str) -> None:
+    if not words:
+        Corridor(bends=bends).build()
+        return
+    with pytest.raises(ScenarioError, match=words) as caught:
+        Corridor(length=16.0, bends=bends).build()
+    assert caught.value.key == "bends"
+
+
+def test_gates_are_open_where_they_should_be() -> None:
+    for gates, offset in ((Gates(number=3), 0.0), (GatesOffset(number=3), 0.75)):
+        world = gates.build()
+        for gate in range(3):
+            y = offset * (-1.0) ** gate
+            assert world.blocking(disc(4.0 * (gate + 1), y, 0.74), 0.0, 0.5) is None
+            for side in (-0.76, 0.76, 2.7, -2.7):
+                assert world.blocking(disc(4.0 * (gate + 1), y + side, 0.05), 0.0, 0.5) is not None
+
+
+@pytest.mark.parametrize("kind", [Gates, GatesOffset])
+def test_gates_stand_where_each_was_put(kind: type[Gates]) -> None:
+    """Gaps of 0.9 m every 3.5 m; ``offset`` does not count then."""
+    offsets = (0.0, 0.8, -0.5)
+    world = kind(number=3, spacing=3.5, width=0.9, offsets=offsets).build()
+    assert world.name == "gates-offset"
+    for gate, y in enumerate(offsets):
+        x = 3.5 * (gate + 1)
+        assert world.blocking(disc(x, y, 0.449), 0.0, 0.5) is None
+        for side in (-0.46, 0.46, 2.4, -2.4):
+            assert world.blocking(disc(x, y + side, 0.02), 0.0, 0.5) is not None
+    same = Gates(number=2, offsets=(0.75, -0.75)).build()
+    assert same.solids == GatesOffset(number=2).build().solids
+    assert Gates(number=2, offsets=(0.0, 0.0)).build().name == "gates"
+
+
+@pytest.mark.parametrize("kind", [Gates, GatesOffset])
+def test_one_offset_beside_those_of_all_gates_is_refused(kind: type[Gates]) -> None:
+    with pytest.raises(ScenarioError, match="so that offset says nothing") as caught:
+        kind(number=2, offset=0.4, offsets=(0.0, 0.8))
+    assert caught.value.key == "offsets"
+
+
+@pytest.mark.parametrize("offsets", [(0.0,), (0.0, 0.8, -0.5, 0.1)])
+def test_as_many_offsets_as_gates_are_asked_for(offsets: tuple[float, ...]) -> None:
+    with pytest.raises(ScenarioError, match=rf"as many as there are gates, number = 3, not {len(offsets)}") as caught:
+        Gates(number=3, offsets=offsets)
+    assert caught.value.key == "offsets"
+
+
+def test_a_pillar_stands_where_it_was_put() -> None:
+    world = Pillar(position=(3.0, 1.0), radius=0.5).build()
+    solid, depth = world.blocking(disc(3.0, 0.3, 0.3), 0.0, 0.5) or (None, 0.0)
+    assert isinstance(solid, Cylinder)
+    assert depth == pytest.approx(0.1, abs=0.02)  # 0.7 m apart, radii 0.5 and 0.3
+    assert world.blocking(disc(3.0, 0.3, 0.19), 0.0, 0.5) is None
+
+
+def test_a_square_pillar_has_corners() -> None:
+    """Its edge is twice the radius: 5 cm from its side, and outside the circle at its corner."""
+    world = Pillar(position=(3.0, 1.0), radius=0.25, square=True).build()
+    assert world.solids == (Box(center=(3.0, 1.0, 1.5), size=(0.5, 0.5, 3.0)),)
+    assert world.blocking(disc(3.0, 0.5, 0.2), 0.0, 0.5) is None
+    assert world.blocking(disc(3.24, 1.24, 0.005), 0.0, 0.5) is not None
+    assert Pillar(position=(3.0, 1.0), radius=0.25).build().blocking(disc(3.24, 1.24, 0.005), 0.0, 0.5) is None

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tests.support.agents.agent_loop import received
-from vcmvsp.agents.formation.aerial.flight import told
+from vcmvsp.agents.formation.aerial import told
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Reception, Scan, Vec3, VehicleState, Velocity

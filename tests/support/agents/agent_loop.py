@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.agents.formation import LeaderFollower
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import arc, quaternion_from_yaw
 from vcmvsp.cosim.types import Follows, Message, Reception, VehicleState, Velocity

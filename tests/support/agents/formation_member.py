@@ -3,8 +3,8 @@
 from typing import Any
 
 from tests.support.agents.agent_loop import observe, received
-from vcmvsp.agents.formation import LeaderFollower
-from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
+from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.types import Message, Reception, Velocity
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.agents.avoidance import view_of
-from vcmvsp.agents.avoidance.method import Decision, Method, Task
-from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.method import Decision, Method, Settings, Task
 from vcmvsp.agents.avoidance.steering import AvoidanceSteering
 from vcmvsp.agents.avoidance.view import View
 from vcmvsp.cosim.agent import Body, Observation, VehicleInfo
@@ -22,6 +21,25 @@ Box = tuple[Point, Point]  # lower and upper corner, m
 
 PILLAR: Box = ((-0.25, -0.25), (0.25, 0.25))
 PERIOD_S = 0.1
+GOAL: Point = (3.0, 0.0)
+ROBOT, DRONE = Body(width_m=0.33, radius_m=0.216), Body(width_m=0.5, radius_m=0.25, flies=True)
+
+
+def to_goal(pose: Pose) -> Task:
+    """Straight to it, turning on the spot before where it lies aside."""
+    aim = rotate2(GOAL[0] - pose[0], GOAL[1] - pose[1], -pose[2])
+    aside = math.atan2(aim[1], aim[0])
+    return Task((0.0 if abs(aside) > 0.8 else min(0.3, math.hypot(*aim)), 0.0), max(-0.8, min(1.5 * aside, 0.8)), aim)
+
+
+def there(place: Point | Pose) -> bool:
+    return math.dist(place[:2], GOAL) < 0.15
+
+
+def rooms(seed: int, beams: int = 181) -> Array:
+    """Ranges of walls at random distances."""
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.uniform(0.3, 2.5, 12), 16)[:beams] + rng.uniform(0.0, 0.05, beams)
 
 
 def look(pose: Pose, boxes: Sequence[Box], *, beams: int = 32, fov: float = math.tau, range_m: float = 6.0) -> View:
@@ -75,40 +93,20 @@ def fly(
     task: Callable[[Point], Task],
     until: Callable[[Point], bool],
     *,
-    boxes: Sequence[Box] = (PILLAR,),
-    beams: int = 32,
     yaw: float = 0.0,
-    lag_s: float = 0.0,
-    fine: bool = True,
     seconds: float = 60.0,
 ) -> Way:
-    """A vehicle of constant yaw, whose task is told in the world frame.
-
-    Its velocity is the commanded one, or goes there as exp(-t/lag): exactly (``fine``), or in steps of a period at whose
-    beginning the velocity already is what it should be at their end. With a lag it starts at the speed of its task.
-    """
-    place, velocity = start, task(start).velocity
-    poses: list[Pose] = [(*start, yaw)]
-    decisions: list[Decision] = []
-    nearest = clearance(start, boxes)
-    steps = 20 if fine and lag_s else 1
-    h = PERIOD_S / steps
-    decay = math.exp(-h / lag_s) if lag_s else 0.0
-    mean = (1.0 - decay) * lag_s / h if steps > 1 else decay
+    """A vehicle of constant yaw past a pillar, whose velocity is the commanded one; its task is told in the world frame."""
+    place, poses, decisions = start, [(*start, yaw)], list[Decision]()
     while len(decisions) < seconds / PERIOD_S and not until(place):
         wish = task(place)
         now = (decisions[-1].velocity[0], decisions[-1].yaw_rate) if decisions else (0.0, 0.0)
         asked = wish._replace(velocity=rotate2(*wish.velocity, -yaw), now=now)
-        decision = method.decide(look((*place, yaw), boxes, beams=beams), asked)
-        ux, uy = rotate2(*decision.velocity, yaw)
-        for _ in range(steps):
-            vx, vy = velocity[0] - ux, velocity[1] - uy  # what is left of the velocity before
-            velocity = ux + vx * decay, uy + vy * decay
-            place = place[0] + (ux + vx * mean) * h, place[1] + (uy + vy * mean) * h
-            nearest = min(nearest, clearance(place, boxes))
+        decisions.append(method.decide(look((*place, yaw), [PILLAR]), asked))
+        ux, uy = rotate2(*decisions[-1].velocity, yaw)
+        place = place[0] + ux * PERIOD_S, place[1] + uy * PERIOD_S
         poses.append((*place, yaw))
-        decisions.append(decision)
-    return Way(poses, decisions, nearest)
+    return Way(poses, decisions, min(clearance(pose[:2], [PILLAR]) for pose in poses))
 
 
 def drive(

@@ -9,11 +9,11 @@ import numpy as np
 
 from tests.support.agents.agent_loop import observe
 from tests.support.agents.formation_member import TICK_NS, says
-from vcmvsp.agents.formation import Trajectory
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
-from vcmvsp.agents.formation.reports.received import ReportReceiver
-from vcmvsp.agents.formation.team.formation import Formation, Passage
+from vcmvsp.agents.formation.reports.report import ReportReceiver
 from vcmvsp.agents.formation.team.passage import Lookout
+from vcmvsp.agents.formation.team.shape import Formation, Passage
 from vcmvsp.agents.formation.team.team import Team
 from vcmvsp.cosim.agent import Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.types import Readings, Reception, Scan, Velocity

@@ -1,4 +1,4 @@
-"""Exact scans of thin straight walls, and a robot that drives among them as it is told to."""
+"""Exact scans of thin straight walls."""
 
 import math
 from collections.abc import Sequence
@@ -6,10 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from vcmvsp.agents.avoidance.method import Method, Mode, Task
 from vcmvsp.agents.avoidance.view import View, view_of
 from vcmvsp.cosim.agent import Body
-from vcmvsp.cosim.frames import arc, rotate2
 from vcmvsp.cosim.types import Array, Scan
 
 Point = tuple[float, float]
@@ -69,45 +67,3 @@ def wall_with_doors(distance: float, doors: Sequence[tuple[float, float]], tilt:
         return distance - left * math.sin(tilt), left * math.cos(tilt)
 
     return [(at(begin), at(end)) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def clearance(walls: Sequence[Wall], x: float, y: float) -> float:
-    """Distance of a point from the nearest wall, m."""
-    ends = np.array(walls, float)
-    a, e = ends[:, 0] - (x, y), ends[:, 1] - ends[:, 0]
-    part = np.clip(-(a * e).sum(1) / (e * e).sum(1), 0.0, 1.0)
-    return float(np.hypot(*(a + part[:, None] * e).T).min())
-
-
-def driven(
-    method: Method,
-    walls: Sequence[Wall],
-    pose: Pose,
-    goal: Point,
-    *,
-    fov: float = math.pi,
-    seconds: float = 60.0,
-    speed: float = 0.3,
-    noise: np.random.Generator | None = None,
-) -> tuple[list[Pose], list[Mode], float]:
-    """A robot on its way to a goal, 10 decisions a second: poses, modes, least clearance in m.
-
-    Its task heads for the goal, on the spot where that lies aside by more than 0.8 rad.
-    """
-    poses, modes, least, now = [pose], list[Mode](), math.inf, (0.0, 0.0)
-    for _ in range(round(seconds * 10)):
-        aim = rotate2(goal[0] - pose[0], goal[1] - pose[1], -pose[2])
-        if math.hypot(*aim) < 0.1:
-            break
-        aside = math.atan2(aim[1], aim[0])
-        task = Task((0.0 if abs(aside) > 0.8 else speed, 0.0), max(-0.8, min(1.5 * aside, 0.8)), aim, now=now)
-        ranges = ranges_of(walls, pose, 181, fov)
-        if noise is not None:
-            ranges += noise.normal(0.0, 0.02, len(ranges))
-        decision = method.decide(view(ranges, fov), task)
-        now = decision.velocity[0], decision.yaw_rate
-        pose = arc(pose, *now, 0.1)
-        poses.append(pose)
-        modes.append(decision.mode)
-        least = min(least, clearance(walls, *pose[:2]))
-    return poses, modes, least

@@ -2,18 +2,29 @@
 
 from typing import Any
 
+import msgspec
 import numpy as np
 
-from tests.support.agents.area_search import over_the_air
-from vcmvsp.agents.reconnaissance import Grid, Rectangle, Sensor, exchange
-from vcmvsp.agents.reconnaissance.exchange import Kind, MapExchange
-from vcmvsp.agents.reconnaissance.ledger import Ledger
+from vcmvsp.agents.reconnaissance.exchange import Kind, Ledger, MapExchange, exchange
+from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor
 from vcmvsp.cosim.types import Array
 
 SMALL = Grid(Rectangle(0.0, 0.0, 19.0, 7.0), 1.0)  # more than a tile, and no multiple of one
 SENSOR = Sensor(0.9, 0.2)
+GRID = Grid(Rectangle(0.0, 0.0, 100.0, 100.0), 2.0)
+S = 1_000_000_000  # ns
 TEAM = ("a", "b", "c")
 KINDS: tuple[Kind, ...] = ("none", "delta", "consensus", "ledger")
+
+
+def over_the_air(body: dict[str, Any]) -> Any:
+    """The body as another vehicle gets it."""
+    return msgspec.msgpack.decode(msgspec.msgpack.encode(body))
+
+
+def size(body: dict[str, Any]) -> int:
+    """Bytes of payload."""
+    return len(msgspec.msgpack.encode(body))
 
 
 def ledger(me: str, grid: Grid = SMALL, **more: Any) -> Ledger:

@@ -1,6 +1,7 @@
 """Short runs of built-in scenarios with everything recorded, made once for all tests of a process."""
 
 import functools
+import json
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 import vcmvsp
 from vcmvsp.cosim.recording import mcap_writer
+from vcmvsp.cosim.recording.mcap_reader import messages
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="vcmvsp-exports-")
 ALL = {"record.sensors": ["*"]}
@@ -78,6 +80,12 @@ def run_of(name: str) -> Path:
         patch.setattr(mcap_writer, "CHUNK_BYTES", 1 << 18)  # so that such a short one has several
         vcmvsp.run(scenario, set=settings, agents="inprocess", out=folder)
     return folder
+
+
+def recorded(name: str, topic: str) -> list[tuple[int, Any]]:
+    """Time (ns) and content of each message of a topic of a run's recording."""
+    with (run_of(name) / "run.mcap").open("rb") as stream:
+        return [(time_ns, json.loads(data)) for each, time_ns, data in messages(stream) if each == topic]
 
 
 def cut(name: str, folder: Path, part: float) -> Path:

@@ -19,7 +19,7 @@ SHARED = (
     "vcmvsp.cosim.cli.app",
     *("vcmvsp.cosim.runs.api", "vcmvsp.cosim.report.run_page", "vcmvsp.cosim.plots.run_plots", "vcmvsp.cosim.plots.style"),
     *("vcmvsp.cosim.analysis.links", "vcmvsp.cosim.export.formats", "vcmvsp.cosim.studies.outputs"),
-    *("vcmvsp.cosim.cli.outputs", "vcmvsp.cosim.view.player.playback"),
+    *("vcmvsp.cosim.cli.outputs", "vcmvsp.cosim.view.player.recording"),
 )
 """Modules that the readers of results import."""
 CPU_S, MOST_BYTES = 10, 1 << 30

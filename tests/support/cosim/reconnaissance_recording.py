@@ -14,7 +14,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.types import Looks, Mosaic, ProbabilityMap, Sighting, Sightings, frozen
-from vcmvsp.physics.world.targets import PlacedTarget
+from vcmvsp.physics.world.floor import PlacedTarget
 from vcmvsp.physics.world.world import World
 
 SIDE_M, CELL_M = 40.0, 2.0

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcmvsp.physics.raycast.caster import Nearest, Reached, touching_spheres
-from vcmvsp.physics.raycast.moving_hulls import hulls_of, in_frames, meet
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.raycast.sweep import in_frames, meet
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Hull, Mesh, Prism
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import Scene, World
 
 Floats = NDArray[np.float64]
 
@@ -96,26 +95,14 @@ def hulls(rng: np.random.Generator, count: int) -> tuple[Hull, ...]:
 def beams(ahead: Floats, left: Floats, first: float, step: float, count: int) -> Floats:
     """Directions of a scanner's beams, (n, 3)."""
     angle = first + step * np.arange(count)
-    found: Floats = np.outer(np.cos(angle), ahead) + np.outer(np.sin(angle), left)
-    return found
+    return np.asarray(np.outer(np.cos(angle), ahead) + np.outer(np.sin(angle), left))
 
 
 def cast_bodies(
     scene: Scene, origins: Floats, directions: Floats, reach_m: float, own: int | NDArray[np.int64] = -1
 ) -> Reached:
-    """How far beams get until they meet a body, beam by beam.
-
-    Args:
-        scene: the bodies.
-        origins: (r, 3) m, world.
-        directions: (r, 3), unit vectors.
-        reach_m: no further than this.
-        own: row, or (r,) rows, of the body that a beam does not see; -1: none.
-
-    Returns:
-        The distances, 0 where a beam begins inside a body, and the rows, -1 where nothing was met.
-    """
-    hulls = hulls_of(scene)
+    """How far beams get until they meet a body, beam by beam: 0 m inside of one; ``own``: rows that beams do not see."""
+    hulls = scene.placed_hulls
     beam, body = touching_spheres(origins, directions, reach_m, hulls.centre, hulls.radius)
     others = body != np.broadcast_to(own, len(origins))[beam]
     beam, body = beam[others], body[others]

@@ -9,10 +9,9 @@ import numpy as np
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render.floor_and_sky import SKY
 from vcmvsp.physics.render.renderer import NEAREST_M
-from vcmvsp.physics.render.view import View
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.render.triangles import View
 from vcmvsp.physics.world.solids import Cylinder, Hull, Mesh, color_of
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import Scene, World
 
 
 class Convex(NamedTuple):

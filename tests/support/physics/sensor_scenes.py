@@ -8,9 +8,8 @@ import numpy as np
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.rng import stream
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.solids import Hull
-from vcmvsp.physics.world.world import World
+from vcmvsp.physics.world.world import Scene, World
 
 SECOND_NS = 1_000_000_000
 HULL = Hull((0.5, 0.4, 0.2), (0.0, 0.0, 0.15))

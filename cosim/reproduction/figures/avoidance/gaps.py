@@ -22,7 +22,7 @@ from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.avoidance.speed_limits import TOWARDS
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
-from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL, T
+from vcmvsp.cosim.reproduction.figures.scenarios import T, scene
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most
 from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
@@ -173,15 +173,8 @@ def gauge(
         "sensors": {"scan": {"kind": "lms", "sigma_m": 0.0, "quantum_m": 0.0}},
         "agent": agent,
     }
-    scenario = {
-        "name": "gauge",
-        "duration_s": (len(looks) + 1) * T,
-        "physics": {"kind": "kinematic"},
-        "world": {"kind": "boxes", "boxes": boxes},
-        "radio": IDEAL,
-        "vehicle": [vehicle],
-        "record": {"period_s": T},
-    }
+    world, record = {"kind": "boxes", "boxes": boxes}, {"period_s": T}
+    scenario = scene("gauge", (len(looks) + 1) * T, [vehicle], world=world, record=record)
     return Job(scenario, partial(gauged, doors=doors))
 
 
@@ -246,36 +239,26 @@ class GapRun(NamedTuple):
 
 def team(doors: Sequence[tuple[float, float]], leader: tuple[float, float], slot: tuple[float, float]) -> dict[str, Any]:
     """A follower at the origin, that looks east, before a wall with doors (middle and width, m), and a leader that stands."""
-    return {
-        "name": "doors",
-        "duration_s": 30.0,
-        "physics": {"kind": "kinematic"},
-        "world": {"kind": "boxes", "boxes": [wall_box(WALL_M, 0.0, *end, 0.0) for end in wall_pieces(doors, END_M)]},
-        "radio": IDEAL,
-        "vehicles": {"kind": "amigobot", "sensors": {"scan": {"kind": "lms", "position": (0.0, 0.0, 0.3)}}},
-        "vehicle": [
-            {"name": "leader", "pose": (*leader, 0.0), "agent": {"kind": "trajectory", "path": "straight", "speed": 0.0}},
-            {
-                "name": "follower",
-                "pose": (0.0, 0.0, 0.0),
-                "agent": {
-                    "kind": "leader_follower",
-                    "leader": "leader",
-                    "slot": slot,
-                    "handle": 0.4,
-                    "max_speed": 0.3,
-                    "avoidance": {
-                        "kind": "gap",
-                        "level": 1,
-                        "keep_m": 0.5 * NEEDED_M,
-                        "lookahead_m": LOOKAHEAD_M,
-                        "top": TOP,
-                        "max_speed": 0.3,
-                    },
-                },
-            },
-        ],
+    avoidance = {
+        "kind": "gap",
+        "level": 1,
+        "keep_m": 0.5 * NEEDED_M,
+        "lookahead_m": LOOKAHEAD_M,
+        "top": TOP,
+        "max_speed": 0.3,
     }
+    law = {"leader": "leader", "slot": slot, "handle": 0.4, "max_speed": 0.3, "avoidance": avoidance}
+    stands = {"kind": "trajectory", "path": "straight", "speed": 0.0}
+    return scene(
+        "doors",
+        30.0,
+        [
+            {"name": "leader", "pose": (*leader, 0.0), "agent": stands},
+            {"name": "follower", "pose": (0.0, 0.0, 0.0), "agent": {"kind": "leader_follower", **law}},
+        ],
+        world={"kind": "boxes", "boxes": [wall_box(WALL_M, 0.0, *end, 0.0) for end in wall_pieces(doors, END_M)]},
+        vehicles={"kind": "amigobot", "sensors": {"scan": {"kind": "lms", "position": (0.0, 0.0, 0.3)}}},
+    )
 
 
 def passed(result: Result) -> GapRun:

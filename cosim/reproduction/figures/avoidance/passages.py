@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
-from vcmvsp.cosim.reproduction.figures.scenarios import TeamRun, V, lossy, settling_s, team_run
+from vcmvsp.cosim.reproduction.figures.scenarios import TeamRun, V, lossy, scene, settling_s, team_run
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most, relative
 from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.types import Array
@@ -93,27 +93,17 @@ def team(world: str, policy: str, *, loss: float = 0.1, scanner_m: float = 0.3) 
     ahead, aside = math.sqrt(0.75) * SPACING, 0.5 * SPACING
     poses = ((0.0, 0.0, 0.0), (-ahead, -aside, 0.0), (-ahead, aside, 0.0))
     agents = (leader, follower, follower)
-    return {
-        "name": "passage",
-        "duration_s": round(end / V) + 20.0,
-        "physics": {"kind": "kinematic"},
-        "world": {"kind": "boxes", "boxes": boxes},
-        "radio": lossy(loss),
-        "vehicles": {
-            "kind": "amigobot",
-            "sensors": {"scan": {"kind": "lms", "sigma_m": 0.02, "position": (0.0, 0.0, scanner_m)}},
-        },
-        "agents": {
-            "formation": {
-                "shape": "wedge",
-                "spacing": SPACING,
-                "passage": {"policy": policy, "shape": "column", "spacing": COLUMN},
-            }
-        },
-        "vehicle": [
-            {"name": name, "pose": pose, "agent": agent} for name, pose, agent in zip(NAMES, poses, agents, strict=True)
-        ],
-    }
+    passage = {"policy": policy, "shape": "column", "spacing": COLUMN}
+    scan = {"kind": "lms", "sigma_m": 0.02, "position": (0.0, 0.0, scanner_m)}
+    return scene(
+        "passage",
+        round(end / V) + 20.0,
+        [{"name": name, "pose": pose, "agent": agent} for name, pose, agent in zip(NAMES, poses, agents, strict=True)],
+        world={"kind": "boxes", "boxes": boxes},
+        radio=lossy(loss),
+        vehicles={"kind": "amigobot", "sensors": {"scan": scan}},
+        agents={"formation": {"shape": "wedge", "spacing": SPACING, "passage": passage}},
+    )
 
 
 def is_late(run: TeamRun, world: str) -> Array:

@@ -18,7 +18,7 @@ import numpy as np
 
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
-from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL, T, V
+from vcmvsp.cosim.reproduction.figures.scenarios import T, V, scene
 from vcmvsp.cosim.reproduction.row import absolute, at_least, at_most
 from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
@@ -226,19 +226,10 @@ def _job(
             "avoidance": {**FIELD, "tang": tang},
         }
         vehicles.append({"name": f"uav{number}", "position": [x + slot[0], y + slot[1], HEIGHT_M], "agent": agent})
-    scenario = {
-        "name": "figure",
-        "duration_s": duration_s,
-        "physics": {"kind": "kinematic"},
-        "world": {"kind": "boxes", "boxes": list(boxes)},
-        "radio": IDEAL,
-        "vehicles": {
-            "kind": "point",
-            "radius_m": radius,
-            "sensors": {"scan": {"kind": "ring", "rate_hz": 1 / T, "beams": beams, "sigma_m": 0.0}},
-        },
-        "vehicle": vehicles,
-    }
+    scan = {"kind": "ring", "rate_hz": 1 / T, "beams": beams, "sigma_m": 0.0}
+    points = {"kind": "point", "radius_m": radius, "sensors": {"scan": scan}}
+    world = {"kind": "boxes", "boxes": list(boxes)}
+    scenario = scene("figure", duration_s, vehicles, world=world, vehicles=points)
     return Job(scenario, partial(flown, slots=tuple(slots)))
 
 

@@ -20,7 +20,7 @@ from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Style
-from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
+from vcmvsp.cosim.reproduction.figures.scenarios import scene
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most
 from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
@@ -108,15 +108,9 @@ def _scenario(stepped: bool, level: int, speed: float) -> dict[str, Any]:
         "agent": agent,
     }
     edge = 2.0 * HALF_M
-    return {
-        "name": "levels",
-        "duration_s": 15.0 / speed + (12.0 if level == 2 else 0.0),
-        "physics": {"kind": "kinematic"},
-        "world": {"kind": "boxes", "boxes": [{"center": (0.0, 0.0, 2.0), "size": (edge, edge, 4.0)}]},
-        "vehicle": [vehicle],
-        "radio": IDEAL,
-        "record": {"period_s": RECORD_S},
-    }
+    world = {"kind": "boxes", "boxes": [{"center": (0.0, 0.0, 2.0), "size": (edge, edge, 4.0)}]}
+    duration_s = 15.0 / speed + (12.0 if level == 2 else 0.0)
+    return scene("levels", duration_s, [vehicle], world=world, record={"period_s": RECORD_S})
 
 
 def _track(result: Result) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
-from vcmvsp.cosim.reproduction.figures.scenarios import lossy
+from vcmvsp.cosim.reproduction.figures.scenarios import lossy, scene
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_most, relative
 from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
@@ -126,16 +126,15 @@ def growth(y: Array, step: int) -> float:
 def _mode(graph: str, number: int, duration_s: float, period_s: float, delay_s: float = 0.0, **agent: object) -> Job:
     """A run that starts in an eigenvector of the Laplacian; gives the remaining amplitude, (ticks + 1,)."""
     vector = np.linalg.eigh(laplacian(graph))[1][:, number]
-    scenario = {
-        "name": "consensus",
-        "duration_s": round(duration_s / period_s) * period_s,
-        "physics": {"kind": "kinematic"},
-        "radio": lossy(delay_s=round(delay_s, 9)),
-        "agents": {"kind": "consensus", "graph": graph, "period_s": period_s, **agent},
-        "record": {"period_s": period_s},
-        "vehicles": {"kind": "point"},
-        "vehicle": [{"name": f"v{i}", "position": (START_M * x, 0.0, 1.0), "agent": {}} for i, x in enumerate(vector.tolist())],
-    }
+    scenario = scene(
+        "consensus",
+        round(duration_s / period_s) * period_s,
+        [{"name": f"v{i}", "position": (START_M * x, 0.0, 1.0), "agent": {}} for i, x in enumerate(vector.tolist())],
+        radio=lossy(delay_s=round(delay_s, 9)),
+        agents={"kind": "consensus", "graph": graph, "period_s": period_s, **agent},
+        record={"period_s": period_s},
+        vehicles={"kind": "point"},
+    )
     return Job(scenario, partial(_share, vector=vector))
 
 

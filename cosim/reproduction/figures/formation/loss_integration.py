@@ -16,7 +16,13 @@ from vcmvsp.cosim.types import Array
 
 ESTIMATORS = ("hold", "dr", "acc", "plan")
 PATHS = ("slalom", "random")
-LOST, HORIZON, FADE, PLAN = 30, 20, 10, 20  # ticks: older than 3 s is lost; 2 s; 1 s; speeds of a plan besides those of now
+LOST, HORIZON, FADE, PLAN, FROM = (
+    30,
+    20,
+    10,
+    20,
+    200,
+)  # ticks: lost; 2 s; 1 s; speeds of a plan besides those of now; counts
 AFTER = PLAN + 1 + HORIZON  # ticks: speeds at the end of a plan are trusted till then
 SLOWEST = -0.1  # m/s
 DECAY_S, LIMITS = 1.0, ((-0.1, 0.6), (-0.8, 0.8))  # of accelerations: forgotten within; where they end, m/s and rad/s
@@ -34,32 +40,16 @@ def leader(path: str, duration_s: float = 120.0) -> LeaderTrack:
     """The standard paths of a leader, as far as its last plan goes."""
     count = round(duration_s / T) + PLAN + 1
     t = T * np.arange(count)
-    if path == "straight":
-        speeds = np.stack([np.full(count, V), np.zeros(count)], axis=-1)
-    elif path == "circle":
-        speeds = np.stack([np.full(count, V), np.full(count, 0.15)], axis=-1)
-    elif path == "slalom":
-        speeds = np.stack([np.full(count, V), 0.4 * np.sin(math.tau * t / 16.0)], axis=-1)
-    else:
-        speeds = _random(count)
+    slalom = np.stack([np.full(count, V), 0.4 * np.sin(math.tau * t / 16.0)], axis=-1)
+    speeds = slalom if path == "slalom" else _random(count)
     pose = np.zeros((count, 3))
     for tick in range(count - 1):
         pose[tick + 1] = _arc(pose[tick], speeds[tick])
     return LeaderTrack(speeds, pose)
 
 
-def rms(
-    path: str,
-    estimator: str,
-    probability: Array,
-    age: Array,
-    *,
-    count: int = 200,
-    duration_s: float = 120.0,
-    seed: int = 1,
-    lost: int = LOST,
-) -> Array:
-    """Root mean square of ``|z|`` (m) from 20 s on, for each pair of ``probability`` and ``age`` (ticks), (n,).
+def rms(path: str, estimator: str, probability: Array, age: Array, *, count: int = 200) -> Array:
+    """Root mean square of ``|z|`` (m) from 20 s to 120 s, for each pair of ``probability`` and ``age``, (n,).
 
     Args:
         path: of the leader.
@@ -67,31 +57,26 @@ def rms(
         probability: of losing a report, each on its own, (n,).
         age: of a report that is not lost when it is first usable, ticks, (n,).
         count: followers of each pair; every other one is car3.
-        duration_s: of each run.
-        seed: of the losses.
-        lost: age, in ticks, from which on a leader counts as lost.
     """
-    draws = np.random.Generator(np.random.PCG64(seed))
+    draws = np.random.Generator(np.random.PCG64(1))
     p, wait = (np.repeat(np.asarray(each), count) for each in (probability, age))
-    missed = draws.random((round(duration_s / T) + 1, len(p))) < p
-    each = errors(path, estimator, missed, wait, lost=lost)
+    missed = draws.random((round(120.0 / T) + 1, len(p))) < p
+    each = errors(path, estimator, missed, wait)
     return np.asarray(np.sqrt((each.reshape(-1, count) ** 2).mean(axis=1)))
 
 
-def errors(path: str, estimator: str, missed: Array, age: Array, *, from_s: float = 20.0, lost: int = LOST) -> Array:
-    """Root mean square of ``|z|`` (m) of each of n followers; every other one is car3, on the leader's left.
+def errors(path: str, estimator: str, missed: Array, age: Array) -> Array:
+    """Root mean square of ``|z|`` (m) from 20 s on of each of n followers; every other one is car3, on the leader's left.
 
     Args:
         path: of the leader.
         estimator: of the followers.
         missed: which reports do not reach which follower, (ticks, n).
         age: of a report when it is first usable, ticks, (n,).
-        from_s: from when on the error counts.
-        lost: age, in ticks, from which on a leader counts as lost.
     """
     ticks, number = missed.shape
     lead = leader(path, ticks * T)
-    table = _predictions(lead, estimator, lost)
+    table = _predictions(lead, estimator, LOST)
     everyone, square = np.arange(number), np.zeros(number)
     side = np.where(everyone % 2, -ASIDE, ASIDE)
     pose = np.stack([np.full(number, -AHEAD), -side, np.zeros(number)], axis=-1)
@@ -100,15 +85,15 @@ def errors(path: str, estimator: str, missed: Array, age: Array, *, from_s: floa
         sent_tick = tick - age
         arrived = (sent_tick >= 0) & ~missed[np.maximum(sent_tick, 0), everyone]
         newest = np.where(arrived, sent_tick, newest)
-        if tick >= round(from_s / T):
+        if tick >= FROM:
             square += (_error(lead.pose[tick], pose, side) ** 2).sum(axis=-1)
         old = np.where(newest >= 0, tick - newest, 0)
-        command = _law(table[newest, np.minimum(old, lost)], pose, side)
-        late = (old >= lost)[:, np.newaxis]
-        fading = np.clip(1.0 - (old - lost) / FADE, 0.0, 1.0)[:, np.newaxis]
+        command = _law(table[newest, np.minimum(old, LOST)], pose, side)
+        late = (old >= LOST)[:, np.newaxis]
+        fading = np.clip(1.0 - (old - LOST) / FADE, 0.0, 1.0)[:, np.newaxis]
         last = np.where(late | (newest < 0)[:, np.newaxis], last, command)
         pose = _arc(pose, np.where(late, last * fading, last))
-    return np.asarray(np.sqrt(square / (ticks - round(from_s / T))))
+    return np.asarray(np.sqrt(square / (ticks - FROM)))
 
 
 def _predictions(lead: LeaderTrack, estimator: str, oldest: int) -> Array:

@@ -94,7 +94,11 @@ def loss(
             for case, each in zip(cases, runs, strict=False)
             if case[0] == path
         ]
-        rows += [_better(path, each, measured) for each in probabilities if 0.3 <= each <= 0.8]
+        rows += [
+            at_most(f"{path}, p = {each:g}: dr over hold", 0.6, measured[path, each, "dr"] / measured[path, each, "hold"])
+            for each in probabilities
+            if 0.3 <= each <= 0.8
+        ]
         panels.append(Panel(TITLES[path], "probability of loss", "RMS |z| [m]", curves, log_y=True))
     lags = np.array([root_mean_square(each) for each in runs[len(cases) :]])
     closed = np.array([closed_forms.lag_behind(V, K1, T, T, each)[1] for each in probabilities])
@@ -162,10 +166,6 @@ def _straight(p: float, count: int) -> Job:
     """The lag on a straight line, of followers that never give their leader up; 300 s of each."""
     followers = [{**UNLIMITED, "estimator": "hold"}] * count
     return rms(fleet(300.0, followers, path="straight", radio=radio(p)), seed=1)
-
-
-def _better(path: str, p: float, measured: dict[tuple[str, float, str], float]) -> Row:
-    return at_most(f"{path}, p = {p:g}: dr over hold", 0.6, measured[path, p, "dr"] / measured[path, p, "hold"])
 
 
 def delay(runner: Runner) -> Figure:

@@ -21,7 +21,7 @@ FRAMES = 25  # at each height
 SHOWN = (20.0, 4)  # height and number of the picture that is shown
 HUES = (1, 2, 3, 4)  # the most frequent ones that count
 PEAKS = 16  # at most
-COLOUR, RINGS, MATCH = 0.55, 0.88, 0.75  # thresholds of the stages
+RINGS, MATCH = 0.88, 0.75  # thresholds of the stages
 TURNS_DEG = tuple(range(0, 181, 5))
 SHIFTS_PX = tuple(range(8))  # of the patch, which has 48 a side
 # of an independent implementation: the least of targets in stages 2 and 3, the most of likenesses in 3, the mirrored in 2
@@ -109,7 +109,8 @@ class PlaceScores(NamedTuple):
 def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
     """What turning changes and what it does not; scores of targets and of their likenesses; estimated angles."""
     judgements = [one for each in _by_height(runner, _judged, frames) for one in each]
-    turned, shifted = runner([partial(_turned, TURNS_DEG), partial(_shifted, SHIFTS_PX)])
+    moved = runner([*(partial(_alone, at) for at in TURNS_DEG), *(partial(_alone, 30.0, off) for off in SHIFTS_PX)])
+    turned, shifted = moved[: len(TURNS_DEG)], moved[len(TURNS_DEG) :]
     rings, match = (
         {kind: np.array([getattr(each.scores[kind], name) for each in judgements]) for kind in KINDS}
         for name in ("rings", "match")
@@ -161,14 +162,6 @@ def _alone(degrees: float, off_px: float = 0.0) -> inspection.Scores:
     )
     estimates = place[0] + off_px * frame.side_px / 48.0, place[1]
     return inspection.inspect(target(), frame.image, 20.0, frame.seen.focal_px, estimates)
-
-
-def _turned(degrees: Sequence[float]) -> list[inspection.Scores]:
-    return [_alone(each) for each in degrees]
-
-
-def _shifted(shifts_px: Sequence[float]) -> list[inspection.Scores]:
-    return [_alone(30.0, each) for each in shifts_px]
 
 
 def _likenesses() -> Panel:

@@ -12,21 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.agents.agent_loop import Floats, observe, received
-from tests.support.step_responses import growth, root
+from tests.support.step_responses import root
 from vcmvsp.agents.formation.followers.consensus import Consensus, Graph, neighbours_of
-from vcmvsp.agents.formation.followers.hand_point import hand_point, hand_velocity
-from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.followers.laws import hand_point, hand_velocity
+from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Body, Radio, VehicleInfo
-from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Follows, Message, Velocity
 
 T_NS = 100_000_000
-GRAPHS: tuple[tuple[Graph, int, float, float], ...] = (  # graph, members, lambda_2, lambda_max
-    ("complete", 5, 5.0, 5.0),
-    ("star", 5, 1.0, 5.0),
-    ("ring", 6, 1.0, 4.0),
-    ("path", 5, 0.381966, 3.618034),
-)
 Sides = tuple[tuple[int, ...], ...]  # the neighbours of each
 
 
@@ -102,12 +95,6 @@ def connected(draw: st.DrawFn) -> Sides:
     return tuple(tuple(j for j in range(count) if (min(i, j), max(i, j)) in edges) for i in range(count))
 
 
-@pytest.mark.parametrize(("graph", "count", "lambda_2", "lambda_max"), GRAPHS)
-def test_spectra(graph: Graph, count: int, lambda_2: float, lambda_max: float) -> None:
-    values = np.linalg.eigvalsh(laplacian(sides_of(graph, count)))
-    assert values[[1, -1]] == pytest.approx([lambda_2, lambda_max], abs=1e-6)
-
-
 @pytest.mark.parametrize("count", range(2, 9))
 def test_largest_eigenvalues_have_closed_forms(count: int) -> None:
     """Complete and star: N; ring: 2 - 2 cos(2 pi floor(N/2) / N); path: 2 + 2 cos(pi / N)."""
@@ -155,13 +142,6 @@ def test_both_points_delayed_any_connected_graph_is_stable_up_to_the_sampled_bou
     assert size[1.05][1] > size[1.05][0]
 
 
-@pytest.mark.parametrize(("ticks", "limit"), [(0, 2.0), (1, 1.0), (2, 0.6180), (3, 0.4450), (4, 0.3473), (5, 0.2846)])
-def test_the_sampled_bound_is_where_the_characteristic_root_leaves_the_unit_circle(ticks: int, limit: float) -> None:
-    assert 2.0 * math.sin(math.pi / (2 * (2 * ticks + 1))) == pytest.approx(limit, abs=5e-5)
-    exact = 2.0 * math.sin(math.pi / (2 * (2 * ticks + 1)))
-    assert root(exact * 0.999, ticks) < 1.0 < root(exact * 1.001, ticks)
-
-
 @pytest.mark.parametrize("age", range(7))
 @pytest.mark.parametrize("share", [0.3, 0.7, 1.0, 1.3])
 def test_the_root_found_is_the_largest_of_all(age: int, share: float) -> None:
@@ -169,27 +149,6 @@ def test_the_root_found_is_the_largest_of_all(age: int, share: float) -> None:
     gain = share * 2.0 * math.sin(math.pi / (2 * (2 * age + 1)))
     coefficients = [1.0, -1.0, *([0.0] * (age - 1)), gain] if age else [1.0, gain - 1.0]
     assert root(gain, age) == pytest.approx(np.abs(np.roots(coefficients)).max(), rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("graph", "count", "reference"),
-    [
-        ("star", 5, (0.959, 1.221)),
-        ("ring", 6, (0.967, 1.171)),
-        ("path", 5, (0.966, 1.155)),
-    ],
-)
-def test_growth_around_the_bound_of_continuous_time(graph: Graph, count: int, reference: tuple[float, ...]) -> None:
-    """At 1 ms and 0.98, 1.10 of tau* = pi / (2 lambda_max): growth per s, by simulation and by the root."""
-    values, modes = np.linalg.eigh(laplacian(sides_of(graph, count)))
-    lam, mode = values[-1], modes[:, -1]
-    for share, expected in zip((0.98, 1.10), reference, strict=True):
-        age = round(share * math.pi / (2.0 * lam) / 1e-3)
-        agents = team(sides_of(graph, count), 1_000_000, own="delayed")
-        way = drive(agents, np.outer(mode, [1.0, -0.5]), 2600, age, period_ns=1_000_000)
-        measured = growth(way[1800:, :, 0] @ mode, 100) ** 1000  # by then the other roots have died out
-        assert measured == pytest.approx(expected, rel=0.01)
-        assert measured == pytest.approx(root(1e-3 * lam, age) ** 1000, rel=0.002)
 
 
 @settings(max_examples=25, deadline=None)
@@ -205,15 +164,6 @@ def test_with_the_own_point_fresh_nobody_leaves_the_hull_and_all_meet(sides: Sid
     if loss == 0.0 and age <= 2:
         spread = np.ptp(way, axis=1).max(axis=1)
         assert spread[-1] < 0.5 * spread[: age + 1].max()
-
-
-def test_with_the_own_point_fresh_five_meet_at_an_age_that_no_gain_survives_otherwise() -> None:
-    """Twenty ticks, complete graph: the delayed form would need kappa < 0.077."""
-    sides = sides_of("complete", 5)
-    start = np.random.default_rng(1).uniform(-1.0, 1.0, (5, 2))
-    fresh, delayed = (drive(team(sides, own=own), start, 600, 20) for own in ("fresh", "delayed"))
-    assert np.ptp(fresh[-1], axis=0).max() < 1e-6
-    assert np.ptp(delayed[200], axis=0).max() > 1e3
 
 
 @pytest.mark.parametrize("own", ["fresh", "delayed"])
@@ -284,21 +234,6 @@ def test_on_wheels_the_hand_point_moves_as_the_protocol_says(yaw: float, x: floa
     moved = hand_velocity(command.linear[0], command.yaw_rate, yaw, handle)
     assert moved == pytest.approx((0.1 + 0.7 * (x - hand_x), 0.2 + 0.7 * (y - hand_y)), abs=1e-9)
     assert command.linear[1:] == (0.0, 0.0)
-
-
-def test_robots_on_wheels_meet_with_their_hand_points() -> None:
-    everybody, poses = names(4), [(1.0, 0.0, 3.0), (-1.0, 0.5, 0.0), (0.0, 2.0, -1.5), (0.3, -1.0, 1.0)]
-    agents = [Consensus(handle=0.3, max_speed=0.5) for _ in everybody]
-    radio = [Radio(name, everybody) for name in everybody]
-    for name, agent in zip(everybody, agents, strict=True):
-        agent.start(VehicleInfo(name=name, vehicles=everybody, period_s=0.1, latency_s=0.0, seed=0))
-    on_air: list[Any] = []
-    for tick in range(200):
-        orders = [agent.act(observe(poses[i], tick * T_NS, on_air), radio[i]) for i, agent in enumerate(agents)]
-        on_air = [received(message) for each in radio for message in each.drain()]
-        poses = [arc(pose, each.linear[0], each.yaw_rate, 0.1) for pose, each in zip(poses, orders, strict=True)]
-    hands = np.array([hand_point(*pose, 0.3) for pose in poses])
-    assert np.ptp(hands, axis=0).max() < 1e-6
 
 
 def test_in_the_air_they_turn_to_the_heading_of_the_formation() -> None:

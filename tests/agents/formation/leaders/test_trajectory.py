@@ -7,14 +7,14 @@ import pytest
 
 from tests.support.agents.agent_loop import Floats, Pose, observe, received
 from tests.support.paths import ROOT
-from vcmvsp.agents.formation import LeaderFollower, Trajectory
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.leader import Leader
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
-from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Message
 
 
@@ -59,16 +59,6 @@ def test_a_random_path_depends_on_its_seed_alone() -> None:
     once, again, other = (commands(Trajectory("random", path_seed=seed), 20.0) for seed in (7, 7, 8))
     assert np.array_equal(once, again)
     assert not np.allclose(once, other)
-
-
-def test_the_circle_closes_after_one_turn() -> None:
-    turn_s, pose = 2 * math.pi / 0.15, (0.0, 0.0, 0.0)
-    radii = []
-    for _ in range(100):
-        pose = arc(pose, 0.3, 0.15, turn_s / 100)
-        radii.append(math.hypot(pose[0], pose[1] - 2.0))
-    assert radii == pytest.approx([2.0] * 100)
-    assert pose == pytest.approx((0.0, 0.0, 2 * math.pi), abs=1e-9)
 
 
 @pytest.mark.parametrize(("path", "standard"), [("circle", 0.15), ("slalom", 0.4), ("stopgo", 0.3)])

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.paths import ROOT
-from vcmvsp.agents.formation import DeadReckoning, Hold, LeaderFollower, LeaderState, Report
-from vcmvsp.agents.formation.reports.prediction import Acceleration, PlanPrediction, estimator_of
-from vcmvsp.agents.formation.reports.report import accelerations, lead_of, plan_of
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
+from vcmvsp.agents.formation.reports.prediction import Acceleration, DeadReckoning, Hold, PlanPrediction, estimator_of
+from vcmvsp.agents.formation.reports.report import LeaderState, Report, accelerations, lead_of, plan_of
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import arc
@@ -52,14 +52,6 @@ def test_dead_reckoning_is_exact_on_straight_lines(state: LeaderState, age: floa
     x, y, th, v, _ = straight
     then = DeadReckoning().predict(report(straight), age)
     assert then == pytest.approx((x + v * age * math.cos(th), y + v * age * math.sin(th), th, v, 0.0), abs=1e-12)
-
-
-@settings(deadline=None)
-@given(state=STATES, first=st.floats(0.0, 5.0), second=st.floats(0.0, 5.0))
-def test_arcs_compose(state: LeaderState, first: float, second: float) -> None:
-    x, y, th, v, w = state
-    in_two = arc(arc((x, y, th), v, w, first), v, w, second)
-    assert in_two == pytest.approx(arc((x, y, th), v, w, first + second), abs=1e-9)
 
 
 @pytest.mark.parametrize(("horizon_s", "fade_s"), [(2.0, 1.0), (0.0, 0.5), (1.0, 3.0)])

@@ -9,12 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.agents.agent_loop import observe, received
-from vcmvsp.agents.formation import Hold, LeaderFollower, Trajectory
-from vcmvsp.agents.formation.reports.received import ReportReceiver
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
+from vcmvsp.agents.formation.reports.prediction import Hold
+from vcmvsp.agents.formation.reports.report import ReportReceiver
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.config.registry import find
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Message, Reception, Velocity
 
 TICK_NS = 100_000_000
@@ -198,18 +199,3 @@ def test_a_scenario_reaches_both_agents_by_their_short_names() -> None:
     assert find("agent", "leader_follower") is LeaderFollower
     follower = call(LeaderFollower, {"leader": "car1", "distance": 1, "bearing_deg": 30, "estimator": "hold"})
     assert type(follower.estimator) is Hold
-
-
-@pytest.mark.parametrize(
-    ("table", "says"),
-    [
-        ({"leader": "car1", "distance": -1.0}, r"agent.distance: must be a number > 0"),
-        ({"leader": "car1", "bearing_deg": 90.0}, r"agent: .* give one, e.g. handle = 0.4"),
-        ({"leader": "car1", "estimator": "hodl"}, r"agent.estimator: unknown estimator 'hodl'; did you mean 'hold'\?"),
-        ({"leader": "car1", "fade_s": 0}, r"agent.fade_s: must be a number > 0"),
-        ({}, r"agent.leader: is missing"),
-    ],
-)
-def test_wrong_values_of_a_scenario_are_named(table: dict[str, Any], says: str) -> None:
-    with pytest.raises(ScenarioError, match=says):
-        call(LeaderFollower, table, key="agent")

@@ -10,12 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import Drive, drive, observe, received
-from vcmvsp.agents.formation import LeaderFollower, Trajectory
+from tests.support.agents.agent_loop import drive, observe, received
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning, Estimator, Hold
 from vcmvsp.agents.formation.reports.report import LeaderState, Report
 from vcmvsp.agents.formation.reports.sending import REMEMBERED, Reporter, Sending, acknowledge
-from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Message, Reception
@@ -221,37 +222,3 @@ def test_a_follower_answers_its_leader_in_the_tick_in_which_it_hears_it() -> Non
     assert [(each.to, each.body) for each in run_radio.drain()] == [("leader", {"ack": 3})]
     follower.act(observe((-1.0, 0.0, 0.0), 200_000_000), run_radio)
     assert run_radio.drain() == []
-
-
-def triangle(seed: int, p: float = 0.0, *, every: int = 1, **sending: Any) -> Drive:
-    """The standard triangle behind a leader on the random path for 120 s; losses p each way, and all but each n-th tick."""
-    draws = np.random.default_rng(seed).random((2, 1201, 2)) < p
-    return drive(
-        Trajectory("random", sending=Sending(**sending)),
-        [LeaderFollower("leader", 1.0, side) for side in (30.0, -30.0)],
-        duration_s=120.0,
-        lost=lambda tick, follower: bool(draws[0, tick, follower]) or tick % every != 0,
-        lost_back=lambda tick, follower: bool(draws[1, tick, follower]),
-    )
-
-
-def figures(runs: Sequence[Drive]) -> tuple[float, float]:
-    """Reports a second, and the RMS of the formation error from 20 s on, m."""
-    rms = math.sqrt(np.mean([np.mean(run.error[200:] ** 2) for run in runs]))
-    return sum(sum(run.reports) for run in runs) / (120.0 * len(runs)), rms
-
-
-def test_it_saves_nine_reports_of_ten_for_two_centimetres() -> None:
-    """Simulated reference: 0.86 a second, RMS 0.021 m; sent at 1 Hz, 0.063 m; at 2 Hz, 0.021 m."""
-    assert figures([triangle(1, when="needed")]) == pytest.approx((0.86, 0.021), rel=0.05)
-    assert figures([triangle(1, every=10)])[1] == pytest.approx(0.063, rel=0.05)
-    assert figures([triangle(1, every=5)])[1] == pytest.approx(0.021, rel=0.05)
-
-
-def test_losses_hurt_it_unless_followers_confirm() -> None:
-    """Simulated reference at p = 0.3: RMS 0.19 m without, 0.022 m and 2.0 reports a second with answers after one period."""
-    blind = figures([triangle(seed, 0.3, when="needed", acknowledge=False) for seed in range(6)])
-    sure = figures([triangle(seed, 0.3, when="needed", answer_s=0.1) for seed in range(6)])
-    assert blind[0] == pytest.approx(0.86, rel=0.05)
-    assert blind[1] > 0.12
-    assert sure == pytest.approx((2.0, 0.022), rel=0.1)

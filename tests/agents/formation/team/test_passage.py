@@ -12,14 +12,15 @@ from hypothesis import strategies as st
 from tests.support.agents.agent_loop import observe, received
 from tests.support.agents.formation_member import TICK_NS, says
 from tests.support.agents.passage_team import BEAMS, CARS, SIDE, at, clear, formation, free, heard_of, info, lookout, scan, sees
+from vcmvsp.agents.avoidance import Gap, Vfh
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
-from vcmvsp.agents.formation.reports.received import ReportReceiver
-from vcmvsp.agents.formation.team.formation import Formation, Passage
-from vcmvsp.agents.formation.team.passage import Lookout
-from vcmvsp.agents.formation.team.passage_policy import AllClear, Policy, policy_of
+from vcmvsp.agents.formation.reports.report import ReportReceiver
+from vcmvsp.agents.formation.team.passage import Lookout, Widening
+from vcmvsp.agents.formation.team.shape import Formation, Passage
 from vcmvsp.agents.formation.team.team import Team
-from vcmvsp.cosim.agent import Body, Observation
-from vcmvsp.cosim.types import Message, Readings, Scan
+from vcmvsp.cosim.agent import Body, Observation, Radio
+from vcmvsp.cosim.types import Message, Readings, Scan, Velocity
 
 # --- the lane ---
 
@@ -175,7 +176,7 @@ def test_a_member_does_not_run_into_another_nor_back_into_one(x: float, y: float
 # --- policies ---
 
 
-def widens(policy: Policy, *frees: bool, heard: ReportReceiver | None = None, first: int = 0) -> list[bool]:
+def widens(policy: Widening, *frees: bool, heard: ReportReceiver | None = None, first: int = 0) -> list[bool]:
     """Its answers, a tick of 0.1 s each."""
     listening = heard or ReportReceiver((), 0.0)
     names = CARS[1:] if heard else ()
@@ -183,16 +184,16 @@ def widens(policy: Policy, *frees: bool, heard: ReportReceiver | None = None, fi
 
 
 def test_immediate_says_what_the_lane_says() -> None:
-    assert widens(policy_of(Passage(policy="immediate")), True, False, True, True) == [True, False, True, True]
+    assert widens(Widening(Passage(policy="immediate")), True, False, True, True) == [True, False, True, True]
 
 
 def test_the_timer_begins_anew_with_everything_that_is_seen() -> None:
-    answers = widens(policy_of(Passage(policy="timer")), *[True] * 30, False, *[True] * 31, True)
+    answers = widens(Widening(Passage(policy="timer")), *[True] * 30, False, *[True] * 31, True)
     assert [tick for tick, yes in enumerate(answers) if yes] == [61]  # 3 s after the first free one of the second stretch
 
 
 def test_all_clear_takes_half_a_second_of_everybody() -> None:
-    policy = policy_of(Passage())
+    policy = Widening(Passage())
     assert widens(policy, *[True] * 6, heard=heard_of(clear("car2", 0), clear("car3", 0))) == [False] * 5 + [True]
     assert not any(widens(policy, *[True] * 20, heard=heard_of(clear("car2", 0))))  # nothing from car3
     assert not any(widens(policy, *[True] * 20, heard=heard_of(clear("car2", 0), clear("car3", 0, 0))))
@@ -202,11 +203,11 @@ def test_all_clear_takes_half_a_second_of_everybody() -> None:
 
 @pytest.mark.parametrize("nonsense", ["1", [1], None, {"1": 1}, math.nan, 2])
 def test_nonsense_is_not_clear(nonsense: Any) -> None:
-    assert not any(widens(policy_of(Passage()), *[True] * 9, heard=heard_of(clear("car2", 0), clear("car3", 0, nonsense))))
+    assert not any(widens(Widening(Passage()), *[True] * 9, heard=heard_of(clear("car2", 0), clear("car3", 0, nonsense))))
 
 
 def test_old_reports_do_not_count_and_the_silent_are_left_out() -> None:
-    policy, heard = policy_of(Passage(steady_s=0.0)), ReportReceiver(CARS, 0.0)
+    policy, heard = Widening(Passage(steady_s=0.0)), ReportReceiver(CARS, 0.0)
     heard.take(sees(None, 0, clear("car2", 0), clear("car3", 0)))
     answers = widens(policy, *[True] * 120, heard=heard)
     assert [tick for tick, yes in enumerate(answers) if yes] == [*range(26), *range(100, 120)]
@@ -217,7 +218,7 @@ def test_old_reports_do_not_count_and_the_silent_are_left_out() -> None:
 
 @pytest.mark.parametrize("wrong", [{"x": math.nan}, {"t_ns": 10**12}, {"v": None}, None])
 def test_who_says_what_cannot_be_used_is_there_nevertheless(wrong: dict[str, Any] | None) -> None:
-    policy, heard = policy_of(Passage(steady_s=0.0)), ReportReceiver(CARS, 0.0)
+    policy, heard = Widening(Passage(steady_s=0.0)), ReportReceiver(CARS, 0.0)
     answers = []
     for tick in range(130):
         body = {"seq": tick, "t_ns": tick * TICK_NS, "x": 0.0, "y": 0.0, "th": 0.0, "v": 0.3, "w": 0.0, "cl": 0}
@@ -230,7 +231,7 @@ def test_who_says_what_cannot_be_used_is_there_nevertheless(wrong: dict[str, Any
 @given(st.lists(st.tuples(st.booleans(), *[st.sampled_from((None, 0, 1))] * 2), max_size=80))
 def test_all_clear_never_widens_against_anybody(ticks: list[tuple[bool, int | None, int | None]]) -> None:
     """Against the rule, put plainly: for six ticks on end free, and all newest reports clear and no older than 2 s."""
-    policy, heard = AllClear(0.5, 2.0, 10.0), ReportReceiver(CARS, 0.0)
+    policy, heard = Widening(Passage(report_s=2.0)), ReportReceiver(CARS, 0.0)
     newest: dict[str, tuple[int, int]] = {}
     good = 0
     for tick, (is_free, *said) in enumerate(ticks):
@@ -242,3 +243,35 @@ def test_all_clear_never_widens_against_anybody(ticks: list[tuple[bool, int | No
         wanted = good == 6
         assert policy.widens(tick * TICK_NS, is_free, CARS[1:], heard) == wanted
         good = 0 if wanted else good
+
+
+# --- a follower on wheels does not get around the leader that it follows, however it is told whom to follow ---
+
+
+WAYS = [
+    {"leader": "car1", "slot": (-0.8, 0.0), "handle": 0.4},
+    {"formation": Formation(shape="column", spacing=0.8)},
+    {"formation": Formation(shape="own", offsets=((0.0, 0.0), (-0.8, 0.0), (-0.8, 0.8)), passage=Passage(spacing=0.8))},
+]
+LEADER = (0.6, 0.1)  # m from the follower, nearer than its place is
+BACK = ((0.45, 0.0), (0.45, 0.1), (0.45, 0.2))  # of the leader, as the follower sees it
+
+
+def command(told: dict[str, Any], points: tuple[tuple[float, float], ...], **more: Any) -> Velocity:
+    """Of a follower that sees returns at these points, m, and has heard of its leader."""
+    follower = LeaderFollower(**told, **more)
+    follower.start(info("car2"))
+    return follower.act(sees(scan(*points), 0, says("car1", 0, v=0.3, x=LEADER[0], y=LEADER[1])), Radio("car2", CARS))
+
+
+@pytest.mark.parametrize("told", WAYS)
+@pytest.mark.parametrize("method", [Gap(), Vfh()])
+def test_a_follower_does_not_get_around_its_leader(told: dict[str, Any], method: Any) -> None:
+    assert command(told, BACK, avoidance=method) == command(told, BACK)
+
+
+@pytest.mark.parametrize("told", WAYS)
+def test_a_follower_gets_around_what_stands_before_its_leader(told: dict[str, Any]) -> None:
+    before = ((0.2, -0.2), (0.2, -0.15))
+    around = command(told, (*before, *BACK), avoidance=Gap())
+    assert around == command(told, before, avoidance=Gap()) != command(told, before)

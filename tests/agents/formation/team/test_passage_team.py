@@ -12,14 +12,13 @@ import pytest
 from tests.support.agents.formation_member import TICK_NS, says
 from tests.support.agents.passage_team import CARS, Front, at, clear, formation, info, scan, sees
 from vcmvsp.agents.avoidance import Gap
-from vcmvsp.agents.formation import AerialFollower, AerialRoute, LeaderFollower, Sending, Trajectory
-from vcmvsp.agents.formation.team.formation import Formation, Passage
+from vcmvsp.agents.formation.aerial import AerialFollower, AerialRoute
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
+from vcmvsp.agents.formation.reports.sending import Sending
+from vcmvsp.agents.formation.team.shape import Formation, Passage
 from vcmvsp.agents.formation.team.team import Team
 from vcmvsp.cosim.agent import Radio, VehicleInfo
-from vcmvsp.cosim.reproduction.figures.avoidance import passages
-from vcmvsp.cosim.reproduction.figures.scenarios import team_run
-from vcmvsp.cosim.reproduction.runner import Runner
-from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.types import Message, Scan
 
 # --- the leader ---
@@ -233,30 +232,3 @@ def test_the_narrow_shape_has_a_spacing_of_its_own() -> None:
     assert team.places("wedge")[2] == pytest.approx((-math.sqrt(0.75), 0.5))
     same = Team(Formation(spacing=1.2, passage=Passage()), CARS, "car3")
     assert same.places("column")[1] == (-1.2, 0.0)
-
-
-# --- the whole platform ---
-
-
-@pytest.mark.parametrize(("policy", "toggles"), [("immediate", range(4, 99)), ("all-clear", range(1))])
-def test_a_corridor_is_passed(policy: str, toggles: range) -> None:
-    """With scanners that see robots, too, and all of avoidance as it is by default."""
-    scenario = passages.team("corridor", policy, scanner_m=0.1)
-    for car in scenario["vehicle"][1:]:
-        car["agent"] = {**car["agent"], "avoidance": {"kind": "gap"}}
-    result = run(scenario, mcap=False)
-    counts = result.metrics["formation"]
-    assert counts["shape_changes"] == 2
-    assert counts["mode_toggles"] in toggles
-    assert result.metrics["safety"]["min_clearance_m"] > 0.18
-    assert team_run(result, passages.NAMES).error[-1].max() < 0.05
-
-
-def test_the_figure_of_the_corridor_with_all_clear() -> None:
-    """One run of it, as it is there: scanners that look over robots, each follower on its own way at 0.35 m/s at most."""
-    (seen,) = Runner(1)([passages.job("corridor", "all-clear", 1)])
-    counts = seen.metrics["formation"]
-    assert (counts["mode_toggles"], counts["shape_changes"]) == (0, 2)
-    assert counts["reformed_s"] is not None
-    assert seen.metrics["safety"]["min_clearance_m"] == pytest.approx(0.438, abs=0.02)
-    assert seen.error[-1].max() < 0.05

@@ -9,8 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from vcmvsp.agents.reconnaissance.recognition import Detection, Detector, TargetPicture, ground
+from vcmvsp.agents.reconnaissance.recognition import ground
+from vcmvsp.agents.reconnaissance.recognition.detector import Detection, Detector
 from vcmvsp.agents.reconnaissance.recognition.ground import FOCAL_PX, YELLOW, SyntheticFrame, frame, glyph, tilted
+from vcmvsp.agents.reconnaissance.recognition.stages import TargetPicture
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array

@@ -8,12 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.agents.reconnaissance.recognition import TargetPicture
-from vcmvsp.agents.reconnaissance.recognition import colour as colours
+from vcmvsp.agents.reconnaissance.recognition import stages as colours
 from vcmvsp.agents.reconnaissance.recognition.detector import RINGS, _Search
 from vcmvsp.agents.reconnaissance.recognition.ground import BLUE, RED, glyph, mirrored
-from vcmvsp.agents.reconnaissance.recognition.match import MatchedPose, match, vertex
-from vcmvsp.agents.reconnaissance.recognition.polar import FULL, TURNS, Rings, rotation
+from vcmvsp.agents.reconnaissance.recognition.stages import (
+    FULL,
+    TURNS,
+    MatchedPose,
+    Rings,
+    TargetPicture,
+    match,
+    rotation,
+    vertex,
+)
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
 
@@ -86,7 +93,7 @@ def test_a_place_scores_no_more_for_a_hue_than_the_target_has_of_it() -> None:
         (np.full((63, 63, 3), 128, np.uint8), 0.0),
         (np.tile(row[::-1][:, None], (9, 63, 1)), 1.0),
     ):
-        scores = colours.scores(cv2.cvtColor(picture, cv2.COLOR_RGB2HSV), wanted, 21)
+        scores = colours.colour_scores(cv2.cvtColor(picture, cv2.COLOR_RGB2HSV), wanted, 21)
         assert scores[31, 31] / 255 == pytest.approx(expected, abs=0.01)
 
 

@@ -13,11 +13,10 @@ from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import VehicleState, Velocity
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
-from vcmvsp.physics.dynamics.external_vehicles import ExternalEngine
+from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.federate import BulletPhysics
-from vcmvsp.physics.sensors.bumper import Bumper
-from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Lag
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.sensors.detectors import Bumper
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Lag, Quadrotor
 from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, World
 

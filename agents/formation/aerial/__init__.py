@@ -1,1 +1,0 @@
-"""Leaders and followers in the air, and what they share. Nothing here is for wheels."""

@@ -1,0 +1,155 @@
+"""Worlds from TOML files and triangle meshes; file access of all importers."""
+
+import importlib
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import FileName, NonNegative, Positive, Vec3
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.documents import read_toml
+from vcmvsp.physics.world.solids import Color, Mesh
+from vcmvsp.physics.world.world import Light, Wind, World
+from vcmvsp.physics.worlds.surroundings import Empty, Surroundings
+
+
+def require_file(path: str) -> None:
+    """Refuse a missing file, at the key ``path``."""
+    if not Path(path).is_file():
+        raise ScenarioError(f"there is no file {path}", key="path")
+
+
+def text_of(path: Path) -> str:
+    """The text of a file.
+
+    Raises:
+        ScenarioError: it cannot be read, or is no UTF-8.
+    """
+    try:
+        return limits.read_text(path)
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"cannot be read as text: {error}", source=str(path)) from error
+
+
+def library(name: str, path: str, install: str) -> Any:
+    """Import an optional library that the file ``path`` needs; ``install``: arguments of ``pip install``.
+
+    Raises:
+        ScenarioError: it is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ScenarioError(f"reading it needs {name}, which is not installed: pip install {install}", source=path) from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class File:
+    """A world from a TOML file (kind ``file``): ``[[boxes]]``, ``[[cylinders]]``, ``[ground]`` ... as in kind ``boxes``.
+
+    Pictures are found beside the file.
+    """
+
+    path: FileName  # of the TOML file
+    floor_friction: NonNegative | None = None  # multiplies the friction of what rolls or slides; None: the file's
+    wind: Wind | None = None  # air that moves; None: the file's
+    light: Light | None = None  # where the sun is; None: the file's
+
+    def __post_init__(self) -> None:
+        require_file(self.path)
+
+    def files(self) -> tuple[Path, ...]:
+        """The pictures that it names."""
+        listed, _ = self._read()
+        pictures = [mark.picture for mark in listed.ground.marks] + [target.picture for target in listed.targets]
+        return tuple(Path(each) for each in (listed.ground.picture, *pictures) if each)
+
+    def _read(self) -> tuple[Empty, Source]:
+        path = Path(self.path)
+        text = text_of(path)
+        try:
+            content = read_toml(text)
+        except ValueError as error:
+            raise ScenarioError(f"is not TOML: {error}", source=str(path)) from error
+        source = Source(str(path), path.parent, text)
+        listed = binding.call(Empty, content, origin=source)
+        return beside(path.parent, listed), source
+
+    def build(self) -> World:
+        """The world itself.
+
+        Raises:
+            ScenarioError: with the file, the line and the key that is wrong.
+        """
+        listed, source = self._read()
+        try:
+            world = listed.build()
+        except ScenarioError as error:
+            raise ScenarioError(error.problem, key=error.key, source=source.of(error.key)) from error
+        instead: dict[str, Any] = {"floor_friction": self.floor_friction, "wind": self.wind, "light": self.light}
+        return replace(world, name=Path(self.path).stem, **{key: value for key, value in instead.items() if value is not None})
+
+
+def beside(folder: Path, listed: Empty) -> Empty:
+    """The world with its pictures found in a folder."""
+
+    def found(name: str) -> str:
+        """Where a picture is; a run keeps it under its last name, beside the file."""
+        places = [registry.located(each, folder) for each in (name, Path(name).name)]
+        return str(next((path for path in places if path.is_file()), places[0])) if name else ""
+
+    marks = tuple(msgspec.structs.replace(each, picture=found(each.picture)) for each in listed.ground.marks)
+    targets = tuple(msgspec.structs.replace(each, picture=found(each.picture)) for each in listed.targets)
+    ground = msgspec.structs.replace(listed.ground, picture=found(listed.ground.picture), marks=marks)
+    return replace(listed, ground=ground, targets=targets)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshFile(Surroundings):
+    """One mesh (kind ``mesh``): OBJ, STL, PLY, GLB and what else trimesh reads (``pip install trimesh``)."""
+
+    path: FileName  # of the file
+    scale: Positive = 1.0  # multiplies its coordinates, e.g. 0.001 for millimetres
+    up: Literal["z", "y"] = "z"  # which of its axes points up: CAD has z, computer graphics y
+    position: Vec3 = (0.0, 0.0, 0.0)  # of its origin, m, world
+    yaw_rad: float = 0.0  # turned by this about the vertical through its origin
+    material: str = "concrete"  # of all of it
+    color: Color | None = None  # of all of it; None: that of the material
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_file(self.path)
+
+    def build(self) -> World:
+        """The world itself.
+
+        Raises:
+            ScenarioError: with the file, and the triangle that is wrong.
+        """
+        trimesh = library("trimesh", self.path, "trimesh")
+        try:
+            limits.check_archive(Path(self.path))
+            corners = np.array(trimesh.load_mesh(self.path, process=False).triangles, np.float64)
+        except Exception as error:  # whatever a reader of some format trips over
+            problem = f"trimesh cannot read it: {type(error).__name__}: {error}; "
+            problem += "OBJ, STL and PLY are read without further packages"
+            raise ScenarioError(problem, source=self.path) from error
+        if not len(corners):
+            raise ScenarioError("holds no triangles: export a surface, not points or lines", source=self.path)
+        bad = np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))
+        if len(bad):
+            problem = f"triangle {bad[0]} has a corner that is not finite ({len(bad)} of {len(corners)} have): repair the mesh"
+            raise ScenarioError(problem, source=self.path)
+        if self.up == "y":
+            corners = np.stack([corners[..., 0], -corners[..., 2], corners[..., 1]], axis=-1)
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        turned = self.scale * corners @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        mesh = Mesh(triangles=turned + np.array(self.position), material=self.material, color=self.color)
+        return self.complete(Path(self.path).stem, solids=[mesh])

@@ -1,0 +1,384 @@
+"""In the air: leaders, their reports, followers, and what flies around things."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support.agents.aerial_loop import BODY, Drifter, T, Uav, fly, ring
+from tests.support.agents.agent_loop import received
+from vcmvsp.agents.avoidance import PotentialField
+from vcmvsp.agents.formation.aerial import AerialFollower, AerialRoute, Airborne
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
+from vcmvsp.agents.formation.reports.prediction import DeadReckoning, Hold
+from vcmvsp.agents.formation.reports.report import LeaderState, Report, parse
+from vcmvsp.agents.formation.reports.sending import Sending
+from vcmvsp.agents.formation.team.shape import Formation, Passage
+from vcmvsp.cosim.agent import Agent, Body, Radio, VehicleInfo
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.frames import rotate2
+from vcmvsp.cosim.types import Message, Reception, Vec3
+
+SPEEDS = st.floats(-3.0, 3.0)
+POINTS = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.5, 3))
+
+
+def report(state: LeaderState, **aloft: Any) -> Report:
+    return Report(0, state, aloft)
+
+
+# --- what reports say ---
+
+
+@given(velocity=st.tuples(SPEEDS, SPEEDS, SPEEDS), th=SPEEDS, w=SPEEDS, age_s=st.floats(0.0, 10.0))
+def test_an_old_report_is_moved_by_its_velocity_whatever_the_heading(velocity: Vec3, th: float, w: float, age_s: float) -> None:
+    vx, vy, vz = velocity
+    told_of = report(LeaderState(1.0, -2.0, th, 0.0, w), vx=vx, vy=vy, vz=vz, z=4.0)
+    then = Airborne(DeadReckoning(horizon_s=2.0, fade_s=1.0)).flight(told_of, age_s)
+    fading = min(max(age_s - 2.0, 0.0), 1.0)
+    lasted = min(age_s, 2.0) + fading - 0.5 * fading**2  # at full speed, then at a speed that falls evenly to none in 1 s
+    assert then.position == pytest.approx((1.0 + vx * lasted, -2.0 + vy * lasted, 4.0 + vz * lasted), abs=1e-9)
+    assert then.velocity == pytest.approx([each * (1.0 - fading) for each in velocity], abs=1e-9)
+    assert math.cos(then.yaw - th - w * lasted) == pytest.approx(1.0, abs=1e-9)
+    held = Airborne(Hold()).flight(told_of, age_s)
+    assert (held.position, held.velocity) == ((1.0, -2.0, 4.0), velocity)
+
+
+@given(v=SPEEDS, w=SPEEDS, th=SPEEDS, age_s=st.floats(0.0, 5.0))
+def test_of_a_vehicle_on_wheels_the_estimate_is_that_of_wheels(v: float, w: float, th: float, age_s: float) -> None:
+    told_of = report(LeaderState(1.0, 2.0, th, v, w))
+    inner = DeadReckoning()
+    expected = inner.predict(told_of, age_s)
+    assert Airborne(inner).predict(told_of, age_s) == expected
+    flight = Airborne(inner).flight(told_of, age_s)
+    assert flight.position == (expected.x, expected.y, 0.0)
+    assert flight.velocity == pytest.approx((expected.v * math.cos(expected.th), expected.v * math.sin(expected.th), 0.0))
+
+
+@pytest.mark.parametrize("nonsense", [math.nan, math.inf, "1", None, [1.0], 1e300])
+@pytest.mark.parametrize("key", ["vx", "vy", "vz", "z"])
+def test_nonsense_of_the_air_leaves_what_the_rest_says(key: str, nonsense: Any) -> None:
+    aloft = {"vx": 1.0, "vy": 1.0, "vz": 1.0, "z": 1.0, key: nonsense}
+    told_of = report(LeaderState(0.0, 0.0, 0.0, 1.0, 0.0), **aloft)
+    assert Airborne(DeadReckoning()).flight(told_of, 1.0).position == pytest.approx((1.0, 0.0, 0.0))
+
+
+def test_seen_from_above_it_is_where_it_flies_to() -> None:
+    told_of = report(LeaderState(0.0, 0.0, 0.5 * math.pi, 0.0, 0.0), vx=1.0, vy=0.5, vz=0.0, z=1.0)
+    assert Airborne(DeadReckoning()).predict(told_of, 2.0) == pytest.approx((2.0, 1.0, 0.5 * math.pi, 0.5, 0.0))
+
+
+# --- the leader ---
+
+
+@settings(max_examples=25)
+@given(way=st.lists(POINTS, min_size=1, max_size=4), speed=st.floats(0.2, 2.0), yaw=st.floats(-3, 3), course=st.booleans())
+def test_all_points_are_reached_in_straight_lines(way: list[Vec3], speed: float, yaw: float, course: bool) -> None:
+    agent = AerialRoute(tuple(way), speed=speed, arrive_m=0.2, heading="course" if course else "keep")
+    length = sum(math.dist(a, b) + 1.0 for a, b in zip([(0.0, 0.0, 1.0), *way], way, strict=False))
+    seen = fly({"a": agent}, [Uav((0.0, 0.0, 1.0), yaw)], round((length / speed + 20.0) / T))
+    points = [note["point"] for note in seen.notes["a"] if "point" in note]
+    assert points[-1] == len(way)
+    assert [note["status"] for note in seen.notes["a"] if "status" in note] == ["arrived"]
+    assert math.dist(seen.position["a"][-1], way[-1]) < 1e-3  # it goes on to the point itself
+    number = 0
+    for position, command, note in zip(seen.position["a"], seen.commands["a"], seen.notes["a"], strict=True):
+        number = int(note.get("point", number))
+        goal = way[min(number, len(way) - 1)]
+        away = math.dist(position, goal)
+        assert math.hypot(*command.linear) == pytest.approx(min(speed, 0.8 * away), abs=1e-9)
+        expected = [(b - a) / max(away, 1e-12) for a, b in zip(position, goal, strict=True)]
+        assert command.linear == pytest.approx([min(speed, 0.8 * away) * each for each in expected], abs=1e-9)
+    if not course:
+        assert seen.yaw["a"] == pytest.approx([yaw] * len(seen.yaw["a"]), abs=1e-9)
+
+
+def test_it_turns_to_its_course_if_asked_to_and_reports_how_it_moves() -> None:
+    agent = AerialRoute(course_deg=90.0, speed=0.5, heading="course", yaw_rate=0.4)
+    seen = fly({"a": agent}, [Uav((0.0, 0.0, 2.0))], 150)
+    assert seen.yaw["a"][-1] == pytest.approx(0.5 * math.pi, abs=1e-3)
+    assert max(each.yaw_rate for each in seen.commands["a"]) == pytest.approx(0.4)
+    assert seen.position["a"][-1] == pytest.approx((0.0, 149 * T * 0.5, 2.0), abs=1e-9)
+    first, last = seen.messages["a"][0], seen.messages["a"][-1]
+    assert (first["vx"], first["vy"], first["vz"], first["z"]) == pytest.approx((0.0, 0.5, 0.0, 2.0))
+    assert (first["v"], last["v"]) == pytest.approx((0.0, 0.5), abs=1e-3)  # along its heading
+    assert parse(last, 10**12) is not None
+    assert [message["seq"] for message in seen.messages["a"]] == list(range(150))
+
+
+def test_a_loop_goes_round_and_a_way_of_one_place_ends_nowhere() -> None:
+    square = ((1.0, 0.0, 1.0), (1.0, 1.0, 1.5), (0.0, 1.0, 1.0), (0.0, 0.0, 1.0))
+    seen = fly({"a": AerialRoute(square, loop=True, speed=1.0)}, [Uav((0.0, 0.0, 1.0))], 300)
+    points = [note["point"] for note in seen.notes["a"] if "point" in note]
+    assert points[:9] == [0, 1, 2, 3, 0, 1, 2, 3, 0]
+    still = fly({"a": AerialRoute(((0.0, 0.0, 1.0),) * 2, loop=True)}, [Uav((0.0, 0.0, 1.0))], 20)
+    assert still.position["a"][-1] == (0.0, 0.0, 1.0)
+
+
+def test_it_comes_back_to_the_height_of_its_course() -> None:
+    agent = AerialRoute(course_deg=0.0, speed=0.5)
+    fly({"a": agent}, [Uav((0.0, 0.0, 2.0))], 1)
+    blown = agent.act(Uav((0.0, 0.0, 1.5)).see(10**9), Radio("a", ("a",)))
+    assert blown.linear == pytest.approx((0.5, 0.0, 0.4))
+
+
+def test_sent_only_when_needed_a_straight_flight_sideways_is_told_by_its_heartbeat_alone() -> None:
+    agent = AerialRoute(course_deg=90.0, sending=Sending(when="needed", silence_s=2.0, acknowledge=False))
+    seen = fly({"a": agent}, [Uav((0.0, 0.0, 2.0))], 101)
+    assert len(seen.messages["a"]) == 6  # at 0, 2, 4, ... s
+
+
+def test_sent_only_when_needed_followers_know_its_height_too() -> None:
+    """Up and down at 1 m/s: nowhere more wrong than by the threshold and what a tick brings."""
+    way = ((0.0, 0.0, 2.0), (0.0, 0.0, 0.5), (0.0, 0.0, 2.0))
+    agent = AerialRoute(way, speed=1.0, arrive_m=0.2, sending=Sending(when="needed", acknowledge=False))
+    seen, reckons = fly({"a": agent}, [Uav((0.0, 0.0, 1.0))], 60), Airborne(DeadReckoning())
+    reports = [told for body in seen.messages["a"] if (told := parse(body, 10**12)) is not None]
+    for tick, (_, _, z) in enumerate(seen.position["a"]):
+        newest = [each for each in reports if each.t_ns <= tick * 10**8][-1]
+        assert abs(reckons.flight(newest, tick * T - newest.t_ns / 1e9).position[2] - z) <= 0.02
+    assert len(reports) < 50
+
+
+@pytest.mark.parametrize("estimator", ["acc", "plan"])
+def test_estimators_for_which_reports_in_the_air_hold_nothing_are_refused(estimator: str) -> None:
+    with pytest.raises(
+        ScenarioError, match=f"estimator: '{estimator}' needs what no report in the air holds; take 'hold' or 'dr'"
+    ):
+        AerialRoute(course_deg=0.0, estimator=estimator)
+
+
+def test_straight_up_or_down_it_keeps_its_course_whatever_its_position_seems_to_be() -> None:
+    """Errors of 5 cm move the next point, seen from above, to all sides; on the way up, and on the last 30 cm of a line."""
+    rng = np.random.default_rng(1)
+    agent, radio = AerialRoute(((2.0, 2.0, 1.0), (2.0, 2.0, 9.0), (0.0, 2.0, 9.0)), heading="course"), Radio("a", ("a",))
+    agent.start(VehicleInfo(name="a", vehicles=("a",), period_s=T, latency_s=0.0, seed=1, body=BODY))
+    course = math.atan2(2.0, 2.0)
+
+    def turns(at: Vec3, wanted: float, ticks: int = 30) -> None:
+        for tick in range(ticks):
+            x, y, z = (place + error for place, error in zip(at, rng.normal(0.0, 0.05, 3), strict=True))
+            assert agent.act(Uav((x, y, z), course).see(tick * 10**8), radio).yaw_rate == pytest.approx(wanted, abs=0.06)
+
+    agent.act(Uav((0.0, 0.0, 1.0), course).see(0), radio)
+    turns((1.75, 1.75, 1.0), 0.0)
+    agent.act(Uav((2.0, 2.0, 1.0), course).see(0), radio)
+    turns((2.0, 2.0, 4.0), 0.0)
+    agent.act(Uav((2.0, 2.0, 9.0), course).see(0), radio)
+    turns((1.0, 2.0, 9.0), 1.0)  # west
+
+
+@pytest.mark.parametrize("way", [{}, {"way": ((0.0, 0.0, 1.0),), "course_deg": 0.0}])
+def test_either_a_way_or_a_course(way: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="either a way of at least one point, or a course_deg"):
+        AerialRoute(**way)
+
+
+# --- around things ---
+
+
+@given(turn=st.integers(0, 31), at=st.integers(0, 31), near=st.floats(0.7, 1.1))
+def test_what_pushes_does_so_in_the_world_whatever_the_heading(turn: int, at: int, near: float) -> None:
+    step = math.tau / 32
+    commands = []
+    for heading in (0, turn):
+        ranges = [math.inf] * 32
+        ranges[(at - heading) % 32] = near
+        agent = AerialRoute(course_deg=0.0, avoidance=PotentialField(level=1, tang=0.0))
+        agent.start(VehicleInfo(name="a", vehicles=("a",), period_s=T, latency_s=0.0, seed=1, body=BODY, sensors=("scan",)))
+        commands.append(agent.act(Uav((0.0, 0.0, 2.0), heading * step).see(0, scan=ring(ranges)), Radio("a", ("a",))))
+    push = 0.1 * (1.2 - max(near, 0.65)) / (max(near, 0.65) - 0.6)
+    wanted = (0.3 - push * math.cos(at * step), -push * math.sin(at * step))
+    share = min(1.0, 0.6 / math.hypot(*wanted))
+    for command in commands:
+        assert command.linear == pytest.approx((share * wanted[0], share * wanted[1], 0.0), abs=1e-9)
+
+
+def test_a_vehicle_that_sees_nothing_does_not_climb_either() -> None:
+    agent = AerialRoute(((5.0, 0.0, 9.0),), avoidance=PotentialField())
+    agent.start(VehicleInfo(name="a", vehicles=("a",), period_s=T, latency_s=0.0, seed=1, body=BODY, sensors=("scan",)))
+    command = agent.act(Uav((0.0, 0.0, 2.0)).see(0), Radio("a", ("a",)))
+    assert command.linear == (0.0, 0.0, 0.0)
+    assert agent.drain_notes()["mode"] == "blind"
+    assert agent.sensors == ("scan",)
+
+
+# --- followers: the law in closed form, teams, and what they do when nobody is heard ---
+
+
+@settings(max_examples=25)
+@given(
+    velocity=st.tuples(SPEEDS, SPEEDS, st.floats(-0.5, 0.5)),
+    th=SPEEDS,
+    slot=POINTS,
+    off=POINTS,
+    gain=st.floats(0.2, 3.0),
+)
+def test_the_error_decays_as_the_law_says(velocity: Vec3, th: float, slot: Vec3, off: Vec3, gain: float) -> None:
+    """Sampled, z[n+1] = (1 - gain T) z[n], from the first report on: velocities are constant, so dr makes no error."""
+    x, y = rotate2(slot[0], slot[1], th)
+    place = (x, y, 5.0 + slot[2])
+    follower = AerialFollower("lead", slot, gain=gain)
+    start = Uav((place[0] + off[0], place[1] + off[1], place[2] + off[2]))
+    seen = fly({"lead": Drifter(velocity), "f": follower}, [Uav((0.0, 0.0, 5.0), th), start], 60)
+    z = np.array(seen.position["f"]) - np.array(seen.position["lead"]) - np.array(place) + np.array([0.0, 0.0, 5.0])
+    expected = z[1] * (1.0 - gain * T) ** np.arange(59)[:, None]
+    assert z[1:] == pytest.approx(expected, abs=1e-9)
+    believed = [note["error_m"] for note in seen.notes["f"][1:]]
+    assert believed == pytest.approx(np.linalg.norm(z[1:], axis=1), abs=1e-9)
+    assert seen.notes["f"][1]["age_s"] == pytest.approx(T)
+    assert follower.follows is not None
+    assert (follower.follows.slot, follower.follows.handle_m) == (slot[:2], 0.0)
+
+
+def test_its_place_goes_round_with_the_leaders_heading() -> None:
+    follower = AerialFollower("lead", (-1.0, 0.5, 0.3), heading="leader")
+    starts = [Uav((0.0, 0.0, 2.0)), Uav((-1.0, 0.5, 2.3))]
+    seen = fly({"lead": Drifter((0.2, 0.0, 0.0), yaw_rate=0.3), "f": follower}, starts, 300)
+    for own, lead, yaw, of in zip(
+        seen.position["f"][100:], seen.position["lead"][100:], seen.yaw["f"][100:], seen.yaw["lead"][100:], strict=True
+    ):
+        slot = rotate2(-1.0, 0.5, of)
+        error = math.hypot(own[0] - lead[0] - slot[0], own[1] - lead[1] - slot[1])
+        # Velocities are held for a period in which the place's turns: it moves on a chord of it, less than half way off.
+        assert error < 0.5 * 0.3**2 * math.hypot(1.0, 0.5) * T / 0.8
+        assert math.cos(yaw - of) > 1.0 - 1e-6
+
+
+def test_one_in_the_air_follows_one_on_wheels() -> None:
+    names = ("car", "uav")
+    car, follower = Trajectory(path="circle", speed=0.3, yaw_rate=0.15), AerialFollower("car", (-0.5, 0.0, 2.0))
+    radio = Radio("car", names)
+    for name, agent in zip(names, (car, follower), strict=True):
+        agent.start(VehicleInfo(name=name, vehicles=names, period_s=T, latency_s=0.0, seed=1))
+    car.act(Uav((0.0, 0.0, 0.0), 0.7).see(0), radio)
+    (message,) = radio.drain()
+    heard = Uav((5.0, 5.0, 1.0)).see(10**8, [received(message)])
+    command = follower.act(heard, Radio("uav", names))
+    x, y, th = 0.3 * T * math.cos(0.7 + 0.0075), 0.3 * T * math.sin(0.7 + 0.0075), 0.7 + 0.015
+    slot = rotate2(-0.5, 0.0, th)
+    expected = (
+        0.3 * math.cos(th) - 0.15 * slot[1] + 0.8 * (x + slot[0] - 5.0),
+        0.3 * math.sin(th) + 0.15 * slot[0] + 0.8 * (y + slot[1] - 5.0),
+        0.8 * (2.0 - 1.0),
+    )
+    assert command.linear == pytest.approx(expected, abs=1e-6)
+
+
+def test_it_hovers_until_it_hears_and_when_it_hears_no_more() -> None:
+    follower = AerialFollower("lead", (-1.0, 0.0, 0.0), timeout_s=1.0, fade_s=0.5, horizon_s=5.0)
+    starts = [Uav((0.0, 0.0, 2.0)), Uav((-1.0, 0.0, 2.0))]
+    agents: dict[str, Agent] = {"lead": Drifter((0.3, 0.0, 0.0)), "f": follower}
+    seen = fly(agents, starts, 60, lost=lambda tick, sender: tick < 5 or tick >= 20)
+    status = [note["status"] for note in seen.notes["f"]]
+    assert status == ["waiting"] * 6 + ["following"] * 23 + ["leader lost"] * 31  # the last report is of 1.9 s
+    speed = [math.hypot(*each.linear) for each in seen.commands["f"]]
+    assert speed[:6] == [0.0] * 6
+    left = np.clip(1.0 - np.arange(31) * T / 0.5, 0.0, 1.0)
+    assert speed[29:] == pytest.approx(speed[28] * left, abs=1e-9)
+
+
+def test_one_that_was_busy_otherwise_stops_from_how_it_moves_and_not_from_what_it_was_told_long_ago() -> None:
+    follower, radio = AerialFollower("lead", (-2.0, 0.0, 0.0), fade_s=1.0), Radio("f", ("lead", "f"))
+    uav = Uav((-2.0, 0.0, 5.0))
+    follower.start(VehicleInfo(name="f", vehicles=("lead", "f"), period_s=T, latency_s=0.0, seed=1, body=BODY))
+    report = {"seq": 0, "t_ns": 0, "x": 0.0, "y": 0.0, "z": 5.0, "th": 0.0, "v": 4.0, "w": 0.0, "vx": 4.0, "vy": 0.0, "vz": 0.0}
+    heard = received(Message(sender="lead", body=report, size_bytes=9))
+    assert follower.act(uav.see(0, [heard]), radio).linear == (4.0, 0.0, 0.0)
+    uav.velocity = (0.0, -1.0, 0.0)
+    for tick in range(1, 50):
+        follower.stand_by(uav.see(tick * 100_000_000), radio)
+    assert not radio.drain()
+    fading = [follower.act(uav.see(tick * 100_000_000), radio).linear for tick in range(50, 62)]
+    assert [vy for _, vy, _ in fading] == pytest.approx([-max(0.0, 1.0 - 0.1 * n) for n in range(12)])
+    assert {(vx, vz) for vx, _, vz in fading} == {(0.0, 0.0)}
+
+
+def test_it_goes_no_faster_than_it_may() -> None:
+    follower = AerialFollower("lead", (0.0, 0.0, 0.0), max_speed=0.6)
+    seen = fly({"lead": Drifter((0.3, 0.0, 0.0)), "f": follower}, [Uav((9.0, 5.0, 2.0)), Uav((0.0, 0.0, 1.0))], 30)
+    assert [math.hypot(*each.linear) for each in seen.commands["f"][1:]] == pytest.approx([0.6] * 29)
+
+
+# --- teams ---
+
+
+def team(shape: Any = "wedge", **more: Any) -> tuple[dict[str, Agent], list[Uav]]:
+    formation = Formation(shape=shape, spacing=2.0, **more)
+    agents: dict[str, Agent] = {"a": AerialRoute(course_deg=0.0, formation=formation)}
+    agents |= {name: AerialFollower(formation=formation, above=0.5, heartbeat_s=1.0) for name in "bc"}
+    return agents, [Uav((0.0, 0.0, 2.0)), Uav((-1.7, -1.0, 2.0)), Uav((-1.7, 1.0, 2.0))]
+
+
+def test_a_team_flies_its_shape_and_changes_it_when_the_leader_says_so() -> None:
+    agents, starts = team(changes=((10.0, "column"),))
+    seen = fly(agents, starts, 300)
+    for tick, places in ((95, [(-math.sqrt(3.0), -1.0), (-math.sqrt(3.0), 1.0)]), (299, [(-2.0, 0.0), (-4.0, 0.0)])):
+        lead = seen.position["a"][tick]
+        own = sorted((seen.position[name][tick][0] - lead[0], seen.position[name][tick][1] - lead[1]) for name in "bc")
+        assert np.array(own) == pytest.approx(np.array(sorted(places)), abs=1e-3)
+        assert [seen.position[name][tick][2] for name in "bc"] == pytest.approx([2.5, 2.5], abs=1e-3)
+    assert [note["shape"] for note in seen.notes["b"] if "shape" in note] == ["wedge", "column"]
+
+
+def test_members_keep_off_each_other_though_they_are_to_pass_through() -> None:
+    """One that hovers in the way is no wall of the lane, but it is something to keep off, as it is without a passage."""
+    names, commands = ("a", "b", "c"), []
+    near = ring([0.3, *[math.inf] * 31], 10**8)  # the hull of c
+    for passage in (None, Passage()):
+        of = Formation(spacing=2.0, members=names, passage=passage)
+        radio = Radio("b", names)
+        follower = AerialFollower(formation=of, max_speed=0.6, broadcast=True, avoidance=PotentialField())
+        follower.start(VehicleInfo(name="b", vehicles=names, period_s=T, latency_s=0.0, seed=1, body=BODY, sensors=("scan",)))
+        heard = [reported("a", 5.0, 1.0), reported("c", 0.55, 0.0)]
+        commands.append(follower.act(Uav((0.0, 0.0, 2.0)).see(10**8, heard, scan=near), radio).linear)
+    assert commands[0] == commands[1]
+    assert commands[1][0] <= 0.0
+
+
+def reported(sender: str, x: float, y: float) -> Reception:
+    body = {**dict.fromkeys(("seq", "t_ns"), 0), **dict.fromkeys(("th", "v", "w", "vx", "vy", "vz"), 0.0)}
+    return received(Message(sender=sender, body={**body, "x": x, "y": y, "z": 2.0, "cl": 1}, size_bytes=9))
+
+
+# --- what cannot be ---
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({}, "leader.* unless there is a formation"),
+        ({"leader": "a", "formation": Formation()}, "the formation says whom this vehicle follows"),
+        ({"leader": "a"}, "slot says where to be"),
+        ({"formation": Formation(), "slot": (0.0, 0.0, 0.0)}, "slot says where to be"),
+        ({"leader": "a", "slot": (0.0, 0.0, 0.0), "above": 1.0}, "above needs a formation"),
+        ({"leader": "a", "slot": (0.0, 0.0, 0.0), "heartbeat_s": 1.0}, "heartbeat_s needs a formation"),
+        ({"formation": Formation(passage=Passage()), "broadcast": False}, "broadcast = false"),
+        ({"formation": Formation(), "heartbeat_s": 1.0, "sending": Sending(when="needed")}, "heartbeat_s = 1.0 s"),
+    ],
+)
+def test_a_follower_that_is_told_nonsense_says_so(given: dict[str, Any], words: str) -> None:
+    with pytest.raises((ValueError, ScenarioError), match=words):
+        AerialFollower(**given)
+
+
+@pytest.mark.parametrize(
+    ("agent", "words"),
+    [
+        (AerialFollower("nobody", (0.0, 0.0, 0.0)), "not another vehicle of this run"),
+        (AerialFollower(formation=Formation()), "leads it: give it an agent that leads"),
+    ],
+)
+def test_a_follower_that_has_nobody_to_follow_says_so(agent: AerialFollower, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        agent.start(VehicleInfo(name="a", vehicles=("a", "b"), period_s=T, latency_s=0.0, seed=1))
+
+
+@pytest.mark.parametrize("agent", [AerialRoute(course_deg=0.0), AerialFollower("b", (0.0, 0.0, 0.0))])
+def test_a_vehicle_on_wheels_is_refused(agent: Agent) -> None:
+    wheels = Body(width_m=0.3, radius_m=0.2)
+    with pytest.raises(ValueError, match="a drives on wheels, but this agent is for vehicles that fly"):
+        agent.start(VehicleInfo(name="a", vehicles=("a", "b"), period_s=T, latency_s=0.0, seed=1, body=wheels))
