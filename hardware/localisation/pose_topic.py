@@ -19,10 +19,8 @@ from vcmvsp.cosim.transport import access_control
 from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.cosim.types import NonNegative, Positive, Vec3
 from vcmvsp.hardware.drivers.base import PortError
-from vcmvsp.hardware.localisation import Located
-from vcmvsp.hardware.localisation.readers import DatagramReader
-from vcmvsp.hardware.localisation.source import Advice, PositionSource
-from vcmvsp.hardware.localisation.world_transform import AT_REST, LocatedPose, WorldTransform
+from vcmvsp.hardware.localisation import source
+from vcmvsp.hardware.localisation.source import AT_REST, Advice, DatagramReader, Located, LocatedPose, PositionSource
 
 LARGEST_BYTES = 4096
 _CONNECT_MS = 2000
@@ -95,17 +93,13 @@ class ExternalPose(PositionSource):
             f"does a bridge publish poses under {key} at {endpoint}?",
             f'what comes under {key} are no poses: write {{"t": s, "x": m, "y": m}}, with "z", "yaw", "sigma" where known',
         )
-        transform = WorldTransform(sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
+        transform = source.WorldTransform(sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
         super().__init__(f"{key} at {endpoint}", PoseReader(sigma_rad), transform, words)
         self._endpoint, self._mode = with_slash(endpoint), mode
         self._session: zenoh.Session | None = None
 
     def open(self) -> None:
-        """Connect, or listen, and subscribe.
-
-        Raises:
-            PortError: no router is there, or the address cannot be bound.
-        """
+        """Connect, or listen, and subscribe; `PortError`: no router is there, or the address cannot be bound."""
         self._begin()
         config: dict[str, Any]
         if self._mode == "connect":

@@ -4,12 +4,17 @@ import math
 from collections.abc import Callable, Sequence
 
 from vcmvsp.cosim.types import Vec3, VehicleState, Velocity
-from vcmvsp.hardware.safety.braking import fastest, stops_within, swept
-from vcmvsp.hardware.safety.control_step import Parameters, Pose, Supervisor
-from vcmvsp.hardware.safety.deadman import Cause
-from vcmvsp.hardware.safety.limits import Limits, clamp, slowest
-from vcmvsp.hardware.safety.obstacle_distance import Obstacles
-from vcmvsp.hardware.safety.separation import Others
+from vcmvsp.hardware.safety.obstacles import Obstacles, Others
+from vcmvsp.hardware.safety.supervisor import (
+    Cause,
+    Limits,
+    Pose,
+    Supervisor,
+    clamp,
+    fastest,
+    stops_within,
+    swept,
+)
 
 _HALVINGS = 12  # bisection steps of the yaw rate
 
@@ -22,10 +27,7 @@ class GroundSupervisor(Supervisor):
     ``last`` is the newest safe command; the robot is assumed to be no faster than that.
     """
 
-    def __init__(self, parameters: Parameters) -> None:
-        super().__init__(parameters)
-        self._p = parameters
-        self.last = (0.0, 0.0)  # m/s, rad/s
+    last = (0.0, 0.0)  # m/s, rad/s
 
     @staticmethod
     def pose(state: VehicleState) -> Vec3:
@@ -33,23 +35,23 @@ class GroundSupervisor(Supervisor):
         return state.position[0], state.position[1], state.yaw
 
     def _brake(self, dt: float) -> None:
-        self.last = slowest(self.last, dt, self._p.limits)
+        self.last = clamp(0.0, 0.0, self.last, dt, self._safety)
 
     def _velocity(self) -> Velocity:
         return Velocity(linear=(self.last[0], 0.0, 0.0), yaw_rate=self.last[1])
 
     def _make_safe(self, command: Velocity, pose: Pose | None, others: Others | None, dt: float) -> tuple[Cause, ...]:
-        p, requested = self._p, (command.linear[0], command.yaw_rate)
-        safe = clamp(*requested, self.last, dt, p.limits)
+        p, requested = self._safety, (command.linear[0], command.yaw_rate)
+        safe = clamp(*requested, self.last, dt, p)
         causes = [] if safe == requested else [Cause.LIMITS]
         if pose is not None:
             x, y, yaw = pose
             obstacles: list[tuple[Cause, Obstacles]] = []
-            if p.fence is not None:
-                obstacles.append((Cause.GEOFENCE, p.fence.around(x, y, p.radius_m + p.fence_margin_m)))
+            if self._fence is not None:
+                obstacles.append((Cause.GEOFENCE, self._fence.around(x, y, p.radius_m + p.fence_margin_m)))
             if others is not None and len(others.position):
                 obstacles.append((Cause.SEPARATION, others.around(x, y, p.radius_m + p.separation_m)))
-            safe, slowed = slow_down(safe, self.last, yaw, obstacles, dt=dt, hold=p.reaction_s, limits=p.limits)
+            safe, slowed = slow_down(safe, self.last, yaw, obstacles, dt=dt, hold=p.reaction_s, limits=p)
             causes += slowed
         self.last = safe
         return tuple(causes)
@@ -70,10 +72,10 @@ def slow_down(
     The command is within the limits. The speed is reduced for the requested yaw rate. A yaw rate that turns towards
     obstacles within the stopping distance at the present speed is reduced, towards that of a robot that stops turning,
     until the robot is slower. The room for stopping at the last step is still there now
-    (`hardware.safety.obstacle_distance`): stopping always fits if poses are true.
+    (`hardware.safety.obstacles`): stopping always fits if poses are true.
     """
     (v, w), (last_v, last_w) = command, last
-    speed, u, decel = abs(v), abs(last_v), limits.stop_mps2
+    speed, u, decel = abs(v), abs(last_v), limits.decel
     if speed == 0.0 and u == 0.0:
         return command, []
     far, until_still = swept(speed, u, hold, decel), hold + max(speed, u) / decel
@@ -86,8 +88,8 @@ def slow_down(
     facing = yaw if way > 0.0 else yaw + math.pi
 
     def room(around: Obstacles, rate: float) -> list[float]:
-        left = swept(max(rate, 0.0), max(last_w, 0.0), hold, limits.yaw_stop_radps2)
-        right = swept(max(-rate, 0.0), max(-last_w, 0.0), hold, limits.yaw_stop_radps2)
+        left = swept(max(rate, 0.0), max(last_w, 0.0), hold, limits.yaw_decel)
+        right = swept(max(-rate, 0.0), max(-last_w, 0.0), hold, limits.yaw_decel)
         free: list[float] = around.free(facing - right, facing + left).tolist()
         return free
 
@@ -98,7 +100,7 @@ def slow_down(
             for free, c in zip(room(around, rate), closing, strict=True)
         )
 
-    least_v, least_w = slowest(last, dt, limits)
+    least_v, least_w = clamp(0.0, 0.0, last, dt, limits)
     causes = []
     for cause, around, closing in near:
         pairs = list(zip(room(around, w), closing, strict=True))

@@ -8,15 +8,37 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.types import ORIGIN, Fix, Odometry, Vec3, VehicleState, Velocity
+from vcmvsp.cosim.types import ORIGIN, Array, Fix, Odometry, Vec3, VehicleState, Velocity, frozen
 from vcmvsp.hardware.drivers.base import Driver, Notice, Sample
-from vcmvsp.hardware.safety import Cause, Decision, LastReceived
-from vcmvsp.hardware.station.estimator import DriverEstimator, StateEstimate, StateEstimator
+from vcmvsp.hardware.safety.aerial_supervisor import AerialSupervisor
+from vcmvsp.hardware.safety.ground_supervisor import GroundSupervisor
+from vcmvsp.hardware.safety.obstacles import Others
+from vcmvsp.hardware.safety.supervisor import Cause, Decision, LastReceived, Supervisor
+from vcmvsp.hardware.station.estimator import DriverEstimator, FusedEstimator, StateEstimate, StateEstimator
 from vcmvsp.hardware.station.messages import StationMission, StationOrder, StationReport
-from vcmvsp.hardware.station.safety_factory import SLOWING, guard, others_at
 
-if TYPE_CHECKING:  # it brings all kinds of readers with it
-    from vcmvsp.hardware.localisation.systems import Localisation
+if TYPE_CHECKING:
+    from vcmvsp.hardware.localisation.source import Localisation
+
+
+SLOWING = (Cause.LIMITS, Cause.GEOFENCE, Cause.SEPARATION)  # these change a command; all others stop the robot
+LATCHED = (Cause.OPERATOR,)  # needs a person; other causes end by themselves
+KNOWN_S = 1.0  # extrapolation time of other vehicles
+NO_VEHICLES = frozen(np.empty((0, 7)))
+
+
+def guard(mission: StationMission) -> Supervisor:
+    """Safety supervisor of a mission; `ValueError`: its safety parameters are invalid."""
+    return (AerialSupervisor if mission.flies else GroundSupervisor)(mission.safety, LATCHED)
+
+
+def others_at(rows: Array | None, age_s: float) -> Others:
+    """Other vehicles of an order (see `StationOrder.others`), extrapolated by ``age_s``."""
+    if rows is None:
+        rows = NO_VEHICLES
+    velocity = rows[:, 3:6]
+    return Others(rows[:, 0:3] + velocity * max(0.0, min(age_s, KNOWN_S)), velocity, rows[:, 6])
+
 
 AT_REST = (0.01, 0.02)  # m/s, rad/s: a slower robot stands
 STUCK, STUCK_S = "stuck", 2.0  # s: longer than any robot needs to start moving
@@ -26,16 +48,9 @@ KEPT = 200  # notices and fixes, while the run takes no reports
 
 
 class StationController:
-    """Control of one robot, without clock, process or run.
+    """Control of one robot, whose driver and localisation are open, without clock (``now``: ns), process or run.
 
-    Args:
-        mission: first message of the run.
-        driver: of the robot, open.
-        localisation: open; None: only the robot itself reports its position.
-        now: clock of this machine, ns.
-
-    Attributes:
-        halted: reason why the robot stands until the station ends; empty: it does not.
+    ``halted`` is the reason why the robot stands until the station ends; empty: it does not.
     """
 
     def __init__(
@@ -60,8 +75,6 @@ class StationController:
         self._fixes: list[Fix] = []
         self._sonar: dict[int, float] = {}
 
-    # Input
-
     def operator_heard(self) -> None:
         """The operator is present."""
         self._operator_ns = self._now()
@@ -81,19 +94,10 @@ class StationController:
             return False
         return abs(sample.odometry.v) < AT_REST[0] and abs(sample.odometry.w) < AT_REST[1]
 
-    # One cycle
-
     def turn(
         self, now_ns: int, order: StationOrder | None = None, *, arrival_ns: int | None = None, late_s: float = 0.0
     ) -> StationReport:
-        """Run one cycle.
-
-        Args:
-            now_ns: the time.
-            order: newest order since the last cycle.
-            heard_ns: arrival of the order; None: now.
-            late_s: lateness of this cycle, for the report.
-        """
+        """Run one cycle with the newest order since the last one, which arrived now unless ``arrival_ns`` is given."""
         if order is not None:
             self._take(order, now_ns if arrival_ns is None else arrival_ns)
         self._listen(now_ns)
@@ -126,7 +130,6 @@ class StationController:
             self.halt(order.stop)
 
     def _listen(self, now_ns: int) -> None:
-        """Read driver and localisation."""
         if (sample := self._driver.read()) is not None:
             self._sample = sample
             self._estimator.sample(sample, now_ns)
@@ -245,7 +248,6 @@ class StationController:
         return [*self._driver.notices(), *(localisation.notices() if localisation is not None else ())]
 
     def _words(self, cause: Cause) -> str:
-        """Text of a cause."""
         safety = self._mission.safety
         match cause:
             case Cause.OPERATOR:
@@ -285,7 +287,7 @@ class StationController:
             return report
         return msgspec.structs.replace(
             report,
-            odometry=sample.odometry if _finite_odometry(sample.odometry) else None,
+            odometry=sample.odometry if _finite(sample.odometry) else None,
             sample=sample.number,
             measured_ns=sample.measured_ns,
             link=sample.link,
@@ -294,18 +296,12 @@ class StationController:
         )
 
 
-def _finite(state: VehicleState) -> bool:
-    return bool(np.isfinite([*state.position, *state.velocity, *state.attitude, *state.angular_velocity]).all())
-
-
-def _finite_odometry(odometry: Odometry) -> bool:
-    return bool(np.isfinite([*odometry.pose, odometry.v, odometry.w]).all())
+def _finite(value: VehicleState | Odometry) -> bool:
+    return bool(np.isfinite(np.hstack(msgspec.structs.astuple(value))).all())
 
 
 def estimator_of(mission: StationMission) -> StateEstimator:
     """Estimator of a mission: fused for a robot on the ground with localisation, else as the driver reports."""
     if mission.localisation is not None and not mission.flies:
-        from vcmvsp.hardware.station.fused_estimator import FusedEstimator  # SciPy takes half a second to load
-
         return FusedEstimator(mission.fusion, mission.start, mission.height_m)
     return DriverEstimator(mission.height_m, flies=mission.flies)

@@ -13,8 +13,8 @@ from vcmvsp.cosim.hosts import ssh_hosts
 from vcmvsp.cosim.runs import api, launch
 from vcmvsp.cosim.sockets.messages import parsed
 from vcmvsp.cosim.transport.endpoints import endpoint_rules
-from vcmvsp.hardware.emulators.programs.options import PtyPort, TcpPort, UdpAddress, port_of, udp_of
-from vcmvsp.hardware.localisation.datagrams import address
+from vcmvsp.hardware.emulators.arcos.program import PtyPort, TcpPort, UdpAddress, port_of, udp_of
+from vcmvsp.hardware.localisation.port_source import address
 from vcmvsp.netsim.bridge.gateways.zenoh import ZenohGateway
 
 BOTH = pytest.mark.parametrize("between", ["/", "://"])

@@ -6,9 +6,8 @@ from typing import NamedTuple
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.cosim.types import Vec3, VehicleState
-from vcmvsp.hardware.drivers.mavlink.autopilots import Autopilot
-from vcmvsp.hardware.drivers.mavlink.codec import Message, mavlink
-from vcmvsp.hardware.drivers.mavlink.coordinate_frames import body_flipped, euler_from_attitude, world_flipped
+from vcmvsp.hardware.drivers.mavlink import protocol
+from vcmvsp.hardware.drivers.mavlink.protocol import Autopilot, Message, euler_from_attitude, mavlink, world_flipped
 
 TICK_NS = 5_000_000  # time step of the emulation
 TELEMETRY_HZ, STATUS_HZ = 50.0, 1.0
@@ -16,17 +15,12 @@ SITE = (47.397742, 8.545594, 488.0)  # latitude, longitude (deg), height (m): wh
 BATTERY_V = 15.8
 
 _NUMBERS = {"px4": mavlink.MAV_AUTOPILOT_PX4, "ardupilot": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA}
-_INTERVALS = ("LOCAL_POSITION_NED", "ATTITUDE", "GLOBAL_POSITION_INT", "SYS_STATUS", "EXTENDED_SYS_STATE")
-_BY_ITSELF = {
-    "LOCAL_POSITION_NED": TELEMETRY_HZ,
-    "ATTITUDE": TELEMETRY_HZ,
-    "SYS_STATUS": STATUS_HZ,
-    "EXTENDED_SYS_STATE": STATUS_HZ,
-}
+_FAST, _SLOW = ("LOCAL_POSITION_NED", "ATTITUDE"), ("SYS_STATUS", "EXTENDED_SYS_STATE")
+_BY_ITSELF = {**dict.fromkeys(_FAST, TELEMETRY_HZ), **dict.fromkeys(_SLOW, STATUS_HZ)}
 _STREAMS = {
     mavlink.MAV_DATA_STREAM_POSITION: ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT"),
     mavlink.MAV_DATA_STREAM_EXTRA1: ("ATTITUDE",),
-    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: ("SYS_STATUS", "EXTENDED_SYS_STATE"),
+    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: _SLOW,
 }
 
 
@@ -37,18 +31,13 @@ class TelemetryState(NamedTuple):
     armed: bool
     landed: bool
     state: VehicleState  # in the world
-    ground: float  # m: world z of a landed vehicle
     blind: bool  # no position estimate
 
 
 class Telemetry:
     """Messages at their rates; PX4 starts by itself, ArduPilot on request.
 
-    Args:
-        autopilot: kind and mode numbers.
-        vehicle_type: MAV_TYPE.
-        origin: of the vehicle's local frame in the world, m; at `SITE` on the earth.
-        heartbeat_s: period of heartbeats.
+    ``origin`` is that of the vehicle's local frame in the world, m, which is at `SITE` on the earth.
     """
 
     def __init__(self, autopilot: Autopilot, vehicle_type: int, origin: Vec3, heartbeat_s: float) -> None:
@@ -80,7 +69,7 @@ class Telemetry:
     def ask(self, number: int, microseconds: float, now_ns: int) -> bool:
         """SET_MESSAGE_INTERVAL for the message of this number; whether it is supported."""
         kind = mavlink.mavlink_map.get(number)
-        if kind is None or kind.msgname not in _INTERVALS or not math.isfinite(microseconds):
+        if kind is None or kind.msgname not in (*_BY_ITSELF, "GLOBAL_POSITION_INT") or not math.isfinite(microseconds):
             return False
         self._tell_every(kind.msgname, round(1000.0 * microseconds), now_ns)
         return True
@@ -91,7 +80,6 @@ class Telemetry:
             self._tell_every(name, SECOND_NS // hz if hz else -1, now_ns)
 
     def _tell_every(self, name: str, period_ns: int, now_ns: int) -> None:
-        """Set the period of a message; zero or less: off."""
         if period_ns > 0:
             self._period_ns[name] = max(TICK_NS, period_ns)
             self._next_ns.setdefault(name, now_ns)
@@ -106,7 +94,6 @@ class Telemetry:
         return mavlink.MAVLink_heartbeat_message(self._type, _NUMBERS[self._autopilot.kind], flags, number, status, 3)
 
     def _told(self, name: str, now_ns: int, now: TelemetryState) -> Message:
-        """A telemetry message."""
         boot_ms, state = now_ns // 1_000_000, now.state
         here: Vec3 = tuple(a - b for a, b in zip(state.position, self._origin, strict=True))  # type: ignore[assignment]
         north, east, down = world_flipped(here) if not now.blind else (math.nan,) * 3
@@ -115,13 +102,13 @@ class Telemetry:
             case "LOCAL_POSITION_NED":
                 return mavlink.MAVLink_local_position_ned_message(boot_ms, north, east, down, *velocity)
             case "ATTITUDE":
-                rates = body_flipped(state.angular_velocity)
+                rates = protocol.body_flipped(state.angular_velocity)
                 return mavlink.MAVLink_attitude_message(boot_ms, *euler_from_attitude(state.attitude), *rates)
             case "GLOBAL_POSITION_INT":
                 latitude, longitude, height = self._plane.geodetic(*here)
                 cm = [round(100.0 * each) for each in velocity]
                 heading = round(100.0 * math.degrees(euler_from_attitude(state.attitude)[2])) % 36_000
-                above = round(1e3 * (state.position[2] - now.ground))
+                above = round(1e3 * state.position[2])
                 place = (round(1e7 * latitude), round(1e7 * longitude), round(1e3 * height), above)
                 return mavlink.MAVLink_global_position_int_message(boot_ms, *place, *cm, heading)
             case "SYS_STATUS":

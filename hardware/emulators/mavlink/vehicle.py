@@ -4,7 +4,7 @@ It has the behaviour that a driver relies on and must survive: refused modes (PX
 second), a pilot who switches (`pilot_switches`), arming and its refusal, the end of OFFBOARD without set-points, telemetry on
 request (`telemetry`).
 
-It moves on its own (`motion.VehicleMotion`), or, with ``start=None``, the caller reads `commanded` and calls `moved`.
+It moves on its own (`VehicleMotion`), or, with ``start=None``, the caller reads `commanded` and calls `moved`.
 """
 
 import math
@@ -12,14 +12,68 @@ from collections import deque
 from typing import Literal
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.frames import quaternion_from_yaw, rotate2
 from vcmvsp.cosim.types import Vec3, VehicleState, Velocity
-from vcmvsp.hardware.drivers.mavlink.autopilots import Kind, autopilot_of
-from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Message, MessageReader, Sender, mavlink
-from vcmvsp.hardware.drivers.mavlink.command_schedule import STILL
-from vcmvsp.hardware.drivers.mavlink.coordinate_frames import body_flipped, world_flipped
-from vcmvsp.hardware.emulators.mavlink.motion import VehicleMotion
+from vcmvsp.hardware.drivers.mavlink import protocol
+from vcmvsp.hardware.drivers.mavlink.protocol import STILL, Encoder, Kind, Message, MessageReader, Sender, autopilot_of, mavlink
 from vcmvsp.hardware.emulators.mavlink.telemetry import SITE, TICK_NS, Telemetry, TelemetryState, version
+
+LAG_S = 0.3  # of a velocity controller
+YAW_LAG_S = 0.15
+SPEED_MPS, CLIMB_MPS, YAW_RATE = 5.0, 2.0, 1.5  # limits
+ACCEL_MPS2 = 4.0
+GRAVITY = 9.80665  # m/s2
+
+
+class VehicleMotion:
+    """Motion without forces: a quadrotor tilts as its acceleration needs, a rover moves along its heading."""
+
+    def __init__(self, start: VehicleState, *, on_ground: bool) -> None:
+        self._position, self._yaw = start.position, start.yaw
+        self._velocity: Vec3 = (0.0, 0.0, 0.0)
+        self._yaw_rate = 0.0
+        self._on_ground = on_ground
+
+    def step(self, command: Velocity, dt: float) -> VehicleState:
+        """Advance by ``dt`` seconds, on or above the ground, z = 0."""
+        goal = self._in_world(command.linear)
+        change = [(to - v) * min(1.0, dt / LAG_S) for to, v in zip(goal, self._velocity, strict=True)]
+        size = math.hypot(*change)
+        scale = min(1.0, ACCEL_MPS2 * dt / size) if size else 0.0
+        ax, ay, az = (each * scale / dt for each in change)
+        vx, vy, vz = (v + each * scale for v, each in zip(self._velocity, change, strict=True))
+        rate = max(-YAW_RATE, min(YAW_RATE, command.yaw_rate))
+        self._yaw_rate += (rate - self._yaw_rate) * min(1.0, dt / YAW_LAG_S)
+        self._yaw += self._yaw_rate * dt
+        x, y, z = self._position
+        z += vz * dt
+        if z <= 0.0:
+            z, vz = 0.0, max(0.0, vz)
+            if not self._on_ground:  # it stands
+                vx = vy = ax = ay = 0.0
+        self._position, self._velocity = (x + vx * dt, y + vy * dt, z), (vx, vy, vz)
+        attitude = quaternion_from_yaw(self._yaw)
+        if not self._on_ground:
+            forward, leftward = rotate2(ax, ay, -self._yaw)
+            lean = math.atan2(forward, GRAVITY + az)  # its z axis is along the thrust: acceleration minus gravity
+            roll = -math.atan2(leftward * math.cos(lean), GRAVITY + az)
+            attitude = protocol.attitude_from_euler(roll, -lean, 0.5 * math.pi - self._yaw)
+        return VehicleState(
+            position=self._position,
+            velocity=self._velocity,
+            attitude=attitude,
+            angular_velocity=(0.0, 0.0, self._yaw_rate),
+        )
+
+    def _in_world(self, linear: Vec3) -> Vec3:
+        """Velocity goal within the limits, in the world."""
+        if self._on_ground:
+            linear = (*rotate2(linear[0], 0.0, self._yaw), 0.0)
+        x, y, z = linear
+        speed = math.hypot(x, y)
+        scale = min(1.0, SPEED_MPS / speed) if speed else 0.0
+        return x * scale, y * scale, max(-CLIMB_MPS, min(CLIMB_MPS, z))
+
 
 LEAD_NS = 1_000_000_000  # PX4: duration of set-points before OFFBOARD [PX4 guide, Offboard mode]
 GAP_NS = 500_000_000  # ... at more than 2 Hz
@@ -33,29 +87,19 @@ _UNKNOWN = mavlink.MAV_RESULT_UNSUPPORTED
 
 
 class Vehicle:
-    """A quadrotor or a rover.
-
-    Times are nanoseconds of a monotonic clock; earlier times than before count as now.
+    """A quadrotor or a rover. Times are nanoseconds of a monotonic clock; earlier times than before count as now.
 
     Args:
-        autopilot: kind of autopilot: its modes and its rules for set-points.
+        autopilot: its modes and its rules for set-points.
         kind: of the vehicle.
         system_id: its number.
         start: x, y, z (m, world) and yaw (rad); None: the caller moves it.
-        ground: height of a landed vehicle: z, m, world.
         origin: of its local frame in the world, m; at `telemetry.SITE` on the earth.
         mode: initial mode; None: POSITION (PX4) or LOITER (ArduPilot).
         armed: whether it starts armed.
         can_arm: False: it refuses to arm, with a text.
-        heartbeat_s: period of heartbeats; 1 s on real vehicles.
         old: it supports REQUEST_DATA_STREAM instead of SET_MESSAGE_INTERVAL.
-
-    Attributes:
-        mode: by name.
-        armed: its motors may turn.
-        state: present state.
-        heard: newest messages, with their time.
-        blind: positions are NaN, as without an estimate.
+        heartbeat_s: period of heartbeats; 1 s on real vehicles.
     """
 
     def __init__(
@@ -65,7 +109,6 @@ class Vehicle:
         kind: Literal["quadrotor", "rover"] = "quadrotor",
         system_id: int = 1,
         start: tuple[float, float, float, float] | None = (0.0, 0.0, 0.0, 0.0),
-        ground: float = 0.0,
         origin: Vec3 = (0.0, 0.0, 0.0),
         mode: str | None = None,
         armed: bool = False,
@@ -83,50 +126,40 @@ class Vehicle:
         self.state = VehicleState(position=(x, y, z), attitude=quaternion_from_yaw(yaw))
         self.motion = VehicleMotion(self.state, on_ground=kind == "rover") if start is not None else None
         self._flies = kind != "rover"
-        self._ground = ground
         self._encode = Encoder(Sender(system=system_id, component=mavlink.MAV_COMP_ID_AUTOPILOT1))
         self._reader = MessageReader()
         self._telemetry = Telemetry(self.autopilot, self.type, origin, heartbeat_s)
-        self._time_ns = 0
+        self.now_ns = 0  # of the last tick
         self._wanted, self._wanted_yaw_rate = STILL, 0.0
         self._setpoint_ns: int | None = None  # time of the last one
         self._since_ns = 0  # start of set-points without a gap
         self._rise_to: float | None = None
         self._texts: list[Message] = []
 
-    # Client side
-
     def receive(self, chunk: bytes, now_ns: int) -> bytes:
         """Process bytes; bytes that the vehicle sends until then and at once."""
         output = self.advance(now_ns)
         for message in self._reader.feed(chunk):
-            self.heard.append((self._time_ns, message))
+            self.heard.append((self.now_ns, message))
             output += self._encode(*self._serve(message))
         return output + self._say()
 
     def advance(self, now_ns: int) -> bytes:
         """Bytes that the vehicle sends until this time."""
         output = b""
-        while self._time_ns + TICK_NS <= now_ns:
-            self._time_ns += TICK_NS
+        while self.now_ns + TICK_NS <= now_ns:
+            self.now_ns += TICK_NS
             self._tick()
-            if self._time_ns >= self._telemetry.due_ns:
-                now = TelemetryState(self.mode, self.armed, self.landed, self.state, self._ground, self.blind)
-                output += self._encode(*self._telemetry.messages(self._time_ns, now))
+            if self.now_ns >= self._telemetry.due_ns:
+                now = TelemetryState(self.mode, self.armed, self.landed, self.state, self.blind)
+                output += self._encode(*self._telemetry.messages(self.now_ns, now))
             output += self._say()
         return output
 
     @property
     def due_ns(self) -> int:
         """Time at which `advance` will have bytes to send."""
-        return max(self._time_ns + TICK_NS, -(-self._telemetry.due_ns // TICK_NS) * TICK_NS)
-
-    @property
-    def now_ns(self) -> int:
-        """The time of its last tick."""
-        return self._time_ns
-
-    # Pilot
+        return max(self.now_ns + TICK_NS, -(-self._telemetry.due_ns // TICK_NS) * TICK_NS)
 
     def pilot_switches(self, mode: str) -> None:
         """Another transmitter or ground station selects a mode."""
@@ -146,8 +179,6 @@ class Vehicle:
             return
         for piece, start in enumerate(range(0, len(data) + 1, 50)):  # a full last chunk would not end the text
             self._texts.append(mavlink.MAVLink_statustext_message(severity, data[start : start + 50], 1, piece))
-
-    # Side of the motion
 
     def commanded(self) -> Velocity:
         """Velocity to reach: in the world; on a rover the forward speed. Zero unless a mode moves the vehicle."""
@@ -170,13 +201,11 @@ class Vehicle:
     @property
     def landed(self) -> bool:
         """It stands on the ground."""
-        return not self._flies or self.state.position[2] <= self._ground + 0.02
-
-    # One tick
+        return not self._flies or self.state.position[2] <= 0.02
 
     def _tick(self) -> None:
         last = self._setpoint_ns
-        if self.mode == self.autopilot.follows and last is not None and self._time_ns - last > LOSS_NS[self.autopilot.kind]:
+        if self.mode == self.autopilot.follows and last is not None and self.now_ns - last > LOSS_NS[self.autopilot.kind]:
             self._wanted, self._wanted_yaw_rate, self._setpoint_ns = STILL, 0.0, None
             if self.autopilot.kind == "px4":
                 self.say("Failsafe: no offboard signal")
@@ -186,15 +215,13 @@ class Vehicle:
             if self.mode == "TAKEOFF":
                 self._enter("HOLD")
         if self.motion is not None:
-            self.state = self.motion.step(self.commanded(), TICK_NS / SECOND_NS, self._ground)
+            self.state = self.motion.step(self.commanded(), TICK_NS / SECOND_NS)
         if self.mode == "LAND" and self.armed and self.landed:
             self.armed = False
 
     def _say(self) -> bytes:
         texts, self._texts = self._texts, []
         return self._encode(*texts)
-
-    # Messages of clients
 
     def _serve(self, message: Message) -> list[Message]:
         """Obey a message; messages for other systems and unknown ones are ignored."""
@@ -209,30 +236,28 @@ class Vehicle:
                 return [mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *to), *extra]
             case "REQUEST_DATA_STREAM":
                 rate = message.req_message_rate if message.start_stop else 0
-                self._telemetry.ask_stream(message.req_stream_id, rate, self._time_ns)
+                self._telemetry.ask_stream(message.req_stream_id, rate, self.now_ns)
         return []
 
     def _follow(self, message: Message) -> None:
-        """Take a set-point; only velocities and yaw rates are supported."""
         fields = (message.vx, message.vy, message.vz, message.yaw_rate)
         if message.type_mask & _NO_VELOCITY or not all(map(math.isfinite, fields)):
             return
-        if self._setpoint_ns is None or self._time_ns - self._setpoint_ns > GAP_NS:
-            self._since_ns = self._time_ns
-        self._setpoint_ns = self._time_ns
+        if self._setpoint_ns is None or self.now_ns - self._setpoint_ns > GAP_NS:
+            self._since_ns = self.now_ns
+        self._setpoint_ns = self.now_ns
         if self.autopilot.kind == "ardupilot":
             self._rise_to = None  # a set-point ends a take-off
         if message.coordinate_frame == mavlink.MAV_FRAME_BODY_NED:
-            self._wanted = body_flipped((message.vx, message.vy, message.vz))
+            self._wanted = protocol.body_flipped((message.vx, message.vy, message.vz))
         else:
-            self._wanted = world_flipped((message.vx, message.vy, message.vz))
+            self._wanted = protocol.world_flipped((message.vx, message.vy, message.vz))
         self._wanted_yaw_rate = 0.0 if message.type_mask & _NO_YAW_RATE else -message.yaw_rate
 
     def _obey(self, message: Message) -> tuple[int, list[Message]]:
-        """Execute a command: result and extra messages."""
         match message.command:
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL if not self.old:
-                supported = self._telemetry.ask(_whole(message.param1), message.param2, self._time_ns)
+                supported = self._telemetry.ask(_whole(message.param1), message.param2, self.now_ns)
                 return _OK if supported else _UNKNOWN, []
             case mavlink.MAV_CMD_DO_SET_MODE:
                 return self._set_mode(message), []
@@ -254,7 +279,7 @@ class Vehicle:
         if mode not in self.autopilot.modes:
             return int(mavlink.MAV_RESULT_DENIED)
         last = self._setpoint_ns
-        fresh = last is not None and self._time_ns - last <= GAP_NS and last - self._since_ns > LEAD_NS
+        fresh = last is not None and self.now_ns - last <= GAP_NS and last - self._since_ns > LEAD_NS
         if mode == "OFFBOARD" and not fresh:
             return int(_DENIED)
         self._enter(mode)
@@ -277,13 +302,13 @@ class Vehicle:
         if not self.armed:
             return int(_DENIED)
         if self.autopilot.kind == "px4":
-            above = height - SITE[2] - self._ground if math.isfinite(height) else 2.5  # MIS_TAKEOFF_ALT
+            above = height - SITE[2] if math.isfinite(height) else 2.5  # MIS_TAKEOFF_ALT
             self._enter("TAKEOFF")
-            self._rise_to = self._ground + max(1.0, above)
+            self._rise_to = max(1.0, above)
             return int(_OK)
         if self.mode != "GUIDED" or not self.landed or not math.isfinite(height):
             return int(mavlink.MAV_RESULT_FAILED)
-        self._rise_to = self._ground + height
+        self._rise_to = height
         return int(_OK)
 
     def _enter(self, mode: str) -> None:

@@ -1,4 +1,4 @@
-"""Driver of robots that run ``vcmvsp robot`` on their own computer, over Eclipse Zenoh.
+"""Driver of robots that run ``vcmvsp robot`` on their own computer, over Eclipse Zenoh, and admission of robots.
 
 The driver listens and the robot connects, so that only the run's machine needs a known address and an open port. One thread
 sends `CommandState` and receives; everything shared with the caller is behind one lock, which is never held while waiting.
@@ -16,18 +16,59 @@ from typing import TYPE_CHECKING
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError, UsageError
-from vcmvsp.cosim.transport import endpoints, key_names
+from vcmvsp.cosim.transport import access_control, endpoints, key_names
 from vcmvsp.cosim.types import NonNegative, Positive, Vec3
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, DriverError, HandshakeError, LinkLost, PortError
 from vcmvsp.hardware.remote_robot import messages
 from vcmvsp.hardware.remote_robot.messages import SAY_S, RobotHello, RobotWelcome
-from vcmvsp.hardware.remote_robot.run_side.admission import Admission
-from vcmvsp.hardware.remote_robot.run_side.listener import LinkEnded, News, Peer, RobotGreeting, RobotListener
+from vcmvsp.hardware.remote_robot.run_side.listener import LinkEnded, Peer, RobotGreeting, RobotListener, RobotMessage
 from vcmvsp.hardware.remote_robot.run_side.session import RobotSession
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
+
+
+RELOAD_S = 1.0  # certificates are read at most once in this time
+
+
+class Admission:
+    """Admits robots of one vehicle; without the folder of an authority any robot may come."""
+
+    def __init__(self, vehicle: str, folder: Path | None) -> None:
+        self._vehicle, self._folder = vehicle, folder
+        self._current: tuple[float, Keys] | None = None  # time of reading, and the certificates
+
+    def keys(self) -> "Keys | None":
+        """Present certificates, at most `RELOAD_S` old: one may be revoked while the driver listens.
+
+        `UsageError`: they cannot be read.
+        """
+        if self._folder is None:
+            return None
+        from vcmvsp.cosim.security import certificates
+
+        now = time.monotonic()
+        if self._current is None or now > self._current[0] + RELOAD_S:
+            self._current = now, certificates.load(self._folder)
+        return self._current[1]
+
+    def refusal(self, name: str, hello: RobotHello) -> str:
+        """Reason to reject a robot of the machine ``name`` permanently; empty: admitted."""
+        if hello.protocol != messages.PROTOCOL:
+            versions = f"this run speaks protocol {messages.PROTOCOL}, the robot {hello.protocol}"
+            return f"{versions}: use the same vcmvsp version"
+        vehicle = plain(hello.vehicle)
+        try:
+            keys = self.keys()
+        except UsageError as error:
+            return f"the run cannot read its certificates ({error})"
+        if keys is not None and (denied := access_control.admission(keys, name, [vehicle])):
+            return denied
+        if hello.vehicle != self._vehicle:
+            return f"this is the port of {self._vehicle}, not of {vehicle}"
+        return ""
+
 
 START_S = 5.0  # for the session
 INVITE_S = 2.0  # before a message to the user
@@ -64,7 +105,9 @@ class ZenohDriver(RobotSession):
         if vehicle and not re.fullmatch(r"[A-Za-z0-9_-]+", vehicle):
             raise ScenarioError(f"must have letters, digits, _ and - only, not {vehicle!r}", key="vehicle")
         try:
-            listen = _check(listen, keys, insecure=insecure)
+            if keys and insecure:
+                raise UsageError("keys and insecure exclude one another: leave one of them out")
+            listen = endpoints.endpoint_rules(listen, keys or None, insecure=insecure, side="driver")
         except UsageError as error:
             raise ScenarioError(str(error), key="listen") from None
         super().__init__(
@@ -77,8 +120,6 @@ class ZenohDriver(RobotSession):
         self._listen, self._secure = listen, bool(keys)
         self._admission = Admission(vehicle, Path(folder, keys) if keys else None)
         self._open_s, self._silence_s, self._silence_ns = open_deadline_s, silence_s, seconds_to_ns(silence_s)
-
-    # What the caller does.
 
     @property
     def invitation(self) -> str:
@@ -97,8 +138,6 @@ class ZenohDriver(RobotSession):
         self._run_name = secrets.token_hex(8)
         self._invited = False  # the user was informed
         self._refused = ""  # reason of the last rejection
-
-    # What the thread does.
 
     def _work(self) -> None:
         with contextlib.closing(RobotListener(self._listen, self._authority(), self._vehicle, self._hand_over)) as listener:
@@ -120,7 +159,6 @@ class ZenohDriver(RobotSession):
         return keys
 
     def _converse(self, open_until_ns: int) -> None:
-        """Receive and send until the caller closes it."""
         due_ns = 0
         while not self._closing.is_set():
             now_ns = time.monotonic_ns()
@@ -135,22 +173,16 @@ class ZenohDriver(RobotSession):
             if news is None:
                 self._woken.clear()
                 due_ns = 0
-            else:
-                self._take(news)
+            elif isinstance(news, RobotGreeting):
+                self._greeted(news)
+            elif isinstance(news, LinkEnded) and news.peer == self._peer:
+                self._let_go("the robot's program has ended, or its link broke")
+            elif isinstance(news, RobotMessage) and news.peer == self._peer:
+                self._heard(news)
         if not self._ready.is_set():
             raise HandshakeError(self.device, "it was closed while its robot was waited for", "open it again")
 
-    def _take(self, news: News) -> None:
-        if isinstance(news, RobotGreeting):
-            self._greeted(news)
-        elif news.peer == self._peer:
-            if isinstance(news, LinkEnded):
-                self._let_go("the robot's program has ended, or its link broke")
-            else:
-                self._heard(news)
-
     def _watch(self, now_ns: int, open_until_ns: int) -> None:
-        """Detect silence and missed deadlines."""
         if self._peer is not None and now_ns >= self._heard_ns + self._silence_ns:
             self._let_go(f"nothing was heard for {self._silence_s:g} s")
         if not self._ready.is_set():
@@ -161,12 +193,10 @@ class ZenohDriver(RobotSession):
                 sys.stderr.write(f"waiting for the robot of {self._vehicle} at {self._listen}; there: {self.invitation}\n")
                 sys.stderr.flush()
         elif self._lost is not None and now_ns >= self._lost_ns + seconds_to_ns(self._reconnect_s):
-            raise self._gone_for_good(self._lost)
-
-    # Greetings
+            lost, back = self._lost, f"and it was not back within {self._reconnect_s:g} s"
+            raise LinkLost(self.device, f"{lost.happened}, {back}", lost.advice) if self._reconnect_s else lost
 
     def _greeted(self, greeting: RobotGreeting) -> None:
-        """Accept a robot, or answer why not."""
         try:
             hello = messages.hellos.decode(greeting.payload)
             peer = Peer(greeting.name, hello.session)
@@ -195,28 +225,12 @@ class ZenohDriver(RobotSession):
             return f"another program drives {self._vehicle} already"
         return ""
 
-    # Errors of a missing robot
-
     def _nobody(self) -> HandshakeError:
-        """Why no robot is ready."""
         within = f"within {self._open_s:g} s"
         if self._peer is not None and self._hello is not None:
             happened = f"the robot has come, but its own driver ({plain(self._hello.device)}) is not open {within}"
-            return HandshakeError(
-                self.device, happened, f"look at the robot; it may take {self._hello.open_s:g} s: open_deadline_s"
-            )
+            advice = f"look at the robot; it may take {self._hello.open_s:g} s: open_deadline_s"
+            return HandshakeError(self.device, happened, advice)
         refusal = f"; one was sent away: {self._refused}" if self._refused else ""
         happened = f"the robot of {self._vehicle} did not come {within}{refusal}"
         return HandshakeError(self.device, happened, f"start on its own computer: {self.invitation}")
-
-    def _gone_for_good(self, lost: LinkLost) -> LinkLost:
-        if not self._reconnect_s:
-            return lost
-        return LinkLost(self.device, f"{lost.happened}, and it was not back within {self._reconnect_s:g} s", lost.advice)
-
-
-def _check(listen: str, keys: str, *, insecure: bool) -> str:
-    """Endpoint after its checks; the keys themselves are read on opening."""
-    if keys and insecure:
-        raise UsageError("keys and insecure exclude one another: leave one of them out")
-    return endpoints.endpoint_rules(listen, keys or None, insecure=insecure, side="driver")

@@ -22,7 +22,7 @@ from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import emergency_stop
 from vcmvsp.hardware.station.emergency_stop import StopCaller, StopListener
 from vcmvsp.hardware.station.messages import OPERATOR_STOP, PartSpec
-from vcmvsp.hardware.station.process_client import Station
+from vcmvsp.hardware.stations import Station
 
 FOLDERS = emergency_stop.folders
 PATIENCE_S = 30.0

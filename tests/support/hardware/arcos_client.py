@@ -1,11 +1,8 @@
 """A client of an emulated robot, without a line between them and without a clock."""
 
-from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command
+from vcmvsp.hardware.drivers.arcos.protocol import Command, PacketReader, Sip, command, decode_sip, is_sip
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.drivers.arcos.sip import Sip, decode, is_sip
-from vcmvsp.hardware.emulators.arcos.device import Device
-from vcmvsp.hardware.emulators.arcos.motion import Pose
+from vcmvsp.hardware.emulators.arcos.device import Device, Pose
 
 AMIGO = ROBOTS["amigo"]
 SECOND = 1_000_000_000
@@ -22,7 +19,7 @@ class Client:
 
     def run(self, seconds: float) -> list[Sip]:
         self.now += round(seconds * SECOND)
-        return [decode(each) for each in self.reader.feed(self.device.advance(self.now)) if is_sip(each)]
+        return [decode_sip(each) for each in self.reader.feed(self.device.advance(self.now)) if is_sip(each)]
 
     def connect(self) -> "Client":
         for number in range(3):

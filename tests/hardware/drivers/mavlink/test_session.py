@@ -9,10 +9,9 @@ import pytest
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import VehicleState, Velocity
 from vcmvsp.hardware.drivers.base import Sample
-from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Message, MessageReader, Sender, mavlink
-from vcmvsp.hardware.drivers.mavlink.samples import ATTITUDE_NS, MavlinkSampler
-from vcmvsp.hardware.drivers.mavlink.session import MavlinkSession, SessionOptions
-from vcmvsp.hardware.drivers.mavlink.vehicle_search import VehicleSearch
+from vcmvsp.hardware.drivers.mavlink.link import VehicleSearch
+from vcmvsp.hardware.drivers.mavlink.protocol import Encoder, Message, MessageReader, Sender, mavlink
+from vcmvsp.hardware.drivers.mavlink.session import ATTITUDE_NS, MavlinkSampler, MavlinkSession, SessionOptions
 from vcmvsp.hardware.emulators.mavlink.telemetry import TICK_NS
 from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
 
