@@ -20,6 +20,7 @@ import contextlib
 import math
 import signal
 from collections.abc import Callable, Iterator
+from math import isfinite
 from types import FrameType
 from typing import Annotated, Literal, Protocol, runtime_checkable
 
@@ -118,10 +119,17 @@ class Driver(Protocol):
         """Zero speed, motors off, port free. May be called twice, and after a failure."""
 
 
+def finite(velocity: Velocity) -> Velocity:
+    """The command itself; `ValueError` for NaN and infinity."""
+    if not all(map(isfinite, (*velocity.linear, velocity.yaw_rate))):
+        raise ValueError(f"a robot cannot follow {velocity.linear} m/s and {velocity.yaw_rate} rad/s: all must be finite")
+    return velocity
+
+
 def checked(velocity: Velocity) -> tuple[float, float]:
     """Forward speed, m/s, and yaw rate, rad/s, of a command for a ground robot; `ValueError` for NaN and infinity."""
     v, w = velocity.linear[0], velocity.yaw_rate
-    if not (abs(v) < float("inf") and abs(w) < float("inf")):  # false for NaN too
+    if not (isfinite(v) and isfinite(w)):
         raise ValueError(f"a robot cannot follow v = {v} m/s, w = {w} rad/s: both must be finite")
     return v, w
 

@@ -8,6 +8,7 @@ import os
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
@@ -98,6 +99,7 @@ class ThreadedDriver:
     _who = "robot"
     _repeater: CommandRepeater[Any]
     _connected = False
+    _speeds: Callable[[Velocity], Any] = staticmethod(checked)
 
     def __init__(self, device: str, *, open_deadline_s: float, close_deadline_s: float) -> None:
         self.device, self.open_deadline_s, self.close_deadline_s = device, open_deadline_s, close_deadline_s
@@ -134,7 +136,7 @@ class ThreadedDriver:
 
     def write(self, velocity: Velocity) -> None:
         """Command a forward speed and a yaw rate; ignored while the robot is lost."""
-        speeds = checked(velocity)
+        speeds = self._speeds(velocity)
         with self._lock:
             self._check()
             if self._connected:

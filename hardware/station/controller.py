@@ -11,9 +11,8 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import ORIGIN, Array, Fix, Odometry, Vec3, VehicleState, Velocity, frozen
 from vcmvsp.hardware.drivers.base import Driver, Notice, Sample
 from vcmvsp.hardware.safety.aerial_supervisor import AerialSupervisor
-from vcmvsp.hardware.safety.ground_supervisor import GroundSupervisor
 from vcmvsp.hardware.safety.obstacles import Others
-from vcmvsp.hardware.safety.supervisor import Cause, Decision, LastReceived, Supervisor
+from vcmvsp.hardware.safety.supervisor import Cause, Decision, GroundSupervisor, LastReceived, Supervisor
 from vcmvsp.hardware.station.estimator import DriverEstimator, FusedEstimator, StateEstimate, StateEstimator
 from vcmvsp.hardware.station.messages import StationMission, StationOrder, StationReport
 

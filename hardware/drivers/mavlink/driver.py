@@ -18,10 +18,10 @@ from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.cosim.types import ORIGIN, NonNegative, Positive, Vec3, Velocity
-from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost
+from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost, finite
 from vcmvsp.hardware.drivers.byte_link import OPEN_S
 from vcmvsp.hardware.drivers.mavlink.link import MavlinkLink, Peer, VehicleSearch, open_link
-from vcmvsp.hardware.drivers.mavlink.protocol import Encoder, MessageReader, Sender, finite, heartbeat, mavlink, sender_of
+from vcmvsp.hardware.drivers.mavlink.protocol import Encoder, MessageReader, Sender, heartbeat, mavlink, sender_of
 from vcmvsp.hardware.drivers.mavlink.session import MavlinkSampler, MavlinkSession, SessionOptions
 from vcmvsp.hardware.drivers.threaded import ReconnectingDriver
 

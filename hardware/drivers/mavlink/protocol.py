@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pymavlink.dialects.v20 import common  # type: ignore[import-untyped]
 
 from vcmvsp.cosim.frames import Quaternion, wrap
-from vcmvsp.cosim.types import Value, Vec3, Velocity
+from vcmvsp.cosim.types import Value, Vec3
 
 mavlink = common
 Message = Any  # pymavlink makes a class for each kind of message
@@ -256,12 +256,6 @@ def stream_requests(to: Sender, hz: float) -> list[Message]:
     rates[mavlink.MAV_DATA_STREAM_EXTENDED_STATUS] = round(STATUS_HZ)
     request = mavlink.MAVLink_request_data_stream_message
     return [request(to.system, to.component, stream, rate, 1) for stream, rate in rates.items()]
-
-
-def finite(velocity: Velocity) -> None:
-    """Refuse NaN and infinity."""
-    if not all(map(math.isfinite, (*velocity.linear, velocity.yaw_rate))):
-        raise ValueError(f"a vehicle cannot follow {velocity.linear} m/s and {velocity.yaw_rate} rad/s: all must be finite")
 
 
 def setpoint(to: Sender, time_ms: int, linear: Vec3, yaw_rate: float, *, on_ground: bool) -> Message:

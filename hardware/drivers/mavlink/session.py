@@ -16,7 +16,7 @@ from vcmvsp.cosim.estimation.clock_offset import ForeignClock
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.cosim.frames import rotate2, wrap
 from vcmvsp.cosim.types import Odometry, Value, Vec3, VehicleState, Velocity
-from vcmvsp.hardware.drivers.base import Sample, What
+from vcmvsp.hardware.drivers.base import Sample, What, finite
 from vcmvsp.hardware.drivers.mavlink import protocol
 from vcmvsp.hardware.drivers.mavlink.link import Peer
 from vcmvsp.hardware.drivers.mavlink.protocol import PERIOD_NS, STILL, Message, body_flipped, mavlink, world_flipped
@@ -191,7 +191,7 @@ class MavlinkSession:
 
     def command(self, velocity: Velocity, now_ns: int) -> None:
         """Move like this; ignored under another command, disarmed, or during a take-off."""
-        protocol.finite(velocity)
+        finite(velocity)
         if self.in_command and self._armed and self.ready and not self._leaving:
             self._repeater.command((velocity.linear, velocity.yaw_rate), now_ns)
 

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from tests.support.hardware.supervised_flight import safety_of
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety.ground_supervisor import GroundSupervisor
 from vcmvsp.hardware.safety.obstacles import Others, Polygon
-from vcmvsp.hardware.safety.supervisor import Cause, Deadman, LastReceived, Limits, clamp
+from vcmvsp.hardware.safety.supervisor import Cause, Deadman, GroundSupervisor, LastReceived, Limits, clamp
 
 MS = 10**6
 SECOND = 10**9

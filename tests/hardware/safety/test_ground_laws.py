@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from tests.support.hardware.supervised_flight import safety_of
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety.ground_supervisor import GroundSupervisor
 from vcmvsp.hardware.safety.obstacles import RETURN_MPS, Others, Polygon
-from vcmvsp.hardware.safety.supervisor import Cause, LastReceived, Limits, Safety
+from vcmvsp.hardware.safety.supervisor import Cause, GroundSupervisor, LastReceived, Limits, Safety
 
 Pose = tuple[float, float, float]
 SECOND = 10**9

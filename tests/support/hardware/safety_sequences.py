@@ -16,9 +16,8 @@ from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, ideal
 from tests.support.hardware.supervised_flight import flown, safety_of
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.safety.aerial_supervisor import AerialSupervisor
-from vcmvsp.hardware.safety.ground_supervisor import GroundSupervisor
 from vcmvsp.hardware.safety.obstacles import RETURN_MPS, Others
-from vcmvsp.hardware.safety.supervisor import LastReceived, Limits
+from vcmvsp.hardware.safety.supervisor import GroundSupervisor, LastReceived, Limits
 
 SECOND = 10**9
 PERIOD_NS = SECOND // 10

@@ -22,8 +22,7 @@ from vcmvsp.hardware.drivers.mavlink.driver import MavlinkDriver
 from vcmvsp.hardware.drivers.mavlink.link import open_link
 from vcmvsp.hardware.drivers.mavlink.protocol import mavlink
 from vcmvsp.hardware.emulators.mavlink.server import MavlinkServer, serve_tcp, serve_udp
-from vcmvsp.hardware.emulators.mavlink.telemetry import SITE
-from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
+from vcmvsp.hardware.emulators.mavlink.vehicle import SITE, Vehicle
 from vcmvsp.hardware.stations import READY_S
 
 pytestmark = pytest.mark.usefixtures("steady")

@@ -12,8 +12,7 @@ from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.mavlink.link import VehicleSearch
 from vcmvsp.hardware.drivers.mavlink.protocol import Encoder, Message, MessageReader, Sender, mavlink
 from vcmvsp.hardware.drivers.mavlink.session import ATTITUDE_NS, MavlinkSampler, MavlinkSession, SessionOptions
-from vcmvsp.hardware.emulators.mavlink.telemetry import TICK_NS
-from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
+from vcmvsp.hardware.emulators.mavlink.vehicle import TICK_NS, Vehicle
 
 SECOND = 1_000_000_000
 OURS = Sender(system=245, component=190)
