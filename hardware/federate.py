@@ -82,10 +82,7 @@ class Hardware:
         self._lost = set[str]()  # lost vehicles, while the run continues
 
     def start(self, run: RunInfo) -> int:
-        """Connect to all robots; they stand until their first command.
-
-        `ScenarioError`: the radius of a vehicle is unknown, so robots cannot keep away from it.
-        """
+        """Connect to all robots, which then stand; `ScenarioError`: they cannot keep away from a vehicle of unknown radius."""
         for name in run.vehicles:
             if self.names != (name,) and not 0.0 < (radius_m := self._radius_m.get(name, 0.0)) < np.inf:
                 problem = f"{name} has a radius of {radius_m:g} m: real vehicles cannot keep away from it; give its kind a hull"

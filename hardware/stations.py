@@ -57,10 +57,7 @@ class Station:
         return self._process.pid
 
     def wait_ready(self, until: float | None = None) -> None:
-        """Wait until the robot is connected and stands, at most until this ``time.monotonic()`` [now + `READY_S`].
-
-        `DriverError`: it cannot be driven; the station has ended.
-        """
+        """Wait for the robot until this ``time.monotonic()`` [now + `READY_S`]; `DriverError`: it cannot be driven."""
         until = time.monotonic() + READY_S if until is None else until
         while not self._waiting and self._failure is None:
             self._read(until - time.monotonic())
@@ -77,10 +74,7 @@ class Station:
         return not self._is_closed and self._link.send(encode(order))
 
     def reports(self) -> list[StationReport]:
-        """Reports since the last call, oldest first, without waiting.
-
-        `DriverError`: the station failed or ended, and all its reports were returned.
-        """
+        """Reports since the last call, oldest first; `DriverError`: the station has ended, and all were returned."""
         self._read(0.0)
         if not self._waiting and self._failure is not None:
             raise self._failure

@@ -104,10 +104,7 @@ class Driver(Protocol):
         """Newest sample; None if there is none since the last call. Raises the error that ended the connection."""
 
     def write(self, velocity: Velocity) -> None:
-        """Move like this until the next command, or until `COMMAND_TIMEOUT_S` have passed.
-
-        Robots on the ground use ``linear[0]`` and ``yaw_rate`` only.
-        """
+        """Move like this for `COMMAND_TIMEOUT_S` at most; robots on the ground use ``linear[0]`` and ``yaw_rate`` only."""
 
     def stop(self, cause: str) -> None:
         """Zero speed at once, before any other command; the next `write` moves the robot again."""

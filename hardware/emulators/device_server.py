@@ -131,10 +131,7 @@ class UdpPort:
 
 
 class Pty:
-    """A pseudo-terminal, and a link that leads to it; its far end stays open here too, so that clients may come and go.
-
-    ``baud`` holds until a client sets a rate.
-    """
+    """A pseudo-terminal, and a link to it; its far end stays open here too. ``baud`` holds until a client sets a rate."""
 
     def __init__(self, link: Path | None, baud: int | None = None) -> None:
         self._here, self._there = pty.openpty()
@@ -192,10 +189,7 @@ Port = TcpListener | UdpPort | Pty
 
 
 class DeviceServer(ABC):
-    """Serves a device at a port by a thread, which starts at once; a context manager, which closes it.
-
-    ``error`` is that which ended the thread, if any; `close` raises it.
-    """
+    """Serves a device at a port by a thread, which starts at once and leaves its ``error`` for `close`; a context manager."""
 
     def __init__(self, port: Port) -> None:
         self.url, self._port = port.url, port

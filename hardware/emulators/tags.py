@@ -39,10 +39,7 @@ class Errors(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Tag:
-    """Positions of one tag; tags of different names draw different numbers.
-
-    Each position takes the same number of draws, so that no parameter changes the draws of another.
-    """
+    """Positions of one tag. Each takes the same number of draws, so that no parameter changes the draws of another."""
 
     def __init__(self, name: str, errors: Errors, seed: int) -> None:
         self.name, self.errors = name, errors
@@ -118,11 +115,7 @@ def dwm1001_port(link: Path | None = None) -> Pty:
 
 
 class TagServer(DeviceServer):
-    """Sends the positions of a tag in time: lines of a DWM1001 over a terminal, else datagrams of the Ubisense protocol.
-
-    Attributes:
-        told: number of positions sent.
-    """
+    """Sends the positions of a tag in time, and counts them: lines of a DWM1001 over a terminal, else Ubisense datagrams."""
 
     def __init__(self, tag: Tag, truth: Truth, port: UdpPort | Pty) -> None:
         self.told = 0

@@ -18,10 +18,7 @@ LARGEST_BYTES = 65535
 
 
 class Datagrams:
-    """A UDP socket bound to ``udp://host:port``; port 0 takes a free one, see ``url``.
-
-    `PortError`: the address cannot be bound.
-    """
+    """A UDP socket at ``udp://host:port``; port 0 takes a free one, see ``url``. `PortError`: it cannot be bound."""
 
     def __init__(self, url: str) -> None:
         host, port = address(url)

@@ -47,10 +47,7 @@ class Localisation(Protocol):
         """Start receiving; takes some seconds at most; `PortError`: the port or address cannot be opened, and the remedy."""
 
     def read(self, now_ns: int) -> list[Fix]:
-        """Readings since the last call, oldest first, none after ``now_ns``; never waits.
-
-        `DriverError`: no reading can come any more, or their tag is ambiguous.
-        """
+        """Readings until ``now_ns``, oldest first, without waiting; `DriverError`: none can come, or their tag is ambiguous."""
 
     def notices(self) -> list[Notice]:
         """Events since the last call, oldest first: positions arrive, are lost, and why."""

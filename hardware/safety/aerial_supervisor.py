@@ -57,10 +57,7 @@ class _Level(NamedTuple):
 
 
 class AerialSupervisor(Supervisor):
-    """Safety of a vehicle that flies.
-
-    ``last`` is the newest safe command, in the world; the vehicle is assumed to be no faster than that.
-    """
+    """Safety of a vehicle that flies, and is assumed to be no faster than ``last``, the newest safe command, in the world."""
 
     def __init__(self, safety: Safety, latched: tuple[Cause, ...] = LATCHED) -> None:
         super().__init__(safety, latched)

@@ -195,10 +195,7 @@ class Deadman:
 
 
 class Supervisor(ABC):
-    """Last check of the commands of one vehicle. It has no clock: time is an argument.
-
-    ``latched``: see `Deadman`. `ValueError`: a parameter is invalid.
-    """
+    """Last check of the commands of one vehicle, without a clock; ``latched``: see `Deadman`. `ValueError`: invalid limits."""
 
     def __init__(self, safety: Safety, latched: tuple[Cause, ...] = LATCHED) -> None:
         self._safety, self._deadman = safety, Deadman(safety, latched)

@@ -47,10 +47,7 @@ KEPT = 200  # notices and fixes, while the run takes no reports
 
 
 class StationController:
-    """Control of one robot, whose driver and localisation are open, without clock (``now``: ns), process or run.
-
-    ``halted`` is the reason why the robot stands until the station ends; empty: it does not.
-    """
+    """Control of one robot, without clock, process or run; ``halted``: why it stands until the station ends, if it does."""
 
     def __init__(
         self, mission: StationMission, driver: Driver, localisation: "Localisation | None", now: Callable[[], int]

@@ -25,10 +25,7 @@ LEAP_S = 1.0  # longest step of the pose: greatest speed times (time since the l
 
 
 class ArcosSampler:
-    """Converts packets of a robot to samples, from its start pose, over reconnections.
-
-    ``leaps`` counts impossible steps of the pose, which are ignored: another program set the odometry.
-    """
+    """Converts packets to samples, from the start pose, over reconnections; ``leaps``: impossible steps, left out."""
 
     def __init__(self, start: Vec3) -> None:
         self.leaps = 0

@@ -61,10 +61,7 @@ def command(number: int, argument: int | str | bytes | None = None) -> bytes:
 
 
 def parse_command(data: bytes) -> tuple[int, int | bytes | None]:
-    """Number and argument of a command's data part, as the robot reads it; bytes for a string and for an unknown type.
-
-    `ValueError`: the data are empty, or the length of the argument does not match its type.
-    """
+    """Number and argument of a command's data part (bytes: a string, or of unknown type); `ValueError`: wrong length."""
     if not data:
         raise ValueError("an empty packet is no command")
     number, rest = data[0], data[1:]
@@ -253,10 +250,7 @@ class Sip(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """Fields of a configuration packet, the answer to CONFIG, without those that nothing here uses.
-
-    Speeds are in mm/s and deg/s, accelerations in mm/s2 and deg/s2.
-    """
+    """Fields of a configuration packet that are used here; in mm/s, deg/s, mm/s2 and deg/s2."""
 
     robot_class: str = "Pioneer"
     subclass: str = ""
@@ -329,10 +323,7 @@ def is_sip(data: bytes) -> bool:
 
 
 def decode_sip(data: bytes) -> Sip:
-    """The fields of a SIP's data part; bytes behind the last known field are ignored.
-
-    `ValueError`: it is no SIP, or is cut off before the end of its ports.
-    """
+    """The fields of a SIP's data part, without unknown last ones; `ValueError`: it is no SIP, or ends before its ports do."""
     if not is_sip(data):
         raise ValueError(f"not an information packet: {data[:1].hex() or 'empty'}")
     ports = _HEAD_BYTES + (3 * data[_HEAD_BYTES - 1] if len(data) >= _HEAD_BYTES else 0)

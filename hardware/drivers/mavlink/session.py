@@ -369,11 +369,7 @@ class MavlinkSession:
 
 
 class StatusTexts:
-    """Error messages (STATUSTEXT) of one vehicle, joined from their chunks; a repeated one is dropped for a while.
-
-    Attributes:
-        last: newest message that was reported; empty: none.
-    """
+    """Error messages (STATUSTEXT) of one vehicle, joined from chunks, the ``last`` one not again for a while."""
 
     def __init__(self) -> None:
         self.last = ""

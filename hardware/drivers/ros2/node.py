@@ -108,10 +108,7 @@ class Node:
 
 
 class RobotPresence:
-    """Presence of a robot: a node publishes its odometry (``sender``: None without id), and a node subscribes to its commands.
-
-    Either may be missing for ``silence_s`` at most.
-    """
+    """Presence of a robot: a node (``sender``) publishes its odometry, and one hears its commands, or is silent for a while."""
 
     def __init__(self, silence_s: float) -> None:
         self.sender: bytes | None = None

@@ -310,10 +310,7 @@ def gid_of(token: str) -> bytes:
 
 
 def topic_of(namespace: str, topic: str) -> str:
-    """Full name of a topic, without the leading slash; a topic with a leading slash is in no namespace.
-
-    `ValueError`: an invalid name.
-    """
+    """Name of a topic, without leading slash; one with a leading slash is in no namespace. `ValueError`: it is invalid."""
     if not _NAME.fullmatch(topic):
         raise ValueError(f"'{topic}' is no topic: write letters, digits, _ and /, such as cmd_vel or /robot1/cmd_vel")
     if namespace.strip("/") and not _NAME.fullmatch(namespace.rstrip("/")):

@@ -218,10 +218,7 @@ class Device:
         return self._enabled and not self.estop_pressed
 
     def commanded(self) -> tuple[float, float]:
-        """Forward speed (m/s) and yaw rate (rad/s) that the motors are to reach, within `SetPoints.accel` and so on.
-
-        With ``motion.emergency`` they stop at once.
-        """
+        """Forward speed (m/s) and yaw rate (rad/s) to reach within `SetPoints.accel` etc., at once in an emergency."""
         if not self.motors_on or self.watchdog_stopped:
             return 0.0, 0.0
         return self.motion.wanted(self.odometry[2])

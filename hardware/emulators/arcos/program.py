@@ -209,10 +209,7 @@ def truth_of(device: Device) -> Truth:
 
 
 class Rig(contextlib.ExitStack):
-    """An emulated device: a robot at its port, tag servers, and their counts; a context manager, which closes everything.
-
-    `start` calls `ready` when the device can be connected to.
-    """
+    """A robot at its port, tag servers, and their counts; a context manager, which closes everything."""
 
     def __init__(self, ready: Ready) -> None:
         super().__init__()

@@ -38,11 +38,7 @@ ENDLESS_S = 1e6
 
 
 class DeviceAgent(Agent):
-    """Agent driven by the emulated robot: its commanded speeds go to the vehicle, ramped like its firmware's.
-
-    Attributes:
-        truth: x, y, z in m and yaw in rad of the vehicle; None before its first tick.
-    """
+    """Agent driven by the emulated robot: its speeds go to the vehicle, ramped. ``truth``: x, y, z m, yaw rad."""
 
     def __init__(self, served: ArcosServer, senses: "VehicleSensors", started: Ready, period_s: float) -> None:
         self.truth: tuple[float, float, float, float] | None = None

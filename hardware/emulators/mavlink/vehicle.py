@@ -34,10 +34,7 @@ _STREAMS = {
 
 
 class Telemetry:
-    """Messages at their rates; PX4 starts by itself, ArduPilot on request.
-
-    ``origin`` is that of the vehicle's local frame in the world, m, which is at `SITE` on the earth.
-    """
+    """Messages at their rates: PX4's by themselves, ArduPilot's on request. ``origin`` (m, world) is at `SITE` on the earth."""
 
     def __init__(self, autopilot: Autopilot, vehicle_type: int, origin: Vec3, heartbeat_s: float) -> None:
         self._autopilot, self._type, self._origin = autopilot, vehicle_type, origin

@@ -317,10 +317,7 @@ def _bundle(keys: Path | None, vehicle: str, tell: Callable[[str], None]) -> "tu
 
 
 def built(text: str, params: dict[str, Any]) -> Driver:
-    """The driver of ``KIND`` or ``KIND:ADDRESS`` and its parameters, not open.
-
-    `ScenarioError`: unknown kind, or invalid parameters.
-    """
+    """The driver of ``KIND`` or ``KIND:ADDRESS``, not open; `ScenarioError`: unknown kind, or invalid parameters."""
     kind, address = kind_of(text)
     origin = Source("--set")
     if kind == "zenoh":

@@ -51,10 +51,7 @@ class Admission:
         self._current: tuple[float, Keys] | None = None  # time of reading, and the certificates
 
     def keys(self) -> "Keys | None":
-        """Present certificates, at most `RELOAD_S` old: one may be revoked while the driver listens.
-
-        `UsageError`: they cannot be read.
-        """
+        """Certificates, at most `RELOAD_S` old: one may be revoked meanwhile. `UsageError`: they cannot be read."""
         if self._folder is None:
             return None
         from vcmvsp.cosim.security import certificates

@@ -55,10 +55,7 @@ News = RobotGreeting | RobotMessage | LinkEnded
 
 
 class RobotListener:
-    """Listens for the robot of one vehicle at an endpoint such as ``tls/0.0.0.0:7448``; ``take`` gets news, in Zenoh's threads.
-
-    `PortError`: the endpoint cannot be bound.
-    """
+    """Listens for the robot of one vehicle; ``take`` gets news, in Zenoh's threads. `PortError`: the endpoint is not free."""
 
     def __init__(self, listen: str, keys: "Keys | None", vehicle: str, take: Callable[[News], None]) -> None:
         self._vehicle, self._take = vehicle, take

@@ -18,10 +18,7 @@ MOST_MISSED = 1_000_000  # samples between two received ones
 
 
 class RemoteSampler:
-    """Converts messages of a robot to samples and notices, from its start pose (x m, y m, yaw rad).
-
-    ``pose`` is the newest pose of odometry, where a robot starts that is opened again.
-    """
+    """Converts messages of a robot to samples and notices. ``pose``: the newest of odometry, where an opening anew starts."""
 
     def __init__(self, start: Vec3) -> None:
         self.clock = EchoClock(window=WINDOW)
