@@ -286,15 +286,11 @@ class VehicleProxy:
         assert report.state is not None  # noqa: S101  selected above
         return ahead(report.state, at_ns - report.time_ns, flies=self.vehicle.flies)
 
-    def _report(self, now_ns: int) -> StationReport | None:
-        """Newest report at an instant; a late run has received newer ones."""
-        at_ns = self._clock.monotonic_ns(now_ns)
-        return next((each for each in reversed(self._history) if each.time_ns <= at_ns), None)
-
     def publish(self, now_ns: int) -> Iterator[Event]:
         """Events of an instant."""
-        name, newest, fresh = self.vehicle.name, self._report(now_ns), self._fresh
-        self._fresh = []
+        at_ns = self._clock.monotonic_ns(now_ns)  # a late run has received newer reports
+        newest = next((each for each in reversed(self._history) if each.time_ns <= at_ns), None)
+        name, fresh, self._fresh = self.vehicle.name, self._fresh, []
         state = self.state(now_ns)
         estimate = state
         if newest is not None and newest.odometry is not None:

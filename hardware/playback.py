@@ -55,7 +55,7 @@ class Playback:
 
     def start(self, run: RunInfo) -> int | None:
         """Time of the first event."""
-        self._given, self._duration_ns = 0, run.duration_ns
+        self._given = 0
         self._events = [*self._recorded]
         if self._end_ns < run.duration_ns:
             self._events += [Event(key, self._end_ns + 1, value) for key, value in self._at_rest().items()]

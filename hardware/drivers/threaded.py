@@ -303,7 +303,9 @@ class ReconnectingDriver(ThreadedDriver):
         deadline_ns = time.monotonic_ns() + seconds_to_ns(self._reconnect_s)
         pause_s, last = FIRST_PAUSE_S, ""
         while (now_ns := time.monotonic_ns()) < deadline_ns:
-            self._pause(min(deadline_ns, now_ns + seconds_to_ns(pause_s)))
+            until_ns = min(deadline_ns, now_ns + seconds_to_ns(pause_s))
+            while time.monotonic_ns() < until_ns:
+                self._select([], until_ns)
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
             remaining_s = (deadline_ns - time.monotonic_ns()) / SECOND_NS
             try:
@@ -319,10 +321,6 @@ class ReconnectingDriver(ThreadedDriver):
     def _wait(self, descriptor: int, until_ns: int) -> bool:
         """Wait for bytes, for the caller, or until this time; whether there are bytes."""
         return descriptor in self._select([descriptor], until_ns)
-
-    def _pause(self, until_ns: int) -> None:
-        while time.monotonic_ns() < until_ns:
-            self._select([], until_ns)
 
     def _select(self, files: list[int], until_ns: int) -> list[int]:
         remaining_s = max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS)

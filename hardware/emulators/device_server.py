@@ -91,7 +91,7 @@ class UdpPort:
 
     _to: Any  # an address of the operating system
 
-    def __init__(self, to: tuple[str, int] | None, scheme: str = "") -> None:
+    def __init__(self, to: tuple[str, int] | None = None, scheme: str = "") -> None:
         family, self._to, self._fixed = socket.AF_INET, None, to is not None
         if to:
             family, _, _, _, self._to = socket.getaddrinfo(*to, type=socket.SOCK_DGRAM)[0]

@@ -9,10 +9,10 @@ check sum a line with lost bytes may still look valid: users of the positions mu
 import math
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.types import NonNegative, Positive, Vec3
+from vcmvsp.cosim.types import ORIGIN, NonNegative, Positive, Vec3
 from vcmvsp.hardware.drivers.byte_link import ByteLink, open_line
 from vcmvsp.hardware.localisation.port_source import PortSource
-from vcmvsp.hardware.localisation.source import AT_REST, Advice, Baud, LineReader, Located, WorldTransform
+from vcmvsp.hardware.localisation.source import Advice, Baud, LineReader, Located, WorldTransform
 
 WAKE = b"\r\r"
 POSITIONS = b"lep\r"
@@ -134,27 +134,22 @@ class Dwm1001(PortSource):
         tag: str = "",
         sigma_m: Positive = 0.15,
         latency_s: NonNegative = 0.1,
-        offset: Vec3 = AT_REST,
+        offset: Vec3 = ORIGIN,
         turn_rad: float = 0.0,
     ) -> None:
         words = Advice(
             "is the module on, and is this its port?", "bytes come but none are lines of a DWM1001: wrong port or baud rate?"
         )
         transform = WorldTransform(tag=tag, sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
-        self._waker = Waker()
+        super().__init__(port, LineReader(decode, LONGEST_BYTES), transform, words)
+        self._baud = baud
 
-        def opened() -> ByteLink:
-            self._waker = Waker()  # the module restarts when it is plugged in
-            return open_line(port, baud)
+    def _open_line(self) -> ByteLink:
+        self._waker = Waker()  # the module restarts when it is plugged in
+        return open_line(self.device, self._baud)
 
-        super().__init__(
-            port,
-            LineReader(decode, LONGEST_BYTES),
-            transform,
-            words,
-            open_line=opened,
-            say=lambda now_ns: self._waker.write(now_ns),  # noqa: PLW0108  a new one after each opening
-        )
+    def _say(self, now_ns: int) -> bytes:
+        return self._waker.write(now_ns)
 
     def take(self, chunk: bytes, arrived_ns: int) -> bool:
         """Decode bytes; a module that sends positions is not switched."""

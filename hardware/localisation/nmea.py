@@ -13,7 +13,7 @@ import pynmea2  # type: ignore[import-untyped]
 
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.cosim.types import NonNegative, Positive
-from vcmvsp.hardware.drivers.byte_link import open_line
+from vcmvsp.hardware.drivers.byte_link import ByteLink, open_line
 from vcmvsp.hardware.localisation.port_source import PortSource
 from vcmvsp.hardware.localisation.source import Advice, Baud, LineReader, Located, WorldTransform
 
@@ -144,4 +144,8 @@ class Nmea(PortSource):
         words = Advice("is the receiver on, and is this its port?", "bytes come but none are NMEA: wrong baud rate?")
         reader = NmeaReader(TangentPlane(latitude_deg, longitude_deg, height_m), range_sigma_m)
         transform = WorldTransform(sigma_m=range_sigma_m, latency_s=latency_s)
-        super().__init__(port, reader, transform, words, open_line=lambda: open_line(port, baud))
+        super().__init__(port, reader, transform, words)
+        self._baud = baud
+
+    def _open_line(self) -> ByteLink:
+        return open_line(self.device, self._baud)

@@ -6,13 +6,12 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable
 
 from vcmvsp.cosim.endpoints import bracketed, endpoint_of
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import LinkLost, PortError
 from vcmvsp.hardware.drivers.byte_link import ByteLink
-from vcmvsp.hardware.localisation.source import Advice, DatagramReader, LineReader, PositionSource, WorldTransform
+from vcmvsp.hardware.localisation.source import PositionSource
 
 LARGEST_BYTES = 65535
 
@@ -83,21 +82,15 @@ CLOSE_S = 5.0  # opening a TCP connection takes 2 s at most
 
 
 class PortSource(PositionSource):
-    """Reads a link, which ``open_line`` opens, and writes what ``say`` returns, mostly nothing, several times a second."""
+    """Reads a link, opened by `_open_line`, and writes what `_say` returns several times a second."""
 
-    def __init__(
-        self,
-        device: str,
-        reader: DatagramReader | LineReader,
-        transform: WorldTransform,
-        words: Advice,
-        *,
-        open_line: Callable[[], ByteLink],
-        say: Callable[[int], bytes] = lambda _: b"",
-    ) -> None:
-        super().__init__(device, reader, transform, words)
-        self._open_line, self._say = open_line, say
-        self._thread: threading.Thread | None = None
+    _thread: threading.Thread | None = None
+
+    def _open_line(self) -> ByteLink:
+        raise NotImplementedError
+
+    def _say(self, now_ns: int) -> bytes:
+        return b""
 
     def open(self) -> None:
         """Open the port and start reading; `PortError`: it cannot be opened."""

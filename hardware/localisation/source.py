@@ -19,7 +19,7 @@ from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import words_of
 from vcmvsp.cosim.estimation.clock_offset import ForeignClock
 from vcmvsp.cosim.frames import wrap
-from vcmvsp.cosim.types import Fix, NonNegative, Positive, Vec3
+from vcmvsp.cosim.types import ORIGIN, Fix, NonNegative, Positive, Vec3
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, Notice
 
 
@@ -30,6 +30,8 @@ class Located(msgspec.Struct, frozen=True, kw_only=True):
     position: Vec3 | None = None  # m, in the system's own frame (GPS: of the tangent plane); None: no position now
     velocity: tuple[float, float] | None = None  # m/s, east and north
     sigma_m: float | None = None  # standard deviation of x and y; None: not in the message
+    yaw: float | None = None  # rad
+    sigma_rad: float = 0.0  # standard deviation of the yaw; not positive: the yaw is unknown
     quality: float | None = None  # 0 to 1, where the system gives such a number
     source_ns: int | None = None  # time of the measurement, of the system's clock; None: not in the message
 
@@ -106,14 +108,6 @@ FARTHEST_M = 10_000.0  # from the world's origin; beyond, the frame is wrong
 OLDEST_S = 10.0  # older positions are useless; a clock that stands still gives such times
 MOST_TAGS = 64  # of one system
 LEAST_SIGMA_M = LEAST_SIGMA_RAD = 1e-3  # minimum standard deviations
-AT_REST: Vec3 = (0.0, 0.0, 0.0)
-
-
-class LocatedPose(Located, frozen=True, kw_only=True):
-    """An answer with a heading."""
-
-    yaw: float | None = None  # rad
-    sigma_rad: float = 0.0  # standard deviation of the yaw; not positive: the yaw is unknown
 
 
 class WorldTransform:
@@ -130,7 +124,7 @@ class WorldTransform:
         tag: str = "",
         sigma_m: Positive,
         latency_s: NonNegative,
-        offset: Vec3 = AT_REST,
+        offset: Vec3 = ORIGIN,
         turn_rad: float = 0.0,
         normal: Callable[[str], str] = str.upper,
     ) -> None:
@@ -174,11 +168,11 @@ class WorldTransform:
         if time_ns < arrived_ns - seconds_to_ns(OLDEST_S):
             self.rejected["old"] += 1
             return None
-        yaw, sigma_rad = self._heading(located) if isinstance(located, LocatedPose) else (None, 0.0)
+        yaw, sigma_rad = self._heading(located)
         sigma_m = max(sigma_m or self._sigma_m, LEAST_SIGMA_M)
         return Fix(time_ns=time_ns, position=placed, yaw=yaw, sigma_m=sigma_m, sigma_rad=sigma_rad)
 
-    def _heading(self, posed: LocatedPose) -> tuple[float | None, float]:
+    def _heading(self, posed: Located) -> tuple[float | None, float]:
         """Yaw in the world and its standard deviation, if they are usable."""
         if posed.yaw is None or not math.isfinite(posed.yaw) or not 0.0 < posed.sigma_rad <= math.pi:
             return None, 0.0
@@ -227,8 +221,7 @@ class PositionSource:
             self._look(now_ns)
             fixes = [each for each in self._fixes if each.time_ns <= now_ns]
             later = [each for each in self._fixes if each.time_ns > now_ns]  # after the caller's time
-            self._fixes.clear()
-            self._fixes.extend(later)
+            self._fixes = deque(later, _MOST_WAITING)
             return fixes
 
     def notices(self) -> list[Notice]:

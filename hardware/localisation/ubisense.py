@@ -10,17 +10,15 @@ import struct
 from typing import Literal
 
 from vcmvsp.cosim.transport.endpoints import check_interfaces
-from vcmvsp.cosim.types import NonNegative, Positive, Vec3
+from vcmvsp.cosim.types import ORIGIN, NonNegative, Positive, Vec3
 from vcmvsp.hardware.drivers.byte_link import ByteLink
 from vcmvsp.hardware.localisation.port_source import Datagrams, PortSource, address
-from vcmvsp.hardware.localisation.source import AT_REST, Advice, DatagramReader, Located, WorldTransform
+from vcmvsp.hardware.localisation.source import Advice, DatagramReader, Located, WorldTransform
 
 MAGIC = (0xE298, 0x026B)
 SIZE_BYTES = 40
 VALID = 1  # any flags but 0
 _FIELDS = "HHQIffffQ"
-
-ByteOrder = Literal["<", ">"]
 
 
 def tag_of(text: str) -> str:
@@ -45,15 +43,10 @@ def decode(datagram: bytes) -> Located:
     if flags and not all(map(math.isfinite, (x, y, z))):
         raise ValueError("a valid position has finite coordinates")
     sigma_m = math.sqrt(variance) if 0.0 < variance < math.inf else None
-    return Located(
-        tag=f"{tag:016X}",
-        position=(x, y, z) if flags else None,
-        sigma_m=sigma_m,
-        source_ns=time_ns,
-    )
+    return Located(tag=f"{tag:016X}", position=(x, y, z) if flags else None, sigma_m=sigma_m, source_ns=time_ns)
 
 
-def encode(located: Located, order: ByteOrder = "<") -> bytes:
+def encode(located: Located, order: Literal["<", ">"] = "<") -> bytes:
     """Datagram of a position, for emulation. The tag is a hexadecimal number."""
     x, y, z = located.position or (0.0, 0.0, 0.0)
     flags = 0 if located.position is None else VALID
@@ -83,7 +76,7 @@ class Ubisense(PortSource):
         tag: str = "",
         sigma_m: Positive = 0.15,
         latency_s: NonNegative = 0.1,
-        offset: Vec3 = AT_REST,
+        offset: Vec3 = ORIGIN,
         turn_rad: float = 0.0,
     ) -> None:
         check_interfaces(address(listen)[0], insecure=insecure)
@@ -92,17 +85,16 @@ class Ubisense(PortSource):
             "datagrams come but none are Ubisense's: does something else send to this port?",
         )
         transform = WorldTransform(
-            tag=_hexadecimal(tag), sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad, normal=_hexadecimal
+            tag=tag, sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad, normal=_normal
         )
         self._url = listen
-        super().__init__(listen, DatagramReader(decode), transform, words, open_line=self._bound)
+        super().__init__(listen, DatagramReader(decode), transform, words)
 
-    def _bound(self) -> ByteLink:
+    def _open_line(self) -> ByteLink:
         line = Datagrams(self._url)
         self.device = line.url
         return line
 
 
-def _hexadecimal(tag: str) -> str:
-    """A tag as 16 hexadecimal digits; empty as it is."""
+def _normal(tag: str) -> str:
     return tag_of(tag) if tag else ""

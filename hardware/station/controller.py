@@ -53,7 +53,10 @@ class StationController:
         self, mission: StationMission, driver: Driver, localisation: "Localisation | None", now: Callable[[], int]
     ) -> None:
         self._mission, self._driver, self._localisation, self._now = mission, driver, localisation, now
-        self._estimator, self._supervisor = estimator_of(mission), guard(mission)
+        self._supervisor = guard(mission)
+        self._estimator: StateEstimator = DriverEstimator(mission.height_m, flies=mission.flies)
+        if mission.localisation is not None and not mission.flies:
+            self._estimator = FusedEstimator(mission.fusion, mission.start, mission.height_m)
         self._order, self._order_heard_ns = StationOrder(number=0, sent_ns=0), 0
         self._operator_ns: int | None = None
         self._sample: Sample | None = None
@@ -110,9 +113,8 @@ class StationController:
         """Last report, with notices of the driver's closing."""
         self._notices += [each for each in self._gathered() if (each.what, each.cause) != ("stopped", self.halted)]
         self._turns += 1
-        return msgspec.structs.replace(
-            self._report(now_ns, None), causes=(failed,) if failed else (), failed=failed, advice=advice
-        )
+        causes = (failed,) if failed else ()
+        return msgspec.structs.replace(self._report(now_ns, None), causes=causes, failed=failed, advice=advice)
 
     def delivered(self) -> None:
         """The last report was sent: its notices, fixes and ranges are not repeated."""
@@ -149,12 +151,11 @@ class StationController:
         if self._estimator.jumps > self._jumps:
             self._jumps = self._estimator.jumps
             jump_m = math.dist(before, self._place) if before else 0.0
+            jumped = f"its position jumped by {jump_m:.1f} m"
             if jump_m > self._mission.safety.jump_m:
-                self.halt(f"its position jumped by {jump_m:.1f} m: carried off, or is the positioning system astray?")
+                self.halt(f"{jumped}: carried off, or is the positioning system astray?")
             else:
-                self._note(
-                    "warned", f"its position jumped by {jump_m:.1f} m: the estimate begins again from what the fixes say"
-                )
+                self._note("warned", f"{jumped}: the estimate begins again from what the fixes say")
 
     def _is_stuck(self, now_ns: int, command: Velocity | None) -> bool:
         """Whether the robot was commanded to drive for `STUCK_S` and its odometry shows none; until the command is to stand."""
@@ -294,10 +295,3 @@ class StationController:
 
 def _finite(value: VehicleState | Odometry) -> bool:
     return bool(np.isfinite(np.hstack(msgspec.structs.astuple(value))).all())
-
-
-def estimator_of(mission: StationMission) -> StateEstimator:
-    """Estimator of a mission: fused for a robot on the ground with localisation, else as the driver reports."""
-    if mission.localisation is not None and not mission.flies:
-        return FusedEstimator(mission.fusion, mission.start, mission.height_m)
-    return DriverEstimator(mission.height_m, flies=mission.flies)

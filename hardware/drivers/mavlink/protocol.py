@@ -193,12 +193,6 @@ class Autopilot(Value, frozen=True, kw_only=True):
         """The name of a mode."""
         return next((name for name, number in self.modes.items() if number == custom_mode), f"mode {custom_mode:#x}")
 
-    def switch_to(self, mode: str) -> tuple[float, float, float]:
-        """Parameters of MAV_CMD_DO_SET_MODE."""
-        number = self.modes[mode]
-        main, sub = (number >> 16 & 0xFF, number >> 24) if self.kind == "px4" else (number, 0)
-        return mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, main, sub
-
 
 # PX4 wants set-points at more than 2 Hz for over 1 s before it is switched [PX4 guide, Offboard mode]; ArduPilot wants none.
 _PX4_AUTOPILOT = Autopilot(name="PX4", kind="px4", modes=_PX4, follows="OFFBOARD", holds=("HOLD",), lead_s=1.5)
@@ -233,7 +227,9 @@ def command_long(to: Sender, number: int, *parameters: float) -> Message:
 
 def switch_mode(to: Sender, autopilot: Autopilot, mode: str) -> Message:
     """Change to a mode."""
-    return command_long(to, mavlink.MAV_CMD_DO_SET_MODE, *autopilot.switch_to(mode))
+    number = autopilot.modes[mode]
+    main, sub = (number >> 16 & 0xFF, number >> 24) if autopilot.kind == "px4" else (number, 0)
+    return command_long(to, mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, main, sub)
 
 
 def arm_command(to: Sender, *, on: bool) -> Message:

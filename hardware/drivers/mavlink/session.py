@@ -115,7 +115,6 @@ ASK_NS = 500_000_000  # between repeated requests
 CLIMB = 0.7  # m/s, of a take-off
 NEAR = 0.9  # share of its height that ends a take-off
 STANDS = 0.05  # m/s
-SAID: What = "warned"  # of an error text of the autopilot
 TEXT = 50  # characters of a STATUSTEXT; a longer text comes in pieces
 REPEAT_NS = 10_000_000_000  # before a text is reported again
 
@@ -276,7 +275,7 @@ class MavlinkSession:
                 self._acknowledged(message)
             case "STATUSTEXT":
                 if text := self._texts.hear(message, now_ns):
-                    self.news.append((SAID, f'the autopilot says "{text}"'))
+                    self.news.append(("warned", f'the autopilot says "{text}"'))
         return None
 
     def _opening(self) -> list[_Step]:

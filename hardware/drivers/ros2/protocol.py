@@ -30,10 +30,9 @@ from rosbags.typesys.store import Typestore
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import Quaternion
-from vcmvsp.cosim.types import Vec3
+from vcmvsp.cosim.types import ORIGIN, Vec3
 
 TWIST, TWIST_STAMPED, ODOMETRY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry"
-ZERO: Vec3 = (0.0, 0.0, 0.0)
 NO_COVARIANCE = (0.0,) * 36
 STAMPS_END_NS = 2**31 * SECOND_NS  # stamps have 32-bit signed seconds: until 2038, for clocks since 1970
 UNIT_WITHIN = 0.01  # maximum error of a quaternion's norm
@@ -53,8 +52,8 @@ class OdometryMessage(NamedTuple):
 
     position: Vec3  # m
     attitude: Quaternion  # w, x, y, z; frame_from_child
-    linear: Vec3 = ZERO  # m/s
-    angular: Vec3 = ZERO  # rad/s
+    linear: Vec3 = ORIGIN  # m/s
+    angular: Vec3 = ORIGIN  # rad/s
     stamp_ns: int = 0  # of the robot's clock; 0: none
     frame: str = "odom"
     child_frame: str = "base_link"
@@ -176,9 +175,7 @@ def _check_finite(what: str, *numbers: float) -> None:
         raise ValueError(f"{what} is not finite")
 
 
-Kind = Literal["MP", "MS"]
-"""A publisher of messages, or a subscriber."""
-_KINDS: dict[str, Kind] = {"MP": "MP", "MS": "MS"}
+_KINDS = ("MP", "MS")
 Release = Literal["humble", "later"]
 
 NO_HASH = "TypeHashNotSupported"  # in place of the hash in Humble, which has none
@@ -193,7 +190,7 @@ _NAMES = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid")
 class Endpoint(NamedTuple):
     """A publisher or a subscriber of a node."""
 
-    kind: Kind
+    kind: str  # MP: a publisher of messages, MS: a subscriber
     topic: str  # without the leading slash
     type: str  # such as geometry_msgs/msg/Twist
 
@@ -241,9 +238,9 @@ class RmwZenoh:
     def endpoint(self, token: str) -> Endpoint | None:
         """Endpoint of a token; None: no publisher or subscriber of messages."""
         parts = token.split("/")
-        if len(parts) != 13 or (kind := _KINDS.get(parts[5])) is None:
+        if len(parts) != 13 or parts[5] not in _KINDS:
             return None
-        return Endpoint(kind, parts[9].replace("%", "/").lstrip("/"), _ros_type(parts[10]))
+        return Endpoint(parts[5], parts[9].replace("%", "/").lstrip("/"), _ros_type(parts[10]))
 
     def attachment(self, origin: Origin) -> bytes | None:
         """Attachment of a message, 33 bytes; a node drops messages without one, and an invalid one may end a node."""
@@ -279,9 +276,9 @@ class Ros2Dds:
     def endpoint(self, token: str) -> Endpoint | None:
         """Of parts 3, 4 and 5."""
         parts = token.split("/")
-        if len(parts) != 7 or (kind := _KINDS.get(parts[3])) is None:
+        if len(parts) != 7 or parts[3] not in _KINDS:
             return None
-        return Endpoint(kind, parts[4].replace("§", "/"), parts[5].replace("§", "/"))
+        return Endpoint(parts[3], parts[4].replace("§", "/"), parts[5].replace("§", "/"))
 
     def attachment(self, origin: Origin) -> bytes | None:
         """None."""

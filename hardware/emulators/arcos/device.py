@@ -14,11 +14,10 @@ from collections.abc import Sequence
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.frames import arc, rotate2, wrap
+from vcmvsp.cosim.types import ORIGIN, Vec3
 from vcmvsp.hardware.drivers.arcos import protocol
 from vcmvsp.hardware.drivers.arcos.protocol import SYNC0, SYNC1, SYNC2, Command, Config, PacketReader, Sip
 from vcmvsp.hardware.drivers.arcos.robot_parameters import Robot
-
-Pose = tuple[float, float, float]  # x m, y m, yaw rad
 
 _ARRIVED_M = 1e-3  # MOVE ends this near to its goal; the firmware's own margin is not published
 
@@ -109,7 +108,7 @@ class SetPoints:
 class Wheels:
     """A robot without mass: its speeds follow the set points within accelerations, its path is made of arcs."""
 
-    def __init__(self, pose: Pose) -> None:
+    def __init__(self, pose: Vec3) -> None:
         self.pose, self.v, self.w = pose, 0.0, 0.0
 
     def step(self, wanted: tuple[float, float], motion: SetPoints, dt: float) -> None:
@@ -154,7 +153,7 @@ class Device:
         robot: Robot,
         *,
         name: str = "emulated",
-        start: Pose | None = (0.0, 0.0, 0.0),
+        start: Vec3 | None = ORIGIN,
         ping_ms: int = 40,
         old_session: bool = False,
     ) -> None:
@@ -168,8 +167,8 @@ class Device:
         self.baud, self.battery_v = robot.baud, 12.6
         self.watchdog_stopped = self.estop_pressed = False
         self._wheels = Wheels(start) if start is not None else None
-        self.pose: Pose | None = start
-        self._origin = start or (0.0, 0.0, 0.0)
+        self.pose: Vec3 | None = start
+        self._origin = start or ORIGIN
         self._v = self._w = 0.0
         self._stall = 0
         self._ranges: tuple[float, ...] = (robot.sonar_max_m,) * len(robot.sonars)
@@ -223,7 +222,7 @@ class Device:
             return 0.0, 0.0
         return self.motion.wanted(self.odometry[2])
 
-    def moved(self, pose: Pose, v: float, w: float, ranges: Sequence[float] | None = None, stall: int = 0) -> None:
+    def moved(self, pose: Vec3, v: float, w: float, ranges: Sequence[float] | None = None, stall: int = 0) -> None:
         """Set the present motion of the wheels: pose (x m, y m, yaw rad, in any fixed frame), speeds (m/s, rad/s).
 
         The first pose is the origin of odometry. ``ranges``: present range of each sonar, m, infinite: no echo, None:
@@ -241,8 +240,8 @@ class Device:
             self._ranges = tuple(ranges)
 
     @property
-    def odometry(self) -> Pose:
-        """Pose since the start or the last SETO: x m, y m, yaw rad."""
+    def odometry(self) -> Vec3:
+        """Vec3 since the start or the last SETO: x m, y m, yaw rad."""
         x, y, yaw = self.pose or self._origin
         x0, y0, yaw0 = self._origin
         return *rotate2(x - x0, y - y0, -yaw0), wrap(yaw - yaw0)

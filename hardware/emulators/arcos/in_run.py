@@ -14,7 +14,7 @@ from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.processes.child_process import LinkedProcess, LocalLink
 from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.cosim.types import Value, Vec3
-from vcmvsp.hardware.emulators.arcos.program import KINDS, Rig, RobotOptions, Tags, UdpAddress, device_of, truth_of
+from vcmvsp.hardware.emulators.arcos.program import KINDS, HostPort, Rig, RobotOptions, Tags, device_of, truth_of
 from vcmvsp.hardware.emulators.device_server import LOOPBACK
 from vcmvsp.hardware.emulators.tags import Errors
 from vcmvsp.hardware.localisation.port_source import address
@@ -45,7 +45,7 @@ class Emulated:
         localisation = dict(vehicle.localisation_params)
         ubisense = None
         if vehicle.localisation == "ubisense":
-            ubisense = UdpAddress(LOOPBACK, _free(localisation["listen"]))
+            ubisense = HostPort(LOOPBACK, _free(localisation["listen"]))
             localisation["listen"] = f"udp://{ubisense.host}:{ubisense.port}"
         errors = {ERRORS[name]: value for name, value in (vehicle.positioning or {}).items() if name in ERRORS}
         tag = tag_of(localisation.get("tag") or "1")

@@ -25,15 +25,8 @@ class PtyPort(NamedTuple):
     link: Path | None = None
 
 
-class TcpPort(NamedTuple):
-    """A TCP port of this machine; 0: any that is free."""
-
-    host: str
-    port: int
-
-
-class UdpAddress(NamedTuple):
-    """Where datagrams go."""
+class HostPort(NamedTuple):
+    """A TCP port of this machine, 0: any that is free; or where datagrams go."""
 
     host: str
     port: int
@@ -42,7 +35,7 @@ class UdpAddress(NamedTuple):
 class Tags(msgspec.Struct, frozen=True, kw_only=True):
     """Positioning systems that see a tag."""
 
-    ubisense: UdpAddress | None = None  # where datagrams go
+    ubisense: HostPort | None = None  # where datagrams go
     dwm1001: PtyPort | None = None  # where its serial port is
     name: str = "0000000000000001"  # of the tag
     errors: Errors = Errors()
@@ -52,7 +45,7 @@ class Tags(msgspec.Struct, frozen=True, kw_only=True):
 class RobotOptions(msgspec.Struct, frozen=True, kw_only=True):
     """How a robot is served."""
 
-    port: PtyPort | TcpPort = PtyPort()
+    port: PtyPort | HostPort = PtyPort()
     rate_hz: Positive = 10.0  # of its information packets
     faults: Faults = Faults()
     paced: bool = False  # bytes take their time at the baud rate
@@ -63,13 +56,13 @@ class RobotOptions(msgspec.Struct, frozen=True, kw_only=True):
     duration_s: Positive | None = None  # None: until it is interrupted
 
 
-def port_of(text: str) -> PtyPort | TcpPort:
+def port_of(text: str) -> PtyPort | HostPort:
     """``PTY``, ``tcp://HOST:PORT`` (no host: this machine alone; no port: 8101) or the path of a link that is to be made."""
     if with_slash(text).startswith(("tcp/", "socket/")):
         endpoint = endpoint_of(text)
         if endpoint is None:
             raise UsageError(f"--port {text}: write tcp://HOST:PORT, a port from 0 to 65535 and nothing behind it")
-        return TcpPort(endpoint.host or LOOPBACK, TCP_PORT if endpoint.port is None else endpoint.port)
+        return HostPort(endpoint.host or LOOPBACK, TCP_PORT if endpoint.port is None else endpoint.port)
     link = pty_of(text)
     if link is None:
         raise UsageError(f"--port {text}: write PTY, tcp://HOST:PORT, or a path such as /tmp/robot")
@@ -83,12 +76,12 @@ def pty_of(text: str) -> PtyPort | None:
     return PtyPort(Path(text)) if "/" in text and "://" not in text else None
 
 
-def udp_of(text: str, option: str) -> UdpAddress:
+def udp_of(text: str, option: str) -> HostPort:
     """``udp://HOST:PORT``."""
     protocol, host, port = endpoint_of(text) or ("", "", None)
     if protocol != "udp" or not host or not port:
         raise UsageError(f"{option} {text}: write udp://HOST:PORT, e.g. udp://{LOOPBACK}:5000")
-    return UdpAddress(host, port)
+    return HostPort(host, port)
 
 
 def faults_of(text: str, seed: int) -> Faults:
@@ -179,13 +172,13 @@ def serve(device: Device, chosen: RobotOptions) -> ArcosServer:
     """Serve a robot at its port; `UsageError`: it cannot be opened."""
     port = chosen.port
     try:
-        if isinstance(port, TcpPort):
+        if isinstance(port, HostPort):
             return serve_tcp(device, host=port.host, port=port.port, faults=chosen.faults, paced=chosen.paced)
         return serve_pty(device, link=port.link, faults=chosen.faults, paced=chosen.paced)
     except FileExistsError:
         raise UsageError(f"--port {port[0]}: is there already; remove it, or give another path") from None
     except OSError as error:
-        where = f"tcp://{port.host}:{port.port}" if isinstance(port, TcpPort) else port.link or "PTY"
+        where = f"tcp://{port.host}:{port.port}" if isinstance(port, HostPort) else port.link or "PTY"
         raise UsageError(f"--port {where}: {error.strerror or error}") from None
 
 

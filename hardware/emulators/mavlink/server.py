@@ -32,19 +32,6 @@ class MavlinkServer(DeviceServer):
             self._port.write(output)
 
 
-def serve_udp(vehicle: Vehicle, *, to: tuple[str, int] | None = None) -> MavlinkServer:
-    """Serve a vehicle, whose time continues, over UDP; `OSError`: the address is invalid.
-
-    ``to``: address of its messages, as PX4 sends to port 14540; None: it answers the last sender, at a free port of loopback.
-    """
-    return MavlinkServer(vehicle, UdpPort(to))
-
-
-def serve_tcp(vehicle: Vehicle, *, host: str = LOOPBACK, port: int = 0) -> MavlinkServer:
-    """Serve a vehicle at a TCP port, as ArduPilot's simulator does at 5760; 0: any free port."""
-    return MavlinkServer(vehicle, TcpListener("tcp:", host, port))
-
-
 TCP_PORT = 5760  # of ArduPilot's simulator
 
 AUTOPILOTS, KINDS = ("px4", "ardupilot"), ("quadrotor", "rover")
@@ -83,13 +70,13 @@ def emulate(
 
 
 def serve(vehicle: Vehicle, port: str) -> MavlinkServer:
-    """Serve a vehicle at its port; `UsageError`: it cannot be opened."""
+    """Serve a vehicle, whose time continues, at its port, see `emulate`; `UsageError`: it cannot be opened."""
     protocol, host, number = endpoint_of(port) or ("", "", None)
     try:
         if protocol == "tcp":
-            return serve_tcp(vehicle, host=host or LOOPBACK, port=TCP_PORT if number is None else number)
+            return MavlinkServer(vehicle, TcpListener("tcp:", host or LOOPBACK, TCP_PORT if number is None else number))
         if protocol == "udp" and host and number:
-            return serve_udp(vehicle, to=(host, number))
+            return MavlinkServer(vehicle, UdpPort((host, number)))
     except OSError as error:
         raise UsageError(f"--port {port}: {error.strerror or error}") from None
     raise UsageError(f"--port {port}: write udp://HOST:PORT or tcp://HOST:PORT, e.g. udp://{LOOPBACK}:14540")

@@ -4,7 +4,7 @@ It has the behaviour that a driver relies on and must survive: refused modes (PX
 second), a pilot who switches (`pilot_switches`), arming and its refusal, the end of OFFBOARD without set-points, telemetry on
 request.
 
-It moves on its own (`VehicleMotion`), or, with ``start=None``, the caller reads `commanded` and calls `moved`.
+It moves on its own (`VehicleMotion`), or, with ``start=None``, the caller reads `commanded` and sets ``state``.
 """
 
 import math
@@ -295,10 +295,6 @@ class Vehicle:
         if self._flies and self.mode == "TAKEOFF":
             return Velocity(linear=(0.0, 0.0, TAKEOFF_MPS))
         return Velocity()
-
-    def moved(self, state: VehicleState) -> None:
-        """Set the present state, in the world."""
-        self.state = state
 
     @property
     def landed(self) -> bool:

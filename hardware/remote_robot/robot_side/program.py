@@ -102,8 +102,9 @@ class RobotProgram:
         self._echo = (0, 0, 0)
         watchdog = self._watchdog
 
-        def say() -> None:
+        def say() -> str:
             self._say(connection)
+            return ""
 
         try:
             if watchdog.run == welcome.run and watchdog.state == "open":
@@ -243,21 +244,17 @@ class RobotProgram:
             self._tell(text)
 
     def _rest(self, seconds: float) -> None:
-        until_ns = time.monotonic_ns() + round(seconds * SECOND_NS)
+        watchdog, until_ns = self._watchdog, time.monotonic_ns() + round(seconds * SECOND_NS)
         while not self._ending and (now_ns := time.monotonic_ns()) < until_ns:
-            if self._watchdog.state == "open":
-                self._attend(now_ns)
+            if watchdog.state == "open":
+                try:
+                    with within(HANG_S, self._driver.device, "a turn"):
+                        watchdog.turn(now_ns)
+                except Exception as error:
+                    watchdog.fail(error)
+                if self._lost_ns is not None and now_ns > self._lost_ns + seconds_to_ns(KEEP_S):
+                    watchdog.close(f"its run is not back after {KEEP_S:g} s")
             time.sleep(min(DIAL_S, max(0.0, (until_ns - now_ns) / SECOND_NS)))
-
-    def _attend(self, now_ns: int) -> None:
-        watchdog = self._watchdog
-        try:
-            with within(HANG_S, self._driver.device, "a turn"):
-                watchdog.turn(now_ns)
-        except Exception as error:
-            watchdog.fail(error)
-        if self._lost_ns is not None and now_ns > self._lost_ns + seconds_to_ns(KEEP_S):
-            watchdog.close(f"its run is not back after {KEEP_S:g} s")
 
 
 ADDRESSES = ("port", "address", "endpoint")

@@ -98,28 +98,24 @@ class DriverWatchdog:
         self._gather()
         return sample
 
-    def fail(self, error: Exception, meanwhile: Callable[[], object] = nothing) -> None:
+    def fail(self, error: Exception, meanwhile: Callable[[], str] = nothing) -> None:
         """Record a failure, and close the driver."""
         self.failure = _failure(self._driver.device, error)
         self._tell(f"{self.failure.device}: {self.failure.happened}; {self.failure.advice}")
         self.close(self.failure.happened, meanwhile)
 
-    def end(self, why: str, meanwhile: Callable[[], object]) -> None:
+    def end(self, why: str, meanwhile: Callable[[], str]) -> None:
         """Close the driver permanently, and report why."""
         if self.state != "closed":
             self.failure = Failure(kind="lost", device=self._driver.device, happened=why, advice="start it again")
             self.close(why, meanwhile)
 
-    def close(self, cause: str, meanwhile: Callable[[], object] = nothing) -> None:
-        """Stop the robot and close its driver, in any state; ``meanwhile`` is called repeatedly."""
+    def close(self, cause: str, meanwhile: Callable[[], str] = nothing) -> None:
+        """Stop the robot and close its driver, in any state; ``meanwhile`` is called repeatedly, and aborts with a text."""
         if self.state == "closed":
             return
         self.state = "closed"
         driver = self._driver
-
-        def tick() -> str:
-            meanwhile()
-            return ""
 
         def stop() -> None:
             if self._stopped != cause:
@@ -128,7 +124,7 @@ class DriverWatchdog:
         seconds = (GRACE_S, "stopping it", stop), (driver.close_deadline_s + GRACE_S, "closing it", driver.close)
         for most_s, doing, what in seconds:
             try:
-                with within(most_s, driver.device, doing, tick):
+                with within(most_s, driver.device, doing, meanwhile):
                     what()
             except Exception as error:
                 self._tell(f"{doing}: {error}")

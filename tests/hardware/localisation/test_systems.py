@@ -29,7 +29,7 @@ from vcmvsp.hardware.localisation import dwm1001, port_source, pose_topic, sourc
 from vcmvsp.hardware.localisation.dwm1001 import Dwm1001
 from vcmvsp.hardware.localisation.nmea import Nmea
 from vcmvsp.hardware.localisation.pose_topic import ExternalPose
-from vcmvsp.hardware.localisation.source import Localisation, Located, LocatedPose, WorldTransform
+from vcmvsp.hardware.localisation.source import Localisation, Located, WorldTransform
 from vcmvsp.hardware.localisation.ubisense import Ubisense
 
 DEADLINE_S = 20.0  # of what takes milliseconds, on a machine that is loaded
@@ -418,7 +418,7 @@ def test_whatever_is_said_readings_are_finite_near_and_not_from_the_future(
 ) -> None:
     placing = WorldTransform(sigma_m=0.1, latency_s=0.1, offset=(1.0, 2.0, 3.0), turn_rad=0.3)
     for arrived in (10**9, 2 * 10**9):
-        posed = LocatedPose(position=position, sigma_m=sigma, yaw=yaw, sigma_rad=sigma_rad, source_ns=source_ns)
+        posed = Located(position=position, sigma_m=sigma, yaw=yaw, sigma_rad=sigma_rad, source_ns=source_ns)
         fix = placing.place(posed, arrived)
         if fix is not None:
             assert math.hypot(*fix.position) <= 10_000.0

@@ -1,8 +1,9 @@
 """A client of an emulated robot, without a line between them and without a clock."""
 
+from vcmvsp.cosim.types import Vec3
 from vcmvsp.hardware.drivers.arcos.protocol import Command, PacketReader, Sip, command, decode_sip, is_sip
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.emulators.arcos.device import Device, Pose
+from vcmvsp.hardware.emulators.arcos.device import Device
 
 AMIGO = ROBOTS["amigo"]
 SECOND = 1_000_000_000
@@ -27,7 +28,7 @@ class Client:
         self.say(Command.OPEN, 1)
         return self
 
-    def drive(self, *commands: tuple[Command, int], seconds: float) -> Pose:
+    def drive(self, *commands: tuple[Command, int], seconds: float) -> Vec3:
         """Enable, command, and go on for a time with a pulse every half second; where it is then."""
         self.say(Command.ENABLE, 1)
         for number, value in commands:

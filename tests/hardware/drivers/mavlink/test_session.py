@@ -263,7 +263,7 @@ def test_numbers_that_are_none_and_commands_to_others_change_nothing() -> None:
 def test_it_can_be_moved_by_somebody_else() -> None:
     vehicle = Vehicle(start=None, origin=(10.0, 20.0, 0.0), mode="OFFBOARD", armed=True)
     state = VehicleState(position=(11.0, 22.0, 3.0), velocity=(1.0, 2.0, 3.0), attitude=quaternion_from_yaw(0.0))
-    vehicle.moved(state)
+    vehicle.state = state
     told = [each for each in MessageReader().feed(vehicle.advance(SECOND)) if each.get_type() == "LOCAL_POSITION_NED"]
     assert (told[-1].x, told[-1].y, told[-1].z, told[-1].vx) == (2.0, 1.0, -3.0, 2.0)
     assert len(told) == pytest.approx(50, abs=1)

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.hardware.arcos_client import AMIGO, SECOND, Client
+from vcmvsp.cosim.types import Vec3
 from vcmvsp.hardware.drivers.arcos.protocol import (
     CONFIG_PACKET,
     COUNT_MASK,
@@ -20,7 +21,7 @@ from vcmvsp.hardware.drivers.arcos.protocol import (
     frame,
 )
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.emulators.arcos.device import GAP_NS, Device, Pose
+from vcmvsp.hardware.emulators.arcos.device import GAP_NS, Device
 
 
 @pytest.fixture
@@ -146,7 +147,7 @@ def test_closing_stops_it_and_forgets_its_speed(client: Client) -> None:
 
 @given(st.lists(st.integers(1, 400), min_size=1, max_size=20))
 def test_it_does_not_matter_how_often_it_is_asked(pauses_ms: list[int]) -> None:
-    def run(steps_ms: list[int]) -> tuple[bytes, Pose]:
+    def run(steps_ms: list[int]) -> tuple[bytes, Vec3]:
         client = Client(Device(AMIGO)).connect()
         client.say(Command.ENABLE, 1)
         client.say(Command.VEL, 300)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.hardware.drivers.arcos.protocol import Command, command
 from vcmvsp.hardware.emulators.arcos import program as options
-from vcmvsp.hardware.emulators.arcos.program import PtyPort, RobotOptions, TcpPort, UdpAddress, device_of, parameters
+from vcmvsp.hardware.emulators.arcos.program import HostPort, PtyPort, RobotOptions, device_of, parameters
 
 NUMBERS = st.floats(-1e6, 1e6)
 
@@ -22,14 +22,14 @@ NUMBERS = st.floats(-1e6, 1e6)
         ("pty", PtyPort()),
         ("/tmp/robot", PtyPort(Path("/tmp/robot"))),
         ("./robot", PtyPort(Path("robot"))),
-        ("tcp://:8102", TcpPort("127.0.0.1", 8102)),
-        ("tcp://:0", TcpPort("127.0.0.1", 0)),
-        ("tcp://", TcpPort("127.0.0.1", 8101)),
-        ("tcp://0.0.0.0:8101", TcpPort("0.0.0.0", 8101)),
-        ("socket://localhost:8103", TcpPort("localhost", 8103)),
+        ("tcp://:8102", HostPort("127.0.0.1", 8102)),
+        ("tcp://:0", HostPort("127.0.0.1", 0)),
+        ("tcp://", HostPort("127.0.0.1", 8101)),
+        ("tcp://0.0.0.0:8101", HostPort("0.0.0.0", 8101)),
+        ("socket://localhost:8103", HostPort("localhost", 8103)),
     ],
 )
-def test_ports(text: str, port: PtyPort | TcpPort) -> None:
+def test_ports(text: str, port: PtyPort | HostPort) -> None:
     assert options.port_of(text) == port
 
 
@@ -40,7 +40,7 @@ def test_what_is_no_port(text: str) -> None:
 
 
 def test_addresses_of_datagrams() -> None:
-    assert options.udp_of("udp://127.0.0.1:5000", "--ubisense") == UdpAddress("127.0.0.1", 5000)
+    assert options.udp_of("udp://127.0.0.1:5000", "--ubisense") == HostPort("127.0.0.1", 5000)
     for text in ("udp://127.0.0.1", "udp://:5000", "127.0.0.1:5000", "tcp://127.0.0.1:5000", "udp://127.0.0.1:0"):
         with pytest.raises(UsageError, match=r"--ubisense .*udp://HOST:PORT"):
             options.udp_of(text, "--ubisense")
