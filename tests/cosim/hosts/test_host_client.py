@@ -1,4 +1,4 @@
-"""The end of a run as its hosts see it: the last answer may be lost as any other, and must be given again then."""
+"""A host as it joins a run, answers its questions, and leaves: any answer may be lost, and must be given again then."""
 
 import contextlib
 import itertools
@@ -10,9 +10,12 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.support.cosim.run_processes import Wire
 from tests.support.cosim.secure_hub import PATIENCE_S, lasting_links, until
+from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.hosts import host_client, protocol
 from vcmvsp.cosim.hosts.hub import Hub
 
@@ -24,9 +27,11 @@ class Desk:
 
     def __init__(self, at_end: Callable[[], None] = lambda: None) -> None:
         self.ended: str | None = None
+        self.worked: list[bytes] = []
         self._at_end = at_end
 
     def handle(self, question: memoryview) -> bytes:
+        self.worked.append(bytes(question))
         if bytes(question) == b"end":
             self.ended = "the run is over"
             self._at_end()
@@ -47,15 +52,21 @@ class Asked:
         return self._data
 
 
-def answered(*asked: Asked | bool, patience_s: float = PATIENCE_S, hubs: str = "a") -> tuple[list[bytes], list[Any]]:
+def answered(
+    *asked: Asked | bool,
+    patience_s: float = PATIENCE_S,
+    hubs: str = "a",
+    desk: Desk | None = None,
+    said: list[bytes] | None = None,
+) -> tuple[list[bytes], list[Any]]:
     """What a host says to this, and what it has not read when it leaves; ``hubs``: those that it finds, look by look."""
-    said, inbox = list[bytes](), queue.SimpleQueue[Any]()
+    said, inbox = [] if said is None else said, queue.SimpleQueue[Any]()
     for each in asked:
         inbox.put(each)
     found = itertools.chain(hubs, itertools.repeat(hubs[-1]))
     session = types.SimpleNamespace(info=types.SimpleNamespace(routers_zid=lambda: [next(found)]))
     says = types.SimpleNamespace(put=said.append)
-    host_client._answer(inbox, Desk(), says, session, protocol.Welcome(None, patience_s), lambda _: None)  # type: ignore[arg-type]
+    host_client._answer(inbox, desk or Desk(), says, session, protocol.Welcome(None, patience_s), lambda _: None)  # type: ignore[arg-type]
     return said, [inbox.get() for _ in range(inbox.qsize())]
 
 
@@ -116,3 +127,44 @@ def test_an_answer_that_is_lost_with_the_link_at_the_end_comes_when_the_link_is_
     hosting.join(PATIENCE_S)
     cutting.join()
     assert ends == ["the run is over"]
+
+
+def test_a_run_that_listens_but_has_not_opened_its_door_yet_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its machine may be held up for a second or two just then."""
+    now_s = [0.0]
+
+    def sleep(seconds: float) -> None:
+        now_s[0] += seconds
+
+    def get(*_: object, **__: object) -> list[Any]:
+        content = protocol.encode(protocol.Welcome(refused=None, patience_s=7.0))
+        payload = types.SimpleNamespace(to_bytes=lambda: content)
+        return [types.SimpleNamespace(ok=types.SimpleNamespace(payload=payload))] if now_s[0] > 2.0 else []
+
+    monkeypatch.setattr(host_client, "time", types.SimpleNamespace(monotonic=lambda: now_s[0], sleep=sleep))
+    hello = protocol.Hello("1" * 32, protocol.PROTOCOL, ("car2",))
+    session: Any = types.SimpleNamespace(get=get)
+    assert host_client._join(session, "anyone", hello).patience_s == 7.0
+
+
+@given(st.lists(st.tuples(st.integers(1, 12), st.integers(0, 3)), max_size=60))
+def test_whatever_is_asked_again_and_in_whatever_order_each_question_is_worked_on_once_and_in_turn(
+    script: list[tuple[int, int]],
+) -> None:
+    """One that is asked too early gets no answer, upon which the run asks again; one that is asked again, the same answer."""
+    desk, said = Desk(), list[bytes]()
+    asked = [(number, max(1, number - back)) for number, back in script]
+    questions = [Asked(number, oldest, b"%d" % number) for number, oldest in asked]
+    with pytest.raises(FederateError, match="is gone"):
+        answered(*questions, False, patience_s=0.001, desk=desk, said=said)
+    worked = desk.worked
+    assert worked == [b"%d" % number for number in range(1, len(worked) + 1)]
+    expected, done, kept = list[bytes](), 0, set[int]()
+    for number, oldest in asked:
+        kept = {each for each in kept if each >= oldest}
+        if number == done + 1:
+            done = number
+            kept.add(number)
+        if number in kept:
+            expected.append(protocol.number.pack(number) + b"to %d" % number)
+    assert said == expected
