@@ -1,4 +1,4 @@
-"""The bridge process by itself: the test is the run."""
+"""The bridge process by itself, where the test is the run, and the run's side of it."""
 
 import asyncio
 import itertools
@@ -10,7 +10,8 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from tests.support.netsim.bridge_runs import wait_for
 from tests.support.netsim.gateway_context import PATIENCE_S, free_ports
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.netsim.bridge import messages
+from vcmvsp.netsim.bridge import messages, process_client
 from vcmvsp.netsim.bridge.bridge_process import BridgeProcess
 from vcmvsp.netsim.bridge.datagram_store import BATCH_OF_ONE, MOST
 from vcmvsp.netsim.bridge.process_client import BridgeClient
@@ -342,3 +343,57 @@ def test_one_that_does_not_read_holds_up_nobody_and_is_ended(started: list[Bridg
     assert process.has_outbox
     process._process.kill()
     process.close()
+
+
+STEP_S = 7.0
+
+
+class Silent:
+    """A link to somebody who says nothing, and how long each wait was to be: one for less than no time has no end."""
+
+    ended = False
+
+    def __init__(self) -> None:
+        self.waits: list[float] = []
+
+    def wait(self, seconds: float) -> None:
+        self.waits.append(seconds)
+
+    def receive(self) -> list[bytes]:
+        return []
+
+    def send(self, message: bytes) -> bool:
+        return True
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def slow_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seconds pass between any two looks at the clock."""
+    now = itertools.count(0.0, STEP_S)
+    monkeypatch.setattr(process_client, "time", SimpleNamespace(monotonic=lambda: next(now)))
+
+
+def silent() -> tuple[BridgeClient, Silent]:
+    link = Silent()
+    process = SimpleNamespace(pid=1, link=link, close=lambda _: False)
+    opening = messages.Opening(run="run", folder=".", vehicles=("a",), gateways=(), payloads=False)
+    return BridgeClient(cast("Any", process), opening), link
+
+
+def test_doors_that_do_not_open_are_said_when_time_is_over(slow_clock: None) -> None:
+    waiting, link = silent()
+    with pytest.raises(FederateError, match="its gateways were not open after 60 s"):
+        waiting.wait_ready()
+    assert len(link.waits) == pytest.approx(process_client.READY_S / STEP_S, abs=1.0)
+    assert min(link.waits) > 0.0
+
+
+def test_one_that_does_not_leave_is_killed_when_time_is_over(slow_clock: None) -> None:
+    waiting, link = silent()
+    assert waiting.close() == []
+    assert waiting.killed
+    assert link.waits
+    assert min(link.waits) > 0.0
