@@ -35,13 +35,12 @@ from vcmvsp.cosim.frames import arc, quaternion_from_yaw
 from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.cosim.types import ORIGIN, Array, Measured, Odometry, RealStatus, States, VehicleState, Velocity
 from vcmvsp.hardware.drivers.base import DriverError, Notice
-from vcmvsp.hardware.station.messages import OPERATOR_STOP, StationOrder, StationReport
+from vcmvsp.hardware.station.messages import KNOWN_S, OPERATOR_STOP, StationOrder, StationReport
 from vcmvsp.hardware.stations import Connections, Station
 
 HEARTBEAT = Ticks.every(0.05)
 """Period of orders; a station without orders stops its robot."""
 
-KNOWN_S = 1.0  # extrapolation time of other vehicles
 MOST = 500  # other vehicles in an order
 
 

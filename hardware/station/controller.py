@@ -14,7 +14,7 @@ from vcmvsp.hardware.safety.aerial_supervisor import AerialSupervisor
 from vcmvsp.hardware.safety.obstacles import Others
 from vcmvsp.hardware.safety.supervisor import Cause, Decision, GroundSupervisor, LastReceived, Supervisor
 from vcmvsp.hardware.station.estimator import DriverEstimator, FusedEstimator, StateEstimate, StateEstimator
-from vcmvsp.hardware.station.messages import StationMission, StationOrder, StationReport
+from vcmvsp.hardware.station.messages import KNOWN_S, StationMission, StationOrder, StationReport
 
 if TYPE_CHECKING:
     from vcmvsp.hardware.localisation.source import Localisation
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 SLOWING = (Cause.LIMITS, Cause.GEOFENCE, Cause.SEPARATION)  # these change a command; all others stop the robot
 LATCHED = (Cause.OPERATOR,)  # needs a person; other causes end by themselves
-KNOWN_S = 1.0  # extrapolation time of other vehicles
 NO_VEHICLES = frozen(np.empty((0, 7)))
 
 
@@ -33,8 +32,7 @@ def guard(mission: StationMission) -> Supervisor:
 
 def others_at(rows: Array | None, age_s: float) -> Others:
     """Other vehicles of an order (see `StationOrder.others`), extrapolated by ``age_s``."""
-    if rows is None:
-        rows = NO_VEHICLES
+    rows = NO_VEHICLES if rows is None else rows
     velocity = rows[:, 3:6]
     return Others(rows[:, 0:3] + velocity * max(0.0, min(age_s, KNOWN_S)), velocity, rows[:, 6])
 

@@ -11,6 +11,7 @@ from vcmvsp.cosim.util.codec import Decoder
 from vcmvsp.hardware.drivers.base import Notice
 from vcmvsp.hardware.safety.supervisor import Safety
 
+KNOWN_S = 1.0  # extrapolation time of other vehicles
 OPERATOR_STOP = "operator's stop"
 """Cause in a report: ``vcmvsp stop`` was called; it lasts until the station ends."""
 

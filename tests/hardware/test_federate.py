@@ -28,8 +28,8 @@ from vcmvsp.cosim.scenario.schema import RealVehicle, SafetyTable
 from vcmvsp.cosim.terminal.progress import summary
 from vcmvsp.cosim.types import Incident, RealStatus, States, VehicleState, Velocity, frozen
 from vcmvsp.hardware.drivers.base import Notice
-from vcmvsp.hardware.federate import HEARTBEAT, KNOWN_S, Hardware
-from vcmvsp.hardware.station.messages import OPERATOR_STOP, StationReport
+from vcmvsp.hardware.federate import HEARTBEAT, Hardware
+from vcmvsp.hardware.station.messages import KNOWN_S, OPERATOR_STOP, StationReport
 from vcmvsp.hardware.stations import StationError, mission
 
 TENTH = SECOND_NS // 10
