@@ -19,17 +19,10 @@ class Playback:
 
     Each event is published again at its time. Physics gets the recorded state of each instant; between two instants, if a
     period was changed, a linear interpolation (at 0.5 m/s, 0.5 rad/s and 10 Hz its error is v w dt^2 / 8 = 0.3 mm at most).
+    Vehicles that are not in ``names`` are ignored; `UsageError`: the recording has no state of one that is.
 
     If the recording ends before the run, vehicles stand at their last place; their last estimates and odometry are published
     once more, at rest, and one message says so.
-
-    Args:
-        names: vehicles to play; others in the recording are ignored.
-        inputs: result of `cosim.recording.external_inputs.read_inputs`.
-        tell: takes lines for the user.
-
-    Raises:
-        UsageError: the recording has no state of a vehicle.
     """
 
     name = "hardware"
@@ -52,7 +45,8 @@ class Playback:
                 continue
             self._end_ns = max(self._end_ns, time_ns)
             if topic == REFLECTED and isinstance(value, VehicleState):
-                self._tracks[vehicle].add(time_ns, value)
+                self._tracks[vehicle].times_ns.append(time_ns)
+                self._tracks[vehicle].states.append(value)
             else:
                 self._recorded.append(Event("operator/outage" if isinstance(value, Outage) else key, time_ns, value))
         if missing := [name for name, track in self._tracks.items() if not track.times_ns]:
@@ -61,7 +55,7 @@ class Playback:
 
     def start(self, run: RunInfo) -> int | None:
         """Time of the first event."""
-        self._given, self._duration_ns = 0, run.duration_ns
+        self._given = 0
         self._events = [*self._recorded]
         if self._end_ns < run.duration_ns:
             self._events += [Event(key, self._end_ns + 1, value) for key, value in self._at_rest().items()]
@@ -85,7 +79,6 @@ class Playback:
         return [track.at(now_ns) for track in self._tracks.values()]
 
     def _at_rest(self) -> dict[str, VehicleState | Odometry]:
-        """Last estimate and odometry of each vehicle, without their speeds."""
         last: dict[str, VehicleState | Odometry] = {}
         for event in self._recorded:
             if isinstance(event.value, VehicleState):
@@ -96,29 +89,22 @@ class Playback:
 
 
 class _Trajectory:
-    """Recorded states of one vehicle."""
-
     def __init__(self) -> None:
         self.times_ns: list[int] = []
-        self._states: list[VehicleState] = []
-
-    def add(self, time_ns: int, state: VehicleState) -> None:
-        """Append a state; times increase."""
-        self.times_ns.append(time_ns)
-        self._states.append(state)
+        self.states: list[VehicleState] = []
 
     def at(self, now_ns: int) -> VehicleState:
         """State at a time: the first state before the recording, the last one at rest after it."""
         following = bisect_right(self.times_ns, now_ns)
         if following == 0:
-            return self._states[0]
-        before_ns, before = self.times_ns[following - 1], self._states[following - 1]
+            return self.states[0]
+        before_ns, before = self.times_ns[following - 1], self.states[following - 1]
         if before_ns == now_ns:
             return before
         if following == len(self.times_ns):
             return at_rest(before)
         share = (now_ns - before_ns) / (self.times_ns[following] - before_ns)
-        return between(before, self._states[following], share)
+        return between(before, self.states[following], share)
 
 
 def at_rest(state: VehicleState) -> VehicleState:

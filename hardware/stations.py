@@ -1,4 +1,4 @@
-"""Stations of a run's real vehicles, and emulated robots among them."""
+"""Run side of the processes of stations, which open and close at the same time; no call blocks the run."""
 
 import contextlib
 import time
@@ -6,25 +6,134 @@ from collections.abc import Callable, Mapping, Sequence
 
 import msgspec
 
+from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.processes.child_process import LinkedProcess
 from vcmvsp.cosim.scenario.schema import RealVehicle
-from vcmvsp.hardware.emulators.programs.in_run import EMULATED, Emulated
-from vcmvsp.hardware.safety import Polygon
-from vcmvsp.hardware.station.messages import PartSpec, Safety, StationMission
-from vcmvsp.hardware.station.process_client import CLOSE_S, READY_S, Station, StationError
-from vcmvsp.hardware.station.safety_factory import guard
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.hardware.drivers.base import DriverError
+from vcmvsp.hardware.emulators.arcos.in_run import EMULATED, Emulated
+from vcmvsp.hardware.safety.obstacles import Polygon
+from vcmvsp.hardware.safety.supervisor import Safety
+from vcmvsp.hardware.station import messages
+from vcmvsp.hardware.station.controller import guard
+from vcmvsp.hardware.station.messages import PartSpec, StationMission, StationOrder, StationReport
+
+READY_S = 60.0  # longer than a station allows its driver
+CLOSE_S = 15.0  # longer than a station needs to stop its robot and to close its driver
+DYING_S = 2.0  # from the end of a link to that of the process
+PAUSE_S = 0.05  # between two attempts to send to a station that does not read
+WATCHDOG = "the robot's own watchdog stops it, if it has one: look after the robot"
+
+
+class StationError(DriverError):
+    """A station failed or ended."""
+
+    def __init__(self, vehicle: str, happened: str, advice: str) -> None:
+        self.device, self.happened, self.advice = vehicle, happened, advice
+        FederateError.__init__(self, f"the robot of {vehicle}", f"{happened}; {advice}")
+
+
+class Station:
+    """A process that drives one robot; see `start`."""
+
+    def __init__(self, mission: StationMission, process: LinkedProcess) -> None:
+        self.vehicle = mission.vehicle
+        self._process, self._link = process, process.link
+        self._waiting: list[StationReport] = []  # received, not yet returned
+        self._failure: StationError | None = None
+        self._leaving = self._is_closed = False
+        self._number = 0  # of the newest order
+
+    @classmethod
+    def start(cls, mission: StationMission) -> "Station":
+        """Start the process, which connects to the robot, without waiting for that."""
+        process = LinkedProcess("vcmvsp.hardware.station")
+        process.link.send(encode(mission))
+        return cls(mission, process)
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
+
+    def wait_ready(self, until: float | None = None) -> None:
+        """Wait for the robot until this ``time.monotonic()`` [now + `READY_S`]; `DriverError`: it cannot be driven."""
+        until = time.monotonic() + READY_S if until is None else until
+        while not self._waiting and self._failure is None:
+            self._read(until - time.monotonic())
+            if time.monotonic() >= until and not self._waiting and self._failure is None:
+                self._end(patient=False)
+                happened = "its station did not say in time that the robot is connected"
+                self._failure = StationError(self.vehicle, happened, "look at what it says above, at the robot and at its port")
+        if self._failure is not None:
+            raise self._failure
+
+    def order(self, order: StationOrder) -> bool:
+        """Send an order without waiting; whether it was sent (not if the station hangs or has ended)."""
+        self._number = order.number
+        return not self._is_closed and self._link.send(encode(order))
+
+    def reports(self) -> list[StationReport]:
+        """Reports since the last call, oldest first; `DriverError`: the station has ended, and all were returned."""
+        self._read(0.0)
+        if not self._waiting and self._failure is not None:
+            raise self._failure
+        reports, self._waiting = self._waiting, []
+        return reports
+
+    def leave(self) -> None:
+        """Ask the station to stop the robot and to end, without waiting; `close` repeats it if necessary."""
+        if not self._leaving and not self._is_closed:
+            order = StationOrder(number=self._number + 1, sent_ns=time.monotonic_ns(), leave=True)
+            self._leaving = self._link.send(encode(order))
+
+    def close(self, until: float | None = None) -> list[StationReport]:
+        """End the process, at most until this ``time.monotonic()`` [now + `CLOSE_S`]; kill it after that.
+
+        Returns its last reports; never raises.
+        """
+        self.leave()
+        until = time.monotonic() + CLOSE_S if until is None else until
+        while not self._link.ended and not self._is_closed and time.monotonic() < until:
+            self.leave()
+            self._read(min(until - time.monotonic(), PAUSE_S))
+        self._end(patient=True)
+        reports, self._waiting = self._waiting, []
+        return reports
+
+    def _end(self, *, patient: bool) -> None:
+        if self._is_closed:
+            return
+        self._is_closed = True
+        if not self._process.close(DYING_S if patient and self._link.ended else 0.0):
+            happened = "its station did not end by itself and was killed"
+            self._waiting.append(StationReport(number=0, time_ns=time.monotonic_ns(), failed=happened, advice=WATCHDOG))
+        self._link.close()
+
+    def _read(self, wait_s: float) -> None:
+        if self._is_closed or self._link.ended:
+            return
+        if wait_s > 0.0:
+            self._link.wait(wait_s)
+        for message in self._link.receive():
+            try:
+                report = messages.reports.decode(message)
+            except (ValueError, msgspec.MsgspecError) as error:
+                happened = f"its station said something that cannot be read ({error})"
+                report = StationReport(number=0, time_ns=time.monotonic_ns(), failed=happened, advice="report this")
+            self._waiting.append(report)
+            if report.failed:
+                self._failure = StationError(self.vehicle, report.failed, report.advice)
+        if self._link.ended and self._failure is None and not self._leaving:
+            ended = self._process.why_ended(DYING_S) or "has hung up"
+            self._failure = StationError(self.vehicle, f"its station {ended}", WATCHDOG)
+
 
 COMMAND_S = 0.5  # command time-out
 
 
 class Connections:
-    """Opens and closes all stations together.
-
-    Args:
-        vehicles: real vehicles.
-        run: name of the run.
-        tell: takes lines for the user.
-        periods_s: of their agents, by vehicle.
-    """
+    """Opens and closes all stations together; periods are those of the agents, by vehicle."""
 
     def __init__(
         self, vehicles: Sequence[RealVehicle], run: str, tell: Callable[[str], None], periods_s: Mapping[str, float]
@@ -34,11 +143,7 @@ class Connections:
         self._stations: dict[str, Station] = {}
 
     def open(self) -> dict[str, Station]:
-        """Start all stations, and wait until each robot is ready.
-
-        Raises:
-            DriverError: a robot cannot be connected.
-        """
+        """Start all stations, and wait until each robot is ready; `DriverError`: a robot cannot be connected."""
         try:
             for vehicle in self._vehicles:
                 self._start(vehicle)
@@ -65,8 +170,7 @@ class Connections:
     def close(self) -> None:
         """Stop and release all robots; emulated ones are closed last.
 
-        Raises:
-            StationError: a station did not end properly; check the robot.
+        `StationError`: a station did not end properly; check the robot.
         """
         until = time.monotonic() + CLOSE_S
         for station in self._stations.values():

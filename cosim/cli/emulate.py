@@ -90,16 +90,15 @@ def robot_command(
         raise UsageError("--vehicle and --set are about a scenario: add --scenario")
     errors = {"fix_hz": fix_hz, "sigma_m": sigma_m, "outliers": outliers, "drop_outs": drop_outs, "latency_s": fix_latency_s}
     tags = emulators.tags_of(ubisense=ubisense, dwm1001=dwm1001, tag=tag, seed=seed, option=None, **errors)
-    chosen = emulators.robot_options(
-        port=port,
+    chosen = emulators.RobotOptions(
+        port=emulators.port_of(port),
         rate_hz=rate_hz,
-        faults=faults,
+        faults=emulators.faults_of(faults, seed),
         paced=paced,
         baud=baud,
         ping_ms=ping_ms,
         watchdog=not no_watchdog,
-        seed=seed,
-        duration_s=duration,
+        duration_s=emulators.duration_of(duration),
         tags=tags,
     )
     start = pose_of(pose)

@@ -142,9 +142,9 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "mavlink": "vcmvsp.hardware.drivers.mavlink.driver:MavlinkDriver",
     },
     "localisation": {
-        "ubisense": "vcmvsp.hardware.localisation.systems:Ubisense",
-        "dwm1001": "vcmvsp.hardware.localisation.systems:Dwm1001",
-        "nmea": "vcmvsp.hardware.localisation.systems:Nmea",
+        "ubisense": "vcmvsp.hardware.localisation.ubisense:Ubisense",
+        "dwm1001": "vcmvsp.hardware.localisation.dwm1001:Dwm1001",
+        "nmea": "vcmvsp.hardware.localisation.nmea:Nmea",
         "zenoh": "vcmvsp.hardware.localisation.pose_topic:ExternalPose",
     },
     "door": {

@@ -174,7 +174,6 @@ def _base64(array: Array) -> str:
 
 
 def _plain(value: object) -> object:
-    """NumPy arrays and numbers as JSON writes them."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"a {type(value).__name__} cannot be shown")

@@ -14,7 +14,7 @@ from vcmvsp.cosim.config.source_code import fingerprint
 from vcmvsp.cosim.errors import FederateError, Interrupted, UsageError, VcmvspError, words_of
 from vcmvsp.cosim.federate import Federate
 from vcmvsp.cosim.hosts import protocol
-from vcmvsp.cosim.transport import access_control, endpoints, key_names, tls_diagnosis
+from vcmvsp.cosim.transport import access_control, endpoints, key_names, zenoh_session
 from vcmvsp.cosim.transport.zenoh_session import UNIX, common_names, opened, threads
 
 if TYPE_CHECKING:
@@ -231,7 +231,7 @@ def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]
         except UsageError as error:
             if "Unable to connect" not in str(error):
                 raise
-        refusal = None if endpoint.startswith(UNIX) else tls_diagnosis.diagnose(endpoint, bundle)
+        refusal = None if endpoint.startswith(UNIX) else zenoh_session.diagnose(endpoint, bundle)
         if refusal is not None and refusal.final:
             raise UsageError(f"cannot join the run at {endpoint}: {refusal.why}")
         why = refusal.why if refusal else "" if bundle else NO_RUN

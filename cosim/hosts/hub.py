@@ -159,7 +159,6 @@ class ZenohLink:
         return None
 
     def _last_look(self, oldest: "_Question") -> bytes:
-        """The answer, if it came while others were waited for."""
         answer = self.look()
         if answer is None:
             self._failed = True

@@ -170,7 +170,6 @@ class Entrance:
             self._tell(text)
 
     def _certificates(self, listen: str, specs: Sequence[AgentSpec]) -> "tuple[Keys | None, str]":
-        """What the user says of who may come from elsewhere, and where to, checked."""
         from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
         keys = None

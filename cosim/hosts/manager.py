@@ -271,7 +271,6 @@ class Hosts:
         return [vehicle for vehicle in list(self._specs) if any(each.wants(vehicle) for each in list(self._elsewhere))]
 
     def _answer_door(self) -> None:
-        """While somebody is away, a host that knocks may take its place."""
         if self.entrance is None:
             return
         hub, lost = self.entrance.hub, self._lost()

@@ -19,7 +19,7 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.event_publisher import ECHO, About, stamp
 from vcmvsp.cosim.hosts.host_client import NO_RUN, dial, dialling, hub_of
-from vcmvsp.cosim.transport import access_control, key_names, tls_diagnosis
+from vcmvsp.cosim.transport import access_control, key_names, zenoh_session
 from vcmvsp.cosim.transport.zenoh_session import common_names, opened
 from vcmvsp.cosim.util.documents import read_json
 
@@ -125,7 +125,7 @@ class _Presence:
         since = self._gone_at or self._cut_at
         if since is None:
             return False
-        refusal = tls_diagnosis.diagnose(self._endpoint, self._bundle)
+        refusal = zenoh_session.diagnose(self._endpoint, self._bundle)
         hopeless = (refusal is not None and refusal.final) or time.monotonic() > since + PATIENCE_S
         if not hopeless:
             time.sleep(POLL_S)
@@ -201,7 +201,7 @@ def examine(endpoint: str, bundle: "Bundle | None", secret: str | None = None) -
         yield own
         if not own[1]:
             return
-    refusal = tls_diagnosis.diagnose(endpoint, bundle)
+    refusal = zenoh_session.diagnose(endpoint, bundle)
     session = None if refusal else _session(endpoint, bundle, secret)
     if session is None:
         why = refusal.why if refusal else "it breaks off every connection" if bundle else NO_RUN
@@ -243,7 +243,7 @@ def _session(endpoint: str, bundle: "Bundle | None", secret: str | None) -> zeno
 def _certificate_of_run(endpoint: str, bundle: "Bundle", session: zenoh.Session) -> Check:
     try:
         access_control.check_hub(common_names(session))
-        names, until = tls_diagnosis.shown(endpoint, bundle)
+        names, until = zenoh_session.shown(endpoint, bundle)
     except (UsageError, OSError) as error:
         return ("run's certificate", False, str(error))
     return ("run's certificate", True, f"for {', '.join(names)}, valid until {until:%Y-%m-%d}")

@@ -324,7 +324,6 @@ class RemoteHost:
         return events
 
     def _due(self, now_ns: int) -> frozenset[str]:
-        """Whose tick this is; of all, since they were asked for, where all have the same ticks."""
         due = [whose for train, whose in self._trains.items() if len(self._trains) == 1 or train.hits(now_ns)]
         return due[0] if len(due) == 1 else frozenset().union(*due)
 
@@ -365,7 +364,6 @@ class RemoteHost:
         self._others.append(crew)
 
     def _lose(self, crew: Crew, now_ns: int, error: FederateError) -> list[Event]:
-        """A host has not answered: what its vehicles do from now on; the error itself, if one of them must not be lost."""
         if crew.indispensable:
             raise error
         self.losses.append((", ".join(crew.vehicles), now_ns / SECOND_NS, error.cause))

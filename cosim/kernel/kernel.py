@@ -221,7 +221,6 @@ class Kernel:
         self._events.publish(end_ns, Slot.RADIO)
 
     def _listen(self) -> None:
-        """Have the clock woken by those to whom somebody may come."""
         doors = [each.fileno() for _, each in self._polled if isinstance(each, Prompted)]
         open_ = [each for each in doors if each >= 0]
         if open_ and isinstance(self._clock, WallClock):
@@ -251,7 +250,6 @@ class Kernel:
             raise FederateError("clock", f"{late}; use fewer or quicker agents, a quicker machine, or clock.late = 'slip'")
 
     def _is_tick(self, when: int) -> bool:
-        """Whether agents act at this instant, where there are any."""
         if not self._has_agents:
             return True
         due = self._due.get((when, Slot.AGENT), ())  # an answer may be due in it, too, or who is woken
@@ -290,7 +288,6 @@ class Kernel:
     # --- what is due when -------------------------------------------------------------------------------------------------
 
     def _schedule(self, index: int, when: int | None) -> None:
-        """Note a federate's own next wake-up; it replaces the one noted before."""
         self._next[index] = when
         if when is not None:
             self._slot(when, self._federates[index].slot).setdefault(index, False)
@@ -307,7 +304,6 @@ class Kernel:
         return entry
 
     def _wake(self, index: int, when: int) -> None:
-        """Have a federate stepped at the instant of an event."""
         self._slot(when, self._federates[index].wake_slot)[index] = True
 
     def _run_slot(self, now: int, slot: Slot) -> None:

@@ -148,7 +148,6 @@ def _renew_hub(folder: Path, names: Iterable[str], days: int) -> None:
 
 
 def _own_names() -> list[str]:
-    """Name and addresses of this machine, as far as it knows them itself."""
     name = socket.gethostname()
     found = [name] if _HOST_NAME.fullmatch(name) else []
     with contextlib.suppress(OSError):

@@ -5,12 +5,13 @@ it says `Wait`. In its turn it says what its vehicle sends, for which no answer 
 """
 
 import socket
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import msgspec
 
 from vcmvsp.cosim.endpoints import endpoint_of, with_slash
 
+T = TypeVar("T")
 VERSION = 1
 DEFAULT = "tcp/127.0.0.1:7550"
 LARGEST = 65_535  # bytes of a datagram
@@ -140,16 +141,17 @@ def framed(message: Up | Down) -> bytes:
 
 def up(message: bytes) -> Up:
     """What a program says; raises `WireError`."""
-    try:
-        return _ups.decode(message)
-    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise WireError(f"{error}") from None
+    return _decoded(_ups, message)
 
 
 def down(message: bytes) -> Down:
     """What the run says; raises `WireError`."""
+    return _decoded(_downs, message)
+
+
+def _decoded(decoder: msgspec.msgpack.Decoder[T], message: bytes) -> T:
     try:
-        return _downs.decode(message)
+        return decoder.decode(message)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         raise WireError(f"{error}") from None
 

@@ -135,7 +135,6 @@ def check_hub(identifiers: Iterable[str | None]) -> None:
 
 
 def _transport(ca_pem: str, own: Mapping[str, str]) -> Config:
-    """TLS and nothing else, with certificates on both ends."""
     tls: Config = {"root_ca_certificate_base64": _base64(ca_pem), **own}
     tls |= {"enable_mtls": True, "verify_name_on_connect": True, "close_link_on_expiration": True}
     return {"transport": {"link": {"protocols": ["tls"], "tls": tls, "tx": {"lease": LEASE_MS}}}}

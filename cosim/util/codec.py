@@ -110,8 +110,6 @@ class Decoder(Generic[T]):
 
 
 class _Alike(msgspec.Struct, frozen=True, array_like=True):
-    """Arrays of one kind, one behind the other."""
-
     dtype: str
     shape: Annotated[list[_Size], msgspec.Meta(max_length=32)]
     count: Annotated[int, msgspec.Meta(ge=1, le=2**48)]

@@ -57,7 +57,6 @@ class Folder:
 
 
 def _make(path: Path) -> bool:
-    """Make a folder; whether it is new. Of several processes that try, one succeeds."""
     try:
         path.mkdir()
     except FileExistsError:

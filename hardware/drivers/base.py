@@ -16,6 +16,12 @@ caller monitors the operator; the robot monitors the driver.
         `-- LinkLost            a connected robot is silent or was unplugged
 """
 
+import contextlib
+import math
+import signal
+from collections.abc import Callable, Iterator
+from math import isfinite
+from types import FrameType
 from typing import Annotated, Literal, Protocol, runtime_checkable
 
 import msgspec
@@ -98,10 +104,7 @@ class Driver(Protocol):
         """Newest sample; None if there is none since the last call. Raises the error that ended the connection."""
 
     def write(self, velocity: Velocity) -> None:
-        """Move like this until the next command, or until `COMMAND_TIMEOUT_S` have passed.
-
-        Robots on the ground use ``linear[0]`` and ``yaw_rate`` only.
-        """
+        """Move like this for `COMMAND_TIMEOUT_S` at most; robots on the ground use ``linear[0]`` and ``yaw_rate`` only."""
 
     def stop(self, cause: str) -> None:
         """Zero speed at once, before any other command; the next `write` moves the robot again."""
@@ -113,9 +116,55 @@ class Driver(Protocol):
         """Zero speed, motors off, port free. May be called twice, and after a failure."""
 
 
+def finite(velocity: Velocity) -> Velocity:
+    """The command itself; `ValueError` for NaN and infinity."""
+    if not all(map(isfinite, (*velocity.linear, velocity.yaw_rate))):
+        raise ValueError(f"a robot cannot follow {velocity.linear} m/s and {velocity.yaw_rate} rad/s: all must be finite")
+    return velocity
+
+
 def checked(velocity: Velocity) -> tuple[float, float]:
     """Forward speed, m/s, and yaw rate, rad/s, of a command for a ground robot; `ValueError` for NaN and infinity."""
     v, w = velocity.linear[0], velocity.yaw_rate
-    if not (abs(v) < float("inf") and abs(w) < float("inf")):  # false for NaN too
+    if not (isfinite(v) and isfinite(w)):
         raise ValueError(f"a robot cannot follow v = {v} m/s, w = {w} rad/s: both must be finite")
     return v, w
+
+
+TICK_S = 0.2
+
+
+def nothing() -> str:
+    """No reason to abort."""
+    return ""
+
+
+@contextlib.contextmanager
+def within(seconds: float, device: str, doing: str, abort_reason: Callable[[], str] = nothing) -> Iterator[Callable[[], None]]:
+    """Raise a `DriverError` inside the block if it takes longer, or as soon as ``abort_reason`` returns a text.
+
+    It works in the main thread, by its alarm clock, which also interrupts sleep. It counts ticks instead of time, so that a
+    process that was frozen does not time out. The yielded function restarts the time.
+    """
+    ticks = most = math.ceil(seconds / TICK_S)
+
+    def begin_anew() -> None:
+        nonlocal ticks
+        ticks = most
+
+    def tick(_number: int, _frame: FrameType | None) -> None:
+        nonlocal ticks
+        ticks -= 1
+        if reason := abort_reason():
+            raise DriverError(device, reason, f"it was {doing}")
+        if ticks <= 0:
+            happened = f"it hangs: {doing} took longer than {seconds:g} s"
+            raise DriverError(device, happened, "unplug it and plug it in again, and look at its driver")
+
+    before = signal.signal(signal.SIGALRM, tick)
+    signal.setitimer(signal.ITIMER_REAL, TICK_S, TICK_S)
+    try:
+        yield begin_anew
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

@@ -9,14 +9,13 @@ import time
 from collections import deque
 from collections.abc import Callable
 from math import inf, sqrt
-from typing import Literal
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import ORIGIN, NonNegative, Odometry, Positive, Probability, Rate, Seed, Vec3, Velocity
-from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, LinkLost, Notice, Sample, checked
-from vcmvsp.hardware.drivers.command_repeater import NOT_YET
+from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, LinkLost, Notice, Sample, What, checked
+from vcmvsp.hardware.drivers.threaded import NOT_YET
 
 TICK_NS = 10_000_000  # of the motion
 TRACK_M = 0.3  # between the wheels, for the speeds of wheels alone
@@ -164,7 +163,6 @@ class Bench:
         self._told = (x, y, yaw + turned)
 
     def _send(self) -> None:
-        """Send a sample; it arrives later, or never."""
         self._samples += 1
         lost, late = self._link_draws.random(2).tolist()
         if lost < self._drop_out:
@@ -187,10 +185,9 @@ class Bench:
         self._wanted, self._stopped = (0.0, 0.0), cause
         self._notice("stopped", cause)
 
-    def _notice(self, what: Literal["connected", "lost", "stopped"], cause: str) -> None:
+    def _notice(self, what: What, cause: str) -> None:
         self._notices.append(Notice(time_ns=self._now(), what=what, cause=cause))
 
 
 def _towards(value: float, goal: float, most: float) -> float:
-    """``value`` moved towards ``goal`` by at most ``most``."""
     return value + min(max(goal - value, -most), most)

@@ -23,22 +23,13 @@ WRITE_S = 0.2  # a hundred bytes take 0.1 s at 9600 baud
 FAREWELL_S = 0.2  # for the other side of a TCP connection to take the last bytes
 OPEN_S = 2.0  # for a TCP connection
 
-_PROBLEMS = {
-    errno.ENOENT: "there is no such port",
-    errno.ENODEV: "there is no such port",
-    errno.ENXIO: "there is no device behind this port",
-    errno.EACCES: "it may not be opened by you",
-    errno.EPERM: "it may not be opened by you",
-    errno.EBUSY: "it is in use",
-    errno.EAGAIN: "it is in use",
-    errno.ENOTTY: "it is not a serial port",
-    errno.EISDIR: "it is not a serial port",
-}
-_ADVICE = {
-    errno.EACCES: "join the group that owns it (usually: sudo usermod -aG dialout $USER, then log in again)",
-    errno.EPERM: "join the group that owns it (usually: sudo usermod -aG dialout $USER, then log in again)",
-    errno.EBUSY: "close the other program that has it open",
-    errno.EAGAIN: "close the other program that has it open",
+_GROUP = "join the group that owns it (usually: sudo usermod -aG dialout $USER, then log in again)"
+_PROBLEMS = {  # errors: problem, and advice; empty: the ports that are there
+    (errno.ENOENT, errno.ENODEV): ("there is no such port", ""),
+    (errno.ENXIO,): ("there is no device behind this port", ""),
+    (errno.EACCES, errno.EPERM): ("it may not be opened by you", _GROUP),
+    (errno.EBUSY, errno.EAGAIN): ("it is in use", "close the other program that has it open"),
+    (errno.ENOTTY, errno.EISDIR): ("it is not a serial port", ""),
 }
 
 
@@ -108,7 +99,6 @@ class _SerialLink:
             raise _unplugged(self._path) from None
 
     def _written(self, data: bytes) -> int:
-        """Number of bytes written."""
         try:
             return os.write(self.fileno(), data)
         except BlockingIOError:
@@ -183,10 +173,10 @@ def _unplugged(path: str) -> LinkLost:
 
 
 def _port_error(path: str, error: Exception) -> PortError:
-    """Error of a serial port that cannot be opened."""
     number = int(getattr(error, "errno", None) or 0)
     if not number and Path(path).exists():  # opened, but not configured
         number = errno.ENOTTY
     there = ", ".join(sorted(each.device for each in comports())) or "none"
-    problem = _PROBLEMS.get(number) or (os.strerror(number) if number else str(error))
-    return PortError(path, problem, _ADVICE.get(number) or f"ports that are there: {there}")
+    unknown = (os.strerror(number) if number else str(error), "")
+    problem, advice = next((texts for numbers, texts in _PROBLEMS.items() if number in numbers), unknown)
+    return PortError(path, problem, advice or f"ports that are there: {there}")

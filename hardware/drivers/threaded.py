@@ -8,27 +8,98 @@ import os
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import words_of
-from vcmvsp.cosim.types import ORIGIN, Vec3
+from vcmvsp.cosim.types import ORIGIN, Vec3, Velocity
 from vcmvsp.cosim.util.polling import readable
-from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, Notice, Sample, What
+from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, Notice, Sample, What, checked
 
 NOTICES = 1000  # maximum number without a reader
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 4.0  # between attempts to reconnect, doubled each time
+NOT_YET = "no command yet"
+
+V = TypeVar("V")
+
+
+class ClosedByCaller(Exception):
+    """The caller closes the driver."""
+
+
+class CommandRepeater(Generic[V]):
+    """Schedule of velocities: zero first, then the newest command, repeated at a constant rate, and zero without commands.
+
+    It has no clock and no link: times are arguments, velocities are of any type. ``stopped`` is the reason for zero speed;
+    empty: the robot follows the commands.
+
+    Args:
+        zero: the velocity of a robot that stands.
+        timeout_s: zero speed after this time without a command.
+        again_ns: period of repetition.
+        least_ns: minimum time between two velocities. A stop does not wait for it and is repeated after it, as the first may be
+            lost. 0: the newest command goes at once, and a stop once.
+    """
+
+    def __init__(self, zero: V, timeout_s: float, *, again_ns: int, least_ns: int = 0) -> None:
+        self.stopped = NOT_YET
+        self._zero = self._speeds = zero
+        self._timeout_s, self._timeout_ns = timeout_s, seconds_to_ns(timeout_s)
+        self._again_ns, self._least_ns = again_ns, least_ns
+        self._given_ns = self._said_ns = 0
+        self._zero_first, self._waiting = True, False
+
+    def command(self, speeds: V, now_ns: int) -> None:
+        """Move like this until the next command."""
+        self.stopped = ""
+        self._speeds, self._given_ns, self._waiting = speeds, now_ns, True
+
+    def stop(self, cause: str) -> None:
+        """Zero speed at once, before any later command."""
+        self.stopped = cause
+        self._speeds, self._zero_first, self._waiting = self._zero, True, self._least_ns > 0
+
+    def current(self, now_ns: int) -> V:
+        """Velocity to keep now."""
+        if not self.stopped and now_ns >= self._given_ns + self._timeout_ns:
+            self.stop(f"no command for {self._timeout_s:g} s")
+        return self._speeds
+
+    def advance(self, now_ns: int) -> V | None:
+        """Velocity to send now; None: nothing. Call it until it returns None."""
+        speeds = self.current(now_ns)
+        if self._zero_first:
+            self._zero_first, self._said_ns = False, now_ns
+            return self._zero
+        if now_ns < self._next_ns:
+            return None
+        self._waiting, self._said_ns = False, now_ns
+        return speeds
+
+    @property
+    def due_ns(self) -> int:
+        """Time of the next `advance`, if no command comes before."""
+        if self._zero_first:
+            return 0
+        return self._next_ns if self.stopped else min(self._next_ns, self._given_ns + self._timeout_ns)
+
+    @property
+    def _next_ns(self) -> int:
+        return self._said_ns + (self._least_ns if self._waiting else self._again_ns)
 
 
 class ThreadedDriver:
-    """Caller side of a thread that communicates with a robot; a subclass defines the thread's work (`_work`), and `write`.
+    """Caller side of a thread that communicates with a robot; a subclass defines the thread's work (`_work`).
 
-    Args:
-        device: for messages.
-        open_deadline_s: maximum time of `open`, approximately.
-        close_deadline_s: maximum time of `close`; it may change while the driver is open.
+    `write` is that of a ground robot; it uses the `_repeater` that the subclass makes, while it is `_connected`. The deadlines
+    are those of the protocol; that of `close` may change while the driver is open.
     """
 
     _who = "robot"
+    _repeater: CommandRepeater[Any]
+    _connected = False
+    _speeds: Callable[[Velocity], Any] = staticmethod(checked)
 
     def __init__(self, device: str, *, open_deadline_s: float, close_deadline_s: float) -> None:
         self.device, self.open_deadline_s, self.close_deadline_s = device, open_deadline_s, close_deadline_s
@@ -38,8 +109,6 @@ class ThreadedDriver:
         self._sample: Sample | None = None  # newest unread sample
         self._failure: DriverError | None = None  # error that ended the thread
         self._closing, self._ready = threading.Event(), threading.Event()
-
-    # What the caller does.
 
     def open(self, start: Vec3 = ORIGIN) -> None:
         """Connect to the robot, which stands at ``start`` (x m, y m, yaw rad)."""
@@ -64,6 +133,15 @@ class ThreadedDriver:
             if sample is not None:
                 self._was_read()
         return sample
+
+    def write(self, velocity: Velocity) -> None:
+        """Command a forward speed and a yaw rate; ignored while the robot is lost."""
+        speeds = self._speeds(velocity)
+        with self._lock:
+            self._check()
+            if self._connected:
+                self._repeater.command(speeds, time.monotonic_ns())
+        self._wake()
 
     def stop(self, cause: str) -> None:
         """Zero speed at once; never raises."""
@@ -115,7 +193,8 @@ class ThreadedDriver:
 
     def _hold(self, cause: str) -> bool:
         """Let the thread send zero speed next (lock held); whether another part reports that stop."""
-        raise NotImplementedError
+        self._repeater.stop(cause)
+        return False
 
     def _wake(self) -> None:
         """Wake the thread, if there is one."""
@@ -128,55 +207,59 @@ class ThreadedDriver:
         """Work of the thread; it sets `_ready` as soon as the robot can be driven."""
         raise NotImplementedError
 
-    # What the thread does.
+    def _give_up(self) -> None:
+        """An error ends the thread: `_failure`."""
+
+    def _say_goodbye(self) -> None:
+        """Leave the robot in a safe state; waiting does not raise `ClosedByCaller` once `_leaving` is set."""
+
+    def _hang_up(self) -> None:
+        """Release the port, if it is open, with last messages."""
 
     def _run(self) -> None:
         try:
             self._work()
+        except ClosedByCaller:
+            if not self._ready.is_set():
+                self._failure = HandshakeError(self.device, "it was closed while it was being connected", "open it again")
+            self._say_goodbye()
         except DriverError as error:
             self._failure = error
-        except Exception as error:  # any error: for the caller
-            self._failure = self._broken(error)
+            self._give_up()
+        except Exception as error:  # any error: for the caller, and the robot must stop
+            self._failure = DriverError(self.device, f"the driver failed ({words_of(error)})", "report this")
         finally:
-            self._ready.set()
+            try:
+                self._hang_up()
+            finally:
+                self._ready.set()
 
-    def _broken(self, error: Exception) -> DriverError:
-        return DriverError(self.device, f"the driver failed ({words_of(error)})", "report this")
+    def _due_command(self) -> tuple[Any, int]:
+        """Velocity to send now, None: nothing; and the time of the next one. A stop is reported."""
+        with self._lock:
+            before = self._repeater.stopped
+            speeds = self._repeater.advance(time.monotonic_ns())
+            stopped, due_ns = self._repeater.stopped, self._repeater.due_ns
+        if stopped != before:
+            self._notice("stopped", stopped)
+        return speeds, due_ns
 
     def _notice(self, what: What, cause: str) -> None:
         with self._lock:
             self._notices.append(Notice(time_ns=time.monotonic_ns(), what=what, cause=cause))
 
 
-class ClosedByCaller(Exception):
-    """The caller closes the driver."""
-
-
 class ReconnectingDriver(ThreadedDriver):
     """A driver with a thread that waits for bytes and for the caller, and reconnects to a lost robot.
 
-    Args:
-        device: for messages.
-        open_deadline_s: maximum time of `open`.
-        close_deadline_s: maximum time of `close`.
-        connect_s: to find the robot and to prepare it.
-        silence_s: without a message from it, it counts as lost.
-        reconnect_s: time to look for a lost robot; 0: its loss is an error at once.
+    ``connect_s`` is the time to find the robot and to prepare it; without a message for ``silence_s`` it counts as lost, and is
+    looked for during ``reconnect_s`` (0: its loss is an error at once).
     """
 
     _meanwhile = ""  # what stops a lost robot
 
-    def __init__(
-        self,
-        device: str,
-        *,
-        open_deadline_s: float,
-        close_deadline_s: float,
-        connect_s: float,
-        silence_s: float,
-        reconnect_s: float,
-    ) -> None:
-        super().__init__(device, open_deadline_s=open_deadline_s, close_deadline_s=close_deadline_s)
+    def __init__(self, device: str, *, connect_s: float, silence_s: float, reconnect_s: float, **deadlines: float) -> None:
+        super().__init__(device, **deadlines)
         self._connect_s, self._silence_s, self._reconnect_s = connect_s, silence_s, reconnect_s
 
     # Hooks of a subclass
@@ -188,19 +271,6 @@ class ReconnectingDriver(ThreadedDriver):
     def _converse(self) -> None:
         """Receive and send until the link is lost (`LinkLost`) or the caller closes the driver."""
         raise NotImplementedError
-
-    def _give_up(self) -> None:
-        """An error ends the thread: `_failure`."""
-
-    def _say_goodbye(self) -> None:
-        """Leave the robot in a safe state; waiting does not raise `ClosedByCaller` once `_leaving` is set."""
-        raise NotImplementedError
-
-    def _hang_up(self) -> None:
-        """Release the port, if it is open, with last messages."""
-        raise NotImplementedError
-
-    # What the thread does.
 
     def _prepare(self, start: Vec3) -> None:
         self._leaving = False
@@ -218,24 +288,6 @@ class ReconnectingDriver(ThreadedDriver):
         os.close(self._waker)
         os.close(self._woken)
 
-    def _run(self) -> None:
-        try:
-            self._work()
-        except ClosedByCaller:
-            if not self._ready.is_set():
-                self._failure = HandshakeError(self.device, "it was closed while it was being connected", "open it again")
-            self._say_goodbye()
-        except DriverError as error:
-            self._failure = error
-            self._give_up()
-        except Exception as error:  # any error: for the caller, and the robot must stop
-            self._failure = self._broken(error)
-        finally:
-            try:
-                self._hang_up()
-            finally:
-                self._ready.set()
-
     def _work(self) -> None:
         self._connect(self._connect_s)
         while True:
@@ -251,7 +303,9 @@ class ReconnectingDriver(ThreadedDriver):
         deadline_ns = time.monotonic_ns() + seconds_to_ns(self._reconnect_s)
         pause_s, last = FIRST_PAUSE_S, ""
         while (now_ns := time.monotonic_ns()) < deadline_ns:
-            self._pause(min(deadline_ns, now_ns + seconds_to_ns(pause_s)))
+            until_ns = min(deadline_ns, now_ns + seconds_to_ns(pause_s))
+            while time.monotonic_ns() < until_ns:
+                self._select([], until_ns)
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
             remaining_s = (deadline_ns - time.monotonic_ns()) / SECOND_NS
             try:
@@ -267,10 +321,6 @@ class ReconnectingDriver(ThreadedDriver):
     def _wait(self, descriptor: int, until_ns: int) -> bool:
         """Wait for bytes, for the caller, or until this time; whether there are bytes."""
         return descriptor in self._select([descriptor], until_ns)
-
-    def _pause(self, until_ns: int) -> None:
-        while time.monotonic_ns() < until_ns:
-            self._select([], until_ns)
 
     def _select(self, files: list[int], until_ns: int) -> list[int]:
         remaining_s = max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS)

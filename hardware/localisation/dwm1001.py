@@ -9,7 +9,10 @@ check sum a line with lost bytes may still look valid: users of the positions mu
 import math
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.hardware.localisation import Located
+from vcmvsp.cosim.types import ORIGIN, NonNegative, Positive, Vec3
+from vcmvsp.hardware.drivers.byte_link import ByteLink, open_line
+from vcmvsp.hardware.localisation.port_source import PortSource
+from vcmvsp.hardware.localisation.source import Advice, Baud, LineReader, Located, WorldTransform
 
 WAKE = b"\r\r"
 POSITIONS = b"lep\r"
@@ -108,3 +111,49 @@ class Tag:
     def say(self, located: Located) -> bytes:
         """Line of a position; empty while lines are off."""
         return encode(located) if self.shell and self.telling else b""
+
+
+class Dwm1001(PortSource):
+    """A Decawave DWM1001 tag, or a listener, on a serial port; the driver switches its positions on.
+
+    Args:
+        port: such as ``/dev/ttyACM0``.
+        baud: of the port.
+        tag: name of the vehicle's tag, if a listener reports several; empty: the only one.
+        sigma_m: standard deviation of x and y.
+        latency_s: delay from measurement to arrival.
+        offset: of the system's frame in the world, m.
+        turn_rad: of its frame in the world.
+    """
+
+    def __init__(
+        self,
+        *,
+        port: str,
+        baud: Baud = BAUD,
+        tag: str = "",
+        sigma_m: Positive = 0.15,
+        latency_s: NonNegative = 0.1,
+        offset: Vec3 = ORIGIN,
+        turn_rad: float = 0.0,
+    ) -> None:
+        words = Advice(
+            "is the module on, and is this its port?", "bytes come but none are lines of a DWM1001: wrong port or baud rate?"
+        )
+        transform = WorldTransform(tag=tag, sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
+        super().__init__(port, LineReader(decode, LONGEST_BYTES), transform, words)
+        self._baud = baud
+
+    def _open_line(self) -> ByteLink:
+        self._waker = Waker()  # the module restarts when it is plugged in
+        return open_line(self.device, self._baud)
+
+    def _say(self, now_ns: int) -> bytes:
+        return self._waker.write(now_ns)
+
+    def take(self, chunk: bytes, arrived_ns: int) -> bool:
+        """Decode bytes; a module that sends positions is not switched."""
+        has_positions = super().take(chunk, arrived_ns)
+        if has_positions:
+            self._waker.heard(arrived_ns)
+        return has_positions

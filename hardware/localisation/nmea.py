@@ -6,15 +6,20 @@ RMC are ignored, since they would count twice.
 
 import datetime as dt
 import math
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import pynmea2  # type: ignore[import-untyped]
 
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
-from vcmvsp.hardware.localisation import Located
-from vcmvsp.hardware.localisation.readers import LineReader
+from vcmvsp.cosim.types import NonNegative, Positive
+from vcmvsp.hardware.drivers.byte_link import ByteLink, open_line
+from vcmvsp.hardware.localisation.port_source import PortSource
+from vcmvsp.hardware.localisation.source import Advice, Baud, LineReader, Located, WorldTransform
 
 LONGEST_BYTES = 256  # of a line; the standard allows 82
+Latitude = Annotated[float, msgspec.Meta(ge=-90, le=90)]  # deg
+Longitude = Annotated[float, msgspec.Meta(ge=-180, le=180)]  # deg
 KNOT = 1852.0 / 3600.0  # m/s
 _UNREADABLE = (pynmea2.ParseError, ValueError, TypeError, AttributeError, ArithmeticError, LookupError)  # of any field
 
@@ -96,10 +101,9 @@ class NmeaReader(LineReader):
 
 
 def _vtg(sentence: Any) -> Located:
-    if sentence.spd_over_grnd_kmph is not None:
-        return Located(velocity=_velocity(float(sentence.spd_over_grnd_kmph) / 3.6, sentence.true_track))
-    speed = None if sentence.spd_over_grnd_kts is None else float(sentence.spd_over_grnd_kts) * KNOT
-    return Located(velocity=_velocity(speed, sentence.true_track))
+    kmph, knots = sentence.spd_over_grnd_kmph, sentence.spd_over_grnd_kts
+    speed = None if knots is None else float(knots) * KNOT
+    return Located(velocity=_velocity(speed if kmph is None else float(kmph) / 3.6, sentence.true_track))
 
 
 def _velocity(speed: float | None, course_deg: Any) -> tuple[float, float] | None:
@@ -111,3 +115,37 @@ def _velocity(speed: float | None, course_deg: Any) -> tuple[float, float] | Non
     if not (math.isfinite(east) and math.isfinite(north)):
         raise ValueError("no velocity")
     return east, north
+
+
+class Nmea(PortSource):
+    """A receiver of satellite positions on a serial port.
+
+    Args:
+        port: such as ``/dev/ttyUSB0``.
+        latitude_deg: of the world's origin, WGS 84; its x axis points east.
+        longitude_deg: of the world's origin.
+        height_m: of the world's origin, above the ellipsoid.
+        baud: of the port.
+        range_sigma_m: user range error; with the receiver's dilution it gives the standard deviation.
+        latency_s: minimum delay from measurement to arrival.
+    """
+
+    def __init__(
+        self,
+        *,
+        port: str,
+        latitude_deg: Latitude,
+        longitude_deg: Longitude,
+        height_m: float = 0.0,
+        baud: Baud = 4800,
+        range_sigma_m: Positive = 4.0,
+        latency_s: NonNegative = 0.2,
+    ) -> None:
+        words = Advice("is the receiver on, and is this its port?", "bytes come but none are NMEA: wrong baud rate?")
+        reader = NmeaReader(TangentPlane(latitude_deg, longitude_deg, height_m), range_sigma_m)
+        transform = WorldTransform(sigma_m=range_sigma_m, latency_s=latency_s)
+        super().__init__(port, reader, transform, words)
+        self._baud = baud
+
+    def _open_line(self) -> ByteLink:
+        return open_line(self.device, self._baud)

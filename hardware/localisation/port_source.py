@@ -1,17 +1,80 @@
 """A source of positions on a byte link: a thread reads it, and opens it again after a loss."""
 
 import contextlib
+import errno
 import os
+import socket
 import threading
 import time
-from collections.abc import Callable
 
+from vcmvsp.cosim.endpoints import bracketed, endpoint_of
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import LinkLost, PortError
 from vcmvsp.hardware.drivers.byte_link import ByteLink
-from vcmvsp.hardware.localisation.readers import DatagramReader, LineReader
-from vcmvsp.hardware.localisation.source import Advice, PositionSource, as_failure
-from vcmvsp.hardware.localisation.world_transform import WorldTransform
+from vcmvsp.hardware.localisation.source import PositionSource
+
+LARGEST_BYTES = 65535
+
+
+class Datagrams:
+    """A UDP socket at ``udp://host:port``; port 0 takes a free one, see ``url``. `PortError`: it cannot be bound."""
+
+    def __init__(self, url: str) -> None:
+        host, port = address(url)
+        try:
+            family, kind, protocol, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        except OSError:
+            advice = "give an address of this machine, or 0.0.0.0 for all"
+            raise PortError(url, f"no address is known for {host}", advice) from None
+        self._socket = socket.socket(family, kind, protocol)
+        try:
+            self._socket.bind(where)
+        except OSError as error:
+            self._socket.close()
+            raise _problem(url, host, port, error) from None
+        self._socket.setblocking(False)
+        self.url = f"udp://{bracketed(host)}:{self._socket.getsockname()[1]}"
+
+    def fileno(self) -> int:
+        """For poll."""
+        return self._socket.fileno()
+
+    def read(self) -> bytes:
+        """The next datagram; empty if there is none."""
+        try:
+            return self._socket.recv(LARGEST_BYTES)
+        except OSError:  # no datagram, or an ICMP error
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Nothing is sent."""
+
+    def close(self) -> None:
+        """Free the port."""
+        self._socket.close()
+
+
+def address(url: str) -> tuple[str, int]:
+    """Host and port of ``udp://host:port``; `ValueError`: the text has another form."""
+    protocol, host, port = endpoint_of(url) or ("", "", None)
+    if protocol != "udp" or not host or port is None:
+        raise ValueError(f"listen = '{url}': an address to listen on is written udp://host:port, such as udp://0.0.0.0:5010")
+    return host, port
+
+
+def _problem(url: str, host: str, port: int, error: OSError) -> PortError:
+    other = "close the other program that listens there, or have positions sent to another"
+    known = {
+        errno.EADDRINUSE: (f"port {port} is in use", other),
+        errno.EADDRNOTAVAIL: (
+            f"this machine has no interface with the address {host}",
+            "take one of its own, or 0.0.0.0 for all",
+        ),
+        errno.EACCES: (f"port {port} may not be opened by you", "take one above 1023"),
+    }
+    unknown = f"nothing can listen there ({error.strerror or error})", "look at address and network"
+    return PortError(url, *known.get(error.errno or 0, unknown))
+
 
 RETRY_S = 0.5
 TICK_S = 0.1  # period of writing
@@ -19,33 +82,18 @@ CLOSE_S = 5.0  # opening a TCP connection takes 2 s at most
 
 
 class PortSource(PositionSource):
-    """Reads a link and writes to it.
+    """Reads a link, opened by `_open_line`, and writes what `_say` returns several times a second."""
 
-    Args:
-        open_line: opens the link, or raises `PortError`.
-        say: bytes to write at a time (ns), mostly none; called several times a second.
-    """
+    _thread: threading.Thread | None = None
 
-    def __init__(
-        self,
-        device: str,
-        reader: DatagramReader | LineReader,
-        transform: WorldTransform,
-        words: Advice,
-        *,
-        open_line: Callable[[], ByteLink],
-        say: Callable[[int], bytes] = lambda _: b"",
-    ) -> None:
-        super().__init__(device, reader, transform, words)
-        self._open_line, self._say = open_line, say
-        self._thread: threading.Thread | None = None
+    def _open_line(self) -> ByteLink:
+        raise NotImplementedError
+
+    def _say(self, now_ns: int) -> bytes:
+        return b""
 
     def open(self) -> None:
-        """Open the port and start reading.
-
-        Raises:
-            PortError: it cannot be opened.
-        """
+        """Open the port and start reading; `PortError`: it cannot be opened."""
         self._begin()
         line = self._open_line()
         self._wake_read, self._wake_write = os.pipe()
@@ -81,7 +129,7 @@ class PortSource(PositionSource):
                     line = None
                     self.lost(f"{error.happened}; {error.advice}")
         except Exception as error:  # an error of the reader
-            self.failed(as_failure(self.device, error))
+            self.failed(error)
         finally:
             if line is not None:
                 line.close()

@@ -17,12 +17,9 @@ from vcmvsp.cosim.endpoints import with_slash
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport import access_control
 from vcmvsp.cosim.transport.zenoh_session import opened
-from vcmvsp.cosim.types import NonNegative, Positive, Vec3
+from vcmvsp.cosim.types import ORIGIN, NonNegative, Positive, Vec3
 from vcmvsp.hardware.drivers.base import PortError
-from vcmvsp.hardware.localisation import Located
-from vcmvsp.hardware.localisation.readers import DatagramReader
-from vcmvsp.hardware.localisation.source import Advice, PositionSource
-from vcmvsp.hardware.localisation.world_transform import AT_REST, LocatedPose, WorldTransform
+from vcmvsp.hardware.localisation.source import Advice, DatagramReader, Located, PositionSource, WorldTransform
 
 LARGEST_BYTES = 4096
 _CONNECT_MS = 2000
@@ -56,7 +53,7 @@ class PoseReader(DatagramReader):
         source_ns = None if pose.t is None else round(pose.t * SECOND_NS)
         sigma_rad = self._sigma_rad if pose.sigma_yaw is None else pose.sigma_yaw
         position = (pose.x, pose.y, pose.z)
-        return LocatedPose(position=position, yaw=pose.yaw, sigma_rad=sigma_rad, sigma_m=pose.sigma, source_ns=source_ns)
+        return Located(position=position, yaw=pose.yaw, sigma_rad=sigma_rad, sigma_m=pose.sigma, source_ns=source_ns)
 
 
 class ExternalPose(PositionSource):
@@ -84,7 +81,7 @@ class ExternalPose(PositionSource):
         sigma_m: Positive = 0.01,
         sigma_rad: Positive = 0.02,
         latency_s: NonNegative = 0.01,
-        offset: Vec3 = AT_REST,
+        offset: Vec3 = ORIGIN,
         turn_rad: float = 0.0,
     ) -> None:
         try:
@@ -101,22 +98,14 @@ class ExternalPose(PositionSource):
         self._session: zenoh.Session | None = None
 
     def open(self) -> None:
-        """Connect, or listen, and subscribe.
-
-        Raises:
-            PortError: no router is there, or the address cannot be bound.
-        """
+        """Connect, or listen, and subscribe; `PortError`: no router is there, or the address cannot be bound."""
         self._begin()
-        config: dict[str, Any]
+        config: dict[str, Any] = {"mode": "router", "listen": {"endpoints": [self._endpoint]}}
+        advice = "take a free port of this machine"
         if self._mode == "connect":
             connect = {"endpoints": [self._endpoint], "timeout_ms": _CONNECT_MS, "exit_on_failure": True, "retry": _RETRY}
-            config, advice = (
-                {"mode": "client", "listen": {"endpoints": []}, "connect": connect},
-                "start the router or the bridge",
-            )
-        else:
-            config = {"mode": "router", "listen": {"endpoints": [self._endpoint]}}
-            advice = "take a free port of this machine"
+            config = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
+            advice = "start the router or the bridge"
         try:
             self._session = opened(config, access_control.LIMITS, f"no Zenoh session at '{self._endpoint}'")
         except UsageError as error:

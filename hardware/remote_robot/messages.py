@@ -9,8 +9,8 @@ from typing import Literal
 
 from vcmvsp.cosim.types import Value, Vec3, Velocity
 from vcmvsp.cosim.util.codec import Decoder
-from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, Notice, Sample
-from vcmvsp.hardware.drivers.command_repeater import NOT_YET
+from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, DriverError, HandshakeError, LinkLost, Notice, PortError, Sample
+from vcmvsp.hardware.drivers.threaded import NOT_YET
 
 PROTOCOL = 1
 SAY_S = 0.05
@@ -18,6 +18,11 @@ DEADMAN_S = COMMAND_TIMEOUT_S
 """Aboard: without a velocity for so long, or with one that may be older, the robot is stopped."""
 
 NOTICES_AT_ONCE = 20  # in one message; more wait for the acknowledgement of these
+
+FailureKind = Literal["port", "handshake", "lost", "driver"]
+FAILURES: dict[FailureKind, type[DriverError]]
+FAILURES = {"port": PortError, "handshake": HandshakeError, "lost": LinkLost, "driver": DriverError}
+"""Errors of drivers by their kinds; the last is any other."""
 
 
 class RobotHello(Value, frozen=True, kw_only=True):
@@ -56,7 +61,7 @@ class RobotOrder(Value, frozen=True, kw_only=True):
 class Failure(Value, frozen=True, kw_only=True):
     """Failure of the robot's own driver."""
 
-    kind: Literal["driver", "port", "handshake", "lost"]
+    kind: FailureKind
     device: str
     happened: str
     advice: str

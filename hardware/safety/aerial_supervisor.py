@@ -1,14 +1,14 @@
 """Safety supervisor of a vehicle that flies and takes velocities in the three axes of the world.
 
 The vehicle stays inside the fence, between floor and ceiling and away from others, if it brakes as specified. Assumptions:
-from one command to the next its velocity goes straight to the new one, at no less than ``stop_mps2``, horizontally and
+from one command to the next its velocity goes straight to the new one, at no less than ``decel``, horizontally and
 vertically each, and it brakes straight. While its horizontal velocity goes from u to v and then to zero, all headings lie
 between those of u and v, and since the norm is convex it moves no farther than ::
 
     |v| hold + |v|**2 / (2 decel) + |v - u| max(0, |u| - |v|) / (2 decel)
 
-So it stays in the sector of that radius between the two headings (`hardware.safety.obstacle_distance`), which is kept clear;
-on a line this is `hardware.safety.braking.swept`. A command that does not fit is reduced, never turned aside; a command that
+So it stays in the sector of that radius between the two headings (`hardware.safety.obstacles`), which is kept clear;
+on a line this is `hardware.safety.supervisor.swept`. A command that does not fit is reduced, never turned aside; a command that
 brakes straight always fits if poses are true, for the same reason as on the ground.
 
 **Others** are upright cylinders: the required distance is the same above and beside, ``radius + radius + separation``. To be
@@ -28,13 +28,20 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.cosim.types import Positive, VehicleState, Velocity
-from vcmvsp.hardware.safety.braking import TOLERANCE_M, fastest, stops_within
-from vcmvsp.hardware.safety.control_step import Parameters, Pose, Supervisor
-from vcmvsp.hardware.safety.deadman import Cause
-from vcmvsp.hardware.safety.limits import Limits, clamp
-from vcmvsp.hardware.safety.obstacle_distance import Floats, Obstacles
-from vcmvsp.hardware.safety.separation import Others
+from vcmvsp.cosim.types import VehicleState, Velocity
+from vcmvsp.hardware.safety.obstacles import Floats, Obstacles, Others
+from vcmvsp.hardware.safety.supervisor import (
+    LATCHED,
+    TOLERANCE_M,
+    Cause,
+    Limits,
+    Pose,
+    Safety,
+    Supervisor,
+    clamp,
+    fastest,
+    stops_within,
+)
 
 Plane = tuple[float, float]  # m/s, east and north
 
@@ -42,8 +49,6 @@ _HALVINGS = 12  # bisection steps of a horizontal velocity
 
 
 class _Level(NamedTuple):
-    """Another vehicle that is above or below."""
-
     row: int
     above: bool  # of this vehicle
     room: float  # m between the cylinders; 0 if not clear
@@ -51,30 +56,16 @@ class _Level(NamedTuple):
     clear: bool  # clear, also while braking
 
 
-class AerialParameters(Parameters, frozen=True, kw_only=True):
-    """Parameters of an `AerialSupervisor`."""
-
-    climb_mps: Positive  # up and down
-    floor_m: float | None = None  # minimum z; a vehicle below may climb
-    ceiling_m: float | None = None  # maximum z
-
-    def __post_init__(self) -> None:
-        heights = [each for each in (self.floor_m, self.ceiling_m) if each is not None]
-        if not all(map(math.isfinite, heights)) or any(low >= high for low, high in pairwise(heights)):
-            raise ValueError(f"floor_m must be below ceiling_m, both finite, not {self.floor_m} and {self.ceiling_m}")
-
-
 class AerialSupervisor(Supervisor):
-    """Safety of a vehicle that flies.
+    """Safety of a vehicle that flies, and is assumed to be no faster than ``last``, the newest safe command, in the world."""
 
-    ``last`` is the newest safe command, in the world; the vehicle is assumed to be no faster than that.
-    """
-
-    def __init__(self, parameters: AerialParameters) -> None:
-        super().__init__(parameters)
-        self._p = parameters
-        self._upright = msgspec.structs.replace(parameters.limits, speed_mps=parameters.climb_mps)
-        self._needs_pose = any(each is not None for each in (parameters.fence, parameters.floor_m, parameters.ceiling_m))
+    def __init__(self, safety: Safety, latched: tuple[Cause, ...] = LATCHED) -> None:
+        super().__init__(safety, latched)
+        heights = [each for each in (safety.floor_m, safety.ceiling_m) if each is not None]
+        if not all(map(math.isfinite, heights)) or any(low >= high for low, high in pairwise(heights)):
+            raise ValueError(f"floor_m must be below ceiling_m, both finite, not {safety.floor_m} and {safety.ceiling_m}")
+        self._upright = msgspec.structs.replace(safety, max_speed=safety.max_climb)
+        self._needs_pose = self._needs_pose or bool(heights)
         self.last = (0.0, 0.0, 0.0, 0.0)  # x, y, z m/s, yaw rad/s
 
     @staticmethod
@@ -84,21 +75,21 @@ class AerialSupervisor(Supervisor):
 
     def _brake(self, dt: float) -> None:
         vz, w = clamp(0.0, 0.0, self.last[2:], dt, self._upright)
-        self.last = (*_ramp((0.0, 0.0), self.last[:2], dt, self._p.limits), vz, w)
+        self.last = (*_ramp((0.0, 0.0), self.last[:2], dt, self._safety), vz, w)
 
     def _velocity(self) -> Velocity:
         return Velocity(linear=self.last[:3], yaw_rate=self.last[3])
 
     def _make_safe(self, command: Velocity, pose: Pose | None, others: Others | None, dt: float) -> tuple[Cause, ...]:
-        p, (x, y, z) = self._p, command.linear
-        target = _within(x, y, p.limits.speed_mps)
+        p, (x, y, z) = self._safety, command.linear
+        target = _within(x, y, p.max_speed)
         vz, w = clamp(z, command.yaw_rate, self.last[2:], dt, self._upright)
-        across = _ramp(target, self.last[:2], dt, p.limits)
+        across = _ramp(target, self.last[:2], dt, p)
         causes = [] if (*across, vz, w) == (x, y, z, command.yaw_rate) else [Cause.LIMITS]
         if pose is not None:
             obstacles: list[tuple[Cause, Obstacles]] = []
-            if p.fence is not None:
-                obstacles.append((Cause.GEOFENCE, p.fence.around(pose[0], pose[1], p.radius_m + p.fence_margin_m)))
+            if self._fence is not None:
+                obstacles.append((Cause.GEOFENCE, self._fence.around(pose[0], pose[1], p.radius_m + p.fence_margin_m)))
             levels: list[_Level] = []
             if others is not None and len(others.position):
                 levels = self._levels(pose[2], others)
@@ -126,10 +117,10 @@ class AerialSupervisor(Supervisor):
         causes = [cause for cause, around in obstacles if not self._fits(requested, around)]
         if not causes:
             return requested, []
-        sure, beyond, best = 0.0, 1.0, _ramp((0.0, 0.0), self.last[:2], dt, self._p.limits)
+        sure, beyond, best = 0.0, 1.0, _ramp((0.0, 0.0), self.last[:2], dt, self._safety)
         for _ in range(_HALVINGS):
             share = 0.5 * (sure + beyond)
-            trial = _ramp((share * target[0], share * target[1]), self.last[:2], dt, self._p.limits)
+            trial = _ramp((share * target[0], share * target[1]), self.last[:2], dt, self._safety)
             if all(self._fits(trial, around) for _, around in obstacles):
                 sure, best = share, trial
             else:
@@ -138,7 +129,7 @@ class AerialSupervisor(Supervisor):
 
     def _fits(self, velocity: Plane, around: Obstacles) -> bool:
         """Whether the vehicle can stop before an obstacle after this horizontal velocity."""
-        hold, decel = self._p.reaction_s, self._p.limits.stop_mps2
+        hold, decel = self._safety.reaction_s, self._safety.decel
         before = self.last[:2]
         v, u = math.hypot(*velocity), math.hypot(*before)
         if v == 0.0 and u == 0.0:
@@ -150,32 +141,29 @@ class AerialSupervisor(Supervisor):
         return bool((needs <= around.free(*_cone(before, velocity))).all())
 
     def _around(self, pose: Pose, others: Others, rows: NDArray[np.intp]) -> Obstacles:
-        """Some of the others as obstacles in the plane."""
         some = Others(others.position[rows], others.velocity[rows], others.radius[rows])
-        return some.around(pose[0], pose[1], self._p.radius_m + self._p.separation_m)
+        return some.around(pose[0], pose[1], self._safety.radius_m + self._safety.separation_m)
 
     def _levels(self, z: float, others: Others) -> list[_Level]:
-        """Vertical distances to the others."""
         levels, vz = [], self.last[2]
         columns = others.position[:, 2].tolist(), others.velocity[:, 2].tolist(), others.radius.tolist()
         for row, (height, climbs, radius) in enumerate(zip(*columns, strict=True)):
             above = height >= z
-            room = abs(height - z) - (self._p.radius_m + radius + self._p.separation_m)
+            room = abs(height - z) - (self._safety.radius_m + radius + self._safety.separation_m)
             toward, closing = (max(0.0, vz), max(0.0, -climbs)) if above else (max(0.0, -vz), max(0.0, climbs))
-            clear = room >= 0.0 and stops_within(room, toward, closing, self._p.limits.stop_mps2)
+            clear = room >= 0.0 and stops_within(room, toward, closing, self._safety.decel)
             levels.append(_Level(row, above, room if clear else 0.0, closing, clear))
         return levels
 
     def _bounded(
         self, vz: float, dt: float, pose: Pose, across: Plane, levels: Sequence[_Level], others: Others | None
     ) -> tuple[float, list[Cause]]:
-        """The vertical speed that lets the vehicle stop in time, and the causes of its reduction."""
-        last, p = self.last[2], self._p
+        last, p = self.last[2], self._safety
         up = vz > 0.0 or last > 0.0  # the limits stop it before it reverses
         speed, causes = abs(vz), []
 
         def most(room: float, closing: float) -> float:
-            return fastest(max(0.0, room), abs(last), closing, p.reaction_s, p.limits.stop_mps2)
+            return fastest(max(0.0, room), abs(last), closing, p.reaction_s, p.decel)
 
         edge = p.ceiling_m if up else p.floor_m
         if edge is not None and (fits := most(edge - pose[2] if up else pose[2] - edge, 0.0)) < speed:
@@ -210,9 +198,9 @@ def _ramp(target: Plane, last: Plane, dt: float, limits: Limits) -> Plane:
     if way == 0.0:
         return target
     slowing = min(way, max(0.0, -(last[0] * dx + last[1] * dy) / way))
-    took = slowing / limits.stop_mps2
-    gain = min(limits.accel_mps2, limits.stop_mps2)
-    reach = limits.stop_mps2 * dt if took >= dt else slowing + gain * (dt - took)
+    took = slowing / limits.decel
+    gain = min(limits.accel, limits.decel)
+    reach = limits.decel * dt if took >= dt else slowing + gain * (dt - took)
     if reach >= way:
         return target
     return last[0] + dx * (reach / way), last[1] + dy * (reach / way)

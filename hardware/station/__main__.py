@@ -16,28 +16,22 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Literal
 
+import msgspec
+
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError, place_of, words_of
 from vcmvsp.cosim.processes.child_process import LocalLink
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.polling import readable
-from vcmvsp.hardware.drivers.base import Driver, DriverError
-from vcmvsp.hardware.drivers.call_timeout import within
+from vcmvsp.hardware.drivers.base import Driver, DriverError, within
+from vcmvsp.hardware.station import messages
 from vcmvsp.hardware.station.controller import StationController
 from vcmvsp.hardware.station.emergency_stop import StationAnswer, StopListener
-from vcmvsp.hardware.station.messages import (
-    OPERATOR_STOP,
-    PartSpec,
-    StationMission,
-    StationOrder,
-    StationReport,
-    missions,
-    orders,
-)
+from vcmvsp.hardware.station.messages import OPERATOR_STOP, PartSpec, StationMission, StationOrder, StationReport, missions
 
 if TYPE_CHECKING:
-    from vcmvsp.hardware.localisation.systems import Localisation
+    from vcmvsp.hardware.localisation.source import Localisation
 
 MISSION_S = 10.0  # from the start to the mission
 HANG_S = 3.0  # for a cycle, which takes about a millisecond
@@ -86,10 +80,11 @@ class StationProcess:
         elif not failed and not self._leaves:
             failed, advice = self._ending, "start the run again"
         with contextlib.suppress(Exception):  # the run may have ended
-            self._link.send(encode(self._last_words(failed, advice)))
+            report, now_ns = StationReport(number=1, time_ns=0, failed=failed, advice=advice), time.monotonic_ns()
+            if self._controller is not None:
+                report = self._controller.last_words(now_ns, failed, advice)
+            self._link.send(encode(msgspec.structs.replace(report, time_ns=now_ns)))
         return FAILED if failed else 0
-
-    # The beginning
 
     def _mission(self) -> StationMission:
         self._link.wait(MISSION_S)
@@ -130,13 +125,13 @@ class StationProcess:
     def _told_to_end(self, _number: int, _frame: FrameType | None) -> None:
         self._ending = "its station was told to end (SIGTERM)"
 
-    # Turning
-
     def _turn(self, mission: StationMission) -> None:
-        """Run cycles until there is a reason to end."""
         controller = self._controller
         assert controller is not None  # noqa: S101  it is open
-        _settle()
+        gc.collect()
+        gc.freeze()  # present objects are not looked at again
+        with contextlib.suppress(OSError):
+            os.nice(NICE)
         period_ns = round(SECOND_NS / mission.rate_hz)
         due_ns = time.monotonic_ns()
         leave_by_ns: int | None = None
@@ -180,7 +175,7 @@ class StationProcess:
     def _obey(self, message: bytes) -> None:
         """Take an order: the newest counts, but no stop is lost."""
         try:
-            order = orders.decode(message)
+            order = messages.orders.decode(message)
         except ValueError as error:
             raise DriverError(self._vehicle, f"the run gave an order that cannot be read ({error})", "report this") from None
         self._halt(order.stop)
@@ -213,8 +208,6 @@ class StationProcess:
             )
         return ""
 
-    # The end
-
     def _close(self, cause: str) -> list[str]:
         """Stop the robot and release everything; problems on the way."""
         problems = []
@@ -235,12 +228,6 @@ class StationProcess:
             self._stop_listener.close()
         return problems
 
-    def _last_words(self, failed: str, advice: str) -> StationReport:
-        now_ns = time.monotonic_ns()
-        if self._controller is None:
-            return StationReport(number=1, time_ns=now_ns, failed=failed, advice=advice)
-        return self._controller.last_words(now_ns, failed, advice)
-
 
 def _built(part: PartSpec, mission: StationMission) -> Any:
     """Object that a scenario names, with its parameters; it gets vehicle and folder if it takes them."""
@@ -250,14 +237,6 @@ def _built(part: PartSpec, mission: StationMission) -> Any:
         accepted = binding.parameters(kind)
         offered = {"vehicle": mission.vehicle, "folder": mission.folder}
         return binding.call(kind, part.params, key=part.group, given={n: v for n, v in offered.items() if n in accepted})
-
-
-def _settle() -> None:
-    """Exclude present objects from garbage collection, and raise the priority of this process."""
-    gc.collect()
-    gc.freeze()
-    with contextlib.suppress(OSError):
-        os.nice(NICE)
 
 
 if __name__ == "__main__":

@@ -8,15 +8,34 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.types import ORIGIN, Fix, Odometry, Vec3, VehicleState, Velocity
+from vcmvsp.cosim.types import ORIGIN, Array, Fix, Odometry, Vec3, VehicleState, Velocity, frozen
 from vcmvsp.hardware.drivers.base import Driver, Notice, Sample
-from vcmvsp.hardware.safety import Cause, Decision, LastReceived
-from vcmvsp.hardware.station.estimator import DriverEstimator, StateEstimate, StateEstimator
-from vcmvsp.hardware.station.messages import StationMission, StationOrder, StationReport
-from vcmvsp.hardware.station.safety_factory import SLOWING, guard, others_at
+from vcmvsp.hardware.safety.aerial_supervisor import AerialSupervisor
+from vcmvsp.hardware.safety.obstacles import Others
+from vcmvsp.hardware.safety.supervisor import Cause, Decision, GroundSupervisor, LastReceived, Supervisor
+from vcmvsp.hardware.station.estimator import DriverEstimator, FusedEstimator, StateEstimate, StateEstimator
+from vcmvsp.hardware.station.messages import KNOWN_S, StationMission, StationOrder, StationReport
 
-if TYPE_CHECKING:  # it brings all kinds of readers with it
-    from vcmvsp.hardware.localisation.systems import Localisation
+if TYPE_CHECKING:
+    from vcmvsp.hardware.localisation.source import Localisation
+
+
+SLOWING = (Cause.LIMITS, Cause.GEOFENCE, Cause.SEPARATION)  # these change a command; all others stop the robot
+LATCHED = (Cause.OPERATOR,)  # needs a person; other causes end by themselves
+NO_VEHICLES = frozen(np.empty((0, 7)))
+
+
+def guard(mission: StationMission) -> Supervisor:
+    """Safety supervisor of a mission; `ValueError`: its safety parameters are invalid."""
+    return (AerialSupervisor if mission.flies else GroundSupervisor)(mission.safety, LATCHED)
+
+
+def others_at(rows: Array | None, age_s: float) -> Others:
+    """Other vehicles of an order (see `StationOrder.others`), extrapolated by ``age_s``."""
+    rows = NO_VEHICLES if rows is None else rows
+    velocity = rows[:, 3:6]
+    return Others(rows[:, 0:3] + velocity * max(0.0, min(age_s, KNOWN_S)), velocity, rows[:, 6])
+
 
 AT_REST = (0.01, 0.02)  # m/s, rad/s: a slower robot stands
 STUCK, STUCK_S = "stuck", 2.0  # s: longer than any robot needs to start moving
@@ -26,23 +45,16 @@ KEPT = 200  # notices and fixes, while the run takes no reports
 
 
 class StationController:
-    """Control of one robot, without clock, process or run.
-
-    Args:
-        mission: first message of the run.
-        driver: of the robot, open.
-        localisation: open; None: only the robot itself reports its position.
-        now: clock of this machine, ns.
-
-    Attributes:
-        halted: reason why the robot stands until the station ends; empty: it does not.
-    """
+    """Control of one robot, without clock, process or run; ``halted``: why it stands until the station ends, if it does."""
 
     def __init__(
         self, mission: StationMission, driver: Driver, localisation: "Localisation | None", now: Callable[[], int]
     ) -> None:
         self._mission, self._driver, self._localisation, self._now = mission, driver, localisation, now
-        self._estimator, self._supervisor = estimator_of(mission), guard(mission)
+        self._supervisor = guard(mission)
+        self._estimator: StateEstimator = DriverEstimator(mission.height_m, flies=mission.flies)
+        if mission.localisation is not None and not mission.flies:
+            self._estimator = FusedEstimator(mission.fusion, mission.start, mission.height_m)
         self._order, self._order_heard_ns = StationOrder(number=0, sent_ns=0), 0
         self._operator_ns: int | None = None
         self._sample: Sample | None = None
@@ -59,8 +71,6 @@ class StationController:
         self._notices: list[Notice] = []
         self._fixes: list[Fix] = []
         self._sonar: dict[int, float] = {}
-
-    # Input
 
     def operator_heard(self) -> None:
         """The operator is present."""
@@ -81,19 +91,10 @@ class StationController:
             return False
         return abs(sample.odometry.v) < AT_REST[0] and abs(sample.odometry.w) < AT_REST[1]
 
-    # One cycle
-
     def turn(
         self, now_ns: int, order: StationOrder | None = None, *, arrival_ns: int | None = None, late_s: float = 0.0
     ) -> StationReport:
-        """Run one cycle.
-
-        Args:
-            now_ns: the time.
-            order: newest order since the last cycle.
-            heard_ns: arrival of the order; None: now.
-            late_s: lateness of this cycle, for the report.
-        """
+        """Run one cycle with the newest order since the last one, which arrived now unless ``arrival_ns`` is given."""
         if order is not None:
             self._take(order, now_ns if arrival_ns is None else arrival_ns)
         self._listen(now_ns)
@@ -110,9 +111,8 @@ class StationController:
         """Last report, with notices of the driver's closing."""
         self._notices += [each for each in self._gathered() if (each.what, each.cause) != ("stopped", self.halted)]
         self._turns += 1
-        return msgspec.structs.replace(
-            self._report(now_ns, None), causes=(failed,) if failed else (), failed=failed, advice=advice
-        )
+        causes = (failed,) if failed else ()
+        return msgspec.structs.replace(self._report(now_ns, None), causes=causes, failed=failed, advice=advice)
 
     def delivered(self) -> None:
         """The last report was sent: its notices, fixes and ranges are not repeated."""
@@ -126,7 +126,6 @@ class StationController:
             self.halt(order.stop)
 
     def _listen(self, now_ns: int) -> None:
-        """Read driver and localisation."""
         if (sample := self._driver.read()) is not None:
             self._sample = sample
             self._estimator.sample(sample, now_ns)
@@ -150,12 +149,11 @@ class StationController:
         if self._estimator.jumps > self._jumps:
             self._jumps = self._estimator.jumps
             jump_m = math.dist(before, self._place) if before else 0.0
+            jumped = f"its position jumped by {jump_m:.1f} m"
             if jump_m > self._mission.safety.jump_m:
-                self.halt(f"its position jumped by {jump_m:.1f} m: carried off, or is the positioning system astray?")
+                self.halt(f"{jumped}: carried off, or is the positioning system astray?")
             else:
-                self._note(
-                    "warned", f"its position jumped by {jump_m:.1f} m: the estimate begins again from what the fixes say"
-                )
+                self._note("warned", f"{jumped}: the estimate begins again from what the fixes say")
 
     def _is_stuck(self, now_ns: int, command: Velocity | None) -> bool:
         """Whether the robot was commanded to drive for `STUCK_S` and its odometry shows none; until the command is to stand."""
@@ -245,7 +243,6 @@ class StationController:
         return [*self._driver.notices(), *(localisation.notices() if localisation is not None else ())]
 
     def _words(self, cause: Cause) -> str:
-        """Text of a cause."""
         safety = self._mission.safety
         match cause:
             case Cause.OPERATOR:
@@ -285,7 +282,7 @@ class StationController:
             return report
         return msgspec.structs.replace(
             report,
-            odometry=sample.odometry if _finite_odometry(sample.odometry) else None,
+            odometry=sample.odometry if _finite(sample.odometry) else None,
             sample=sample.number,
             measured_ns=sample.measured_ns,
             link=sample.link,
@@ -294,18 +291,5 @@ class StationController:
         )
 
 
-def _finite(state: VehicleState) -> bool:
-    return bool(np.isfinite([*state.position, *state.velocity, *state.attitude, *state.angular_velocity]).all())
-
-
-def _finite_odometry(odometry: Odometry) -> bool:
-    return bool(np.isfinite([*odometry.pose, odometry.v, odometry.w]).all())
-
-
-def estimator_of(mission: StationMission) -> StateEstimator:
-    """Estimator of a mission: fused for a robot on the ground with localisation, else as the driver reports."""
-    if mission.localisation is not None and not mission.flies:
-        from vcmvsp.hardware.station.fused_estimator import FusedEstimator  # SciPy takes half a second to load
-
-        return FusedEstimator(mission.fusion, mission.start, mission.height_m)
-    return DriverEstimator(mission.height_m, flies=mission.flies)
+def _finite(value: VehicleState | Odometry) -> bool:
+    return bool(np.isfinite(np.hstack(msgspec.structs.astuple(value))).all())

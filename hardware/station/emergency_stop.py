@@ -55,7 +55,6 @@ def folders() -> list[Path]:
 
 
 def _ours(folder: Path) -> bool:
-    """Whether a folder belongs to this user alone."""
     try:
         about = folder.lstat()
     except OSError:
@@ -64,11 +63,7 @@ def _ours(folder: Path) -> bool:
 
 
 class StopListener:
-    """Socket of a station.
-
-    Raises:
-        DriverError: there is no folder for it; a robot without emergency stop is not driven.
-    """
+    """Socket of a station; `DriverError`: there is no folder for it; a robot without emergency stop is not driven."""
 
     def __init__(self, vehicle: str) -> None:
         folder = folders()[0]
@@ -139,7 +134,6 @@ class StopCaller:
         return there
 
     def _say_to(self, path: Path, verb: Verb) -> bool:
-        """Whether the station exists."""
         try:
             self._socket.sendto(verb.encode(), str(path))
         except (ConnectionRefusedError, FileNotFoundError):
@@ -161,9 +155,8 @@ class StopCaller:
                     with contextlib.suppress(ValueError):
                         answers[path] = msgspec.json.decode(data, type=StationAnswer)
             open_ = {path for path in open_ if path not in answers and Path(path).exists()}
-        return [answers.get(each.path) or _unsaid(each) for each in sockets]
-
-
-def _unsaid(station: StationSocket) -> StationAnswer:
-    state: Literal["silent", "ended"] = "silent" if Path(station.path).exists() else "ended"
-    return StationAnswer(vehicle=station.vehicle, run="", pid=station.pid, state=state)
+        for each in sockets:
+            state: Literal["silent", "ended"] = "silent" if Path(each.path).exists() else "ended"
+            unsaid = StationAnswer(vehicle=each.vehicle, run="", pid=each.pid, state=state)
+            answers.setdefault(each.path, unsaid)
+        return [answers[each.path] for each in sockets]

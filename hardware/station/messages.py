@@ -9,7 +9,9 @@ from typing import Any, Literal
 from vcmvsp.cosim.types import Array, Fix, Odometry, Value, Vec3, VehicleState, Velocity
 from vcmvsp.cosim.util.codec import Decoder
 from vcmvsp.hardware.drivers.base import Notice
+from vcmvsp.hardware.safety.supervisor import Safety
 
+KNOWN_S = 1.0  # extrapolation time of other vehicles
 OPERATOR_STOP = "operator's stop"
 """Cause in a report: ``vcmvsp stop`` was called; it lasts until the station ends."""
 
@@ -20,30 +22,6 @@ class PartSpec(Value, frozen=True, kw_only=True):
     group: Literal["driver", "localisation"]
     kind: str  # short name, module:Class or file.py:Class
     params: dict[str, Any]  # of its constructor, checked by the run
-
-
-class Safety(Value, frozen=True, kw_only=True):
-    """Limits, fence, distances and time-outs; lengths in m, times in s. None: not checked."""
-
-    max_speed: float  # m/s
-    max_yaw_rate: float  # rad/s
-    accel: float  # m/s2
-    decel: float  # m/s2, guaranteed when it brakes
-    yaw_accel: float  # rad/s2
-    yaw_decel: float  # rad/s2
-    max_climb: float = 1.0  # m/s, up and down, of what flies
-    radius_m: float  # of a circle around the body, centred at the pose
-    fence: tuple[tuple[float, float], ...] | None = None  # corners x, y, world
-    floor_m: float | None = None  # minimum height in the air
-    ceiling_m: float | None = None  # maximum height in the air
-    fence_margin_m: float = 0.0
-    separation_m: float = 0.5  # between bodies
-    reaction_s: float = 0.2  # from a command to the effect of the next one, with all delays of pose and link
-    jump_m: float = 1.0  # a larger jump of the position halts the robot until the station ends
-    operator_s: float | None = None  # maximum silence of the operator (``vcmvsp operator``)
-    command_s: float | None = 0.5
-    positioning_s: float | None = 1.0
-    federation_s: float | None = 0.5
 
 
 class StationMission(Value, frozen=True, kw_only=True):

@@ -70,7 +70,6 @@ class BridgeProcess:
         return 3 if problem else 0
 
     async def _go_through(self, opening: messages.Opening) -> str:
-        """Open the gateways, serve, close them; returns the problem that ended it, or an empty string."""
         self.loop.set_exception_handler(self._on_exception)
         self.loop.add_signal_handler(signal.SIGTERM, self._end, "it received SIGTERM")
         self.loop.add_reader(self._link.fileno(), self._receive)
@@ -258,7 +257,6 @@ class BridgeProcess:
             self._send(messages.Delivered(due=due, at_ns=at_ns))
 
     def _report(self) -> None:
-        """Report deliveries and counts periodically, unless the run does not read: a later report contains more."""
         if not self._outbox:
             self._report_deliveries()
             self._report_counts()

@@ -186,7 +186,6 @@ class Bridge:
                 self._tell(f"{KILLED}{_NETWORKS if any(each.kind == 'ip' for each in self._opening.gateways) else ''}")
 
     def _behind(self, now_ns: int) -> bool:
-        """Whether the run must catch up with the wall clock before it takes datagrams."""
         wall_ns = time.monotonic_ns()
         if wall_ns - self._clock.monotonic_ns(now_ns) > BEHIND_NS and wall_ns - self._took_ns < PATIENCE_NS:
             return True

@@ -241,7 +241,6 @@ class RoutingNetwork:
         self._receptions.append((self._names[arrival.at], Reception(message=message, rssi_dbm=arrival.rssi_dbm, **times)))
 
     def _report_arrival(self, packet: Packet, receiver: int, at_ns: int, frame: int) -> None:
-        """Report the arrival of a datagram; of a unicast one once, as soon as its last frame is decided."""
         if packet.datagram is not None and not packet.arrival_reported:
             self._traffic.arrive(packet.datagram, receiver, at_ns, frame)
             packet.arrival_reported = packet.to != BROADCAST

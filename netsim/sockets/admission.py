@@ -161,7 +161,6 @@ class ProgramAdmission:
             self._answer(stream, word)
 
     def _lose(self, stream: Stream) -> None:
-        """Remove a program that has ended, or sent a message, before the start of the run."""
         (vehicle,) = [name for name, each in self._there.items() if each is stream]
         del self._there[vehicle]
         self._dismiss(stream)

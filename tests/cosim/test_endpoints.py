@@ -13,8 +13,8 @@ from vcmvsp.cosim.hosts import ssh_hosts
 from vcmvsp.cosim.runs import api, launch
 from vcmvsp.cosim.sockets.messages import parsed
 from vcmvsp.cosim.transport.endpoints import endpoint_rules
-from vcmvsp.hardware.emulators.programs.options import PtyPort, TcpPort, UdpAddress, port_of, udp_of
-from vcmvsp.hardware.localisation.datagrams import address
+from vcmvsp.hardware.emulators.arcos.program import HostPort, PtyPort, port_of, udp_of
+from vcmvsp.hardware.localisation.port_source import address
 from vcmvsp.netsim.bridge.gateways.zenoh import ZenohGateway
 
 BOTH = pytest.mark.parametrize("between", ["/", "://"])
@@ -43,9 +43,9 @@ def test_each_place_takes_both(between: str, tmp_path: Path) -> None:
         endpoint_rules(f"tcp{between}10.0.0.1:7447")
     assert parsed(f"tcp{between}[::1]:7550") == ("::1", 7550)
     assert parsed(f"unix{between}/run/it") == "/run/it"
-    assert port_of(f"tcp{between}:8102") == TcpPort("127.0.0.1", 8102)
+    assert port_of(f"tcp{between}:8102") == HostPort("127.0.0.1", 8102)
     assert port_of("./tcp/robot") == PtyPort(Path("tcp/robot"))
-    assert udp_of(f"udp{between}127.0.0.1:5000", "--ubisense") == UdpAddress("127.0.0.1", 5000)
+    assert udp_of(f"udp{between}127.0.0.1:5000", "--ubisense") == HostPort("127.0.0.1", 5000)
     assert address(f"udp{between}0.0.0.0:5010") == ("0.0.0.0", 5010)
     door = ZenohGateway(listen={"car1": f"tcp{between}127.0.0.1:7461", "car2": "tcp/127.0.0.1:7461"})
     with pytest.raises(ValueError, match=r"tcp/127\.0\.0\.1:7461 is used by two vehicles"):

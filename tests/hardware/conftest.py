@@ -9,6 +9,8 @@ from contextlib import ExitStack
 
 import pytest
 
+from tests.support.cosim.run_processes import reserved
+
 HELD_UP_NS = 100_000_000
 
 
@@ -55,3 +57,10 @@ def many_files_open() -> Iterator[None]:
             yield
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    """A port that nobody else takes."""
+    with reserved() as port:
+        yield port

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import vcmvsp
+from tests.support.hardware.stations import FakeStation, real_vehicle
 from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, WallClock
 from vcmvsp.cosim.errors import FederateError, Interrupted, ScenarioError, UsageError
@@ -27,10 +28,9 @@ from vcmvsp.cosim.scenario.schema import RealVehicle, SafetyTable
 from vcmvsp.cosim.terminal.progress import summary
 from vcmvsp.cosim.types import Incident, RealStatus, States, VehicleState, Velocity, frozen
 from vcmvsp.hardware.drivers.base import Notice
-from vcmvsp.hardware.federate import HEARTBEAT, KNOWN_S, Hardware
-from vcmvsp.hardware.station.messages import OPERATOR_STOP, StationOrder, StationReport
-from vcmvsp.hardware.station.process_client import StationError
-from vcmvsp.hardware.stations import mission
+from vcmvsp.hardware.federate import HEARTBEAT, Hardware
+from vcmvsp.hardware.station.messages import KNOWN_S, OPERATOR_STOP, StationReport
+from vcmvsp.hardware.stations import StationError, mission
 
 TENTH = SECOND_NS // 10
 SAFETY = msgspec.convert(
@@ -38,48 +38,13 @@ SAFETY = msgspec.convert(
 )
 
 
-class Station:
-    """Says what it is told to say, and keeps what it hears."""
-
-    def __init__(self) -> None:
-        self.saying: list[StationReport] = []
-        self.heard: list[StationOrder] = []
-        self.failing: StationError | None = None
-
-    def order(self, order: StationOrder) -> bool:
-        self.heard.append(order)
-        return True
-
-    def reports(self) -> list[StationReport]:
-        if self.failing is not None and not self.saying:
-            raise self.failing
-        said, self.saying = self.saying, []
-        return said
-
-
 def vehicle(**changes: Any) -> RealVehicle:
-    given: dict[str, Any] = {
-        "name": "car1",
-        "folder": ".",
-        "driver": "bench",
-        "driver_params": {},
-        "localisation": None,
-        "localisation_params": {},
-        "fusion": {},
-        "safety": SAFETY,
-        "pose_source": "truth",
-        "start": (0.0, 0.0, 0.0),
-        "height_m": 0.0,
-        "flies": False,
-        "positioning": None,
-        "seed": 0,
-    }
-    return RealVehicle(**{**given, **changes})
+    return real_vehicle(**{"safety": SAFETY, **changes})
 
 
-def federate(*, period_ns: int = TENTH, log: Log = lambda *_: None, **changes: Any) -> tuple[Hardware, Station]:
+def federate(*, period_ns: int = TENTH, log: Log = lambda *_: None, **changes: Any) -> tuple[Hardware, FakeStation]:
     """One that is connected to a station of ours, at time 0."""
-    station, radius_m = Station(), {"car2": 0.3}
+    station, radius_m = FakeStation(), {"car2": 0.3}
     told = (vehicle(**changes),)
     made = Hardware(told, run="test", clock=WallClock(), radius_m=radius_m, tell=lambda _: None, log=log, connect=False)
     info = RunInfo(scenario="test", seed=0, duration_ns=10 * SECOND_NS, vehicles=("car1", "car2"), instants=(each(period_ns),))

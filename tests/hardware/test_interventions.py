@@ -3,13 +3,12 @@
 from typing import Any
 
 from tests.hardware.station.test_controller import Station as Turning
-from tests.hardware.test_federate import TENTH, Station, federate, report
-from tests.support.hardware.stations import mission
+from tests.hardware.test_federate import TENTH, federate, report
+from tests.support.hardware.stations import FakeStation, mission
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event, Slot
 from vcmvsp.cosim.types import Halted, RealStatus, Velocity
-from vcmvsp.hardware.federate import Hardware
-from vcmvsp.hardware.real_vehicle import HALTED
+from vcmvsp.hardware.federate import HALTED, Hardware
 
 STILL = Velocity()
 
@@ -22,7 +21,7 @@ def halt(time_ns: int, *names: str, halted: bool = True) -> Event:
     return Event("operator/halted", time_ns, Halted(vehicles=names, halted=halted))
 
 
-def wanted(made: Hardware, station: Station, time_ns: int, *events: Event) -> Velocity | None:
+def wanted(made: Hardware, station: FakeStation, time_ns: int, *events: Event) -> Velocity | None:
     """What the station is told at a step."""
     made.step(time_ns, events)
     return station.heard[-1].command

@@ -8,58 +8,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.hardware.stations import FakeStation, real_vehicle
 from vcmvsp.cosim.clock import SECOND_NS, WallClock
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.estimation.dead_reckoning import LONGEST_NS, ahead
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import arc, quaternion_from_yaw, wrap
-from vcmvsp.cosim.scenario.schema import RealVehicle, SafetyTable
 from vcmvsp.cosim.types import Fix, Measured, Odometry, RealStatus, VehicleState, Velocity, Waypoint
 from vcmvsp.hardware.drivers.base import Notice
-from vcmvsp.hardware.real_vehicle import VehicleProxy
-from vcmvsp.hardware.station.messages import OPERATOR_STOP, StationOrder, StationReport
+from vcmvsp.hardware.federate import VehicleProxy
+from vcmvsp.hardware.station.messages import OPERATOR_STOP, StationReport
 
 START_NS = 1_000 * SECOND_NS  # what the monotonic clock shows at logical time 0
 speeds = st.floats(-2.0, 2.0)
 
 
-class Station:
-    """Says what it is told to say, and keeps what it hears."""
-
-    def __init__(self) -> None:
-        self.saying: list[StationReport] = []
-        self.heard: list[StationOrder] = []
-
-    def order(self, order: StationOrder) -> bool:
-        self.heard.append(order)
-        return True
-
-    def reports(self) -> list[StationReport]:
-        said, self.saying = self.saying, []
-        return said
-
-
-def seat(pose_source: str = "fusion", *, flies: bool = False) -> tuple[VehicleProxy, Station]:
+def seat(pose_source: str = "fusion", *, flies: bool = False) -> tuple[VehicleProxy, FakeStation]:
     """At x = 1 m, looking north, at logical time 0."""
     clock = WallClock(now=lambda: START_NS)
     clock.start()
-    vehicle = RealVehicle(
-        name="car1",
-        folder=".",
-        driver="bench",
-        driver_params={},
-        localisation=None,
-        localisation_params={},
-        fusion={},
-        safety=SafetyTable(),
-        pose_source=pose_source,
-        start=(1.0, 0.0, math.pi / 2),
-        height_m=0.0,
-        flies=flies,
-        positioning=None,
-        seed=0,
-    )
-    made, station = VehicleProxy(vehicle, clock), Station()
+    vehicle = real_vehicle(pose_source=pose_source, start=(1.0, 0.0, math.pi / 2), flies=flies)
+    made, station = VehicleProxy(vehicle, clock), FakeStation()
     made.station = station  # type: ignore[assignment]
     return made, station
 

@@ -2,23 +2,25 @@
 
 from functools import partial
 
-from vcmvsp.hardware.emulators.programs.arcos import Ready, emulate_tag
-from vcmvsp.hardware.emulators.programs.arcos import emulate as emulate_robot
-from vcmvsp.hardware.emulators.programs.options import Tags, circle_of, duration_of, robot_options, tags_of
-from vcmvsp.hardware.emulators.programs.scenario import emulate
+from vcmvsp.hardware.emulators.arcos.program import RobotOptions, Tags, circle_of, emulate_tag, faults_of, port_of, tags_of
+from vcmvsp.hardware.emulators.arcos.program import emulate as emulate_robot
+from vcmvsp.hardware.emulators.arcos.scenario import emulate
+from vcmvsp.hardware.emulators.device_server import Ready, duration_of
 from vcmvsp.physics.vehicles.specification import flies
 
 __all__ = [
     "Ready",
+    "RobotOptions",
     "Tags",
     "circle_of",
     "duration_of",
     "emulate_robot",
     "emulate_tag",
     "emulate_vehicle",
-    "robot_options",
+    "faults_of",
+    "port_of",
     "tags_of",
 ]
 
 emulate_vehicle = partial(emulate, flies=flies)
-"""Serves an emulated robot that drives in the world of a scenario (`hardware.emulators.programs.scenario.emulate`)."""
+"""Serves an emulated robot that drives in the world of a scenario (`hardware.emulators.arcos.scenario.emulate`)."""

@@ -1,5 +1,5 @@
 """An emulated vehicle with an autopilot, served at a real port until it is interrupted; loads MAVLink."""
 
-from vcmvsp.hardware.emulators.programs.mavlink import emulate
+from vcmvsp.hardware.emulators.mavlink.server import emulate
 
 __all__ = ["emulate"]

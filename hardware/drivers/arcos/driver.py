@@ -1,8 +1,4 @@
-"""Driver of Pioneer and AmigoBot robots, real or emulated, on a serial port or over TCP.
-
-One thread uses the link: it connects, receives, sends the newest command, and reconnects. Everything shared with the caller is
-behind one lock, which is never held while waiting.
-"""
+"""Driver of Pioneer and AmigoBot robots, real or emulated, on a serial port or over TCP, and samples of their packets."""
 
 import contextlib
 import time
@@ -11,19 +7,99 @@ from typing import Annotated, Literal
 import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.types import NonNegative, Positive, Vec3, Velocity
-from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.drivers.arcos.command_schedule import Mode, speeds
-from vcmvsp.hardware.drivers.arcos.config_packet import warnings
+from vcmvsp.cosim.frames import rotate2
+from vcmvsp.cosim.types import NonNegative, Odometry, Positive, Vec3
+from vcmvsp.hardware.drivers.arcos import protocol
 from vcmvsp.hardware.drivers.arcos.handshake import ZERO_SPEED, Handshake, Settings
-from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command
+from vcmvsp.hardware.drivers.arcos.protocol import COUNT_BITS, Command, Mode, PacketReader, Sip, command, decode_sip, is_sip
 from vcmvsp.hardware.drivers.arcos.robot_parameters import Robot
-from vcmvsp.hardware.drivers.arcos.samples import ArcosSampler
-from vcmvsp.hardware.drivers.arcos.sip import Sip, decode, is_sip
-from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, LinkLost, checked
+from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, LinkLost, Sample
 from vcmvsp.hardware.drivers.byte_link import OPEN_S, ByteLink, open_line
-from vcmvsp.hardware.drivers.command_repeater import CommandRepeater
-from vcmvsp.hardware.drivers.threaded import ReconnectingDriver
+from vcmvsp.hardware.drivers.threaded import CommandRepeater, ReconnectingDriver
+
+HEADING_COUNTS = 4096  # a turn
+EMERGENCY_STOP = 1 << 5  # bit of the flags in ARCOS
+AGE_NS = 50_000_000  # half a packet period: packets have no time, and their data is up to one period old
+DRIFT = 0.01  # relative error of the robot's period
+LEAP_S = 1.0  # longest step of the pose: greatest speed times (time since the last packet + this)
+
+
+class ArcosSampler:
+    """Converts packets to samples, from the start pose, over reconnections; ``leaps``: impossible steps, left out."""
+
+    def __init__(self, start: Vec3) -> None:
+        self.leaps = 0
+        self._pose = start
+        self._number = self._link = 0
+        self._last: Sip | None = None
+        self._turned = 0.0  # rotation from the robot's own frame to that of the pose
+        self._arrived_ns = self._clock_ns = 0
+        self._sonar: dict[int, float] = {}
+
+    def connect(self, robot: Robot) -> None:
+        """A connection begins: the next packet is the new base."""
+        self._robot, self._last = robot, None
+        self._link += 1
+
+    def add(self, sip: Sip, now_ns: int, stopped: str) -> Sample:
+        """Sample of a packet that arrived now."""
+        robot = self._robot
+        self._clock_ns = self._sent_ns(now_ns)
+        self._move(sip, now_ns)
+        self._last, self._arrived_ns = sip, now_ns
+        self._number += 1
+        left, right = (1e-3 * robot.vel_factor * each for each in (sip.left, sip.right))
+        # 0.1 deg/s if the packet has it, else from the wheels
+        w = 1.7453292519943296e-3 * sip.rotation if sip.rotation is not None else (right - left) / robot.track_m
+        for number, counts in sip.sonars:
+            self._sonar[number] = 1e-3 * robot.range_factor * counts
+        return Sample(
+            number=self._number,
+            link=self._link,
+            arrived_ns=now_ns,
+            measured_ns=self._clock_ns - AGE_NS,
+            odometry=Odometry(pose=self._pose, v=0.5 * (left + right), w=w),
+            wheels=(left, right),
+            sonar=tuple(sorted(self._sonar.items())),
+            battery_v=0.1 * (sip.battery if sip.battery_x10 is None else sip.battery_x10),
+            motors=sip.motors_on,
+            stalled=sip.stalled,
+            bumpers=sip.stall & 0xFEFE,
+            emergency_stop=bool(sip.flags & EMERGENCY_STOP),
+            stopped=stopped,
+        )
+
+    def taken(self) -> None:
+        """The newest sample was read: its sonar readings are not repeated."""
+        self._sonar = {}
+
+    def _move(self, sip: Sip, now_ns: int) -> None:
+        last, robot = self._last, self._robot
+        x, y, yaw = self._pose
+        if last is None:
+            self._turned = yaw - robot.angle_factor * sip.heading
+            return
+        dx, dy = (1e-3 * robot.dist_factor * _difference(*both, 1 << COUNT_BITS) for both in ((sip.x, last.x), (sip.y, last.y)))
+        farthest = robot.max_speed * (1e-9 * (now_ns - self._arrived_ns) + LEAP_S)
+        if dx * dx + dy * dy > farthest * farthest:
+            self.leaps += 1
+            self._turned = yaw - robot.angle_factor * sip.heading
+            return
+        dx, dy = rotate2(dx, dy, self._turned)
+        self._pose = (x + dx, y + dy, yaw + robot.angle_factor * _difference(sip.heading, last.heading, HEADING_COUNTS))
+
+    def _sent_ns(self, now_ns: int) -> int:
+        """Time of sending, by the minimum delay: packets leave once a period, some arrive late, none early."""
+        period = seconds_to_ns(self._robot.period_s)
+        if self._last is None:
+            return now_ns
+        periods = max(1, round((now_ns - self._clock_ns) / period))
+        return min(now_ns, self._clock_ns + round(periods * period * (1.0 + DRIFT)))  # at most half a period before now
+
+
+def _difference(new: int, old: int, modulus: int) -> int:
+    return (new - old + modulus // 2) % modulus - modulus // 2
+
 
 STILL = (0.0, 0.0)  # m/s, rad/s
 RESEND_NS = 200_000_000  # commands are not acknowledged; the robot stops after 2 s without one
@@ -88,36 +164,17 @@ class ArcosDriver(ReconnectingDriver):
         self._timeout_s = command_timeout_s
         self._settings = Settings(max_speed=max_speed, accel=accel, decel=decel, max_yaw_rate=max_yaw_rate, yaw_accel=yaw_accel)
 
-    # What the caller does.
-
-    def write(self, velocity: Velocity) -> None:
-        """Command a speed; ignored while a lost robot is looked for."""
-        v, w = checked(velocity)
-        with self._lock:
-            self._check()
-            if self._repeater is not None:
-                self._repeater.command((v, w), time.monotonic_ns())
-        self._wake()
-
     def _prepare(self, start: Vec3) -> None:
         super()._prepare(start)
         self._sampler = ArcosSampler(start)
         self._line: ByteLink | None = None
-        self._repeater: CommandRepeater[tuple[float, float]] | None = None  # None: not connected
+        self._repeater = CommandRepeater(STILL, self._timeout_s, again_ns=RESEND_NS)  # until it is connected
         self._motors = True
 
     def _was_read(self) -> None:
         self._sampler.taken()
 
-    def _hold(self, cause: str) -> bool:
-        if self._repeater is not None:
-            self._repeater.stop(cause)
-        return False
-
-    # What the thread does.
-
     def _connect(self, within_s: float) -> None:
-        """Open the link, and run the handshake."""
         deadline_ns = time.monotonic_ns() + seconds_to_ns(within_s)
         self._line = line = open_line(self.device, self._baud)
         remaining_s = max(0.0, (deadline_ns - time.monotonic_ns()) / SECOND_NS)
@@ -137,22 +194,27 @@ class ArcosDriver(ReconnectingDriver):
             self._sampler.connect(self.robot)
             cycle_ns = seconds_to_ns(self.robot.period_s)
             self._repeater = CommandRepeater(STILL, self._timeout_s, again_ns=RESEND_NS, least_ns=cycle_ns)
+            self._connected = True
         name = handshake.name or "a robot without a name"
         self._notice("connected", f"{name}, {self.robot.name}")
         if handshake.config is not None:
-            for each in warnings(handshake.config, self.robot, self._settings.max_speed, self._settings.max_yaw_rate):
+            for each in protocol.setting_warnings(
+                handshake.config, self.robot, self._settings.max_speed, self._settings.max_yaw_rate
+            ):
                 self._notice("warned", each)
         self._reader = handshake.reader
         self._ready.set()
 
     def _converse(self) -> None:
-        """Receive and send until the link is lost or the caller closes the driver."""
-        line = self._line
-        assert line is not None  # noqa: S101  it is connected
+        line, robot = self._line, self.robot
+        assert line is not None and robot is not None  # noqa: PT018, S101  it is connected
         silence_ns = seconds_to_ns(self._silence_s)
         last_packet_ns = time.monotonic_ns()
         while True:
-            due_ns = self._send(line)
+            command, due_ns = self._due_command()
+            if command is not None:
+                v, w = command
+                line.write(protocol.speeds(robot, v, w, self._mode))
             if self._wait(line.fileno(), min(due_ns, last_packet_ns + silence_ns)):
                 if self._take(self._reader.feed(line.read())):
                     last_packet_ns = time.monotonic_ns()
@@ -160,26 +222,10 @@ class ArcosDriver(ReconnectingDriver):
                 happened = f"nothing was heard for {self._silence_s:g} s"
                 raise LinkLost(self.device, happened, "look at the robot's battery, its cable and its radio")
 
-    def _send(self, line: ByteLink) -> int:
-        """Send the command that is due; time of the next one."""
-        with self._lock:
-            repeater, robot = self._repeater, self.robot
-            assert repeater is not None and robot is not None  # noqa: PT018, S101  it is connected
-            before = repeater.stopped
-            command = repeater.advance(time.monotonic_ns())
-            due_ns, stopped = repeater.due_ns, repeater.stopped
-        if stopped != before:
-            self._notice("stopped", stopped)
-        if command is not None:
-            line.write(speeds(robot, *command, self._mode))
-        return due_ns
-
     def _take(self, packets: list[bytes]) -> bool:
-        """Make samples of information packets; whether there was one."""
         sips = _sips(packets)
         for sip in sips:
             with self._lock:
-                assert self._repeater is not None  # noqa: S101  it is connected
                 sample = self._sample = self._sampler.add(sip, time.monotonic_ns(), self._repeater.stopped)
             if self._motors and not sample.motors:
                 button = ": its stop button is pressed" if sample.emergency_stop else ""
@@ -196,7 +242,7 @@ class ArcosDriver(ReconnectingDriver):
         until_ns = time.monotonic_ns() + seconds_to_ns(BRAKING_S)
         try:
             line.write(ZERO_SPEED)
-            moving = self._repeater is not None
+            moving = self._connected
             while moving and time.monotonic_ns() < until_ns:
                 if self._wait(line.fileno(), until_ns):
                     moving = not any(each.left == each.right == 0 for each in _sips(reader.feed(line.read())))
@@ -208,7 +254,7 @@ class ArcosDriver(ReconnectingDriver):
         """Release the port, with zero speed and the end of the session as last messages."""
         line, self._line = self._line, None
         with self._lock:
-            self._repeater = None
+            self._connected = False
         if line is None:
             return
         if not self._closing.is_set():
@@ -218,12 +264,11 @@ class ArcosDriver(ReconnectingDriver):
 
 
 def _sips(packets: list[bytes]) -> list[Sip]:
-    """Valid information packets among the packets."""
     sips = []
     for data in packets:
         if is_sip(data):
             try:
-                sips.append(decode(data))
+                sips.append(decode_sip(data))
             except ValueError:
                 continue  # cut off by the robot
     return sips

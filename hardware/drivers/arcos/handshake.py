@@ -11,11 +11,9 @@ from typing import Literal
 
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.types import Value
-from vcmvsp.hardware.drivers.arcos.command_numbers import BAUDS, CONFIG_PACKET, SYNC0, SYNC2, Command
-from vcmvsp.hardware.drivers.arcos.config_packet import Config, decode_config
-from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command
+from vcmvsp.hardware.drivers.arcos import protocol
+from vcmvsp.hardware.drivers.arcos.protocol import BAUDS, CONFIG_PACKET, SYNC0, SYNC2, Command, Config, command, is_sip
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS, Robot, robot_of
-from vcmvsp.hardware.drivers.arcos.sip import decode, is_sip
 from vcmvsp.hardware.drivers.base import HandshakeError
 
 ZERO_SPEED = command(Command.VEL, 0) + command(Command.RVEL, 0)
@@ -54,12 +52,7 @@ class Settings(Value, frozen=True, kw_only=True):
 class Handshake:
     """One attempt to connect. Pass bytes and time, send the returned bytes, until it is `done` or raises.
 
-    Args:
-        device: for messages.
-        kind: required subclass, such as ``amigo``; empty: any known one.
-        settings: sent before the motors are enabled.
-        baud: of the link, for messages; 0: none.
-        give_up_s: maximum duration.
+    ``kind`` is the required subclass, such as ``amigo``, empty: any known one; ``baud`` is for messages, 0: none.
     """
 
     def __init__(self, *, device: str, kind: str, settings: Settings, baud: int, give_up_s: float) -> None:
@@ -67,7 +60,7 @@ class Handshake:
         self.name = ""  # name of the robot
         self.config: Config | None = None  # configuration of the robot, if it sends one
         self.due_ns = 0  # time of the next `advance`
-        self.reader = PacketReader()
+        self.reader = protocol.PacketReader()
         self._device, self._kind, self._settings, self._baud, self._give_up_s = device, kind, settings, baud, give_up_s
         self._phase: _Phase = "sync"
         self._sync = SYNC0  # awaits its echo
@@ -111,17 +104,19 @@ class Handshake:
         if self._phase in ("open", "enable") and is_sip(data):
             return self._session(data, now_ns)
         if self._phase == "enable" and data[:1] == bytes((CONFIG_PACKET,)):
-            self.config = decode_config(data)
+            self.config = protocol.decode_config(data)
         return b""  # stragglers
 
     def _synchronise(self, data: bytes, now_ns: int) -> bytes:
         """Answer to SYNC0, 1 or 2: its echo, a packet of an open session, or something else."""
         if is_sip(data):
-            return self._pause(now_ns, ZERO_SPEED + command(Command.CLOSE))
+            self._pause(now_ns)
+            return ZERO_SPEED + command(Command.CLOSE)
         if data == _OWN:
             raise self._looped()
         if not data or data[0] != self._sync:
-            return self._pause(now_ns, b"")
+            self._pause(now_ns)
+            return b""
         if self._sync < SYNC2:
             self._sync += 1
             self._wait(now_ns, SYNC_WAIT_NS)
@@ -133,7 +128,7 @@ class Handshake:
     def _session(self, data: bytes, now_ns: int) -> bytes:
         """An information packet of the new session."""
         try:
-            motors_on = decode(data).motors_on
+            motors_on = protocol.decode_sip(data).motors_on
         except ValueError:
             return b""
         if self._phase == "enable" and motors_on:
@@ -148,11 +143,9 @@ class Handshake:
         self._wait(now_ns, SYNC_WAIT_NS)
         return ZERO_SPEED + command(SYNC0)
 
-    def _pause(self, now_ns: int, farewell: bytes) -> bytes:
-        """Restart when packets in transit have arrived."""
+    def _pause(self, now_ns: int) -> None:
         self._phase = "quiet"
         self._wait(now_ns, QUIET_NS)
-        return farewell
 
     def _ask(self, now_ns: int) -> bytes:
         """Request information packets or motors, repeatedly: only the packets show the effect."""
@@ -166,7 +159,6 @@ class Handshake:
         self.due_ns = min(now_ns + at_most_ns, self._deadline_ns)
 
     def _identify(self, data: bytes) -> Robot:
-        """Parameters of the robot: the echo of SYNC2 has name, class and subclass."""
         words = data[1:].decode("latin-1").split("\0")
         if len(words) < 3:
             raise self._looped()
@@ -186,7 +178,6 @@ class Handshake:
         return HandshakeError(self._device, happened, "look for a loop-back plug, or a radio modem without its partner")
 
     def _error(self) -> HandshakeError:
-        """Reason for a missing connection."""
         if not self._bytes:
             happened = f"nothing was heard for {self._give_up_s:.2g} s"
             advice = "is the robot on, the cable or radio in its host port, and no other client connected?"

@@ -30,9 +30,6 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     kind: Kind  # subclass that the robot tells when it is connected; clients choose parameters by it
     radius_m: float
-    width_m: float
-    front_m: float  # from the reference point to the foremost point
-    rear_m: float  # from the reference point to the rearmost point
     max_speed: float  # m/s, more is never done
     max_yaw_rate: float  # rad/s
     speed: float  # m/s, that the firmware allows itself until SETV
@@ -58,23 +55,16 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         return 2e-3 / self.diff_factor
 
 
-def _ring(*places: tuple[int, int, int]) -> tuple[Sonar, ...]:
-    """Sonars by x mm, y mm, degrees."""
-    return tuple(Sonar(x / 1000, y / 1000, math.radians(degrees)) for x, y, degrees in places)
-
-
-def _mirrored(*left: tuple[int, int, int]) -> tuple[tuple[int, int, int], ...]:
-    """These places and then those on the other side, backwards: as the numbers of sonars go round the robot."""
-    return left + tuple((x, -y, -degrees) for x, y, degrees in reversed(left))
+def _ring(*places: tuple[int, int, int], mirrored: bool = True) -> tuple[Sonar, ...]:
+    """Sonars by x mm, y mm, degrees; mirrored: then those of the other side, backwards, as numbers go round the robot."""
+    other_side = tuple((x, -y, -degrees) for x, y, degrees in reversed(places)) if mirrored else ()
+    return tuple(Sonar(x / 1000, y / 1000, math.radians(degrees)) for x, y, degrees in (*places, *other_side))
 
 
 _P2DX = Robot(
     name="Pioneer 2-DX",
     kind="p2dx",
     radius_m=0.250,
-    width_m=0.425,
-    front_m=0.210,
-    rear_m=0.301,
     max_speed=2.2,
     max_yaw_rate=math.radians(500),
     speed=0.75,
@@ -86,30 +76,24 @@ _P2DX = Robot(
     vel_factor=1.0,
     range_factor=0.268,
     diff_factor=0.0056,
-    sonars=_ring(
-        *_mirrored((69, 136, 90), (114, 119, 50), (148, 78, 30), (166, 27, 10)),
-        *_mirrored((-157, -136, -90), (-203, -119, -130), (-237, -78, -150), (-255, -27, -170)),
-    ),
+    sonars=_ring((69, 136, 90), (114, 119, 50), (148, 78, 30), (166, 27, 10))
+    + _ring((-157, -136, -90), (-203, -119, -130), (-237, -78, -150), (-255, -27, -170)),
 )
-_AMIGO = Robot(
+_AMIGO = msgspec.structs.replace(
+    _P2DX,
     name="AmigoBot",
     kind="amigo",
     radius_m=0.180,
-    width_m=0.279,
-    front_m=0.160,
-    rear_m=0.170,
     max_speed=1.0,
     max_yaw_rate=math.radians(300),
     speed=0.5,
     yaw_rate=0.87,
-    accel=0.3,
     decel=0.75,
-    yaw_accel=math.radians(100),
     dist_factor=0.5083,
     vel_factor=0.6154,
     range_factor=1.0,  # ARIA's; the AmigoBot manual of 2002 says 0.555
     diff_factor=0.011,
-    sonars=_ring(*_mirrored((76, 100, 90), (125, 75, 41), (150, 30, 15)), (-140, -58, -145), (-140, 58, 145)),
+    sonars=_ring((76, 100, 90), (125, 75, 41), (150, 30, 15)) + _ring((-140, -58, -145)),
 )
 _AMIGO_SH = msgspec.structs.replace(
     _AMIGO,
@@ -118,27 +102,16 @@ _AMIGO_SH = msgspec.structs.replace(
     speed=0.75,
     dist_factor=1.0,
     vel_factor=1.0,
-    sonars=_ring(
-        (70, 100, 90),
-        (125, 75, 41),
-        (144, 30, 15),
-        (144, -30, -15),
-        (120, -75, -41),
-        (70, -100, -90),
-        (-146, -58, -145),
-        (-146, 58, 145),
-    ),
+    sonars=_ring((70, 100, 90), (125, 75, 41), (144, 30, 15), mirrored=False)
+    + _ring((144, -30, -15), (120, -75, -41), (70, -100, -90), mirrored=False)
+    + _ring((-146, -58, -145)),
 )
 
 ROBOTS: dict[str, Robot] = {each.kind: each for each in (_P2DX, _AMIGO, _AMIGO_SH)}
 
 
 def robot_of(subclass: str) -> Robot:
-    """Parameters by the subclass that a robot tells, whatever its case.
-
-    Raises:
-        ValueError: there is no such robot.
-    """
+    """Parameters by the subclass that a robot tells, whatever its case; `ValueError`: there is no such robot."""
     robot = ROBOTS.get(subclass.lower())
     if robot is None:
         raise ValueError(f"unknown kind of robot {subclass!r}: known are {', '.join(ROBOTS)}")

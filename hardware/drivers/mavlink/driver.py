@@ -1,6 +1,6 @@
 """Driver of vehicles with a MAVLink autopilot: multicopters, rovers and boats with PX4 or ArduPilot.
 
-One thread uses the link: it finds the vehicle (`vehicle_search`), sends messages of its `MavlinkSession`, and looks for a
+One thread uses the link: it finds the vehicle (`VehicleSearch`), sends messages of its `MavlinkSession`, and looks for a
 lost vehicle. Everything shared with the caller is behind one lock, which is never held while waiting.
 
 **Command authority.** The driver arms nothing and switches no mode, unless the scenario says so, and then once, on opening.
@@ -18,15 +18,11 @@ from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.cosim.types import ORIGIN, NonNegative, Positive, Vec3, Velocity
-from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost
+from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost, finite
 from vcmvsp.hardware.drivers.byte_link import OPEN_S
-from vcmvsp.hardware.drivers.mavlink.codec import Encoder, MessageReader, Sender, mavlink, sender_of
-from vcmvsp.hardware.drivers.mavlink.command_schedule import finite
-from vcmvsp.hardware.drivers.mavlink.link import MavlinkLink, open_link
-from vcmvsp.hardware.drivers.mavlink.messages import heartbeat
-from vcmvsp.hardware.drivers.mavlink.samples import MavlinkSampler
-from vcmvsp.hardware.drivers.mavlink.session import MavlinkSession, SessionOptions
-from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer, VehicleSearch
+from vcmvsp.hardware.drivers.mavlink.link import MavlinkLink, Peer, VehicleSearch, open_link
+from vcmvsp.hardware.drivers.mavlink.protocol import Encoder, MessageReader, Sender, heartbeat, mavlink, sender_of
+from vcmvsp.hardware.drivers.mavlink.session import MavlinkSampler, MavlinkSession, SessionOptions
 from vcmvsp.hardware.drivers.threaded import ReconnectingDriver
 
 GOODBYE_S = 4.0  # heartbeats, which show a change of mode, come once a second
@@ -116,8 +112,6 @@ class MavlinkDriver(ReconnectingDriver):
         )
         self._session: MavlinkSession | None = None  # None: not connected
 
-    # What the caller does.
-
     def write(self, velocity: Velocity) -> None:
         """Command a velocity; ignored while the vehicle is lost, not armed or under another command."""
         finite(velocity)
@@ -137,8 +131,6 @@ class MavlinkDriver(ReconnectingDriver):
             self._session.stop(cause)
         return False
 
-    # What the thread does.
-
     def _connect(self, within_s: float) -> None:
         """Open the link, find the vehicle and prepare it; a reconnection neither arms nor switches."""
         orders = self._orders
@@ -157,7 +149,7 @@ class MavlinkDriver(ReconnectingDriver):
             self._sampler.connect()
         self._notice("connected", peer.name)
         more_s = TAKEOFF_S if orders.takeoff_m is not None else 0.0
-        self._make_ready(session, began_ns + seconds_to_ns(within_s + more_s))
+        self._make_ready(session, peer.name, began_ns + seconds_to_ns(within_s + more_s))
         self._ready.set()
 
     def _find(self, link: MavlinkLink, deadline_ns: int, within_s: float) -> Peer:
@@ -177,19 +169,17 @@ class MavlinkDriver(ReconnectingDriver):
                 return peer
         raise search.failure(within_s)
 
-    def _make_ready(self, session: MavlinkSession, deadline_ns: int) -> None:
-        """Wait for position, mode, arming and height as requested."""
+    def _make_ready(self, session: MavlinkSession, name: str, deadline_ns: int) -> None:
         while not session.ready:
             if session.interrupted:
-                happened = f"{self._name} was not made ready: {session.interrupted}"
+                happened = f"{name} was not made ready: {session.interrupted}"
                 raise HandshakeError(self.device, happened, "open it again when it is free")
             if time.monotonic_ns() >= deadline_ns:
-                happened = f"{self._name} did not do what was asked; waited for {session.waits_for}"
+                happened = f"{name} did not do what was asked; waited for {session.waits_for}"
                 raise HandshakeError(self.device, happened, "look at what its ground station says of it, or raise connect_s")
             self._exchange(deadline_ns)
 
     def _converse(self) -> None:
-        """Receive and send until the link is lost or the caller closes the driver."""
         silence_ns = seconds_to_ns(self._silence_s)
         position_ns = message_ns = time.monotonic_ns()
         while True:
@@ -198,24 +188,15 @@ class MavlinkDriver(ReconnectingDriver):
             position_ns = now_ns if samples else position_ns
             message_ns = now_ns if messages else message_ns
             if now_ns >= position_ns + silence_ns:
-                silent = now_ns >= message_ns + silence_ns
-                happened = (
-                    f"nothing was heard for {self._silence_s:g} s"
-                    if silent
-                    else f"it told no position for {self._silence_s:g} s"
-                )
-                advice = (
-                    "look at the vehicle's battery, its cable and its radio"
-                    if silent
-                    else "look at its GPS or other positioning"
-                )
-                raise LinkLost(self.device, happened, advice)
+                what, where = "it told no position", "its GPS or other positioning"
+                if now_ns >= message_ns + silence_ns:
+                    what, where = "nothing was heard", "the vehicle's battery, its cable and its radio"
+                raise LinkLost(self.device, f"{what} for {self._silence_s:g} s", f"look at {where}")
 
     def _exchange(self, until_ns: int) -> tuple[int, int]:
         """Send what is due, and receive until this time; number of messages and of samples."""
-        link, session = self._link, self._session
-        assert link is not None  # noqa: S101  it is connected
-        assert session is not None  # noqa: S101  the same
+        link, session, peer = self._link, self._session, self.peer
+        assert link is not None and session is not None and peer is not None  # noqa: PT018, S101  it is connected
         with self._lock:
             messages = session.advance(time.monotonic_ns())
             due_ns = session.due_ns
@@ -225,29 +206,17 @@ class MavlinkDriver(ReconnectingDriver):
         if self._wait(link.fileno(), min(due_ns, until_ns)):
             for _, data in link.read():
                 for message in self._reader.feed(data):
-                    if sender_of(message) == self._peer_sender:
+                    if sender_of(message) == peer.sender:
                         count += 1
                         with self._lock:
                             sample = session.receive(message, time.monotonic_ns())
                             self._sample = sample or self._sample
                         samples += sample is not None
-        self._tell(session)
-        return count, samples
-
-    def _tell(self, session: MavlinkSession) -> None:
         with self._lock:
             news, session.news = session.news, []
         for what, cause in news:
             self._notice(what, cause)
-
-    @property
-    def _peer_sender(self) -> Sender:
-        assert self.peer is not None  # noqa: S101  it is connected
-        return self.peer.sender
-
-    @property
-    def _name(self) -> str:
-        return self.peer.name if self.peer is not None else "the vehicle"
+        return count, samples
 
     def _give_up(self) -> None:
         self._say_goodbye()  # a failed take-off ends in the air

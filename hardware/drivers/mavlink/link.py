@@ -6,11 +6,15 @@ Anybody may send to an open UDP port: bytes come with their source, and answers 
 import contextlib
 import re
 import socket
-from typing import Any, Protocol
+from typing import Any
 
+from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.transport.endpoints import check_interfaces
-from vcmvsp.hardware.drivers.base import PortError
+from vcmvsp.cosim.types import Value
+from vcmvsp.hardware.drivers.base import HandshakeError, PortError
 from vcmvsp.hardware.drivers.byte_link import ByteLink, open_line
+from vcmvsp.hardware.drivers.mavlink import protocol
+from vcmvsp.hardware.drivers.mavlink.protocol import Autopilot, Kind, Message, MessageReader, Sender, mavlink, type_name
 
 DATAGRAM = 65_535
 DATAGRAMS = 100  # in one read
@@ -20,102 +24,45 @@ _NETWORK = re.compile(r"(udpin|udpout|tcp|socket)(?:://|:|/)(\[[0-9a-fA-F:.]+\]|
 Chunks = list[tuple[str, bytes]]  # source, bytes
 
 
-class MavlinkLink(Protocol):
-    """Bytes in both directions. `read` and `write` raise `LinkLost` when the other side is known to be gone."""
-
-    def fileno(self) -> int:
-        """For select."""
-
-    def read(self) -> Chunks:
-        """Available bytes with their sources; call it when select reports some."""
-
-    def answer(self, source: str) -> None:
-        """Exchange bytes with this source only from now on."""
-
-    def write(self, data: bytes) -> None:
-        """Send to the source of `answer`, if there is one; datagrams may be lost."""
-
-    def close(self) -> None:
-        """Free the port. Never raises."""
-
-
-def open_link(address: str, baud: int, *, insecure: bool = False) -> MavlinkLink:
-    """Open ``udpin:HOST:PORT`` (wait there), ``udpout:HOST:PORT`` (send first), ``tcp:HOST:PORT`` or a serial port.
-
-    ``/`` and ``://`` mean the first ``:``.
-
-    Raises:
-        PortError: it cannot be opened.
-    """
-    match = _NETWORK.fullmatch(address)
-    if match is None:
-        if ":" in address or not address:
-            raise PortError(address or "''", "this is no address", _ADVICE)
-        return _StreamLink(open_line(address, baud))
-    scheme, host, port = match[1], match[2].strip("[]"), int(match[3])
-    if not 0 < port < 65_536:
-        raise PortError(address, f"there is no port {port}", "ports are from 1 to 65535")
-    if scheme in ("tcp", "socket"):
-        return _StreamLink(open_line(f"socket://{match[2]}:{port}", baud))
-    if scheme == "udpin":
-        try:
-            check_interfaces(host, insecure=insecure)
-        except ValueError as error:
-            problem, _, advice = str(error).partition(": ")
-            raise PortError(address, problem, advice) from None
-    return _UdpLink(address, host, port, listens=scheme == "udpin")
-
-
-class _StreamLink:
-    """A serial port or a TCP connection, with one other side."""
+class StreamLink:
+    """A serial port or a TCP connection, with one other side. `read` and `write` raise `LinkLost` when that is gone."""
 
     def __init__(self, line: ByteLink) -> None:
         self._line = line
-
-    def fileno(self) -> int:
-        return self._line.fileno()
+        self.fileno, self.write, self.close = line.fileno, line.write, line.close
 
     def read(self) -> Chunks:
+        """Available bytes; call it when select reports some."""
         return [("", self._line.read())]
 
     def answer(self, source: str) -> None:
         """There is one source only."""
 
-    def write(self, data: bytes) -> None:
-        self._line.write(data)
 
-    def close(self) -> None:
-        self._line.close()
-
-
-class _UdpLink:
+class UdpLink:
     """A UDP port. One that listens sends nothing before `answer`; one that does not receives from its target only."""
 
     def __init__(self, address: str, host: str, port: int, *, listens: bool) -> None:
         self._to: Any = None  # an address of the operating system
         self._source = ""
         self._sources: dict[str, Any] = {}
+        self._connected = not listens
         try:
             family, _, _, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
         except OSError as error:
             raise PortError(address, f"no address ({error.strerror or error})", "look at host name and network") from None
-        self._connected = not listens
+        self.fileno, self.close = self._socket.fileno, self._socket.close
         try:
             self._socket.setblocking(False)
-            if listens:
-                self._socket.bind(where)
-            else:
-                self._socket.connect(where)
+            (self._socket.bind if listens else self._socket.connect)(where)
         except OSError as error:
             self._socket.close()
             advice = "close the other program that has it open, or give another port" if listens else "look at the network"
             raise PortError(address, error.strerror or str(error), advice) from None
 
-    def fileno(self) -> int:
-        return self._socket.fileno()
-
     def read(self) -> Chunks:
+        """Datagrams that are there, with their sources."""
         chunks: Chunks = []
         for _ in range(DATAGRAMS):
             try:
@@ -133,16 +80,166 @@ class _UdpLink:
         return chunks
 
     def answer(self, source: str) -> None:
+        """Exchange bytes with this source only from now on."""
         self._source = source
         if not self._connected:
             self._to = self._sources.get(source)
 
     def write(self, data: bytes) -> None:
+        """Send to the source of `answer`, if there is one; datagrams may be lost."""
         with contextlib.suppress(OSError):
             if self._connected:
                 self._socket.send(data)
             elif self._to is not None:
                 self._socket.sendto(data, self._to)
 
-    def close(self) -> None:
-        self._socket.close()
+
+MavlinkLink = StreamLink | UdpLink
+
+
+def open_link(address: str, baud: int, *, insecure: bool = False) -> MavlinkLink:
+    """Open ``udpin:HOST:PORT`` (wait there), ``udpout:HOST:PORT`` (send first), ``tcp:HOST:PORT`` or a serial port.
+
+    ``/`` and ``://`` mean the first ``:``.
+
+    Raises:
+        PortError: it cannot be opened.
+    """
+    match = _NETWORK.fullmatch(address)
+    if match is None:
+        if ":" in address or not address:
+            raise PortError(address or "''", "this is no address", _ADVICE)
+        return StreamLink(open_line(address, baud))
+    scheme, host, port = match[1], match[2].strip("[]"), int(match[3])
+    if not 0 < port < 65_536:
+        raise PortError(address, f"there is no port {port}", "ports are from 1 to 65535")
+    if scheme in ("tcp", "socket"):
+        return StreamLink(open_line(f"socket://{match[2]}:{port}", baud))
+    if scheme == "udpin":
+        try:
+            check_interfaces(host, insecure=insecure)
+        except ValueError as error:
+            problem, _, advice = str(error).partition(": ")
+            raise PortError(address, problem, advice) from None
+    return UdpLink(address, host, port, listens=scheme == "udpin")
+
+
+LISTEN_S = 1.5  # after the first vehicle, for another; heartbeats come once a second
+READERS = 32  # maximum number of sources
+
+
+class Peer(Value, frozen=True, kw_only=True):
+    """The vehicle."""
+
+    sender: Sender
+    source: str
+    vehicle_type: int
+    autopilot: Autopilot
+    heartbeat: Message  # the newest
+
+    @property
+    def on_ground(self) -> bool:
+        """It drives or swims: velocities are in its body frame."""
+        return self.vehicle_type in protocol.GROUND
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return f"system {self.sender.system}: {type_name(self.vehicle_type)} with {self.autopilot.name}"
+
+
+class VehicleSearch:
+    """Search for the vehicle by its heartbeats; each mismatch has its own error. It has no clock and no link.
+
+    ``system_id`` 0: the only one; ``kind`` None: the autopilot of its heartbeat.
+    """
+
+    def __init__(self, device: str, system_id: int, kind: Kind | None) -> None:
+        self._device, self._system_id, self._kind = device, system_id, kind
+        self._readers: dict[str, MessageReader] = {}
+        self._found: dict[tuple[Sender, str], Message] = {}  # newest heartbeat by sender and source
+        self._others: dict[int, str] = {}  # other systems
+        self._first_ns = 0
+        self._heard = 0
+
+    def receive(self, chunks: Chunks, now_ns: int) -> Peer | None:
+        """Process bytes; the vehicle, if it is determined now."""
+        for source, data in chunks:
+            self._heard += len(data)
+            reader = self._readers.setdefault(source, MessageReader())
+            if len(self._readers) > READERS:
+                del self._readers[next(iter(self._readers))]
+            for message in reader.feed(data):
+                if message.get_type() == "HEARTBEAT":
+                    self._take(message, source, now_ns)
+        return self.decide(now_ns)
+
+    def decide(self, now_ns: int) -> Peer | None:
+        """The vehicle, if it is determined by now."""
+        if not self._found or now_ns < self.due_ns:
+            return None
+        if len(self._found) > 1:
+            systems = sorted({sender.system for sender, _ in self._found})
+            if len(systems) == 1:
+                happened = f"system {systems[0]} speaks from more than one place"
+                raise HandshakeError(self._device, happened, "give each vehicle a number of its own, or a port of its own")
+            listed = f"{', '.join(map(str, systems[:-1]))} and {systems[-1]}"
+            happened = f"systems {listed} speak here"
+            raise HandshakeError(self._device, happened, f"say which one is meant: system_id = {systems[0]}")
+        ((sender, source), heartbeat), *_ = self._found.items()
+        return self._peer(sender, source, heartbeat)
+
+    @property
+    def due_ns(self) -> int:
+        """Time at which `decide` may have an answer; far away without a vehicle."""
+        if not self._first_ns:
+            return 1 << 62
+        return self._first_ns + (0 if self._system_id else seconds_to_ns(LISTEN_S))
+
+    def failure(self, waited_s: float) -> HandshakeError:
+        """Error of a search without result."""
+        waited = f"within {waited_s:g} s"
+        if not self._heard:
+            return HandshakeError(self._device, f"nothing was heard {waited}", self._advice())
+        if not any(reader.messages for reader in self._readers.values()):
+            happened = f"{self._heard} bytes were heard {waited}, and no MAVLink among them"
+            return HandshakeError(self._device, happened, "look at baud and at what is connected there")
+        if not self._others:
+            happened = f"no heartbeat was heard {waited}"
+            return HandshakeError(self._device, happened, "let the autopilot send HEARTBEAT on this port")
+        there = ", ".join(f"system {each} ({self._others[each]})" for each in sorted(self._others))
+        if self._system_id:
+            happened = f"system {self._system_id} was not heard {waited}, only {there}"
+            return HandshakeError(self._device, happened, "set system_id to that of the vehicle, or switch the vehicle on")
+        return HandshakeError(self._device, f"no vehicle was heard {waited}, only {there}", "switch the vehicle on")
+
+    def _take(self, heartbeat: Message, source: str, now_ns: int) -> None:
+        sender = protocol.sender_of(heartbeat)
+        if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID or self._system_id not in (0, sender.system):
+            if len(self._others) < READERS:
+                self._others[sender.system] = type_name(heartbeat.type)
+            return
+        self._found[sender, source] = heartbeat
+        self._first_ns = self._first_ns or now_ns
+
+    def _peer(self, sender: Sender, source: str, heartbeat: Message) -> Peer:
+        announced = protocol.KINDS.get(heartbeat.autopilot)
+        kind = self._kind or announced
+        if kind is None:
+            happened = f"the autopilot of system {sender.system} is neither PX4 nor ArduPilot (number {heartbeat.autopilot})"
+            raise HandshakeError(self._device, happened, 'if it behaves like one of them, set autopilot = "px4" or "ardupilot"')
+        if announced not in (None, kind):
+            happened = f'system {sender.system} says that its autopilot is "{announced}", not "{kind}"'
+            raise HandshakeError(self._device, happened, 'correct the parameter autopilot, or leave it at "auto"')
+        if heartbeat.type not in protocol.COPTERS | protocol.GROUND:
+            happened = f"system {sender.system} is of type {type_name(heartbeat.type)}"
+            raise HandshakeError(self._device, happened, "this driver is for multicopters, helicopters, rovers and boats")
+        autopilot = protocol.autopilot_of(kind, heartbeat.type)
+        return Peer(sender=sender, source=source, vehicle_type=heartbeat.type, autopilot=autopilot, heartbeat=heartbeat)
+
+    def _advice(self) -> str:
+        if self._device.startswith("udpin"):
+            return "let the autopilot, its simulator or a MAVLink router send to this port"
+        if ":" in self._device:
+            return "is the vehicle or its simulator running, and is this its port?"
+        return "look at battery and cable, and at baud (often 57600 for radios, 115200 or 921600 for companion ports)"

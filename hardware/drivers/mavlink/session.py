@@ -4,25 +4,117 @@ It has no clock and no link: messages and times are arguments and results. Reque
 and arming are those of the vehicle's heartbeats.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
+import msgspec
+
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.types import Value, Vec3, Velocity
-from vcmvsp.hardware.drivers.base import Sample, What
-from vcmvsp.hardware.drivers.command_repeater import CommandRepeater
-from vcmvsp.hardware.drivers.mavlink import messages
-from vcmvsp.hardware.drivers.mavlink.codec import Message, mavlink
-from vcmvsp.hardware.drivers.mavlink.command_schedule import PERIOD_NS, STILL, finite, setpoint
-from vcmvsp.hardware.drivers.mavlink.samples import MavlinkSampler
-from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer
+from vcmvsp.cosim.estimation.clock_offset import ForeignClock
+from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
+from vcmvsp.cosim.frames import rotate2, wrap
+from vcmvsp.cosim.types import Odometry, Value, Vec3, VehicleState, Velocity
+from vcmvsp.hardware.drivers.base import Sample, What, finite
+from vcmvsp.hardware.drivers.mavlink import protocol
+from vcmvsp.hardware.drivers.mavlink.link import Peer
+from vcmvsp.hardware.drivers.mavlink.protocol import PERIOD_NS, STILL, Message, body_flipped, mavlink, world_flipped
+from vcmvsp.hardware.drivers.threaded import CommandRepeater
+
+ATTITUDE_NS = 500_000_000  # older attitudes are useless
+MS = 1_000_000  # ns
+
+
+class MavlinkSampler:
+    """Converts telemetry to samples, over reconnections.
+
+    Odometry begins at ``start`` in the run (x m, y m, yaw rad); ``origin`` (m, world) is that of the autopilot's local frame,
+    or of ``plane``, if positions are global.
+    """
+
+    def __init__(self, start: Vec3, origin: Vec3, plane: TangentPlane | None) -> None:
+        self.position_message = "LOCAL_POSITION_NED" if plane is None else "GLOBAL_POSITION_INT"
+        self.battery_v: float | None = None
+        self.state: VehicleState | None = None  # the newest
+        self._start, self._origin, self._plane = start, origin, plane
+        self._number = self._link = 0
+        self._clock = ForeignClock()
+        self._attitude: Message | None = None
+        self._attitude_ns = 0
+        self._base: Vec3 | None = None  # pose at the first sample
+
+    def connect(self) -> None:
+        """A connection begins."""
+        self._link += 1
+        self._attitude, self.state = None, None
+        self._clock = ForeignClock()  # stamps count from power-up, which may be recent
+
+    def attitude(self, message: Message, now_ns: int) -> None:
+        """An ATTITUDE has arrived."""
+        fields = (message.roll, message.pitch, message.yaw, message.rollspeed, message.pitchspeed, message.yawspeed)
+        if all(map(math.isfinite, fields)):
+            self._attitude, self._attitude_ns = message, now_ns
+
+    def position(self, message: Message, now_ns: int) -> Sample | None:
+        """Take a position; a sample, if it completes a state."""
+        if self._attitude is None or now_ns - self._attitude_ns > ATTITUDE_NS:
+            return None
+        place = _local(message) if self._plane is None else _global(message, self._plane)
+        if place is None:
+            return None
+        (x, y, z), velocity = place
+        turn = self._attitude
+        self.state = state = VehicleState(
+            position=(self._origin[0] + x, self._origin[1] + y, self._origin[2] + z),
+            velocity=velocity,
+            attitude=protocol.attitude_from_euler(turn.roll, turn.pitch, turn.yaw),
+            angular_velocity=body_flipped((turn.rollspeed, turn.pitchspeed, turn.yawspeed)),
+        )
+        self._number += 1
+        return Sample(
+            number=self._number,
+            link=self._link,
+            arrived_ns=now_ns,
+            measured_ns=self._clock.heard(message.time_boot_ms * MS, now_ns),
+            odometry=self._odometry(state),
+            state=state,
+            battery_v=self.battery_v,
+        )
+
+    def status(self, message: Message) -> None:
+        """A SYS_STATUS has arrived."""
+        self.battery_v = None if message.voltage_battery in (0, 0xFFFF) else 1e-3 * message.voltage_battery
+
+    def _odometry(self, state: VehicleState) -> Odometry:
+        """Motion since the first sample, from the start pose."""
+        pose = (state.position[0], state.position[1], state.yaw)
+        base = self._base = self._base or pose
+        dx, dy = rotate2(pose[0] - base[0], pose[1] - base[1], self._start[2] - base[2])
+        there = (self._start[0] + dx, self._start[1] + dy, self._start[2] + wrap(pose[2] - base[2]))
+        forward, _ = rotate2(state.velocity[0], state.velocity[1], -pose[2])
+        return Odometry(pose=there, v=forward, w=state.angular_velocity[2])
+
+
+def _local(message: Message) -> tuple[Vec3, Vec3] | None:
+    position, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
+    finite = all(map(math.isfinite, position + velocity))
+    return (world_flipped(position), world_flipped(velocity)) if finite else None
+
+
+def _global(message: Message, plane: TangentPlane) -> tuple[Vec3, Vec3] | None:
+    """Position in 1e-7 degrees and mm above sea level, velocity in cm/s. Latitude and longitude 0 mean no position."""
+    latitude, longitude = 1e-7 * message.lat, 1e-7 * message.lon
+    if (message.lat == 0 and message.lon == 0) or not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
+        return None
+    velocity = (1e-2 * message.vx, 1e-2 * message.vy, 1e-2 * message.vz)
+    return plane.enu(latitude, longitude, 1e-3 * message.alt), world_flipped(velocity)
+
 
 ASK_NS = 500_000_000  # between repeated requests
 CLIMB = 0.7  # m/s, of a take-off
 NEAR = 0.9  # share of its height that ends a take-off
 STANDS = 0.05  # m/s
-SAID: What = "warned"  # of an error text of the autopilot
 TEXT = 50  # characters of a STATUSTEXT; a longer text comes in pieces
 REPEAT_NS = 10_000_000_000  # before a text is reported again
 
@@ -45,8 +137,6 @@ class SessionOptions(Value, frozen=True, kw_only=True):
 
 
 class _Step(NamedTuple):
-    """A request that is repeated until it is fulfilled."""
-
     what: str
     done: Callable[[], bool]
     ask: Callable[[], list[Message]]
@@ -77,8 +167,6 @@ class MavlinkSession:
         self._request_ns: int | None = None
         self._beat_ns = now_ns  # time of the next heartbeat
         self._watch(peer.heartbeat)
-
-    # For the driver
 
     @property
     def ready(self) -> bool:
@@ -126,11 +214,11 @@ class MavlinkSession:
 
             def hold() -> list[Message]:
                 holds.rotate(-1)
-                return [messages.switch(self._peer.sender, self._peer.autopilot, holds[-1])]
+                return [protocol.switch_mode(self._peer.sender, self._peer.autopilot, holds[-1])]
 
             self._steps.append(_Step("it to hold its place", lambda: not self.in_command, hold))
             if self._has_armed:
-                disarm = messages.arm(self._peer.sender, on=False)
+                disarm = protocol.arm_command(self._peer.sender, on=False)
                 self._steps.append(_Step("it to disarm", lambda: not (self._armed and self._stands), lambda: [disarm]))
 
     def farewell(self) -> list[Message]:
@@ -138,21 +226,21 @@ class MavlinkSession:
         self._climb_to = None
         return self._points(STILL, 0.0)
 
-    # Time and messages
-
     def advance(self, now_ns: int) -> list[Message]:
         """Messages to send at this time."""
         self._now_ns = now_ns
         output: list[Message] = []
         if now_ns >= self._beat_ns:
             self._beat_ns = now_ns + SECOND_NS
-            output.append(messages.heartbeat())
+            output.append(protocol.heartbeat())
         before = self._repeater.stopped
         if (speeds := self._repeater.advance(now_ns)) is not None:
             output += self._points(*speeds)
         if self._repeater.stopped != before:
             self.news.append(("stopped", self._repeater.stopped))
-        self._work_off()
+        while self._steps and self._steps[0].done():
+            self._steps.popleft()
+            self._request_ns, self._refusal = None, ""
         if self._steps and (self._request_ns is None or now_ns >= self._request_ns + ASK_NS):
             output += self._steps[0].ask()
             self._request_ns = now_ns
@@ -171,9 +259,9 @@ class MavlinkSession:
         self._now_ns = now_ns
         kind = message.get_type()
         if kind == self._sampler.position_message:
-            if not self._sampler.position(message, now_ns):
-                return None
-            return self._sampler.sample(motors=self._armed, terminated=self._terminated, stopped=self.stopped)
+            sample = self._sampler.position(message, now_ns)
+            flags = {"motors": self._armed, "emergency_stop": self._terminated, "stopped": self.stopped}
+            return sample and msgspec.structs.replace(sample, **flags)
         match kind:
             case "ATTITUDE":
                 self._sampler.attitude(message, now_ns)
@@ -187,49 +275,34 @@ class MavlinkSession:
                 self._acknowledged(message)
             case "STATUSTEXT":
                 if text := self._texts.hear(message, now_ns):
-                    self.news.append((SAID, f'the autopilot says "{text}"'))
+                    self.news.append(("warned", f'the autopilot says "{text}"'))
         return None
 
-    # Steps
-
     def _opening(self) -> list[_Step]:
-        """Requests at the start, in order."""
-        orders, autopilot = self._orders, self._peer.autopilot
-        steps = [_Step(f"its position ({self._sampler.position_message} and ATTITUDE)", self._located, self._telemetry)]
+        orders, autopilot, sampler = self._orders, self._peer.autopilot, self._sampler
+        position = f"its position ({sampler.position_message} and ATTITUDE)"
+        steps = [_Step(position, lambda: sampler.state is not None and bool(self._mode), self._telemetry)]
         if orders.switch_mode:
-            switch = messages.switch(self._peer.sender, autopilot, autopilot.follows)
-            steps.append(_Step("set-points to have come for a while", self._led, list))
+            switch = protocol.switch_mode(self._peer.sender, autopilot, autopilot.follows)
+            led_ns = self._boot_ns + seconds_to_ns(autopilot.lead_s)
+            steps.append(_Step("set-points to have come for a while", lambda: self._now_ns >= led_ns, list))
             steps.append(_Step(f"it to switch to {autopilot.follows}", lambda: self.in_command, lambda: [switch]))
         if orders.arm:
-            steps.append(_Step("it to arm", self._is_armed, self._ask_to_arm))
+            steps.append(_Step("it to arm", lambda: self._armed, self._ask_to_arm))
         if orders.takeoff_m is not None:
             steps.append(_Step(f"it to reach {orders.takeoff_m:g} m", self._high, self._rise))
         return steps
 
-    def _work_off(self) -> None:
-        while self._steps and self._steps[0].done():
-            self._steps.popleft()
-            self._request_ns, self._refusal = None, ""
-
-    def _located(self) -> bool:
-        return self._sampler.state is not None and bool(self._mode)
-
-    def _led(self) -> bool:
-        return self._now_ns - self._boot_ns >= seconds_to_ns(self._peer.autopilot.lead_s)
-
-    def _is_armed(self) -> bool:
-        return self._armed
-
     def _ask_to_arm(self) -> list[Message]:
         self._has_armed = True
-        return [messages.arm(self._peer.sender, on=True)]
+        return [protocol.arm_command(self._peer.sender, on=True)]
 
     def _telemetry(self) -> list[Message]:
         """Request telemetry; with REQUEST_DATA_STREAM too, if message intervals had no effect."""
         to, hz = self._peer.sender, self._orders.telemetry_hz
-        requests = messages.intervals(to, self._sampler.position_message, hz)
+        requests = protocol.interval_requests(to, self._sampler.position_message, hz)
         if self._old_streams:
-            requests += messages.streams(to, hz)
+            requests += protocol.stream_requests(to, hz)
         self._old_streams = True
         return requests
 
@@ -242,7 +315,7 @@ class MavlinkSession:
             self._climb_to = state.position[2] + NEAR * height
         if self._peer.autopilot.kind == "px4":
             return []
-        return [messages.command(self._peer.sender, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height)]
+        return [protocol.command_long(self._peer.sender, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height)]
 
     def _high(self) -> bool:
         state = self._sampler.state
@@ -253,15 +326,11 @@ class MavlinkSession:
 
     @property
     def _stands(self) -> bool:
-        """The vehicle is on the ground, and does not move."""
         state = self._sampler.state
         still = state is not None and max(map(abs, state.velocity)) < STANDS
         return still and (self._peer.on_ground or self._landed == mavlink.MAV_LANDED_STATE_ON_GROUND)
 
-    # Messages of the vehicle
-
     def _watch(self, beat: Message) -> None:
-        """Take mode and arming of a heartbeat."""
         autopilot = self._peer.autopilot
         self._mode = autopilot.mode(beat.custom_mode)
         self._terminated = beat.system_status == mavlink.MAV_STATE_FLIGHT_TERMINATION
@@ -283,13 +352,10 @@ class MavlinkSession:
             self.news.append(("stopped", cause))
 
     def _acknowledged(self, message: Message) -> None:
-        """Store a refusal for a later message."""
         if message.result in _RESULTS:
             command = mavlink.enums["MAV_CMD"].get(message.command)
             name = command.name.removeprefix("MAV_CMD_") if command else f"command {message.command}"
             self._refusal = f"{name}: {_RESULTS[message.result]}"
-
-    # Set-points
 
     def _points(self, linear: Vec3, yaw_rate: float) -> list[Message]:
         """Set-point; none while ArduPilot takes off, as any would end that."""
@@ -297,18 +363,12 @@ class MavlinkSession:
             if self._peer.autopilot.kind == "ardupilot":
                 return []
             linear, yaw_rate = (0.0, 0.0, CLIMB), 0.0
-        return [setpoint(self._peer.sender, self._ms(), linear, yaw_rate, on_ground=self._peer.on_ground)]
-
-    def _ms(self) -> int:
-        return (self._now_ns - self._boot_ns) // 1_000_000
+        boot_ms = (self._now_ns - self._boot_ns) // MS
+        return [protocol.setpoint(self._peer.sender, boot_ms, linear, yaw_rate, on_ground=self._peer.on_ground)]
 
 
 class StatusTexts:
-    """Error messages (STATUSTEXT) of one vehicle, joined from their chunks; a repeated one is dropped for a while.
-
-    Attributes:
-        last: newest message that was reported; empty: none.
-    """
+    """Error messages (STATUSTEXT) of one vehicle, joined from chunks, the ``last`` one not again for a while."""
 
     def __init__(self) -> None:
         self.last = ""

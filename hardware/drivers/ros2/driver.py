@@ -1,4 +1,4 @@
-"""Driver of robots with ROS 2: Twist or TwistStamped to the robot, Odometry from it, over Eclipse Zenoh.
+"""Driver of robots with ROS 2: Twist or TwistStamped to the robot, Odometry from it, over Eclipse Zenoh, and its samples.
 
 One thread takes what Zenoh's callbacks and the caller put into a queue, and publishes. A robot is connected while odometry
 arrives and a node subscribes to the commands. A loss stops the robot, and each connection starts with zero speed; older
@@ -15,23 +15,103 @@ import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.types import ORIGIN, NonNegative, Positive, Rate, Vec3, Velocity
-from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost, checked
-from vcmvsp.hardware.drivers.command_repeater import NOT_YET, CommandRepeater
-from vcmvsp.hardware.drivers.ros2.cdr_messages import (
-    ODOMETRY,
-    STAMPS_END_NS,
-    TWIST,
-    TWIST_STAMPED,
-    OdometryMessage,
-    Twist,
-    decode_odometry,
-    encode_twist,
-)
+from vcmvsp.cosim.estimation.clock_offset import ForeignClock
+from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw, rotate2, wrap, yaw_of
+from vcmvsp.cosim.types import ORIGIN, NonNegative, Odometry, Positive, Rate, Vec3, VehicleState
+from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost, Sample
+from vcmvsp.hardware.drivers.ros2 import protocol
 from vcmvsp.hardware.drivers.ros2.node import GRAPH_S, Mode, Node, ReceivedMessage, RobotPresence
-from vcmvsp.hardware.drivers.ros2.samples import Pose, Ros2Sampler
-from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Release, RmwZenoh, Ros2Dds, topic_of
-from vcmvsp.hardware.drivers.threaded import ThreadedDriver
+from vcmvsp.hardware.drivers.ros2.protocol import ODOMETRY, STAMPS_END_NS, TWIST, TWIST_STAMPED, Endpoint, OdometryMessage
+from vcmvsp.hardware.drivers.threaded import NOT_YET, CommandRepeater, ThreadedDriver
+
+Pose = Literal["odometry", "world"]
+DRIFT_PPM = 500.0  # maximum drift: the largest slew of NTP
+JUMP_S = 0.2  # smaller jumps of the clock make odometry seem older for a while
+LEAP_S = 1.0  # longest step of the pose: greatest speed times (time since the last message + this)
+
+
+class Ros2Sampler:
+    """Converts odometry messages to samples, over reconnections.
+
+    With ``pose`` "odometry" only differences count, from ``start``; with "world", ``origin`` (x m, y m, yaw rad) moves the pose
+    into the world. Larger steps than ``max_speed`` (m/s) allows are ignored, and counted in ``leaps``.
+    """
+
+    def __init__(self, start: Vec3, pose: Pose, origin: Vec3, max_speed: float) -> None:
+        self.leaps = 0
+        self._clock = ForeignClock(drift_ppm=DRIFT_PPM, jump_s=JUMP_S)
+        self._kind, self._origin, self._max_speed = pose, origin, max_speed
+        self._number = self._link = 0
+        self._pose = start
+        self._base: Vec3 | None = None  # x m, y m, yaw rad of the last message
+        self._arrived_ns = 0
+
+    def connect(self, *, anew: bool) -> None:
+        """A connection begins; ``anew``: perhaps another node, with another start and another clock."""
+        self._link += 1
+        if anew:
+            self._base = None
+            self._clock = ForeignClock(drift_ppm=DRIFT_PPM, jump_s=JUMP_S)
+
+    def add(self, message: OdometryMessage, arrived_ns: int, stopped: str) -> Sample:
+        """Sample of a message."""
+        measured_ns = self._clock.heard(message.stamp_ns, arrived_ns) if message.stamp_ns else arrived_ns
+        state = self._state(message) if self._kind == "world" else None
+        if state is None:
+            self._move(message, arrived_ns)
+            pose = self._pose
+        else:
+            pose = (state.position[0], state.position[1], state.yaw)
+        self._arrived_ns = arrived_ns
+        self._number += 1
+        return Sample(
+            number=self._number,
+            link=self._link,
+            arrived_ns=arrived_ns,
+            measured_ns=measured_ns,
+            odometry=Odometry(pose=pose, v=message.linear[0], w=message.angular[2]),
+            state=state,
+            stopped=stopped,
+        )
+
+    def stamp_ns(self, now_ns: int) -> int:
+        """Present time of the robot's clock; 0: unknown."""
+        offset_ns = self._clock.offset_ns(now_ns)
+        return 0 if offset_ns is None or not 0 <= now_ns - offset_ns < STAMPS_END_NS else now_ns - offset_ns
+
+    def _move(self, message: OdometryMessage, arrived_ns: int) -> None:
+        new = (message.position[0], message.position[1], yaw_of(message.attitude))
+        last, self._base = self._base, new
+        if last is None:
+            return
+        dx, dy = new[0] - last[0], new[1] - last[1]
+        farthest = self._max_speed * ((arrived_ns - self._arrived_ns) / SECOND_NS + LEAP_S)
+        if dx * dx + dy * dy > farthest * farthest:
+            self.leaps += 1
+            return
+        x, y, yaw = self._pose
+        dx, dy = rotate2(dx, dy, yaw - last[2])
+        self._pose = (x + dx, y + dy, yaw + wrap(new[2] - last[2]))
+
+    def _state(self, message: OdometryMessage) -> VehicleState:
+        """State in the world; the velocity of odometry is in the body's frame."""
+        x, y, yaw = self._origin
+        dx, dy = rotate2(message.position[0], message.position[1], yaw)
+        attitude = product(quaternion_from_yaw(yaw), message.attitude)
+        return VehicleState(
+            position=(x + dx, y + dy, message.position[2]),
+            velocity=_rotated(attitude, message.linear),
+            attitude=attitude,
+            angular_velocity=message.angular,
+        )
+
+
+def _rotated(attitude: Quaternion, vector: Vec3) -> Vec3:
+    """The vector turned by the attitude: q v q*."""
+    w, x, y, z = attitude
+    _, rx, ry, rz = product(product(attitude, (0.0, *vector)), (w, -x, -y, -z))
+    return rx, ry, rz
+
 
 OPEN_S = 5.0  # for a session: two seconds for a host that does not answer, and reserve
 CLOSE_S = 2.0
@@ -44,8 +124,6 @@ ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=30)]  # s; less than a stat
 
 
 class _LeftOut(Exception):
-    """A message that is rejected."""
-
     def __init__(self, cause: str, why: str) -> None:
         self.cause = cause
         super().__init__(why)
@@ -87,7 +165,7 @@ class Ros2Driver(ThreadedDriver):
         mode: Mode = "connect",
         mapping: Literal["rmw_zenoh", "ros2dds"] = "rmw_zenoh",
         domain: Domain = 0,
-        release: Release = "later",
+        release: protocol.Release = "later",
         namespace: str = "",
         command_topic: str = "cmd_vel",
         odometry_topic: str = "odom",
@@ -112,23 +190,14 @@ class Ros2Driver(ThreadedDriver):
             close_deadline_s=CLOSE_S,
         )
         self._endpoint, self._mode = endpoint, mode
-        self._mapping: Mapping = RmwZenoh(domain, name, release) if mapping == "rmw_zenoh" else Ros2Dds()
+        self._mapping: protocol.Mapping = (
+            protocol.RmwZenoh(domain, name, release) if mapping == "rmw_zenoh" else protocol.Ros2Dds()
+        )
         self._stamped, self._command_frame, self._frame = stamped, command_frame, frame
         self._pose, self._origin, self._max_speed = pose, origin, max_speed
         self._rate_hz, self._timeout_s = rate_hz, command_timeout_s
         self._connect_s, self._reconnect_ns = connect_s, seconds_to_ns(reconnect_s)
         self._silence_s = silence_s
-
-    # What the caller does.
-
-    def write(self, velocity: Velocity) -> None:
-        """Command a forward speed and a yaw rate; ignored while the robot is lost."""
-        v, w = checked(velocity)
-        with self._lock:
-            self._check()
-            if self._connected:
-                self._repeater.command((v, w), time.monotonic_ns())
-        self._wake()
 
     def _prepare(self, start: Vec3) -> None:
         self.refused: Counter[str] = Counter()  # rejected messages, by cause
@@ -141,10 +210,6 @@ class Ros2Driver(ThreadedDriver):
         self._spoke: bytes | None = None  # node of the last connection's odometry
         self._lost_ns = 0
 
-    def _hold(self, cause: str) -> bool:
-        self._repeater.stop(cause)
-        return False
-
     def _wake(self) -> None:
         if self._thread is not None:
             self._news.put(None)
@@ -153,8 +218,6 @@ class Ros2Driver(ThreadedDriver):
         super()._check()
         if self._lost and time.monotonic_ns() >= self._lost_ns + self._reconnect_ns:
             raise LinkLost(self.device, self._lost, "look at the robot's nodes, its router and its radio")
-
-    # What the thread does.
 
     def _work(self) -> None:
         with contextlib.closing(Node(self._endpoint, self._mode, self._mapping, (self._command, self._odometry))) as node:
@@ -166,15 +229,16 @@ class Ros2Driver(ThreadedDriver):
                 self._say(ZERO_SPEEDS, 0)  # without a stamp, which may be invalid
 
     def _hand_over(self, message: ReceivedMessage) -> None:
-        """Called by Zenoh."""
         if self._news.qsize() < WAITING:
             self._news.put(message)
 
     def _converse(self, node: Node) -> None:
-        """Receive and send until the caller closes the driver."""
         until_ns = time.monotonic_ns() + seconds_to_ns(self._connect_s)
         while not self._closing.is_set():
-            due_ns = self._say_what_is_due()
+            command, due_ns = self._due_command()
+            while command is not None:
+                self._say(command, self._sampler.stamp_ns(time.monotonic_ns()))
+                command, due_ns = self._due_command()
             now_ns = time.monotonic_ns()
             due_ns = min(due_ns, self._presence.due_ns(now_ns))
             if not self._ready.is_set():
@@ -186,8 +250,11 @@ class Ros2Driver(ThreadedDriver):
             except queue.Empty:
                 news = None
             now_ns = time.monotonic_ns()
-            if isinstance(news, bool):
-                self._listened(news, now_ns)
+            if isinstance(news, bool):  # a subscriber came or went; each new one gets zero speed first
+                self._presence.listen(news, now_ns)
+                if news:
+                    with self._lock:
+                        self._repeater.stop(self._repeater.stopped or NOT_YET)
             self._look(now_ns)  # before another node is followed: report the loss of the first
             message = self._taken(news) if isinstance(news, ReceivedMessage) else None
             if message is None:
@@ -197,30 +264,10 @@ class Ros2Driver(ThreadedDriver):
                 with self._lock:
                     self._sample = self._sampler.add(*message, self._repeater.stopped)
 
-    def _say_what_is_due(self) -> int:
-        """Send velocities that are due; time of the next one."""
-        while True:
-            with self._lock:
-                before = self._repeater.stopped
-                speeds = self._repeater.advance(time.monotonic_ns())
-                stopped, due_ns = self._repeater.stopped, self._repeater.due_ns
-            if stopped != before:
-                self._notice("stopped", stopped)
-            if speeds is None:
-                return due_ns
-            self._say(speeds, self._sampler.stamp_ns(time.monotonic_ns()))
-
     def _say(self, speeds: tuple[float, float], stamp_ns: int) -> None:
         v, w = speeds
-        twist = Twist((v, 0.0, 0.0), (0.0, 0.0, w), stamp_ns, self._command_frame)
-        self._publish(encode_twist(twist, stamped=self._stamped))
-
-    def _listened(self, listens: bool, now_ns: int) -> None:
-        """A subscriber came or went; each new one gets zero speed first."""
-        self._presence.listen(listens, now_ns)
-        if listens:
-            with self._lock:
-                self._repeater.stop(self._repeater.stopped or NOT_YET)
+        twist = protocol.Twist((v, 0.0, 0.0), (0.0, 0.0, w), stamp_ns, self._command_frame)
+        self._publish(protocol.encode_twist(twist, stamped=self._stamped))
 
     def _taken(self, message: ReceivedMessage) -> tuple[OdometryMessage, int] | None:
         """Odometry of a message, and its arrival; the first rejected message of each cause is reported."""
@@ -236,7 +283,7 @@ class Ros2Driver(ThreadedDriver):
         if message.type not in ("", ODOMETRY):
             raise _LeftOut("type", f"it is {message.type}, not {ODOMETRY}")
         try:
-            odometry = decode_odometry(message.data)
+            odometry = protocol.decode_odometry(message.data)
         except ValueError as error:
             raise _LeftOut("content", str(error)) from None
         if not 0 <= odometry.stamp_ns < STAMPS_END_NS:
@@ -248,7 +295,6 @@ class Ros2Driver(ThreadedDriver):
         return odometry
 
     def _look(self, now_ns: int) -> None:
-        """Detect connection and loss of the robot."""
         silent, unheard = self._presence.missing(now_ns)
         if self._connected and (silent or unheard):
             what = f"odometry on {self._odometry.topic}" if silent else f"listener to {self._command.topic}"
@@ -267,7 +313,6 @@ class Ros2Driver(ThreadedDriver):
             self._ready.set()
 
     def _nobody(self, node: Node, silent: bool, unheard: bool) -> HandshakeError:
-        """Error without a connection, with the endpoints that exist."""
         missing = []
         if silent:
             refused = f" ({self.refused.total()} messages were left out)" if self.refused else ""
@@ -290,6 +335,6 @@ class Ros2Driver(ThreadedDriver):
 
 def _topic(key: str, namespace: str, topic: str) -> str:
     try:
-        return topic_of(namespace, topic)
+        return protocol.topic_of(namespace, topic)
     except ValueError as error:
         raise ScenarioError(str(error), key=key) from None

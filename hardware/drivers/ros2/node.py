@@ -16,7 +16,7 @@ from vcmvsp.cosim.endpoints import with_slash
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.hardware.drivers.base import PortError
-from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Origin, gid_of, origin_of
+from vcmvsp.hardware.drivers.ros2.protocol import Endpoint, Mapping, Origin, gid_of, origin_of
 
 Mode = Literal["connect", "listen"]
 GRAPH_S = 1.0  # for the list of other nodes
@@ -34,16 +34,9 @@ class ReceivedMessage(NamedTuple):
 
 
 class Node:
-    """One node with its endpoints.
+    """One node with its endpoints, on a session with a router or a bridge, or one that is the router of rmw_zenoh ("listen").
 
-    Args:
-        endpoint: such as ``tcp/127.0.0.1:7447``.
-        mode: "connect": to a router, or a bridge; "listen": be the router for sessions of rmw_zenoh.
-        mapping: from names to keys.
-        endpoints: of the node.
-
-    Raises:
-        PortError: no connection, or the endpoint cannot be bound.
+    `PortError`: no connection, or the endpoint cannot be bound.
     """
 
     def __init__(self, endpoint: str, mode: Mode, mapping: Mapping, endpoints: tuple[Endpoint, ...]) -> None:
@@ -115,14 +108,7 @@ class Node:
 
 
 class RobotPresence:
-    """Presence of a robot: a node publishes its odometry, and a node subscribes to its commands.
-
-    Args:
-        silence_s: maximum time without either.
-
-    Attributes:
-        sender: node of the followed odometry; None: without id.
-    """
+    """Presence of a robot: a node (``sender``) publishes its odometry, and one hears its commands, or is silent for a while."""
 
     def __init__(self, silence_s: float) -> None:
         self.sender: bytes | None = None

@@ -1,107 +1,82 @@
-"""Emulated vehicle at a UDP or TCP port, at the pace of the wall clock.
+"""Emulated vehicle at a UDP or TCP port, at the pace of the wall clock, and the program that serves it."""
 
-::
-
-    with serve_udp(Vehicle()) as served:
-        driver = MavlinkDriver(address=served.url)
-"""
-
-import contextlib
-import socket
 import threading
 import time
 from typing import Any
 
-from vcmvsp.cosim.endpoints import bracketed
-from vcmvsp.hardware.emulators.device_server import LOOPBACK, DeviceServer, TcpListener
+from vcmvsp.cosim.endpoints import endpoint_of
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.types import ORIGIN, Vec3
+from vcmvsp.hardware.emulators import device_server
+from vcmvsp.hardware.emulators.device_server import LOOPBACK, DeviceServer, Ready, TcpListener, UdpPort, duration_of, wait
 from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
-
-_READ = 65_535  # bytes
-
-
-class _UdpPort:
-    """One datagram per turn, to a fixed address or to the last sender."""
-
-    _to: Any  # an address of the operating system
-
-    def __init__(self, to: tuple[str, int] | None) -> None:
-        family, self._to, self._fixed = socket.AF_INET, None, to is not None
-        if to:
-            family, _, _, _, self._to = socket.getaddrinfo(*to, type=socket.SOCK_DGRAM)[0]
-        self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        try:
-            self._socket.bind(("" if to else LOOPBACK, 0))  # a loopback port is reachable on this machine only
-        except OSError:
-            self._socket.close()
-            raise
-        self.url = f"udpin:{bracketed(to[0])}:{to[1]}" if to else f"udpout:{LOOPBACK}:{self._socket.getsockname()[1]}"
-
-    def waits_on(self) -> int:
-        return self._socket.fileno()
-
-    def read(self) -> bytes:
-        with contextlib.suppress(OSError):
-            data, where = self._socket.recvfrom(_READ)
-            if not self._fixed:
-                self._to = where
-            return data
-        return b""
-
-    def write(self, data: bytes) -> int:
-        if self._to is not None:
-            with contextlib.suppress(OSError):
-                return self._socket.sendto(data, self._to)
-        return 0
-
-    def close(self) -> None:
-        self._socket.close()
 
 
 class MavlinkServer(DeviceServer):
-    """Serves a vehicle.
+    """Serves a vehicle; access it with ``lock`` held. ``mute``: it is out of reach, nothing is sent or received."""
 
-    Attributes:
-        url: for a driver.
-        vehicle: access it with ``lock`` held.
-        lock: guards the vehicle.
-        mute: out of reach: nothing is sent or received.
-    """
-
-    def __init__(self, vehicle: Vehicle, line: _UdpPort | TcpListener) -> None:
+    def __init__(self, vehicle: Vehicle, port: UdpPort | TcpListener) -> None:
         self.vehicle, self.lock, self.mute = vehicle, threading.Lock(), False
-        self._line = line
         self._origin_ns = time.monotonic_ns() - vehicle.now_ns
-        super().__init__(line.url, line.close)
+        super().__init__(port)
 
     def _due_ns(self) -> int:
         with self.lock:
             return self._origin_ns + self.vehicle.due_ns
 
-    def _waits_on(self) -> int:
-        return self._line.waits_on()
-
     def _turn(self) -> None:
-        received = self._line.read()
+        received = self._port.read()
         with self.lock:
             output = self.vehicle.receive(b"" if self.mute else received, time.monotonic_ns() - self._origin_ns)
         if output and not self.mute:
-            self._line.write(output)
+            self._port.write(output)
 
 
-def serve_udp(vehicle: Vehicle, *, to: tuple[str, int] | None = None) -> MavlinkServer:
-    """Serve a vehicle over UDP.
+TCP_PORT = 5760  # of ArduPilot's simulator
 
-    Args:
-        vehicle: its time continues.
-        to: address of its messages, as PX4 sends to port 14540; None: it answers the last sender, at a free port of loopback.
+AUTOPILOTS, KINDS = ("px4", "ardupilot"), ("quadrotor", "rover")
 
-    Raises:
-        OSError: the address is invalid.
+
+def emulate(
+    port: str,
+    ready: Ready,
+    *,
+    autopilot: str = "px4",
+    kind: str = "quadrotor",
+    system_id: int = 1,
+    armed: bool = False,
+    pose: Vec3 | None = None,
+    duration_s: float | None = None,
+) -> dict[str, Any]:
+    """Serve a vehicle on an empty floor until it is interrupted; its final state. `UsageError`: an option is invalid.
+
+    ``port``: ``udp://HOST:PORT``, destination of its messages, as with PX4; or ``tcp://HOST:PORT``, where it listens. The pose
+    is that of its start: x m, y m, yaw rad.
     """
-    return MavlinkServer(vehicle, _UdpPort(to))
+    if autopilot not in AUTOPILOTS:
+        raise UsageError(f"--autopilot {autopilot}: must be {' or '.join(AUTOPILOTS)}")
+    if kind not in KINDS:
+        raise UsageError(f"--kind {kind}: must be {' or '.join(KINDS)}")
+    if not 1 <= system_id <= 255:
+        raise UsageError(f"--system-id {system_id}: must be from 1 to 255")
+    x, y, yaw = pose or ORIGIN
+    vehicle = Vehicle(autopilot=autopilot, kind=kind, system_id=system_id, armed=armed, start=(x, y, 0.0, yaw))  # type: ignore[arg-type]  # both checked above
+    duration_of(duration_s)
+    with device_server.until_interrupted(), device_server.served_quietly(serve(vehicle, port)) as served:
+        ready({"url": served.url, "positioning": {}})
+        wait(duration_s, served.check)
+    place = dict(zip(("x_m", "y_m", "z_m"), vehicle.state.position, strict=True))
+    return {"messages": len(vehicle.heard), "mode": vehicle.mode, "armed": vehicle.armed, **place, "fixes": {}}
 
 
-def serve_tcp(vehicle: Vehicle, *, host: str = LOOPBACK, port: int = 0) -> MavlinkServer:
-    """Serve a vehicle at a TCP port, as ArduPilot's simulator does at 5760; 0: any free port."""
-    return MavlinkServer(vehicle, TcpListener("tcp:", host, port))
+def serve(vehicle: Vehicle, port: str) -> MavlinkServer:
+    """Serve a vehicle, whose time continues, at its port, see `emulate`; `UsageError`: it cannot be opened."""
+    protocol, host, number = endpoint_of(port) or ("", "", None)
+    try:
+        if protocol == "tcp":
+            return MavlinkServer(vehicle, TcpListener("tcp:", host or LOOPBACK, TCP_PORT if number is None else number))
+        if protocol == "udp" and host and number:
+            return MavlinkServer(vehicle, UdpPort((host, number)))
+    except OSError as error:
+        raise UsageError(f"--port {port}: {error.strerror or error}") from None
+    raise UsageError(f"--port {port}: write udp://HOST:PORT or tcp://HOST:PORT, e.g. udp://{LOOPBACK}:14540")

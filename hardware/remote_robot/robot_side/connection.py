@@ -3,7 +3,7 @@
 import contextlib
 import queue
 import time
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import zenoh
 from zenoh.handlers import Callback
@@ -19,29 +19,18 @@ if TYPE_CHECKING:
 ANSWER_S = 1.0  # for the answer to a request
 WAITING = 256  # messages that may wait; others are dropped, and replaced by later ones
 
+RunMessage = tuple[bytes, int]  # its bytes, and when they arrived, ns
+
 
 class RunUnreachable(Exception):
     """There is no run now; the text says why."""
 
 
-class RunMessage(NamedTuple):
-    """A message of the run."""
-
-    data: bytes
-    arrived_ns: int
-
-
 class RunConnection:
-    """A session with a run.
+    """A session with a run; without a certificate over plain TCP.
 
-    Args:
-        endpoint: endpoint of the run's driver.
-        bundle: certificate of this machine; None: plain TCP.
-        vehicle: vehicle of this robot.
-
-    Raises:
-        RunUnreachable: there is no run now.
-        UsageError: no run can come: another program listens there, or it rejects this machine.
+    `RunUnreachable`: there is no run now; `UsageError`: no run can come: another program listens there, or it rejects this
+    machine.
     """
 
     def __init__(self, endpoint: str, bundle: "Bundle | None", vehicle: str) -> None:
@@ -89,7 +78,7 @@ class RunConnection:
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT and "*" not in str(sample.key_expr) and self._news.qsize() < WAITING:
-            self._news.put(RunMessage(sample.payload.to_bytes(), time.monotonic_ns()))
+            self._news.put((sample.payload.to_bytes(), time.monotonic_ns()))
 
     def _on_hub(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.DELETE:

@@ -9,17 +9,19 @@ import signal
 import time
 from collections.abc import Callable
 from contextlib import closing
+from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.transport import access_control
+from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.errors import ScenarioError, UsageError
+from vcmvsp.cosim.transport import access_control, endpoints, key_names
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.text import plain
-from vcmvsp.hardware.drivers.base import Driver, Sample
-from vcmvsp.hardware.drivers.call_timeout import within
+from vcmvsp.hardware.drivers.base import Driver, Sample, within
 from vcmvsp.hardware.remote_robot import messages
 from vcmvsp.hardware.remote_robot.messages import SAY_S, RobotHello, RobotOrder, RobotStatus, RobotWelcome
 from vcmvsp.hardware.remote_robot.robot_side.connection import RunConnection, RunMessage, RunUnreachable
@@ -27,6 +29,7 @@ from vcmvsp.hardware.remote_robot.robot_side.watchdog import DriverWatchdog
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
+
 
 POLL_S = 0.01  # period of reading samples
 DIAL_S = 0.2  # between two attempts to connect
@@ -40,16 +43,9 @@ LEFT = "the run is over"
 
 
 class RobotProgram:
-    """Implements ``vcmvsp robot``.
+    """Implements ``vcmvsp robot``, with the arguments of `robot`.
 
-    Args:
-        vehicle: vehicle of this robot.
-        driver: of the robot.
-        endpoint: endpoint of the run's driver.
-        bundle: certificate of this machine.
-        pose: pose of the robot; None: as the run says.
-        foreign: why the certificate does not match this vehicle; a run, if there is one, rejects it itself.
-        tell: takes lines for the user.
+    ``foreign`` says why the certificate does not match this vehicle; a run, if there is one, rejects it itself.
     """
 
     def __init__(
@@ -98,10 +94,7 @@ class RobotProgram:
             self._watchdog.close(self._ending or "its program ends")
         self._tell(self._ending)
 
-    # One run
-
     def _visit(self, connection: RunConnection) -> None:
-        """Serve one run while there is a link."""
         welcome = self._greeted(connection)
         if welcome is None:
             return
@@ -109,8 +102,9 @@ class RobotProgram:
         self._echo = (0, 0, 0)
         watchdog = self._watchdog
 
-        def say() -> None:
+        def say() -> str:
             self._say(connection)
+            return ""
 
         try:
             if watchdog.run == welcome.run and watchdog.state == "open":
@@ -160,19 +154,15 @@ class RobotProgram:
                     raise UsageError(f"the run refuses this robot: {plain(welcome.refused)}")
                 self._say_once(f"waiting: {plain(welcome.refused)}")
             elif time.monotonic() > until:
-                self._say_once(self._unanswered())
+                unknown = "what listens there does not answer robots: another vcmvsp version,"
+                silence = unknown if self._bundle is None else f"{access_control.silence(self._bundle.name)};"
+                self._say_once(f"{silence} or is {self._endpoint} not where the driver of {self._vehicle} listens?")
                 self._rest(ASK_S)
                 return None
             self._rest(ASK_S if welcome else DIAL_S)
             if connection.next(0.0) == "gone":
                 return None
         return None
-
-    def _unanswered(self) -> str:
-        wrong = f"or is {self._endpoint} not where the driver of {self._vehicle} listens?"
-        if self._bundle is None:
-            return f"what listens there does not answer robots: another vcmvsp version, {wrong}"
-        return f"{access_control.silence(self._bundle.name)}; {wrong}"
 
     def _given_up(self, connection: RunConnection) -> str:
         """Reason to abort the opening of the driver; sends the present status meanwhile."""
@@ -186,7 +176,6 @@ class RobotProgram:
         return self._ending
 
     def _drive(self, connection: RunConnection) -> str:
-        """Follow the run until it leaves, its link ends, or this program ends; the reason."""
         watchdog = self._watchdog
         heard_ns = time.monotonic_ns()
         with within(HANG_S, self._driver.device, "a turn") as turned:
@@ -213,16 +202,14 @@ class RobotProgram:
         if isinstance(news, str):
             return None
         try:
-            order = messages.downs.decode(news.data)
+            order = messages.downs.decode(news[0])
         except ValueError:
             self._say_once("the run says something that cannot be read: use the same vcmvsp version")
             return None
         if order.number <= self._echo[0]:
             return None
-        self._echo = order.number, order.sent_ns, news.arrived_ns
+        self._echo = order.number, order.sent_ns, news[1]
         return order
-
-    # Talking
 
     def _say(self, connection: RunConnection, sample: Sample | None = None, *, left: bool = False) -> None:
         watchdog = self._watchdog
@@ -257,20 +244,101 @@ class RobotProgram:
             self._tell(text)
 
     def _rest(self, seconds: float) -> None:
-        """Wait, and control a robot without link."""
-        until_ns = time.monotonic_ns() + round(seconds * SECOND_NS)
+        watchdog, until_ns = self._watchdog, time.monotonic_ns() + round(seconds * SECOND_NS)
         while not self._ending and (now_ns := time.monotonic_ns()) < until_ns:
-            self._attend(now_ns)
+            if watchdog.state == "open":
+                try:
+                    with within(HANG_S, self._driver.device, "a turn"):
+                        watchdog.turn(now_ns)
+                except Exception as error:
+                    watchdog.fail(error)
+                if self._lost_ns is not None and now_ns > self._lost_ns + seconds_to_ns(KEEP_S):
+                    watchdog.close(f"its run is not back after {KEEP_S:g} s")
             time.sleep(min(DIAL_S, max(0.0, (until_ns - now_ns) / SECOND_NS)))
 
-    def _attend(self, now_ns: int) -> None:
-        watchdog = self._watchdog
-        if watchdog.state != "open":
-            return
-        try:
-            with within(HANG_S, self._driver.device, "a turn"):
-                watchdog.turn(now_ns)
-        except Exception as error:
-            watchdog.fail(error)
-        if self._lost_ns is not None and now_ns > self._lost_ns + seconds_to_ns(KEEP_S):
-            watchdog.close(f"its run is not back after {KEEP_S:g} s")
+
+ADDRESSES = ("port", "address", "endpoint")
+"""Parameters of drivers that say where a robot is."""
+
+
+def robot(
+    vehicle: str,
+    driver: str,
+    connect: str,
+    *,
+    params: dict[str, Any] | None = None,
+    keys: Path | None = None,
+    insecure: bool = False,
+    pose: Vec3 | None = None,
+    tell: Callable[[str], None],
+) -> None:
+    """Serve runs until Ctrl-C or SIGTERM, as ``vcmvsp robot`` does.
+
+    The driver is ``KIND`` or ``KIND:ADDRESS``; ``connect``: endpoint of the run's driver, e.g. ``tls/192.168.1.10:7448``;
+    ``keys``: file with the certificate of this machine; the pose is x m, y m, yaw rad, None: as the run says.
+
+    Raises:
+        UsageError: an argument is invalid, or the run rejects this robot permanently.
+        ScenarioError: the driver cannot be built.
+    """
+    try:
+        key_names.robot_key(key_names.OPEN, vehicle, "0", "up")
+    except ValueError:
+        raise UsageError(f"--vehicle {vehicle!r}: a name has letters, digits, _ and -") from None
+    bundle, foreign = _bundle(keys, vehicle, tell)
+    connect = endpoints.endpoint_rules(connect, bundle, insecure=insecure, side="robot")
+    program = RobotProgram(vehicle, built(driver, params or {}), connect, bundle, pose=pose, foreign=foreign, tell=tell)
+    before = {each: signal.signal(each, program.told_to_end) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        program.serve()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _bundle(keys: Path | None, vehicle: str, tell: Callable[[str], None]) -> "tuple[Bundle | None, str]":
+    """The certificate, and why it does not match this vehicle; empty: it does."""
+    if keys is None:
+        return None, ""
+    from vcmvsp.cosim.security import certificates
+
+    bundle = certificates.load_bundle(keys)
+    if warning := bundle.check():
+        tell(warning)
+    bundle.speaks_for(())  # it is for vehicles
+    try:
+        bundle.speaks_for([vehicle])
+    except UsageError as error:
+        return bundle, str(error)
+    return bundle, ""
+
+
+def built(text: str, params: dict[str, Any]) -> Driver:
+    """The driver of ``KIND`` or ``KIND:ADDRESS``, not open; `ScenarioError`: unknown kind, or invalid parameters."""
+    kind, address = kind_of(text)
+    origin = Source("--set")
+    if kind == "zenoh":
+        raise ScenarioError("zenoh is the run's end of this program: name the driver of the robot itself", source="--driver")
+    driver_class = registry.find("driver", kind, key="", origin=Source("--driver"))
+    if address:
+        where = next((each for each in ADDRESSES if each in binding.parameters(driver_class)), None)
+        if where is None:
+            problem = f"'{kind}' takes no address; leave ':{address}' out (parameters come by --set KEY=VALUE)"
+            raise ScenarioError(problem, source="--driver")
+        if where in params:
+            raise ScenarioError(f"the address is there twice, as {where} and behind --driver {kind}:", source="--set")
+        params = {where: address, **params}
+    driver: Driver = binding.call(driver_class, params, origin=origin)
+    return driver
+
+
+def kind_of(text: str) -> tuple[str, str]:
+    """Kind and address: ``arcos:/dev/ttyUSB0``, ``bench``, ``my_robot.py:Rover:/dev/ttyUSB0``."""
+    head, _, rest = text.partition(":")
+    name, _, address = rest.partition(":")
+    try:
+        registry.target("driver", head)
+    except ScenarioError:
+        if name.isidentifier():
+            return f"{head}:{name}", address
+    return head, rest

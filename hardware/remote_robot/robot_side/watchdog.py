@@ -15,31 +15,20 @@ from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import words_of
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.cosim.util.text import plain
-from vcmvsp.hardware.drivers.base import Driver, DriverError, HandshakeError, LinkLost, Notice, PortError, Sample
-from vcmvsp.hardware.drivers.call_timeout import within
-from vcmvsp.hardware.drivers.command_repeater import NOT_YET
-from vcmvsp.hardware.remote_robot.messages import DEADMAN_S, NOTICES_AT_ONCE, Failure, RobotOrder
+from vcmvsp.hardware.drivers.base import Driver, DriverError, Notice, Sample, nothing, within
+from vcmvsp.hardware.drivers.threaded import NOT_YET
+from vcmvsp.hardware.remote_robot.messages import DEADMAN_S, FAILURES, NOTICES_AT_ONCE, Failure, RobotOrder
 
 GRACE_S = 2.0  # beyond the driver's own deadlines
 KEPT = 1000  # notices without acknowledgement
 _DEADMAN_NS = seconds_to_ns(DEADMAN_S)
 
 
-def _nothing() -> None:
-    """No operation."""
-
-
 class DriverWatchdog:
-    """Drives the robot.
-
-    Args:
-        driver: of the robot; not open.
-        pose: pose of the robot when a run begins; None: as the run says.
-        tell: takes lines for the user.
+    """Drives the robot; its pose when a run begins is as the run says, if it is None.
 
     Attributes:
         run: name of the last run.
-        state: of the driver.
         opened: number of openings.
         failure: why it cannot continue; None: it can.
         noticed: notices that the run acknowledged.
@@ -58,15 +47,11 @@ class DriverWatchdog:
         self._late = False
 
     def open(self, run: str, start: Vec3, abort_reason: Callable[[], str]) -> None:
-        """Open the driver for a run; raises `DriverError`.
-
-        Args:
-            run: name of the run.
-            start: x m, y m, yaw rad.
-            abort_reason: called repeatedly; a text aborts the opening.
-        """
+        """Open the driver for a run at x m, y m, yaw rad, unless ``abort_reason`` returns a text; raises `DriverError`."""
         self.run, self.failure, self.state = run, None, "opening"
-        self._forget()
+        self.noticed += len(self._notices)  # of an earlier run
+        self._notices.clear()
+        self._stood, self._stopped, self._late = False, NOT_YET, False
         self.opened += 1
         driver = self._driver
         x, y, yaw = start if self._pose is None else self._pose
@@ -83,7 +68,9 @@ class DriverWatchdog:
 
     def follow(self, order: RobotOrder, now_ns: int) -> None:
         """Obey an order; a velocity that may be too old, by this clock, is ignored."""
-        self._heard(order.noticed)
+        while self._notices and self.noticed < order.noticed:
+            self._notices.popleft()
+            self.noticed += 1
         if self.state != "open":
             return
         if order.velocity is None:
@@ -111,28 +98,24 @@ class DriverWatchdog:
         self._gather()
         return sample
 
-    def fail(self, error: Exception, meanwhile: Callable[[], None] = _nothing) -> None:
+    def fail(self, error: Exception, meanwhile: Callable[[], str] = nothing) -> None:
         """Record a failure, and close the driver."""
         self.failure = _failure(self._driver.device, error)
         self._tell(f"{self.failure.device}: {self.failure.happened}; {self.failure.advice}")
         self.close(self.failure.happened, meanwhile)
 
-    def end(self, why: str, meanwhile: Callable[[], None]) -> None:
+    def end(self, why: str, meanwhile: Callable[[], str]) -> None:
         """Close the driver permanently, and report why."""
         if self.state != "closed":
             self.failure = Failure(kind="lost", device=self._driver.device, happened=why, advice="start it again")
             self.close(why, meanwhile)
 
-    def close(self, cause: str, meanwhile: Callable[[], None] = _nothing) -> None:
-        """Stop the robot and close its driver, in any state; ``meanwhile`` is called repeatedly."""
+    def close(self, cause: str, meanwhile: Callable[[], str] = nothing) -> None:
+        """Stop the robot and close its driver, in any state; ``meanwhile`` is called repeatedly, and aborts with a text."""
         if self.state == "closed":
             return
         self.state = "closed"
         driver = self._driver
-
-        def tick() -> str:
-            meanwhile()
-            return ""
 
         def stop() -> None:
             if self._stopped != cause:
@@ -141,7 +124,7 @@ class DriverWatchdog:
         seconds = (GRACE_S, "stopping it", stop), (driver.close_deadline_s + GRACE_S, "closing it", driver.close)
         for most_s, doing, what in seconds:
             try:
-                with within(most_s, driver.device, doing, tick):
+                with within(most_s, driver.device, doing, meanwhile):
                     what()
             except Exception as error:
                 self._tell(f"{doing}: {error}")
@@ -151,17 +134,6 @@ class DriverWatchdog:
     def notices(self) -> tuple[Notice, ...]:
         """Notices without acknowledgement, oldest first."""
         return tuple(self._notices)[:NOTICES_AT_ONCE]
-
-    def _heard(self, noticed: int) -> None:
-        while self._notices and self.noticed < noticed:
-            self._notices.popleft()
-            self.noticed += 1
-
-    def _forget(self) -> None:
-        """Drop notices of an earlier run."""
-        self.noticed += len(self._notices)
-        self._notices.clear()
-        self._stood, self._stopped, self._late = False, NOT_YET, False
 
     def _gather(self) -> None:
         try:
@@ -181,11 +153,9 @@ class DriverWatchdog:
         if not fresh and not self._late:
             self._late = True
             way = f"{(now_ns - order.yours_ns) / 1e9:.1f} s for both ways" if order.yours_ns else "nothing of ours was heard"
-            warned = Notice(
-                time_ns=time.monotonic_ns(), what="warned", cause=f"velocities come too late and do not count: {way}"
-            )
-            self._tell(f"{warned.what}: {warned.cause}")
-            self._notices.append(warned)
+            cause = f"velocities come too late and do not count: {way}"
+            self._tell(f"warned: {cause}")
+            self._notices.append(Notice(time_ns=time.monotonic_ns(), what="warned", cause=cause))
         return fresh
 
 
@@ -193,8 +163,6 @@ def _failure(device: str, error: Exception) -> Failure:
     if not isinstance(error, DriverError):
         happened = plain(f"its driver failed ({words_of(error)})")
         return Failure(kind="driver", device=plain(device), happened=happened, advice="report this to who wrote the driver")
-    kinds: dict[type[DriverError], Literal["port", "handshake", "lost"]]
-    kinds = {PortError: "port", HandshakeError: "handshake", LinkLost: "lost"}
-    kind = next((word for each, word in kinds.items() if isinstance(error, each)), None)
+    kind = next(word for word, each in FAILURES.items() if isinstance(error, each))
     device, happened, advice = map(plain, (error.device, error.happened, error.advice))
-    return Failure(kind=kind or "driver", device=device, happened=happened, advice=advice)
+    return Failure(kind=kind, device=device, happened=happened, advice=advice)

@@ -55,17 +55,7 @@ News = RobotGreeting | RobotMessage | LinkEnded
 
 
 class RobotListener:
-    """Listens for the robot of one vehicle.
-
-    Args:
-        listen: endpoint, such as ``tls/0.0.0.0:7448``.
-        keys: certificates of admitted machines; None: no certificates.
-        vehicle: vehicle of the robot.
-        take: takes news, in Zenoh's threads.
-
-    Raises:
-        PortError: the endpoint cannot be bound.
-    """
+    """Listens for the robot of one vehicle; ``take`` gets news, in Zenoh's threads. `PortError`: the endpoint is not free."""
 
     def __init__(self, listen: str, keys: "Keys | None", vehicle: str, take: Callable[[News], None]) -> None:
         self._vehicle, self._take = vehicle, take
@@ -80,8 +70,7 @@ class RobotListener:
             happened = str(error).removeprefix("Zenoh: ")
             advice = "is another run using this port? Give each vehicle a port of its own"
             raise PortError(listen, f"nothing can listen there ({happened})", advice) from None
-        alive = f"vcmvsp/robot/*/{vehicle}/*/alive"
-        watch = Callback(self._on_token, indirect=False)
+        alive, watch = f"vcmvsp/robot/*/{vehicle}/*/alive", Callback(self._on_token, indirect=False)
         self._kept: list[Any] = [
             self._session.liveliness().declare_subscriber(alive, watch),
             self._session.declare_queryable(key_names.GREET, Callback(self._on_greeting, indirect=False)),
@@ -90,8 +79,7 @@ class RobotListener:
 
     def follow(self, peer: Peer) -> None:
         """Exchange messages with this robot from now on; raises `ValueError` for an invalid name."""
-        up = key_names.robot_key(peer.name, self._vehicle, peer.session, "up")
-        down = key_names.robot_key(peer.name, self._vehicle, peer.session, "down")
+        up, down = (key_names.robot_key(peer.name, self._vehicle, peer.session, each) for each in ("up", "down"))
         self.leave()
         self._subscriber = self._session.declare_subscriber(up, Callback(self._on_sample, indirect=False))
         drop = zenoh.CongestionControl.DROP  # a robot that does not listen must not block

@@ -272,7 +272,6 @@ class UdpSocket:
                 return
 
     def _go_on(self) -> None:
-        """Offer the refused datagram again; read on when there is room."""
         if self._refused is None or self.socket.fileno() < 0:
             return
         payload, came_ns = self._refused

@@ -208,7 +208,6 @@ class Wss:
                 self._look()
 
     def _greet(self, message: WssMessage | None, host: str) -> tuple[RobotClient | None, bytes]:
-        """Handle a message before registration: the registered robot, if any, and the answer."""
         if message is None:
             return None, error("Message.Not.Understood")
         if message.kind != "INIT":
@@ -317,7 +316,6 @@ class Wss:
         return itertools.islice((port for port in range(self._first_port, HIGHEST + 1) if port not in held), TRIED)
 
     def _on_call(self, pair: Pair, near: socket.socket, host: str) -> None:
-        """Relay a connection to a relay port if it comes from the robot of the pair; else close it."""
         caller, called = self._robots.get(pair.caller), self._robots.get(pair.called)
         busy = sum(relay.pair == pair for relay, _ in self._relays.values()) >= MOST_RELAYS
         if caller is None or called is None or busy or host != caller.host:

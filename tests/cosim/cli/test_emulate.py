@@ -22,14 +22,12 @@ from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import reserved
 from tests.support.hardware.driver_runs import held
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.drivers.arcos.command_numbers import Command
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
-from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command
-from vcmvsp.hardware.drivers.arcos.sip import is_sip
+from vcmvsp.hardware.drivers.arcos.protocol import Command, PacketReader, command, is_sip
 from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.ros2.driver import Ros2Driver
-from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
-from vcmvsp.hardware.localisation.readers import LineReader
+from vcmvsp.hardware.localisation import dwm1001, ubisense
+from vcmvsp.hardware.localisation.source import LineReader, Located
 
 WALL = """
 name = "wall"

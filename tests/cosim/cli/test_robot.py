@@ -15,7 +15,7 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.security import authority
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
 from vcmvsp.hardware.drivers.bench_robot import Bench
-from vcmvsp.hardware.remote_robot.robot_side.command_line import built, kind_of
+from vcmvsp.hardware.remote_robot.robot_side.program import built, kind_of
 
 HERE = "tcp/127.0.0.1:7448"
 

@@ -22,7 +22,7 @@ from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import emergency_stop
 from vcmvsp.hardware.station.emergency_stop import StopCaller, StopListener
 from vcmvsp.hardware.station.messages import OPERATOR_STOP, PartSpec
-from vcmvsp.hardware.station.process_client import Station
+from vcmvsp.hardware.stations import Station
 
 FOLDERS = emergency_stop.folders
 PATIENCE_S = 30.0
@@ -147,6 +147,7 @@ def test_a_robot_that_is_still_being_connected_is_given_up(tmp_path: Path) -> No
         "from pathlib import Path\n"
         "from vcmvsp.hardware.drivers.bench_robot import Bench\n"
         "class Slow(Bench):\n"
+        "    open_deadline_s = 60.0\n"
         "    def open(self, start):\n"
         "        while not Path(__file__).with_name('go').exists():\n"
         "            time.sleep(0.02)\n"

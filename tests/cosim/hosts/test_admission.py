@@ -2,26 +2,20 @@
 
 import contextlib
 import os
-import queue
 import socket
 import subprocess
 import time
 import tomllib
-import types
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import Stage, ended, ended_with, wait_for
 from tests.support.cosim.teams import FOLLOWER, team
-from vcmvsp.cosim.errors import FederateError, UsageError
-from vcmvsp.cosim.hosts import host_client, protocol
+from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport.zenoh_session import threads
 
 AGENTS = 'kind = "trajectory", path = "straight", runs = "inprocess"', FOLLOWER + ", k1 = 0.7"
@@ -159,67 +153,3 @@ def test_endpoints_that_cannot_be_used_are_bad_input(stage: ByHand) -> None:
         assert code == 2
         assert "cannot listen on 'tcp/127.0.0.1:" in said
     assert vcmvsp_command("agent", "--vehicle", "car2", "--connect", "nonsense").code == 2
-
-
-def test_a_run_that_listens_but_has_not_opened_its_door_yet_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its machine may be held up for a second or two just then."""
-    now_s = [0.0]
-
-    def sleep(seconds: float) -> None:
-        now_s[0] += seconds
-
-    def get(*_: object, **__: object) -> list[Any]:
-        payload = Bytes(protocol.encode(protocol.Welcome(refused=None, patience_s=7.0)))
-        return [types.SimpleNamespace(ok=types.SimpleNamespace(payload=payload))] if now_s[0] > 2.0 else []
-
-    monkeypatch.setattr(host_client, "time", types.SimpleNamespace(monotonic=lambda: now_s[0], sleep=sleep))
-    hello = protocol.Hello("1" * 32, protocol.PROTOCOL, ("car2",))
-    session: Any = types.SimpleNamespace(get=get)
-    assert host_client._join(session, "anyone", hello).patience_s == 7.0
-
-
-class Asked:
-    """A question as it comes in: its number, that of the oldest open one, and its content."""
-
-    def __init__(self, number: int, oldest: int) -> None:
-        self.payload = Bytes(protocol.numbers.pack(number, oldest) + b"%d" % number)
-
-
-class Bytes(bytes):
-    def to_bytes(self) -> bytes:
-        return bytes(self)
-
-
-@given(st.lists(st.tuples(st.integers(1, 12), st.integers(0, 3)), max_size=60))
-def test_whatever_is_asked_again_and_in_whatever_order_each_question_is_worked_on_once_and_in_turn(
-    script: list[tuple[int, int]],
-) -> None:
-    """One that is asked too early gets no answer, upon which the run asks again; one that is asked again, the same answer."""
-    worked, said = list[bytes](), list[bytes]()
-
-    class Desk:
-        ended: str | None = None
-
-        def handle(self, question: bytes) -> bytes:
-            worked.append(bytes(question))
-            return b"to " + question
-
-    inbox = queue.SimpleQueue[Any]()
-    asked = [(number, max(1, number - back)) for number, back in script]
-    for each in asked:
-        inbox.put(Asked(*each))
-    inbox.put(False)  # the hub is gone
-    session = types.SimpleNamespace(info=types.SimpleNamespace(routers_zid=lambda: ["hub"]))
-    says = types.SimpleNamespace(put=said.append)
-    with pytest.raises(FederateError, match="is gone"):
-        host_client._answer(inbox, Desk(), says, session, protocol.Welcome(None, 0.001), lambda _: None)  # type: ignore[arg-type]
-    assert worked == [b"%d" % number for number in range(1, len(worked) + 1)]
-    expected, done, kept = list[bytes](), 0, set[int]()
-    for number, oldest in asked:
-        kept = {each for each in kept if each >= oldest}
-        if number == done + 1:
-            done = number
-            kept.add(number)
-        if number in kept:
-            expected.append(protocol.number.pack(number) + b"to %d" % number)
-    assert said == expected

@@ -1,5 +1,10 @@
-"""What a user is told who waits: who is awaited, with which key file, and where a run waits for nobody."""
+"""What a user is told who waits for hosts, and the socket without a name by which hosts of this machine reach a run."""
 
+import contextlib
+import socket
+import subprocess
+import sys
+import tempfile
 import threading
 from pathlib import Path
 
@@ -8,9 +13,12 @@ import pytest
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.studies import two
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.errors import AgentError, ScenarioError
 from vcmvsp.cosim.hosts import listener
+from vcmvsp.cosim.hosts.hub import Hub
 from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.security import authority, certificates
 
 
@@ -78,3 +86,61 @@ def test_a_file_that_is_not_there_is_said_with_its_machine(monkeypatch: pytest.M
     wrong["vehicle"][1]["agent"] = {"kind": "nowhere.py:Agent"}
     with pytest.raises(ScenarioError, match=r"there is no file .*nowhere\.py on robot-7"):
         api.check(wrong)
+
+
+DIALS = """
+import sys
+from vcmvsp.cosim.hosts import host_client
+with host_client.dial(sys.argv[1], None, print, secret="") as session:
+    print(host_client.hub_of(session))
+"""
+LISTENS = "0A"
+
+
+def open_files() -> list[str]:
+    """What the file descriptors of this process stand for."""
+    links = []
+    for link in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            links.append(str(link.readlink()))
+    return links
+
+
+def listening() -> set[str]:
+    """The TCP sockets at which this process listens."""
+    lines = [line.split() for table in ("tcp", "tcp6") for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]]
+    return {f"socket:[{fields[9]}]" for fields in lines if fields[3] == LISTENS} & set(open_files())
+
+
+def test_a_run_in_processes_listens_at_no_port_and_its_socket_has_no_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    before = listening()
+    scenario, source = loader.load(two())
+    with assemble(scenario, source, runs="process"):
+        assert listening() <= before
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_a_hub_for_children_needs_no_short_path_and_gives_its_files_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stack: contextlib.ExitStack
+) -> None:
+    long = tmp_path / ("x" * 100) / ("y" * 100)  # a socket's path has at most 107 bytes
+    long.mkdir(parents=True)
+    monkeypatch.setattr(tempfile, "tempdir", str(long))
+    hub = Hub(None)
+    stack.callback(hub.close)
+    command = [sys.executable, "-c", DIALS, hub.endpoint]
+    said = subprocess.run(command, pass_fds=hub.files, capture_output=True, text=True, check=True).stdout
+    assert said == f"{hub.session.zid()}\n"
+    hub.close()
+    assert not [link for link in open_files() if link.startswith(str(long))]
+
+
+def test_a_connection_that_does_not_finish_its_greeting_does_not_spoil_the_end(stack: contextlib.ExitStack) -> None:
+    hub = Hub()
+    host, port = hub.endpoint.removeprefix("tcp/").rsplit(":", 1)
+    for _ in range(20):
+        stack.enter_context(socket.create_connection((host, int(port)))).sendall(b"\x10")
+    hub.close()

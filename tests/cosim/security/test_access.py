@@ -19,7 +19,7 @@ from tests.support.paths import ROOT
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.security import authority, certificates
 from vcmvsp.cosim.security.certificates import Bundle, Keys
-from vcmvsp.cosim.transport import access_control, tls_diagnosis
+from vcmvsp.cosim.transport import access_control, zenoh_session
 from vcmvsp.cosim.transport.access_control import merge
 
 
@@ -55,7 +55,7 @@ def test_who_has_a_certificate_comes_in_and_both_know_the_other(hub: Hub, keys: 
         access_control.check_hub(link.auth_identifier for link in host.info.links())
         until(lambda: hub.links("car2"))
         assert greet(host, "car2") == [b"welcome"]
-    until(lambda: tls_diagnosis.diagnose(hub.endpoint, bundle(keys, "car2")) is None)
+    until(lambda: zenoh_session.diagnose(hub.endpoint, bundle(keys, "car2")) is None)
 
 
 def refused(endpoint: str, machine: Bundle | None) -> str:
@@ -65,12 +65,12 @@ def refused(endpoint: str, machine: Bundle | None) -> str:
     return diagnosed(endpoint, machine).why
 
 
-def diagnosed(endpoint: str, machine: Bundle | None) -> tls_diagnosis.Refusal:
+def diagnosed(endpoint: str, machine: Bundle | None) -> zenoh_session.Refusal:
     """What is final; a listener that takes its time is no reason, and whoever dials asks again."""
-    found: list[tls_diagnosis.Refusal] = []
+    found: list[zenoh_session.Refusal] = []
 
     def is_final() -> bool:
-        found[:] = [each for each in [tls_diagnosis.diagnose(endpoint, machine)] if each is not None]
+        found[:] = [each for each in [zenoh_session.diagnose(endpoint, machine)] if each is not None]
         return bool(found) and found[0].final
 
     until(is_final)
@@ -140,17 +140,17 @@ def test_tls_to_a_run_without_is_refused(keys: Keys, stack: contextlib.ExitStack
     with pytest.raises(zenoh.ZError, match="Unable to connect"):
         dial(endpoint, bundle(keys, "car2"))
     silent = "what listens there does not answer in TLS; is it a run with --listen tcp/...?"
-    assert tls_diagnosis.diagnose(endpoint, bundle(keys, "car2")) == tls_diagnosis.Refusal(silent, final=False)
-    assert tls_diagnosis.diagnose(plain.endpoint, None) is None
+    assert zenoh_session.diagnose(endpoint, bundle(keys, "car2")) == zenoh_session.Refusal(silent, final=False)
+    assert zenoh_session.diagnose(plain.endpoint, None) is None
 
 
 def test_where_nobody_listens_one_may_wait(keys: Keys, stack: contextlib.ExitStack) -> None:
     port = stack.enter_context(reserved())
     for machine, protocol in ((bundle(keys, "car2"), "tls"), (None, "tcp")):
-        found = tls_diagnosis.diagnose(f"{protocol}/127.0.0.1:{port}", machine)
-        assert found == tls_diagnosis.Refusal("nobody listens there (Connection refused)", final=False)
-        found = tls_diagnosis.diagnose(f"{protocol}/nobody.invalid:{port}", machine)
-        assert found == tls_diagnosis.Refusal("no machine is known by the name 'nobody.invalid'", final=False)
+        found = zenoh_session.diagnose(f"{protocol}/127.0.0.1:{port}", machine)
+        assert found == zenoh_session.Refusal("nobody listens there (Connection refused)", final=False)
+        found = zenoh_session.diagnose(f"{protocol}/nobody.invalid:{port}", machine)
+        assert found == zenoh_session.Refusal("no machine is known by the name 'nobody.invalid'", final=False)
 
 
 HUB_PROCESS = """

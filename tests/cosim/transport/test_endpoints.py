@@ -9,7 +9,7 @@ from tests.support import requirements
 from tests.support.cosim.secure_hub import Hub, bundle, dial, issued, until
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.security.certificates import Keys
-from vcmvsp.cosim.transport import access_control, key_names, tls_diagnosis
+from vcmvsp.cosim.transport import access_control, key_names, zenoh_session
 from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
 names = st.from_regex(r"\A[A-Za-z0-9_-]{1,20}\Z")
@@ -77,7 +77,7 @@ def test_zenoh_dials_no_ipv6_address_with_tls(keys: Keys) -> None:
     except zenoh.ZError:
         requirements.not_allowed("IPv6")
     with hub:
-        until(lambda: tls_diagnosis.diagnose(hub.endpoint, bundle(keys, "car2")) is None)
+        until(lambda: zenoh_session.diagnose(hub.endpoint, bundle(keys, "car2")) is None)
         with pytest.raises(zenoh.ZError):  # where this no longer holds, endpoint_rules need not refuse it
             dial(hub.endpoint, bundle(keys, "car2"))
     endpoint_rules(hub.endpoint, keys)

@@ -18,7 +18,6 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.cosim.run_processes import reserved
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
@@ -26,10 +25,12 @@ from vcmvsp.cosim.estimation.fusion import Fusion
 from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.cosim.types import Fix
 from vcmvsp.hardware.drivers.base import HandshakeError, PortError
-from vcmvsp.hardware.localisation import Located, dwm1001, port_source, pose_topic, source, ubisense
+from vcmvsp.hardware.localisation import dwm1001, port_source, pose_topic, source, ubisense
+from vcmvsp.hardware.localisation.dwm1001 import Dwm1001
+from vcmvsp.hardware.localisation.nmea import Nmea
 from vcmvsp.hardware.localisation.pose_topic import ExternalPose
-from vcmvsp.hardware.localisation.systems import Dwm1001, Localisation, Nmea, Ubisense
-from vcmvsp.hardware.localisation.world_transform import LocatedPose, WorldTransform
+from vcmvsp.hardware.localisation.source import Localisation, Located, WorldTransform
+from vcmvsp.hardware.localisation.ubisense import Ubisense
 
 DEADLINE_S = 20.0  # of what takes milliseconds, on a machine that is loaded
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
@@ -328,12 +329,6 @@ def test_a_reader_that_fails_is_no_silence(terminal: Terminal, monkeypatch: pyte
         assert "ZeroDivisionError" in wait(look)
 
 
-@pytest.fixture
-def port() -> Iterator[int]:
-    with reserved() as port:
-        yield port
-
-
 @contextlib.contextmanager
 def bridge(mode: str, endpoint: str) -> Iterator[Callable[[str, Any], None]]:
     """Somebody who publishes poses, as a router or as a client."""
@@ -423,7 +418,7 @@ def test_whatever_is_said_readings_are_finite_near_and_not_from_the_future(
 ) -> None:
     placing = WorldTransform(sigma_m=0.1, latency_s=0.1, offset=(1.0, 2.0, 3.0), turn_rad=0.3)
     for arrived in (10**9, 2 * 10**9):
-        posed = LocatedPose(position=position, sigma_m=sigma, yaw=yaw, sigma_rad=sigma_rad, source_ns=source_ns)
+        posed = Located(position=position, sigma_m=sigma, yaw=yaw, sigma_rad=sigma_rad, source_ns=source_ns)
         fix = placing.place(posed, arrived)
         if fix is not None:
             assert math.hypot(*fix.position) <= 10_000.0
@@ -433,7 +428,7 @@ def test_whatever_is_said_readings_are_finite_near_and_not_from_the_future(
             assert fix.yaw is None or fix.sigma_rad >= 1e-3
             assert fix.yaw is None or fix.yaw == pytest.approx(math.remainder(yaw + 0.3, math.tau), abs=1e-9)
         elif position is not None:
-            assert placing.old or placing.unknown or not math.hypot(*position) <= 9_990.0
+            assert placing.rejected["old"] or placing.rejected["unknown"] or not math.hypot(*position) <= 9_990.0
 
 
 @pytest.mark.parametrize(
@@ -461,14 +456,14 @@ def test_no_message_ends_anything(said: bytes, position: bool, yaw: Any) -> None
     for fix in known:
         assert (fix.yaw, fix.sigma_rad) == yaw
         fusion.fix(fix.time_ns, fix.position[0], fix.position[1], fix.sigma_m)
-    assert bool(known) or reader.invalid + placing.unknown == 1
+    assert bool(known) or reader.invalid + placing.rejected["unknown"] == 1
 
 
 def test_a_clock_that_stands_still_is_told_and_gives_no_readings() -> None:
     placing = WorldTransform(sigma_m=0.1, latency_s=0.1)
     times = [placing.place(Located(position=(0.0, 0.0, 0.0), source_ns=7), tick * SECOND_NS) for tick in range(60)]
     assert [each is None for each in times] == [False] * 10 + [True] * 50
-    assert placing.old == 50
+    assert placing.rejected["old"] == 50
 
 
 def test_tags_without_number_fill_nothing() -> None:

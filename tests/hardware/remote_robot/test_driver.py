@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.cosim.run_processes import reserved
+from tests.support.hardware.driver_runs import eventually
 from vcmvsp.cosim.security import authority
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, PortError, Sample
@@ -112,7 +112,7 @@ class Program:
 
     def when(self, found: Callable[[list[list[Any]]], object]) -> list[list[Any]]:
         """The same, as soon as it is so."""
-        until(lambda: self.log.exists() and found(self.told()))
+        eventually(lambda: self.log.exists() and found(self.told()))
         return self.told()
 
     def end(self, number: int = signal.SIGINT) -> int:
@@ -147,13 +147,6 @@ def driver(port: int, **options: Any) -> Iterator[ZenohDriver]:
         made.close()
 
 
-def until(condition: Callable[[], object]) -> None:
-    last = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < last, "it never came true"
-        time.sleep(0.01)
-
-
 def drive(made: ZenohDriver, found: Callable[[Sample], object], v: float = 0.3) -> Sample:
     """Drive until a sample is so."""
     last = time.monotonic() + PATIENCE_S
@@ -177,12 +170,6 @@ def writes(told: list[list[Any]]) -> list[int]:
     return [each[0] for each in told if each[1] == "write"]
 
 
-@pytest.fixture
-def port() -> Iterator[int]:
-    with reserved() as port:
-        yield port
-
-
 def test_it_is_driven_stopped_and_let_go_run_after_run(tmp_path: Path, port: int) -> None:
     with program(tmp_path, port) as robot:
         robot.until("waiting for a run")
@@ -192,10 +179,10 @@ def test_it_is_driven_stopped_and_let_go_run_after_run(tmp_path: Path, port: int
             assert moved.link == 1
             made.stop("enough")
             stood = robot.when(lambda told: told[-1][1:] == ["stop", "enough"])
-            until(lambda: (each := made.read()) is not None and each.odometry.v == 0.0 and each.stopped == "enough")
+            eventually(lambda: (each := made.read()) is not None and each.odometry.v == 0.0 and each.stopped == "enough")
             drive(made, lambda each: each.odometry.v > 0.1)  # the next command moves it again
             assert len(writes(robot.told())) > len(writes(stood))
-            until(lambda: (each := made.read()) is not None and each.stopped == "no command for 0.5 s")
+            eventually(lambda: (each := made.read()) is not None and each.stopped == "no command for 0.5 s")
         assert robot.when(lambda told: told[-1][1] == "close")[-2][1:] == ["stop", "the run is over"]
         causes = [(each.what, each.cause) for each in made.notices()]
         assert ("stopped", "enough") in causes
@@ -339,7 +326,7 @@ def test_after_a_link_that_froze_zero_speed_comes_first(tmp_path: Path, port: in
             drive(made, lambda each: each.odometry.v > 0.1)
             made.notices()
             proxy.freeze()
-            until(lambda: "lost" in [each.what for each in made.notices()])
+            eventually(lambda: "lost" in [each.what for each in made.notices()])
             frozen = len(robot.when(lambda told: told[-1][1] == "stop"))
             made.write(Velocity(linear=(0.9, 0.0, 0.0)))  # it is dropped: nobody is there to follow it
             made.read()
@@ -469,7 +456,7 @@ def wait_for_listener(port: int) -> None:
             return True
         return False
 
-    until(there)
+    eventually(there)
 
 
 def test_without_a_run_the_wrong_certificate_ends_the_program_at_once(tmp_path: Path, port: int, keys: Path) -> None:

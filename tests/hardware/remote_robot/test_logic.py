@@ -13,13 +13,12 @@ from vcmvsp.cosim.types import Odometry, Velocity
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.hardware.drivers.base import Driver, LinkLost, Notice, Sample
 from vcmvsp.hardware.drivers.bench_robot import Bench
-from vcmvsp.hardware.drivers.command_repeater import NOT_YET
+from vcmvsp.hardware.drivers.threaded import NOT_YET
 from vcmvsp.hardware.remote_robot import messages
 from vcmvsp.hardware.remote_robot.messages import RobotOrder, RobotStatus
 from vcmvsp.hardware.remote_robot.robot_side.watchdog import DriverWatchdog
 from vcmvsp.hardware.remote_robot.run_side.driver import ZenohDriver
-from vcmvsp.hardware.remote_robot.run_side.samples import RemoteSampler
-from vcmvsp.hardware.remote_robot.run_side.session import CommandState
+from vcmvsp.hardware.remote_robot.run_side.session import CommandState, RemoteSampler
 
 SECOND = 10**9
 AHEAD = Velocity(linear=(0.3, 0.0, 0.0))
@@ -58,6 +57,12 @@ def test_a_command_counts_for_its_time_and_a_stop_until_the_next_command() -> No
 # --- samples ---
 
 
+def connected() -> RemoteSampler:
+    track = RemoteSampler((0.0, 0.0, 0.0))
+    track.connect(anew=True)
+    return track
+
+
 def said(
     number: int, there_ns: int, *, link: int = 1, opened: int = 1, heard: bool = True, sent_ns: int = 0, **changed: Any
 ) -> RobotStatus:
@@ -82,8 +87,7 @@ def test_times_are_right_to_half_of_what_the_ways_take_together(offset_ns: int, 
     sent_ns = 1000 * SECOND
     heard_ns = sent_ns + there_ms * 10**6
     arrived_ns = heard_ns + back_ms * 10**6
-    track = RemoteSampler((0.0, 0.0, 0.0))
-    track.connect(anew=True)
+    track = connected()
     up = said(1, heard_ns - offset_ns, sent_ns=sent_ns)
     track.hear(up, arrived_ns)
     sample = track.sample(up, arrived_ns, "")
@@ -100,8 +104,7 @@ def heard(track: RemoteSampler, up: RobotStatus, arrived_ns: int) -> Sample | No
 
 
 def test_without_an_exchange_no_time_is_known_and_no_sample_is_made() -> None:
-    track = RemoteSampler((0.0, 0.0, 0.0))
-    track.connect(anew=True)
+    track = connected()
     assert heard(track, said(1, 5, heard=False), SECOND) is None
 
 
@@ -131,8 +134,7 @@ def test_numbers_and_links_go_on_whatever_the_robot_counts() -> None:
 
 
 def test_sonar_is_the_newest_of_each_since_the_last_read() -> None:
-    track = RemoteSampler((0.0, 0.0, 0.0))
-    track.connect(anew=True)
+    track = connected()
     now = SECOND
     heard(track, said(1, now, sent_ns=now, sonar=((0, 1.0), (1, 2.0))), now)
     both = heard(track, said(2, now, sent_ns=now, sonar=((0, 1.5),)), now)
@@ -146,8 +148,7 @@ def test_sonar_is_the_newest_of_each_since_the_last_read() -> None:
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])
 def test_a_sample_that_is_no_number_is_left_out(wrong: float) -> None:
-    track = RemoteSampler((0.0, 0.0, 0.0))
-    track.connect(anew=True)
+    track = connected()
     for changed in (
         {"odometry": Odometry(pose=(0.0, wrong, 0.0), v=0.0, w=0.0)},
         {"sonar": ((1, wrong),)},
@@ -160,8 +161,7 @@ def test_a_sample_that_is_no_number_is_left_out(wrong: float) -> None:
 @given(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=6, max_size=6))
 def test_whatever_times_and_numbers_a_robot_tells_what_is_made_of_them_can_be_told_on(numbers: list[int]) -> None:
     said_ns, yours_ns, heard_ns, measured_ns, arrived_ns, number = numbers
-    track = RemoteSampler((0.0, 0.0, 0.0))
-    track.connect(anew=True)
+    track = connected()
     now = 100 * SECOND
     for each in (said(1, now, sent_ns=now), said(number, now, sent_ns=now, measured_ns=measured_ns, arrived_ns=arrived_ns)):
         up = msgspec.structs.replace(
@@ -180,8 +180,7 @@ def test_whatever_times_and_numbers_a_robot_tells_what_is_made_of_them_can_be_to
 
 
 def test_each_notice_is_taken_once_though_it_is_said_again() -> None:
-    track = RemoteSampler((0.0, 0.0, 0.0))
-    track.connect(anew=True)
+    track = connected()
     first, second = (Notice(time_ns=5, what="stopped", cause=each) for each in ("one", "two"))
     up = RobotStatus(said_ns=1, notices=(first,))
     assert [each.cause for each in track.notices(up, SECOND)] == ["one"]

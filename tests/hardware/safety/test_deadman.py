@@ -7,23 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.hardware.supervised_flight import safety_of
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety import (
-    Cause,
-    Deadman,
-    GroundSupervisor,
-    LastReceived,
-    Limits,
-    Others,
-    Parameters,
-    Polygon,
-    TimeOuts,
-    clamp,
-)
+from vcmvsp.hardware.safety.obstacles import Others, Polygon
+from vcmvsp.hardware.safety.supervisor import Cause, Deadman, GroundSupervisor, LastReceived, Limits, clamp
 
 MS = 10**6
 SECOND = 10**9
-AMIGO = Limits(speed_mps=0.75, yaw_rate_radps=1.74, accel_mps2=0.3, stop_mps2=0.75, yaw_accel_radps2=2.0, yaw_stop_radps2=2.0)
+AMIGO = Limits(max_speed=0.75, max_yaw_rate=1.74, accel=0.3, decel=0.75, yaw_accel=2.0, yaw_decel=2.0)
+ROBOT = safety_of(AMIGO, radius_m=0.18)
 FENCE = Polygon([(-9, -9), (9, -9), (9, 9), (-9, 9)])
 SOURCES = ("operator", "command", "positioning", "federation")
 
@@ -35,20 +27,19 @@ def all_heard(now: int, **other: int | None) -> LastReceived:
 
 @pytest.mark.parametrize("name", SOURCES)
 def test_each_may_be_silent_for_exactly_its_time_out(name: str) -> None:
-    deadman = Deadman(TimeOuts(**{f"{name}_s": 0.3}))
+    deadman = Deadman(safety_of(AMIGO, radius_m=0.18, **{f"{name}_s": 0.3}))
     assert deadman.check(SECOND, all_heard(SECOND, **{name: SECOND - 300 * MS})) == ()
     assert deadman.check(SECOND, all_heard(SECOND, **{name: SECOND - 300 * MS - 1})) == (Cause(name),)
 
 
 def test_what_is_not_waited_for_may_be_silent_for_ever() -> None:
-    nobody = TimeOuts(operator_s=None, command_s=None, positioning_s=None, federation_s=None, clock_s=None)
-    deadman = Deadman(nobody)
+    deadman = Deadman(safety_of(AMIGO, radius_m=0.18, **dict.fromkeys([f"{name}_s" for name in (*SOURCES, "clock")])))
     assert deadman.check(10**15, LastReceived()) == ()
     assert deadman.check(0, LastReceived()) == ()
 
 
 def test_latched_causes_last_and_others_end_by_themselves() -> None:
-    deadman = Deadman()
+    deadman = Deadman(ROBOT)
     late = all_heard(SECOND, operator=0, command=0)
     assert deadman.check(SECOND, late) == (Cause.OPERATOR, Cause.COMMAND)
     for now in range(SECOND + 100 * MS, 10 * SECOND, 100 * MS):
@@ -56,27 +47,27 @@ def test_latched_causes_last_and_others_end_by_themselves() -> None:
 
 
 def test_what_was_never_heard_stops_without_latching() -> None:
-    deadman = Deadman()
+    deadman = Deadman(ROBOT)
     assert deadman.check(0, LastReceived()) == tuple(Cause(name) for name in SOURCES)
     assert deadman.check(MS, all_heard(MS)) == ()
 
 
 @pytest.mark.parametrize("then", [SECOND - 1, SECOND + 500 * MS + 1])
 def test_a_clock_that_jumps_stops_for_good(then: int) -> None:
-    deadman = Deadman()
+    deadman = Deadman(ROBOT)
     assert deadman.check(SECOND, all_heard(SECOND)) == ()
     assert deadman.check(then, all_heard(then)) == (Cause.CLOCK,)
     assert deadman.check(then + MS, all_heard(then + MS)) == (Cause.CLOCK,)
 
 
 def test_what_is_heard_in_the_future_is_a_fault_of_the_clock() -> None:
-    assert Deadman().check(SECOND, all_heard(SECOND, federation=SECOND + 1)) == (Cause.CLOCK,)
+    assert Deadman(ROBOT).check(SECOND, all_heard(SECOND, federation=SECOND + 1)) == (Cause.CLOCK,)
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, math.inf, math.nan])
 def test_a_time_out_must_be_a_time(wrong: float) -> None:
     with pytest.raises(ValueError, match="positioning_s"):
-        Deadman(TimeOuts(positioning_s=wrong))
+        Deadman(safety_of(AMIGO, radius_m=0.18, positioning_s=wrong))
 
 
 @settings(max_examples=600)
@@ -84,7 +75,7 @@ def test_a_time_out_must_be_a_time(wrong: float) -> None:
 def test_the_causes_are_those_of_a_plain_reading_of_the_rules(
     steps: list[tuple[int, int | None, int | None, int | None, int | None]],
 ) -> None:
-    deadman, limits = Deadman(), (500 * MS, 500 * MS, SECOND, 500 * MS)
+    deadman, limits = Deadman(ROBOT), (500 * MS, 500 * MS, SECOND, 500 * MS)
     now, held, before = 0, set[Cause](), None
     for elapsed, *ages in steps:
         now += elapsed
@@ -100,7 +91,7 @@ def test_the_causes_are_those_of_a_plain_reading_of_the_rules(
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_what_is_not_a_number_stops_and_is_named(bad: float) -> None:
-    parameters = Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1, fence=FENCE)
+    parameters = safety_of(AMIGO, radius_m=0.18, fence=FENCE)
     one = Others(np.array([[5.0, 5.0]]), np.zeros((1, 2)), np.array([0.2]))
     ill = Others(np.array([[5.0, bad]]), np.zeros((1, 2)), np.array([0.2]))
     go, here = Velocity(linear=(0.5, 0.0, 0.0)), (0.0, 0.0, 0.0)
@@ -122,14 +113,14 @@ def test_what_is_not_a_number_stops_and_is_named(bad: float) -> None:
 
 
 def test_a_missing_command_or_pose_stops_and_is_named() -> None:
-    supervisor = GroundSupervisor(Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1, fence=FENCE))
+    supervisor = GroundSupervisor(safety_of(AMIGO, radius_m=0.18, fence=FENCE))
     assert supervisor.step(0, None, None, None, all_heard(0)).causes == (Cause.COMMAND, Cause.POSITIONING)
-    unfenced = GroundSupervisor(Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1))
+    unfenced = GroundSupervisor(ROBOT)
     assert unfenced.step(0, Velocity(), None, None, all_heard(0)).causes == ()
 
 
 def test_a_stop_is_told_once_and_lasts() -> None:
-    supervisor = GroundSupervisor(Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1))
+    supervisor = GroundSupervisor(ROBOT)
     go, told = Velocity(linear=(0.75, 0.0, 0.0)), []
     for tick in range(60):
         now = tick * 100 * MS
@@ -144,7 +135,7 @@ def test_a_stop_is_told_once_and_lasts() -> None:
 
 
 def test_who_was_late_may_not_jump_in_speed() -> None:
-    supervisor = GroundSupervisor(Parameters(limits=AMIGO, radius_m=0.18, reaction_s=0.1))
+    supervisor = GroundSupervisor(ROBOT)
     supervisor.step(0, Velocity(), None, None, all_heard(0))
     late = supervisor.step(400 * MS, Velocity(linear=(0.75, 0.0, 0.0)), None, None, all_heard(400 * MS))
     assert late.command.linear[0] == pytest.approx(0.03)

@@ -7,10 +7,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.hardware.safety import Others, Polygon
-from vcmvsp.hardware.safety.braking import fastest, stops_within, swept
-from vcmvsp.hardware.safety.geofence import RETURN_MPS
-from vcmvsp.hardware.safety.obstacle_distance import Obstacles, Stadiums
+from vcmvsp.hardware.safety.obstacles import RETURN_MPS, Obstacles, Others, Polygon, Stadiums
+from vcmvsp.hardware.safety.supervisor import fastest, stops_within, swept
 
 reals = st.floats(-3.0, 3.0)
 points = st.tuples(reals, reals)

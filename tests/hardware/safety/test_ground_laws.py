@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.hardware.supervised_flight import safety_of
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety import Cause, GroundSupervisor, LastReceived, Limits, Others, Parameters, Polygon, TimeOuts
-from vcmvsp.hardware.safety.geofence import RETURN_MPS
+from vcmvsp.hardware.safety.obstacles import RETURN_MPS, Others, Polygon
+from vcmvsp.hardware.safety.supervisor import Cause, GroundSupervisor, LastReceived, Limits, Safety
 
 Pose = tuple[float, float, float]
 SECOND = 10**9
@@ -35,19 +36,19 @@ reals = st.floats(-3.0, 3.0) | st.sampled_from([0.0, 1.0, -1.0])
 commands = st.tuples(reals, reals)
 limits = st.builds(
     Limits,
-    speed_mps=st.floats(0.1, 2.2),
-    yaw_rate_radps=st.floats(0.1, 5.0),
-    accel_mps2=st.floats(0.1, 3.0),
-    stop_mps2=st.floats(0.2, 3.0),
-    yaw_accel_radps2=st.floats(0.5, 10.0),
-    yaw_stop_radps2=st.floats(0.5, 10.0),
+    max_speed=st.floats(0.1, 2.2),
+    max_yaw_rate=st.floats(0.1, 5.0),
+    accel=st.floats(0.1, 3.0),
+    decel=st.floats(0.2, 3.0),
+    yaw_accel=st.floats(0.5, 10.0),
+    yaw_decel=st.floats(0.5, 10.0),
 )
-AMIGO = Limits(speed_mps=0.75, yaw_rate_radps=1.74, accel_mps2=0.3, stop_mps2=0.75, yaw_accel_radps2=2.0, yaw_stop_radps2=2.0)
+AMIGO = Limits(max_speed=0.75, max_yaw_rate=1.74, accel=0.3, decel=0.75, yaw_accel=2.0, yaw_decel=2.0)
 
 
-P2DX = Limits(speed_mps=0.75, yaw_rate_radps=1.74, accel_mps2=0.3, stop_mps2=0.6, yaw_accel_radps2=1.0, yaw_stop_radps2=1.0)
+P2DX = Limits(max_speed=0.75, max_yaw_rate=1.74, accel=0.3, decel=0.6, yaw_accel=1.0, yaw_decel=1.0)
 
-HARD = Limits(speed_mps=1.3, yaw_rate_radps=1.0, accel_mps2=1.77, stop_mps2=2.98, yaw_accel_radps2=1.0, yaw_stop_radps2=2.0)
+HARD = Limits(max_speed=1.3, max_yaw_rate=1.0, accel=1.77, decel=2.98, yaw_accel=1.0, yaw_decel=2.0)
 
 
 def heard(now: int, **ages: int | None) -> LastReceived:
@@ -80,12 +81,12 @@ def ramping(
 ) -> Iterator[tuple[Pose, tuple[float, float]]]:
     """A robot that accelerates as much as the limits say and brakes no harder; each of the pieces is an arc."""
     (v, w), (dv, dw) = speeds, (told[0] - speeds[0], told[1] - speeds[1])
-    ready_v, ready_w = abs(dv) / limits.stop_mps2, abs(dw) / limits.yaw_stop_radps2
+    ready_v, ready_w = abs(dv) / limits.decel, abs(dw) / limits.yaw_decel
     times = sorted({0.0, dt, 0.5 * dt, min(dt, ready_v), min(dt, ready_w)})  # both speeds are linear in between
     for t0, t1 in itertools.pairwise(times):
         before = v, w
-        v = told[0] if t1 >= ready_v else speeds[0] + math.copysign(limits.stop_mps2 * t1, dv)
-        w = told[1] if t1 >= ready_w else speeds[1] + math.copysign(limits.yaw_stop_radps2 * t1, dw)
+        v = told[0] if t1 >= ready_v else speeds[0] + math.copysign(limits.decel * t1, dv)
+        w = told[1] if t1 >= ready_w else speeds[1] + math.copysign(limits.yaw_decel * t1, dw)
         pose = arc(pose, 0.5 * (v + before[0]), 0.5 * (w + before[1]), t1 - t0)
         yield pose, (v, w)
 
@@ -117,22 +118,22 @@ def test_the_body_never_crosses_the_fence_and_its_margin(
     name: str, keep: Limits, robot: Any, yaw: float, margin: float, told: list[tuple[float, float, int]]
 ) -> None:
     fence = FENCES[name]
-    supervisor = GroundSupervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, fence=fence, fence_margin_m=margin))
+    supervisor = GroundSupervisor(safety_of(keep, radius_m=RADIUS, fence=fence, fence_margin_m=margin))
     before = (0.0, 0.0)
     for (x, y, _), command, _decision in drive(supervisor, robot, (*STARTS[name], yaw), told, keep):
         assert room(fence, x, y) >= RADIUS + margin - 1e-6
-        assert abs(command[0]) <= keep.speed_mps + 1e-12
-        assert abs(command[1]) <= keep.yaw_rate_radps + 1e-12
+        assert abs(command[0]) <= keep.max_speed + 1e-12
+        assert abs(command[1]) <= keep.max_yaw_rate + 1e-12
         if command != before:
             gained = abs(command[0]) - abs(before[0])
-            assert -keep.stop_mps2 * 0.1 - 1e-12 <= gained <= keep.accel_mps2 * 0.1 + 1e-12
-            assert abs(abs(command[1]) - abs(before[1])) <= max(keep.yaw_accel_radps2, keep.yaw_stop_radps2) * 0.1 + 1e-12
+            assert -keep.decel * 0.1 - 1e-12 <= gained <= keep.accel * 0.1 + 1e-12
+            assert abs(abs(command[1]) - abs(before[1])) <= max(keep.yaw_accel, keep.yaw_decel) * 0.1 + 1e-12
             assert command[0] * before[0] >= 0.0  # it stands before it turns back
         before = command
 
 
 def one_step(
-    parameters: Parameters, pose: Pose, last: tuple[float, float], command: tuple[float, float], others: Others | None
+    parameters: Safety, pose: Pose, last: tuple[float, float], command: tuple[float, float], others: Others | None
 ) -> tuple[float, float]:
     """What becomes of a command a tenth of a second after ``last``."""
     supervisor = GroundSupervisor(parameters)
@@ -164,16 +165,16 @@ situations = {
 def test_a_stricter_limit_never_gives_a_faster_command(
     name: str, keep: Limits, pose: Pose, last: Any, command: Any, places: Any, which: str, by: float
 ) -> None:
-    given_: dict[str, Any] = {"limits": keep, "radius_m": RADIUS, "reaction_s": 0.1, "fence": FENCES[name], "separation_m": 0.2}
+    given_: dict[str, Any] = {"limits": keep, "radius_m": RADIUS, "fence": FENCES[name], "separation_m": 0.2}
     stricter: Any = {
-        "speed": {"limits": msgspec.structs.replace(keep, speed_mps=keep.speed_mps * (1.0 - 0.9 * by))},
-        "accel": {"limits": msgspec.structs.replace(keep, accel_mps2=keep.accel_mps2 * (1.0 - 0.9 * by))},
+        "speed": {"limits": msgspec.structs.replace(keep, max_speed=keep.max_speed * (1.0 - 0.9 * by))},
+        "accel": {"limits": msgspec.structs.replace(keep, accel=keep.accel * (1.0 - 0.9 * by))},
         "margin": {"fence_margin_m": by},
         "separation": {"separation_m": 0.2 + by},
         "reaction": {"reaction_s": 0.1 + by},
     }[which]
-    loose = one_step(Parameters(**given_), pose, last, command, crowd(places))
-    strict = one_step(Parameters(**(given_ | stricter)), pose, last, command, crowd(places))
+    loose = one_step(safety_of(**given_), pose, last, command, crowd(places))
+    strict = one_step(safety_of(**(given_ | stricter)), pose, last, command, crowd(places))
     assert abs(strict[0]) <= abs(loose[0]) + 1e-9
 
 
@@ -183,9 +184,9 @@ def test_a_stricter_yaw_rate_never_gives_a_faster_turn(
     name: str, keep: Limits, pose: Pose, last: Any, command: Any, places: Any, by: float
 ) -> None:
     rest: dict[str, Any] = {"radius_m": RADIUS, "reaction_s": 0.1, "fence": FENCES[name]}
-    tighter = msgspec.structs.replace(keep, yaw_rate_radps=keep.yaw_rate_radps * (1.0 - by))
-    loose = one_step(Parameters(limits=keep, **rest), pose, last, command, None)
-    strict = one_step(Parameters(limits=tighter, **rest), pose, last, command, None)
+    tighter = msgspec.structs.replace(keep, max_yaw_rate=keep.max_yaw_rate * (1.0 - by))
+    loose = one_step(safety_of(keep, **rest), pose, last, command, None)
+    strict = one_step(safety_of(tighter, **rest), pose, last, command, None)
     halving = 2.0**-12 * (abs(loose[1]) + abs(strict[1]))
     assert abs(strict[1]) <= abs(loose[1]) + halving + 1e-9
 
@@ -193,7 +194,7 @@ def test_a_stricter_yaw_rate_never_gives_a_faster_turn(
 @settings(max_examples=300)
 @given(**situations)
 def test_what_is_safe_is_left_alone(name: str, keep: Limits, pose: Pose, last: Any, command: Any, places: Any) -> None:
-    parameters = Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, fence=FENCES[name], separation_m=0.2)
+    parameters = safety_of(keep, radius_m=RADIUS, fence=FENCES[name], separation_m=0.2)
     once = one_step(parameters, pose, last, command, crowd(places))
     assert one_step(parameters, pose, last, once, crowd(places)) == once
 
@@ -206,8 +207,8 @@ def test_what_is_safe_is_left_alone(name: str, keep: Limits, pose: Pose, last: A
     keep=st.sampled_from([AMIGO, P2DX, HARD]),
 )
 def test_at_the_fence_it_slows_down_once_and_stands(name: str, robot: Any, yaw: float, keep: Limits) -> None:
-    supervisor = GroundSupervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, fence=FENCES[name]))
-    periods = 20 + int(10 * (6.0 / keep.speed_mps + keep.speed_mps / keep.accel_mps2 + keep.speed_mps / keep.stop_mps2))
+    supervisor = GroundSupervisor(safety_of(keep, radius_m=RADIUS, fence=FENCES[name]))
+    periods = 20 + int(10 * (6.0 / keep.max_speed + keep.max_speed / keep.accel + keep.max_speed / keep.decel))
     drives = list(drive(supervisor, robot, (*STARTS[name], yaw), [(3.0, 0.0, periods)], keep))
     speeds = [command[0] for _, command, _ in drives][3:]
     peak = speeds.index(max(speeds))
@@ -221,7 +222,7 @@ def test_at_the_fence_it_slows_down_once_and_stands(name: str, robot: Any, yaw: 
 
 
 def test_a_goal_beyond_the_fence_is_waited_for_without_trembling() -> None:
-    supervisor = GroundSupervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=FENCES["square"]))
+    supervisor = GroundSupervisor(safety_of(AMIGO, radius_m=RADIUS, fence=FENCES["square"]))
     pose, goal, seen = (1.0, 1.0, 1.0), (5.0, 2.0), []
     for tick in range(600):
         bearing = math.atan2(goal[1] - pose[1], goal[0] - pose[0])
@@ -234,7 +235,7 @@ def test_a_goal_beyond_the_fence_is_waited_for_without_trembling() -> None:
 
 
 def test_a_robot_at_the_fence_can_turn_on_the_spot_and_leave() -> None:
-    supervisor = GroundSupervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=FENCES["square"]))
+    supervisor = GroundSupervisor(safety_of(AMIGO, radius_m=RADIUS, fence=FENCES["square"]))
     drives = list(drive(supervisor, ideal, (3.5, 1.5, 0.0), [(1.0, 0.0, 60), (1.0, 1.5, 18), (1.0, 0.0, 15)], AMIGO))
     standing, leaving = drives[4 * 60 - 1], drives[-1]
     assert standing[1][0] < 1e-3
@@ -251,7 +252,7 @@ def test_a_robot_at_the_fence_can_turn_on_the_spot_and_leave() -> None:
 def test_who_is_outside_only_gets_nearer(name: str, place: Pose, told: list[tuple[float, float, int]]) -> None:
     fence, supervisor = (
         FENCES[name],
-        GroundSupervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=FENCES[name])),
+        GroundSupervisor(safety_of(AMIGO, radius_m=RADIUS, fence=FENCES[name])),
     )
     best = min(room(fence, *place[:2]), RADIUS)
     for (x, y, _), _command, _decision in drive(supervisor, ideal, place, told, AMIGO):
@@ -262,7 +263,7 @@ def test_who_is_outside_only_gets_nearer(name: str, place: Pose, told: list[tupl
 
 def test_a_robot_outside_finds_back_into_every_fence() -> None:
     for name, fence in FENCES.items():
-        supervisor = GroundSupervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=fence))
+        supervisor = GroundSupervisor(safety_of(AMIGO, radius_m=RADIUS, fence=fence))
         pose = (6.5, 4.0, 0.0)
         for tick in range(1200):
             bearing = math.atan2(STARTS[name][1] - pose[1], STARTS[name][0] - pose[0])
@@ -275,31 +276,10 @@ def test_a_robot_outside_finds_back_into_every_fence() -> None:
         assert room(fence, *pose[:2]) > RADIUS - 1e-6, name
 
 
-@settings(max_examples=200)
-@given(
-    keep=limits,
-    robot=st.sampled_from([ideal, ramping]),
-    told=st.lists(st.tuples(reals, reals, st.integers(1, 10)), min_size=1, max_size=4),
-    places=st.lists(st.tuples(st.floats(0.7, 3.0), st.floats(-math.pi, math.pi)), min_size=1, max_size=6),
-)
-def test_standing_others_are_never_come_too_near(keep: Limits, robot: Any, told: Any, places: Any) -> None:
-    others = crowd([(r * math.cos(a), r * math.sin(a), 0.0, 0.0) for r, a in places])
-    supervisor = GroundSupervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, separation_m=0.3))
-    pose, speeds, now = (0.0, 0.0, 0.0), (0.0, 0.0), 0
-    for v, w, periods in told:
-        for _ in range(periods):
-            command = supervisor.step(now, Velocity(linear=(v, 0, 0), yaw_rate=w), pose, others, heard(now)).command
-            for each in robot(pose, speeds, (command.linear[0], command.yaw_rate), 0.1, keep):
-                pose, speeds = each
-                gaps = np.hypot(*(others.position - pose[:2]).T) - RADIUS - 0.2
-                assert gaps.min() >= 0.3 - 1e-6
-            now += PERIOD_NS
-
-
 @settings(max_examples=60)
 @given(keep=limits, robot=st.sampled_from([ideal, ramping]), c=st.floats(0.1, 1.0))
 def test_before_one_that_comes_head_on_it_stands_when_the_distance_is_reached(keep: Limits, robot: Any, c: float) -> None:
-    supervisor = GroundSupervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, separation_m=0.3))
+    supervisor = GroundSupervisor(safety_of(keep, radius_m=RADIUS, separation_m=0.3))
     pose, speeds, x, tick = (0.0, 0.0, 0.0), (0.0, 0.0), 4.0, 0
     while x - pose[0] - RADIUS - 0.2 >= 0.3:
         others = crowd([(x, 0.0, -c, 0.0)])
@@ -308,31 +288,4 @@ def test_before_one_that_comes_head_on_it_stands_when_the_distance_is_reached(ke
         x, tick = x - c * 0.1, tick + 1
     # all that is missing then is what the other moved itself in its last period
     assert x - pose[0] - RADIUS - 0.2 >= 0.3 - c * 0.1 - 1e-6
-    assert speeds[0] <= keep.stop_mps2 * 0.1 + 1e-9
-
-
-@settings(max_examples=500)
-@given(
-    keep=limits,
-    told=st.lists(commands, min_size=1, max_size=6),
-    source=st.sampled_from(sorted(HERE)),
-    at=st.integers(3, 8),
-    time_out=st.floats(0.05, 0.8),
-)
-def test_who_falls_silent_has_the_robot_stand_in_time(keep: Limits, told: Any, source: str, at: int, time_out: float) -> None:
-    """It brakes from the first step at which the time-out is over, at no less than the stop deceleration."""
-    name = source.removesuffix("_ns")
-    watched = TimeOuts(**{f"{name}_s": time_out})
-    supervisor = GroundSupervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, time_outs=watched))
-    last, before = at * PERIOD_NS, 0.0
-    for tick, (v, w) in enumerate(itertools.islice(itertools.cycle(told), 18)):
-        now = tick * PERIOD_NS
-        ages = {source: max(0, now - last)}
-        decision = supervisor.step(now, Velocity(linear=(v, 0, 0), yaw_rate=w), (0, 0, 0), None, heard(now, **ages))
-        late = now - last > round(time_out * SECOND)
-        assert decision.stop == late
-        assert (Cause(name) in decision.causes) == late
-        speed = abs(decision.command.linear[0])
-        if late:
-            assert speed <= max(0.0, before - keep.stop_mps2 * 0.1) + 1e-12
-        before = speed
+    assert speeds[0] <= keep.decel * 0.1 + 1e-9

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.hardware.safety.test_ground_laws import FENCES, limits
 from tests.support.hardware.safety_sequences import FAULTS, Rehearsal, Stretch
-from vcmvsp.hardware.safety import Limits
+from vcmvsp.hardware.safety.supervisor import Limits
 
 SEQUENCES = int(os.environ.get("VCMVSP_SEQUENCES", "150"))
 
@@ -45,7 +45,7 @@ def test_no_sequence_breaks_a_law(
     Rehearsal(flies, fence, keep, exact, others).run(sequence)
 
 
-KEEP = Limits(speed_mps=1.0, yaw_rate_radps=1.0, accel_mps2=1.0, stop_mps2=1.0, yaw_accel_radps2=2.0, yaw_stop_radps2=2.0)
+KEEP = Limits(max_speed=1.0, max_yaw_rate=1.0, accel=1.0, decel=1.0, yaw_accel=2.0, yaw_decel=2.0)
 
 
 @pytest.mark.parametrize("flies", [False, True], ids=["ground", "air"])

@@ -13,9 +13,8 @@ from vcmvsp.cosim.frames import quaternion_from_yaw, yaw_of
 from vcmvsp.cosim.types import ORIGIN, Array, Fix, Odometry, Vec3, VehicleState, Velocity
 from vcmvsp.hardware.drivers.base import Notice, Sample
 from vcmvsp.hardware.drivers.bench_robot import Bench
-from vcmvsp.hardware.station.controller import StationController
+from vcmvsp.hardware.station.controller import StationController, others_at
 from vcmvsp.hardware.station.messages import PartSpec, StationMission, StationOrder, StationReport
-from vcmvsp.hardware.station.safety_factory import others_at
 
 MS = 1_000_000
 TURN_MS = 20

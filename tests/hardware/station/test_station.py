@@ -20,13 +20,13 @@ from tests.support.hardware.driver_runs import eventually
 from tests.support.hardware.stations import BENCH, driven, mission
 from tests.support.netsim.gateway_context import free_ports
 from tests.support.paths import ROOT
-from vcmvsp.hardware.drivers.arcos.command_numbers import Command
+from vcmvsp.hardware.drivers.arcos.protocol import Command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.arcos.server import ArcosServer, serve_pty
 from vcmvsp.hardware.station.messages import PartSpec, StationMission, StationReport
-from vcmvsp.hardware.station.process_client import Station
+from vcmvsp.hardware.stations import Station
 
 PATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=60.0)  # it is not the robot's own watchdog that stops it
 HERE = ROOT
@@ -111,7 +111,9 @@ def test_a_station_whose_turns_take_too_long_hears_its_run_all_the_same(tmp_path
 def test_positions_of_a_tag_are_fused() -> None:
     port = free_ports(1)
     tag = PartSpec(
-        group="localisation", kind="vcmvsp.hardware.localisation.systems:Ubisense", params={"listen": f"udp://127.0.0.1:{port}"}
+        group="localisation",
+        kind="vcmvsp.hardware.localisation.ubisense:Ubisense",
+        params={"listen": f"udp://127.0.0.1:{port}"},
     )
     told = msgspec.structs.replace(mission(), localisation=tag, fusion={"start_sigma_m": 0.5, "noise": {"turn": 0.02}})
     with driven(told) as run, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as engine:
@@ -235,7 +237,7 @@ def test_nothing_waits_for_a_station_that_hangs() -> None:
 RUN = """
 import sys, time
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.station.process_client import Station
+from vcmvsp.hardware.stations import Station
 from vcmvsp.hardware.station.messages import StationOrder, missions
 
 station = Station.start(missions.decode(bytes.fromhex(sys.argv[1])))
@@ -318,14 +320,3 @@ def test_when_the_run_is_frozen_the_robot_stops_until_it_is_back(robot: ArcosSer
         run.kill()
         run.communicate(timeout=10)
     eventually(lambda: not lives(station))
-
-
-def test_several_open_and_close_at_the_same_time() -> None:
-    slow = [mission(BENCH, vehicle=f"car{k}") for k in range(3)]
-    stations = [Station.start(each) for each in slow]
-    for station in stations:
-        station.wait_ready()
-    for station in stations:
-        station.leave()
-    for station in stations:
-        assert not station.close()[-1].failed

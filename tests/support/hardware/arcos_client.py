@@ -1,11 +1,9 @@
 """A client of an emulated robot, without a line between them and without a clock."""
 
-from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command
+from vcmvsp.cosim.types import Vec3
+from vcmvsp.hardware.drivers.arcos.protocol import Command, PacketReader, Sip, command, decode_sip, is_sip
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.drivers.arcos.sip import Sip, decode, is_sip
 from vcmvsp.hardware.emulators.arcos.device import Device
-from vcmvsp.hardware.emulators.arcos.motion import Pose
 
 AMIGO = ROBOTS["amigo"]
 SECOND = 1_000_000_000
@@ -22,7 +20,7 @@ class Client:
 
     def run(self, seconds: float) -> list[Sip]:
         self.now += round(seconds * SECOND)
-        return [decode(each) for each in self.reader.feed(self.device.advance(self.now)) if is_sip(each)]
+        return [decode_sip(each) for each in self.reader.feed(self.device.advance(self.now)) if is_sip(each)]
 
     def connect(self) -> "Client":
         for number in range(3):
@@ -30,7 +28,7 @@ class Client:
         self.say(Command.OPEN, 1)
         return self
 
-    def drive(self, *commands: tuple[Command, int], seconds: float) -> Pose:
+    def drive(self, *commands: tuple[Command, int], seconds: float) -> Vec3:
         """Enable, command, and go on for a time with a pulse every half second; where it is then."""
         self.say(Command.ENABLE, 1)
         for number, value in commands:

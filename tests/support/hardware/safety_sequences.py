@@ -13,26 +13,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, ideal, ramping, room
-from tests.support.hardware.supervised_flight import flown
+from tests.support.hardware.supervised_flight import flown, safety_of
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety import (
-    AerialParameters,
-    AerialSupervisor,
-    GroundSupervisor,
-    LastReceived,
-    Limits,
-    Others,
-    Parameters,
-    TimeOuts,
-)
-from vcmvsp.hardware.safety.geofence import RETURN_MPS
+from vcmvsp.hardware.safety.aerial_supervisor import AerialSupervisor
+from vcmvsp.hardware.safety.obstacles import RETURN_MPS, Others
+from vcmvsp.hardware.safety.supervisor import GroundSupervisor, LastReceived, Limits
 
 SECOND = 10**9
 PERIOD_NS = SECOND // 10
 SEPARATION, OTHER, FLOOR, CEILING, CLIMB = 0.3, 0.2, 0.5, 2.5, 0.8
 SOURCES = ("operator", "command", "positioning", "federation")
-TIME_OUTS = TimeOuts(operator_s=0.25, command_s=0.3, positioning_s=0.4, federation_s=0.2, clock_s=0.35)
-LIMITS_NS = {name: round(getattr(TIME_OUTS, f"{name}_s") * SECOND) for name in (*SOURCES, "clock")}
+TIME_OUTS = {"operator_s": 0.25, "command_s": 0.3, "positioning_s": 0.4, "federation_s": 0.2, "clock_s": 0.35}
+LIMITS_NS = {name: round(TIME_OUTS[f"{name}_s"] * SECOND) for name in (*SOURCES, "clock")}
 FAULTS = (
     "none",
     *(f"{name} silent" for name in SOURCES),
@@ -79,8 +71,8 @@ class Rehearsal:
         self, flies: bool, fence: str, keep: Limits, exact: bool, others: Iterable[tuple[float, float, float]]
     ) -> None:
         self.flies, self.fence, self.keep, self.exact = flies, FENCES[fence], keep, exact
-        common: dict[str, Any] = {"limits": keep, "radius_m": RADIUS, "reaction_s": 0.1, "fence": self.fence}
-        common |= {"separation_m": SEPARATION, "time_outs": TIME_OUTS}
+        common: dict[str, Any] = {"limits": keep, "radius_m": RADIUS, "fence": self.fence}
+        common |= {"separation_m": SEPARATION, **TIME_OUTS}
         self.common = common
         start = STARTS[fence]
         self.truth = [float(start[0]), float(start[1]), 1.5, 0.3]  # x, y, z, yaw
@@ -99,10 +91,10 @@ class Rehearsal:
         """The first run, or another one: nothing is latched, and no step has been."""
         self.supervisor: Any
         if self.flies:
-            parameters = AerialParameters(**self.common, climb_mps=CLIMB, floor_m=FLOOR, ceiling_m=CEILING)
+            parameters = safety_of(**self.common, max_climb=CLIMB, floor_m=FLOOR, ceiling_m=CEILING)
             self.supervisor = AerialSupervisor(parameters)
         else:
-            self.supervisor = GroundSupervisor(Parameters(**self.common))
+            self.supervisor = GroundSupervisor(safety_of(**self.common))
         self.elapsed: int | None = None
         self.latched: set[str] = set()
 
@@ -199,10 +191,10 @@ class Rehearsal:
     def _check_command(self, decision: Any) -> None:
         keep, sizes = self.keep, self._sizes(decision.command)
         assert np.isfinite(sizes).all()
-        assert (sizes <= np.array([keep.speed_mps, CLIMB if self.flies else 0.0, keep.yaw_rate_radps]) + 1e-9).all()
+        assert (sizes <= np.array([keep.max_speed, CLIMB if self.flies else 0.0, keep.max_yaw_rate]) + 1e-9).all()
         dt = 0.0 if self.elapsed is None else 0.1 if self.elapsed < 0 else min(self.elapsed / SECOND, 0.1)
-        gain = np.array([keep.accel_mps2, keep.accel_mps2, keep.yaw_accel_radps2]) * dt
-        loss = np.array([keep.stop_mps2, keep.stop_mps2, keep.yaw_stop_radps2]) * dt
+        gain = np.array([keep.accel, keep.accel, keep.yaw_accel]) * dt
+        loss = np.array([keep.decel, keep.decel, keep.yaw_decel]) * dt
         # a turn that slows down to zero within the period may be gained the other way in what is left of it
         assert (sizes <= self.before + gain + 1e-9).all()
         assert (sizes >= self.before - loss - 1e-9).all()

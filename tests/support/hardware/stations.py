@@ -5,9 +5,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from vcmvsp.cosim.scenario.schema import RealVehicle, SafetyTable
 from vcmvsp.cosim.types import Array, Velocity
-from vcmvsp.hardware.station.messages import PartSpec, Safety, StationMission, StationOrder, StationReport
-from vcmvsp.hardware.station.process_client import Station
+from vcmvsp.hardware.safety.supervisor import Safety
+from vcmvsp.hardware.station.messages import PartSpec, StationMission, StationOrder, StationReport
+from vcmvsp.hardware.stations import Station, StationError
 
 BENCH = PartSpec(
     group="driver",
@@ -49,6 +51,45 @@ def mission(driver: PartSpec = BENCH, vehicle: str = "car1", *, rate_hz: float =
         safety=safety(**changed),
         rate_hz=rate_hz,
     )
+
+
+class FakeStation:
+    """Says what it is told to say, and keeps what it hears."""
+
+    def __init__(self) -> None:
+        self.saying: list[StationReport] = []
+        self.heard: list[StationOrder] = []
+        self.failing: StationError | None = None
+
+    def order(self, order: StationOrder) -> bool:
+        self.heard.append(order)
+        return True
+
+    def reports(self) -> list[StationReport]:
+        if self.failing is not None and not self.saying:
+            raise self.failing
+        said, self.saying = self.saying, []
+        return said
+
+
+def real_vehicle(**changes: Any) -> RealVehicle:
+    """A robot in software on the ground, at the origin."""
+    given: dict[str, Any] = {
+        "name": "car1",
+        "folder": ".",
+        "driver": "bench",
+        "safety": SafetyTable(),
+        "pose_source": "truth",
+        "start": (0.0, 0.0, 0.0),
+        "height_m": 0.0,
+        "flies": False,
+        "seed": 0,
+        "driver_params": {},
+        "localisation_params": {},
+        "fusion": {},
+        **dict.fromkeys(("localisation", "positioning")),
+    }
+    return RealVehicle(**{**given, **changes})
 
 
 class Run:

@@ -3,10 +3,22 @@
 import itertools
 import math
 from collections.abc import Iterator
+from typing import Any
 
-from vcmvsp.hardware.safety import Limits
+import msgspec
+
+from vcmvsp.hardware.safety.obstacles import Polygon
+from vcmvsp.hardware.safety.supervisor import Limits, Safety
 
 Flight = tuple[float, float, float, float]  # x, y, z m, yaw rad; or the speeds
+
+
+def safety_of(limits: Limits, **others: Any) -> Safety:
+    """These limits, in a fence, with time-outs for all sources."""
+    fence: Polygon | None = others.pop("fence", None)
+    corners = None if fence is None else tuple((x, y) for x, y in fence.a.tolist())
+    usual = {"reaction_s": 0.1, "operator_s": 0.5}
+    return Safety(**msgspec.structs.asdict(limits), fence=corners, **{**usual, **others})
 
 
 def flown(
@@ -23,7 +35,7 @@ def flown(
         return
     change = [b - a for a, b in zip(speeds, told, strict=True)]
     across = math.hypot(change[0], change[1])
-    ready = [across / limits.stop_mps2] * 2 + [abs(change[2]) / limits.stop_mps2, abs(change[3]) / limits.yaw_stop_radps2]
+    ready = [across / limits.decel] * 2 + [abs(change[2]) / limits.decel, abs(change[3]) / limits.yaw_decel]
 
     def at(t: float) -> list[float]:
         return [a + d * (1.0 if t >= end else t / end) for a, d, end in zip(speeds, change, ready, strict=True)]

@@ -22,8 +22,10 @@ class Convex(NamedTuple):
     color: tuple[int, int, int]
 
 
-class Triangle(NamedTuple):
-    corners: Array
+class Triangles(NamedTuple):
+    """All triangles of a mesh."""
+
+    corners: Array  # (t, 3, 3) m
     color: tuple[int, int, int]
 
 
@@ -32,11 +34,11 @@ class Seen(NamedTuple):
     depth: float  # m, along the optical axis
 
 
-def things(world: World, scene: Scene | None = None, without: int = -1) -> list[Convex | Triangle]:
-    found: list[Convex | Triangle] = []
+def things(world: World, scene: Scene | None = None, without: int = -1) -> list[Convex | Triangles]:
+    found: list[Convex | Triangles] = []
     for solid in world.solids:
         if isinstance(solid, Mesh):
-            found += [Triangle(corners, color_of(solid)) for corners in solid.triangles]
+            found.append(Triangles(solid.triangles, color_of(solid)))
         for corners, bottom, top in solid.uprights():
             edges = np.roll(corners, -1, axis=0) - corners
             sides = np.column_stack([edges[:, 1], -edges[:, 0], np.zeros(len(edges))])
@@ -65,7 +67,7 @@ def _hull(hull: Hull, position: Array, rotation: Array) -> Convex:
     return Convex(normals, offsets + normals @ (position + rotation @ np.array(hull.offset)), hull.color)
 
 
-def look(world: World, found: Sequence[Convex | Triangle], view: View, row: int, column: int) -> Seen:
+def look(world: World, found: Sequence[Convex | Triangles], view: View, row: int, column: int) -> Seen:
     """What is seen through the middle of a pixel."""
     ray = view.rotation @ np.array(
         [(column + 0.5 - view.width / 2) / view.focal_px, (row + 0.5 - view.height / 2) / view.focal_px, 1.0]
@@ -96,14 +98,17 @@ def _enter(thing: Convex, eye: Array, ray: Array) -> tuple[float, Array] | None:
     return (float(entering[last]), thing.normals[last]) if 0.0 < entering[last] <= leave else None
 
 
-def _through(thing: Triangle, eye: Array, ray: Array) -> tuple[float, Array] | None:
-    a, b, c = thing.corners
-    matrix = np.column_stack([b - a, c - a, -ray])
-    if abs(np.linalg.det(matrix)) < 1e-12:
+def _through(thing: Triangles, eye: Array, ray: Array) -> tuple[float, Array] | None:
+    """The first triangle that a ray meets, three linear equations each."""
+    a, b, c = thing.corners.swapaxes(0, 1)
+    system = np.stack([b - a, c - a, np.broadcast_to(-ray, a.shape)], axis=2)
+    flat = np.abs(np.linalg.det(system)) < 1e-12
+    system[flat] = np.eye(3)
+    u, v, when = np.linalg.solve(system, (eye - a)[:, :, None])[:, :, 0].T
+    met = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (when > NEAREST_M) & ~flat
+    if not met.any():
         return None
-    u, v, when = np.linalg.solve(matrix, eye - a)
-    if u < 0.0 or v < 0.0 or u + v > 1.0 or when <= 0.0:
-        return None
-    normal = np.cross(b - a, c - a)
+    first = int(np.where(met, when, math.inf).argmin())
+    normal = np.cross(b[first] - a[first], c[first] - a[first])
     normal /= np.linalg.norm(normal)
-    return float(when), -normal if normal @ ray > 0.0 else normal
+    return float(when[first]), -normal if normal @ ray > 0.0 else normal

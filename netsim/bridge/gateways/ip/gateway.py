@@ -265,7 +265,6 @@ class Ip:
                 return
 
     def _go_on(self, radio: _Radio) -> None:
-        """Offer the waiting packet again; read on when there is room."""
         if radio.waiting is None or radio.row not in self._radios:
             return
         to, packet = radio.waiting
@@ -276,7 +275,6 @@ class Ip:
             self._context.loop.call_later(PAUSE_S, self._go_on, radio)
 
     def _count_dropped(self) -> None:
-        """Count packets that the kernel's queue dropped, periodically."""
         for radio in self._radios.values():
             dropped = namespaces.dropped(radio.statistics)
             if dropped > radio.dropped:

@@ -256,7 +256,6 @@ def _overlap(one: Network, other: Network) -> bool:
 
 
 def _pairs(port: Port) -> list[tuple[Network, Network]]:
-    """Source and destination networks of the packets of a port."""
     behind, others = map(ipaddress.ip_network, port.behind), list(map(ipaddress.ip_network, port.others))
     return [(source, target) for source in behind for target in others if source.version == target.version]
 

@@ -19,13 +19,11 @@ from tests.support.hardware import driver_runs
 from tests.support.hardware.driver_runs import drive, eventually, rest
 from tests.support.paths import ROOT
 from vcmvsp.cosim.types import ORIGIN, Vec3, Velocity
-from vcmvsp.hardware.drivers.arcos.command_numbers import Command
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
-from vcmvsp.hardware.drivers.arcos.packet import command
+from vcmvsp.hardware.drivers.arcos.protocol import Command, command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.drivers.base import Driver, DriverError, HandshakeError, LinkLost, Notice, PortError, Sample
+from vcmvsp.hardware.drivers.base import Driver, DriverError, HandshakeError, LinkLost, Notice, PortError
 from vcmvsp.hardware.emulators.arcos.device import Device
-from vcmvsp.hardware.emulators.arcos.serial_line import Faults
 from vcmvsp.hardware.emulators.arcos.server import ArcosServer, serve_pty, serve_tcp
 
 pytestmark = pytest.mark.usefixtures("steady")
@@ -53,6 +51,7 @@ def what(driver: Driver) -> list[str]:
 def test_three_seconds_on_a_terminal_and_a_gentle_end() -> None:
     with serve_pty(Device(ROBOTS["amigo"], name="rosa")) as served:
         with connected(served.url, robot="amigo") as driver:
+            assert isinstance(driver, Driver)
             samples = drive(driver, 3.0, v=0.2)
             assert [each.cause for each in driver.notices()] == ["rosa, AmigoBot"]
         eventually(lambda: not served.device.is_open)
@@ -98,17 +97,6 @@ def test_both_wheels_in_one_command_over_tcp_from_a_start_pose() -> None:
         numbers = [number for number, _ in heard(served)]
         assert Command.VEL2 in numbers
         assert Command.VEL not in numbers[numbers.index(Command.VEL2) :]
-
-
-def test_over_a_slow_and_bad_line() -> None:
-    faults = Faults(drop=0.001, flip=0.001, split=0.01, seed=3)
-    with (
-        serve_pty(Device(ROBOTS["amigo"]), faults=faults, paced=True) as served,
-        connected(served.url, connect_s=30.0) as driver,
-    ):
-        samples: list[Sample] = []
-        eventually(lambda: samples.extend(drive(driver, 0.2, v=0.2)) or len(samples) >= 4)  # type: ignore[func-returns-value]
-        eventually(lambda: (sample := driver.read()) is not None and sample.stopped == "no command for 0.5 s")
 
 
 def test_nobody_commands() -> None:
@@ -292,16 +280,6 @@ def terminal(answer: Callable[[bytes], bytes]) -> Iterator[str]:
         os.close(here)
 
 
-def test_something_else_is_there() -> None:
-    with terminal(lambda data: data) as path:
-        assert "comes back unchanged" in refused(path).happened
-    with terminal(lambda data: b"$GPGGA,,,,,\r\n") as path:
-        error = refused(path, connect_s=0.4, baud=19200)
-        assert "and no packet among them; the baud rate may be wrong (it is 19200; try 9600, " in str(error)
-    with terminal(lambda data: b"") as path:
-        assert "nothing was heard for 0.4 s" in refused(path, connect_s=0.4).happened
-
-
 def test_closing_does_not_wait_for_a_robot_that_does_not_answer() -> None:
     with terminal(lambda data: b"") as path:
         driver = ArcosDriver(path, connect_s=60.0)
@@ -321,17 +299,6 @@ def test_closing_does_not_wait_for_a_robot_that_does_not_answer() -> None:
         assert time.monotonic() - begin < driver.close_deadline_s
         opening.join(5.0)
         assert errors == ["it was closed while it was being connected"]
-
-
-def test_what_was_not_opened() -> None:
-    driver = ArcosDriver("/dev/x")
-    assert isinstance(driver, Driver)
-    for call in (driver.read, lambda: driver.write(Velocity())):
-        with pytest.raises(RuntimeError, match="/dev/x is not open"):
-            call()
-    driver.stop("nobody is there")
-    assert what(driver) == ["stopped"]
-    driver.close()
 
 
 def test_a_process_that_forgets_to_close_ends_and_its_robot_stops() -> None:

@@ -8,10 +8,9 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import ORIGIN
-from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command
+from vcmvsp.hardware.drivers.arcos.driver import ArcosSampler
+from vcmvsp.hardware.drivers.arcos.protocol import PacketReader, Sip, command, decode_sip, is_sip
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.drivers.arcos.samples import ArcosSampler
-from vcmvsp.hardware.drivers.arcos.sip import Sip, decode, is_sip
 from vcmvsp.hardware.emulators.arcos.device import Device
 
 MS = 1_000_000
@@ -38,7 +37,7 @@ def test_a_long_curve_ends_where_the_robot_is(kind: str) -> None:
     for now in range(100, 120_000, 100):
         said = device.receive(command(11, round(950 * robot.max_speed)) + command(21, 2), now * MS)
         for data in (each for each in reader.feed(said) if is_sip(each)):
-            packet = decode(data)
+            packet = decode_sip(data)
             wraps += last is not None and abs(packet.x - last.x) > 0x4000
             last, sample = packet, path.add(packet, now * MS, "")
     assert wraps >= 1

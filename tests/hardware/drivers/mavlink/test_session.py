@@ -9,12 +9,10 @@ import pytest
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import VehicleState, Velocity
 from vcmvsp.hardware.drivers.base import Sample
-from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Message, MessageReader, Sender, mavlink
-from vcmvsp.hardware.drivers.mavlink.samples import ATTITUDE_NS, MavlinkSampler
-from vcmvsp.hardware.drivers.mavlink.session import MavlinkSession, SessionOptions
-from vcmvsp.hardware.drivers.mavlink.vehicle_search import VehicleSearch
-from vcmvsp.hardware.emulators.mavlink.telemetry import TICK_NS
-from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
+from vcmvsp.hardware.drivers.mavlink.link import VehicleSearch
+from vcmvsp.hardware.drivers.mavlink.protocol import Encoder, Message, MessageReader, Sender, mavlink
+from vcmvsp.hardware.drivers.mavlink.session import ATTITUDE_NS, MavlinkSampler, MavlinkSession, SessionOptions
+from vcmvsp.hardware.emulators.mavlink.vehicle import TICK_NS, Vehicle
 
 SECOND = 1_000_000_000
 OURS = Sender(system=245, component=190)
@@ -265,7 +263,7 @@ def test_numbers_that_are_none_and_commands_to_others_change_nothing() -> None:
 def test_it_can_be_moved_by_somebody_else() -> None:
     vehicle = Vehicle(start=None, origin=(10.0, 20.0, 0.0), mode="OFFBOARD", armed=True)
     state = VehicleState(position=(11.0, 22.0, 3.0), velocity=(1.0, 2.0, 3.0), attitude=quaternion_from_yaw(0.0))
-    vehicle.moved(state)
+    vehicle.state = state
     told = [each for each in MessageReader().feed(vehicle.advance(SECOND)) if each.get_type() == "LOCAL_POSITION_NED"]
     assert (told[-1].x, told[-1].y, told[-1].z, told[-1].vx) == (2.0, 1.0, -3.0, 2.0)
     assert len(told) == pytest.approx(50, abs=1)

@@ -10,28 +10,25 @@ from typing import Any
 import msgspec
 import pytest
 
-from tests.support.cosim.run_processes import reserved
 from tests.support.hardware import driver_runs
 from tests.support.hardware.driver_runs import drive, eventually, rest
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Vec3, Velocity
 from vcmvsp.hardware.drivers.base import Driver, DriverError, HandshakeError, LinkLost, PortError, Sample
-from vcmvsp.hardware.drivers.command_repeater import NOT_YET
 from vcmvsp.hardware.drivers.ros2 import node
-from vcmvsp.hardware.drivers.ros2.cdr_messages import TWIST, Twist, encode_odometry, encode_twist
 from vcmvsp.hardware.drivers.ros2.driver import WAITING, Ros2Driver
 from vcmvsp.hardware.drivers.ros2.node import Node, ReceivedMessage
-from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, RmwZenoh
-from vcmvsp.hardware.emulators.ros2.robot import Ros2Robot
+from vcmvsp.hardware.drivers.ros2.protocol import TWIST, Endpoint, RmwZenoh, Twist, encode_odometry, encode_twist
+from vcmvsp.hardware.drivers.threaded import NOT_YET
+from vcmvsp.hardware.emulators.ros2 import Ros2Robot
 
 pytestmark = pytest.mark.usefixtures("steady")
 START = (1.0, 2.0, 0.5)
 
 
 @pytest.fixture
-def endpoint() -> Iterator[str]:
-    with reserved() as port:
-        yield f"tcp/127.0.0.1:{port}"
+def endpoint(port: int) -> str:
+    return f"tcp/127.0.0.1:{port}"
 
 
 @pytest.fixture(autouse=True)
@@ -180,16 +177,6 @@ def test_silence_is_a_loss_and_what_is_heard_again_a_new_link(endpoint: str) -> 
         assert [what for what, _ in told(driver) if what != "stopped"] == ["connected", "lost", "connected"]
 
 
-def test_a_robot_may_be_waited_for(endpoint: str) -> None:
-    with Ros2Robot(endpoint=endpoint) as robot, connected(endpoint, silence_s=0.2, reconnect_s=60.0) as driver:
-        robot.silent = True
-        eventually(lambda: ("lost", "no odometry on odom for 0.2 s") in told(driver))
-        driver.write(Velocity(linear=(0.5, 0.0, 0.0)))
-        driver.read()
-        rest(0.2)
-        assert all(twist.linear[0] == 0.0 for _, twist in robot.heard)
-
-
 def test_a_robot_that_restarts_is_told_zero_first(endpoint: str) -> None:
     """Its router goes with it; the session dials again by itself."""
     with Ros2Robot(endpoint=endpoint, name="one") as old:
@@ -321,15 +308,6 @@ def test_the_wrong_robot_and_what_to_do(endpoint: str, monkeypatch: pytest.Monke
         with pytest.raises(HandshakeError, match="same domain"):
             Ros2Driver(endpoint=endpoint, connect_s=0.3).open()
         assert not moving(robot)
-
-
-def test_in_the_world_samples_have_a_state(endpoint: str) -> None:
-    options: dict[str, Any] = {"pose": "world", "origin": (10.0, 0.0, 0.0)}
-    with Ros2Robot(endpoint=endpoint, pose=(4.0, 5.0, 0.5)), connected(endpoint, **options) as driver:
-        (sample, *_) = drive(driver, 0.3)
-        assert sample.state is not None
-        assert sample.state.position == pytest.approx((14.0, 5.0, 0.0))
-        assert sample.odometry.pose == pytest.approx((14.0, 5.0, 0.5))
 
 
 def test_parameters_are_checked() -> None:

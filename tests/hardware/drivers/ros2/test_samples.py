@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
 from vcmvsp.cosim.types import Vec3
-from vcmvsp.hardware.drivers.ros2.cdr_messages import STAMPS_END_NS, OdometryMessage
+from vcmvsp.hardware.drivers.ros2.driver import Pose, Ros2Sampler
 from vcmvsp.hardware.drivers.ros2.node import RobotPresence
-from vcmvsp.hardware.drivers.ros2.samples import Pose, Ros2Sampler
+from vcmvsp.hardware.drivers.ros2.protocol import STAMPS_END_NS, OdometryMessage
 
 MS, S = 10**6, 10**9
 coordinates = st.floats(-50.0, 50.0)

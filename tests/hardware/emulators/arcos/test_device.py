@@ -1,5 +1,6 @@
-"""The emulated robot: what clients see of it in a session, and what it survives. No clock runs here."""
+"""The emulated robot: its sessions, how it moves, and what its wheels and sonars say of that. No clock runs here."""
 
+import math
 import random
 
 import pytest
@@ -7,13 +8,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.hardware.arcos_client import AMIGO, SECOND, Client
-from vcmvsp.hardware.drivers.arcos.command_numbers import CONFIG_PACKET, Command
-from vcmvsp.hardware.drivers.arcos.config_packet import decode_config
-from vcmvsp.hardware.drivers.arcos.packet import HEADER, command, frame
+from vcmvsp.cosim.types import Vec3
+from vcmvsp.hardware.drivers.arcos.protocol import (
+    CONFIG_PACKET,
+    COUNT_MASK,
+    HEADER,
+    MOVING,
+    STOPPED,
+    Command,
+    command,
+    decode_config,
+    frame,
+)
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.drivers.arcos.sip import MOVING, STOPPED
 from vcmvsp.hardware.emulators.arcos.device import GAP_NS, Device
-from vcmvsp.hardware.emulators.arcos.motion import Pose
 
 
 @pytest.fixture
@@ -89,13 +97,6 @@ def test_configuration(client: Client) -> None:
     assert (told.max_speed, told.accel, told.decel) == (400, 500, 700)
 
 
-def test_baud_rate_is_set_and_forgotten_with_the_session(client: Client) -> None:
-    client.say(Command.HOSTBAUD, 2)
-    assert client.device.baud == 38400
-    client.say(Command.CLOSE)
-    assert client.device.baud == 9600
-
-
 # Watchdog
 
 
@@ -124,17 +125,6 @@ def test_the_watchdog_counts_from_open() -> None:
     assert client.device.watchdog_stopped
 
 
-def test_zero_speed_first_makes_it_stay(client: Client) -> None:
-    client.drive((Command.VEL, 200), (Command.RVEL, 20), seconds=2.0)
-    client.run(5.0)
-    client.say(Command.VEL, 0)
-    client.say(Command.RVEL, 0)
-    x = client.device.odometry
-    client.say(Command.PULSE)
-    client.run(1.0)
-    assert client.device.odometry == pytest.approx(x, abs=1e-3)
-
-
 def test_garbage_is_no_sign_of_life(client: Client) -> None:
     client.drive((Command.VEL, 200), seconds=2.0)
     for _ in range(25):
@@ -157,7 +147,7 @@ def test_closing_stops_it_and_forgets_its_speed(client: Client) -> None:
 
 @given(st.lists(st.integers(1, 400), min_size=1, max_size=20))
 def test_it_does_not_matter_how_often_it_is_asked(pauses_ms: list[int]) -> None:
-    def run(steps_ms: list[int]) -> tuple[bytes, Pose]:
+    def run(steps_ms: list[int]) -> tuple[bytes, Vec3]:
         client = Client(Device(AMIGO)).connect()
         client.say(Command.ENABLE, 1)
         client.say(Command.VEL, 300)
@@ -213,3 +203,199 @@ def test_well_framed_nonsense_is_ignored(client: Client) -> None:
         assert client.device.receive(frame(data), client.now) == b""
     assert len(client.device.heard) == before
     assert client.device.commanded() == (0.2, 0.0)
+
+
+# Motion
+
+
+def test_it_accelerates_holds_and_brakes_as_set(client: Client) -> None:
+    x, _, _ = client.drive((Command.VEL, 200), seconds=3.0)
+    assert x == pytest.approx(0.2 * 3.0 - 0.2**2 / (2 * AMIGO.accel), abs=2e-3)
+    stopped, _, _ = client.drive((Command.STOP, 0), seconds=1.0)
+    assert stopped - x == pytest.approx(0.2**2 / (2 * AMIGO.decel), abs=2e-3)
+
+
+def test_estop_does_not_brake_but_stand(client: Client) -> None:
+    x, _, _ = client.drive((Command.VEL, 400), seconds=3.0)
+    client.say(Command.ESTOP)
+    client.run(0.1)
+    assert client.device.odometry[0] == x
+    assert client.drive((Command.VEL, 400), seconds=1.0)[0] > x + 0.1
+
+
+def test_speeds_of_wheels_and_turning_are_told_in_counts(client: Client) -> None:
+    client.drive((Command.VEL, 200), (Command.RVEL, 30), seconds=3.0)
+    told = client.run(0.1)[-1]
+    turning = math.radians(30) * 1e3 * AMIGO.track_m / 2
+    assert told.left == round((200 - turning) / AMIGO.vel_factor)
+    assert told.right == round((200 + turning) / AMIGO.vel_factor)
+    assert told.rotation == 300
+
+
+@pytest.mark.parametrize("argument", [0x0A0A, 0xF60A, -0x09F6])  # the last one as ARIA sends it
+def test_vel2_sets_both_wheels(client: Client, argument: int) -> None:
+    """20 mm/s a count, the right wheel in the low byte."""
+    client.say(Command.SETRV, 300)
+    client.drive((Command.RVEL, 10), (Command.VEL2, argument), seconds=3.0)
+    told = client.run(0.1)[-1]
+    left = 10 if argument == 0x0A0A else -10
+    assert told.right * AMIGO.vel_factor == pytest.approx(200, abs=0.5)
+    assert told.left * AMIGO.vel_factor == pytest.approx(20 * left, abs=0.5)
+
+
+def test_vel_and_rvel_hold_side_by_side(client: Client) -> None:
+    """A circle of radius v / w."""
+    client.drive((Command.VEL, 200), (Command.RVEL, 36), seconds=2.0)
+    before = client.device.odometry
+    after = client.drive(seconds=5.0)
+    assert math.dist(before[:2], after[:2]) == pytest.approx(2 * 0.2 / math.radians(36), abs=2e-3)
+
+
+@pytest.mark.parametrize("mm", [500, -300, 1])
+def test_move_ends_at_its_distance(client: Client, mm: int) -> None:
+    pose = client.drive((Command.MOVE, mm), seconds=6.0)
+    assert pose == pytest.approx((mm / 1e3, 0.0, 0.0), abs=3e-3)
+    assert client.run(0.1)[-1].kind == STOPPED
+
+
+def test_turns_end_at_their_heading(client: Client) -> None:
+    def heading(number: Command, degrees: int) -> float:
+        return math.degrees(client.drive((number, degrees), seconds=8.0)[2])
+
+    assert heading(Command.DHEAD, 90) == pytest.approx(90, abs=0.5)
+    assert heading(Command.DHEAD, -120) == pytest.approx(-30, abs=0.5)
+    assert heading(Command.HEAD, 190) == pytest.approx(-170, abs=0.5)
+    assert client.run(0.1)[-1].setpoint == round(math.radians(-170) / AMIGO.angle_factor)
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 255), st.none() | st.integers(-0x8000, 0xFFFF) | st.binary(max_size=20)), max_size=30),
+    st.sampled_from(sorted(ROBOTS)),
+)
+def test_no_command_makes_it_faster_than_it_is(commands: list[tuple[int, int | bytes | None]], kind: str) -> None:
+    robot = ROBOTS[kind]
+    client = Client(Device(robot)).connect()
+    client.say(Command.ENABLE, 1)
+    for number, argument in commands:
+        client.say(number, argument)
+        client.run(0.05)
+        v, w = client.device.commanded()
+        assert abs(v) <= robot.max_speed
+        assert abs(w) <= robot.max_yaw_rate
+
+
+def test_a_new_command_ends_a_move_and_a_turn(client: Client) -> None:
+    client.drive((Command.MOVE, 200), (Command.DHEAD, 30), seconds=0.5)
+    client.say(Command.VEL, -100)
+    client.say(Command.RVEL, 20)
+    assert client.device.commanded() == (-0.1, math.radians(20))
+    client.say(Command.MOVE, 200)
+    client.say(Command.DHEAD, 30)
+    client.say(Command.STOP)
+    assert client.device.commanded() == (0.0, 0.0)
+
+
+def test_limits_and_baud_rate_are_forgotten_with_the_session(client: Client) -> None:
+    client.say(Command.SETV, 100)
+    client.say(Command.HOSTBAUD, 2)
+    assert client.device.baud == 38400
+    client.say(Command.CLOSE)
+    assert client.device.baud == 9600
+    client.connect().say(Command.ENABLE, 1)
+    client.say(Command.VEL, 300)
+    assert client.device.commanded() == (0.3, 0.0)
+
+
+def test_limits_hold(client: Client) -> None:
+    client.say(Command.SETV, 100)
+    client.say(Command.SETRV, 20)
+    client.drive((Command.VEL, 900), (Command.RVEL, -200), seconds=2.0)
+    assert client.device.commanded() == (0.1, -math.radians(20))
+
+
+def test_without_motors_nothing_moves_and_the_last_speed_waits(client: Client) -> None:
+    client.say(Command.VEL, 200)
+    assert [each.motors_on for each in client.run(1.0)] == [False] * 10
+    assert client.device.odometry == (0.0, 0.0, 0.0)
+    assert client.drive(seconds=1.0)[0] > 0.05
+    client.say(Command.ENABLE, 0)
+    assert client.device.commanded() == (0.0, 0.0)
+    client.say(Command.ENABLE, 1)
+    assert client.device.commanded() == (0.0, 0.0)
+
+
+def test_the_red_button_wins(client: Client) -> None:
+    client.drive((Command.VEL, 200), seconds=1.0)
+    client.device.estop_pressed = True
+    told = client.run(0.5)[-1]
+    assert (told.motors_on, told.flags >> 5 & 1, told.left) == (False, 1, 0)
+
+
+# Odometry and sonars
+
+
+def test_seto_makes_here_and_now_the_origin(client: Client) -> None:
+    client.drive((Command.VEL, 200), (Command.RVEL, 20), seconds=3.0)
+    client.drive((Command.STOP, 0), seconds=1.0)
+    client.say(Command.SETO)
+    told = client.run(0.1)[-1]
+    assert (told.x, told.y, told.heading) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("kind", ROBOTS)
+def test_positions_wrap_at_15_bits_and_differences_do_not(kind: str) -> None:
+    """A host drives it 100 m along its x axis, which does not point east, backwards in y too."""
+    robot = ROBOTS[kind]
+    device = Device(robot, start=None)
+    client = Client(device).connect()
+    device.moved((3.0, -2.0, 0.5), 0.0, 0.0)
+    total, last = [0, 0], None
+    for k in range(2001):
+        ahead, left = 0.05 * k, -0.03 * k
+        x = 3.0 + ahead * math.cos(0.5) - left * math.sin(0.5)
+        device.moved((x, -2.0 + ahead * math.sin(0.5) + left * math.cos(0.5), 0.5), 0.5, 0.0)
+        (told,) = client.run(0.1)
+        assert max(told.x, told.y) <= COUNT_MASK
+        if last is not None:
+            for i, (new, old) in enumerate(((told.x, last.x), (told.y, last.y))):
+                total[i] += (new - old + 0x4000) % 0x8000 - 0x4000
+        last = told
+    assert [each * robot.dist_factor / 1e3 for each in total] == pytest.approx([100.0, -60.0], abs=2e-3)
+
+
+def test_a_host_that_moves_it_is_told_what_to_do() -> None:
+    device = Device(AMIGO, start=None)
+    client = Client(device).connect()
+    client.say(Command.ENABLE, 1)
+    client.say(Command.VEL, 200)
+    client.say(Command.RVEL, -10)
+    client.run(1.0)
+    assert device.odometry == (0.0, 0.0, 0.0)  # nobody moved it
+    assert device.commanded() == (0.2, -math.radians(10))
+    device.moved((5.0, 5.0, 1.0), 0.2, 0.0, stall=0x0101)
+    told = client.run(0.1)[-1]
+    assert (told.x, told.y, told.stalled) == (0, 0, (True, True))
+    with pytest.raises(ValueError, match="8 sonars, not 3"):
+        device.moved((5.0, 5.0, 1.0), 0.2, 0.0, ranges=(1.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize("kind", ROBOTS)
+def test_each_sonar_speaks_when_its_turn_comes_and_once(kind: str) -> None:
+    """Arrays of 8 take turns of 40 ms, so all have spoken after 320 ms; 1.6 s are five rounds and 16 packets."""
+    robot = ROBOTS[kind]
+    device = Device(robot)
+    client = Client(device).connect()
+    ranges = [0.5 + 0.1 * each for each in range(len(robot.sonars))]
+    ranges[3] = math.inf
+    device.moved((0.0, 0.0, 0.0), 0.0, 0.0, ranges)
+    told = client.run(1.6)
+    numbers = [number for each in told for number, _ in each.sonars]
+    assert sorted(numbers) == sorted(5 * list(range(len(robot.sonars))))
+    assert all(len(each.sonars) in (2 * len(robot.sonars) // 8, 3 * len(robot.sonars) // 8) for each in told)
+    for number, counts in (reading for each in told for reading in each.sonars):
+        assert counts * robot.range_factor / 1e3 == pytest.approx(min(ranges[number], 5.0), abs=1e-3)
+    with pytest.raises(ValueError, match="multiple of 5 ms, not 12"):
+        Device(robot, ping_ms=12)
+    client.run(0.05)  # somebody has heard something
+    client.say(Command.SONAR, 0)
+    assert all(each.sonars == () and each.flags & 0x1E == 0 for each in client.run(1.0))

@@ -13,13 +13,10 @@ from hypothesis import strategies as st
 
 from tests.support.hardware.driver_runs import PATIENCE_S, eventually, held
 from vcmvsp.cosim.rng import stream
-from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.drivers.arcos.packet import PacketReader, command, frame
+from vcmvsp.hardware.drivers.arcos.protocol import Command, PacketReader, command, decode_sip, frame, is_sip
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.drivers.arcos.sip import decode, is_sip
 from vcmvsp.hardware.emulators.arcos.device import Device
-from vcmvsp.hardware.emulators.arcos.serial_line import Faults, Wire
-from vcmvsp.hardware.emulators.arcos.server import ArcosServer, serve_pty, serve_tcp
+from vcmvsp.hardware.emulators.arcos.server import ArcosServer, Faults, Wire, serve_pty, serve_tcp
 
 AMIGO = ROBOTS["amigo"]
 MS = 1_000_000
@@ -66,14 +63,14 @@ class Port:
 @BOTH
 def test_a_client_connects_drives_and_leaves(serve: Serve) -> None:
     def metres(heard: list[bytes]) -> float:
-        return decode(heard[-1]).x * AMIGO.dist_factor / 1e3 if heard and is_sip(heard[-1]) else 0.0
+        return decode_sip(heard[-1]).x * AMIGO.dist_factor / 1e3 if heard and is_sip(heard[-1]) else 0.0
 
     with serve(Device(AMIGO)) as served, Port(served.url) as port:
         began = time.monotonic()
         port.connect()
         port.say(Command.ENABLE, 1)
         port.say(Command.VEL, 200)
-        told = [decode(each) for each in port.hear(lambda heard: metres(heard) > 0.1)]
+        told = [decode_sip(each) for each in port.hear(lambda heard: metres(heard) > 0.1)]
         took = time.monotonic() - began
         assert took > 0.1 / 0.2  # at the pace of the wall clock
         assert len(told) <= 10 * took + 1
@@ -90,16 +87,6 @@ def test_a_device_that_is_served_again_goes_on_from_where_it_is(serve: Serve) ->
         with serve(device) as served, Port(served.url) as port:
             port.hear(lambda heard: len(heard) >= 3)
         assert 10**11 < device.now_ns < 1.1 * 10**11
-
-
-@BOTH
-def test_it_can_be_read_and_moved_from_outside(serve: Serve) -> None:
-    with serve(Device(AMIGO, start=None)) as served, Port(served.url) as port:
-        port.connect()
-        with served.lock:
-            served.device.moved((0.0, 0.0, 0.0), 0.0, 0.0)
-            served.device.moved((1.0, 0.0, 0.0), 0.0, 0.0)
-        port.hear(lambda heard: bool(heard) and decode(heard[-1]).x == round(1000 / AMIGO.dist_factor))
 
 
 @BOTH

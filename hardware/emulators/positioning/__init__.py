@@ -1,1 +1,0 @@
-"""Emulated tags of positioning systems. Readers of real ones are in `hardware.localisation`."""

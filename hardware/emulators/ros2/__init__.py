@@ -1,1 +1,0 @@
-"""Emulated ROS 2 robot. Messages and keys are those of `hardware.drivers.ros2`."""

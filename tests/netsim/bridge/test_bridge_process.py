@@ -1,0 +1,399 @@
+"""The bridge process by itself, where the test is the run, and the run's side of it."""
+
+import asyncio
+import itertools
+import os
+import select
+import signal
+import socket
+import time
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from tests.support.netsim.bridge_runs import wait_for
+from tests.support.netsim.gateway_context import PATIENCE_S, free_ports
+from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.netsim.bridge import messages, process_client
+from vcmvsp.netsim.bridge.bridge_process import BridgeProcess
+from vcmvsp.netsim.bridge.datagram_store import BATCH_OF_ONE, MOST
+from vcmvsp.netsim.bridge.process_client import BridgeClient
+
+VEHICLES = ("a", "b", "c")
+PROBE = """
+from pathlib import Path
+
+
+class Probe:
+    def __init__(self, out: str, fails: str = "") -> None:
+        self.out, self.fails = Path(out), fails
+
+    def check(self, vehicles):
+        pass
+
+    async def open(self, context):
+        self.context = context
+        if self.fails == "open":
+            raise RuntimeError("no luck")
+        context.loop.call_soon(self.turn)
+        context.offer(self, 0, 1, b"to one")
+        context.offer(self, 0, -1, b"to all")
+        return ["probe is open"]
+
+    def turn(self):
+        level = self.context.level_dbm(0, 2)
+        if level == level:
+            self.say(f"level {level}")
+        else:
+            self.context.loop.call_later(0.005, self.turn)
+
+    def say(self, line):
+        with self.out.open("a") as file:
+            file.write(line + "\\n")
+
+    def deliver(self, sender, receiver, payload):
+        if self.fails == "deliver":
+            raise RuntimeError("no luck")
+        self.say(f"delivered {sender} {receiver} {payload!r}")
+
+    def lost(self, sender, receiver, payload):
+        self.say(f"lost {sender} {receiver} {payload!r}")
+
+    async def close(self):
+        self.say("closed")
+"""
+
+
+def opening(*gateways: messages.GatewaySpec, folder: Path | str = ".", payloads: bool = False) -> messages.Opening:
+    return messages.Opening(run="test", folder=str(folder), vehicles=VEHICLES, gateways=gateways, payloads=payloads)
+
+
+def udp(first: int, **params: Any) -> messages.GatewaySpec:
+    return messages.GatewaySpec(name="udp", kind="udp", params={"first_port": first, **params})
+
+
+@pytest.fixture
+def probe(tmp_path: Path) -> messages.GatewaySpec:
+    (tmp_path / "probe.py").write_text(PROBE)
+    return messages.GatewaySpec(name="probe", kind="probe.py:Probe", params={"out": str(tmp_path / "out.txt")})
+
+
+@pytest.fixture
+def started() -> Iterator[list[BridgeClient]]:
+    processes: list[BridgeClient] = []
+    yield processes
+    for each in processes:
+        each.close()
+
+
+def due(*rows: tuple[int, int, int], taken: int = 0, settled: tuple[int, ...] = ()) -> messages.Deliveries:
+    number, receiver, at_ns = np.array(rows, np.int64).reshape(-1, 3).T
+    return messages.Deliveries(
+        taken=taken, number=number, receiver=receiver.astype(np.int32), at_ns=at_ns, settled=np.array(settled, np.int64)
+    )
+
+
+def hear(process: BridgeClient, kind: type, seconds: float = PATIENCE_S) -> Any:
+    """The next word of this kind."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        select.select([process], [], [], end - time.monotonic())
+        for message in process.read():
+            if isinstance(message, kind):
+                return message
+    raise AssertionError(f"no {kind.__name__}")
+
+
+def test_a_door_of_ones_own_hears_what_is_due_what_is_lost_and_how_strong_others_are(
+    probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
+) -> None:
+    def said() -> list[str]:
+        file = tmp_path / "out.txt"
+        return file.read_text().splitlines() if file.exists() else []
+
+    started.append(process := BridgeClient.start(opening(probe, folder=tmp_path, payloads=True)))
+    assert process.wait_ready() == ("bridge.probe: probe is open",)
+    heard = process.read()
+    while not any(isinstance(each, messages.NewDatagrams) for each in heard) or not any(
+        isinstance(each, messages.LevelsRequest) for each in heard
+    ):
+        select.select([process], [], [], 10.0)
+        heard += process.read()
+    (came,) = [each for each in heard if isinstance(each, messages.NewDatagrams)]
+    assert (came.sender.tolist(), came.to.tolist(), came.payloads) == ([0, 0], [1, -1], (b"to one", b"to all"))
+    process.send(messages.LevelRows(first=1, dbm=np.arange(3.0, 9.0).reshape(2, 3)))
+    process.send(messages.LevelRows(first=0, dbm=np.arange(3.0).reshape(1, 3)))
+    wait_for(lambda: said() == ["level 2.0"])
+    os.kill(process.pid, signal.SIGSTOP)  # it hears all of it at once, however long we take to say it
+    now_ns = time.monotonic_ns()
+    process.send(due((1, 2, now_ns + 20_000_000), (1, 1, now_ns + 10_000_000), taken=2, settled=(0, 1)))
+    process.send(messages.AgentDatagram(sender=2, receiver=0, at_ns=now_ns + 15_000_000, payload=b"said"))
+    os.kill(process.pid, signal.SIGCONT)
+    wait_for(lambda: len(said()) == 5)
+    assert said()[1:] == ["lost 0 1 b'to one'", "delivered 0 1 b'to all'", "delivered 2 0 b'said'", "delivered 0 2 b'to all'"]
+    process.leave()
+    went = [each for each in process.close() if isinstance(each, messages.Delivered)]
+    first, second = np.concatenate([each.due for each in went]).tolist()
+    assert (first, second) == (1, 0)  # what an agent said is none of them
+    assert (np.concatenate([each.at_ns for each in went]) >= now_ns + np.array([10_000_000, 20_000_000])).all()
+    assert said()[-1] == "closed"
+
+
+def test_a_door_that_cannot_be_opened_ends_the_bridge_in_its_own_words(
+    probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
+) -> None:
+    probe.params["fails"] = "open"
+    started.append(process := BridgeClient.start(opening(probe, folder=tmp_path)))
+    with pytest.raises(FederateError, match=r"bridge: bridge.probe: RuntimeError: no luck \(probe.py line \d+, in open\)"):
+        process.wait_ready()
+    assert (tmp_path / "out.txt").read_text() == "closed\n"
+
+
+def test_doors_that_were_never_to_be_opened_are_not_closed(
+    probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
+) -> None:
+    second = messages.GatewaySpec(name="second", kind="probe.py:Probe", params={"out": str(tmp_path / "second.txt")})
+    probe.params["fails"] = "open"
+    started.append(process := BridgeClient.start(opening(probe, second, folder=tmp_path)))
+    with pytest.raises(FederateError, match=r"bridge: bridge\.probe: RuntimeError"):
+        process.wait_ready()
+    process.close()
+    assert (tmp_path / "out.txt").exists()
+    assert not (tmp_path / "second.txt").exists()
+
+
+class Deaf:
+    """In the place of the link to a run that does not read."""
+
+    def __init__(self, *says: messages.Down) -> None:
+        self.says, self.ended = [encode(each) for each in says], False
+        self.reads = False
+        self.heard: list[bytes] = []
+
+    def wait(self, seconds: float) -> None:
+        pass
+
+    def receive(self) -> list[bytes]:
+        said, self.says = self.says, []
+        return said
+
+    def send(self, message: bytes) -> bool:
+        if self.reads:
+            self.heard.append(message)
+        return self.reads
+
+
+def test_what_is_counted_while_the_run_does_not_read_is_said_once_when_it_does() -> None:
+    async def trial() -> tuple[int, list[messages.Up]]:
+        link: Any = Deaf(opening())
+        process = BridgeProcess(link, asyncio.get_running_loop())
+        process._opening()
+        for k in range(50):
+            process.count(k % 2, "too long")
+            process._report()
+        unsaid, link.reads = len(process._outbox), True
+        process._send_outbox()
+        process._report()
+        return unsaid, [messages.ups.decode(each) for each in link.heard]
+
+    unsaid, said = asyncio.run(trial())
+    assert unsaid == 1
+    counts: dict[str, dict[str, int]] = {}
+    for each in said:
+        assert isinstance(each, messages.Counts)
+        counts |= each.counts
+    assert counts == {"a": {"too long": 25}, "b": {"too long": 25}}
+    assert len(said) == 2
+
+
+def test_that_a_message_was_too_long_can_be_said(
+    probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
+) -> None:
+    (tmp_path / "probe.py").write_text(PROBE.replace('return ["probe is open"]', 'return ["x" * 1_000_000]'))
+    started.append(process := BridgeClient.start(opening(probe, folder=tmp_path)))
+    with pytest.raises(FederateError, match=r"bridge: ValueError: a message of 1000\d+ bytes is longer than the link takes"):
+        process.wait_ready()
+
+
+def test_what_is_counted_for_many_vehicles_fits_into_messages() -> None:
+    async def trial() -> list[bytes]:
+        names = tuple(f"vehicle{k}" for k in range(3000))
+        link: Any = Deaf(messages.Opening(run="test", folder=".", vehicles=names, gateways=(), payloads=False))
+        link.reads = True
+        process = BridgeProcess(link, asyncio.get_running_loop())
+        process._opening()
+        for row in range(len(names)):
+            for what in range(8):
+                process.count(row, f"what there is no room for, of kind {what}")
+        process._report_counts()
+        return link.heard  # type: ignore[no-any-return]
+
+    said = asyncio.run(trial())
+    assert max(map(len, said)) < 100_000
+    assert (
+        sum(len(each.counts) for message in said if isinstance(each := messages.ups.decode(message), messages.Counts)) == 3000
+    )
+
+
+def test_so_does_one_that_fails_later(probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]) -> None:
+    probe.params["fails"] = "deliver"
+    started.append(process := BridgeClient.start(opening(probe, folder=tmp_path)))
+    process.wait_ready()
+    process.send(messages.AgentDatagram(sender=0, receiver=1, at_ns=0, payload=b"said"))
+    with pytest.raises(FederateError, match=r"bridge: bridge.probe: RuntimeError: no luck \(probe.py line \d+, in deliver\)"):
+        hear(process, messages.Delivered)
+
+
+def test_what_befalls_a_door_as_it_delivers_is_its_failure_though_it_be_of_the_operating_system(
+    probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
+) -> None:
+    probe.params["fails"] = "deliver"
+    (tmp_path / "probe.py").write_text(PROBE.replace('RuntimeError("no luck")', 'OSError("no luck")'))
+    started.append(process := BridgeClient.start(opening(probe, folder=tmp_path)))
+    process.wait_ready()
+    process.send(messages.AgentDatagram(sender=0, receiver=1, at_ns=0, payload=b"said"))
+    with pytest.raises(FederateError, match=r"bridge: bridge.probe: OSError: no luck \(probe.py line \d+, in deliver\)"):
+        hear(process, messages.Delivered)
+
+
+def test_a_kind_that_there_is_not_is_named(started: list[BridgeClient]) -> None:
+    started.append(process := BridgeClient.start(opening(messages.GatewaySpec(name="udp", kind="udb", params={}))))
+    with pytest.raises(FederateError, match=r"bridge.udp.kind: unknown door kind 'udb'; did you mean 'udp'\?"):
+        process.wait_ready()
+
+
+def test_a_batch_waits_until_the_one_before_was_taken_and_what_there_is_no_room_for_is_kept_outside(
+    started: list[BridgeClient],
+) -> None:
+    first = free_ports(300)
+    started.append(process := BridgeClient.start(opening(udp(first))))
+    process.wait_ready()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+        for _ in range(MOST + 1000):
+            program.sendto(b"x", ("127.0.0.1", first))
+    came = hear(process, messages.NewDatagrams)
+    time.sleep(0.1)
+    assert process.read() == []
+    numbers = came.number.tolist()
+    assert len(numbers) <= BATCH_OF_ONE
+    while len(numbers) < MOST:
+        process.send(due(taken=len(numbers)))
+        numbers += hear(process, messages.NewDatagrams).number.tolist()
+    process.send(due(taken=MOST))
+    time.sleep(0.1)
+    assert process.read() == []  # nothing is settled: there is no room for more
+    process.send(due(taken=MOST, settled=tuple(range(1000))))
+    while len(numbers) < MOST + 1000:
+        numbers += hear(process, messages.NewDatagrams).number.tolist()
+        process.send(due(taken=len(numbers)))
+    assert numbers == list(range(MOST + 1000))
+
+
+def test_it_ends_with_the_run_however_that_ended(started: list[BridgeClient]) -> None:
+    first = free_ports(300)
+    process = BridgeClient.start(opening(udp(first)))
+    process.wait_ready()
+    process._link.close()  # as the operating system does with whoever is killed
+    assert process._process.why_ended(PATIENCE_S) == "ended with exit code 0"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+        program.bind(("127.0.0.1", first))
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(signal.SIGKILL, "was killed by SIGKILL"), (signal.SIGTERM, "it received SIGTERM")]
+)
+def test_that_it_has_gone_is_said(number: signal.Signals, words: str, started: list[BridgeClient]) -> None:
+    started.append(process := BridgeClient.start(opening(udp(free_ports(300)))))
+    process.wait_ready()
+    os.kill(process.pid, number)
+    with pytest.raises(FederateError, match=f"bridge: .*{words}"):
+        hear(process, messages.NewDatagrams)
+
+
+def test_ctrl_c_is_not_for_it(started: list[BridgeClient]) -> None:
+    started.append(process := BridgeClient.start(opening(udp(first := free_ports(300)))))
+    process.wait_ready()
+    os.kill(process.pid, signal.SIGINT)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+        program.sendto(b"x", ("127.0.0.1", first))
+    assert hear(process, messages.NewDatagrams).number.tolist() == [0]
+
+
+def test_it_can_be_let_go_of_before_its_doors_are_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vcmvsp.netsim.bridge.process_client.CLOSE_S", PATIENCE_S)  # a process may be slow to begin
+    process = BridgeClient.start(opening(udp(free_ports(300))))
+    process.leave()
+    process.close()
+    assert process._process.returncode == 0
+
+
+def test_one_that_does_not_read_holds_up_nobody_and_is_ended(started: list[BridgeClient]) -> None:
+    process = BridgeClient.start(opening(udp(free_ports(300))))
+    process.wait_ready()
+    os.kill(process.pid, signal.SIGSTOP)
+    said = messages.AgentDatagram(sender=0, receiver=1, at_ns=0, payload=bytes(60_000))
+    with pytest.raises(FederateError, match=rf"bridge: its process \(pid {process.pid}\) does not read any more"):
+        deque(map(process.send, itertools.repeat(said)), 0)
+    assert process.has_outbox
+    process._process.kill()
+    process.close()
+
+
+STEP_S = 7.0
+
+
+class Silent:
+    """A link to somebody who says nothing, and how long each wait was to be: one for less than no time has no end."""
+
+    ended = False
+
+    def __init__(self) -> None:
+        self.waits: list[float] = []
+
+    def wait(self, seconds: float) -> None:
+        self.waits.append(seconds)
+
+    def receive(self) -> list[bytes]:
+        return []
+
+    def send(self, message: bytes) -> bool:
+        return True
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def slow_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seconds pass between any two looks at the clock."""
+    now = itertools.count(0.0, STEP_S)
+    monkeypatch.setattr(process_client, "time", SimpleNamespace(monotonic=lambda: next(now)))
+
+
+def silent() -> tuple[BridgeClient, Silent]:
+    link = Silent()
+    process = SimpleNamespace(pid=1, link=link, close=lambda _: False)
+    opening = messages.Opening(run="run", folder=".", vehicles=("a",), gateways=(), payloads=False)
+    return BridgeClient(cast("Any", process), opening), link
+
+
+def test_doors_that_do_not_open_are_said_when_time_is_over(slow_clock: None) -> None:
+    waiting, link = silent()
+    with pytest.raises(FederateError, match="its gateways were not open after 60 s"):
+        waiting.wait_ready()
+    assert len(link.waits) == pytest.approx(process_client.READY_S / STEP_S, abs=1.0)
+    assert min(link.waits) > 0.0
+
+
+def test_one_that_does_not_leave_is_killed_when_time_is_over(slow_clock: None) -> None:
+    waiting, link = silent()
+    assert waiting.close() == []
+    assert waiting.killed
+    assert link.waits
+    assert min(link.waits) > 0.0
