@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.support.netsim.channels import make_channel, make_frame, send
-from tests.support.netsim.links import even_uniforms
+from tests.support.netsim.channels import even_uniforms, make_channel, make_frame, send
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.testing import check_channel

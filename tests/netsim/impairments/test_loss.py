@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.netsim.channels import make_frame
-from tests.support.netsim.links import linked_frame, many_frame, many_keys
+from tests.support.netsim.channels import linked_frame, make_frame, many_frame, many_keys
 from vcmvsp.cosim.rng import key64, link_uniform
 from vcmvsp.cosim.types import Message
 from vcmvsp.netsim.channel.channel import Channel

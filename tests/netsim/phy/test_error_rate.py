@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.netsim.error_rate_curves import array, sinr_for
+from tests.support.netsim.channels import array, sinr_for
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.phy.constant_rate import ThermalNoise

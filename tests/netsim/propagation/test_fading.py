@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.netsim.links import even_uniforms, linked_frame, many_frame, many_keys
+from tests.support.netsim.channels import even_uniforms, linked_frame, many_frame, many_keys
 from vcmvsp.netsim.interfaces.layers import Fading, Floats
 from vcmvsp.netsim.propagation.fading import Nakagami, Rayleigh, Rician, gamma_quantile, scattering
 

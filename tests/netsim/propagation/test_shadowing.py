@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.netsim.links import Line, each_alone
+from tests.support.netsim.channels import Line, each_alone
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.shadowing import Shadowing
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from tests.support.netsim.links import Line
+from tests.support.netsim.channels import Line
 from vcmvsp.netsim.calibration.measurements import MeasuredLinks
 from vcmvsp.netsim.calibration.result import ParameterEstimate
 from vcmvsp.netsim.interfaces.layers import Floats
