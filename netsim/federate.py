@@ -107,7 +107,6 @@ class RadioFederate:
         return Step(self._events(reports, now_ns), None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
 
     def _step_routed(self, network: RoutingNetwork, now_ns: int, inbox: Sequence[Event], reports: list[FrameReport]) -> Step:
-        """`step` with routing."""
         posts = list(self._posts(inbox, now_ns))
         network.note(reports, now_ns + bool(posts))  # later, if agents of this instant have acted already
         reports = network.go_on(now_ns)

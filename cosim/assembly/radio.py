@@ -19,7 +19,7 @@ from vcmvsp.netsim.presets import preset as preset_of
 if TYPE_CHECKING:
     from vcmvsp.netsim.channel.channel import Channel
     from vcmvsp.netsim.federate import RadioFederate
-    from vcmvsp.netsim.interfaces.radio import Radio
+    from vcmvsp.netsim.interfaces.layers import Radio
     from vcmvsp.physics.world.solids import AnySolid
 
 
@@ -69,7 +69,7 @@ def channel_of(
     keep: registry.Keep = registry.name_of,
 ) -> "tuple[Channel, Mapping[str, Radio], dict[str, Any]]":
     """The channel of a scenario, the radio of each vehicle, and the complete ``[radio]``; arguments as for `build`."""
-    from vcmvsp.netsim.interfaces.radio import Radio
+    from vcmvsp.netsim.interfaces.layers import Radio
 
     radios: dict[str, Radio] = {
         each.name: binding.call(Radio, each.radio, key=f"vehicle.{each.name}.radio", origin=source) for each in scenario.vehicle

@@ -201,7 +201,7 @@ def _sensor(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _radio(content: Mapping[str, Any]) -> dict[str, Any]:
-    from vcmvsp.netsim.interfaces.radio import Radio
+    from vcmvsp.netsim.interfaces.layers import Radio
 
     return binding.complete(Radio, content)
 

@@ -179,7 +179,6 @@ def _variation(
 
 
 def _error(slope: Floats, spread: Floats) -> float:
-    """Standard error of what changes by ``slope`` with the parameters."""
     counts = slope != 0.0
     return math.sqrt(slope[counts] @ spread[np.ix_(counts, counts)] @ slope[counts])
 

@@ -132,7 +132,6 @@ def _moves_m(a: Floats, b: Floats) -> tuple[Floats, Floats]:
 
 
 def _apart(a: Floats, b: Floats) -> Floats:
-    """Distances of all points a from all points b, (n, m)."""
     squared = np.zeros((len(a), len(b)))
     for axis in range(3):
         squared += (a[:, axis, None] - b[:, axis]) ** 2

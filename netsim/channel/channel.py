@@ -38,11 +38,11 @@ from vcmvsp.netsim.interfaces.layers import (
     Loss,
     PathLoss,
     Phy,
+    Radio,
     SenderLinks,
     unless_nothing,
 )
 from vcmvsp.netsim.interfaces.medium import Ideal, Mac, needs
-from vcmvsp.netsim.interfaces.radio import Radio
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,6 @@ class Channel:
         return SentFrame(frame, sender, number, message, to, sent_ns, air_ns, mean, mean.level_dbm)
 
     def _send_now(self, frames: list[SentFrame], start_ns: list[int]) -> list[FrameReport]:
-        """Send frames without contention."""
         means, levels_dbm, sizes = zip(*((sent.mean, sent.level_dbm, sent.message.size_bytes) for sent in frames), strict=True)
         signal = self.hearing.signals(means, levels_dbm, sizes)
         end_ns = [start + sent.air_ns for start, sent in zip(start_ns, frames, strict=True)]

@@ -15,9 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcmvsp.cosim.types import frozen
-from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints, PathLoss, Paths, Phy, SenderLinks, distances, sealed
+from vcmvsp.netsim.interfaces.layers import (
+    AT_POSITION,
+    Bools,
+    Floats,
+    Ints,
+    PathLoss,
+    Paths,
+    Phy,
+    Radio,
+    SenderLinks,
+    distances,
+    sealed,
+)
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
-from vcmvsp.netsim.interfaces.radio import AT_POSITION, Radio
 from vcmvsp.netsim.phy.constant_rate import ThermalNoise
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.propagation.walls import Bodies, through
@@ -304,7 +315,6 @@ class Budgets:
 
 
 def _with_vehicles(materials: tuple[str, ...], count: Ints) -> tuple[str, ...]:
-    """Materials with the number of vehicles in the way."""
     words = [f"{n} vehicle" if n else "" for n in count.tolist()]
     return tuple(", ".join(filter(None, pair)) for pair in zip(materials, words, strict=True))
 

@@ -146,7 +146,6 @@ class Outcomes:
         return np.where(jammed & on_air, np.uint8(_JAMMED), code), np.where(on_air, total_db, batch.sinr_db)
 
     def _lose(self, batch: FrameBatch, layer_frames: Sequence[Frame], code: Codes) -> Codes:
-        """Apply the loss layers, (k, n)."""
         traced = self._traced(layer_frames, "loss")
         if traced is not None:
             traced &= np.array(batch.start_ns)[:, None] >= 0

@@ -273,7 +273,6 @@ def _run(channel: Channel, plan: Broadcasts, sink: Sink | None, progress: Progre
 
 
 def _run_bulk(bulk: Bulk, plan: Broadcasts, tally: FrameTally, progress: Progress | None) -> None:
-    """Run a trial in batches, without reports."""
     sent_ns: Ints = np.zeros(0, np.int64)
     others = len(plan.position) - 1
 

@@ -37,6 +37,7 @@ alone may have a method ``lost_by(draws)`` or ``delay_ns_by(draws)``, called ins
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Protocol, Self, TypeVar
 
@@ -45,6 +46,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vcmvsp.cosim.rng import key64, link_uniform
+from vcmvsp.cosim.types import Decibels, NonNegative
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -274,3 +276,24 @@ class LinkDraws:
 def _exponential(draws: Floats) -> Floats:
     variates: Floats = -np.log1p(-draws[..., 0])
     return variates
+
+
+@dataclass(frozen=True)
+class Radio:
+    """A vehicle's antenna and, where they differ from the phy's, its power and sensitivity.
+
+    The level at a receiver is the sender's power plus both antenna gains, less what is lost between. Antennas radiate alike in
+    all directions.
+    """
+
+    tx_power_dbm: Decibels | None = None  # transmitted power; None: the phy's
+    sensitivity_dbm: Decibels | None = None  # weakest level at which it notices a frame; None: the phy's
+    antenna_gain_dbi: Decibels = 0.0  # of what it sends, and of what it hears
+    antenna_height_m: NonNegative = 0.5  # above the vehicle's position
+    body_loss_db: NonNegative = 0.0  # of links between others that pass through this vehicle
+    body_radius_m: NonNegative = 0.3  # of its body, an upright cylinder that begins at its position
+    body_height_m: NonNegative = 0.6  # of that cylinder
+
+
+AT_POSITION = Radio(antenna_height_m=0.0)
+"""A radio whose antenna is where its vehicle is."""

@@ -89,7 +89,6 @@ def _table(errors: ErrorRate) -> Floats:
 
 @lru_cache(maxsize=256)
 def _pieces(errors: ErrorRate, size_bytes: int) -> tuple[tuple[Floats, int], tuple[Floats, int]]:
-    """Table and bits of the payload and of the header of a frame."""
     (payload, payload_bits), (header, header_bits) = errors.payload(size_bytes), errors.header
     return (payload.table, payload_bits), (header.table, header_bits)
 

@@ -194,7 +194,7 @@ def shadowed() -> RadioFederate:
     return federate
 
 
-def test_they_are_those_of_the_frames_that_are_sent(shadowed: RadioFederate) -> None:
+def test_mean_levels_are_those_of_the_frames_that_are_sent(shadowed: RadioFederate) -> None:
     here = states(0, 0.0, 20.0, 300.0)
     step = shadowed.step(0, [here, *(sends(0, name) for name in NAMES)])
     found = levels(shadowed, here)
@@ -204,13 +204,13 @@ def test_they_are_those_of_the_frames_that_are_sent(shadowed: RadioFederate) -> 
         assert found[NAMES.index(report.sender), columns].tolist() == report.rssi_dbm.tolist()
 
 
-def test_nobody_needs_to_have_sent(shadowed: RadioFederate) -> None:
+def test_mean_levels_need_no_frame(shadowed: RadioFederate) -> None:
     near, far = (levels(shadowed, states(0, 0.0, x, 300.0)) for x in (20.0, 40.0))
     assert far[0, 1] < near[0, 1]
     assert far[0, 2] == near[0, 2]
 
 
-def test_asking_changes_no_frame() -> None:
+def test_asking_for_mean_levels_changes_no_frame() -> None:
     def run(*, ask: bool) -> str:
         radio = RadioFederate(
             make_channel("wifi-b-1", mac={"kind": "dcf"}, shadowing={"sigma_db": 4.0}, loss={"probability": 0.3})

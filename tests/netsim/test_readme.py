@@ -22,7 +22,7 @@ from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.loss import Bernoulli, GilbertElliott
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
-from vcmvsp.netsim.interfaces.radio import Radio
+from vcmvsp.netsim.interfaces.layers import Radio
 from vcmvsp.netsim.phy.dsss import Dsss
 
 HOME = Path(netsim.__path__[0])

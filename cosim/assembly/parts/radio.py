@@ -2,8 +2,7 @@
 
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.federate import RadioFederate
-from vcmvsp.netsim.interfaces.layers import Frame, PathLoss, Paths, Phy, SenderLinks
-from vcmvsp.netsim.interfaces.radio import Radio
+from vcmvsp.netsim.interfaces.layers import Frame, PathLoss, Paths, Phy, Radio, SenderLinks
 
 __all__ = [
     "Channel",

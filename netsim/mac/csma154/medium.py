@@ -201,7 +201,6 @@ class Csma154Medium:
             self._soonest[radio.row] = max(radio.ready_ns, now_ns)
 
     def _next(self, now_ns: int, radio: Csma154Radio) -> None:
-        """Turn to the next frame of the queue, if there is one."""
         while radio.queue:
             frame = heapq.heappop(radio.queue)[2]
             if now_ns - frame.time_ns > self._lifetime_ns:
@@ -220,7 +219,6 @@ class Csma154Medium:
         self._assess(radio)
 
     def _assess(self, radio: Csma154Radio) -> None:
-        """Wait for the next of the planned assessments."""
         assessed_ns = radio.assessments_ns[radio.found_busy]
         self._soonest[radio.row] = min(assessed_ns + TURNAROUND_NS + radio.air_ns, radio.assessments_ns[-1])
         self._schedule(assessed_ns, _Kind.ASSESSED, radio)

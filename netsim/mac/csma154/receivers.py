@@ -125,7 +125,6 @@ class Csma154Air:
             flight.settled_ns[where] = now_ns
 
     def _hazard(self, power_mw: Floats, disturbance_mw: Floats) -> Floats:
-        """Of one bit."""
         return self._errors.bit_hazard(power_mw / disturbance_mw)
 
     def _add_up(self) -> None:

@@ -134,7 +134,6 @@ def host() -> Any:
 
 
 def _code(core: Core) -> bytes:
-    """The code from the cache folder, or compiled now."""
     path = _path(core)
     code = _read_code(path)
     if code is None:

@@ -150,7 +150,6 @@ class DcfMedium:
     def _put(
         self, places: Ints | int, number: Ints | int, time_ns: Ints | int, sender: Ints | int, size_bytes: int, *, known: bool
     ) -> None:
-        """Write down what is known of a frame, or of several."""
         if size_bytes not in self._sizes:
             curve, bits = self._phy.errors.payload(size_bytes)
             self._sizes[size_bytes] = self._phy.air_time_ns(size_bytes), bits, self._row_of(curve)
@@ -161,7 +160,6 @@ class DcfMedium:
         s.outcome[places], s.least_there[places] = EXPIRED, np.nan
 
     def _row_of(self, curve: ErrorRate) -> int:
-        """Its row of `DcfState.tables`."""
         if curve not in self._curves:
             self._curves.append(curve)
             self._state = self._state._replace(tables=np.vstack((self._state.tables, curve.table)))
@@ -183,7 +181,6 @@ class DcfMedium:
         self._undecided += count
 
     def _take(self, count: int) -> list[int]:
-        """Free places of frames."""
         while len(self._free) < count:
             s, places = self._state, len(self._state.behind)
             self._state = s._replace(**{name: np.concatenate([getattr(s, name)] * 2) for name in PER_FRAME})

@@ -18,9 +18,8 @@ from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.netsim.impairments.delay import NoDelay
 from vcmvsp.netsim.impairments.loss import NoLoss
-from vcmvsp.netsim.interfaces.layers import Draw, Fading, Floats, Frame, Phy
+from vcmvsp.netsim.interfaces.layers import Draw, Fading, Floats, Frame, Phy, Radio
 from vcmvsp.netsim.interfaces.medium import Decided, Mac, Offered
-from vcmvsp.netsim.interfaces.radio import Radio
 from vcmvsp.netsim.mac.csma154.medium import Csma154
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.phy.dsss import Dsss

@@ -17,7 +17,7 @@ from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.evaluation.coverage import among, coverage, floor_dbm, range_m
 from vcmvsp.netsim.evaluation.files import read_positions
 from vcmvsp.netsim.evaluation.model_curves import error_rate, grid, mean_levels, packet_errors
-from vcmvsp.netsim.interfaces.radio import Radio
+from vcmvsp.netsim.interfaces.layers import Radio
 from vcmvsp.netsim.phy.constant_rate import ConstantRate
 from vcmvsp.netsim.phy.dsss import Dsss, DsssErrors
 from vcmvsp.netsim.phy.ieee802154 import Ieee802154, OqpskErrors

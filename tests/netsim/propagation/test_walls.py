@@ -11,8 +11,7 @@ from vcmvsp.cosim.testing import check_channel
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.impairments.delay import NoDelay
 from vcmvsp.netsim.impairments.loss import NoLoss
-from vcmvsp.netsim.interfaces.layers import Bools, Floats, PathLoss, Paths
-from vcmvsp.netsim.interfaces.radio import Radio
+from vcmvsp.netsim.interfaces.layers import Bools, Floats, PathLoss, Paths, Radio
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT, LogDistance
 from vcmvsp.netsim.propagation.walls import ITU_MATERIALS, Bodies, FixedWalls, ItuWalls, slab_loss_db, through
