@@ -18,7 +18,7 @@ from vcmvsp.cosim.util.text import stdout_to_stderr
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.analysis.snapshots import Rates, Share, Snapshots
-    from vcmvsp.cosim.assembly.parts.calibration import Calibration, FigureData
+    from vcmvsp.cosim.assembly.parts.calibration import Calibration
     from vcmvsp.cosim.assembly.parts.channel_trial import Broadcasts, Channel, RowFile
     from vcmvsp.cosim.config.provenance import Source
 
@@ -371,7 +371,7 @@ def calibrate_command(
         sys.stdout.write(f"{Path(out or '') / name}\n")
 
 
-def write_calibration(folder: Path, calibration: "Calibration", figure_data: "FigureData") -> None:
+def write_calibration(folder: Path, calibration: "Calibration", figure_data: dict[str, Any]) -> None:
     """Write ``radio.toml`` and ``calibration.png``: a calibration of `netsim.calibration`, and the data of its figure."""
     from vcmvsp.cosim.plots.radio_plots import draw_calibration
     from vcmvsp.cosim.plots.style import save_png
@@ -379,7 +379,7 @@ def write_calibration(folder: Path, calibration: "Calibration", figure_data: "Fi
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(folder / "radio.toml", calibration.toml())
-        save_png(draw_calibration(**figure_data._asdict()), folder / "calibration.png")
+        save_png(draw_calibration(**figure_data), folder / "calibration.png")
 
 
 def calibrate_recognition_command(

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,25 +188,8 @@ _PARTS = 24  # intervals of displacement
 _PAIRS = 30  # that an interval needs to be shown
 
 
-class FigureData(NamedTuple):
-    """Arguments of `cosim.plots.radio_plots.draw_calibration`, which says what each is."""
-
-    distance_m: Floats
-    level_dbm: Floats
-    line_m: Floats
-    line_dbm: Floats
-    sigma_db: float
-    sensitivity_dbm: float | None
-    walls: bool
-    moved_m: Floats
-    correlation: Floats
-    curve_m: Floats
-    curve: Floats
-    correlation_distance_m: float | None
-
-
-def figure_data(links: MeasuredLinks, calibration: Calibration, sightline: Sightline | None) -> FigureData:
-    """Measured levels without their walls, fitted line, measured and fitted correlation."""
+def figure_data(links: MeasuredLinks, calibration: Calibration, sightline: Sightline | None) -> dict[str, Any]:
+    """Arguments of `cosim.plots.radio_plots.draw_calibration`: levels without walls, fitted line, correlations."""
     shown = links.only(sample(links, _ROWS))
     design, materials = design_of(shown, calibration.reference_distance_m, sightline)
     losses = [calibration.walls_db[name].value if name in calibration.walls_db else 0.0 for name in materials]
@@ -222,20 +205,20 @@ def figure_data(links: MeasuredLinks, calibration: Calibration, sightline: Sight
     share = (fading / calibration.deviation_db) ** 2
     along = np.geomspace(max(1e-3, shown.distance_m.min()), shown.distance_m.max(), 200)
     decades = np.log10(np.maximum(along / calibration.reference_distance_m, 1.0))
-    return FigureData(
-        distance_m=shown.distance_m,
-        level_dbm=open_air,
-        line_m=along,
-        line_dbm=calibration.level_dbm.value - 10.0 * calibration.exponent.value * decades,
-        sigma_db=calibration.deviation_db,
-        sensitivity_dbm=calibration.sensitivity_dbm,
-        walls=bool(calibration.walls_db),
-        moved_m=middles,
-        correlation=correlation,
-        curve_m=curve_m,
-        curve=(1.0 - share) * np.exp(-curve_m / reach.value) if reach is not None else np.zeros(0),
-        correlation_distance_m=None if reach is None else reach.value,
-    )
+    return {
+        "distance_m": shown.distance_m,
+        "level_dbm": open_air,
+        "line_m": along,
+        "line_dbm": calibration.level_dbm.value - 10.0 * calibration.exponent.value * decades,
+        "sigma_db": calibration.deviation_db,
+        "sensitivity_dbm": calibration.sensitivity_dbm,
+        "walls": bool(calibration.walls_db),
+        "moved_m": middles,
+        "correlation": correlation,
+        "curve_m": curve_m,
+        "curve": (1.0 - share) * np.exp(-curve_m / reach.value) if reach is not None else np.zeros(0),
+        "correlation_distance_m": None if reach is None else reach.value,
+    }
 
 
 def _correlogram(links: MeasuredLinks, residual: Floats, far_m: float) -> tuple[Floats, Floats]:

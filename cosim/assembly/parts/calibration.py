@@ -2,11 +2,11 @@
 
 from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.scenario import loader
-from vcmvsp.netsim.calibration.fit import FigureData, calibrate_file, figure_data
+from vcmvsp.netsim.calibration.fit import calibrate_file, figure_data
 from vcmvsp.netsim.calibration.result import Calibration
 from vcmvsp.physics.line_of_sight import Sightline
 
-__all__ = ["Calibration", "FigureData", "calibrate_file", "figure_data", "sightline_of"]
+__all__ = ["Calibration", "calibrate_file", "figure_data", "sightline_of"]
 
 
 def sightline_of(scenario: str) -> Sightline:
