@@ -125,13 +125,7 @@ class WallClock:
         sleep: waits for so many seconds; may be set later, too.
     """
 
-    def __init__(
-        self,
-        speed: float = 1.0,
-        *,
-        now: Callable[[], int] = time.monotonic_ns,
-        sleep: Sleep = time.sleep,
-    ) -> None:
+    def __init__(self, speed: float = 1.0, *, now: Callable[[], int] = time.monotonic_ns, sleep: Sleep = time.sleep) -> None:
         if not 0.0 < speed < float("inf"):
             raise ValueError(f"speed must be a positive number, not {speed}")
         self.speed, self._now, self.sleep, self._origin = speed, now, sleep, 0

@@ -132,7 +132,7 @@ def coverage(
 
 
 def _map(site: Site, parsed: Scenario, vehicle: str, size_bytes: int, height_m: float, resolution_m: float | None) -> Map:
-    from vcmvsp.cosim.assembly.parts.channel_curves import coverage as measured
+    from vcmvsp.cosim.assembly.parts.channel_trial import coverage as measured
 
     x, y = _grid(site, measured.range_m(site.channel, vehicle, height_m), vehicle, resolution_m)
     antennas = np.stack([*(axis.ravel() for axis in np.meshgrid(x, y)), np.full(len(x) * len(y), height_m)], axis=-1)

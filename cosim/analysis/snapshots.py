@@ -14,7 +14,7 @@ import numpy as np
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.assembly.parts import recognition
-from vcmvsp.cosim.assembly.parts.search_map import Grid, Rectangle, of_picture
+from vcmvsp.cosim.assembly.parts.recognition import Grid, Rectangle, of_picture
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError

@@ -43,11 +43,7 @@ def of_scenario(
     """Build the federates of ``[sockets]`` and ``[bridge]``.
 
     Args:
-        scenario, source, resolution: what is built, where it was read from, and what takes the complete tables.
-        air: the radio.
-        clock: paces the run.
         bridged: what programs at wall pace handed over in an earlier run, instead of these programs.
-        tell: takes lines for the user.
         log: takes what a replay needs.
         connect: open the gateways; else nothing is, which serves to check the scenario.
     """

@@ -33,11 +33,6 @@ class Operator:
     ``operator/moved``     out        `Moved`
     ``operator/changed``   out        `Changed`
     =====================  =========  ===================================
-
-    Args:
-        planned: those of the scenario.
-        vehicles: all that there are.
-        check: of what is asked for live.
     """
 
     name = "operator"
@@ -166,5 +161,4 @@ def check_planned(planned: Sequence[InterventionTable], check: Check, source: So
 
 
 def _at(table: InterventionTable, now_ns: int) -> InterventionTable:
-    """The same, at this time."""
     return msgspec.structs.replace(table, at_s=now_ns / SECOND_NS)

@@ -36,12 +36,9 @@ def federate_of(
     """The federate `radio` of a scenario.
 
     Args:
-        scenario, source: what is built, and where it was read from.
         resolution: takes ``[radio]`` and ``[routing]`` with everything filled in.
-        solids: what stands in the world.
         recorded: ``radio.parquet`` of an earlier run, whose outcomes its frames have again.
         programs: programs at wall pace may send any number of frames.
-        tell: takes lines for the user.
     """
     from vcmvsp.netsim.channel.replayed import RecordedFrames
     from vcmvsp.netsim.federate import RadioFederate
@@ -105,12 +102,8 @@ def build(
 
     Args:
         radio: ``preset``, and a table for each layer that is to be changed.
-        source: where that came from.
         key: path of the table in the scenario; empty: the layers stand at the top.
-        solids: what stands in the world.
         radios: what vehicles have of their own, by name.
-        vehicles: names of all.
-        portable: how the resolved scenario names a kind.
         also: other keys that may stand in this table, for messages.
         keep: keeps a file that the scenario uses; how the resolved scenario names it.
 

@@ -33,8 +33,6 @@ def of_scenario(
     """Those vehicles of the scenario that have a driver, checked.
 
     Args:
-        scenario: the scenario.
-        source: where it came from.
         resolution: takes the tables with everything filled in.
         models: what each vehicle is, by name (`physics.vehicles.specification.Vehicle`).
     """
@@ -50,7 +48,6 @@ def of_scenario(
 def _described(
     vehicle: VehicleTable, scenario: Scenario, source: Source, resolution: Resolution, model: "Vehicle"
 ) -> RealVehicle:
-    """A real vehicle with its tables filled in and its safety checked."""
     from vcmvsp.cosim.estimation.fusion import Fusion
     from vcmvsp.hardware.stations import check_safety
     from vcmvsp.physics.vehicles.specification import flies

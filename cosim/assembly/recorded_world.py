@@ -88,7 +88,6 @@ def _read(recording: Path, topic: str, kind: type[T]) -> Iterator[tuple[int, T]]
 
 
 def _mesh(entity: SceneEntity) -> list[Mesh]:
-    """A mesh of each colour."""
     meshes = []
     for part in entity.triangles:
         points = np.array([(each.x, each.y, each.z) for each in part.points]).reshape(-1, 3)

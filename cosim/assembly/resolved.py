@@ -56,7 +56,6 @@ class Resolution:
         """The kind without a folder; a Python file that it names is kept.
 
         Args:
-            kind: as it is written.
             foreign: a host elsewhere says so, which may name any file of this machine: only those beside the scenario are kept.
         """
         if not registry.is_file_kind(kind):
@@ -207,5 +206,4 @@ def _radio(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _present(**values: Any) -> dict[str, Any]:
-    """What has a value, in TOML's types."""
     return {name: binding.plain(value) for name, value in values.items() if value is not None}

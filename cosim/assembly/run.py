@@ -44,15 +44,9 @@ class AssembledRun:
     Attributes:
         clock: paces the run.
         info: what every federate is told before time 0.
-        federates: all of them, in no particular order.
-        world: the solids, obstacles and targets.
-        radio, operator: the federates of these names.
         robots: the federate that drives real vehicles; None: there are none to drive.
         bridge: the federate that exchanges datagrams with programs at wall pace; None: there are no such programs.
-        hosts: of the agents.
         agents: what the hosts say of the agents, by vehicle's name.
-        where: where each vehicle's agent runs.
-        radius_m: of each vehicle's body.
         inputs: what comes from outside, for a replay.
         resolution: the complete tables, and files to be kept.
     """
@@ -146,10 +140,7 @@ def assemble(
     """Build the federates of a scenario, and wait until all hosts of agents have joined.
 
     Args:
-        scenario: what to build.
-        source: where it was read from.
         clock: paces the run (`clock_of`).
-        objects: agents that exist already, by vehicle; they run in this process.
         runs: where all agents run, whatever the scenario says; ``"encoded"`` is in this process behind the wire's bytes,
             ``"here"`` in this process as far as the scenario names their classes.
         listen: where hosts started by hand dial in, instead of the scenario's ``agents.listen``.
@@ -158,7 +149,6 @@ def assemble(
         playback: real vehicles of an earlier run, instead of their robots.
         bridged: what programs handed over in an earlier run, instead of these programs.
         recorded_radio: table of frames of an earlier run, whose outcomes are repeated.
-        tell: takes lines for the user.
         watch: asked while hosts are awaited; an answer is the reason to give up.
 
     Raises:
@@ -272,7 +262,6 @@ def _located(scenario: Scenario, source: Source) -> Iterator[None]:
 
 
 def _physics(scenario: Scenario, resolution: Resolution, **given: object) -> Federate:
-    """The federate `physics`, of the scenario's kind."""
     content = {"kind": "bullet", **scenario.physics}
     physics: Federate
     physics, resolution.tables["physics"] = resolution.component("physics", content, "physics", given=given)
@@ -280,7 +269,6 @@ def _physics(scenario: Scenario, resolution: Resolution, **given: object) -> Fed
 
 
 def _operator(scenario: Scenario, source: Source, physics: Federate, air: "RadioFederate") -> Operator:
-    """The federate `operator`, with the planned interventions checked."""
     planned, vehicles = scenario.intervention, [each.name for each in scenario.vehicle]
     check = checks(vehicles, getattr(physics, "check_move", nothing_moves), air.check_change)
     check_planned(planned, check, source)
@@ -288,7 +276,6 @@ def _operator(scenario: Scenario, source: Source, physics: Federate, air: "Radio
 
 
 def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunInfo:
-    """What every federate is told before time 0."""
     read = {f"{info.vehicle}/{name}" for info in agents for name in info.sensors}
     return RunInfo(
         scenario=scenario.name,

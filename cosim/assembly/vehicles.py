@@ -29,8 +29,6 @@ class Fleet:
     """All vehicles, with their sensors.
 
     Args:
-        scenario: tells of them.
-        source: where it was read from.
         resolution: is told what they are with everything filled in.
 
     Attributes:
@@ -146,9 +144,6 @@ class Placement:
     """All agents, by where they run.
 
     Args:
-        scenario: tells of them.
-        source: where it was read from.
-        fleet: their vehicles.
         objects: agents that exist already, by vehicle; they run in this process. Also an attribute.
         runs: where all run, whatever the scenario says; ``"encoded"`` is in this process behind the wire's bytes, ``"here"`` in
             this process as far as the scenario names their classes. None: where the scenario says.

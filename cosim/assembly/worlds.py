@@ -25,7 +25,6 @@ def world_of(what: str, settings: Mapping[str, Any]) -> "tuple[World, str]":
     """The world that a word names: a kind, ``module:Class``, a file (world, map, GeoJSON, mesh), or a scenario; and its name.
 
     Args:
-        what: the word.
         settings: keys of the world or, for a scenario, of the scenario, and their values.
     """
     path, seed = Path(what), 0
@@ -55,7 +54,6 @@ def build(
     """The world that a table ``[world]`` describes, and the table with all its defaults.
 
     Args:
-        table: the table.
         source, portable, keep: as for `cosim.config.registry.build`.
         seed: of the run: that of a world whose own ``seed`` is None by default, and is not given.
 

@@ -63,7 +63,6 @@ def _join_words() -> str:
 
 
 def _attach(commands: Iterable[Any]) -> None:
-    """Tell Typer what completes the parameters of these commands."""
     for command in commands:
         for parameter in signature(command.callback).parameters.values() if command.callback else ():
             for info in typing.get_args(parameter.annotation)[1:]:
@@ -148,7 +147,6 @@ COMPLETERS: Mapping[str, Callable[..., list[str]]] = {
 
 
 def _index() -> Iterator[tuple[str, list[str]]]:
-    """All keys of scenarios, and the values that they may have."""
     for line in INDEX.read_text("utf-8").splitlines():
         path, *values = line.split("\t")
         yield path, values
@@ -193,7 +191,6 @@ def _mapping(value: object) -> dict[str, Any]:
 
 
 def _files(incomplete: str, suffix: str) -> list[str]:
-    """Files and folders that begin so; of files those with this suffix."""
     folder, slash, begun = incomplete.rpartition("/")
     try:
         inside = sorted(Path(f"{folder}{slash}" or ".").iterdir())

@@ -248,7 +248,6 @@ def _urls(about: Mapping[str, Any]) -> list[str]:
 
 
 def _words(happened: Mapping[str, Any]) -> str:
-    """What happened, for people."""
     lines = []
     if "commands" in happened:
         lines.append(f"{happened['commands']} commands heard, {happened['packets']} information packets sent")

@@ -172,7 +172,6 @@ def parameters_of(group: str, kind: str | None) -> dict[str, Any]:
 
 
 def _text(about: dict[str, Any]) -> str:
-    """The parameters as lines."""
     from vcmvsp.cosim.reference.describe import toml
 
     rows = [

@@ -155,7 +155,6 @@ def down_command(
 
 
 def _check_rights() -> None:
-    """Refuse where this process lacks what namespaces need."""
     from vcmvsp.cosim.assembly.parts import networks
 
     if lacks := networks.missing():

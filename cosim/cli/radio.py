@@ -155,7 +155,7 @@ def per_command(
 
     Example: vcmvsp per --preset wifi-g-6 --model nist --snr -2:6:0.5 --size 100
     """
-    from vcmvsp.cosim.assembly.parts import channel_curves as curves
+    from vcmvsp.cosim.assembly.parts import channel_trial as curves
 
     snr_db, size_bytes = curves.grid(snr, "--snr"), _payload(size)
     errors, name = curves.error_rate(_channel(preset, None)[0].phy, model)
@@ -173,7 +173,7 @@ def pathloss_command(
 
     Example: vcmvsp pathloss --preset wifi-b-1 --set path_loss.exponent=2 --distance 10:100:10
     """
-    from vcmvsp.cosim.assembly.parts import channel_curves as curves
+    from vcmvsp.cosim.assembly.parts import channel_trial as curves
 
     distance_m = curves.grid(distance, "--distance")
     if distance_m.min() < 0.0:
@@ -273,7 +273,6 @@ def _channel(
 
 
 def _changed(source: "Source", *layers: str) -> str:
-    """Which arguments have changed these layers."""
     places = dict.fromkeys(source.of(layer) for layer in layers)
     return ", ".join(place for place in places if place != source.name) or source.name
 
@@ -296,7 +295,6 @@ def _rows(out: Path, preset: str, plan: "Broadcasts") -> "RowFile":
 
 
 def _print(about: Mapping[str, Any], columns: Mapping[str, list[float]], *, json: bool) -> None:
-    """Columns of numbers, with a few words about them."""
     if json:
         lines = [
             f"  {jsons.dumps(name)}: {jsons.dumps(value, allow_nan=False)}" for name, value in {**about, **columns}.items()
@@ -311,7 +309,6 @@ def _print(about: Mapping[str, Any], columns: Mapping[str, list[float]], *, json
 
 
 def _summary(preset: str, counts: Mapping[str, Any], vehicles: int, out: Path | None) -> str:
-    """What became of the frames, in a few lines."""
     lines = [f"{preset}: {counts['frames']} frames of {vehicles} vehicles"]
     if counts["delivery_ratio"] is not None:
         lost = ", ".join(f"{count} {cause}" for cause, count in counts["losses"].items()) or "none lost"

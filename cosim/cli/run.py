@@ -337,7 +337,6 @@ def study_command(
 
 
 def _table(points: Sequence[Mapping[str, Any]], keys: Sequence[str], metrics: Sequence[str]) -> str:
-    """Mean and band of each metric at each point, in columns."""
     lines = [[*keys, "n", *metrics]]
     lines += [
         [*(str(point[key]) for key in keys), str(point["n"]), *(_band(point[name]) for name in metrics)]

@@ -77,10 +77,6 @@ def call(
     """Call ``target`` with the table's values, each checked and converted by its annotation.
 
     Args:
-        target: class or function; its signature says which keys there are.
-        table: what the scenario says.
-        key: path of the table in the scenario, for messages.
-        origin: where the scenario came from, for messages.
         given: arguments that come from the program, not from the table.
         also: other keys that may stand in this table, for messages.
 
@@ -113,7 +109,6 @@ def call(
 
 
 def _values(known: Mapping[str, Parameter], table: Mapping[str, Any], key: str, origin: Source) -> Iterator[tuple[str, Any]]:
-    """The values that a table gives to known parameters, by name."""
     for name, parameter in known.items():
         where = join(key, name)
         if name in table:
@@ -167,13 +162,11 @@ def _with_files(value: Any, annotation: object, change: Callable[[str], str]) ->
 
 
 def _alternatives(annotation: object) -> list[object]:
-    """The annotations of a union, or the only one."""
     inner = typing.get_args(annotation) if typing.get_origin(annotation) in (typing.Union, types.UnionType) else (annotation,)
     return list(inner)
 
 
 def _names_file(annotation: object) -> bool:
-    """Whether a string of this annotation is the name of a file."""
     metas = [meta for each in _alternatives(annotation) for meta in typing.get_args(each)[1:] if isinstance(meta, msgspec.Meta)]
     return Path in _alternatives(annotation) or any((meta.extra or {}).get("file") for meta in metas)
 
@@ -245,7 +238,6 @@ def _inside(words: str, path: str, value: Any, annotation: object) -> str:
 
 
 def _item(annotation: object, number: int) -> object:
-    """The annotation of an item of a list."""
     origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is typing.Annotated:
         return _item(inner[0], number)

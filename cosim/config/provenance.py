@@ -39,7 +39,6 @@ class _Document:
         self._next, self._line = next(self._tokens, ("", 0))
 
     def read(self) -> None:
-        """Find the lines of all keys."""
         here = ""
         while self._next:
             if self._next == "\n":
@@ -50,13 +49,11 @@ class _Document:
                 self._pair(here)
 
     def _take(self) -> str:
-        """The next token; empty at the end."""
         token = self._next
         self._next, self._line = next(self._tokens, ("", 0))
         return token
 
     def _header(self) -> str:
-        """A ``[table]`` or a ``[[table]]``: its path."""
         line = self._line
         self._take()
         if is_array := self._next == "[":
@@ -70,11 +67,9 @@ class _Document:
         return path
 
     def _pair(self, here: str) -> None:
-        """``key = value``."""
         self._value(self._key(here, "="))
 
     def _key(self, here: str, end: str) -> str:
-        """The path of a key up to the sign behind it."""
         line = self._line
         while self._next and (part := self._take()) not in (end, "\n"):
             if part != ".":
@@ -97,7 +92,6 @@ class _Document:
             self._take()
 
     def _inside(self, path: str) -> None:
-        """The items of a list, or the pairs of an inline table."""
         opening, number = self._take(), 0
         while self._next not in ("", "]", "}"):
             if self._next in (",", "\n"):
@@ -112,7 +106,6 @@ class _Document:
 
 
 def _text(token: str) -> str:
-    """A key, or a string, without its quotes."""
     try:
         return str(read_toml(f"text = {token}")["text"]) if token[0] in "'\"" else token
     except ValueError:
@@ -125,7 +118,6 @@ class Source:
     Args:
         name: of the file; of what is no file, one name for all keys.
         folder: to which files in the scenario are relative.
-        text: TOML, for lines.
     """
 
     def __init__(self, name: str = "", folder: Path = Path(), text: str = "") -> None:

@@ -38,7 +38,6 @@ def located(name: str, folder: Path | None = None) -> Path:
     """Where a file is that a scenario names: beside it, or else among those that come with the built-in scenarios.
 
     Args:
-        name: as it is written.
         folder: the scenario's; default: that of `looking_in`, or the current one.
     """
     folder = folder or _folder.get() or Path()
@@ -71,10 +70,7 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
 
     Args:
         group: what it is looked up as, e.g. ``"agent"``.
-        kind: short name, ``module:Class`` or ``file.py:Class``.
         folder: where a relative file is looked for (the scenario's folder); default: that of `looking_in`, or the current one.
-        key: path of the kind in the scenario, for messages.
-        origin: where the scenario came from, for messages.
 
     Raises:
         ScenarioError: there is no such kind, what it names cannot be imported, or may not be (`user_classes.only`).
@@ -193,10 +189,6 @@ def build(
     """Build what a table with a ``kind`` describes.
 
     Args:
-        group: of the registry.
-        content: the table.
-        key: path of the table in the scenario.
-        source: where the scenario came from.
         portable: how the resolved scenario names the kind.
         given: arguments that come from the program, not from the table.
         offered: the same, for those who have such a parameter.
@@ -254,7 +246,6 @@ def host_options(tables: object, folder: str) -> list[str]:
     """The options with which ``vcmvsp agent`` lets a run ask for the classes that these tables name.
 
     Args:
-        tables: of the agents.
         folder: where their Python files are on the host's machine.
     """
     classes = classes_in(tables)

@@ -142,7 +142,7 @@ EXTRA_DOCS: Mapping[str, Mapping[str, str]] = {
         "handover_s": (
             "where several vehicles send at one instant, and contend for the air, "
             "each message takes up to so long to reach the queue of its radio, uniformly"
-        ),
+        )
     },
     "SetTable": {"value": "what it is then"},
     "StudyTable": {"vary": "key path (in quotes) = list of its values; all combinations are run"},

@@ -305,7 +305,6 @@ def index_text() -> str:
 
 
 def _entries() -> Iterator[tuple[str, list[str]]]:
-    """All keys, some of them several times."""
     kinds = [(place.path, list(place.kinds)) for place in places() if place.kinds]
     kinds += [(each.path, [each.kind]) for each in whole().sections if each.kind and _is_set(each)]
     for path, names in kinds:

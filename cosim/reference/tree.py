@@ -270,7 +270,6 @@ def _found(wanted: tuple[str, ...]) -> list[Section]:
 
 
 def _overlap(some: tuple[str, ...], others: tuple[str, ...]) -> bool:
-    """Whether one begins with the other."""
     return all(map(operator.eq, some, others))
 
 
@@ -315,7 +314,6 @@ def lines(section: Section, width: int | None = None, strong: Style = str) -> It
     """The lines of a section.
 
     Args:
-        section: what is to be shown.
         width: of the window; None: there is none, and nothing is wrapped.
         strong: what makes a word stand out.
     """
@@ -354,7 +352,6 @@ def _wrapped(begun: str, size: int, words: str, width: int | None, *, hanging: i
 
 
 def _lines(words: str, width: int, *, first: int, others: int) -> list[str]:
-    """Words in lines, indented; each stays whole."""
     return textwrap.wrap(
         words, width, initial_indent=" " * first, subsequent_indent=" " * others, break_long_words=False, break_on_hyphens=False
     )

@@ -1,27 +1,342 @@
-"""``vcmvsp.run``: a scenario in, a `Result` out. What the command line does, notebooks and studies do through here."""
+"""``vcmvsp.run``: a scenario in, a `Result` out. What the command line does, notebooks and studies do through here.
 
+A run, from its first event to its files: kernel, recording, interruption, and what is known of the machine.
+"""
+
+import contextlib
+import functools
+import io
+import platform
+import signal
+import sys
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
+from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from types import FrameType
+from typing import TYPE_CHECKING, Any, BinaryIO, get_args
+
+import msgspec
+import numpy as np
+import tomli_w
 
 from vcmvsp.cosim.agent import Agent
 from vcmvsp.cosim.assembly import real_vehicles
-from vcmvsp.cosim.assembly.run import assemble, clock_of
+from vcmvsp.cosim.assembly.run import AssembledRun, assemble, clock_of
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.config import binding
-from vcmvsp.cosim.errors import Interrupted, UsageError
+from vcmvsp.cosim.errors import AgentError, FederateError, Interrupted, UsageError, VcmvspError
+from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.kernel import Kernel, Observer
 from vcmvsp.cosim.recording import external_inputs
+from vcmvsp.cosim.recording.external_inputs import FILE
+from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.runs.result import Result, figures_again
-from vcmvsp.cosim.runs.simulation import Progress, Simulation
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario import schema
-from vcmvsp.cosim.util.files import Folder, writing
-from vcmvsp.cosim.util.text import Tell
+from vcmvsp.cosim.tables.schema import write_table
+from vcmvsp.cosim.types import Presence
+from vcmvsp.cosim.util.files import Folder, finite, write_whole, writing
+from vcmvsp.cosim.util.text import Tell, plain
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.view.live.session import Viewing
+
+
+class SlowAgents:
+    """A thread beside the run that looks at what its thread does; it changes nothing of it.
+
+    Args:
+        deadline_s: longer than this an agent may not compute without a word.
+    """
+
+    def __init__(self, now_ns: Callable[[], int], deadline_s: float, tell: Tell) -> None:
+        self._now_ns, self._deadline_s, self._tell = now_ns, deadline_s, tell
+        self._run, self._over = threading.get_ident(), threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        tick, since, told = ("", -1), time.monotonic(), False
+        while not self._over.wait(min(self._deadline_s / 4, 1.0)):
+            who, where = computing(sys._current_frames().get(self._run))  # noqa: SLF001  the only way to another thread's
+            if (who, self._now_ns()) != tick:
+                tick, since, told = (who, self._now_ns()), time.monotonic(), False
+            elif who and not told and (for_s := time.monotonic() - since) > self._deadline_s:
+                told = True
+                self._tell(f"{who} has computed for {for_s:.0f} s, and still does ({where}); Ctrl-C twice ends the run at once")
+
+
+def computing(frame: FrameType | None) -> tuple[str, str]:
+    """Which agent computes in a thread, and where it is, both in words; empty: none does."""
+    where = "" if frame is None else f"{Path(frame.f_code.co_filename).name} line {frame.f_lineno}, in {frame.f_code.co_name}"
+    who = ""
+    while frame is not None:
+        agent, runner = frame.f_locals.get("self"), frame.f_back and frame.f_back.f_locals.get("self")
+        if isinstance(agent, Agent) and (vehicle := getattr(runner, "vehicle", "")):
+            who = f"agent {type(agent).__name__} of vehicle {vehicle}"
+        frame = frame.f_back
+    return who, where
+
+
+Progress = Callable[[int, int], None]
+ABOUT_SCHEMA = "vcmvsp.about/1"
+DELIVERIES = "bridge.parquet"
+"""What was delivered to programs outside, and how late: on the wall clock, so that it is no part of what a repetition gives."""
+
+
+class Simulation:
+    """One run: kernel and recording, from the first event to the files.
+
+    Args:
+        folder: takes the files; None: they stay in memory.
+        progress: called with (now, end) in ns before every instant.
+        observe: called with every event, behind the recording.
+        view: shows the run, and lets its user intervene.
+        speed: of the view at first, simulated seconds per second.
+    """
+
+    def __init__(
+        self,
+        run: AssembledRun,
+        folder: Folder | None,
+        *,
+        mcap: bool,
+        progress: Progress | None,
+        tell: Tell,
+        observe: Observer | None = None,
+        view: "Viewing | None" = None,
+        speed: float | None = None,
+    ) -> None:
+        self._run, self._folder, self._progress, self._tell, self._over = run, folder, progress, tell, False
+        self._live = None if view is None else view.live(run, speed or 1.0, stop=self._stop, tell=tell)
+        self._clock = run.clock if self._live is None else self._live.clock
+        topics, live = run.hosts.topics, self._live
+        onlookers = (topics.on if topics else None, observe, live.on if live else None)
+        self._observers = [each for each in onlookers if each is not None]
+        self._resolved = run.resolved()  # before the run: what is wrong with it must not cost the run
+        info = msgspec.structs.replace(run.info, paced=self._clock.speed is not None)
+        strict = run.scenario.clock.late == "stop"
+        self._kernel = Kernel(info, run.federates, clock=self._clock, tolerance_ns=self._tolerance_ns(), strict=strict)
+        self._mcap = io.BytesIO() if mcap and folder is None else None
+        self._recorder: Recorder | None = None
+
+    def run(self) -> VcmvspError | None:
+        """Run to the end; what goes wrong once the run has begun is returned, so that the recording can be kept."""
+        kernel = self._kernel
+        self._run.start(kernel)
+        try:
+            with self._recording() as recorder:
+                failure = self._go(recorder)
+        except BaseException:
+            with contextlib.suppress(VcmvspError):
+                kernel.close()
+            raise
+        try:
+            kernel.close()
+        except FederateError as error:
+            failure = failure or error
+        return failure
+
+    @contextlib.contextmanager
+    def calm(self) -> Iterator[None]:
+        """Let Ctrl-C strike only where it breaks nothing: while waiting, or between two slots. A second one strikes at once.
+
+        When the run is over, the first one says that files are written, and what a second one leaves.
+        """
+        kernel, saved = self._kernel, {}
+
+        def on_signal(number: int, frame: Any) -> None:
+            if kernel.waiting or kernel.stop:
+                signal.default_int_handler(number, frame)
+            kernel.stop = True
+            if self._over:
+                self._tell(f"the run is over, its files are written; Ctrl-C once more stops that: {self._left()}")
+
+        if threading.current_thread() is threading.main_thread():  # elsewhere signals do not arrive
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                if signal.getsignal(number) is signal.default_int_handler:  # else somebody has plans of their own
+                    saved[number] = signal.signal(number, on_signal)
+        try:
+            yield
+        except KeyboardInterrupt:
+            if not self._over:
+                raise
+            raise Interrupted(f"interrupted while the files of the run were written: {self._left()}") from None
+        finally:
+            for number, handler in saved.items():
+                signal.signal(number, handler)
+
+    def _left(self) -> str:
+        """What stays of a run whose files are not all written."""
+        return "nothing is kept" if self._folder is None else f"run.mcap in {self._folder.path} is whole"
+
+    def _go(self, recorder: Recorder) -> VcmvspError | None:
+        kernel = self._kernel
+        failure: VcmvspError | None = None
+        begin = time.monotonic()
+        try:
+            with SlowAgents(lambda: kernel.now_ns, self._run.scenario.agents.deadline_s, self._tell):
+                kernel.run(self._observer(recorder), on_instant=self._on_instant())
+        except KeyboardInterrupt as error:
+            failure = Interrupted(f"interrupted at {kernel.now_ns / 1e9:.3f} s{error}")
+        except VcmvspError as error:
+            failure = error
+        kernel.release()
+        self._simulating_s, self._over = time.monotonic() - begin, True
+        if isinstance(failure, AgentError):
+            gone = Presence(state="lost", since_ns=kernel.now_ns, why=plain(failure.cause))
+            for vehicle in failure.vehicles:
+                recorder.on(Event(f"{vehicle}/host", kernel.now_ns, gone))
+        recorder.log("error" if failure else "info", str(failure or "the run is complete"), kernel.now_ns)
+        recorder.close(kernel.now_ns, is_cut=failure is not None)
+        if self._live is not None:
+            self._live.close(str(failure or "the run is complete"))
+        return failure
+
+    def _stop(self) -> None:
+        """End the run as Ctrl-C does: while it waits, at once, for where time stands still it would wait for ever."""
+        if self._kernel.waiting:
+            raise KeyboardInterrupt
+        self._kernel.stop = True
+
+    def _on_instant(self) -> Callable[[int], None] | None:
+        """What is told of each instant before it begins: who shows how far the run is, and who listens to those who look on."""
+        progress, live, end_ns = self._progress, self._live, self._run.info.duration_ns
+        if live is None:
+            return None if progress is None else lambda now: progress(now, end_ns)
+
+        def both(now_ns: int) -> None:
+            live.on_instant(now_ns)
+            if progress is not None:
+                progress(now_ns, end_ns)
+
+        return both
+
+    def _observer(self, recorder: Recorder) -> Observer:
+        """The recording, and behind it all others that look on."""
+        others = self._observers
+        if not others:
+            return recorder.on
+
+        def on(event: Event) -> None:
+            recorder.on(event)
+            for other in others:
+                other(event)
+
+        return on
+
+    @contextlib.contextmanager
+    def _recording(self) -> Iterator[Recorder]:
+        with contextlib.ExitStack() as stack:
+            stream: BinaryIO | None = self._mcap
+            if self._folder is not None:
+                stream = self._new_file(stack, self._folder.claim() / "run.mcap")
+                self._write_scenario(self._folder.path)
+            self._recorder = self._run.recorder(stream, lambda text: None if self._over else self._tell(text))
+            if self._run.has_outside and stream is not None:
+                inputs = None if self._folder is None else self._new_file(stack, self._folder.path / FILE)
+                self._run.inputs.open(inputs)
+                stack.callback(self._run.inputs.close)
+            yield self._recorder
+
+    def _new_file(self, stack: contextlib.ExitStack, path: Path) -> BinaryIO:
+        """A file that is open until the stack closes it; one that is there already is replaced only where the user says so."""
+        if self._folder and self._folder.force:
+            path.unlink(missing_ok=True)  # what was a link is none
+        return stack.enter_context(path.open("xb"))
+
+    def _write_scenario(self, folder: Path) -> None:
+        """Write the scenario and its files, for those who look at the recording of a run that goes on, or was killed."""
+        write_whole(folder / "scenario.toml", tomli_w.dumps(self._resolved))
+        for name, content in self._run.files.items():
+            write_whole(folder / name, content)
+
+    def result(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> Result:
+        """The result, written to the folder if there is one."""
+        run, recorder = self._run, self._recorder
+        if recorder is None:
+            raise failure or VcmvspError("the run did not begin")
+        resolved = run.resolved() if run.operator.done else self._resolved  # with what was done live
+        metrics = finite(recorder.metrics(window=(resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))))
+        files = dict(run.files)
+        if kept := run.inputs.content:  # in memory alone
+            files[FILE] = kept
+        if run.bridge is not None:
+            table = io.BytesIO()
+            write_table(run.bridge.table(), table)
+            files[DELIVERIES] = table.getvalue()
+        about = self._about(failure, started, cpu_s)
+        result = Result(recorder, metrics, about, resolved, files, self._mcap, run.world)
+        if self._folder is not None:
+            result.write(self._folder.path)
+        return result
+
+    def _about(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> dict[str, Any]:
+        """``about.json``: what differs between two equal runs."""
+        run = self._run
+        return {
+            "schema": ABOUT_SCHEMA,
+            "started": started.isoformat(),
+            "wall_s": (datetime.now(UTC) - started).total_seconds(),
+            "simulating_s": self._simulating_s,
+            "cpu_s": cpu_s,
+            "simulated_s": self._kernel.now_ns / 1e9,
+            "agents": run.where,
+            "lateness": self._lateness(),
+            "cuts_s": run.hosts.cuts_s,
+            "forged_answers": run.hosts.forged,
+            "unrepeatable": run.hosts.unrepeatable,
+            **({} if run.bridge is None else {"bridge": run.bridge.lateness}),
+            "error": failure and {"message": str(failure), "details": getattr(failure, "details", "")},
+            "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
+            "versions": _versions(),
+        }
+
+    def _tolerance_ns(self) -> int | None:
+        """How late an instant may begin on the wall clock; None: there is no such clock."""
+        if self._clock.speed is None:
+            return None
+        wanted = self._run.scenario.clock.tolerance_s
+        return seconds_to_ns(self._period_s() if wanted is None else wanted)
+
+    def _period_s(self) -> float:
+        """Of the quickest agent, on the wall clock."""
+        periods = [float(info.ticks.period) / SECOND_NS for info in self._run.agents]
+        return min(periods, default=0.1) / (self._clock.speed or 1.0)
+
+    def _lateness(self) -> dict[str, Any] | None:
+        """How late instants began at which agents act, at wall pace."""
+        if self._clock.speed is None or not self._kernel.late_ns:
+            return None
+        late_s = np.maximum(self._kernel.late_ns, 0) / 1e9
+        p50, p99 = np.percentile(late_s, [50, 99])
+        return {
+            "speed": self._clock.speed,
+            "instants": len(late_s),
+            "p50_s": float(p50),
+            "p99_s": float(p99),
+            "max_s": float(late_s.max()),
+            "over_one_period": int((late_s > self._period_s()).sum()),
+            "slipped_s": self._clock.slipped_ns / SECOND_NS,
+        }
+
+
+_PACKAGES = ("vcmvsp", "numpy", "simpy", "msgspec", "pyarrow", "mcap", "pybullet", "eclipse-zenoh", "matplotlib")
+
+
+@functools.cache
+def _versions() -> dict[str, str]:
+    return {name: metadata.version(name) for name in _PACKAGES}
+
 
 Runs = schema.Runs
 

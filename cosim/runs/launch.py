@@ -115,13 +115,7 @@ class Plan(msgspec.Struct, frozen=True):
 
 
 class Fleet:
-    """The hosts of a run. They are started when it first waits for them, so that they find it.
-
-    Args:
-        plans: what to start.
-        folder: where to start it on this machine.
-        tell: takes what they say.
-    """
+    """The hosts of a run. They are started when it first waits for them, so that they find it."""
 
     def __init__(self, plans: Sequence[Plan], folder: Path, tell: Tell) -> None:
         self._plans, self._folder, self._tell = plans, folder, tell
@@ -173,7 +167,6 @@ class Fleet:
 
 
 def _why(host: HostTable, code: int, last: Sequence[str]) -> str:
-    """How a host ended too early, in a line."""
     how = f"{ending(code)} before the run began"
     if host.ssh and code == ssh_hosts.SSH_FAILED:
         how = f"ssh cannot reach it, or has lost it (exit code {code})"
@@ -246,7 +239,6 @@ def _plan(
 
 
 def _dialled(path: Path, host: HostTable, connect: str | None, listen: str) -> str:
-    """Where a host dials this machine."""
     if connect is not None:
         return with_slash(connect)
     protocol, _, rest = listen.partition("/")

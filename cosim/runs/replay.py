@@ -36,7 +36,6 @@ def replay(
     """Run again what a run has left.
 
     Args:
-        run_dir: its folder.
         seed: instead of the run's.
         set: keys of its scenario that are changed, as for `vcmvsp.run`.
         agents: agents as objects, or where all run.
@@ -56,7 +55,8 @@ def replay(
     parsed, _ = scenarios.load(scenario)
     real = parsed.real
     settings = {**(parsed.twins if twin else {}), **(set or {})}
-    driven = [name for name in scenarios.load(scenario, settings=settings)[0].real if twin or name not in real]
+    loaded = scenarios.load(scenario, settings=settings, seed=seed)
+    driven = [name for name in loaded.scenario.real if twin or name not in real]
     if driven:
         raise UsageError(
             f"--set: a replay drives nobody, and {', '.join(driven)} was not real in {folder}: leave its driver out"
@@ -68,9 +68,7 @@ def replay(
         what = f"{folder} has no {FILE}, which says what {', '.join(outside)} did"
         raise UsageError(f"{what}: replay with simulated ones instead (--twin)" if real and not twin else what)
     return api.run(
-        scenario,
-        seed=seed,
-        set=settings,
+        loaded,
         agents=agents,  # type: ignore[arg-type]  # it says itself what is wrong with them
         out=out,
         force=force,
@@ -112,7 +110,6 @@ def _content(path: Path) -> dict[str, Any]:
 
 
 def _check(folder: Path, out: str | Path | None, radio: str) -> None:
-    """Refuse what is no folder of a run, and to write over what is read."""
     if not (folder / "scenario.toml").is_file():
         problem = "there is no such folder" if not folder.is_dir() else "has no scenario.toml"
         raise UsageError(f"{folder}: {problem}; name the folder that a run left (runs/NAME-SEED, or its --out)")

@@ -149,7 +149,6 @@ def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = F
     """The figures of a run that was saved, or cut, by name, from its tables (`tables_of`) and its recording.
 
     Args:
-        run_dir: its folder.
         tell: takes a line about a cut recording.
         trust: import the class of its world, if that is not built in.
 

@@ -45,7 +45,6 @@ def command_of(text: str, heading: float, *, flies: bool) -> Velocity | Waypoint
     """``v=0.3,w=0.5`` (forward, yaw rate), ``vx=1,vy=0,vz=0.2,w=0`` (vehicles that fly), or ``x=1,y=2,z=3,yaw=0,speed=1``.
 
     Args:
-        text: the command.
         heading: of the vehicle at the start, rad.
         flies: whether velocities are in the world frame: ``v`` is then along the heading.
     """
@@ -69,7 +68,6 @@ def command_of(text: str, heading: float, *, flies: bool) -> Velocity | Waypoint
 
 
 def _numbers(text: str) -> dict[str, float]:
-    """The numbers of a command by their names."""
     values: dict[str, float] = {}
     for part in text.split(","):
         name, _, number = part.strip().partition("=")
@@ -92,10 +90,7 @@ def drive(
     """Let one vehicle obey one command, while all others stand still.
 
     Args:
-        what: the scenario.
-        vehicle: its name.
         command: see `command_of`.
-        seconds: for how long.
         settings: changed keys of the scenario.
 
     Returns:

@@ -115,7 +115,6 @@ def conduct(
     """`study`, with what it was.
 
     Args:
-        scenario, vary, seeds, seed, settings, metrics, jobs, cluster, out, resume, force, progress: as there.
         checking: called with (checked, total) points before the first run.
         noted: called with the name of the first metric and its value in each run that is made.
         numbered: where ``out`` exists already, take ``out-2``, ``out-3``, ...
@@ -153,7 +152,6 @@ Ask = Callable[[Iterator[tuple[plans.Run, Job]], int], Iterator[Answered]]
 
 
 def _run(plan: Plan, answers: Answers, ask: Ask, progress: Progress, noted: Noted) -> None:
-    """Have all runs made that are still to be made."""
     total, done, failed = plan.size, len(answers.rows), 0
     known = frozenset(answers.rows)
     asked = ((run, Job(run.seed, plan.settings(run.point))) for run in plan.runs if run.key not in known)
@@ -170,12 +168,11 @@ def _run(plan: Plan, answers: Answers, ask: Ask, progress: Progress, noted: Note
 
 @contextlib.contextmanager
 def _workers(work: Work, jobs: int | None, cluster: object) -> Iterator[Ask]:
-    """Where runs are made."""
     if cluster is None:
         with Pool(functools.partial(run_one, work), jobs or cores(), died=DIED) as pool:
             yield pool.answers
     else:
-        from vcmvsp.cosim.studies.cluster import Cluster
+        from vcmvsp.cosim.studies.worker import Cluster
 
         with Cluster(work, cluster) as connected:
             yield connected.answers
@@ -224,8 +221,6 @@ def examined(plan: Plan, base: Base, checking: Callable[[int, int], None] = lamb
     """The plan with its metrics, files and versions, if every run can begin.
 
     Args:
-        plan: what is asked for.
-        base: the scenario.
         checking: told before each point how many are checked, and of how many.
 
     Raises:
@@ -254,7 +249,6 @@ def _by_hand(parsed: Scenario) -> bool:
 
 
 def _chosen(plan: Plan) -> Iterator[tuple[Any, ...]]:
-    """The points that are checked."""
     values = list(plan.vary.values())
     if plan.size <= ALL_CHECKED * len(plan.seeds):
         yield from plan.points

@@ -27,7 +27,6 @@ def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True)
     """Write ``summary.csv``, ``study.png``, ``study-map.png``, both as ``.svg`` too, and ``report.html``.
 
     Args:
-        folder: which must exist.
         table: a row for each run: the varied keys, ``seed``, metrics, ``error`` and ``digest``.
         plan: what was studied. The map is drawn where two keys with numbers were varied.
         repeatable: whether the scenario has a name or a file, so that there is a command for it.
@@ -50,10 +49,6 @@ def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True)
 def report_again(folder: Path, out: Path | None = None) -> Path:
     """Write the page of a study anew, from its folder: also of one that was cut, or goes on.
 
-    Args:
-        folder: that the study has left.
-        out: write there instead.
-
     Raises:
         UsageError: its plan or its rows cannot be read.
     """
@@ -69,7 +64,6 @@ def report_again(folder: Path, out: Path | None = None) -> Path:
 
 
 def _figures(summary: pa.Table, plan: Plan) -> "dict[str, FigureOfPlots]":
-    """The figures, by the names of their files."""
     from vcmvsp.cosim.plots import study_plot
 
     keys, metrics = list(plan.vary), list(plan.metrics)
@@ -163,7 +157,6 @@ def _lead(table: pa.Table, summary: pa.Table, plan: Plan, failed: int) -> Iterat
 
 
 def _again(plan: Plan, *, unfinished: bool) -> list[Part]:
-    """How to repeat the study, and how to go on with it."""
     command = command_of(plan)
     parts: list[Part] = [Code(command)]
     if unfinished:

@@ -47,11 +47,7 @@ class JournalLine(msgspec.Struct, frozen=True):
 
 
 class Answers:
-    """What the runs gave, in memory.
-
-    Args:
-        plan: of which study.
-    """
+    """What the runs gave, in memory."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
@@ -97,8 +93,6 @@ class Store(Answers):
     """The same, in a folder. Use it as a context manager: meanwhile no other study can write there.
 
     Args:
-        folder: where.
-        plan: of which study.
         resume: go on with what is there, which must be the same study.
         force: begin anew, whatever is there.
     """
@@ -199,7 +193,6 @@ def so_far(folder: Path, plan: Plan) -> pa.Table:
 
 
 def _journal(folder: Path) -> Iterator[JournalLine]:
-    """The lines that can be read."""
     text = limits.read_bytes(folder / JOURNAL, limits.CSV_BYTES) if (folder / JOURNAL).exists() else b""
     limits.within(text.count(b"\n"), limits.MESSAGES, f"lines in {JOURNAL}")
     for line in text.split(b"\n"):

@@ -103,7 +103,6 @@ def rows(summary: pa.Table, keys: Sequence[str], metrics: Sequence[str]) -> list
 
 
 def _points(table: pa.Table, keys: Sequence[str]) -> list[list[int]]:
-    """The rows of each point."""
     found: dict[str, list[int]] = {}
     listed = zip(*(table.column(key).to_pylist() for key in keys), strict=True) if keys else [()] * table.num_rows
     for index, values in enumerate(listed):

@@ -1,6 +1,5 @@
 """Every block that a README shows is used by a test, or said to be no code; its tables are those of a scenario."""
 
-import ast
 import inspect
 import sys
 from collections.abc import Mapping
@@ -103,11 +102,6 @@ def test_every_table_is_one_of_a_scenario(block: Block, tmp_path: Path, monkeypa
     Path("shown.toml").write_text(head + around.before + block.text + around.after)
     code, _, err = vcmvsp_command("check", "shown.toml")
     assert code == 0, f"{block}: {err} If it is a part of a scenario, say in AROUND what is around it."
-
-
-@pytest.mark.parametrize("block", [each for each in CODE if each.language == "python"], ids=str)
-def test_every_program_is_python(block: Block) -> None:
-    ast.parse(block.text)
 
 
 @pytest.mark.parametrize("listed", [SHOWN, AROUND], ids=["shown", "around"])

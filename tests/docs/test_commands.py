@@ -11,9 +11,8 @@ import pytest
 
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.docs.gallery import section
-from tests.support.docs.readme_commands import mentioned, ours, understood
 from tests.support.docs.readme_coverage import ELSEWHERE, SHOWN, UNRUN
-from tests.support.docs.readme_pages import COMMANDS, MENTIONS, PAGES, Command, blocks_of, commands_in, program_of, words_of
+from tests.support.docs.readme_pages import COMMANDS, MENTIONS, Command, mentioned, ours, program_of, understood, words_of
 from tests.support.docs.readme_sessions import STORIES, Step, Story
 from tests.support.paths import ROOT
 from vcmvsp.cosim.scenario import loader
@@ -81,51 +80,6 @@ def test_what_is_listed_is_still_in_a_readme() -> None:
 def test_the_tests_that_are_named_are_there(test: str) -> None:
     file, _, name = test.partition("::")
     assert name in defined_in(file), f"there is no {test}: another test must run what it ran. {DO}"
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["run", "formation-circle", "--sede", "3"], "--sede"),
-        (["rum", "formation-circle"], "no command rum"),
-        (["run", "formation-cirlce"], "no scenario formation-cirlce"),
-        (["figure", "25a"], "no figure 25a"),
-        (["run", "formation-circle", "--seed", "three"], "valid integer"),
-        (["net", "exec", "car2"], "Missing parameter: command"),
-        (["--install-compeltion"], "--install-compeltion"),
-    ],
-)
-def test_a_word_that_is_none_of_ours_would_be_seen(words: list[str], says: str) -> None:
-    with pytest.raises(Exception, match=re.escape(says)):
-        understood(words)
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        ("vcmvsp plot DIR --svgs", "no option --svgs"),
-        ("vcmvsp calibrate LINKS.csv [--wrold SCENARIO.toml] [--out DIR]", "no option --wrold"),
-        ("vcmvsp emulate ubisense | dwm1002", "no command dwm1002"),
-        ("sudo .venv/bin/vcmvsp nett", "no command nett"),
-        ("vcmvsp study study-los", "no scenario study-los"),
-        ("make demos", "no target demos"),
-        ("python -m bench.bridges", "no module bench.bridges"),
-        ("pytest tests/agent", "no tests/agent"),
-        ('pip install "vcmvsp[cluster]"', "no package in any index called vcmvsp"),
-        ('pip install ".[clutter]"', "no extra clutter"),
-    ],
-)
-def test_a_word_in_a_sentence_that_is_none_of_ours_would_be_seen(words: str, says: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(says)):
-        mentioned(words.split())
-
-
-def test_a_new_command_would_be_seen_wherever_it_stands() -> None:
-    page = "Text.\n\n    vcmvsp new one   # why\n    sudo ls\n\n```sh\nvcmvsp two &\n```\n\n    x = y\n    vcmvsp no\n"
-    found = [command.text for block in blocks_of("page", page) for command in commands_in(block)]
-    assert found == ["vcmvsp new one", "sudo ls", "vcmvsp two"]
-    assert len(PAGES) >= 12
-    assert len(COMMANDS) > 100
 
 
 @pytest.mark.parametrize("story", STORIES, ids=lambda story: story.name)

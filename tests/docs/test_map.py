@@ -1,9 +1,12 @@
-"""The map of the packages is that of the code, and the files that documents lead to exist."""
+"""The map of packages is that of the code; files in documents exist; imports are declared; protections have tests."""
 
+import ast
 import re
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
 
 import pytest
-from grimp import ImportGraph
 
 from tests.support.docs import package_map
 from tests.support.docs.readme_pages import PAGES
@@ -32,13 +35,6 @@ def test_the_map_is_that_of_the_code() -> None:
     assert page == package_map.written(page), f"write it anew: {package_map.COMMAND}, or make docs"
 
 
-def test_arrows_that_others_stand_for_are_left_out() -> None:
-    graph = ImportGraph()
-    for importer, imported in ("ab", "bc", "ac", "cd", "ad"):
-        graph.add_import(importer=importer, imported=imported)
-    assert package_map.imports(package_map.reduced(graph)) == [("a", "b"), ("b", "c"), ("c", "d")]
-
-
 @pytest.mark.parametrize("page", DOCUMENTS)
 def test_files_that_are_named_exist(page: str) -> None:
     """From the top of the repository, or from the folder of the page."""
@@ -55,6 +51,95 @@ def test_links_lead_to_a_file_and_a_heading(page: str) -> None:
         assert not heading or heading in headings(target.read_text("utf-8")), f"{path}#{heading}"
 
 
-def test_a_file_that_is_named_is_found() -> None:
-    text = '```mermaid\na["cosim/gone.py<br/>x"]\n```\nSee `netsim/gone/away.py`, `tests/x/`; not a/b.py, not `run/state`.\n'
-    assert files_in(text) == {"cosim/gone.py", "netsim/gone/away.py", "tests/x/"}
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+PARTS = ("cosim", "physics", "netsim", "agents", "hardware", "src/vcmvsp")
+
+
+def named(requirement: str) -> str:
+    """The distribution that a requirement is about, as an index writes it."""
+    return re.split(r"[^\w.-]", requirement)[0].lower().replace("_", "-")
+
+
+def imported() -> set[str]:
+    """Top-level modules that the product imports, anywhere in a module."""
+    found = set[str]()
+    for path in (path for part in PARTS for path in (ROOT / part).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {each.name.partition(".")[0] for each in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                found.add((node.module or "").partition(".")[0])
+    return found - set(sys.stdlib_module_names) - {"vcmvsp"}
+
+
+def test_whatever_is_imported_is_declared() -> None:
+    project = PROJECT["project"]
+    extras = [each for extra in project["optional-dependencies"].values() for each in extra]
+    declared = {named(each) for each in (*project["dependencies"], *extras)}
+    distributions = packages_distributions()
+    of = {module: {named(each) for each in distributions.get(module, [])} for module in imported()}
+    assert {module: names for module, names in of.items() if names and not names & declared} == {}
+
+
+def test_what_is_replaced_inside_a_library_binds_its_version() -> None:
+    bounds = {named(each): each for each in PROJECT["project"]["dependencies"]}
+    assert "<" in bounds["viser"]
+    assert "<" in bounds["websockets"]
+
+
+def test_setup_leaves_what_the_user_installed_and_has_pip() -> None:
+    syncs = re.findall(r"\$\(UV\) sync[^|\n]*", (ROOT / "Makefile").read_text("utf-8"))
+    assert syncs
+    assert all("--inexact" in each for each in syncs)
+    assert "pip" in {named(each) for each in PROJECT["dependency-groups"]["dev"]}
+
+
+SHOWN = {
+    "scenario": ["cosim/cli/test_results_are_data.py::test_every_command_reads_data_executes_a_program_or_does_neither"],
+    "results": [
+        "cosim/cli/test_results_are_data.py::test_reading_executes_nothing_and_works_on_the_recording",
+        "cosim/cli/test_unpacking_bombs.py::test_results_are_read_or_refused_at_little_cost",
+        "cosim/studies/test_store.py::test_a_link_in_the_place_of_a_file_is_not_written_through",
+    ],
+    "run": [
+        "cosim/hosts/test_host_code.py::test_a_folder_of_the_host_is_searched_by_file_name",
+        "cosim/hosts/test_local_secret.py::test_only_who_has_the_secret_can_dial_a_run_and_its_user_needs_no_option",
+        "cosim/security/test_access.py::test_a_run_under_a_name_that_its_certificate_has_not_is_refused",
+    ],
+    "host": [
+        "cosim/hosts/test_remote_hosts.py::test_a_certificate_speaks_for_its_own_vehicles_alone",
+        "cosim/security/test_acl.py::test_a_revoked_machine_is_answered_by_silence_that_has_words",
+        "cosim/transport/test_endpoints.py::test_beyond_this_machine_certificates_are_a_must",
+    ],
+    "observer": ["cosim/hosts/test_watch.py::test_with_certificates_only_observers_watch"],
+    "page": [
+        "cosim/view/test_auth.py::test_the_page_is_given_for_the_token_and_runs_no_scripts_but_its_own",
+        "cosim/view/test_auth.py::test_whatever_is_asked_only_the_token_passes",
+        "cosim/view/test_auth.py::test_by_which_names_a_page_may_be_dialled",
+    ],
+    "robot": [
+        "hardware/safety/test_ground_laws.py::test_the_body_never_crosses_the_fence_and_its_margin",
+        "hardware/remote_robot/test_security.py::test_nobody_else_is_heard_hears_or_stands_for_it",
+    ],
+    "bridge": [
+        "cosim/cli/test_net.py::test_with_sudo_only_the_interfaces_are_made_with_the_rights_of_root",
+        "netsim/bridge/gateways/test_ip.py::test_a_namespace_of_somebody_else_is_not_touched",
+    ],
+    "other users of this machine": [
+        "cosim/view/test_process.py::test_no_secret_is_in_the_list_of_processes",
+        "cosim/view/test_auth.py::test_half_open_sockets_keep_nobody_out",
+    ],
+}
+"""Of each row: tests, by file and function."""
+
+
+def test_every_row_has_tests() -> None:
+    rows = re.findall(r"^\| \*\*(.+?)\*\*", (ROOT / "SECURITY.md").read_text("utf-8"), re.MULTILINE)
+    assert rows == [*SHOWN]
+
+
+@pytest.mark.parametrize("test", [test for tests in SHOWN.values() for test in tests])
+def test_the_tests_of_a_row_are_there(test: str) -> None:
+    file, _, name = test.partition("::")
+    there = ast.parse((ROOT / "tests" / file).read_text("utf-8")).body
+    assert name in {each.name for each in there if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef)}

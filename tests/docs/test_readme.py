@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 import vcmvsp
-from tests.support.docs.readme_pages import PAGES
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli.app import main
 from vcmvsp.cosim.config import builtin_kinds
@@ -100,9 +99,3 @@ def test_the_vehicles_of_the_readme_are_understood() -> None:
     assert len(parsed.vehicle) == 100
     assert parsed.vehicle[-1].start == ((45.0, 45.0, 10.0), 0.0)
     assert all(each["kind"] in builtin_kinds.KINDS["sensor"] for each in parsed.vehicle[0].sensors.values())
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_every_link_leads_somewhere(page: str) -> None:
-    for target in re.findall(r"\]\((?!\w+:)([^)#]+)[^)]*\)", PAGES[page]):
-        assert (ROOT / page).parent.joinpath(target).exists(), target

@@ -1,7 +1,20 @@
-"""A trial of the channel alone: radios that stand still and broadcast, their places, and a file of what was received."""
+"""The channel alone: curves of its models, its coverage of places, and a trial with radios that stand still and broadcast."""
 
 from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.evaluation import coverage
 from vcmvsp.netsim.evaluation.broadcast_trial import Broadcasts, run
 from vcmvsp.netsim.evaluation.files import RowFile, read_positions
+from vcmvsp.netsim.evaluation.model_curves import error_rate, grid, mean_levels, packet_errors
 
-__all__ = ["Broadcasts", "Channel", "RowFile", "read_positions", "run"]
+__all__ = [
+    "Broadcasts",
+    "Channel",
+    "RowFile",
+    "coverage",
+    "error_rate",
+    "grid",
+    "mean_levels",
+    "packet_errors",
+    "read_positions",
+    "run",
+]

@@ -1,9 +1,11 @@
-"""Recognition of targets in pictures from the air: cameras, detector and its stages, synthetic pictures."""
+"""Recognition of targets in pictures from the air, and the probability map of a search: cells, evidence, decisions."""
 
 from vcmvsp.agents.reconnaissance.ground_point import Nadir, turned
+from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor, decisions
 from vcmvsp.agents.reconnaissance.recognition import ground, inspection
 from vcmvsp.agents.reconnaissance.recognition.detector import Detection, Detector
 from vcmvsp.agents.reconnaissance.recognition.stages import TargetPicture
+from vcmvsp.agents.reconnaissance.search_map import of_picture
 from vcmvsp.agents.reconnaissance.watch import Watch, WatchFrame, Watching
 from vcmvsp.physics.sensors.camera import Camera
 from vcmvsp.physics.world.floor import PlacedTarget
@@ -14,15 +16,20 @@ __all__ = [
     "Camera",
     "Detection",
     "Detector",
+    "Grid",
     "Hull",
     "Nadir",
     "PlacedTarget",
+    "Rectangle",
     "Scene",
+    "Sensor",
     "TargetPicture",
     "Watch",
     "WatchFrame",
     "Watching",
+    "decisions",
     "ground",
     "inspection",
+    "of_picture",
     "turned",
 ]

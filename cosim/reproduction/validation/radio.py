@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import j0
 
 from vcmvsp.cosim.assembly import radio
-from vcmvsp.cosim.assembly.parts import channel_curves
+from vcmvsp.cosim.assembly.parts import channel_trial
 from vcmvsp.cosim.assembly.parts.radio import Channel
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config.provenance import Source
@@ -262,14 +262,14 @@ def success() -> Sequence[Row]:
     """The error models behind ``vcmvsp per``."""
     rows = []
     for (preset, model), points in SUCCESS.items():
-        errors, _ = channel_curves.error_rate(channel(preset).phy, model)
+        errors, _ = channel_trial.error_rate(channel(preset).phy, model)
         sinr_db, expected = np.array(points).T
         within = 1e-6 if model == "oqpsk" else 1e-5
         for at, exact, share in zip(sinr_db, expected, errors.success(sinr_db, BITS), strict=True):
             rows.append(absolute(f"{preset}, {model}, {at:g} dB: success of {BITS} bits", exact, share, within))
     sinr_db = np.arange(-10.0, 30.0, 0.002)
     for rate, half_db in HALF_DB.items():
-        errors, _ = channel_curves.error_rate(channel(f"wifi-a-{rate}").phy, "table")
+        errors, _ = channel_trial.error_rate(channel(f"wifi-a-{rate}").phy, "table")
         measured_db = float(np.interp(0.5, errors.success(sinr_db, 1024), sinr_db))
         rows.append(absolute(f"wifi-a-{rate}, table: SINR of one half, dB", half_db, measured_db, 0.1))
     return rows
@@ -280,9 +280,9 @@ def received() -> Sequence[Row]:
     rows = []
     for preset, model, level_dbm, size, arrived in RECEIVED:
         on = channel(preset)
-        errors, _ = channel_curves.error_rate(on.phy, model)
+        errors, _ = channel_trial.error_rate(on.phy, model)
         snr_db = np.array([level_dbm - on.hearing.noise_dbm])
-        chance = channel_curves.packet_errors(errors, snr_db, size)["success"][0]
+        chance = channel_trial.packet_errors(errors, snr_db, size)["success"][0]
         within = 3.5 * np.sqrt(chance * (1.0 - chance) / 20_000)
         rows.append(absolute(f"{preset}, {level_dbm:g} dBm, {size} bytes: share received", arrived / 20_000, chance, within))
     return rows

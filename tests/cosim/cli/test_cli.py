@@ -227,12 +227,6 @@ def test_quiet_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert vcmvsp_command("run", "s.toml", "--out", "out", "-q").err.startswith("vcmvsp: --out out: is not empty")
 
 
-def test_quiet_json_is_json() -> None:
-    code, out, err = vcmvsp_command("run", "s.toml", "--out", "out", "--quiet", "--json")
-    assert (code, err) == (0, "")
-    assert out == Path("out/metrics.json").read_text()
-
-
 def test_an_agent_that_calls_exit_fails_like_any_other(folder: Path) -> None:
     (folder / "leaves.py").write_text(
         "from vcmvsp import Agent\nclass A(Agent):\n    def act(self, obs, radio):\n        exit(0)\n"
@@ -273,14 +267,6 @@ def test_list_names_every_scenario_and_what_it_shows() -> None:
     assert code == 0
     assert list(about) == scenarios.names()
     assert all(re.search(rf"^{name} +{re.escape(words)}$", out, re.MULTILINE) for name, words in about.items())
-
-
-@pytest.mark.parametrize("name", scenarios.names())
-def test_every_scenario_that_is_listed_is_fine_and_shown_as_written(name: str) -> None:
-    assert vcmvsp_command("show", name) == (0, (scenarios.BUILT_IN / f"{name}.toml").read_text("utf-8"), "")
-    code, out, err = vcmvsp_command("check", name)
-    assert (code, err) == (0, "")
-    assert out.startswith(f"{name}: fine (")
 
 
 def test_show_refuses_what_is_no_text(folder: Path) -> None:

@@ -4,7 +4,6 @@ import inspect
 import os
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -141,18 +140,6 @@ def test_where_set_means_a_part_of_a_scenario_so_do_the_keys(bash: Shell, words:
     assert offered in bash(*words)
 
 
-def test_every_key_that_is_offered_is_understood_by_a_scenario() -> None:
-    """Of a robot and its agent, as an example: with its default each can be set."""
-    raw = tomllib.loads(scenarios.text_of("formation-circle"))
-    settings = {}
-    for line in completion.INDEX.read_text("utf-8").splitlines():
-        path, *values = line.split("\t")
-        if path.startswith(("metrics.", "record.", "clock.", "radio.delivery.", "study.")) and values:
-            settings[path] = scenarios.value_of(values[0])
-    assert len(settings) > 8
-    scenarios.load(raw, settings=settings)
-
-
 # --- how shells ask -----------------------------------------------------------------------------------------------------------
 
 
@@ -194,12 +181,6 @@ def test_it_loads_nothing_heavy() -> None:
     words = {"COMP_WORDS": "vcmvsp\nrun\nformation-circle\n--set\nradio.mac.a", "COMP_CWORD": "4"}
     out = asked("-c", code, _VCMVSP_COMPLETE="complete_bash", **words)
     assert out.splitlines() == ["radio.mac.attempts=", "radio.mac.acknowledge=", "[]"]
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_each_shell_has_its_script(shell: str) -> None:
-    out = asked("-m", "vcmvsp.cosim.cli.app", _VCMVSP_COMPLETE=f"source_{shell}")
-    assert f"_VCMVSP_COMPLETE=complete_{shell}" in out
 
 
 @pytest.mark.needs("bash")

@@ -158,10 +158,7 @@ def test_the_other_clock_and_the_other_version(stack: contextlib.ExitStack, off_
 def test_a_run_that_says_nothing(stack: contextlib.ExitStack) -> None:
     code, checks = examined(opened_hub(stack).endpoint)
     assert code == 1
-    assert checks["run"] == (
-        False,
-        "what listens there does not say what run it is: use the same vcmvsp version at both ends",
-    )
+    assert checks["run"] == (False, "what listens there does not say what run it is: use the same vcmvsp version at both ends")
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,7 @@ from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
 from vcmvsp.hardware.drivers.arcos.protocol import Command, PacketReader, command, is_sip
 from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.ros2.driver import Ros2Driver
-from vcmvsp.hardware.localisation import dwm1001, ubisense
-from vcmvsp.hardware.localisation.source import LineReader, Located
+from vcmvsp.hardware.localisation import ubisense
 
 WALL = """
 name = "wall"
@@ -224,21 +223,6 @@ def test_a_tag_alone_goes_round() -> None:
             assert command_line.end()[0] == 0
 
 
-def test_a_serial_tag_alone_stands(tmp_path: Path) -> None:
-    link = tmp_path / "tag"
-    with emulated("dwm1001", "--port", str(link), "--pose", "1,2,0", "--sigma-m", "0.01", "--fix-hz", "50") as command_line:
-        assert command_line.line() == str(link)
-        with serial.Serial(str(link), dwm1001.BAUD, timeout=0.05) as port:
-            reader, waker, found = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES), dwm1001.Waker(0.1), list[Located]()
-            end = time.monotonic() + PATIENCE_S
-            while len(found) < 3 and time.monotonic() < end:
-                port.write(waker.write(time.monotonic_ns()))
-                found += reader.feed(port.read(200))
-        assert [each.position for each in found[:3]] == [pytest.approx((1.0, 2.0, 0.0), abs=0.06)] * 3
-        assert command_line.end()[0] == 0
-    assert not link.is_symlink()
-
-
 def test_a_client_raises_the_baud_rate_and_comes_back_at_the_new_one() -> None:
     """As ARIA does: HOSTBAUD at the old rate, then the port is opened again at the new one; the session goes on."""
     with emulated("p2dx", "--paced") as command_line:
@@ -318,24 +302,16 @@ def test_a_robot_that_runs_ros_2_is_driven(stack: ExitStack) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("amigobot", "--port", "COM3"), "--port COM3"),
         (("amigobot", "--port", "/no/such/folder/robot"), "--port /no/such/folder/robot: No such file or directory"),
         (("amigobot", "--port", "tcp://no.such.host.invalid:8101"), "--port tcp://no.such.host.invalid:8101"),
-        (("amigobot", "--port", "tcp://:99999"), "from 0 to 65535"),
-        (("amigobot", "--ubisense", "127.0.0.1:5000"), "--ubisense 127.0.0.1:5000: write udp://HOST:PORT"),
         (("amigobot", "--dwm1001", "tag"), "--dwm1001 tag"),
-        (("amigobot", "--sigma-m", "-1"), "sigma_m"),
-        (("amigobot", "--outliers", "2"), "outliers"),
         (("amigobot", "--vehicle", "car1"), "add --scenario"),
         (("amigobot", "--duration", "-1"), "--duration"),
         (("amigobot", "--scenario", "no-such"), "no-such"),
         (("p2dx", "--scenario", "lab-patrol"), "ugv1, ugv2, ugv3"),
         (("p2dx", "--scenario", "lab-patrol", "--vehicle", "car1"), "--vehicle car1"),
         (("amigobot", "--scenario", "swarm-100", "--vehicle", "drone1"), "--vehicle drone1"),
-        (("ubisense", "--port", "udp://x"), "--port udp://x: write udp://HOST:PORT"),
-        (("dwm1001", "--circle", "0,1"), "--circle 0,1"),
         (("dwm1001", "--port", "tag"), "--port tag"),
-        (("ubisense", "--port", "udp://127.0.0.1:9", "--fix-latency-s", "inf"), "latency_s"),
         (("ros2", "--port", "nonsense"), "--port nonsense: no session"),
         (("mavlink", "--port", "udp://no.such.host.invalid:14540"), "--port udp://no.such.host.invalid:14540"),
         (("mavlink", "--port", "/dev/ttyUSB0"), "udp://HOST:PORT or tcp://HOST:PORT"),

@@ -273,10 +273,3 @@ def test_antennas_over_ground_have_the_height_of_the_law() -> None:
 def test_no_distance_is_negative() -> None:
     refused(vcmvsp_command("pathloss", "--preset", "wss", "--distance", "-1:1:1"), "--distance -1:1:1", "negative")
     refused(vcmvsp_command("pathloss", "--preset", "wss", "--distance", "1:5"), "--distance 1:5", "START:STOP:STEP")
-
-
-@pytest.mark.parametrize("command", ["channel", "per", "pathloss"])
-def test_help_shows_an_example(command: str) -> None:
-    done = vcmvsp_command(command, "--help")
-    assert done.code == 0
-    assert f"Example: vcmvsp {command} --preset " in done.out

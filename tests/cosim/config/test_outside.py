@@ -11,7 +11,7 @@ import pytest
 import vcmvsp
 from tests.support.cosim.command_line import two_cars, vcmvsp_command
 from vcmvsp.cosim.errors import ScenarioError, UsageError
-from vcmvsp.cosim.runs import simulation
+from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.util import documents
 
 OWN = """
@@ -180,7 +180,7 @@ def test_an_agent_that_computes_on_is_named() -> None:
     (line,) = [line for line in told if "has computed" in line]
     assert line.startswith("agent Still of vehicle car3 has computed for ")
     assert "Ctrl-C" in line
-    assert simulation.computing(None) == ("", "")
+    assert api.computing(None) == ("", "")
 
 
 def test_a_result_says_that_it_cannot_be_pickled(tmp_path: Path) -> None:
@@ -197,8 +197,7 @@ def test_a_typo_in_the_file_of_a_host_is_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "section",
-    ["vehicle.car1.driver", "vehicle[1].driver", "vehicle.car1.sensors.front.rate_hz", "vehicle.car1.agent.leader"],
+    "section", ["vehicle.car1.driver", "vehicle[1].driver", "vehicle.car1.sensors.front.rate_hz", "vehicle.car1.agent.leader"]
 )
 def test_the_reference_knows_keys_as_messages_spell_them(section: str) -> None:
     assert section.rpartition(".")[2] in vcmvsp_command("reference", section).out

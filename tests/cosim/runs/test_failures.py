@@ -96,8 +96,7 @@ CAUSES = {
 
 
 @pytest.mark.parametrize(
-    ("how", "where"),
-    [(how, "process") for how in CAUSES] + [(how, "inprocess") for how in ("raise", "nan", "junk")],
+    ("how", "where"), [(how, "process") for how in CAUSES] + [(how, "inprocess") for how in ("raise", "nan", "junk")]
 )
 def test_a_failing_agent_ends_the_run_with_one_error(how: str, where: str, tmp_path: Path) -> None:
     scenario, out = write(tmp_path, how), tmp_path / "out"

@@ -16,6 +16,11 @@ def case(name: str, text: str | bytes, *words: str, sets: tuple[str, ...] = ()) 
     return pytest.param(text, sets, words, id=name.replace(" ", "-"))
 
 
+def lined(name: str, text: str, *words: str) -> Any:
+    """A scenario that is refused with the line of the key."""
+    return case(name, text, "s.toml line", *words)
+
+
 def set_case(name: str, setting: str, *words: str, and_set: tuple[str, ...] = ()) -> Any:
     """A good scenario with one bad ``--set``, whose argument the message must name."""
     key = setting.partition("=")[0]
@@ -44,58 +49,47 @@ def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 UNKNOWN_KEYS = [
-    case("top", two_cars(top="durations = 1"), "s.toml line", "durations", "did you mean 'duration_s'?", "allowed"),
-    case("top table", two_cars(tail="[recrd]"), "s.toml line", "recrd", "did you mean 'record'?"),
+    lined("top", two_cars(top="durations = 1"), "durations", "did you mean 'duration_s'?", "allowed"),
+    lined("top table", two_cars(tail="[recrd]"), "recrd", "did you mean 'record'?"),
     case("top table agents", two_cars(tail="[agent]"), "did you mean 'agents'?"),
     case("top table vehicles", two_cars(tail="[vehicels]"), "did you mean 'vehicles'?"),
-    case(
-        "physics",
-        two_cars(physics="gravty = 1").replace('"kinematic"', '"bullet"'),
-        "s.toml line",
-        "physics.gravty",
-        "'gravity'?",
+    lined("physics kinematic", two_cars(physics="gravty = 1"), "physics.gravty", "did you mean 'gravity'?"),
+    lined("world", two_cars(tail="[world]\nflor_friction = 1"), "world.flor_friction", "did you mean 'floor_friction'?"),
+    lined("radio", two_cars(tail="[radio]\nprest = 'wss'"), "radio.prest", "did you mean 'preset'?", "path_loss"),
+    lined("radio layer name", two_cars(tail="[radio.lost]\nprobability = 0"), "radio.lost", "did you mean 'loss'?"),
+    lined("radio layer", two_cars(tail="[radio.loss]\nprobabilty = 0"), "radio.loss.probabilty", "'probability'?"),
+    lined(
+        "agents",
+        two_cars(agents="hroizon_s = 1"),
+        "agents.hroizon_s",
+        "no agent takes",
+        "horizon_s",
+        "did you mean 'horizon_s'?",
     ),
-    case("physics kinematic", two_cars(physics="gravty = 1"), "s.toml line", "physics.gravty", "did you mean 'gravity'?"),
-    case(
-        "world",
-        two_cars(tail="[world]\nflor_friction = 1"),
-        "s.toml line",
-        "world.flor_friction",
-        "did you mean 'floor_friction'?",
+    lined("agents own", two_cars(agents="perod_s = 1"), "agents.perod_s", "no agent takes", "did you mean 'period_s'?"),
+    lined(
+        "vehicles",
+        two_cars(tail="[vehicles]\nmax_sped = 1"),
+        "vehicles.max_sped",
+        "no vehicle takes",
+        "did you mean 'max_speed'?",
     ),
-    case("radio", two_cars(tail="[radio]\nprest = 'wss'"), "s.toml line", "radio.prest", "did you mean 'preset'?", "path_loss"),
-    case(
-        "radio layer name", two_cars(tail="[radio.lost]\nprobability = 0"), "s.toml line", "radio.lost", "did you mean 'loss'?"
+    lined("vehicle", two_cars(car2="max_sped = 1"), "vehicle.car2.max_sped", "did you mean 'max_speed'?"),
+    lined(
+        "vehicle own",
+        two_cars(car2="pose_sorce = 'truth'"),
+        "vehicle.car2.pose_sorce",
+        "unknown key",
+        "did you mean 'pose_source'?",
     ),
-    case(
-        "radio layer", two_cars(tail="[radio.loss]\nprobabilty = 0"), "s.toml line", "radio.loss.probabilty", "'probability'?"
-    ),
-    case("agents", two_cars(agents="hroizon_s = 1"), "s.toml line", "agents.hroizon_s", "no agent takes", "horizon_s"),
-    case("agents suggests", two_cars(agents="hroizon_s = 1"), "did you mean 'horizon_s'?"),
-    case("agents own", two_cars(agents="perod_s = 1"), "s.toml line", "agents.perod_s", "no agent takes"),
-    case("agents own suggests", two_cars(agents="perod_s = 1"), "did you mean 'period_s'?"),
-    case("vehicles", two_cars(tail="[vehicles]\nmax_sped = 1"), "s.toml line", "vehicles.max_sped", "no vehicle takes"),
-    case("vehicles suggests", two_cars(tail="[vehicles]\nmax_sped = 1"), "did you mean 'max_speed'?"),
-    case("vehicle", two_cars(car2="max_sped = 1"), "s.toml line", "vehicle.car2.max_sped", "did you mean 'max_speed'?"),
-    case("vehicle own", two_cars(car2="pose_sorce = 'truth'"), "s.toml line", "vehicle.car2.pose_sorce", "unknown key"),
-    case("vehicle own suggests", two_cars(car2="pose_sorce = 'truth'"), "did you mean 'pose_source'?"),
-    case(
-        "positioning", two_cars(car2="positioning = { rate = 1 }"), "s.toml line", "vehicle.car2.positioning.rate", "'rate_hz'?"
-    ),
-    case(
-        "agent",
-        two_cars(agent="kind='leader_follower', leader='car1', distanc=1"),
-        "s.toml line",
-        "car2.agent.distanc",
-        "'distance'?",
-    ),
+    lined("positioning", two_cars(car2="positioning = { rate = 1 }"), "vehicle.car2.positioning.rate", "'rate_hz'?"),
+    lined("agent", two_cars(agent="kind='leader_follower', leader='car1', distanc=1"), "car2.agent.distanc", "'distance'?"),
     case("agent own", two_cars(agent="kind='trajectory', latncy_s=1"), "did you mean 'latency_s'?"),
-    case("record", two_cars(tail="[record]\nperiod = 1"), "s.toml line", "record.period", "did you mean 'period_s'?"),
-    case("metrics", two_cars(tail="[metrics]\nfrom = 1"), "s.toml line", "metrics.from", "did you mean 'from_s'?"),
-    case(
+    lined("record", two_cars(tail="[record]\nperiod = 1"), "record.period", "did you mean 'period_s'?"),
+    lined("metrics", two_cars(tail="[metrics]\nfrom = 1"), "metrics.from", "did you mean 'from_s'?"),
+    lined(
         "box",
         two_cars(tail="[world]\nkind='boxes'\nboxes=[{center=[5,5,1], size=[1,1,1], yaw=1}]"),
-        "s.toml line",
         "world.boxes[0]: unknown key 'yaw'; did you mean 'yaw_rad'?",
     ),
     set_case("set", "radio.loss.probabilty=0.1", "radio.loss.probabilty", "did you mean 'probability'?"),
@@ -103,11 +97,6 @@ UNKNOWN_KEYS = [
     set_case("set whole vehicle", "vehicle.car2=3", "vehicle.car2"),
     set_case("set in a value", "duration_s.x=1", "'duration_s' is a value, not a table"),
 ]
-
-
-@pytest.mark.parametrize(("text", "sets", "words"), UNKNOWN_KEYS)
-def test_an_unknown_key_is_refused(tmp_path: Path, text: str, sets: tuple[str, ...], words: tuple[str, ...]) -> None:
-    check_refused(tmp_path, text, sets, words)
 
 
 WRONG_VALUES = [
@@ -125,40 +114,21 @@ WRONG_VALUES = [
     case("string pose", two_cars().replace("[-1.0, -0.5, 0.0]", "'here'"), "vehicle.car2.pose", "a list of 3 values"),
     case("choice", two_cars(agent="kind='trajectory', path='sqare'"), "car2.agent.path", "one of 'straight', 'circle'"),
     case("window", two_cars(tail="[metrics]\nfrom_s=3\nto_s=1"), "metrics.to_s", "earlier than metrics.from_s (3), not 1"),
-    case(
-        "constructor",
-        two_cars(agent="kind='trajectory', path='straight', yaw_rate=1.0"),
-        "s.toml line",
-        "car2.agent",
-        "yaw_rate = 1.0",
+    lined("constructor", two_cars(agent="kind='trajectory', path='straight', yaw_rate=1.0"), "car2.agent", "yaw_rate = 1.0"),
+    lined(
+        "missing", two_cars(agent="kind='leader_follower'"), "vehicle.car2.agent.leader", "is missing", "the name of a vehicle"
     ),
-    case(
-        "missing",
-        two_cars(agent="kind='leader_follower'"),
-        "s.toml line",
-        "vehicle.car2.agent.leader",
-        "is missing",
-        "the name of a vehicle",
-    ),
-    case(
-        "box without size",
-        two_cars(tail="[world]\nkind='boxes'\nboxes=[{center=[5,5,1]}]"),
-        "s.toml line",
-        "world.boxes[0]: size is missing",
+    lined(
+        "box without size", two_cars(tail="[world]\nkind='boxes'\nboxes=[{center=[5,5,1]}]"), "world.boxes[0]: size is missing"
     ),
     case("boxes without boxes", two_cars(tail="[world]\nkind='boxes'"), "world.boxes", "is missing"),
-    case("wheels too heavy", two_cars(car2="mass_kg = 0.1"), "s.toml line", "vehicle.car2", "mass_kg = 0.1"),
-    case(
+    lined("wheels too heavy", two_cars(car2="mass_kg = 0.1"), "vehicle.car2", "mass_kg = 0.1"),
+    lined(
         "no positioning sensor",
         two_cars(car2="pose_source = 'positioning'"),
-        "s.toml line",
         "car2",
         "pose_source",
         "positioning",
-    ),
-    case(
-        "no positioning sensor key",
-        two_cars(car2="pose_source = 'positioning'"),
         ": vehicle.car2.pose_source:",
     ),
     case(
@@ -167,69 +137,40 @@ WRONG_VALUES = [
         "vehicle.car2.pose_source",
         "'truth', 'odometry', 'positioning'",
     ),
-    case(
-        "leader unknown",
-        two_cars(agent="kind='leader_follower', leader='car9'"),
-        "car2",
-        "leader",
-        "car9",
-        "car1",
-    ),
+    case("leader unknown", two_cars(agent="kind='leader_follower', leader='car9'"), "car2", "leader", "car9", "car1"),
     case("leader itself", two_cars(agent="kind='leader_follower', leader='car2'"), "car2", "leader", "car1"),
-    case("name with a space", two_cars().replace('"car2"', '"car 2"'), "s.toml line", "name", "[A-Za-z0-9_-]", "not 'car 2'"),
-    case("name with a slash", two_cars().replace('"car2"', '"car/2"'), "s.toml line", "name", "[A-Za-z0-9_-]"),
-    case("name with a star", two_cars().replace('"car2"', '"*"'), "s.toml line", "name", "[A-Za-z0-9_-]"),
-    case("empty name", two_cars().replace('"car2"', '""'), "s.toml line", "name", "[A-Za-z0-9_-]"),
+    lined("name with a space", two_cars().replace('"car2"', '"car 2"'), "name", "[A-Za-z0-9_-]", "not 'car 2'"),
+    lined("name with a slash", two_cars().replace('"car2"', '"car/2"'), "name", "[A-Za-z0-9_-]"),
+    lined("empty name", two_cars().replace('"car2"', '""'), "name", "[A-Za-z0-9_-]"),
     case("number for name", two_cars().replace('"car2"', "2"), "s.toml", "vehicle[1].name", "a string", "not 2"),
-    case(
-        "name twice",
-        two_cars().replace('"car2"', '"car1"'),
-        "s.toml line",
-        "vehicle.car1.name",
-        "two vehicles are called 'car1'",
-    ),
+    lined("name twice", two_cars().replace('"car2"', '"car1"'), "vehicle.car1.name", "two vehicles are called 'car1'"),
     case("scenario name", two_cars().replace('"two-cars"', '"../x"'), "s.toml line 2: name", "[A-Za-z0-9_-]", "not '../x'"),
     case("no name", two_cars().replace('name = "car2"', ""), "s.toml", "vehicle[1].name", "is missing"),
-    case("no kind", two_cars().replace('kind = "p2dx"\npose', "pose"), "s.toml line", "vehicle.car2.kind", "is missing"),
-    case("no agent kind", two_cars(agent="leader='car1'"), "s.toml line", "vehicle.car2.agent.kind", "is missing"),
+    lined("no kind", two_cars().replace('kind = "p2dx"\npose', "pose"), "vehicle.car2.kind", "is missing"),
+    lined("no agent kind", two_cars(agent="leader='car1'"), "vehicle.car2.agent.kind", "is missing"),
     case("no duration", two_cars().replace("duration_s = 0.5", ""), "s.toml", "duration_s", "is missing", "a number >= 1e-06"),
-    case(
-        "all kinds given",
-        two_cars(tail="[vehicles]\nkind='lag'"),
-        "s.toml line",
-        "vehicles.kind",
-        "no vehicle takes this default",
-    ),
-    case("name for all", two_cars(tail="[vehicles]\nname='lag'"), "s.toml line", "vehicles", "each vehicle has its own"),
+    lined("all kinds given", two_cars(tail="[vehicles]\nkind='lag'"), "vehicles.kind", "no vehicle takes this default"),
+    lined("name for all", two_cars(tail="[vehicles]\nname='lag'"), "vehicles", "each vehicle has its own"),
     set_case("set negative", "radio.loss.probability=-0.1", "a number >= 0 and <= 1", "not -0.1"),
-    set_case("set too large", "radio.loss.probability=1.5", "a number >= 0 and <= 1", "not 1.5"),
     set_case("set not finite", "radio.delay.seconds=inf", "radio.delay.seconds", "must be finite, not inf"),
-    set_case("set not a number", "duration_s=nan", "duration_s", "must be finite, not nan"),
     set_case("set not a number in a list", "vehicle.car2.pose=[0, nan, 0]", "vehicle.car2.pose", "must be finite, not nan"),
     set_case("set a word", "duration_s=long", "a number >= 1e-06", "not 'long'"),
     set_case("set a date", "duration_s=1979-05-27", "a number >= 1e-06", "1979"),
     set_case("set a table", "agents={ period_s = -1 }", "agents.period_s", "a number >= 1e-06", "not -1"),
     set_case("set a table to a value", "radio.loss=0.1", "radio.loss", "must be a table, not 0.1"),
     set_case("set the seed", "seed=-1", "a whole number >= 0", "not -1"),
-    set_case("set a fraction as seed", "seed=1.5", "a whole number >= 0", "not 1.5"),
     set_case("set an estimator", "vehicle.car2.agent.estimator=foo", "unknown estimator 'foo'", "dr, hold"),
-    set_case("set estimators", "agents.estimator=foo", "unknown estimator 'foo'", "dr, hold"),
     set_case("set two values", "duration_s=1\nseed=3", "duration_s"),
 ]
 
 
-@pytest.mark.parametrize(("text", "sets", "words"), WRONG_VALUES)
-def test_a_wrong_value_is_refused(tmp_path: Path, text: str, sets: tuple[str, ...], words: tuple[str, ...]) -> None:
-    check_refused(tmp_path, text, sets, words)
-
-
 BULLET = ("physics.kind=bullet",)
 TIMES = [
-    set_case("agents period", "agents.period_s=0.013", "0.013", "1/120", and_set=BULLET),
-    set_case("agent period", "vehicle.car2.agent.period_s=0.013", "0.013", "1/120", and_set=BULLET),
-    set_case("latency", "agents.latency_s=0.013", "0.013", "1/120", and_set=BULLET),
-    set_case("record period", "record.period_s=0.013", "0.013", "1/120", and_set=BULLET),
-    set_case("positioning rate", "vehicle.car2.positioning.rate_hz=7", "0.142857", "1/120", and_set=BULLET),
+    set_case("agents period", "agents.period_s=0.013", "0.013", "1/120", "rate_hz", and_set=BULLET),
+    set_case("agent period", "vehicle.car2.agent.period_s=0.013", "0.013", "1/120", "rate_hz", and_set=BULLET),
+    set_case("latency", "agents.latency_s=0.013", "0.013", "1/120", "rate_hz", and_set=BULLET),
+    set_case("record period", "record.period_s=0.013", "0.013", "1/120", "rate_hz", and_set=BULLET),
+    set_case("positioning rate", "vehicle.car2.positioning.rate_hz=7", "0.142857", "1/120", "rate_hz", and_set=BULLET),
     set_case("duration", "duration_s=0.501", "0.501", "1/120", and_set=BULLET),
     set_case("tiny agents period", "agents.period_s=1e-12", "must be a number >= 1e-06"),
     set_case("tiny record period", "record.period_s=1e-12", "must be a number >= 1e-06"),
@@ -242,22 +183,6 @@ TIMES = [
     set_case("huge overhead", "radio.phy.overhead_s=1e300", "radio.phy.overhead_s"),
     set_case("huge seed", "seed=" + "9" * 30, "seed"),
 ]
-
-
-@pytest.mark.parametrize(("text", "sets", "words"), TIMES)
-def test_a_time_that_cannot_be_kept_is_refused(
-    tmp_path: Path, text: str, sets: tuple[str, ...], words: tuple[str, ...]
-) -> None:
-    check_refused(tmp_path, text, sets, words)
-
-
-@pytest.mark.parametrize(
-    "setting",
-    ["agents.period_s=0.013", "agents.latency_s=0.013", "record.period_s=0.013", "vehicle.car2.positioning.rate_hz=7"],
-)
-def test_a_period_between_two_physics_steps_names_both_numbers(tmp_path: Path, setting: str) -> None:
-    number = {"0.013": "0.013", "7": "0.142857"}[setting.partition("=")[2]]
-    check_refused(tmp_path, two_cars(), (setting, *BULLET), (number, "1/120", "rate_hz"))
 
 
 @pytest.mark.parametrize(
@@ -304,47 +229,37 @@ def without_vehicles() -> str:
     return two_cars().partition("[[vehicle]]")[0]
 
 
-@pytest.mark.parametrize(
-    ("text", "sets", "words"),
-    [
-        case(
-            "vehicle is one table",
-            without_vehicles() + "[vehicle]\nname='car1'",
-            "s.toml",
-            "vehicle: needs at least one [[vehicle]]",
-        ),
-        case(
-            "vehicle is a list of numbers",
-            "vehicle = [3]\n" + without_vehicles(),
-            "s.toml",
-            "vehicle[0]: must be a table, not 3",
-        ),
-        case("vehicle is a number", "vehicle = 3\n" + without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
-        case("vehicle is an empty list", "vehicle = []\n" + without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
-        case(
-            "set in a vehicle that is a number",
-            "vehicle = 3\n" + without_vehicles(),
-            "vehicle",
-            sets=("vehicle.car1.kind=lag",),
-        ),
-        case("no vehicle", without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
-        case("empty", "", "s.toml", "needs at least one [[vehicle]]"),
-        case("layer is a list", two_cars(tail="[[radio.loss]]\nkind='none'"), "s.toml line", "radio.loss: must be a table"),
-        case(
-            "agent is a number",
-            two_cars().replace('agent = { kind = "leader_follower", leader = "car1" }', "agent = 3"),
-            "car2.agent",
-        ),
-        case("positioning is a number", two_cars(car2="positioning = 3"), "s.toml line", "vehicle.car2.positioning", "a table"),
-        case("not TOML", "name = \n", "s.toml", "is not valid TOML", "line 1"),
-        case("key twice", "name = 'a'\nname = 'b'\n", "s.toml", "is not valid TOML", "line 2"),
-        case("not UTF-8", b"name = '\xff'\n", "s.toml", "UTF-8"),
-        case("binary", bytes(range(256)), "s.toml", "UTF-8"),
-    ],
-)
-def test_a_file_of_another_shape_is_refused(
-    tmp_path: Path, text: str | bytes, sets: tuple[str, ...], words: tuple[str, ...]
-) -> None:
+SHAPES = [
+    case(
+        "vehicle is one table",
+        without_vehicles() + "[vehicle]\nname='car1'",
+        "s.toml",
+        "vehicle: needs at least one [[vehicle]]",
+    ),
+    case(
+        "vehicle is a list of numbers", "vehicle = [3]\n" + without_vehicles(), "s.toml", "vehicle[0]: must be a table, not 3"
+    ),
+    case("vehicle is a number", "vehicle = 3\n" + without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
+    case("vehicle is an empty list", "vehicle = []\n" + without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
+    case("set in a vehicle that is a number", "vehicle = 3\n" + without_vehicles(), "vehicle", sets=("vehicle.car1.kind=lag",)),
+    case("no vehicle", without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
+    case("empty", "", "s.toml", "needs at least one [[vehicle]]"),
+    lined("layer is a list", two_cars(tail="[[radio.loss]]\nkind='none'"), "radio.loss: must be a table"),
+    case(
+        "agent is a number",
+        two_cars().replace('agent = { kind = "leader_follower", leader = "car1" }', "agent = 3"),
+        "car2.agent",
+    ),
+    lined("positioning is a number", two_cars(car2="positioning = 3"), "vehicle.car2.positioning", "a table"),
+    case("not TOML", "name = \n", "s.toml", "is not valid TOML", "line 1"),
+    case("key twice", "name = 'a'\nname = 'b'\n", "s.toml", "is not valid TOML", "line 2"),
+    case("not UTF-8", b"name = '\xff'\n", "s.toml", "UTF-8"),
+    case("binary", bytes(range(256)), "s.toml", "UTF-8"),
+]
+
+
+@pytest.mark.parametrize(("text", "sets", "words"), [*UNKNOWN_KEYS, *WRONG_VALUES, *TIMES, *SHAPES])
+def test_a_scenario_is_refused(tmp_path: Path, text: str | bytes, sets: tuple[str, ...], words: tuple[str, ...]) -> None:
     check_refused(tmp_path, text, sets, words)
 
 
@@ -393,11 +308,7 @@ nothing = 3
         set_case("no module", "vehicle.car2.agent.kind=no.such:A", "'no.such' cannot be imported", "No module named 'no'"),
         set_case("class without act", "vehicle.car2.agent.kind=mine.py:Mute", "'mine.py:Mute' is no agent", "act(obs, radio)"),
         set_case("number for class", "vehicle.car2.agent.kind=mine.py:nothing", "is no agent", "act(obs, radio)"),
-        set_case(
-            "act of the base class",
-            "vehicle.car2.agent.kind=mine.py:Unfinished",
-            "act",
-        ),
+        set_case("act of the base class", "vehicle.car2.agent.kind=mine.py:Unfinished", "act"),
         set_case("constructor refuses", "vehicle.car2.agent.kind=mine.py:Picky", "n = 1 is not my number"),
         set_case("constructor fails", "vehicle.car2.agent.kind=mine.py:Broken", "mine.py line 11", "AttributeError"),
         set_case("constructor leaves", "vehicle.car2.agent.kind=mine.py:Leaving", "SystemExit"),

@@ -1,12 +1,10 @@
 """Studies on a cluster: two Dask workers on this machine."""
 
 import concurrent.futures
-import functools
 import importlib
 import math
 import re
 import socket
-import subprocess
 import sys
 import types
 from collections.abc import Iterator
@@ -19,7 +17,7 @@ import tomli_w
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.studies import ESTIMATOR, LOSS, mine, two
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.studies import cluster as clusters
+from vcmvsp.cosim.studies import worker as clusters
 from vcmvsp.cosim.studies.engine import study
 from vcmvsp.cosim.studies.worker import Work, WorkersGoneError
 
@@ -172,22 +170,6 @@ def test_a_cluster_that_says_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(UsageError, match=rf"--cluster {address}: no Dask scheduler answers there within 1 s"):
             study(two(), vary={LOSS: [0.0]}, seeds=1, cluster=address)
-
-
-def test_workers_that_say_nothing_are_named(dask: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    check = clusters.Cluster._check_versions
-
-    def hurried(cluster: clusters.Cluster) -> None:
-        with monkeypatch.context() as patch:
-            patch.setattr(clusters, "TIMEOUT_S", 1)
-            check(cluster)
-
-    waits = ["sh", "-c", f"until [ -e '{tmp_path}/go' ]; do sleep 0.1; done"]
-    monkeypatch.setattr(clusters.Cluster, "_check_versions", hurried)
-    monkeypatch.setattr(clusters, "version", functools.partial(subprocess.run, waits, check=True))
-    with pytest.raises(UsageError, match=r"a worker cannot run vcmvsp \(TimeoutError: it says nothing\)"):
-        study(two(), vary={LOSS: [0.0]}, seeds=1, cluster=dask.scheduler_address)
-    (tmp_path / "go").touch()
 
 
 def test_without_dask_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:

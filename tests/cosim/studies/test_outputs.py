@@ -3,7 +3,6 @@
 import csv
 import html
 import itertools
-import re
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,7 +19,6 @@ from matplotlib.figure import Figure
 import vcmvsp
 from tests.support.cosim.studies import two
 from vcmvsp.cosim.plots import study_plot
-from vcmvsp.cosim.plots.study_plot import label_of
 from vcmvsp.cosim.scenario.loader import settings_of
 from vcmvsp.cosim.studies.outputs import command_of, toml_of, write
 from vcmvsp.cosim.studies.plan import Plan, vary_of
@@ -102,11 +100,6 @@ def test_tables_are_named_by_their_kinds_where_these_differ() -> None:
     assert [text.get_text() for text in axes.get_xticklabels()] == [gap, wide]
 
 
-def test_many_lines_stay_apart() -> None:
-    (axes,) = figure_of({WHO: [f"e{i}" for i in range(20)], LOSS: [0.1, 0.5]}).axes
-    assert len({(line.get_color(), line.get_marker()) for line in axes.lines}) == 20
-
-
 def test_a_metric_that_spans_decades_has_a_logarithmic_axis() -> None:
     assert figure_of({LOSS: [0.0, 9.0]}).axes[0].get_yscale() == "log"
     assert figure_of({LOSS: [0.5, 0.9]}).axes[0].get_yscale() == "linear"
@@ -157,51 +150,7 @@ def test_a_third_key_gives_a_map_for_each_of_its_values() -> None:
     assert [axes.get_title() for axes in figure.axes if axes.get_title()] == ["hold", "dr", "acc"]
 
 
-@pytest.mark.parametrize(
-    ("key", "words"),
-    [
-        (LOSS, "loss probability"),
-        (DELAY, "delay [s]"),
-        (WHO, "estimator"),
-        ("radio.mac.kind", "mac"),
-        ("radio.mac.lifetime_s", "lifetime [s]"),
-        ("radio.phy.tx_power_dbm", "tx power [dBm]"),
-        ("vehicle.car.count", "car count"),
-        ("vehicle.car2.agent.bearing_deg", "bearing [degrees]"),
-        ("agents.k1", "k1"),
-        ("duration_s", "duration [s]"),
-        ("radio.losses.collision", "lost: collision"),
-        ("radio.delay_s.p95", "delay p95 [s]"),
-        ("control.acceleration_rms_m_s2", "acceleration rms [m/s²]"),
-        ("formation.convergence_1_s", "convergence [1/s]"),
-        ("formation.rms_m", "formation error, RMS [m]"),
-    ],
-)
-def test_axes_are_named_in_words_with_units(key: str, words: str) -> None:
-    assert label_of(key) == words
-
-
 # --- files -------------------------------------------------------------------------------------------------------------------
-
-
-def test_the_same_study_leaves_the_same_bytes(tmp_path: Path) -> None:
-    table, spec = study({LOSS: [0.1, 0.5], DELAY: [0.0, 1.0]})
-    first, second = tmp_path / "a", tmp_path / "b"
-    for folder in (first, second):
-        folder.mkdir()
-        write(folder, table, spec)
-    names = ["report.html", "study-map.png", "study-map.svg", "study.png", "study.svg", "summary.csv"]
-    assert sorted(path.name for path in first.iterdir()) == names
-    assert all((first / name).read_bytes() == (second / name).read_bytes() for name in names)
-
-
-def test_text_in_a_drawing_is_text_and_there_is_no_date_in_it(tmp_path: Path) -> None:
-    table, spec = study({LOSS: [0.1, 0.5]})
-    listed = write(tmp_path, table, spec)
-    assert [path.name for path in listed] == ["summary.csv", "study.png", "study.svg", "report.html"]
-    drawing = (tmp_path / "study.svg").read_text("utf-8")
-    assert re.search(r"<text[^>]*>loss probability</text>", drawing)
-    assert "dc:date" not in drawing
 
 
 def test_the_page_tells_what_was_varied_and_what_came_of_it(tmp_path: Path) -> None:

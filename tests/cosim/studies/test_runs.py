@@ -53,10 +53,6 @@ def test_each_row_is_what_a_single_run_gives(table: pa.Table) -> None:
         assert {name: row[name] for name in alone} == alone
 
 
-def test_the_number_of_jobs_changes_nothing(table: pa.Table) -> None:
-    assert study(two(), vary=VARY, seeds=3, seed=5, jobs=1).equals(table)
-
-
 def test_the_order_of_values_changes_the_order_of_rows_alone(table: pa.Table) -> None:
     turned = study(two(), vary={ESTIMATOR: ["dr", "hold"], LOSS: [0.4, 0.0]}, seeds=3, seed=5)
     order: Any = [(name, "ascending") for name in (LOSS, ESTIMATOR, "seed")]
@@ -98,12 +94,7 @@ def test_values_of_all_kinds_make_columns_of_their_types() -> None:
         plan = Plan(scenario="", scenario_toml="", vary={"key": values}, seeds=[0])
         return table_of(plan, {run.key: packed(failed("no")) for run in plan.runs})["key"]
 
-    for values, kind in (
-        ([0, 1], pa.int64()),
-        ([0, 0.5], pa.float64()),
-        ([True, False], pa.bool_()),
-        (["a", ""], pa.string()),
-    ):
+    for values, kind in (([0, 1], pa.int64()), ([0, 0.5], pa.float64()), ([True, False], pa.bool_()), (["a", ""], pa.string())):
         assert column(values).type == kind
         assert column(values).to_pylist() == values
     assert column(["a", 1, [1.0, "x"], {"b": True}]).to_pylist() == ["a", "1", '[1.0, "x"]', '{"b": true}']

@@ -265,14 +265,6 @@ def test_a_folder_that_cannot_be_written_to_any_more_is_named(tmp_path: Path, mo
     assert study(two(), seeds=2, jobs=1, out=folder, resume=True)["seed"].to_pylist() == [0, 1]
 
 
-def test_two_studies_started_at_once_without_a_folder_get_two(tmp_path: Path) -> None:
-    mine(tmp_path)
-    runs = [start(tmp_path, "mine.toml", "--vary", f"{NAP}=0.1", "--seeds", "1", "--jobs", "1", "--json") for _ in range(2)]
-    outs = [json.loads(run.communicate(timeout=500)[0])["out"] for run in runs]
-    assert sorted(outs) == ["runs/mine-study", "runs/mine-study-2"]
-    assert all((tmp_path / out / "report.html").exists() for out in outs)
-
-
 def test_two_studies_never_share_a_folder(tmp_path: Path) -> None:
     with Store(tmp_path, plan_of(), resume=False, force=False):
         for resume, force in ((True, False), (False, True)):

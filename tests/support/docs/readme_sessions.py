@@ -90,12 +90,7 @@ STORIES = (
     ),
     Story(
         "a study of one key",
-        (
-            Step(
-                "vcmvsp study formation-slalom --vary radio.loss.probability=0:0.8:0.2 --seeds 20 --out slalom",
-                ONE_EACH,
-            ),
-        ),
+        (Step("vcmvsp study formation-slalom --vary radio.loss.probability=0:0.8:0.2 --seeds 20 --out slalom", ONE_EACH),),
     ),
     Story(
         "an agent of ones own",
@@ -146,10 +141,7 @@ STORIES = (
             Step("vcmvsp new driver NAME", instead={"NAME": "crawler"}, why="the reader's name"),
         ),
     ),
-    Story(
-        "on a page",
-        (Step("vcmvsp run recon-urban --view", f"{BRIEF} --view-port 0"),),
-    ),
+    Story("on a page", (Step("vcmvsp run recon-urban --view", f"{BRIEF} --view-port 0"),)),
     Story(
         "the channel alone",
         (
@@ -171,8 +163,5 @@ STORIES = (
         (Step("vcmvsp world my_worlds.py:Orchard --set rows=4 --png orchard.png"),),
         {"my_worlds.py": block("physics/README.md", "class Orchard")},
     ),
-    Story(
-        "figures",
-        (Step("vcmvsp figure"),),
-    ),
+    Story("figures", (Step("vcmvsp figure"),)),
 )

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.assembly.parts.search_map import Sensor, decisions
+from vcmvsp.cosim.assembly.parts.recognition import Sensor, decisions
 from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.kernel import Kernel
