@@ -173,7 +173,7 @@ def draw(found: Mapping[str, Mapping[str, Sequence[float]]], folder: Path) -> li
     """The costs over N, on logarithmic axes."""
     from PIL import Image
 
-    from vcmvsp.cosim.reproduction.figures import figure as files
+    from vcmvsp.cosim.reproduction.figures import drawing
     from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 
     panels = []
@@ -184,7 +184,7 @@ def draw(found: Mapping[str, Mapping[str, Sequence[float]]], folder: Path) -> li
             curves.append(Curve(np.array(COUNTS), cost, f"{part}, N^{exponent(cost.tolist()):.2f}", color, "both"))
         panels.append(Panel(name, "vehicles", "CPU s per simulated s", curves, log_x=True, log_y=True))
     figure = Figure("Cost by the number of vehicles, each of which broadcasts at 10 Hz", panels, ())
-    written = files.write("growth", figure, folder)
+    written = drawing.write("growth", figure, folder)
     for path in written:
         if path.suffix == ".png":  # for a page: no more colours than it needs
             Image.open(path).convert("RGB").quantize(64).save(path, optimize=True)

@@ -33,8 +33,8 @@ from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, ExternalMotion, Instants, Needed, RunInfo, Slot, Step
 from vcmvsp.cosim.types import Array, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
 from vcmvsp.physics import placement_checks as checks
+from vcmvsp.physics.dynamics.engine import BodyMotion, Commands, Contacts, Engine, Mover, gathered
 from vcmvsp.physics.dynamics.kinematic import AerialEngine, ExternalEngine, GroundEngine
-from vcmvsp.physics.engine import BodyMotion, Commands, Contacts, Engine, Mover, gathered
 from vcmvsp.physics.pose_sources import PoseSources
 from vcmvsp.physics.scene_builder import SceneBuilder
 from vcmvsp.physics.sensor_scheduler import SensorScheduler

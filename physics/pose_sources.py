@@ -20,7 +20,7 @@ from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.frames import quaternion_from_yaw, travelled, yaw_of
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Fix, Odometry, Vec3, VehicleState
-from vcmvsp.physics.engine import BodyMotion
+from vcmvsp.physics.dynamics.engine import BodyMotion
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array, Pushed, Vec3, frozen
-from vcmvsp.physics.engine import BodyMotion, Touch, still
+from vcmvsp.physics.dynamics.engine import BodyMotion, Touch, on_time, still
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.polygons import overlap_m
 from vcmvsp.physics.world.solids import Hull, rectangle
@@ -63,16 +62,6 @@ def start_of(movables: Sequence[Movable]) -> BodyMotion:
     """Movables at their places in the world, at rest."""
     places = np.array([each.pose(0.0) for each in movables], float).reshape(-1, 4)
     return still(places[:, :3], places[:, 3])
-
-
-def on_time(moving: Sequence[Moving], now_ns: int) -> BodyMotion:
-    """Moving obstacles at a time, by their time-tables."""
-    now_s = now_ns / SECOND_NS
-    places = np.array([each.pose(now_s) for each in moving], float).reshape(-1, 4)
-    speeds = np.array([each.rates(now_s) for each in moving], float).reshape(-1, 4)
-    turning = np.zeros((len(moving), 3))
-    turning[:, 2] = speeds[:, 3]
-    return still(places[:, :3], places[:, 3])._replace(velocity=speeds[:, :3], angular_velocity=turning)
 
 
 def outline(hull: Hull, position: Vec3, heading: float) -> tuple[Array, float, float]:

@@ -112,7 +112,7 @@ def build(
     """
     from vcmvsp.netsim.channel import user_layers
     from vcmvsp.netsim.channel.channel import Channel
-    from vcmvsp.physics.line_of_sight import Sightline
+    from vcmvsp.physics.raycast.line_of_sight import Sightline
 
     for name in radio:
         if name not in ("preset", *LAYERS):

@@ -44,21 +44,22 @@ def figure_command(
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: there is a file of that name; name a folder")
     from vcmvsp.cosim.processes.worker_pool import cores
-    from vcmvsp.cosim.reproduction.figures import figure as files
+    from vcmvsp.cosim.reproduction.figures import drawing
+    from vcmvsp.cosim.reproduction.figures.figure import as_json, table
     from vcmvsp.cosim.reproduction.runner import Runner
     from vcmvsp.cosim.terminal.progress import StudyProgress
 
     try:
         with stdout_to_stderr(), StudyProgress(quiet=quiet) as progress:
             figure = make(Runner(jobs or cores(), lambda done, of: progress.on_run(done, 0, of)))
-            written = files.write(name, figure, out)
+            written = drawing.write(name, figure, out)
     except KeyboardInterrupt:
         raise Interrupted("interrupted") from None
     if json:
-        sys.stdout.write(files.as_json(name, figure))
+        sys.stdout.write(as_json(name, figure))
     else:
         paths = "\n".join(map(str, written))
-        sys.stdout.write(f"{figure.title}\n\n{files.table(figure)}\n{paths}\n")
+        sys.stdout.write(f"{figure.title}\n\n{table(figure)}\n{paths}\n")
     if not figure.ok:
         missed = sum(not row.ok for row in figure.rows)
         sys.stderr.write(f"vcmvsp: {missed} of {len(figure.rows)} numbers are not within their tolerance\n")

@@ -10,7 +10,7 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Looks, Measured, NonNegative, Positive, Probability, Rate, Vec3, frozen
-from vcmvsp.physics.line_of_sight import sightline_of
+from vcmvsp.physics.raycast.line_of_sight import sightline_of
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.world.world import Scene, World
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array, Fix, NonNegative, Positive, Probability, Rate, Seconds, Vec3, VehicleState
-from vcmvsp.physics.line_of_sight import sightline_of
+from vcmvsp.physics.raycast.line_of_sight import sightline_of
 from vcmvsp.physics.sensors.sensor import Errors, Noise, Sensor, jump
 from vcmvsp.physics.world.proximity import NearestPoint
 from vcmvsp.physics.world.world import Scene, World

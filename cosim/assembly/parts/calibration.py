@@ -4,7 +4,7 @@ from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.netsim.calibration.fit import calibrate_file, figure_data
 from vcmvsp.netsim.calibration.result import Calibration
-from vcmvsp.physics.line_of_sight import Sightline
+from vcmvsp.physics.raycast.line_of_sight import Sightline
 
 __all__ = ["Calibration", "calibrate_file", "figure_data", "sightline_of"]
 

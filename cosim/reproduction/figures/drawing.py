@@ -1,6 +1,8 @@
 """Draws a figure of `cosim.reproduction.figures`: panels of curves, or maps; as PNG and SVG, the same bytes each time."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,11 +13,11 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import offset_copy
 
 from vcmvsp.cosim.plots.run_plots import draw_vehicle
-from vcmvsp.cosim.plots.style import LEVEL, MAP, line_of, marker_of, style, styled
+from vcmvsp.cosim.plots.style import LEVEL, MAP, line_of, marker_of, save, style, styled
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel, as_json
+from vcmvsp.cosim.reproduction.row import COLUMNS, write_csv
+from vcmvsp.cosim.util.files import write_whole, writing
 from vcmvsp.cosim.util.palette import OKABE_ITO, PROBABILITY, color_of
-
-if TYPE_CHECKING:
-    from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel
 
 # What sets a kind of curve apart; those with a marker take that of their colour.
 LINES: dict[str, dict[str, Any]] = {
@@ -39,8 +41,19 @@ ABOUT_ONE = LinearSegmentedColormap.from_list("about one", [OKABE_ITO[1], "#ffff
 CHANCE = LinearSegmentedColormap.from_list("probability", PROBABILITY)
 
 
+def write(name: str, figure: Figure, folder: Path) -> list[Path]:
+    """Write NAME.csv, NAME-expected.csv, NAME.json, NAME.png and NAME.svg; returns their paths."""
+    points, expected, rows = (folder / f"{name}{end}" for end in (".csv", "-expected.csv", ".json"))
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_csv(points, ("panel", "curve", "x", "y", "value"), _points(figure))
+        write_csv(expected, COLUMNS, (row.csv for row in figure.rows))
+        write_whole(rows, as_json(name, figure))
+        return [points, expected, rows, *save(draw(figure), folder / name)]
+
+
 @styled
-def draw(figure: "Figure") -> Canvas:
+def draw(figure: Figure) -> Canvas:
     """All panels of a figure, ``columns`` of them side by side; legends stand below, where they hide nothing."""
     columns = min(figure.columns, len(figure.panels))
     rows = -(-len(figure.panels) // columns)
@@ -60,11 +73,11 @@ def draw(figure: "Figure") -> Canvas:
     return canvas
 
 
-def _is_map(panel: "Panel") -> bool:
+def _is_map(panel: Panel) -> bool:
     return panel.heat is not None and panel.heat.style == "map"
 
 
-def _draw_panel(axes: Axes, panel: "Panel") -> int:
+def _draw_panel(axes: Axes, panel: Panel) -> int:
     axes.set_title(panel.title, loc="left")
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
@@ -77,7 +90,7 @@ def _draw_panel(axes: Axes, panel: "Panel") -> int:
     return _draw_legend(axes)
 
 
-def _draw_curves(axes: Axes, panel: "Panel") -> None:
+def _draw_curves(axes: Axes, panel: Panel) -> None:
     named: set[str] = set()
     lines = {curve.color for curve in panel.curves if curve.label and curve.style == "line"}
     plain = panel.photo is None and panel.heat is None
@@ -102,7 +115,7 @@ def _draw_legend(axes: Axes) -> int:
     return -(-len(labels) // across)
 
 
-def _set_scales(axes: Axes, panel: "Panel") -> None:
+def _set_scales(axes: Axes, panel: Panel) -> None:
     if panel.log_x:
         axes.set_xscale("log")
         _plain_numbers(axes.xaxis)
@@ -126,7 +139,7 @@ def _plain_numbers(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _draw_curve(axes: Axes, curve: "Curve", label: str, *, marked: bool, shaped: bool) -> None:
+def _draw_curve(axes: Axes, curve: Curve, label: str, *, marked: bool, shaped: bool) -> None:
     """Draw a curve; a marked line has markers here and there, and shaped markers are those of its colour."""
     color = color_of(curve.color)
     look: dict[str, Any] = {"color": color, **LINES[curve.style]}
@@ -142,7 +155,7 @@ def _draw_curve(axes: Axes, curve: "Curve", label: str, *, marked: bool, shaped:
         draw_vehicle(axes, (curve.x[-1], curve.y[-1], float(ahead)), color, 13.0)
 
 
-def _draw_heat(axes: Axes, heat: "Heat") -> None:
+def _draw_heat(axes: Axes, heat: Heat) -> None:
     """One cell per pair of values, evenly spaced, with its number; a map is drawn to scale."""
     values = np.asarray(heat.values)
     axes.grid(visible=False)
@@ -163,3 +176,14 @@ def _draw_heat(axes: Axes, heat: "Heat") -> None:
         red, green, blue, _ = picture.to_rgba(levels[row, column])
         dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.55
         axes.text(column, row, f"{value:.2g}", ha="center", va="center", fontsize=7, color="white" if dark else "black")
+
+
+def _points(figure: Figure) -> Iterator[tuple[str, str, float, float, float | str]]:
+    """Panel, label of the curve, x, y; cells of a `Heat` also have a value."""
+    for panel in figure.panels:
+        for curve in panel.curves:
+            for x, y in zip(curve.x, curve.y, strict=True):
+                yield panel.title, curve.label, float(x), float(y), ""
+        if (heat := panel.heat) is not None:
+            for (row, column), value in np.ndenumerate(heat.values):
+                yield panel.title, heat.label, float(heat.x[column]), float(heat.y[row]), float(value)

@@ -4,16 +4,13 @@ A figure is a function ``make(runner: Runner) -> Figure`` in a module, listed in
 scenarios as mappings and gives them to the runner as jobs; `drawing` draws the result.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
-from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
-from vcmvsp.cosim.reproduction.row import COLUMNS, Row, write_csv
+from vcmvsp.cosim.reproduction.row import Row
 from vcmvsp.cosim.types import Array
-from vcmvsp.cosim.util.files import to_json, write_whole, writing
+from vcmvsp.cosim.util.files import to_json
 
 # "dots": many small markers; "pose": a track with its two ends
 Style = Literal["line", "dashed", "dotted", "thin", "markers", "dots", "hollow", "pose", "both"]
@@ -88,20 +85,6 @@ def as_json(name: str, figure: Figure) -> str:
     return to_json({"name": name, "rows": [row.plain for row in figure.rows]})
 
 
-def write(name: str, figure: Figure, folder: Path) -> list[Path]:
-    """Write NAME.csv, NAME-expected.csv, NAME.json, NAME.png and NAME.svg; returns their paths."""
-    from vcmvsp.cosim.plots import style
-    from vcmvsp.cosim.reproduction.figures import drawing
-
-    points, expected, rows = (folder / f"{name}{end}" for end in (".csv", "-expected.csv", ".json"))
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        write_csv(points, ("panel", "curve", "x", "y", "value"), _points(figure))
-        write_csv(expected, COLUMNS, (row.csv for row in figure.rows))
-        write_whole(rows, as_json(name, figure))
-        return [points, expected, rows, *style.save(drawing.draw(figure), folder / name)]
-
-
 def table(figure: Figure) -> str:
     """The rows as an aligned text table, each marked ``ok`` or ``MISSED``."""
     lines: list[tuple[str, ...]] = [("case", "expected", "measured", "tolerance", "")]
@@ -112,14 +95,3 @@ def table(figure: Figure) -> str:
         cells = [case.ljust(first), *map(str.rjust, numbers, widths), verdict]
         text += "  ".join(cells).rstrip() + "\n"
     return text
-
-
-def _points(figure: Figure) -> Iterator[tuple[str, str, float, float, float | str]]:
-    """Panel, label of the curve, x, y; cells of a `Heat` also have a value."""
-    for panel in figure.panels:
-        for curve in panel.curves:
-            for x, y in zip(curve.x, curve.y, strict=True):
-                yield panel.title, curve.label, float(x), float(y), ""
-        if (heat := panel.heat) is not None:
-            for (row, column), value in np.ndenumerate(heat.values):
-                yield panel.title, heat.label, float(heat.x[column]), float(heat.y[row]), float(value)

@@ -8,10 +8,9 @@ Numba passes a named tuple of arrays field by field: every call moves hundreds o
 # mypy: allow-untyped-calls, allow-untyped-decorators, allow-subclassing-any, disable-error-code="override"
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import llvmlite.binding as llvm
 import numba
 import numpy as np
 from numba import from_dtype, types
@@ -20,8 +19,6 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, lower_getattr_generic, models, register_model
 from numba.np.arrayobj import make_array, populate_array
 
-from vcmvsp.netsim.mac.dcf.machine_code import ENTRY, WORD, Layout, host
-
 # The code allocates nothing and is not called by Python, so it needs no runtime of numba.
 OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
@@ -29,6 +26,8 @@ OPTIONS: dict[str, Any] = {
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
 }
+Layout = Sequence[tuple[str, str, int]]
+"""For each field of a block: name, NumPy type string, number of dimensions; 0: a single number."""
 
 
 def compiled(source: Callable[..., Any]) -> Any:
@@ -36,13 +35,12 @@ def compiled(source: Callable[..., Any]) -> Any:
     return numba.njit(**OPTIONS)(source)
 
 
-def machine_code(function: Any, first: Layout, second: Layout) -> bytes:
-    """Machine code of a `compiled` function (block, block, integer) -> integer for this processor, as `ENTRY`."""
+def assembly(function: Any, first: Layout, second: Layout, name: str) -> str:
+    """LLVM assembly of a `compiled` function (block, block, integer) -> integer, under this name."""
     function.compile((BlockType(first), BlockType(second), types.int64))
     (signature,) = function.signatures
-    text = function.inspect_llvm(signature).replace(function.overloads[signature].fndesc.llvm_func_name, ENTRY)
-    code: bytes = host().emit_object(llvm.parse_assembly(text))
-    return code
+    text: str = function.inspect_llvm(signature)
+    return text.replace(function.overloads[signature].fndesc.llvm_func_name, name)
 
 
 class BlockType(types.Type):
@@ -78,9 +76,11 @@ class BlockAttribute(AttributeTemplate):
 def _field(context: Any, builder: Any, kind: BlockType, block: Any, name: str) -> Any:
     """Read a field. No word of a block ever changes: the compiler need not read it twice."""
     field = kind.fields[name]
+    size = context.get_value_type(types.intp)
+    word_bytes = context.get_abi_sizeof(size)
 
     def word(at: int, what: Any) -> Any:
-        place = builder.bitcast(cgutils.gep_inbounds(builder, block, WORD * (kind.word[name] + at)), what.as_pointer())
+        place = builder.bitcast(cgutils.gep_inbounds(builder, block, word_bytes * (kind.word[name] + at)), what.as_pointer())
         read = builder.load(place)
         read.set_metadata("invariant.load", builder.module.add_metadata([]))
         return read
@@ -88,7 +88,6 @@ def _field(context: Any, builder: Any, kind: BlockType, block: Any, name: str) -
     if not isinstance(field, types.Array):
         return word(0, context.get_value_type(field))
     item = context.get_abi_sizeof(context.get_data_type(field.dtype))
-    size = context.get_value_type(types.intp)
     shape = [word(1 + k, size) for k in range(field.ndim)]
     strides = [size(item)]
     for each in shape[:0:-1]:

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 ENTRY = "run"
-WORD = 8  # bytes
 Layout = tuple[tuple[str, str, int], ...]
 """For each field of a `Block`: name, NumPy type string, number of dimensions; 0: a single number."""
 
@@ -137,9 +136,12 @@ def _code(core: Core) -> bytes:
     path = _path(core)
     code = _read_code(path)
     if code is None:
-        from vcmvsp.netsim.mac.dcf.compiler import compiled, machine_code
+        import llvmlite.binding as llvm
 
-        code = machine_code(linked(core[0], compiled), *core[1:])
+        from vcmvsp.netsim.mac.dcf.compiler import assembly, compiled
+
+        text = assembly(linked(core[0], compiled), *core[1:], ENTRY)
+        code = host().emit_object(llvm.parse_assembly(text))
         _write_code(path, code)
     return code
 

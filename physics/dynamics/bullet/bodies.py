@@ -15,10 +15,9 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, UPRIGHT, WHEEL, p, turned
+from vcmvsp.physics.dynamics.engine import NO_BODIES, BodyMotion, on_time, without_wheels
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.dynamics.rigid_body import into_body
-from vcmvsp.physics.engine import NO_BODIES, BodyMotion, without_wheels
-from vcmvsp.physics.scene_builder import on_time
 from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.world.solids import Box, Cylinder, Hull, heading_of
 from vcmvsp.physics.world.world import World, rotation_columns

@@ -11,9 +11,9 @@ from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.bodies import ExternalBodies, WorldBodies
 from vcmvsp.physics.dynamics.bullet.ground_robots import GroundRobots
 from vcmvsp.physics.dynamics.bullet.quadrotors import REACH_M, BulletQuadrotors
+from vcmvsp.physics.dynamics.engine import BodyMotion, Engine, Touch, gathered
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.dynamics.wind import Gusts
-from vcmvsp.physics.engine import BodyMotion, Engine, Touch, gathered
 from vcmvsp.physics.vehicles.models import DifferentialDrive, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.vehicles.urdf import UrdfDrive

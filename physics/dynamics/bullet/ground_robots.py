@@ -24,8 +24,8 @@ from vcmvsp.physics.dynamics.bullet.bodies import (
     floor_friction,
     motion_of,
 )
+from vcmvsp.physics.dynamics.engine import BodyMotion
 from vcmvsp.physics.dynamics.kinematic import Firmware, wrapped
-from vcmvsp.physics.engine import BodyMotion
 from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World, Zone

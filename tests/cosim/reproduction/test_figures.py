@@ -18,7 +18,8 @@ from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
 from vcmvsp.cosim.reproduction import figures
-from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel, as_json, table, write
+from vcmvsp.cosim.reproduction.figures.drawing import write
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel, as_json, table
 from vcmvsp.cosim.reproduction.figures.formation import circle, loss_integration, steps
 from vcmvsp.cosim.reproduction.figures.scenarios import (
     ASIDE,

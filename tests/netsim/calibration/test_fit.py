@@ -22,7 +22,7 @@ from vcmvsp.netsim.propagation.fading import Nakagami
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 from vcmvsp.netsim.propagation.shadowing import Shadowing
 from vcmvsp.netsim.propagation.walls import FixedWalls
-from vcmvsp.physics.line_of_sight import Sightline
+from vcmvsp.physics.raycast.line_of_sight import Sightline
 
 SEEDS = range(4)
 

@@ -15,7 +15,7 @@ from vcmvsp.netsim.interfaces.layers import Bools, Floats, PathLoss, Paths, Radi
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT, LogDistance
 from vcmvsp.netsim.propagation.walls import ITU_MATERIALS, Bodies, FixedWalls, ItuWalls, slab_loss_db, through
-from vcmvsp.physics.line_of_sight import Sightline
+from vcmvsp.physics.raycast.line_of_sight import Sightline
 from vcmvsp.physics.world.solids import Box
 
 

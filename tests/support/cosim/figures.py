@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from vcmvsp.cosim.reproduction import figures
-from vcmvsp.cosim.reproduction.figures.figure import Figure, write
+from vcmvsp.cosim.reproduction.figures.drawing import write
+from vcmvsp.cosim.reproduction.figures.figure import Figure
 from vcmvsp.cosim.reproduction.runner import Runner
 
 

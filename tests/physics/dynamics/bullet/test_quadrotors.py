@@ -11,8 +11,8 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.physics.dynamics.bullet.bodies import base_motion
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.bullet.quadrotors import REACH_M, SolidsMap, near_each_other
+from vcmvsp.physics.dynamics.engine import BodyMotion, Touch
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
-from vcmvsp.physics.engine import BodyMotion, Touch
 from vcmvsp.physics.vehicles.models import P2DX, Quadrotor
 from vcmvsp.physics.world.solids import Box, Cylinder, Mesh, Prism
 from vcmvsp.physics.world.world import Movable, Moving, World

@@ -7,7 +7,7 @@ import pytest
 from tests.support.physics.bullet_engines import engine
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.physics.dynamics.bullet import p
-from vcmvsp.physics.scene_builder import on_time
+from vcmvsp.physics.dynamics.engine import on_time
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Quadrotor
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Movable, Moving, World, Zone

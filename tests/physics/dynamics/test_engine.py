@@ -11,8 +11,8 @@ from tests.support.physics.physics_stepper import stepped
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Contact, Later, Vec3, Velocity, Waypoint
+from vcmvsp.physics.dynamics.engine import BodyMotion, Engine, Touch, gathered, still
 from vcmvsp.physics.dynamics.kinematic import AerialEngine, GroundEngine
-from vcmvsp.physics.engine import BodyMotion, Engine, Touch, gathered, still
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Kinematic, Point, Quadrotor

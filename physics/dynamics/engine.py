@@ -15,9 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Array, Contact, Vec3, Velocity, Waypoint
+from vcmvsp.physics.world.world import Moving
 
 
 class BodyMotion(NamedTuple):
@@ -223,3 +225,13 @@ def _check_command(key: str, command: Command, flying: bool) -> None:
         problem = f"the speed of the Waypoint of {vehicle} must be positive, not {command.speed} m/s"
     if problem:
         raise FederateError("physics", problem)
+
+
+def on_time(moving: Sequence[Moving], now_ns: int) -> BodyMotion:
+    """Moving obstacles at a time, by their time-tables."""
+    now_s = now_ns / SECOND_NS
+    places = np.array([each.pose(now_s) for each in moving], float).reshape(-1, 4)
+    speeds = np.array([each.rates(now_s) for each in moving], float).reshape(-1, 4)
+    turning = np.zeros((len(moving), 3))
+    turning[:, 2] = speeds[:, 3]
+    return still(places[:, :3], places[:, 3])._replace(velocity=speeds[:, :3], angular_velocity=turning)
