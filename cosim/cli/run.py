@@ -125,7 +125,9 @@ def replay_command(
 
     Example: vcmvsp replay runs/formation-circle-1 --set agents.estimator=hold
     """
-    from vcmvsp.cosim.runs.replay import beside, comparison, replay
+    from vcmvsp.cosim.runs.replay import beside, check, comparison, replay
+
+    check(run_dir, out, radio)
 
     def again(_: str, **given: Any) -> "Result":
         return replay(run_dir, **{**given, "numbered": out is None}, twin=twin, radio=radio)

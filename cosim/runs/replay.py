@@ -50,7 +50,7 @@ def replay(
         UsageError: the folder lacks what a replay needs.
     """
     folder = Path(run_dir)
-    _check(folder, out, radio)
+    check(folder, out, radio)
     scenario = folder / "scenario.toml"
     parsed, _ = scenarios.load(scenario)
     real = parsed.real
@@ -109,7 +109,8 @@ def _content(path: Path) -> dict[str, Any]:
     return {}
 
 
-def _check(folder: Path, out: str | Path | None, radio: str) -> None:
+def check(folder: Path, out: str | Path | None, radio: str) -> None:
+    """Refuse a folder that lacks what a replay needs, and to write into it."""
     if not (folder / "scenario.toml").is_file():
         problem = "there is no such folder" if not folder.is_dir() else "has no scenario.toml"
         raise UsageError(f"{folder}: {problem}; name the folder that a run left (runs/NAME-SEED, or its --out)")
