@@ -10,7 +10,7 @@ UV = .uv/bin/uv
 # Whatever the environment says of bytecode: each worker and each program that a test starts imports what is compiled once.
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: setup demo test check docs bench clean
+.PHONY: setup demo test quick check docs bench clean
 
 setup: $(VENV)/.ready
 
@@ -40,6 +40,10 @@ docs: setup
 # Files go to workers in their order, so that none that takes long comes last.
 test: check
 	$(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+
+# Without tests that start programs, open sockets, drive a browser or compute for seconds.
+quick: setup
+	$(BIN)/pytest -n $(WORKERS) -m "not processes and not sockets and not browser and not slow"
 
 bench: setup .ns3/.ready .drones/.ready .peers/.ready
 	$(BIN)/python -m bench

@@ -9,6 +9,8 @@ import pytest
 
 from tests.support.paths import ROOT
 
+pytestmark = pytest.mark.processes
+
 TESTS = """
 import pytest
 from tests.support import requirements

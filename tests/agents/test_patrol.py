@@ -6,6 +6,8 @@ import pytest
 
 import vcmvsp
 
+pytestmark = pytest.mark.slow
+
 LOOP = [[4.0, 0.0, 0.0], [4.0, 4.0, 0.0]]
 
 

@@ -8,6 +8,8 @@ import pytest
 import vcmvsp
 from vcmvsp import agents
 
+pytestmark = pytest.mark.slow
+
 README = (Path(agents.__path__[0]) / "README.md").read_text(encoding="utf-8")
 
 

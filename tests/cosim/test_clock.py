@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, Ticks, WallClock, seconds_to_ns
 
+pytestmark = pytest.mark.slow
+
 PERIODS_NS = st.fractions(min_value=1, max_value=10**11, max_denominator=10**6)
 TICKS = PERIODS_NS.map(lambda period: Ticks(period.numerator, period.denominator))
 DECIMALS = st.decimals(min_value="0.000000001", max_value=10_000, places=9)

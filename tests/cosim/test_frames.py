@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.frames import arc, product, quaternion_from_yaw, rotate2, wrap, yaw_of
 
+pytestmark = pytest.mark.slow
+
 ANGLES = st.floats(-100.0, 100.0)
 SPEEDS = st.floats(-5.0, 5.0)
 RATES = st.floats(-5.0, 5.0) | st.floats(-1e-6, 1e-6)

@@ -11,6 +11,8 @@ import pytest
 import vcmvsp
 from tests.support.paths import ROOT
 
+pytestmark = pytest.mark.processes
+
 PUBLIC = {
     "run": "runs.api",
     "Result": "runs.api",

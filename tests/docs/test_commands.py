@@ -17,6 +17,8 @@ from tests.support.docs.readme_sessions import STORIES, Step, Story
 from tests.support.paths import ROOT
 from vcmvsp.cosim.scenario import loader
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 STEPS = {step.command for story in STORIES for step in story.steps}
 KNOWN = [each for each in COMMANDS if program_of(words_of(each.text)) in {"vcmvsp", "make"}]
 DO = (

@@ -18,6 +18,8 @@ from tests.support.docs.readme_pages import block, command, words_of
 from tests.support.docs.readme_sessions import BRIEF
 from tests.support.netsim.gateway_context import free_ports
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 PAGE = "netsim/bridge/README.md"
 TWO = """
 name = "two"

@@ -8,6 +8,8 @@ import vcmvsp
 from tests.support.docs.gallery import FOLDER, TEXT, assert_printed, made, section
 from vcmvsp.cosim.scenario import loader
 
+pytestmark = pytest.mark.processes
+
 SEARCHING = "recon-"  # their names; they take long, and have a file of their own: `agents/test_gallery_reconnaissance.py`
 
 

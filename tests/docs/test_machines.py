@@ -14,6 +14,8 @@ from tests.support.cosim.run_processes import UNDRAWN, VCMVSP, Stage, ended
 from tests.support.docs.readme_pages import block, command
 from tests.support.docs.readme_sessions import BRIEF, KEEP_GAP
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 HOSTS = """
 connect = "tls/127.0.0.1:{port}"
 [[host]]

@@ -12,6 +12,8 @@ from tests.support.docs import package_map
 from tests.support.docs.readme_pages import PAGES
 from tests.support.paths import ROOT
 
+pytestmark = pytest.mark.slow
+
 DOCUMENTS = (*PAGES, "cosim/DESIGN.md", "cosim/SCALING.md")
 FILE = re.compile(r"\w+(?:/[\w.]+)+/?")
 

@@ -11,6 +11,8 @@ import pytest
 from tests.fuzz import forked
 from tests.support.paths import ROOT
 
+pytestmark = pytest.mark.processes
+
 
 @pytest.mark.timeout(1800)  # of processor time it takes a small part of that
 def test_a_few_cases_in_every_way() -> None:

@@ -32,6 +32,8 @@ from vcmvsp.hardware.federate import HEARTBEAT, Hardware
 from vcmvsp.hardware.station.messages import KNOWN_S, OPERATOR_STOP, StationReport
 from vcmvsp.hardware.stations import StationError, mission
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 TENTH = SECOND_NS // 10
 SAFETY = msgspec.convert(
     {"max_speed": 1.0, "max_yaw_rate": 1.0, "accel": 0.5, "decel": 0.5, "yaw_accel": 1.0, "radius_m": 0.2}, SafetyTable

@@ -12,6 +12,8 @@ from vcmvsp.cosim.analysis.links import Log, links_of, overview
 from vcmvsp.cosim.report.run_page import radio_sentences
 from vcmvsp.cosim.terminal import progress
 
+pytestmark = pytest.mark.processes
+
 DURATION_S = 1.0
 LOSSY = {"kind": "bernoulli", "probability": 0.2}
 

@@ -30,6 +30,8 @@ from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World, Zone
 
+pytestmark = pytest.mark.processes
+
 DURATION_S = 3.0
 
 

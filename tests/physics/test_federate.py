@@ -23,6 +23,8 @@ from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import Movable, Moving, World
 
+pytestmark = pytest.mark.processes
+
 Play = Callable[..., list[list[Event]]]
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 TENTH = (Instants(Ticks.every(0.1)),)

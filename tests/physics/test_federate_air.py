@@ -19,6 +19,8 @@ from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World
 
+pytestmark = pytest.mark.slow
+
 Play = Callable[..., list[list[Event]]]
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 TENTH = (Instants(Ticks.every(0.1)),)

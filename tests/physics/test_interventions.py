@@ -20,6 +20,8 @@ from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, Moving, World
 
+pytestmark = pytest.mark.slow
+
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 TENTH = (Instants(Ticks.every(0.1)),)
 CRATE = Movable(name="crate", solid=Box(center=(5.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=5.0)

@@ -24,6 +24,8 @@ from vcmvsp.physics.vehicles.models import Lag, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
 
+pytestmark = pytest.mark.slow
+
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 TURNS = [(0.0, "car", 0.4, 0.2), (4.0, "car", 0.4, -0.3), (9.0, "car", 0.3, 0.5)]
 SIGMA_M = 0.15

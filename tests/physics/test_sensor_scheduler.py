@@ -20,6 +20,8 @@ from vcmvsp.physics.sensors.positioning import Gps, Uwb
 from vcmvsp.physics.sensors.sensor import Noise, Sensor
 from vcmvsp.physics.world.world import Scene
 
+pytestmark = pytest.mark.slow
+
 Fitted = Mapping[str, Mapping[str, Sensor]]
 
 

@@ -6,6 +6,7 @@ set the test fails. What a machine does not allow (network namespaces, IPv6) can
 
 import os
 import shutil
+import sys
 from collections import Counter
 from collections.abc import Generator
 from pathlib import Path
@@ -22,6 +23,7 @@ PACKAGES = {  # where a program and its package have different names
     "ssh-keygen": "openssh-client",
     "sshd": "openssh-server",
 }
+QUICK = "not processes and not sockets and not browser and not slow"  # of `make quick`
 NOT_ALLOWED = "this machine does not allow "
 
 
@@ -43,8 +45,40 @@ def namespaces_allowed() -> None:
         not_allowed(f"network namespaces with programs in them: it lacks {lacks}")
 
 
+MARKERS = {
+    "needs(*programs)": "skipped where one of them is missing, a failure where CI is set",
+    "processes": "starts programs",
+    "sockets": "opens sockets",
+    "browser": "drives a browser",
+    "slow": "computes for seconds",
+}
+OUTSIDE = {  # audit events, and the markers that allow them
+    **dict.fromkeys(("subprocess.Popen", "os.fork", "os.posix_spawn"), frozenset(("processes", "browser"))),
+    **dict.fromkeys(("socket.bind", "socket.connect"), frozenset(("sockets", "processes", "browser"))),
+}
+_unmarked: dict[str, set[str]] = {}  # markers of the running test, where unmarked tests are chosen
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "needs(*programs): skipped where one of them is missing, a failure where CI is set")
+    for name, text in MARKERS.items():
+        config.addinivalue_line("markers", f"{name}: {text}")
+    if config.option.markexpr == QUICK:
+        sys.addaudithook(_refuse)
+
+
+def _refuse(event: str, arguments: object) -> None:
+    """What `make quick` leaves out is marked, so that it stays quick."""
+    if "test" in _unmarked and event in OUTSIDE and not OUTSIDE[event] & _unmarked["test"]:
+        raise AssertionError(f"{event}{arguments}: mark this test as one of {', '.join(sorted(OUTSIDE[event]))}")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+    _unmarked["test"] = {mark.name for mark in item.iter_markers()}
+    try:
+        return (yield)
+    finally:
+        del _unmarked["test"]
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

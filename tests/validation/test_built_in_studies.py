@@ -16,6 +16,8 @@ import vcmvsp
 from vcmvsp.cosim.runs.api import check
 from vcmvsp.cosim.scenario import loader
 
+pytestmark = pytest.mark.slow
+
 STUDIES = [name for name in loader.names() if name.startswith("study-")]
 T = 0.1  # s, between messages
 LOSS, DELAY, BURST, WHO = "radio.loss.probability", "radio.delay.seconds", "radio.loss.mean_burst_s", "agents.estimator"

@@ -8,6 +8,8 @@ import pytest
 import vcmvsp
 from tests.support.validation.fleets import K1, LEFT_BEHIND, RIGHT_BEHIND, UNLIMITED, T, V, errors, fleet, lossy
 
+pytestmark = pytest.mark.slow
+
 FOLLOWERS = 30
 FROM_S = 20.0
 

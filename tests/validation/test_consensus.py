@@ -12,6 +12,8 @@ from tests.support.step_responses import growth, root
 from tests.support.validation.fleets import Floats, Table, lossy, poses
 from vcmvsp.agents.formation.followers.consensus import Graph, neighbours_of
 
+pytestmark = pytest.mark.slow
+
 KIND = "consensus"
 SMALL = 1e-3  # m: growth is followed over many powers of ten before the vehicles' greatest speed ends it
 GRAPHS: tuple[tuple[Graph, int, int], ...] = (  # graph, members, greatest age in ticks that is stable at 10 Hz and kappa = 1

@@ -30,6 +30,8 @@ from vcmvsp.cosim.reproduction.figures.formation.messages import DELAYS_S
 from vcmvsp.cosim.reproduction.figures.formation.messages import REFERENCE as DELAY
 from vcmvsp.cosim.reproduction.figures.scenarios import AHEAD, LEFT_BEHIND, RIGHT_BEHIND, T
 
+pytestmark = pytest.mark.slow
+
 ALL, BOTH, PATHS = ("hold", "dr", "acc", "plan"), ("hold", "dr"), ("slalom", "random")
 TICKS, FROM = 1201, 200  # of a run, and those that do not count
 SETTLED = 60  # ticks: at that age every estimate has come to a stand

@@ -14,6 +14,8 @@ import pytest
 import vcmvsp
 from tests.support.validation.fleets import LEFT_BEHIND, RIGHT_BEHIND, Floats, errors, fleet, lossy
 
+pytestmark = pytest.mark.slow
+
 SEEDS = range(1, 5)
 
 

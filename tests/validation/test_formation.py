@@ -19,6 +19,8 @@ from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.types import Follows, Velocity
 
+pytestmark = pytest.mark.slow
+
 
 class Closer(LeaderFollower):
     """Keeps 1.5 m at first, and 1.0 m from ``at_s`` on."""

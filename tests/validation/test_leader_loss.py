@@ -10,6 +10,8 @@ import vcmvsp
 from tests.support.validation.fleets import lossy, poses
 from tests.support.validation.teams import COLUMN, link_errors, parents_of, team
 
+pytestmark = pytest.mark.slow
+
 DIES_S = 40.0
 
 

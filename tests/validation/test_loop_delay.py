@@ -11,6 +11,8 @@ import vcmvsp
 from tests.support.step_responses import overshoot
 from tests.support.validation.fleets import K1, UNLIMITED, Floats, R, T, V, W, errors, fleet, lossy
 
+pytestmark = pytest.mark.slow
+
 START = 0.5  # m behind the slot
 FINE = 0.01  # s: a period that is short against the delays
 LATE = 0.3  # s of latency, thirty such periods

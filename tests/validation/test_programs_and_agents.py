@@ -8,6 +8,8 @@ import pytest
 from tests.support.netsim.socket_programs import played, scenario
 from vcmvsp.cosim.sockets import Socket
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 TALKER = """
 from vcmvsp import Agent
 

@@ -7,12 +7,15 @@ from typing import Any
 import cv2
 import msgspec
 import numpy as np
+import pytest
 
 import vcmvsp
 from tests.support.paths import SCENARIOS
 from vcmvsp import Agent, Observation, Radio, Velocity
 from vcmvsp.agents.reconnaissance.watch import Watch, Watching
 from vcmvsp.cosim.metrics.motion import motion
+
+pytestmark = pytest.mark.slow
 
 TARGETS = SCENARIOS / "targets"
 SIZE_M = 2.0

@@ -15,6 +15,8 @@ from vcmvsp.cosim.runs.replay import replay
 from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.types import Reception, Routed
 
+pytestmark = pytest.mark.processes
+
 TEXT = (SCENARIOS / "relay-chain.toml").read_text("utf-8")
 SETTINGS: dict[str, Any] = {"duration_s": 24.0, "metrics.from_s": 8.0}
 CHAIN = [f"car{i + 1}" for i in range(6)]

@@ -20,7 +20,7 @@ from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.cosim.runs.result import Result
 
-pytestmark = pytest.mark.usefixtures("figures")
+pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.usefixtures("figures")]
 
 NAMES = {
     "scenario.toml",

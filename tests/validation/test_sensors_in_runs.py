@@ -11,6 +11,8 @@ from vcmvsp import Agent, Observation, Radio, Scan, Velocity
 from vcmvsp.physics.sensors.camera import Camera
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
 
+pytestmark = pytest.mark.processes
+
 ROOM: dict[str, Any] = {
     "name": "room",
     "duration_s": 3.0,

@@ -14,6 +14,8 @@ from tests.support.validation.teams import COLUMN, link_errors, neighbours_only,
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 
+pytestmark = pytest.mark.slow
+
 SHAPES = ("column", "line", "echelon", "wedge", "box", "diamond")
 
 

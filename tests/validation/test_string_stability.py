@@ -17,6 +17,8 @@ from tests.support.validation.fleets import K1, lossy
 from tests.support.validation.teams import COLUMN, rms_of_links, swing, team
 from vcmvsp.cosim.reproduction.figures.formation import chain
 
+pytestmark = pytest.mark.slow
+
 OMEGA, TAU, DELAY_S, STEP_S = 0.8, 0.5, 0.3, 0.01  # rad/s, s, s, s
 SURGING = {"path": "stopgo", "yaw_rate": 0.0, "surge_s": math.tau / OMEGA}
 

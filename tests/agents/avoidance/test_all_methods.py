@@ -30,6 +30,8 @@ from vcmvsp.agents.avoidance.steering import AvoidanceSteering
 from vcmvsp.cosim.agent import Body, VehicleInfo
 from vcmvsp.cosim.types import Array, Scan
 
+pytestmark = pytest.mark.slow
+
 FIELD = PotentialField(core=0.3, reach=0.8)
 METHODS = [FIELD, Gap(), Vfh(), DynamicWindow()]
 NAMES = [type(each).__name__ for each in METHODS]

@@ -15,6 +15,8 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Follows, Scan, VehicleState, Velocity, Waypoint
 
+pytestmark = pytest.mark.slow
+
 HERE = "tests.agents.avoidance.test_avoid"
 PUSHLESS: Any = {"gain": 1e-9, "tang": 0.0}  # a field that leads nowhere: what is left is the limits
 KIND = "vcmvsp.agents.avoidance.avoid:Avoid"

@@ -14,6 +14,8 @@ from vcmvsp.agents.avoidance.dynamic_window import clearances
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.types import Array
 
+pytestmark = pytest.mark.slow
+
 KEEP = 0.266
 PERIOD_S, BRAKING = 0.1, 0.3
 

@@ -16,6 +16,8 @@ from vcmvsp.agents.avoidance.view import Point, View
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.types import Array
 
+pytestmark = pytest.mark.slow
+
 SQUARE = Body(width_m=0.4, radius_m=0.3)
 DRONE = Body(width_m=0.4, radius_m=0.2, flies=True)
 CORRIDOR = [((-9.0, 0.45), (9.0, 0.45)), ((-9.0, -0.45), (9.0, -0.45))]

@@ -17,6 +17,8 @@ from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.frames import rotate2, wrap
 from vcmvsp.cosim.types import Scan
 
+pytestmark = pytest.mark.slow
+
 AIR = Body(width_m=0.4, radius_m=0.25, flies=True)
 ROBOT = Body(width_m=0.33, radius_m=0.216)  # an AmigoBot
 REACH, CORE = 1.2, 0.6

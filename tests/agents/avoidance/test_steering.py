@@ -16,6 +16,8 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Measured, Scan, VehicleState
 
+pytestmark = pytest.mark.slow
+
 MS = 1_000_000
 WHEELS, WINGS = Body(width_m=0.4, radius_m=0.25), Body(width_m=0.5, radius_m=0.25, flies=True)
 INFO: dict[str, Any] = {"name": "a", "vehicles": ("a",), "period_s": 0.1, "latency_s": 0.0, "seed": 1}

@@ -15,6 +15,8 @@ from vcmvsp.agents.avoidance.vfh import _Vfh, histogram, openings
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Scan
 
+pytestmark = pytest.mark.slow
+
 AHEAD = Task((0.3, 0.0))
 
 

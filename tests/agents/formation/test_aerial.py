@@ -22,6 +22,8 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import rotate2
 from vcmvsp.cosim.types import Message, Reception, Vec3
 
+pytestmark = pytest.mark.slow
+
 SPEEDS = st.floats(-3.0, 3.0)
 POINTS = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.5, 3))
 

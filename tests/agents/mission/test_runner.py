@@ -17,6 +17,8 @@ from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Message, Reception, Scan, Vec3, VehicleState, Velocity, Waypoint
 
+pytestmark = pytest.mark.slow
+
 T = 0.1
 WINGS, WHEELS = Body(width_m=0.5, radius_m=0.25, flies=True), Body(width_m=0.4, radius_m=0.25)
 POINT = Waypoint(position=(5.0, 0.0, 3.0))

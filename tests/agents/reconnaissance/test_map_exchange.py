@@ -26,6 +26,8 @@ from vcmvsp.agents.reconnaissance.exchange import Consensus, Kind, Ledger, MapEx
 from vcmvsp.agents.reconnaissance.probability_map import log_odds
 from vcmvsp.cosim.agent import Radio
 
+pytestmark = pytest.mark.slow
+
 # -- without loss
 
 

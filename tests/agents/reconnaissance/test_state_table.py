@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from vcmvsp.agents.reconnaissance.state_table import DWELL_NS, LOST_NS, SPIRAL_NS, MissionFacts, MissionState, step
 
+pytestmark = pytest.mark.slow
+
 MS, SECOND = 1_000_000, 10**9
 NEAR, NEARER = 1.0, 0.5  # nearer than d1 = 1.2 m, nearer than d2 = 0.9 m
 

@@ -21,6 +21,8 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw
 from vcmvsp.cosim.types import Image, Scan, Vec3, VehicleState
 
+pytestmark = pytest.mark.slow
+
 T_NS = round(T * 1e9)
 RATE = st.floats(-1.0, 1.0)
 UNIT = st.tuples(*[RATE] * 4).filter(lambda q: math.hypot(*q) > 0.1)

@@ -15,6 +15,8 @@ from vcmvsp.cosim.analysis import coverage
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.plots import radio_plots, style
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

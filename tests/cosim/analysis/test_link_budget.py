@@ -18,6 +18,8 @@ from vcmvsp.cosim.analysis.link_budget import why
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.runs import api
 
+pytestmark = pytest.mark.slow
+
 LINKS = [(a, b) for a in ("car1", "car2", "car3", "car4") for b in ("car1", "car2", "car3", "car4") if a != b]
 
 

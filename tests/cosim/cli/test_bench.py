@@ -27,6 +27,8 @@ from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.runs import api
 from vcmvsp.physics.dynamics.bullet import p
 
+pytestmark = pytest.mark.processes
+
 
 def test_without_the_sources_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reproduce, "HOME", tmp_path)

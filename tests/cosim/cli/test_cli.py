@@ -15,6 +15,8 @@ from vcmvsp.cosim.cli.app import PANELS, app
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.terminal import progress
 
+pytestmark = pytest.mark.processes
+
 FILES = ["about.json", "metrics.json", "radio.parquet", "report.html", "run.mcap", "scenario.toml", "states.parquet"]
 
 CHATTY = """

@@ -14,6 +14,8 @@ from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import completion
 from vcmvsp.cosim.scenario import loader as scenarios
 
+pytestmark = pytest.mark.processes
+
 HEAVY = ("numpy", "rich", "matplotlib", "pybullet", "zenoh")
 
 

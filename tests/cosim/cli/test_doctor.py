@@ -21,6 +21,8 @@ from vcmvsp.cosim.security import authority, certificates
 from vcmvsp.cosim.security.certificates import Keys
 from vcmvsp.cosim.transport import access_control, key_names
 
+pytestmark = pytest.mark.sockets
+
 ABOUT = {"scenario": "here", "duration_s": 60.0, "vehicles": ("car1", "car2"), "missing": lambda: ("car2",)}
 
 

@@ -28,6 +28,8 @@ from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.ros2.driver import Ros2Driver
 from vcmvsp.hardware.localisation import ubisense
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 WALL = """
 name = "wall"
 duration_s = 1.0

@@ -13,6 +13,8 @@ from tests.support.cosim.command_line import two_cars
 from tests.support.cosim.measured_commands import Measured, answered, measured
 from tests.support.cosim.unpacking_bombs import DEEP, sparse
 
+pytestmark = pytest.mark.processes
+
 Make = Callable[[Path], object]
 TREE = "[" * DEEP
 REAL = two_cars(car1='driver = { kind = "bench" }')

@@ -35,7 +35,7 @@ pose = [1.0, 0.0, 0.0]
 """
 READY_S = 40.0
 
-pytestmark = pytest.mark.usefixtures("namespaces_allowed")
+pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("namespaces_allowed")]
 
 
 def net(*arguments: str) -> list[str]:

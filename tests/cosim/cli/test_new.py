@@ -13,6 +13,8 @@ from tests.support.cosim.command_line import contents, vcmvsp_command
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import kinds
 
+pytestmark = pytest.mark.processes
+
 OWN = [part for part in kinds.PARTS if part != "scenario"]
 
 

@@ -8,7 +8,7 @@ import pytest
 import vcmvsp
 from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
 
-pytestmark = pytest.mark.usefixtures("figures")
+pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("figures")]
 
 
 @pytest.fixture(autouse=True)

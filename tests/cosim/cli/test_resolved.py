@@ -7,6 +7,8 @@ import pytest
 from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
 from vcmvsp.cosim.scenario import loader as scenarios
 
+pytestmark = pytest.mark.processes
+
 MINE = """
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 class Mine(Trajectory):

@@ -23,6 +23,8 @@ from vcmvsp.cosim.studies.engine import study
 from vcmvsp.cosim.view.messages import Scenery
 from vcmvsp.cosim.view.player.recording import Recording
 
+pytestmark = pytest.mark.processes
+
 NEITHER = {  # they import classes of their own command line alone, or none
     *("agent", "robot", "watch", "stop", "operator", "doctor", "new", "list", "reference", "figure", "validate", "bench"),
     *("channel", "per", "pathloss", "emulate ubisense", "emulate dwm1001", "emulate mavlink", "emulate ros2"),

@@ -17,6 +17,8 @@ from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
 from vcmvsp.hardware.drivers.bench_robot import Bench
 from vcmvsp.hardware.remote_robot.robot_side.program import built, kind_of
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 HERE = "tcp/127.0.0.1:7448"
 
 

@@ -24,6 +24,8 @@ from vcmvsp.hardware.station.emergency_stop import StopCaller, StopListener
 from vcmvsp.hardware.station.messages import OPERATOR_STOP, PartSpec
 from vcmvsp.hardware.stations import Station
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 FOLDERS = emergency_stop.folders
 PATIENCE_S = 30.0
 COMMANDS = """

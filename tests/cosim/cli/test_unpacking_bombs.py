@@ -11,6 +11,8 @@ from tests.support.cosim import unpacking_bombs as bombs
 from tests.support.cosim.command_line import two_cars
 from tests.support.cosim.measured_commands import Measured, answered, measured
 
+pytestmark = pytest.mark.processes
+
 READERS = ("report", "plot", "radio", "export --csv --force")
 TREE = b"[" * bombs.DEEP
 Make = Callable[[Path], object]

@@ -22,6 +22,8 @@ from tests.support.cosim.view_pages import browser, positions
 from vcmvsp.cosim.tables.columns import numbers
 from vcmvsp.cosim.tables.schema import load
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.browser]
+
 PATIENCE_S = 45.0
 ROBOTS = "/vehicles/ground"
 

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from vcmvsp.cosim.config.provenance import Source, lines_of
 from vcmvsp.cosim.scenario.loader import BUILT_IN
 
+pytestmark = pytest.mark.slow
+
 GALLERY = sorted(BUILT_IN.glob("*.toml"))
 WORDS = st.from_regex(r"[a-z][a-z0-9_-]{0,4}", fullmatch=True)
 

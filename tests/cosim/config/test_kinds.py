@@ -16,6 +16,8 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.runs import step_response
 from vcmvsp.cosim.types import Velocity, Waypoint
 
+pytestmark = pytest.mark.slow
+
 HALL = """
 boxes = [{ center = [2.0, 0.0, 1.0], size = [0.2, 4.0, 2.0], material = "brick" }]
 cylinders = [{ center = [-1.0, 1.0, 0.5], radius = 0.2, height = 1.0 }]

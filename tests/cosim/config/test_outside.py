@@ -14,6 +14,8 @@ from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.util import documents
 
+pytestmark = pytest.mark.processes
+
 OWN = """
 from vcmvsp import Agent
 

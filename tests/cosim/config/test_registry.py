@@ -14,6 +14,8 @@ from vcmvsp.cosim.config import builtin_kinds, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 
+pytestmark = pytest.mark.processes
+
 ORIGIN = Source("s.toml line 3")
 
 

@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.estimation.clock_offset import AGREE, EchoClock, ForeignClock
 
+pytestmark = pytest.mark.slow
+
 MS = 10**6
 SECOND = 10**9
 delays = st.floats(0.0, 0.9)  # s, beyond the least

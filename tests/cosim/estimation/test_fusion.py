@@ -23,6 +23,8 @@ from vcmvsp.cosim.estimation.kalman_filter import (
 )
 from vcmvsp.cosim.types import Array
 
+pytestmark = pytest.mark.slow
+
 MS = 1_000_000
 S = 1000 * MS
 EXACT = OdometryNoise(distance=0.0, turn=0.0, veer=0.0, time_m=0.0, time_rad=0.0)

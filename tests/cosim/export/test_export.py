@@ -30,6 +30,8 @@ from vcmvsp.cosim.tables import schema
 from vcmvsp.cosim.tables.schema import RunFacts, load, radio_table, write_table
 from vcmvsp.cosim.types import VehicleState
 
+pytestmark = pytest.mark.slow
+
 
 def rows(path: Path) -> list[dict[str, str]]:
     with path.open(encoding="utf-8", newline="") as stream:

@@ -22,6 +22,8 @@ from vcmvsp.cosim.export.rosbag import ros_name, write_bag
 from vcmvsp.cosim.frames import product
 from vcmvsp.cosim.recording import recorded_run
 
+pytestmark = pytest.mark.processes
+
 RERUN = Path(sys.executable).with_name("rerun")
 RUNS = ("lab-patrol", "recon-team", "a crossing cart", "a tag and late sensors")
 

@@ -18,6 +18,8 @@ from tests.support.cosim.teams import FOLLOWER, team
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport.zenoh_session import threads
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 AGENTS = 'kind = "trajectory", path = "straight", runs = "inprocess"', FOLLOWER + ", k1 = 0.7"
 STILL = """
 from vcmvsp import Agent, Velocity

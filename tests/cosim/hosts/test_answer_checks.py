@@ -33,6 +33,8 @@ from vcmvsp.cosim.types import (
 from vcmvsp.cosim.util.codec import Decoder, encode
 from vcmvsp.cosim.util.text import plain
 
+pytestmark = pytest.mark.slow
+
 NAMES = frozenset({"car1", "car2", "car3"})
 OWN = {"car2": 100, "car3": 250}
 FINITE = st.floats(-1e6, 1e6)

@@ -21,6 +21,8 @@ from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.security import authority, certificates
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 
 class Nobody:
     """Where nobody knocks."""

@@ -19,6 +19,8 @@ from tests.support.paths import ROOT
 from vcmvsp.cosim.cli.app import app
 from vcmvsp.cosim.hosts import ssh_hosts
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 DEPLOY = ROOT / "cosim" / "deploy"
 README = (DEPLOY / "README.md").read_text()
 COMPOSE: dict[str, Any] = yaml.safe_load((DEPLOY / "compose.yaml").read_text())

@@ -19,6 +19,8 @@ from vcmvsp.cosim.security import authority
 from vcmvsp.cosim.transport import key_names
 from vcmvsp.cosim.transport.zenoh_session import opened
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 AGENTS = 'kind = "waits.py:Waits"', FOLLOWER
 SCENARIO = team("garbage", *AGENTS, duration_s=6.0, runs="zenoh", deadline_s=60.0, join_timeout_s=60.0)
 WAITS = """

@@ -19,6 +19,8 @@ from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.hosts import host_client, protocol
 from vcmvsp.cosim.hosts.hub import Hub
 
+pytestmark = pytest.mark.sockets
+
 
 class Desk:
     """Answers; ``at_end`` is called before it does so for the last time."""

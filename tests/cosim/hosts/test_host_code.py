@@ -11,6 +11,8 @@ import vcmvsp
 from tests.support.cosim.run_processes import Stage, ended, ended_with
 from tests.support.cosim.teams import ELSEWHERE, FOLLOWER, LEADER, team
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 SCENARIO = team("far", LEADER, FOLLOWER + ELSEWHERE, duration_s=1.0, join_timeout_s=60.0, deadline_s=30.0)
 ESTIMATOR = """
 import pathlib, sys

@@ -26,6 +26,8 @@ from vcmvsp.cosim.hosts.host_client import Desk
 from vcmvsp.cosim.hosts.remote_host import RemoteHost
 from vcmvsp.cosim.types import VehicleState
 
+pytestmark = pytest.mark.slow
+
 SCENARIO = {
     "name": "hostile",
     "duration_s": 0.4,

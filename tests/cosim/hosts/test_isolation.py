@@ -18,6 +18,8 @@ from vcmvsp.cosim.errors import AgentError
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.types import Follows, Message, Reception, VehicleState, Velocity
 
+pytestmark = pytest.mark.processes
+
 
 def alone(kind: str = "trajectory", **more: Any) -> dict[str, Any]:
     agent = {"kind": kind, **more}

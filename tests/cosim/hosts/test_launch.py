@@ -28,6 +28,8 @@ from vcmvsp.cosim.errors import VcmvspError
 from vcmvsp.cosim.hosts import ssh_hosts
 from vcmvsp.cosim.scenario.loader import settings_of
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 ROCK = """
 [[vehicle]]
 name = "rock"

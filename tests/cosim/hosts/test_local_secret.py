@@ -18,6 +18,8 @@ from vcmvsp.cosim.hosts.host_client import dialling
 from vcmvsp.cosim.transport import access_control, endpoints
 from vcmvsp.cosim.transport.zenoh_session import opened
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 
 class Place(Stage):
     """A run that listens without certificates, and sessions that dial it."""

@@ -22,6 +22,8 @@ from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.metrics.agents import agent_metrics
 from vcmvsp.cosim.types import Presence
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 AGENTS = '''
 import os, signal, sys
 from vcmvsp import Agent, Follows, Velocity

@@ -16,6 +16,8 @@ from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import Stage, Wire, ended, ended_with, wait_for
 from tests.support.cosim.teams import ELSEWHERE, FOLLOWER, HERE, LEADER, team
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 
 def far(duration_s: float) -> str:
     """The scenario of a leader here and two followers elsewhere."""

@@ -54,6 +54,8 @@ from vcmvsp.cosim.types import (
     Waypoint,
 )
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 MESSAGE = Message(sender="car1", body={"x": 1.5, "plan": [1, 2], "raw": b"\x00\xff"}, size_bytes=40)
 FRAME = FrameReport(
     frame=7,

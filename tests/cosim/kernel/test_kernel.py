@@ -17,6 +17,8 @@ from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.types import Note
 
+pytestmark = pytest.mark.slow
+
 Log = list[tuple[str, int, list[str]]]  # (federate, time, keys of its inbox)
 
 

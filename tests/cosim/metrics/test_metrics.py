@@ -22,6 +22,8 @@ from vcmvsp.cosim.metrics.radio import links
 from vcmvsp.cosim.recording import accumulators
 from vcmvsp.cosim.recording.accumulators import digest
 
+pytestmark = pytest.mark.slow
+
 L, SIDE, R, W = math.sqrt(3) / 2, 0.5, 2.0, 0.15  # the standard triangle on the standard circle
 
 

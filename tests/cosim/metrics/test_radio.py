@@ -15,6 +15,8 @@ from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.metrics.radio import MOST_VEHICLES, LinkHistory, adjacency, age_metrics, algebraic_connectivity, receptions
 from vcmvsp.cosim.types import Array
 
+pytestmark = pytest.mark.slow
+
 T, FRAMES, MS = 0.1, 4_000_000, 1_000_000
 
 

@@ -9,6 +9,8 @@ from matplotlib.figure import Figure
 
 from vcmvsp.cosim.plots import study_plot
 
+pytestmark = pytest.mark.slow
+
 
 def summary(rows: list[dict[str, Any]]) -> pa.Table:
     shared = {"n": 1, "failed": 0, "m.n": 1, "m.low": None, "m.high": None}

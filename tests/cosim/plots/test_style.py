@@ -34,6 +34,8 @@ from vcmvsp.cosim.studies.rows import flat
 from vcmvsp.cosim.studies.summary import summarise
 from vcmvsp.cosim.util.palette import COMMANDERS, OKABE_ITO, rgb
 
+pytestmark = pytest.mark.slow
+
 Array = np.ndarray
 FIGURES = ROOT / "cosim" / "reproduction" / "figures"
 

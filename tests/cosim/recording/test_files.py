@@ -32,6 +32,8 @@ from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, STATES_SCHEMA, load, write_table
 from vcmvsp.cosim.types import Reception, frozen
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("car1", "car2")
 TENTH = Ticks.every(0.1)
 BODY = {"x": 1.5, "seq": 7, "list": [1, 2], "words": "hello"}

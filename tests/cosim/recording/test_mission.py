@@ -29,6 +29,8 @@ from vcmvsp.cosim.studies.rows import flat
 from vcmvsp.cosim.types import Looks, Mosaic, Presence, ProbabilityMap, Sighting, Sightings, frozen
 from vcmvsp.cosim.util.palette import color_of
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("uav1", "uav2")
 END_NS = 20 * SECOND_NS
 

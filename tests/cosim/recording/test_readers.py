@@ -22,6 +22,8 @@ from vcmvsp.cosim.recording.mcap_reader import about, contents, messages, of_top
 from vcmvsp.cosim.recording.mcap_writer import FRAME, McapLog, schema_of
 from vcmvsp.cosim.types import FrameReport, Note, Velocity, Waypoint
 
+pytestmark = pytest.mark.processes
+
 RERUN = Path(sys.executable).with_name("rerun")
 
 

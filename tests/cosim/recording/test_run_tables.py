@@ -11,6 +11,8 @@ from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.recorded_run import tables_of
 
+pytestmark = pytest.mark.slow
+
 RUN = "a crossing cart"
 
 

@@ -11,6 +11,8 @@ from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.util.documents import read_toml
 
+pytestmark = pytest.mark.slow
+
 CAR = {"name": "car1", "kind": "p2dx"}
 
 

@@ -29,6 +29,8 @@ from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.types import Message, NonNegative, Positive, Probability, Seconds, Seed, Vec3
 from vcmvsp.netsim.presets import LAYERS, PRESETS, preset
 
+pytestmark = pytest.mark.processes
+
 ALL_BLOCKS = "''.join(write() for write in reference.BLOCKS.values())"
 REQUIRED = {"probability": 0.1, "quantiles": [[0.0, 0.0], [1.0, 0.1]], "file": "links.csv"}  # all others may be 0.1
 

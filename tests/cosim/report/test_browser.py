@@ -11,7 +11,7 @@ import vcmvsp
 from tests.support.cosim import view_pages
 from tests.support.cosim.studies import LOSS, two
 
-pytestmark = pytest.mark.usefixtures("figures")
+pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("figures")]
 
 
 @pytest.fixture(scope="module")

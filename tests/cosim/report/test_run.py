@@ -22,6 +22,8 @@ from vcmvsp.cosim.report.run_folder import FILES
 from vcmvsp.cosim.report.tables import flat
 from vcmvsp.cosim.tables.schema import load
 
+pytestmark = pytest.mark.slow
+
 HOSTILE = "<script>alert('x')</script> & \"quoted\" <b>"
 AGENT = f"""
 from vcmvsp import Agent, Velocity

@@ -14,6 +14,8 @@ from vcmvsp.cosim.studies.plan import Plan, Run
 from vcmvsp.cosim.studies.rows import Row, encode
 from vcmvsp.cosim.studies.store import JOURNAL, PLAN, JournalLine
 
+pytestmark = pytest.mark.processes
+
 METRIC = "formation.rms_m"
 
 

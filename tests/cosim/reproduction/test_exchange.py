@@ -21,6 +21,8 @@ from vcmvsp.cosim.reproduction.figures.search.map_exchange import (
 )
 from vcmvsp.cosim.types import Note, ProbabilityMap
 
+pytestmark = pytest.mark.slow
+
 QUICK = 15  # a seed whose targets four vehicles find within seconds
 
 

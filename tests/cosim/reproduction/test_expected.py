@@ -15,6 +15,8 @@ from vcmvsp.cosim.report import laws as theory
 from vcmvsp.cosim.report.laws import Expected, MeasuredRun
 from vcmvsp.cosim.tables.schema import Recording
 
+pytestmark = pytest.mark.slow
+
 LOSS, DELAY = "share of frames lost by chance", "delay, mean"
 AGE, PEAK = "age of information, over all time", "age of information, peaks"
 BURSTS, ERROR = "share of frames lost in bursts", "formation error, mean"

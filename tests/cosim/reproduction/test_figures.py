@@ -37,6 +37,8 @@ from vcmvsp.cosim.reproduction.figures.scenarios import (
 from vcmvsp.cosim.reproduction.row import Row, at_least, at_most, relative
 from vcmvsp.cosim.reproduction.runner import Job, Runner
 
+pytestmark = pytest.mark.processes
+
 AHEAD = math.sqrt(3.0) / 2.0
 
 

@@ -22,6 +22,8 @@ from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
     together,
 )
 
+pytestmark = pytest.mark.slow
+
 FOCAL_PX = 400.0
 
 

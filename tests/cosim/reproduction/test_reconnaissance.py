@@ -10,6 +10,8 @@ from tests.support.cosim.figures import drawn
 from vcmvsp.cosim.reproduction.figures.search import reconnaissance
 from vcmvsp.cosim.reproduction.figures.search.reconnaissance import MissionRun, rows_of
 
+pytestmark = pytest.mark.slow
+
 TIME_S = np.arange(0.0, 100.0, 0.5)
 ALPHA, BRAVO = np.array([10.0, 20.0]), np.array([-30.0, 5.0])
 GOOD = MissionRun(

@@ -13,6 +13,8 @@ from tests.support.cosim.figures import made
 from vcmvsp.cosim.reproduction.figures.avoidance import gaps, passages, potential_fields
 from vcmvsp.cosim.reproduction.figures.formation import consensus, loss_integration, messages
 
+pytestmark = pytest.mark.slow
+
 DELAYS_S = (0.5,)
 
 

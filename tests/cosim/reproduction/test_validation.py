@@ -17,6 +17,8 @@ from vcmvsp.cosim.reproduction.validation import Outcome as Measured
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.path_loss import Friis
 
+pytestmark = pytest.mark.processes
+
 QUICK = (
     *("ticks", "draws", "path-loss", "walls", "shadowing", "success", "received", "air-time", "age", "dcf-b-50", "late-loop"),
     *("old-reports", "scanner", "inertial", "positions", "wheels", "figure-25"),

@@ -17,6 +17,8 @@ from mcap.reader import make_reader
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import UNDRAWN
 
+pytestmark = pytest.mark.processes
+
 AGENTS = '''
 import os, signal, sys, time
 from vcmvsp import Agent, Velocity

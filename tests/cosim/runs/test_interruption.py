@@ -14,6 +14,8 @@ from vcmvsp.cosim.errors import AgentError, Interrupted
 from vcmvsp.cosim.recording.mcap_reader import messages
 from vcmvsp.cosim.runs.result import Result
 
+pytestmark = pytest.mark.processes
+
 FOLLOWS = {"kind": "leader_follower", "leader": "car1"}
 FAILING = """
 from vcmvsp import Agent, Velocity

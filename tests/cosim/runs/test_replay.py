@@ -14,6 +14,8 @@ from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.runs.replay import beside, replay
 
+pytestmark = pytest.mark.processes
+
 SAME = ("metrics.json", "states.parquet", "radio.parquet", "scenario.toml")
 SETTINGS: dict[str, Any] = {
     "duration_s": 3.0,

@@ -24,6 +24,8 @@ from vcmvsp.cosim.recording.external_inputs import Input, InputLog, read_inputs
 from vcmvsp.cosim.types import Fix, Later, Measured, Odometry, Scan, VehicleState, Velocity, frozen
 from vcmvsp.cosim.util import codec
 
+pytestmark = pytest.mark.processes
+
 MS = 1_000_000
 numbers = st.floats(width=64)  # all of them: infinities, NaN, -0.0, the smallest
 vectors = st.tuples(numbers, numbers, numbers)

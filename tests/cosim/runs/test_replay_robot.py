@@ -14,6 +14,8 @@ from tests.support.paths import ROOT
 from vcmvsp.cosim.recording.external_inputs import read_inputs
 from vcmvsp.cosim.runs.replay import replay
 
+pytestmark = pytest.mark.processes
+
 SCENARIO = """
 name = "hybrid"
 duration_s = {duration}

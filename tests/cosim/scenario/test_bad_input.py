@@ -10,6 +10,8 @@ import pytest
 
 from tests.support.cosim.command_line import two_cars, vcmvsp_command
 
+pytestmark = pytest.mark.slow
+
 
 def case(name: str, text: str | bytes, *words: str, sets: tuple[str, ...] = ()) -> Any:
     """A scenario, ``--set`` arguments, and the words that the message must hold."""

@@ -22,6 +22,8 @@ from vcmvsp.cosim.security.certificates import Bundle, Keys
 from vcmvsp.cosim.transport import access_control, zenoh_session
 from vcmvsp.cosim.transport.access_control import merge
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:

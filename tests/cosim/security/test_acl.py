@@ -28,6 +28,8 @@ from vcmvsp.cosim.security import certificates
 from vcmvsp.cosim.security.certificates import Keys
 from vcmvsp.cosim.transport import access_control, key_names
 
+pytestmark = pytest.mark.sockets
+
 ALL = frozenset({"greeted", "answered", "alive", "hub seen", "told", "topics", "anna told", "anna sees hub"})
 
 

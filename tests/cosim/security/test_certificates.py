@@ -20,6 +20,8 @@ from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.security import authority, certificates
 
+pytestmark = pytest.mark.sockets
+
 DAY = dt.timedelta(days=1)
 P_256 = bytes.fromhex("2a8648ce3d030107")  # the curve's identifier (RFC 5480, 2.1.1.1)
 

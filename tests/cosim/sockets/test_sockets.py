@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from vcmvsp.cosim.sockets import RunOver, Socket, connect
 from vcmvsp.cosim.sockets.messages import Go, Over, Refused, Stream, Wait, Welcome, framed, up
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 WELCOME, GO = framed(Welcome("run", ("a", "b"))), framed(Go(0, None, []))
 
 

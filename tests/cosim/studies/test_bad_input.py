@@ -7,6 +7,8 @@ import pytest
 from tests.support.cosim.command_line import two_cars, vcmvsp_command
 from tests.support.cosim.studies import LOSS, mine
 
+pytestmark = pytest.mark.processes
+
 LOSSY = ("--vary", f"{LOSS}=0,0.5")
 
 

@@ -22,7 +22,11 @@ from vcmvsp.cosim.studies.engine import study
 from vcmvsp.cosim.studies.worker import Work, WorkersGoneError
 
 VARY: dict[str, list[Any]] = {LOSS: [0.0, 0.4], ESTIMATOR: ["hold", "dr"]}
-pytestmark = pytest.mark.filterwarnings("ignore")  # those of the library are not ours to mend
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.sockets,
+    pytest.mark.filterwarnings("ignore"),  # those of the library are not ours to mend
+]
 
 
 @pytest.fixture(scope="module")

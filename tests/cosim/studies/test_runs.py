@@ -30,6 +30,8 @@ from vcmvsp.cosim.studies.rows import Row, encode, flat, packed, table_of
 from vcmvsp.cosim.studies.worker import DIED, Job, Work, failed, run_one, version
 from vcmvsp.cosim.terminal.progress import StudyProgress
 
+pytestmark = pytest.mark.processes
+
 VARY: dict[str, list[Any]] = {LOSS: [0.0, 0.4], ESTIMATOR: ["hold", "dr"]}
 
 

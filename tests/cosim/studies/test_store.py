@@ -26,6 +26,8 @@ from vcmvsp.cosim.studies.store import Store, so_far
 from vcmvsp.cosim.studies.worker import failed
 from vcmvsp.cosim.tables.schema import read_table
 
+pytestmark = pytest.mark.processes
+
 NAP = "agents.nap_s"
 
 

@@ -14,6 +14,8 @@ from scipy import stats
 
 from vcmvsp.cosim.studies.summary import band, rows, summarise, to_csv
 
+pytestmark = pytest.mark.slow
+
 METRIC = "formation.rms_m"
 numbers = st.floats(-1e6, 1e6, allow_nan=False)
 

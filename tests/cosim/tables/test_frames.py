@@ -16,6 +16,8 @@ from vcmvsp.cosim.tables import radio_frames
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, RunFacts, radio_table
 from vcmvsp.cosim.types import FrameReport
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("a", "b", "c", "d")
 FACTS = RunFacts(scenario="test", seed=1, end_ns=10**9, vehicles=NAMES)
 VALUES: dict[str, tuple[Any, ...]] = {  # of the parts of a link budget

@@ -12,6 +12,8 @@ from vcmvsp.cosim.security.certificates import Keys
 from vcmvsp.cosim.transport import access_control, key_names, zenoh_session
 from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
+pytestmark = pytest.mark.sockets
+
 names = st.from_regex(r"\A[A-Za-z0-9_-]{1,20}\Z")
 zids = st.from_regex(r"\A[0-9a-f]{1,32}\Z")
 

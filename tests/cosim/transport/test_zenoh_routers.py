@@ -17,6 +17,8 @@ from tests.support.paths import ROOT
 from vcmvsp.cosim.security import certificates
 from vcmvsp.cosim.transport import access_control
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 HOSTED = ("car2", "car3")
 
 

@@ -21,6 +21,8 @@ from vcmvsp.cosim.types import AnyValue, Array, Later, Mosaic, Scan, Vec3, Vehic
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.util.codec import Decoder, encode
 
+pytestmark = pytest.mark.slow
+
 FLOATS = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 TEXT = st.text(max_size=8)
 TIMES = st.integers(-(2**63), 2**63 - 1)

@@ -13,6 +13,8 @@ from tests.support.cosim.full_disk import room_for
 from tests.support.cosim.studies import LOSS, two
 from vcmvsp.cosim.util.files import PART, replacing, write_whole
 
+pytestmark = pytest.mark.processes
+
 ROOM = 60  # bytes
 
 

@@ -16,6 +16,8 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util import pictures as films_module
 from vcmvsp.cosim.util.pictures import write_film
 
+pytestmark = [pytest.mark.processes, pytest.mark.browser]
+
 COUNT, FPS = 25, 10
 
 

@@ -25,6 +25,8 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.view import web_server
 from vcmvsp.cosim.view.web_server import is_fit
 
+pytestmark = pytest.mark.sockets
+
 TOKEN = "a-secret-of-this-test"
 PATIENCE_S = 30.0
 VERSION = Subprotocol(f"viser-v{viser.__version__}")

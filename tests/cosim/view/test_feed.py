@@ -38,6 +38,8 @@ from vcmvsp.cosim.view.live.feed import PERIOD_S, READING_S
 from vcmvsp.cosim.view.messages import End, Go, Order, PageUpdate, Sensors
 from vcmvsp.cosim.view.scenery import scenery_of
 
+pytestmark = pytest.mark.slow
+
 SCAN = Scan(ranges=frozen([1.0, 2.0], np.float32), angle_min=0.0, angle_step=0.1, range_max=5.0)
 
 

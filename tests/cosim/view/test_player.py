@@ -18,6 +18,8 @@ from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.view.messages import Go, PageUpdate, Seek, Sensors
 from vcmvsp.cosim.view.player.recording import FASTEST, Player, Recording
 
+pytestmark = pytest.mark.slow
+
 TIMES = st.integers(0, END_NS)
 
 

@@ -26,6 +26,8 @@ from vcmvsp.cosim.types import Fix, Image, frozen
 from vcmvsp.cosim.view.player import mcap_index
 from vcmvsp.cosim.view.player.recording import Recording
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("uav1", "uav2")
 TIMES = st.integers(0, 5 * SECOND_NS)
 SHARES = st.floats(0.0, 1.0, exclude_max=True)  # of a file: a place in it

@@ -33,6 +33,8 @@ from vcmvsp.cosim.view.live.server import pump
 from vcmvsp.cosim.view.live.session import Viewer
 from vcmvsp.cosim.view.messages import Pace, PageUpdate
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 PATIENCE_S = 30.0
 SCENERY = view_pages.scenery()
 CAMERA = {  # what a page says first

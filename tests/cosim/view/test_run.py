@@ -11,10 +11,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import vcmvsp
 from tests.support.cosim.run_processes import UNDRAWN
 from tests.support.cosim.view_pages import browser, positions
 from vcmvsp.cosim.tables.schema import load
+
+pytestmark = [pytest.mark.processes, pytest.mark.browser]
 
 WAIT_MS = 60_000
 PICTURES = "Array.from(document.images).map(image => image.src).filter(src => src.startsWith('blob:'))"

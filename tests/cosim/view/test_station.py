@@ -19,6 +19,8 @@ from vcmvsp.cosim.view.page.scene import MOST_COLORS, by_color
 from vcmvsp.cosim.view.page.sensors import painted, points_of
 from vcmvsp.cosim.view.page.vehicles import fresh_links
 
+pytestmark = pytest.mark.sockets
+
 ANGLES = st.floats(-3.0, 3.0)
 METRES = st.floats(-50.0, 50.0)
 

@@ -12,6 +12,8 @@ from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.scenario.schema import HaltTable, MoveTable, OutageTable, SetTable
 from vcmvsp.cosim.view.messages import End, Go, Order, Pace, Seek
 
+pytestmark = pytest.mark.sockets
+
 MOVE = MoveTable(at_s=0.0, obstacle="crate", position=(1.0, -2.0), yaw=0.2)
 
 

@@ -11,6 +11,8 @@ import pytest
 from tests.support.cosim.view_pages import TOKEN, Looking, browser, looking, positions, scenery, shown
 from vcmvsp.cosim.types import Array, Mosaic
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.browser]
+
 PATIENCE_S = 30.0  # a browser that draws without a graphics card, on a machine that does other things
 
 

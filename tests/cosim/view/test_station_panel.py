@@ -15,6 +15,8 @@ from vcmvsp.cosim.view.page.charts import POINTS, History, round_above
 from vcmvsp.cosim.view.page.panel import log_page, run_page, vehicle_page
 from vcmvsp.cosim.view.page.state import Known
 
+pytestmark = pytest.mark.sockets
+
 
 def test_what_others_say_is_text_and_no_part_of_the_page() -> None:
     bad = "<script>alert(1)</script>\x1b[31m"

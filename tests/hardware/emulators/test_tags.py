@@ -25,6 +25,8 @@ from vcmvsp.hardware.emulators.tags import (
 from vcmvsp.hardware.localisation import dwm1001, ubisense
 from vcmvsp.hardware.localisation.source import LineReader, Located
 
+pytestmark = pytest.mark.sockets
+
 TRUE = (3.0, -2.0, 0.5)
 
 

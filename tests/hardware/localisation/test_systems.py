@@ -32,6 +32,8 @@ from vcmvsp.hardware.localisation.pose_topic import ExternalPose
 from vcmvsp.hardware.localisation.source import Localisation, Located, WorldTransform
 from vcmvsp.hardware.localisation.ubisense import Ubisense
 
+pytestmark = pytest.mark.sockets
+
 DEADLINE_S = 20.0  # of what takes milliseconds, on a machine that is loaded
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
 HERE: dict[str, Any] = {"latitude_deg": 48.0 + 7.038 / 60.0, "longitude_deg": 11.0 + 31.0 / 60.0, "height_m": 545.4 + 46.9}

@@ -22,6 +22,8 @@ from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, PortError, Sample
 from vcmvsp.hardware.remote_robot.run_side.driver import ZenohDriver
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 PATIENCE_S = 30.0  # whatever the machine does beside
 PROGRAM = """
 import time

@@ -22,6 +22,8 @@ from vcmvsp.hardware.remote_robot.messages import RobotHello, RobotStatus, Robot
 from vcmvsp.hardware.remote_robot.run_side.driver import Admission
 from vcmvsp.hardware.remote_robot.run_side.listener import LinkEnded, News, Peer, RobotGreeting, RobotListener, RobotMessage
 
+pytestmark = pytest.mark.sockets
+
 HELLO = b"hello"
 ALL_GO = zenoh.CongestionControl.BLOCK  # of many at once, Zenoh else leaves out those that find no room
 

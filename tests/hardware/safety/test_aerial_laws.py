@@ -16,6 +16,8 @@ from vcmvsp.hardware.safety.aerial_supervisor import AerialSupervisor
 from vcmvsp.hardware.safety.obstacles import Others, Polygon
 from vcmvsp.hardware.safety.supervisor import Cause, LastReceived, Limits, Safety
 
+pytestmark = pytest.mark.slow
+
 SECOND = 10**9
 PERIOD_NS = SECOND // 10
 QUAD = Limits(max_speed=2.0, max_yaw_rate=1.5, accel=1.5, decel=2.0, yaw_accel=3.0, yaw_decel=3.0)

@@ -12,6 +12,8 @@ from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.safety.obstacles import Others, Polygon
 from vcmvsp.hardware.safety.supervisor import Cause, Deadman, GroundSupervisor, LastReceived, Limits, clamp
 
+pytestmark = pytest.mark.slow
+
 MS = 10**6
 SECOND = 10**9
 AMIGO = Limits(max_speed=0.75, max_yaw_rate=1.74, accel=0.3, decel=0.75, yaw_accel=2.0, yaw_decel=2.0)

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from vcmvsp.hardware.safety.obstacles import RETURN_MPS, Obstacles, Others, Polygon, Stadiums
 from vcmvsp.hardware.safety.supervisor import fastest, stops_within, swept
 
+pytestmark = pytest.mark.slow
+
 reals = st.floats(-3.0, 3.0)
 points = st.tuples(reals, reals)
 speeds = st.floats(0.0, 3.0)

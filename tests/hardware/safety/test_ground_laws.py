@@ -17,6 +17,8 @@ from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.safety.obstacles import RETURN_MPS, Others, Polygon
 from vcmvsp.hardware.safety.supervisor import Cause, GroundSupervisor, LastReceived, Limits, Safety
 
+pytestmark = pytest.mark.slow
+
 Pose = tuple[float, float, float]
 SECOND = 10**9
 PERIOD_NS = SECOND // 10

@@ -14,6 +14,8 @@ from tests.hardware.safety.test_ground_laws import FENCES, limits
 from tests.support.hardware.safety_sequences import FAULTS, Rehearsal, Stretch
 from vcmvsp.hardware.safety.supervisor import Limits
 
+pytestmark = pytest.mark.slow
+
 SEQUENCES = int(os.environ.get("VCMVSP_SEQUENCES", "150"))
 
 numbers = st.floats(-3.0, 3.0) | st.sampled_from([0.0, 1.0, -1.0, 1e300, -1e308, math.inf, -math.inf, math.nan])

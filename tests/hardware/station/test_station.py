@@ -28,6 +28,8 @@ from vcmvsp.hardware.emulators.arcos.server import ArcosServer, serve_pty
 from vcmvsp.hardware.station.messages import PartSpec, StationMission, StationReport
 from vcmvsp.hardware.stations import Station
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 PATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=60.0)  # it is not the robot's own watchdog that stops it
 HERE = ROOT
 

@@ -25,6 +25,8 @@ from vcmvsp.netsim.bridge.bridge_process import BridgeProcess
 from vcmvsp.netsim.bridge.datagram_store import BATCH_OF_ONE, MOST
 from vcmvsp.netsim.bridge.process_client import BridgeClient
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 VEHICLES = ("a", "b", "c")
 PROBE = """
 from pathlib import Path

@@ -20,6 +20,8 @@ from tests.support.paths import ROOT
 from vcmvsp.cosim.config import builtin_kinds
 from vcmvsp.netsim.bridge.gateways.base import Gateway
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 HOME = ROOT / "netsim" / "bridge"
 README = (HOME / "README.md").read_text(encoding="utf-8")
 FRONT = (HOME.parents[1] / "docs" / "radio.md").read_text(encoding="utf-8")

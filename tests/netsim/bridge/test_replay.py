@@ -18,6 +18,8 @@ from vcmvsp.cosim.recording.external_inputs import read_inputs
 from vcmvsp.cosim.runs.replay import replay
 from vcmvsp.cosim.types import Datagrams
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 SAME = ("radio.parquet", "states.parquet", "metrics.json")
 SETTINGS: dict[str, Any] = {"duration_s": 1.5, "seed": 3, "physics.kind": "kinematic"}
 CHANNELS: dict[str, dict[str, Any]] = {

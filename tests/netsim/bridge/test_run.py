@@ -22,6 +22,8 @@ from vcmvsp.cosim.types import Message, Reception
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.messages import GatewaySpec
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 MS = 1_000_000
 
 

@@ -24,6 +24,8 @@ from vcmvsp.netsim.propagation.shadowing import Shadowing
 from vcmvsp.netsim.propagation.walls import FixedWalls
 from vcmvsp.physics.raycast.line_of_sight import Sightline
 
+pytestmark = pytest.mark.slow
+
 SEEDS = range(4)
 
 

@@ -13,6 +13,8 @@ from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Paths
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import LogDistance, NoPathLoss
 
+pytestmark = pytest.mark.slow
+
 
 def broadcast(channel: Channel, sender: str, places: dict[str, tuple[float, float, float]], sent_ns: int = 0) -> FrameReport:
     message = Message(sender=sender, body={}, size_bytes=100)

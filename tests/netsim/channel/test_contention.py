@@ -28,6 +28,8 @@ from vcmvsp.netsim.phy.ofdm import Ofdm
 from vcmvsp.netsim.propagation.fading import Nakagami, Rayleigh, Rician
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 
+pytestmark = pytest.mark.slow
+
 MS = 1_000_000
 NAMES = tuple(f"car{i}" for i in range(6))
 PLACES: Floats = np.array([(0.0, 0, 0), (20, 0, 0), (40, 10, 0), (60, 0, 0), (90, 5, 0), (120, 0, 0)])

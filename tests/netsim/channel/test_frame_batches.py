@@ -13,6 +13,8 @@ from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.evaluation.broadcast_trial import Broadcasts, run
 
+pytestmark = pytest.mark.slow
+
 NAMES = tuple(f"car{number}" for number in range(7))
 TABLES: dict[str, dict[str, Any]] = {
     "ideal": {},

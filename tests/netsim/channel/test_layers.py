@@ -14,6 +14,8 @@ from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.interfaces.layers import Floats
 
+pytestmark = pytest.mark.slow
+
 MS = 1_000_000
 NAMES = tuple(f"car{i}" for i in range(5))
 PLACES: Floats = np.array([(0.0, 0, 0), (15, 0, 0), (40, 10, 0), (70, 0, 0), (150, 5, 0)])

@@ -26,6 +26,8 @@ from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, Loss, Paths, Sen
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 
+pytestmark = pytest.mark.slow
+
 MS = 1_000_000
 NAMES = ("car1", "car2", "car3", "base")
 RUN = RunInfo(scenario="test", seed=4, duration_ns=10**10, vehicles=NAMES)

@@ -17,6 +17,8 @@ from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.interfaces import layers as protocols
 from vcmvsp.netsim.presets import LAYERS
 
+pytestmark = pytest.mark.slow
+
 LEVELS = ["3.0", "np.ones(7)", "np.ones((n, 1))", "np.full(n, np.nan)", "np.full(n, np.inf)", "np.full(n, '3')", "None"]
 CHOICES = ["True", "np.ones(7, bool)", "np.zeros(n)", "np.zeros(n, int)", "np.full(n, np.nan)", "None"]
 TIMES = [

@@ -19,6 +19,8 @@ from vcmvsp.netsim.evaluation.broadcast_trial import Delays
 from vcmvsp.netsim.evaluation.files import RowFile
 from vcmvsp.netsim.interfaces.layers import Floats
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def _as_it_is_written(monkeypatch: pytest.MonkeyPatch) -> None:

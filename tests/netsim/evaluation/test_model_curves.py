@@ -25,6 +25,8 @@ from vcmvsp.netsim.phy.ofdm import Ofdm, OfdmErrors
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 from vcmvsp.physics.world.solids import Box
 
+pytestmark = pytest.mark.slow
+
 # --- positions --------------------------------------------------------------------------------------------------------------
 
 

@@ -21,6 +21,8 @@ from vcmvsp.netsim.interfaces.layers import Delay, Draw, Floats, Ints
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import NoPathLoss
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("seconds", [0.1, 0.25, 0.3, 1.0, 2.0, 0.0013])
 def test_fixed_delay_is_exact_and_contains_the_air_time(seconds: float) -> None:

@@ -19,6 +19,8 @@ from vcmvsp.netsim.interfaces.layers import DELAY_SLOT, LOSS_SLOT, Bools, Draw, 
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import NoPathLoss
 
+pytestmark = pytest.mark.slow
+
 FRAMES = np.arange(100_000, dtype=np.uint64)[:, None]
 LINKS = np.array([key64(7, f"radio/car1/car{i}") for i in range(2, 10)], np.uint64)
 

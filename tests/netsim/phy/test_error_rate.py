@@ -16,6 +16,8 @@ from vcmvsp.netsim.phy.error_rate import ErrorRate, look_up, look_up_one, steps
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 from vcmvsp.netsim.phy.ofdm import MODES, OfdmErrors
 
+pytestmark = pytest.mark.slow
+
 DSSS = [DsssErrors(rate) for rate in (1e6, 2e6, 5.5e6, 11e6)]
 OFDM = [OfdmErrors(rate, model=model) for rate in MODES for model in ("table", "yans", "nist")]
 MODELS: list[ErrorRate] = [*DSSS, *OFDM, *(OfdmErrors(rate, long=True) for rate in MODES), OqpskErrors()]

@@ -17,6 +17,8 @@ from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.ieee802154 import Ieee802154, OqpskErrors
 from vcmvsp.netsim.phy.ofdm import RATES_BPS, Ofdm, OfdmErrors
 
+pytestmark = pytest.mark.slow
+
 PHYS: list[Phy] = [ConstantRate(), ConstantRate(rate_bps=54e6, overhead_s=20e-6), Dsss(), Dsss(rate_bps=5.5e6), Ieee802154()]
 
 

@@ -10,6 +10,8 @@ from tests.support.netsim.channels import even_uniforms, linked_frame, many_fram
 from vcmvsp.netsim.interfaces.layers import Fading, Floats
 from vcmvsp.netsim.propagation.fading import Nakagami, Rayleigh, Rician, gamma_quantile, scattering
 
+pytestmark = pytest.mark.slow
+
 PERCENT = (1, 5, 10, 25, 50, 75, 90, 95, 99)
 
 # ns-3.44, NakagamiPropagationLossModel with m0 = m: quantiles in dB at PERCENT of 4e6 values of CalcRxPower(0 dBm), 10 m

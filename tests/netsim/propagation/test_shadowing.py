@@ -11,6 +11,8 @@ from tests.support.netsim.channels import Line, each_alone
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.shadowing import Shadowing
 
+pytestmark = pytest.mark.slow
+
 LAYER = Shadowing(sigma_db=4.0, correlation_distance_m=10.0)
 coordinate = st.floats(-2000.0, 2000.0)
 point = st.tuples(coordinate, coordinate, coordinate)

@@ -14,6 +14,8 @@ from vcmvsp.cosim.rng import stream
 from vcmvsp.netsim.routing.distance_vector import ENTRY_BYTES, SPREAD, DistanceVector, DistanceVectorRouter
 from vcmvsp.netsim.routing.router import HEADER_BYTES, Update
 
+pytestmark = pytest.mark.slow
+
 PERIOD_NS = 1_000_000_000
 Graph = NDArray[np.bool_]
 Lost = Callable[[int, int], bool]

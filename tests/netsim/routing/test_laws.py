@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from tests.support.netsim.routing_runs import AIR_NS, HOP_NS, MS, Run, line, names, run, says
 from vcmvsp.netsim.routing.router import HEADER_BYTES, Flooding, Routing, Static
 
+pytestmark = pytest.mark.slow
+
 LOSS = 0.2
 LADDER = [(60.0 * i, y) for i in range(4) for y in (0.0, 30.0)]
 """Two rows of four; from one pair to the next there are four ways (60 and 67 m of 86)."""

@@ -26,6 +26,8 @@ from vcmvsp.cosim.testing import check_federate
 from vcmvsp.cosim.types import Message, Reception
 from vcmvsp.netsim.sockets.federate import Programs
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 
 def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     content, told = scenario(tmp_path, "a", "b", "c"), list[str]()

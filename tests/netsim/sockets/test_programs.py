@@ -18,6 +18,8 @@ from vcmvsp.cosim.sockets import Socket
 from vcmvsp.cosim.sockets.messages import MOST_UP, VERSION, Hello, Send, Wait, framed
 from vcmvsp.cosim.types import Note
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 
 def notes_of(events: list[Any]) -> list[tuple[str, int, dict[str, Any]]]:
     return [(each.key, each.time_ns, each.value.values) for each in events if isinstance(each.value, Note)]

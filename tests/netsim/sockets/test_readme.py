@@ -11,6 +11,8 @@ import pytest
 from tests.support.cosim.run_processes import UNDRAWN
 from tests.support.paths import ROOT
 
+pytestmark = pytest.mark.processes
+
 HOME = ROOT / "netsim" / "sockets"
 README = (HOME / "README.md").read_text(encoding="utf-8")
 

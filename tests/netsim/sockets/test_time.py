@@ -11,6 +11,8 @@ import pytest
 from tests.support.netsim.socket_programs import Play, idle, played, scenario
 from vcmvsp.cosim.sockets import RunOver, Socket
 
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
 MS = 1_000_000
 LOSSY = {"preset": "wifi-b-1", "loss": {"probability": 0.3}, "delay": {"seconds": 0.01, "jitter_s": 0.003}}
 

@@ -17,6 +17,8 @@ from vcmvsp.physics.dynamics.kinematic import AerialEngine, GroundEngine
 from vcmvsp.physics.federate import KinematicPhysics
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, Point, Quadrotor
 
+pytestmark = pytest.mark.slow
+
 speeds = st.floats(-2.0, 2.0)
 rates = st.floats(-3.0, 3.0)
 spans = st.integers(1, 3 * SECOND_NS)

@@ -13,6 +13,8 @@ from vcmvsp.cosim.types import ORIGIN
 from vcmvsp.physics.dynamics.quadrotor_fleet import Autopilot, QuadrotorFleet
 from vcmvsp.physics.vehicles.models import Quadrotor
 
+pytestmark = pytest.mark.slow
+
 MODEL = Quadrotor()
 both_rates = pytest.mark.parametrize("hz", [120.0, 240.0])
 

@@ -12,6 +12,8 @@ from vcmvsp.physics.sensors.range_scanner import RangeScanner, true_ranges
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism, Shapes, shapes_of
 from vcmvsp.physics.world.world import Scene, World
 
+pytestmark = pytest.mark.slow
+
 WALL = Box(center=(5.0, 0.0, 1.0), size=(0.2, 4.0, 2.0))
 INF = math.inf
 

@@ -14,6 +14,8 @@ from vcmvsp.physics.world.polygons import problem_of
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism, rectangle
 from vcmvsp.physics.world.world import World
 
+pytestmark = pytest.mark.slow
+
 place = st.tuples(*[st.floats(-10.0, 10.0)] * 3)
 whole = st.tuples(*[st.integers(-4, 4).map(float)] * 3)
 boxes = st.builds(

@@ -12,6 +12,8 @@ from vcmvsp.physics.sensors.range_scanner import RangeScanner, fan_of, true_rang
 from vcmvsp.physics.world.solids import Box, Hull, Mesh
 from vcmvsp.physics.world.world import Scene, World
 
+pytestmark = pytest.mark.slow
+
 
 def sensors_of(rng: np.random.Generator, count: int, pitches: tuple[float, ...]) -> list[RangeScanner]:
     return [

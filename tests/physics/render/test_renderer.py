@@ -14,6 +14,8 @@ from vcmvsp.physics.render.triangles import View, pieces_of, shown
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Hull, Mesh, Prism
 from vcmvsp.physics.world.world import Scene, World, rotations
 
+pytestmark = pytest.mark.slow
+
 Rng = np.random.Generator
 
 

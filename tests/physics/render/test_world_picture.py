@@ -11,6 +11,8 @@ from vcmvsp.physics.world.floor import GroundPicture
 from vcmvsp.physics.world.solids import Box, Cylinder, Mesh
 from vcmvsp.physics.world.world import Movable, Moving, World, Zone
 
+pytestmark = pytest.mark.slow
+
 RED = (230, 20, 20)
 
 

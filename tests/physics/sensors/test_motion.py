@@ -16,6 +16,8 @@ from vcmvsp.physics.sensors.motion import InertialUnit, WheelOdometry
 from vcmvsp.physics.sensors.sensor import Noise
 from vcmvsp.physics.world.world import Scene, rotations
 
+pytestmark = pytest.mark.slow
+
 EXACT = InertialUnit(accelerometer_density=0.0, accelerometer=Noise(), gyroscope_density=0.0, gyroscope=Noise())
 G = 9.81
 angles = st.floats(-3.0, 3.0)

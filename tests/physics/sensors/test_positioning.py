@@ -16,6 +16,8 @@ from vcmvsp.physics.sensors.positioning import Gps, Positioning, PositioningSens
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 
+pytestmark = pytest.mark.slow
+
 TRUTH = VehicleState(position=(3.0, -4.0, 0.0), attitude=quaternion_from_yaw(3.1))
 
 

@@ -29,6 +29,8 @@ from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 
+pytestmark = pytest.mark.slow
+
 N = 20_000
 
 

@@ -29,6 +29,8 @@ from vcmvsp.physics.worlds.recreation import RecreationCentre
 from vcmvsp.physics.worlds.surroundings import Empty
 from vcmvsp.physics.worlds.urban import Urban
 
+pytestmark = pytest.mark.slow
+
 NORTH_UP = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])  # straight down, the upper edge of the picture north
 NAMES = ("alpha", "bravo", "charlie")
 PICTURES = {name: str(SHIPPED / "targets" / f"{name}.png") for name in NAMES}

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.world.polygons import Point, area_m2, convex_parts, is_convex, outward, overlap_m, problem_of, width_m
 
+pytestmark = pytest.mark.slow
+
 L_SHAPE = ((0.0, 0.0), (3.0, 0.0), (3.0, 1.0), (1.0, 1.0), (1.0, 3.0), (0.0, 3.0))
 TEETH = [(x + dx, y) for x in (6, 4, 2, 0) for dx, y in ((1, 1), (1, 3), (0, 3), (0, 1))]
 COMB = ((0, 0), (7, 0), *TEETH[1:-1])

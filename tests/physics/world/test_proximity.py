@@ -12,6 +12,8 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism
 from vcmvsp.physics.world.world import Movable, Moving, World
 
+pytestmark = pytest.mark.slow
+
 metres = st.floats(-4.0, 4.0)
 SOLIDS = (
     Box(center=(0.5, -0.3, 0.6), size=(1.0, 2.0, 0.8), yaw_rad=0.7),

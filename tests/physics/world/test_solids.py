@@ -19,6 +19,8 @@ from vcmvsp.physics.world.solids import MATERIAL_COLORS, AnySolid, Box, Cylinder
 from vcmvsp.physics.world.world import Light, Moving, World, Zone
 from vcmvsp.physics.worlds.surroundings import Boxes, Empty
 
+pytestmark = pytest.mark.slow
+
 place = st.tuples(*[st.floats(-50.0, 50.0)] * 3)
 edge = st.floats(0.05, 20.0)
 boxes = st.builds(Box, center=place, size=st.tuples(edge, edge, edge), yaw_rad=st.floats(-7.0, 7.0))

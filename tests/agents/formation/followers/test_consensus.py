@@ -19,6 +19,8 @@ from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Body, Radio, VehicleInfo
 from vcmvsp.cosim.types import Follows, Message, Velocity
 
+pytestmark = pytest.mark.slow
+
 T_NS = 100_000_000
 Sides = tuple[tuple[int, ...], ...]  # the neighbours of each
 

@@ -22,6 +22,8 @@ from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.report import LeaderState
 from vcmvsp.cosim.frames import arc
 
+pytestmark = pytest.mark.slow
+
 L, LEFT = math.cos(math.radians(30.0)), 0.5  # the standard triangle: 1 m at +-30 degrees
 V, W, R = 0.3, 0.15, 2.0
 

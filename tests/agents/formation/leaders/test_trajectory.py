@@ -17,6 +17,8 @@ from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Message
 
+pytestmark = pytest.mark.slow
+
 
 def commands(agent: Trajectory, duration_s: float, period_s: float = 0.1) -> Floats:
     """(ticks, 3): t in s, v in m/s, w in rad/s."""

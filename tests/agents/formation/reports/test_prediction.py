@@ -15,6 +15,8 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Positive
 
+pytestmark = pytest.mark.slow
+
 STATES = st.builds(
     LeaderState,
     x=st.floats(-100, 100),

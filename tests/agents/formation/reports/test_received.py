@@ -18,6 +18,8 @@ from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.config.registry import find
 from vcmvsp.cosim.types import Message, Reception, Velocity
 
+pytestmark = pytest.mark.slow
+
 TICK_NS = 100_000_000
 POSE = (-1.0, -0.4, 0.1)
 SILENT = Radio("me", ("me",))

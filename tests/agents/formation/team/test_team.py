@@ -14,6 +14,8 @@ from tests.support.agents.straight_paths import crosses
 from vcmvsp.agents.formation.team.shape import Formation, ShapeName, Slot, TopologyName, slots
 from vcmvsp.agents.formation.team.team import Team, assign
 
+pytestmark = pytest.mark.slow
+
 CARS = tuple(f"car{number}" for number in range(1, 8))
 topologies = st.sampled_from(("star", "chain", "k-tree"))
 

@@ -17,6 +17,8 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
 
+pytestmark = pytest.mark.slow
+
 HEIGHTS = (10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0)
 GLYPH = TargetPicture("glyph", glyph(), 2.0)
 

@@ -26,7 +26,7 @@ from vcmvsp.hardware.drivers.base import Driver, DriverError, HandshakeError, Li
 from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.arcos.server import ArcosServer, serve_pty, serve_tcp
 
-pytestmark = pytest.mark.usefixtures("steady")
+pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.usefixtures("steady")]
 IMPATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=0.8)  # more than what the driver waits for commands
 
 

@@ -30,6 +30,8 @@ from vcmvsp.hardware.drivers.arcos.protocol import (
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS, robot_of
 from vcmvsp.hardware.emulators.arcos.device import SetPoints
 
+pytestmark = pytest.mark.slow
+
 GOLDEN = [  # AmigoBot manual; frames that drove simulators of other makers
     ("fafb03000000", 0, None),
     ("fafb03020002", 2, None),

@@ -26,7 +26,7 @@ from vcmvsp.hardware.emulators.mavlink.server import MavlinkServer, serve
 from vcmvsp.hardware.emulators.mavlink.vehicle import SITE, Vehicle
 from vcmvsp.hardware.stations import READY_S
 
-pytestmark = pytest.mark.usefixtures("steady")
+pytestmark = [pytest.mark.sockets, pytest.mark.usefixtures("steady")]
 FLYING = (0.0, 0.0, 10.0, 0.0)
 QUICK: dict[str, Any] = {"heartbeat_s": 0.1}  # so that nobody waits for them here
 GUIDED: dict[str, Any] = {"autopilot": "ardupilot", "mode": "GUIDED", "armed": True, **QUICK}

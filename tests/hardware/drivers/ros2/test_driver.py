@@ -22,7 +22,7 @@ from vcmvsp.hardware.drivers.ros2.protocol import TWIST, Endpoint, RmwZenoh, Twi
 from vcmvsp.hardware.drivers.threaded import NOT_YET
 from vcmvsp.hardware.emulators.ros2 import Ros2Robot
 
-pytestmark = pytest.mark.usefixtures("steady")
+pytestmark = [pytest.mark.sockets, pytest.mark.usefixtures("steady")]
 START = (1.0, 2.0, 0.5)
 
 

@@ -12,6 +12,8 @@ from vcmvsp.hardware.drivers.ros2.driver import Pose, Ros2Sampler
 from vcmvsp.hardware.drivers.ros2.node import RobotPresence
 from vcmvsp.hardware.drivers.ros2.protocol import STAMPS_END_NS, OdometryMessage
 
+pytestmark = pytest.mark.slow
+
 MS, S = 10**6, 10**9
 coordinates = st.floats(-50.0, 50.0)
 angles = st.floats(-3.0, 3.0)

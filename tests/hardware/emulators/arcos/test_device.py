@@ -23,6 +23,8 @@ from vcmvsp.hardware.drivers.arcos.protocol import (
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.emulators.arcos.device import GAP_NS, Device
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def client() -> Client:

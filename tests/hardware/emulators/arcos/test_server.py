@@ -18,6 +18,8 @@ from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.arcos.server import ArcosServer, Faults, Wire, serve_pty, serve_tcp
 
+pytestmark = pytest.mark.sockets
+
 AMIGO = ROBOTS["amigo"]
 MS = 1_000_000
 BOTH = pytest.mark.parametrize("serve", [serve_pty, serve_tcp])

@@ -26,7 +26,12 @@ from vcmvsp.netsim.bridge.gateways.base import BROADCAST, GatewayError
 from vcmvsp.netsim.bridge.gateways.ip import namespaces, run_networks
 from vcmvsp.netsim.bridge.gateways.ip.gateway import MEMBERSHIP, NO_ADDRESS, NO_ROOM, Ip
 
-pytestmark = [pytest.mark.needs("ip"), pytest.mark.usefixtures("namespaces_allowed")]
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.sockets,
+    pytest.mark.needs("ip"),
+    pytest.mark.usefixtures("namespaces_allowed"),
+]
 
 CARS = ("car1", "car2", "car3")
 

@@ -15,6 +15,8 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, GatewayError
 from vcmvsp.netsim.bridge.gateways.udp import PortPlan, Ports, Udp
 
+pytestmark = pytest.mark.sockets
+
 NAMES = ("a", "b", "c")
 
 

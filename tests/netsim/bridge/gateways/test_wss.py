@@ -19,6 +19,8 @@ from vcmvsp.netsim.bridge.gateways.base import BROADCAST, GatewayError
 from vcmvsp.netsim.bridge.gateways.wss import LONGEST_LINE, MOST_GUESTS, Wss, parse
 from vcmvsp.netsim.bridge.gateways.wss_relay import WINDOW, RelayStream, Window
 
+pytestmark = pytest.mark.sockets
+
 CARS = "car1", "car2", "car3"
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 

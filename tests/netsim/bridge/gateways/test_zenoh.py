@@ -20,6 +20,8 @@ from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, GatewayError
 from vcmvsp.netsim.bridge.gateways.zenoh import BACKLOG, HEARD, NO_ROOM, TOO_LONG, Inbox, Publication, ZenohGateway
 
+pytestmark = pytest.mark.sockets
+
 CARS = "car1", "car2", "car3"
 READY, LAST = "test/ready", "test/last"
 Heard = tuple[str, bytes | None]

@@ -31,6 +31,8 @@ from vcmvsp.netsim.mac.csma154.medium import Csma154
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 
+pytestmark = pytest.mark.slow
+
 
 def test_lone_sender_waits_for_backoff_assessment_and_turnaround() -> None:
     world, count = World(levels(2)), 4000

@@ -10,6 +10,8 @@ from vcmvsp.netsim.mac.dcf import access, capture, machine_code
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.mac.dcf.state import DcfState
 
+pytestmark = pytest.mark.slow
+
 LOOPS = {name: loop for each in (capture, access) for name, loop in vars(each).items() if name.endswith("_loop")}
 MACS = [Dcf(), Dcf(capture_margin_db=5.0), Dcf(queue_frames=4, lifetime_s=0.02), Dcf(preamble_time_us=30.0)]
 

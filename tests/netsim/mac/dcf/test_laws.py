@@ -18,6 +18,8 @@ from vcmvsp.netsim.mac.dcf.state import DcfRules, DcfState
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import Ofdm
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("phy", PHYS, ids=str)
 @pytest.mark.parametrize("seed", range(5))

@@ -19,6 +19,8 @@ from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 
+pytestmark = pytest.mark.slow
+
 Drive = Callable[..., Any]
 ROBOTS = pytest.mark.parametrize("robot", [P2DX(), AmigoBot()], ids=["p2dx", "amigobot"])
 WALL = World(solids=(Box(center=(2.0, 0.0, 0.5), size=(0.2, 4.0, 1.0)),))

@@ -20,6 +20,8 @@ from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Lag, Quadrotor
 from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, World
 
+pytestmark = pytest.mark.slow
+
 BACK = 0.5 * P2DX().length_m + P2DX().axle_ahead_m  # m, from the reference point
 FRONT = 0.5 * P2DX().length_m - P2DX().axle_ahead_m
 DEEP_M = 0.002  # as far as a body gets into another one before Bullet has stopped it

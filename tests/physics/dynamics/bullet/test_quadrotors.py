@@ -17,6 +17,8 @@ from vcmvsp.physics.vehicles.models import P2DX, Quadrotor
 from vcmvsp.physics.world.solids import Box, Cylinder, Mesh, Prism
 from vcmvsp.physics.world.world import Movable, Moving, World
 
+pytestmark = pytest.mark.slow
+
 UAV = Quadrotor()
 WALL = World(solids=(Box(center=(9.0, 9.0, 0.5), size=(0.2, 0.2, 1.0)), Box(center=(5.0, 0.0, 1.5), size=(0.2, 6.0, 3.0))))
 HZ = 120

@@ -12,6 +12,8 @@ from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Quadrotor
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Movable, Moving, World, Zone
 
+pytestmark = pytest.mark.slow
+
 
 def crate(x: float, mass_kg: float, friction: float = 0.5) -> Movable:
     return Movable(name="crate", solid=Box(center=(x, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=mass_kg, friction=friction)
