@@ -8,6 +8,7 @@ import random
 import shutil
 import tomllib
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +148,7 @@ def changed_scenario(draw: random.Random, folder: Path, results: Path) -> Case:
         holder, key = draw.choice(list(_places(tables)))
         match draw.choice(["value", "value", "gone", "name", "copy", "key"]):
             case "value":
-                holder[key] = draw.choice(VALUES)
+                holder[key] = deepcopy(draw.choice(VALUES))  # later changes are made in it
             case "gone":
                 del holder[key]
             case "name" if isinstance(holder, dict):
@@ -260,7 +261,7 @@ def _set(tables: dict[str, Any], draw: random.Random) -> None:
     for part in path:
         inner = tables.setdefault(part, {})
         tables = inner if isinstance(inner, dict) else {}
-    tables[last] = draw.choice([*VALUES, *usual])
+    tables[last] = deepcopy(draw.choice([*VALUES, *usual]))
 
 
 def _inserted(draw: random.Random, data: bytes, line: bytes) -> bytes:

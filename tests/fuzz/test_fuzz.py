@@ -1,5 +1,6 @@
 """Damaged scenarios, results and command lines get an answer: one message, soon, and nothing written elsewhere."""
 
+import random
 import subprocess
 import sys
 import time
@@ -8,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.fuzz import forked
+from tests.fuzz import forked, mutations
 from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.processes
@@ -20,6 +21,15 @@ def test_a_few_cases_in_every_way() -> None:
     command = [sys.executable, "-m", "tests.fuzz", "--cases", "300"]
     done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_a_case_depends_on_its_seed_and_number_alone(tmp_path: Path) -> None:
+    def scenario(number: int) -> bytes:
+        mutations.changed_scenario(random.Random(number), tmp_path, tmp_path)
+        return (tmp_path / "s.toml").read_bytes()
+
+    first = [scenario(number) for number in range(200)]
+    assert [scenario(number) for number in reversed(range(200))] == first[::-1]
 
 
 def _refuse() -> None:
