@@ -1,7 +1,7 @@
-"""What a run shows to those who watch: every event as JSON under its key, and answers to who asks what run this is.
+"""Events of a run for observers: every event as JSON under its key, and a description of the run on request.
 
-The wire format is described in ``README.md`` beside this file. Nothing here can change a run: an event that nobody listens to
-costs a look into a dictionary, and what a slow observer does not take is dropped.
+The wire format is described in ``README.md`` beside this file. Nothing here can change a run: an event without a subscriber
+costs a dictionary look-up, and samples that a slow observer does not take are dropped.
 """
 
 import contextlib
@@ -26,22 +26,22 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
 
 ECHO = b"echo"
-"""The question that the hub answers on a topic, too: ``echo/NAME``."""
+"""Key of the question that the hub also answers on a topic: ``echo/NAME``."""
 
 stamp = struct.Struct("<Q")
 """The attachment of a sample: simulated time, ns."""
 
 
 class You(msgspec.Struct, frozen=True):
-    """What the one who asks is to the run."""
+    """The run's view of the machine that asks."""
 
     name: str
-    role: str | None = None  # "host" or "observer"; None: the run asks for no certificates
-    vehicles: tuple[str, ...] = ()  # whose agents the certificate is for
+    role: str | None = None  # "host" or "observer"; None: the run uses no certificates
+    vehicles: tuple[str, ...] = ()  # vehicles of the certificate
 
 
 class About(msgspec.Struct, frozen=True, kw_only=True):
-    """The answer to ``vcmvsp/about/NAME``."""
+    """Description of a run: the answer to ``vcmvsp/about/NAME``."""
 
     version: str  # of vcmvsp
     protocol: int
@@ -50,31 +50,31 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     duration_s: float | None = None
     vehicles: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()  # vehicles whose agents have not joined, or are lost
-    time_ns: int | None = None  # simulated; None: it has not begun
+    time_ns: int | None = None  # simulated; None: the run has not begun
     wall_ns: int  # the hub's wall clock when it answered, since 1970
     you: You
 
 
 class Topics:
-    """Shows a run on the hub's session: an observer of the kernel, beside the recording.
+    """Publishes events on the hub's session; a kernel observer like the recorder.
 
     Args:
         about: ``scenario``, ``seed``, ``duration_s``, ``vehicles`` and ``missing`` of `About`. A callable is called at each
             answer, in a thread of Zenoh's.
-        keys: the certificates of those who may come, for `You`.
+        keys: certificates of the admitted machines, for `You`.
     """
 
     def __init__(self, session: zenoh.Session, about: Mapping[str, Any], keys: "Keys | None" = None) -> None:
         self._session, self._about, self._keys = session, about, keys
         self._version = metadata.version("vcmvsp")
         self._now_ns: int | None = None
-        self._heard: dict[str, bool] = {}  # whether anybody listens, by key
+        self._heard: dict[str, bool] = {}  # whether a key has subscribers
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._each: tuple[tuple[str, ...], tuple[str, ...]] = (), ()  # vehicles, and the keys of their states
         self._queryable = session.declare_queryable(key_names.ABOUT, Callback(self._on_question, indirect=False))
 
     def on(self, event: Event) -> None:
-        """Take an event at its own time."""
+        """Publish an event at its own time."""
         self._now_ns = event.time_ns
         heard = self._heard.get(event.key)
         if heard or (heard is None and self._declare(event.key)):
@@ -83,20 +83,20 @@ class Topics:
             self._on_states(event.time_ns, event.value)
 
     def close(self) -> None:
-        """Show no more."""
+        """Stop publishing."""
         handles: list[Any] = [self._queryable, *self._publishers.values()]
         for handle in handles:
-            with contextlib.suppress(zenoh.ZError):  # the session has been closed before
+            with contextlib.suppress(zenoh.ZError):  # the session may be closed already
                 handle.undeclare()
 
     def _declare(self, key: str) -> bool:
-        """Declare a topic when its key first appears; whether anybody listens."""
+        """Declare a topic when its key first appears; returns whether it has subscribers."""
         self._heard[key] = False
 
         def on_matching(status: zenoh.MatchingStatus) -> None:
             self._heard[key] = status.matching
 
-        if set(key).isdisjoint("*$?#"):  # of a part of the user's own
+        if set(key).isdisjoint("*$?#"):  # keys of user-defined events may contain reserved characters
             with contextlib.suppress(zenoh.ZError):
                 publisher = self._session.declare_publisher(
                     key_names.TOPIC + key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA_LOW
@@ -106,7 +106,7 @@ class Topics:
         return self._heard[key]
 
     def _on_states(self, time_ns: int, states: States) -> None:
-        """The state of each vehicle under a key of its own, as in the recording."""
+        """Publish the state of each vehicle under its own key, as in the recording."""
         if self._each[0] != states.names:
             self._each = states.names, tuple(f"{name}/state" for name in states.names)
         columns: list[Any] = []
@@ -146,7 +146,7 @@ class Topics:
 
 
 def _encoded(value: Value | Later) -> tuple[str, bytes]:
-    """The tag and the JSON of a value; that something cannot be shown is no reason to end the run."""
+    """Tag and JSON of a value; a value that cannot be encoded does not end the run."""
     try:
         if isinstance(value, Later):
             value = value.get()
@@ -157,7 +157,7 @@ def _encoded(value: Value | Later) -> tuple[str, bytes]:
 
 
 def _picture(shown: Image | ProbabilityMap | Mosaic) -> dict[str, Any]:
-    """A picture, or cells that an agent shows, as JSON has it: arrays as base64 of their bytes (README.md)."""
+    """An image or map as JSON: arrays as base64 of their bytes (README.md)."""
     if isinstance(shown, Image):
         height, width, _ = shown.pixels.shape
         depth_m = None if shown.depth_m is None else _base64(shown.depth_m.astype("<f4", copy=False))

@@ -1,4 +1,4 @@
-"""A host of agents where the agents are: it answers questions (`Desk`), and dials in to a run over Eclipse Zenoh (`serve`)."""
+"""Client side of an agent host: answers questions (`Desk`) and dials in to a run over Eclipse Zenoh (`serve`)."""
 
 import queue
 import time
@@ -20,51 +20,52 @@ from vcmvsp.cosim.transport.zenoh_session import UNIX, common_names, opened, thr
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
 
-JOIN_S = 3.0  # a run that has just begun to listen may not have opened its door yet, where its machine is busy
-_NO_TIMEOUT_S = 1e6  # a host may wait for its run as long as its user likes
+JOIN_S = 3.0  # s: on a busy machine a new run may listen before it accepts join requests
+_NO_TIMEOUT_S = 1e6  # a host waits for its run without limit
 _DIAL_S = 0.1
 _LOOK_S = 1.0
 _READS = "(rx: (handover: app))"
-"""Of Zenoh's threads in a host, that which waits for the socket also reads what comes, and calls back: as Zenoh has it, it
-would wake another one for each message, a tenth of an exchange. Callbacks of a host only hand over, so that nothing blocks it.
-Another one writes, so that the link lives while a callback waits for an agent that holds Python's lock."""
+"""Zenoh's receive executor in a host: the thread that waits for the socket also reads and calls back. By default Zenoh wakes
+another thread for each message, a tenth of an exchange. Callbacks of a host only enqueue, so nothing blocks that thread.
+Another thread writes, so the link stays alive while a callback waits for an agent that holds Python's lock.
+"""
 Secret = str | None
-"""Of a run; empty: it lets anybody in."""
+"""Secret of a run; empty: the run requires none."""
 NO_RUN = "what listens there is no run of this user; --secret FILE or --insecure joins another's"
-_RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a link that broke
+_RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # reconnection of a broken link
 
 
 class BuildsHost(Protocol):
-    """How a `Desk` makes its federate: `agents.federate.AgentHost`, without this module knowing that part."""
+    """Factory of a `Desk`'s federate: `agents.federate.AgentHost`, without a dependency on that package."""
 
     def __call__(self, name: str, specs: Sequence[AgentSpec], objects: Mapping[str, Agent] | None = None, /) -> "HostFederate":
-        """A federate with these agents; ``objects``: those that exist already, by vehicle."""
+        """A federate with these agents; ``objects``: existing agents, by vehicle."""
 
 
 class HostFederate(Federate, Protocol):
-    """A federate that says which agents it holds."""
+    """A federate that describes the agents it holds."""
 
     agents: tuple[AgentInfo, ...]
 
 
 class Desk:
-    """The host's side: answers one question after the other with the federate that it builds."""
+    """Host server: answers questions in order with the federate that it builds."""
 
     def __init__(self, builds: BuildsHost) -> None:
         self._builds = builds
         self._federate: HostFederate | None = None
-        self.ended: str | None = None  # why there will be no more questions
-        self.failure: VcmvspError | None = None  # ... if something went wrong here
+        self.ended: str | None = None  # reason for which no more questions come
+        self.failure: VcmvspError | None = None  # error in this host that ended it
 
     def handle(self, question: bytes | memoryview) -> bytes:
-        """The answer to a question; whatever goes wrong becomes a `Failed`."""
+        """The answer to a question; any error becomes a `Failed`."""
         try:
             return protocol.encode(self._answer(protocol.questions.decode(question)))
         except VcmvspError as error:
             self.failure = error
         except KeyboardInterrupt:
             self.failure = Interrupted("interrupted at its host")
-        except BaseException as error:  # a host must answer, whatever its agents do
+        except BaseException as error:  # a host must answer, also if an agent raises something unusual
             details = "".join(traceback.format_exception(error))
             self.failure = FederateError("host", words_of(error), details=details)
         self.ended = str(self.failure)
@@ -97,19 +98,19 @@ class Desk:
 
 
 def serve(
-    hello: Callable[[str], protocol.Hello],  # makes the greeting, given the host's own id
+    hello: Callable[[str], protocol.Hello],  # makes the join request, given the host's own id
     desk: Desk,
-    endpoint: str,  # of the hub, e.g. ``tls/192.168.1.10:7447``; it need not be there yet
+    endpoint: str,  # of the hub, e.g. ``tls/192.168.1.10:7447``; the hub may start later
     *,
     bundle: "Bundle | None" = None,  # certificate of this host; None: plain TCP
-    secret: Secret = None,  # as of `dial`
+    secret: Secret = None,  # as in `dial`
     on_state: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """Run a host: dial in, wait for a run, answer its questions until it ends, and give the reason for its end.
+    """Run a host: dial in, wait for a run, answer its questions until it ends; returns the reason for the end.
 
     Raises:
-        UsageError: the endpoint is none, or the hub refuses this host.
-        FederateError: an agent of this host failed, or the run is gone.
+        UsageError: the endpoint is invalid, or the hub refuses this host.
+        FederateError: an agent of this host failed, or the run is lost.
     """
     name = key_names.OPEN if bundle is None else bundle.name
     with threads(_READS):
@@ -148,9 +149,9 @@ def _answer(
     welcome: protocol.Welcome,
     on_state: Callable[[str], None],
 ) -> None:
-    """Answer until the run ends. One that is out of reach is waited for; what it asks again is not done again.
+    """Answer questions until the run ends; waits for an unreachable run, and does not act twice on repeated questions.
 
-    Its last answer may be cut off, too: it stays until the run waits for none any more, or does not come back.
+    The last answer may be lost, too: the host stays until the run expects no more answers or does not return in time.
     """
     answers, patience_s = _Answers(desk), welcome.patience_s
     hub = hub_of(session)
@@ -162,7 +163,7 @@ def _answer(
         if question is None and not there:
             raise FederateError("the run", "is gone: its process ended or the connection broke")
         if question is None or isinstance(question, bool):
-            # Whether the hub is there; a host that was stopped for a while may have missed that.
+            # Presence of the hub; a host that was suspended for a while may have missed a change.
             was, there = there, hub_of(session) != "" if question is None else question
             if was and not there and desk.ended is None:
                 on_state(f"the run is out of reach; waiting for at most {patience_s:g} s")
@@ -173,22 +174,21 @@ def _answer(
 
 
 class _Answers:
-    """The answers of a desk: to questions in order, and again where they are asked again.
+    """The answers of a desk: in order, and repeated for repeated questions.
 
-    A question that was cut off may come after the one that followed it. That one then gets no answer, and the run asks both
-    again, in order.
+    A lost question may arrive after its successor. The successor then gets no answer, and the run repeats both in order.
     """
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
-        self._kept: dict[int, bytes] = {}  # those that the run may ask for again
+        self._kept: dict[int, bytes] = {}  # answers that the run may ask for again
         self._last = 0
-        self.known = False  # the run has the last of them, or does not want it
+        self.known = False  # the run has the last answer, or does not want it
 
     def to(self, content: bytes) -> bytes | None:
-        """The answer; None: there is none to be given."""
+        """The answer to a message; None: no answer is due."""
         if len(content) < protocol.numbers.size:
-            return None  # nothing that a run asks
+            return None  # not a question of a run
         number, oldest = protocol.numbers.unpack_from(content)
         while self._kept and next(iter(self._kept)) < oldest:
             del self._kept[next(iter(self._kept))]
@@ -208,16 +208,16 @@ def _next(questions: "queue.SimpleQueue[zenoh.Sample | bool]", seconds: float) -
 
 
 def hub_of(session: zenoh.Session) -> str:
-    """The id of the hub's session; empty: it is out of reach."""
+    """The id of the hub's session; empty: the hub is unreachable."""
     return "".join(str(each) for each in session.info.routers_zid()[:1])
 
 
 def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None], *, secret: Secret = None) -> zenoh.Session:
-    """A client session to the hub, as soon as there is one. Short attempts, so that Ctrl-C is heard in between.
+    """A client session to the hub, as soon as it listens; attempts are short, so that Ctrl-C works in between.
 
     Args:
         bundle: certificate of this machine; None: plain TCP.
-        secret: of the run, where there is no certificate; None: that which this user's run has left on this machine.
+        secret: secret of the run, where there is no certificate; None: the one that this user's run has left on this machine.
     """
     connect = {"endpoints": [endpoint], "timeout_ms": 0, "retry": _RETRY}
     own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
@@ -225,7 +225,7 @@ def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]
     while True:
         secure = dialling(endpoint, bundle, secret)
         try:
-            if secure is not None:  # else it may be anybody who listens there
+            if secure is not None:  # else any process may listen there
                 session = opened(own, secure, f"cannot connect to '{endpoint}'")
                 break
         except UsageError as error:
@@ -250,7 +250,7 @@ def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]
 
 
 def dialling(endpoint: str, bundle: "Bundle | None", secret: Secret) -> dict[str, Any] | None:
-    """What the configuration of a client needs; None: it has neither certificate nor secret (arguments as of `dial`)."""
+    """Client part of Zenoh's configuration, or None without certificate and secret (arguments as of `dial`)."""
     if bundle is not None:
         return access_control.machine_security(bundle)
     password = endpoints.found(endpoint) if secret is None else secret

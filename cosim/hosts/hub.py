@@ -1,8 +1,8 @@
-"""The run's end of Eclipse Zenoh: the kernel's session is a router-mode hub, hosts dial in as clients.
+"""The run's end of Eclipse Zenoh: the kernel's session is a router-mode hub, and hosts dial in as clients.
 
-Questions to a host and its answers are publications, which Zenoh loses in silence when a link breaks. So they are numbered, and
-a host keeps its last answers: one whose token comes back, or that has been silent for a second, is asked again all that is
-open, and does nothing twice.
+Questions and answers are publications, which Zenoh loses silently when a link breaks. So they are numbered, and a host keeps
+its last answers. All open questions are repeated to a host whose token returns or that is silent for a second; it repeats the
+answers and acts only once.
 """
 
 import contextlib
@@ -32,51 +32,52 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
 
 _RETRY_S = 0.02
-_SPARE = 10  # answers that may wait beyond those that were asked for: some are given twice
-_SLICE_S = 1.0  # after so long without an answer a question is asked again: a link that breaks may lose one in silence
+_SPARE = 10  # answers that may wait beyond the number of questions: some arrive twice
+_SLICE_S = 1.0  # interval at which an unanswered question is repeated: a broken link may lose one silently
 
 LOOPBACK = "tcp/127.0.0.1:0"
-"""A free port of this machine."""
+"""Endpoint on a free port of this machine."""
 
 _READS = "(rx: (handover: acc))"
-"""Of Zenoh's threads in a hub for children, that which waits for their sockets also reads what comes, and calls back: as Zenoh
-has it, it would wake another one for each message. Where strangers knock, it has them to deal with, and others read."""
+"""Zenoh's receive executor in a hub for children: the thread that waits for the sockets also reads and calls back. By default
+Zenoh wakes another thread for each message. A hub for other machines keeps the default: its reader also handles strangers.
+"""
 
 _QUEUE = {
-    "size": {"data_low": 16},  # 64 KiB each: room for one picture
-    "congestion_control": {"drop": {"max_wait_before_drop_fragments": 5000}},  # us that it may wait for more
+    "size": {"data_low": 16},  # of 64 KiB each: room for one picture
+    "congestion_control": {"drop": {"max_wait_before_drop_fragments": 5000}},  # us that a fragment may wait for room
 }
 QUEUES: dict[str, Any] = {"transport": {"link": {"tx": {"queue": _QUEUE}}}}
-"""Of the hub, so that an observer that takes no more pictures holds the run up for 5 ms, not 50."""
-_DOOR = 64  # who may wait at the door
+"""Transmit queues of the hub: an observer that stops reading pictures delays the run by 5 ms, not 50."""
+_DOOR = 64  # join requests that may wait
 BEGUN = "it has begun, and nobody is missing"
 
 
 class LinkCallbacks(NamedTuple):
-    """What a link to a host asks and reports."""
+    """Callbacks of a link to a host."""
 
     why_lost: Callable[[], str] = lambda: ""
-    """Says how the host has ended; an empty answer: that is not known, and it may come back."""
+    """The reason for which the host has ended; empty: unknown, and the host may return."""
     noticed: Callable[[bool], None] = lambda _: None
-    """Called by Zenoh's thread, at once, when the host gets out of reach (False), and when it is back."""
+    """Called at once, in Zenoh's thread, with False when the host becomes unreachable and True when it is back."""
     forged: Callable[[], None] = lambda: None
     """Called when another session first answers in the host's place; its answers are dropped."""
     released: Callable[[bool], None] = lambda _: None
-    """Releases whatever runs the host; told whether it has answered to the last."""
+    """Releases the process of the host; the argument is whether the host answered to the last."""
 
 
 QUIET = LinkCallbacks()
 
 
 class ZenohLink:
-    """A `cosim.hosts.remote_host.Link` to one host.
+    """A `cosim.hosts.remote_host.SessionLink` to one host.
 
     Args:
-        seal: key of the seals on its answers (`protocol.sealed`); empty for a child of this run, which needs none. Answers of
-            strangers are also limited in number, for they may answer what nobody has asked.
+        seal: key of the seals on its answers (`protocol.sealed`); empty for a child process of this run, which needs none. With
+            a seal, the number of waiting answers is limited: strangers may send answers without a question.
 
     Attributes:
-        forged: answers of another session than the one that joined.
+        forged: number of answers from sessions other than the one that joined.
     """
 
     leaving = False
@@ -85,30 +86,30 @@ class ZenohLink:
     def __init__(
         self,
         session: zenoh.Session,
-        key: str,  # under which the host is asked
+        key: str,  # key expression of the questions to the host
         callbacks: LinkCallbacks = QUIET,
         *,
         seal: bytes,
-        cut_deadline_s: float = math.inf,  # for how long it may be out of reach, whatever it was asked
+        cut_deadline_s: float = math.inf,  # longest time for which the host may be unreachable
     ) -> None:
-        self._news: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()  # answers, and whether the host is there
+        self._news: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()  # answers, and changes of the host's presence
         self._open: deque[_Question] = deque()
         self._ask = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
         self._answers = zenoh.KeyExpr(key_names.answer_key(key))
-        # A callback in Python costs more than it does: in a thread of Zenoh's, each call has memory mapped for its frames.
+        # A bound method of C code is cheaper: each Python call in a Zenoh thread maps memory for its frames.
         take = self._on_answer if seal else self._news.put
         self._seal, self.forged = seal, 0
         self._hears = session.declare_subscriber(self._answers, Callback(take, indirect=False))
         self._number = 0
-        self._asked_at = 0.0  # when all that is open was last asked
+        self._asked_at = 0.0  # time at which the open questions were last sent
         self._there = True
-        self._cut: float | None = None  # since when nobody is there
+        self._cut: float | None = None  # time since which the host is unreachable
         self._failed = False
         self._callbacks, self._cut_deadline_s = callbacks, cut_deadline_s
-        self.cuts_s: list[float] = []  # for how long it was out of reach, each time that the run waited for it
+        self.cuts_s: list[float] = []  # durations for which the run waited for the unreachable host
 
     def there(self, there: bool) -> None:
-        """Told by Zenoh's thread whether the host can be reached."""
+        """Note whether the host is reachable; called by Zenoh's thread."""
         self._news.put(there)
         self._callbacks.noticed(there)
 
@@ -122,7 +123,7 @@ class ZenohLink:
             self._news.put(sample)
 
     def ask(self, question: bytes, deadline_s: float) -> None:
-        """Send a question; a host that is out of reach is asked again as soon as it is back."""
+        """Send a question; it is repeated when an unreachable host is back."""
         self._number += 1
         now = time.monotonic()
         if not self._open:
@@ -133,7 +134,7 @@ class ZenohLink:
 
     def answer(self) -> bytes:
         """Wait for the answer to the oldest open question."""
-        while True:  # a question stays open if Ctrl-C ends the waiting
+        while True:  # a question stays open if Ctrl-C interrupts the wait
             now, oldest = time.monotonic(), self._open[0]
             waits_s = min(oldest.last - now, _SLICE_S if self._there else _RETRY_S)
             if waits_s <= 0.0 or (not self._there and self._cut is not None and now - self._cut > self._cut_deadline_s):
@@ -150,7 +151,7 @@ class ZenohLink:
                 return answer
 
     def look(self) -> bytes | None:
-        """The answer to the oldest open question, if it is there, however late."""
+        """The answer to the oldest open question if it has arrived, even late."""
         for _ in range(self._news.qsize()):
             if (answer := self._taken(self._news.get())) is not None:
                 return answer
@@ -168,7 +169,7 @@ class ZenohLink:
         return answer
 
     def close(self) -> None:
-        """Let go of whatever runs the host."""
+        """Release the process of the host."""
         self.leaving = self._closed = True
         with contextlib.suppress(zenoh.ZError):  # the session may be closed
             self._farewell()
@@ -176,8 +177,8 @@ class ZenohLink:
         self._callbacks.released(not self._failed)
 
     def _taken(self, news: "zenoh.Sample | bool") -> bytes | None:
-        """The answer to the oldest question, if this is it."""
-        if isinstance(news, bool):  # whether anybody is there who could answer
+        """The answer to the oldest question, if ``news`` is that."""
+        if isinstance(news, bool):  # whether the host is reachable
             self._there = news
             if news:
                 self._ask_again()
@@ -187,9 +188,9 @@ class ZenohLink:
             return None
         content = news.payload.to_bytes()[protocol.SEAL if self._seal else 0 :]
         if len(content) < protocol.number.size or news.key_expr != self._answers:
-            return None  # no answer of ours: a key with wildcards may be meant for many
+            return None  # not an answer to this link: its key may contain wildcards
         number, oldest = protocol.number.unpack_from(content)[0], self._open[0]
-        if number != oldest.number:  # asked twice, answered twice
+        if number != oldest.number:  # a repeated answer to a repeated question
             return None
         if self._cut is not None:
             self.cuts_s.append(time.monotonic() - self._cut)
@@ -203,14 +204,14 @@ class ZenohLink:
             raise LinkError(ended)
 
     def repeat(self) -> None:
-        """Ask once more all that is open; a host that was let go while it was out of reach is told so when it is back."""
+        """Repeat all open questions; a host that was released while unreachable gets its farewell."""
         for each in list(self._open):
             self._send(each)
         if self._closed:
             self._farewell()
 
     def _farewell(self) -> None:
-        """Say that no answer is waited for any more: it may leave, and need not give its last one again."""
+        """Tell the host that the run expects no more answers: it may exit without repeating its last one."""
         self._ask.put(protocol.numbers.pack(protocol.FAREWELL, self._number + 1))
 
     def _ask_again(self) -> None:
@@ -229,7 +230,7 @@ class _Question(NamedTuple):
 
 
 class Hub:
-    """The kernel's end: listens, admits hosts, and gives a link to each.
+    """The kernel's end of Zenoh: listens, admits hosts, and makes a link to each.
 
     Args:
         endpoint: Zenoh endpoint to listen on, e.g. ``tls/0.0.0.0:7447``; port 0 takes a free one. None: a Unix socket without a
@@ -239,17 +240,17 @@ class Hub:
         files: file descriptors that a child process has to inherit in order to dial.
 
     Raises:
-        UsageError: nothing can listen there.
+        UsageError: the hub cannot listen at the endpoint.
     """
 
     def __init__(
         self,
         endpoint: str | None = LOOPBACK,
-        keys: "Keys | None" = None,  # the certificates of those who may come; None: anybody may
+        keys: "Keys | None" = None,  # certificates of admitted machines; None: no certificates are required
         *,
-        secret: str | None = None,  # of those who may come, where there are no certificates; None: anybody may
-        patience_s: float = 2.0,  # wall-clock seconds for which hosts are to wait for a run that they are cut off from
-        cut_deadline_s: float = math.inf,  # wall-clock seconds after which a host out of reach is given up
+        secret: str | None = None,  # shared secret, where there are no certificates; None: none is required
+        patience_s: float = 2.0,  # reconnect timeout of hosts, wall-clock seconds
+        cut_deadline_s: float = math.inf,  # wall-clock seconds after which an unreachable host is lost
     ) -> None:
         if keys is not None:
             zenoh.init_log_from_env_or(access_control.LOG)
@@ -258,22 +259,22 @@ class Hub:
         with contextlib.ExitStack() as stack, contextlib.ExitStack() as meanwhile:
             meanwhile.enter_context(threads("()" if self._strangers else _READS))
             if secret:
-                known = meanwhile.enter_context(tempfile.TemporaryFile())  # without a name: a run that is killed leaves nothing
+                known = meanwhile.enter_context(tempfile.TemporaryFile())  # without a name: a killed run leaves nothing behind
                 secure = access_control.merge(secure, access_control.hub_secret(secret, known))
             folder = None if endpoint else Path(meanwhile.enter_context(tempfile.TemporaryDirectory(prefix="vcmvsp-")))
-            # By number, for a socket's path has at most 107 bytes; open until Zenoh has removed what it made there.
+            # By descriptor: a socket's path has at most 107 bytes. Open until Zenoh has removed its files there.
             place = f"{UNIX}{_opened(stack, folder)}/hub" if folder else endpoint
             config = {"mode": "router", "listen": {"endpoints": [place]}, **QUEUES}
             config["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
             self.session = opened(config, secure, f"cannot listen on '{place}'")
             stack.callback(closed, self.session)
             self.files = [_opened(stack, folder / "hub")] if folder else []
-            self.endpoint = f"{UNIX}{self.files[0]}" if folder else self._locator()  # where hosts dial
+            self.endpoint = f"{UNIX}{self.files[0]}" if folder else self._locator()  # endpoint that hosts dial
             self._stack = stack.pop_all()
         self._keys, self._patience_s, self._cut_deadline_s = keys, patience_s, cut_deadline_s
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
-        self._missing = True  # the run has no host yet for one of its agents, or has lost one
-        self.gone: dict[Machine, float] = {}  # hosts whose token has gone, and when
+        self._missing = True  # an agent has no host yet, or has lost it
+        self.gone: dict[Machine, float] = {}  # time at which the token of a host disappeared
         self._links: dict[Machine, ZenohLink] = {}
         session = self.session
         self._watch = session.liveliness().declare_subscriber(key_names.ALIVE, Callback(self._on_token, indirect=False))
@@ -281,7 +282,7 @@ class Hub:
         self._token = session.liveliness().declare_token(key_names.HUB_ALIVE)
 
     def next_hello(self, timeout_s: float) -> "Knock | None":
-        """The next host that knocks, and how to answer it: with why it is refused, or None to let it in."""
+        """The next host that asks to join, with a function that admits it (None) or refuses it (a reason)."""
         try:
             query = self._joins.get(timeout=timeout_s)
         except queue.Empty:
@@ -302,7 +303,7 @@ class Hub:
         elif self._keys is not None:
             from vcmvsp.cosim.security import certificates
 
-            current = certificates.load(self._keys.folder)  # somebody may have been shut out since the run began to listen
+            current = certificates.load(self._keys.folder)  # certificates may have been revoked since the run began to listen
             denied = access_control.admission(current, machine[0], hello.vehicles)
 
         def settle(refused: str | None, callbacks: LinkCallbacks) -> ZenohLink | None:
@@ -317,16 +318,16 @@ class Hub:
         return Knock(hello, machine, denied, settle)
 
     def open(self) -> None:
-        """Somebody is missing: let those who come wait to be heard (`next_hello`)."""
+        """Accept join requests (`next_hello`): an agent has no host."""
         self._missing = True
 
     def shut(self) -> None:
-        """Nobody is missing any more: refuse whoever comes while all are within reach."""
+        """Refuse join requests while all hosts are reachable: no agent lacks a host."""
         self._missing = False
         self._send_away()
 
     def close(self) -> None:
-        """Leave; hosts see the hub's token go."""
+        """Close the session; hosts see the hub's token disappear."""
         self._stack.close()
 
     def _on_token(self, sample: zenoh.Sample) -> None:
@@ -348,7 +349,7 @@ class Hub:
             link.repeat()
 
     def _is_open(self) -> bool:
-        """Whether somebody may be needed: who is out of reach may have been killed, and be back under another id."""
+        """Whether join requests are accepted: an unreachable host may have been killed and restarted under another id."""
         gone = (self._links.get(machine) for machine in list(self.gone))
         return self._missing or any(link is not None and not link.leaving for link in gone)
 
@@ -371,7 +372,7 @@ class Hub:
             query.reply(query.key_expr, protocol.encode(welcome))
 
     def _locator(self) -> str:
-        """Where the session really listens (the admin space knows the port that 0 became)."""
+        """The endpoint at which the session listens (the admin space knows the port chosen for 0)."""
         for reply in self.session.get(f"@/{self.session.zid()}/router"):
             if reply.ok is not None:
                 locators: list[str] = json.loads(reply.ok.payload.to_string())["locators"]
@@ -381,20 +382,20 @@ class Hub:
 
 
 def _opened(stack: contextlib.ExitStack, path: Path) -> int:
-    """A file descriptor that stands for a path, whatever becomes of that."""
+    """A file descriptor for a path, valid even if the path is renamed or removed."""
     number = os.open(path, os.O_PATH)
     stack.callback(os.close, number)
     return number
 
 
 class Knock(NamedTuple):
-    """A host that wants to join."""
+    """A host that asks to join."""
 
     hello: protocol.Hello
     machine: Machine
-    denied: str | None  # why its version or its certificate does not let it; None: they do
-    settle: Callable[[str | None, LinkCallbacks], ZenohLink | None]  # given why it is refused, or None for welcome
+    denied: str | None  # reason to refuse its version or its certificate; None: both are valid
+    settle: Callable[[str | None, LinkCallbacks], ZenohLink | None]  # admits (None) or refuses (a reason)
 
     def answer(self, refused: str | None, callbacks: LinkCallbacks = QUIET) -> ZenohLink | None:
-        """Let the host in, or tell it the reason of its refusal; the link to a host that was let in."""
+        """Admit the host (returns its link), or refuse it with a reason."""
         return self.settle(self.denied or refused, callbacks)

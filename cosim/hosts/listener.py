@@ -1,4 +1,4 @@
-"""Where machines dial in to a run: hosts of agents that somebody starts, of which some are let in, and those who only watch."""
+"""Listener of a run for remote machines: admits agent hosts against the scenario, and serves observers."""
 
 import contextlib
 import os
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
 
 POLL_S = 0.05
-SAY_S = 5.0  # who is awaited is said so often
-GONE_S = 10.0  # a host that is out of reach for so long while it is to build its agents is given up
-MOST_TOLD = 100  # different reasons for which hosts were refused
+SAY_S = 5.0  # interval of the message about awaited hosts
+GONE_S = 10.0  # a host that is unreachable for so long while it builds its agents is lost
+MOST_TOLD = 100  # number of different refusals that are reported
 
 
 def refusal(hello: Hello, waiting: Mapping[str, AgentSpec], expected: Collection[str]) -> str | None:
-    """Why a host that knocks may not come in; None: it may."""
+    """Reason to refuse a host before the run begins, or None to admit it."""
     if len(set(hello.vehicles)) < len(hello.vehicles):
         return "it names a vehicle twice"
     for vehicle in hello.vehicles:
@@ -44,12 +44,12 @@ def refusal(hello: Hello, waiting: Mapping[str, AgentSpec], expected: Collection
 
 
 def late_refusal(hello: Hello, specs: Mapping[str, AgentSpec], lost: Collection[str], *, together: bool) -> str | None:
-    """Why a host that comes when the run has begun may not come in; None: it may.
+    """Reason to refuse a host during the run, or None to admit it.
 
     Args:
         specs: the agents that are hosted elsewhere.
-        lost: vehicles that may have another host.
-        together: whether all that it names were at one host.
+        lost: vehicles that may get another host.
+        together: whether all vehicles of the request were at one host.
     """
     free = {vehicle: spec for vehicle, spec in specs.items() if vehicle in lost}
     if why := refusal(hello, free, specs):
@@ -64,19 +64,19 @@ def late_refusal(hello: Hello, specs: Mapping[str, AgentSpec], lost: Collection[
 
 
 def as_host_says(spec: AgentSpec, hello: Hello, kinds: dict[str, str]) -> AgentSpec:
-    """The spec with what the host was told on its own command line; another class than the scenario's is noted in ``kinds``."""
+    """The agent with the options of its host's command line; a class that replaces the scenario's is noted in ``kinds``."""
     params: dict[str, Any] = dict(hello.params)
     if hello.kind is None or _target(hello.kind) == _target(spec.kind):
         kind, folder = (hello.kind, hello.folder) if hello.kind else (spec.kind, spec.folder)
         return msgspec.structs.replace(spec, kind=kind, folder=folder, params={**spec.params, **params})
     kinds[spec.vehicle] = hello.kind
-    # Another class than the scenario's: the scenario's parameters are for it where it takes them.
+    # The host's own class takes the scenario's parameters as far as it has them.
     defaults = {**spec.defaults, **spec.params}
     return msgspec.structs.replace(spec, kind=hello.kind, folder=hello.folder, params=params, defaults=defaults)
 
 
 def _target(kind: str) -> str:
-    """The class that a kind names; of files only the name counts, since folders differ between machines."""
+    """The class that a kind names; a file counts by its name, since folders differ between machines."""
     if registry.is_file_kind(kind):
         return os.path.basename(kind)  # noqa: PTH119  of "folder/file.py:Class", which is no path
     with contextlib.suppress(VcmvspError):
@@ -85,23 +85,23 @@ def _target(kind: str) -> str:
 
 
 class Entrance:
-    """Listens, and tells the user who is refused; closing it lets nobody in any more.
+    """The listener: admits machines, and tells the user about refusals; closing it ends admission.
 
     Attributes:
         hub: the run's end of the network.
 
     Raises:
-        UsageError: nobody may listen there, or a vehicle has no certificate.
+        UsageError: listening there is not allowed, or a vehicle has no certificate.
     """
 
     def __init__(
         self,
         agents: AgentsTable,
-        specs: Sequence[AgentSpec],  # the agents whose hosts come this way; none: it is for those who watch
+        specs: Sequence[AgentSpec],  # agents whose hosts dial in; none: observers only
         tell: Tell,
         *,
-        keys: Path | None,  # folder with the certificates of those who may come; None: whoever can reach it
-        insecure: bool,  # let anybody come from other machines
+        keys: Path | None,  # folder with the certificates of admitted machines; None: none are required
+        insecure: bool,  # accept other machines without certificates
         about: Mapping[str, Any],
     ) -> None:
         from vcmvsp.cosim.hosts.event_publisher import Topics
@@ -109,8 +109,8 @@ class Entrance:
         from vcmvsp.cosim.transport import endpoints
 
         self._tell, self._keys, self._insecure = tell, keys, insecure
-        self._news: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # of Zenoh's threads, for the user
-        self._refused: set[str] = set()  # what has been said of those who were refused
+        self._news: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # messages of Zenoh's threads for the user
+        self._refused: set[str] = set()  # refusals that have been reported
         self._certified, listen = self._certificates(agents.listen, specs)
         with contextlib.ExitStack() as stack:
             secret = None if self._certified or insecure else endpoints.made()
@@ -121,7 +121,7 @@ class Entrance:
                 stack.enter_context(endpoints.published(self.hub.endpoint, secret))
             elif not self._certified:
                 tell(f"caution: whoever can reach {self.hub.endpoint} can host agents of this run and watch it (--insecure)")
-            self.topics = Topics(self.hub.session, about, self._certified)  # what those see who watch
+            self.topics = Topics(self.hub.session, about, self._certified)  # publishes the run's events to observers
             stack.callback(self.topics.close)
             threading.Thread(target=self._tell_news, daemon=True).start()
             stack.callback(self._news.put, None)
@@ -130,11 +130,11 @@ class Entrance:
             self._stack = stack.pop_all()
 
     def close(self) -> None:
-        """Let go of the network."""
+        """Close the network."""
         self._stack.close()
 
     def tell_how(self, specs: Sequence[AgentSpec]) -> None:
-        """Tell how to start a host for each of these agents."""
+        """Tell the user how to start a host for each of these agents."""
         self._tell(f"waiting for {len(specs)} agents at {self.hub.endpoint}; start each with")
         for spec in specs:
             how = ["--vehicle", spec.vehicle, "--connect", self.hub.endpoint]
@@ -146,7 +146,7 @@ class Entrance:
             self._tell(shlex.join(["vcmvsp", "agent", spec.kind or "MODULE_OR_FILE:Class", *how]))
 
     def let_in(self, knock: "Knock", refusal: str | None) -> "ZenohLink | None":
-        """A link to a host that knocks, unless it is refused; why is told to it and, once, to the user."""
+        """Admit a host (returns its link) or refuse it; the reason goes to the host and, once, to the user."""
         if why := knock.denied or refusal:
             words = f"refused a host{f' with the certificate of {knock.machine[0]}' if self._keys else ''}: {why}"
             if words not in self._refused and len(self._refused) < MOST_TOLD:
@@ -165,7 +165,7 @@ class Entrance:
         return knock.answer(refusal, LinkCallbacks(noticed=noticed, forged=forged))
 
     def _tell_news(self) -> None:
-        """Tell what has happened as it happens, however long that takes: Zenoh's threads have other things to do."""
+        """Show messages as they arrive, in a thread of its own: Zenoh's threads must not wait for the user's terminal."""
         while (text := self._news.get()) is not None:
             self._tell(text)
 
@@ -188,15 +188,15 @@ class Entrance:
 
 def knocking(
     hub: "Hub",
-    timeout_s: float,  # when it is too late, from now on
-    missing: Callable[[], Sequence[str]],  # whose hosts have not joined yet, asked again and again
+    timeout_s: float,  # wall-clock seconds until the run gives up
+    missing: Callable[[], Sequence[str]],  # vehicles whose hosts have not joined yet; polled
     tell: Tell,
     indispensable: Callable[[str], bool] = lambda _: True,  # whether the run cannot begin without this vehicle's agent
 ) -> "Iterator[Knock]":
-    """Hosts that want to join, until nobody is missing.
+    """Hosts that ask to join, until no agent is missing.
 
     Raises:
-        AgentError: it is too late; naming those of the missing whom the run needs.
+        AgentError: time is over; names the missing agents that the run needs.
     """
     last, say = time.monotonic() + timeout_s, time.monotonic() + SAY_S
     while vehicles := missing():
@@ -214,13 +214,13 @@ def knocking(
 
 
 def awaited(vehicles: Sequence[str]) -> str:
-    """What a user is told who sees nothing happen."""
+    """The message about hosts that have not joined yet."""
     return f"still waiting for the host of {', '.join(vehicles)}"
 
 
 @contextlib.contextmanager
 def telling_of(vehicles: Sequence[str], tell: Tell) -> Iterator[None]:
-    """Tell, once, who is awaited where that takes long."""
+    """Tell the user once which hosts are awaited, if that takes long."""
     timer = threading.Timer(SAY_S, tell, [awaited(vehicles)])
     timer.daemon = True
     timer.start()
@@ -231,15 +231,15 @@ def telling_of(vehicles: Sequence[str], tell: Tell) -> Iterator[None]:
 
 
 def patience_s(agents: AgentsTable, specs: Sequence[AgentSpec]) -> float:
-    """For how long a host waits for a run that it is cut off from: where it may come back, it had better be there."""
+    """Reconnect timeout of a host; longer if the run may continue without it."""
     return agents.deadline_s if all(map(indispensable, specs)) else max(agents.deadline_s, agents.join_timeout_s)
 
 
 def cut_deadline_s(agents: AgentsTable) -> float:
-    """For how long a host may be out of reach, whatever it was asked: building its agents takes long, a step does not."""
+    """Longest time for which a host may be unreachable; building its agents may take longer than a step's deadline."""
     return max(agents.deadline_s, GONE_S)
 
 
 def indispensable(spec: AgentSpec) -> bool:
-    """Whether the run cannot begin without it: it must not be lost, or only its host knows what it is."""
+    """Whether the run cannot begin without this agent: it must not be lost, or only its host knows its class."""
     return spec.on_lost == "stop" or not spec.kind

@@ -1,4 +1,4 @@
-"""Where agents run: in this process, in child processes, or in hosts that somebody starts elsewhere."""
+"""Start and supervision of agent hosts: in this process, in child processes, or started elsewhere."""
 
 import contextlib
 import functools
@@ -28,53 +28,53 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.processes.child_process import ChildProcess
 
 HOST_PROCESS = "vcmvsp.agents.host_process"
-LEAVE_S = 0.3  # for a child to leave by itself, before it is made to; its agents are closed by then
+LEAVE_S = 0.3  # s, for a child to exit by itself before it is killed; its agents are closed by then
 
 
 class Hosts:
-    """All hosts of a run; closing it lets go of processes and sockets.
+    """All agent hosts of a run; closing it releases processes and sockets.
 
     Args:
-        kinds: classes of agents that are objects instead of what the scenario names, by vehicle.
-        watch: asked while hosts are waited for; an answer is why there is no use in it. None: the user starts them, told how.
+        kinds: agent classes that are objects and replace the scenario's, by vehicle.
+        watch: polled while the run waits for hosts; returns a reason to give up. None: the user starts the hosts.
     """
 
     def __init__(
         self,
         agents: AgentsTable,
-        builder: "BuildsHost",  # makes the federate of agents that run in this process
+        builder: "BuildsHost",  # makes the federate of the agents in this process
         *,
         tell: Tell,
         kinds: Mapping[str, str] | None = None,
         listen: str | None = None,  # endpoint for hosts and observers, instead of ``agents.listen``
-        keys: Path | None = None,  # folder with the certificates of those who may come from elsewhere
+        keys: Path | None = None,  # folder with the certificates of hosts and observers
         insecure: bool = False,
         watch: Callable[[], str | None] | None = None,
-        about: Mapping[str, Any] | None = None,  # of the run, for those who watch (`cosim.hosts.event_publisher.About`)
+        about: Mapping[str, Any] | None = None,  # description of the run for observers (`cosim.hosts.event_publisher.About`)
     ) -> None:
         self._about = {**(about or {}), "missing": self._absent}
         self._agents = agents if listen is None else msgspec.structs.replace(agents, listen=listen)
         self._builder, self._observed = builder, listen is not None
         self._tell, self._keys, self._insecure, self._watch = tell, keys, insecure, watch
         self._stack = contextlib.ExitStack()
-        self.entrance: Entrance | None = None  # where those who are elsewhere, or only watch, dial in
+        self.entrance: Entrance | None = None  # listener for remote hosts and observers
         self.federates: list[Federate] = []
         self.infos: list[AgentInfo] = []
-        self.kinds = dict(kinds or {})  # vehicle -> class instead of the scenario's, also of those that a host brought along
+        self.kinds = dict(kinds or {})  # vehicle -> class that replaces the scenario's, given by the caller or by a host
         self._links: list[tuple[str, ZenohLink]] = []
-        self._elsewhere: list[RemoteHost] = []  # those whose hosts may be replaced
-        self._specs: dict[str, AgentSpec] = {}  # of those, as their hosts have them
-        self._wanted: dict[str, AgentSpec] = {}  # ... as the scenario has them
-        self._other_code: dict[str, str] = {}  # how the code of a vehicle's host differs from this machine's
-        self._waiting: dict[str, AgentSpec] = {}  # who has not joined before the run began
+        self._elsewhere: list[RemoteHost] = []  # federates whose hosts may be replaced
+        self._specs: dict[str, AgentSpec] = {}  # their agents as the hosts describe them
+        self._wanted: dict[str, AgentSpec] = {}  # their agents as the scenario describes them
+        self._other_code: dict[str, str] = {}  # difference between the code of a vehicle's host and that of this machine
+        self._waiting: dict[str, AgentSpec] = {}  # agents whose hosts had not joined when the run began
 
     def close(self) -> None:
-        """Let go of them all."""
+        """Release all hosts."""
         self._stack.close()
 
     @property
     def cuts_s(self) -> dict[str, list[float]]:
-        """For how long each host was out of reach, each time that the run waited for it, by its vehicles."""
+        """Durations for which the run waited for an unreachable host (s), by the host's vehicles."""
         cuts: dict[str, list[float]] = {}
         for vehicles, link in self._links:
             if link.cuts_s:
@@ -83,12 +83,12 @@ class Hosts:
 
     @property
     def forged(self) -> dict[str, int]:
-        """How many answers another session gave in place of a host, by its vehicles; they were dropped."""
+        """Number of dropped answers that another session gave in place of a host, by the host's vehicles."""
         return {vehicles: link.forged for vehicles, link in self._links if link.forged}
 
     @property
     def unrepeatable(self) -> list[str]:
-        """What hosts did that a repetition of the run does not."""
+        """Events in hosts that a repetition of the run does not reproduce."""
         lost = [loss for host in self.federates if isinstance(host, RemoteHost) for loss in host.losses]
         return [
             *(f"the host of {vehicle} ran other code: {how}" for vehicle, how in sorted(self._other_code.items())),
@@ -99,7 +99,7 @@ class Hosts:
         """Start the hosts of all agents, or wait for them.
 
         Args:
-            specs: the agents by where they run: ``inprocess``, ``encoded``, ``process`` or ``zenoh``.
+            specs: the agents by placement: ``inprocess``, ``encoded``, ``process`` or ``zenoh``.
             objects: agents that exist already, by vehicle.
         """
         start: dict[str, Callable[[Sequence[AgentSpec]], None]] = {
@@ -117,17 +117,17 @@ class Hosts:
 
     @property
     def topics(self) -> "Topics | None":
-        """Publishes events to observers on other machines; None: no machine can dial in."""
+        """Publisher of events for observers on other machines; None: the run does not listen."""
         return None if self.entrance is None else self.entrance.topics
 
     def listen(self, specs: Sequence[AgentSpec] = ()) -> Entrance:
-        """Let machines dial in that host these agents, or only watch."""
+        """Listen for the hosts of these agents and for observers."""
         self.entrance = Entrance(self._agents, specs, self._tell, keys=self._keys, insecure=self._insecure, about=self._about)
         self._stack.callback(self.entrance.close)
         return self.entrance
 
     def run_encoded(self, specs: Sequence[AgentSpec]) -> None:
-        """Host agents in this process, but behind the same bytes as over a wire (for tests of the wire)."""
+        """Host agents in this process behind encoded messages (for tests of the protocol)."""
         from vcmvsp.cosim.hosts.host_client import Desk
 
         desk = Desk(self._builder)
@@ -136,14 +136,14 @@ class Hosts:
         self._add(RemoteHost("agents", [crew], [crew.build()]))
 
     def run_in_processes(self, specs: Sequence[AgentSpec]) -> None:
-        """Spawn hosts, deal the agents out to them in order, and wait until all have joined."""
+        """Spawn child processes, distribute the agents over them in order, and wait until all have joined."""
         from vcmvsp.cosim.hosts.hub import Hub, LinkCallbacks
         from vcmvsp.cosim.processes.child_process import ChildProcess
 
         count = min(self._agents.processes or len(specs), len(specs))
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
         patient_s, cut_s = patience_s(self._agents, specs), cut_deadline_s(self._agents)
-        # No port: whoever else is on this machine can neither hold it up, nor ask the children or answer in their place.
+        # No port: no other user of this machine can delay the hub, question the children or answer for them.
         hub = Hub(None, patience_s=patient_s, cut_deadline_s=cut_s)
         self._stack.callback(hub.close)
         children: dict[str, ChildProcess] = {}
@@ -165,11 +165,11 @@ class Hosts:
         self._add_remote([(links[token], group) for token, group in groups.items()])
 
     def await_by_hand(self, specs: Sequence[AgentSpec]) -> None:
-        """Wait until hosts that somebody starts have joined for all these agents, as far as the run cannot begin without."""
+        """Wait until externally started hosts have joined for all agents that the run cannot begin without."""
         entrance, wanted = self.listen(specs), {spec.vehicle: spec for spec in specs}
         hub, waiting = entrance.hub, dict(wanted)
         self._waiting = waiting
-        if self._watch is None:  # nobody else starts them
+        if self._watch is None:  # the user starts the hosts
             entrance.tell_how(specs)
         joined: dict[Machine, tuple[ZenohLink, list[AgentSpec]]] = {}
 
@@ -181,7 +181,7 @@ class Hosts:
                     self._tell(f"the host of {left.vehicle} has left; waiting for another")
 
         def missing() -> list[str]:
-            last = time.monotonic() - self._agents.deadline_s  # until then it may come back
+            last = time.monotonic() - self._agents.deadline_s  # hosts unreachable since before then are given up
             gone = {host: since for host, since in list(hub.gone.items()) if host in joined}
             give_up({host for host, since in gone.items() if since < last})
             if self._watch is not None and (why := self._watch()):
@@ -191,7 +191,7 @@ class Hosts:
         timeout_s, needed = self._agents.join_timeout_s, lambda vehicle: indispensable(wanted[vehicle])
         for knock in knocking(hub, timeout_s, missing, self._tell, needed):
             hello = knock.hello
-            # Whoever comes in place of one that is out of reach need not wait until that is given up.
+            # A replacement need not wait until an unreachable host is given up.
             away = {host: {spec.vehicle for spec in joined[host][1]} for host in hub.gone.keys() & joined.keys()}
             give_up({host for host, vehicles in away.items() if vehicles.intersection(hello.vehicles)})
             if link := entrance.let_in(knock, listener.refusal(hello, waiting, wanted)):
@@ -204,7 +204,7 @@ class Hosts:
             hub.shut()
         self._add_remote(list(joined.values()), list(waiting.values()))
 
-    # --- who is there -------------------------------------------------------------------------------------------------------
+    # --- hosts that have joined -----------------------------------------------------------------------------------------------
 
     def _add_remote(self, joined: Sequence[tuple["ZenohLink", Sequence[AgentSpec]]], late: Sequence[AgentSpec] = ()) -> None:
         crews = []
@@ -228,7 +228,7 @@ class Hosts:
                 for vehicle in crew.vehicles:
                     self.kinds.pop(vehicle, None)
                     self._specs[vehicle] = self._wanted[vehicle]
-        if late:  # what they will be is known without them: the scenario names their classes
+        if late:  # the scenario names the classes, so the agents can be described without their host
             local = self._builder("late", late)
             self._add_host([], Built(local.agents, local.reads, local.latest), late)
 
@@ -249,7 +249,7 @@ class Hosts:
         return self._crew(link, specs)
 
     def _compare_code(self, built: Built) -> None:
-        """Tell where a host that somebody else has started runs other source code than this machine has."""
+        """Report where an external host runs other source code than this machine has."""
         for vehicle, code in built.code.items():
             if (spec := self._wanted.get(vehicle)) is None:
                 continue
@@ -264,7 +264,7 @@ class Hosts:
         self.infos.extend(host.agents)
 
     def _absent(self) -> list[str]:
-        """Who has no agent at the moment, as Zenoh's thread may ask at any time."""
+        """Vehicles without an agent at the moment; called by Zenoh's thread, too."""
         return list(dict.fromkeys((*self._waiting, *self._lost())))
 
     def _lost(self) -> list[str]:
@@ -278,13 +278,13 @@ class Hosts:
             hub.open()
         else:
             hub.shut()
-        if knock := hub.next_hello(0.0):  # one a tick: nobody can keep the run at the door
+        if knock := hub.next_hello(0.0):  # one a tick, so that join requests cannot stall the run
             hello = knock.hello
             places = [each for each in self._elsewhere if all(each.wants(vehicle) for vehicle in hello.vehicles)]
             link = self.entrance.let_in(knock, listener.late_refusal(hello, self._specs, lost, together=bool(places)))
             if link is not None:
                 self._tell(f"{', '.join(hello.vehicles)} joined")
-                # The same class may be in another folder on its machine.
+                # The same class may lie in another folder on the host's machine.
                 there = {} if hello.kind is None else {"kind": hello.kind, "folder": hello.folder}
                 specs = [msgspec.structs.replace(self._specs[vehicle], **there) for vehicle in hello.vehicles]
                 places[0].welcome(self._crew_at(link, specs))
@@ -295,7 +295,7 @@ def _release(child: "ChildProcess", patient: bool) -> None:
 
 
 def _missing(groups: Mapping[str, Sequence[AgentSpec]], links: Mapping[str, Any], children: Mapping[str, Any]) -> list[str]:
-    """Vehicles whose child has not joined yet; a child that has ended never will."""
+    """Vehicles whose child process has not joined yet; an `AgentError` if one has ended."""
     for token, group in groups.items():
         if token not in links and children[token].why_ended():
             cause = f"its process {children[token].why_ended()} before it joined"

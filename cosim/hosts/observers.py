@@ -1,6 +1,6 @@
-"""Observers of a run from elsewhere (the hub's end: `cosim.hosts.event_publisher`), which never change it.
+"""Observers of a run on other machines (the hub's end: `cosim.hosts.event_publisher`); they never change it.
 
-`watch` hears what it shows; `examine` tries all that a machine and a run need of each other.
+`watch` receives its events; `examine` tests the connection between a machine and a run.
 """
 
 import hashlib
@@ -26,19 +26,19 @@ from vcmvsp.cosim.util.documents import read_json
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
 
-PATIENCE_S = 2.0  # a run that is out of reach may come back, and one that has just begun to listen may not answer yet
-BACKLOG = 100_000  # events that wait here for a slow terminal; what is more is lost
+PATIENCE_S = 2.0  # an unreachable run may return, and a new one may not answer yet
+BACKLOG = 100_000  # events that wait for a slow terminal; later ones are dropped
 POLL_S = 0.05
 
 ROUNDS = 100
 _SOMEBODY = "somebody-else"
 
 Check = tuple[str, bool, str]
-"""What was tried, whether it works, and what there is to say about it."""
+"""What was tested, whether it works, and details."""
 
 
 class Seen(NamedTuple):
-    """An event of the run as it arrived."""
+    """An event of the run on arrival."""
 
     time_ns: int  # simulated
     topic: str  # e.g. car2/command
@@ -47,7 +47,7 @@ class Seen(NamedTuple):
 
     @property
     def value(self) -> Any:
-        """The value, of lists, mappings, numbers and strings; None: it cannot be read."""
+        """The value as lists, mappings, numbers and strings; None: it cannot be decoded."""
         try:
             return read_json(self.payload)
         except (ValueError, RecursionError):
@@ -56,17 +56,17 @@ class Seen(NamedTuple):
 
 def watch(
     endpoint: str,
-    topics: Sequence[str] = ("**",),  # key expressions of what to hear, e.g. ``car2/*``
+    topics: Sequence[str] = ("**",),  # key expressions to subscribe to, e.g. ``car2/*``
     *,
     bundle: "Bundle | None" = None,  # certificate of this observer; None: plain TCP
-    secret: str | None = None,  # of the run, without a certificate, as of `cosim.hosts.host_client.dial`
-    every_s: float = 0.0,  # collect for so long before giving what has come
-    on_state: Callable[[str], None] = lambda _: None,  # told what is being waited for, and how it ended
+    secret: str | None = None,  # secret of the run, without a certificate, as in `cosim.hosts.host_client.dial`
+    every_s: float = 0.0,  # batch interval
+    on_state: Callable[[str], None] = lambda _: None,  # called with the state of the connection
 ) -> Generator[list[Seen], None, None]:
-    """What a run shows, until it ends. One that is not there yet is waited for.
+    """Events of a run, until it ends; waits for a run that has not begun.
 
     Raises:
-        UsageError: the run does not let this observer in, or something is wrong with the arguments.
+        UsageError: the run refuses this observer, or an argument is wrong.
     """
     for topic in topics:
         try:
@@ -96,28 +96,28 @@ def watch(
         on_state(f"watching {endpoint}: {which(about)}")
         over = False
         while not over:
-            over = run.is_over()  # asked first: what has come until then is given yet
+            over = run.is_over()  # asked first, so that events received until then are still returned
             if batch := _batch(inbox, every_s):
                 yield batch
         on_state("the run has ended, or is out of reach" + (f"; {lost} events came too fast to be shown" if lost else ""))
 
 
 class _Presence:
-    """Whether the run is still there: its token, and, once that has gone, whoever listens at its endpoint."""
+    """Presence of the run: its token and, once that has disappeared, the id of the hub at its endpoint."""
 
     def __init__(self, session: zenoh.Session, endpoint: str, bundle: "Bundle | None") -> None:
         self._session, self._endpoint, self._bundle = session, endpoint, bundle
         self._hub = hub_of(session)
-        self._gone_at: float | None = None  # its token
-        self._cut_at: float | None = None  # its session
+        self._gone_at: float | None = None  # time at which its token disappeared
+        self._cut_at: float | None = None  # time at which its session was lost
         changes = Callback(self._on_token, indirect=False)
         session.liveliness().declare_subscriber(key_names.HUB_ALIVE, changes, history=True)
 
     def is_over(self) -> bool:
-        """Whether the run has ended, or is out of reach for good."""
+        """Whether the run has ended, or is unreachable for good."""
         present = hub_of(self._session)
         if present not in (self._hub, ""):
-            return True  # another one listens there now
+            return True  # another hub listens there now
         if present:
             self._cut_at = None
         elif self._cut_at is None:
@@ -129,14 +129,14 @@ class _Presence:
         hopeless = (refusal is not None and refusal.final) or time.monotonic() > since + PATIENCE_S
         if not hopeless:
             time.sleep(POLL_S)
-        return hopeless and (self._gone_at or self._cut_at) is not None  # it may have come back meanwhile
+        return hopeless and (self._gone_at or self._cut_at) is not None  # it may be back meanwhile
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         self._gone_at = None if sample.kind == zenoh.SampleKind.PUT else time.monotonic()
 
 
 def _batch(inbox: "queue.SimpleQueue[zenoh.Sample]", every_s: float) -> list[Seen]:
-    """What comes within so long; without a length, what is there as soon as there is something."""
+    """Events that arrive within ``every_s``; if that is 0, waits for the first and returns all that are there."""
     found: list[Seen] = []
     last = time.monotonic() + (every_s or POLL_S)
     while (left_s := last - time.monotonic()) > 0.0:
@@ -154,14 +154,14 @@ def _batch(inbox: "queue.SimpleQueue[zenoh.Sample]", every_s: float) -> list[See
 def _seen(sample: zenoh.Sample) -> Seen | None:
     key, when = str(sample.key_expr), sample.attachment
     if "*" in key or when is None or len(when) != stamp.size:
-        return None  # nothing that a run has said
+        return None  # not a sample of a run
     (time_ns,) = stamp.unpack(when.to_bytes())
     kind = str(sample.encoding).rpartition(";")[2]
     return None if kind == "echo" else Seen(time_ns, key.removeprefix(key_names.TOPIC), kind, sample.payload.to_bytes())
 
 
 def ask(session: zenoh.Session, name: str, payload: bytes = b"") -> About | None:
-    """What the run says of itself on the key of this name; None: it says nothing."""
+    """The run's description of itself at the key of ``name``; None: no answer."""
     for reply in session.get(key_names.about_key(name), payload=payload, timeout=PATIENCE_S):
         if reply.ok is not None:
             try:
@@ -173,7 +173,7 @@ def ask(session: zenoh.Session, name: str, payload: bytes = b"") -> About | None
 
 
 def greeted(session: zenoh.Session, name: str) -> About:
-    """The same, from a run that may just have begun to listen; `UsageError` if it does not answer."""
+    """The description of a run that may just have begun to listen; `UsageError` if it does not answer."""
     last = time.monotonic() + PATIENCE_S
     while (about := ask(session, name)) is None:
         if time.monotonic() > last:
@@ -191,10 +191,10 @@ def which(about: About) -> str:
 
 
 def examine(endpoint: str, bundle: "Bundle | None", secret: str | None = None) -> Iterator[Check]:
-    """Try all that a machine needs of a run at an endpoint, one after the other; the first that fails ends it.
+    """Test step by step what a machine needs of a run at an endpoint; stops at the first failure.
 
     Args:
-        secret: of the run, without a certificate, as of `cosim.hosts.host_client.dial`.
+        secret: secret of the run, without a certificate, as in `cosim.hosts.host_client.dial`.
     """
     if bundle is not None:
         own = _own_certificate(bundle)
@@ -226,7 +226,7 @@ def _own_certificate(bundle: "Bundle") -> Check:
 
 
 def _session(endpoint: str, bundle: "Bundle | None", secret: str | None) -> zenoh.Session | None:
-    """A client session, tried for as long as a listener may pause after a connection that came to nothing."""
+    """A client session; retries for as long as a listener may pause after a failed connection."""
     connect = {"endpoints": [endpoint], "timeout_ms": 0}
     own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
     last = time.monotonic() + PATIENCE_S
@@ -272,7 +272,7 @@ def _questions(session: zenoh.Session, bundle: "Bundle | None") -> Iterator[Chec
 
 
 def _times(session: zenoh.Session, name: str) -> Iterator[Check]:
-    """Round trips, and the offset between the clocks as NTP has it: from the quickest of them (RFC 5905, section 8)."""
+    """Round-trip times, and the clock offset of the quickest one, as in NTP (RFC 5905, section 8)."""
     trips: list[tuple[int, float]] = []  # ns; offset of the run's clock, ns
     for _ in range(ROUNDS):
         begin, began = time.time_ns(), time.perf_counter_ns()
@@ -291,7 +291,7 @@ def _times(session: zenoh.Session, name: str) -> Iterator[Check]:
 
 
 def _access(session: zenoh.Session, name: str, bundle: "Bundle | None") -> Check:
-    """What the run's rules let through: Zenoh denies in silence, so all is tried."""
+    """Test the run's access rules: Zenoh denies silently, so each right is tried."""
     heard: queue.SimpleQueue[bool] = queue.SimpleQueue()
 
     def on_echo(_sample: zenoh.Sample) -> None:

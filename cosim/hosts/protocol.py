@@ -1,17 +1,16 @@
-"""What travels between the kernel and a host of agents: one question and one answer at a time (`cosim.util.codec`).
+"""Messages between the kernel and a host of agents: one question and one answer at a time (`cosim.util.codec`).
 
 =========  ==============================================  =========================
 question   meaning                                         answer
 =========  ==============================================  =========================
 `Build`    build these agents                              `Built`, or `Failed`
-`Begin`    time 0 is near: tell every agent who it is      `Stepped`, or `Failed`
+`Begin`    start the agents, each with its identity        `Stepped`, or `Failed`
 `Act`      these events have happened; it is now ``now``   `Stepped`, or `Failed`
 `End`      the run is over, or this host is not needed     `Ended`
 =========  ==============================================  =========================
 
-A host is somebody else's program on somebody else's machine, and is believed in nothing: what it says is compared with what was
-asked of it. Where it says more than a host may, it is lost, and an error or the recording says why. Causes are worded to stand
-behind ``gave an answer that is refused:``.
+Hosts are untrusted: answers are validated against the questions. A host that exceeds its rights is lost, and an error or the
+recording gives the reason. Causes are worded to follow ``gave an answer that is refused:``.
 """
 
 import hashlib
@@ -37,34 +36,34 @@ from vcmvsp.cosim.util.documents import read_toml
 from vcmvsp.cosim.util.text import LONGEST_DETAILS, LONGEST_LINE, LONGEST_NAME, plain
 
 PROTOCOL = 9
-"""Version of this table; a host of another version is refused."""
+"""Version of the protocol; the hub refuses hosts of other versions."""
 
 
 Machine = tuple[str, str]
-"""The name of a machine, from its certificate, and the id of its session."""
+"""Name of a machine, from its certificate, and the id of its session."""
 
 numbers = struct.Struct("<QQ")
-"""Before each question: its number, from 1 on, and that of the oldest one which has not been answered."""
+"""Header of a question: its number, from 1 on, and that of the oldest open question."""
 
 FAREWELL = 0
-"""The number of what is no question: no answer is waited for any more."""
+"""Question number of the message that the run expects no more answers."""
 
 number = struct.Struct("<Q")
-"""Before each answer: the number of its question."""
+"""Header of an answer: the number of its question."""
 
 SEAL = 16  # bytes
 
-_MANY = 8  # events of a step, from which on it costs less to send arrays together than each in its place
+_MANY = 8  # from so many events in a step, arrays are cheaper to send together
 
 LARGEST_PARAMS_BYTES = 2**20
-"""All parameters of an agent as TOML: a path of some 20 000 points."""
+"""Largest size of an agent's parameters as TOML: a path of some 20 000 points."""
 
 PERIODS_NS = range(SECOND_NS // 10**6, SECOND_NS * 10**6 + 1)
-"""What `cosim.types.Period` allows."""
+"""Periods that `cosim.types.Period` allows."""
 
-_OF_SCENARIO = frozenset(AgentTable.__struct_fields__) - {"params"}  # what the scenario says of an agent beside its parameters
+_OF_SCENARIO = frozenset(AgentTable.__struct_fields__) - {"params"}  # keys of an agent in a scenario, without its parameters
 _INT64 = range(-(2**63), 2**63)
-_HEARS, _SEES = ("heard",), ("estimate", "odometry", "fix")  # what is there of every vehicle for its own agent
+_HEARS, _SEES = ("heard",), ("estimate", "odometry", "fix")  # topics of every vehicle for its own agent
 
 _KINDS: dict[str, tuple[type, ...]] = {
     "command": (Velocity, Waypoint),
@@ -77,71 +76,71 @@ _KINDS: dict[str, tuple[type, ...]] = {
 
 
 class Hello(msgspec.Struct, frozen=True, tag=True):
-    """A host introduces itself: the vehicles whose agents it wants to run, and what it was told on its command line."""
+    """Join request of a host: the vehicles whose agents it runs, and the options of its command line."""
 
     host: str
     protocol: int
     vehicles: tuple[str, ...]
-    kind: str | None = None  # the class it was started with; None: the scenario's
-    folder: str = ""  # where a relative file of that kind is
+    kind: str | None = None  # class from the command line; None: the scenario's
+    folder: str = ""  # folder of a relative file in ``kind``
     params: dict[str, Any] = {}
-    token: str = ""  # proves that a spawned host belongs to this run
+    token: str = ""  # proof that a child process belongs to this run
 
 
 class Welcome(msgspec.Struct, frozen=True, tag=True):
-    """The hub's answer to a `Hello`: refused with a reason, or accepted (None)."""
+    """The hub's answer to a `Hello`: accepted (``refused`` is None), or refused with a reason."""
 
     refused: str | None = None
-    patience_s: float = 2.0  # how long the host is to wait for a run that it is cut off from
-    seal: bytes = b""  # key of the seals of its answers, which the hub tells its session alone; empty: they need none
+    patience_s: float = 2.0  # reconnect timeout of the host
+    seal: bytes = b""  # key of the seals of its answers, secret between hub and host; empty: no seals
 
 
 class Build(msgspec.Struct, frozen=True, tag=True):
-    """Build these agents."""
+    """Request to build these agents."""
 
     specs: tuple[AgentSpec, ...]
 
 
 class Begin(msgspec.Struct, frozen=True, tag=True):
-    """Get ready for time 0."""
+    """Request to start the agents at time 0."""
 
     run: RunInfo
 
 
 class Act(msgspec.Struct, frozen=True, tag=True):
-    """Step to ``now_ns``."""
+    """Request to step to ``now_ns``."""
 
     now_ns: int
     inbox: Sequence[Event]
 
 
 class End(msgspec.Struct, frozen=True, tag=True):
-    """No more questions; ``reason`` is for the user of a host that was started by hand."""
+    """Announcement of the last question; ``reason`` is shown to the user of a host that was started manually."""
 
     reason: str
 
 
 class Built(msgspec.Struct, frozen=True, tag=True):
-    """The agents stand."""
+    """Answer to `Build`: the agents are built."""
 
     agents: tuple[AgentInfo, ...]
     reads: tuple[str, ...]
     latest: tuple[str, ...]
-    code: dict[str, dict[str, str]] = {}  # of each vehicle (`cosim.config.source_code.fingerprint`)
+    code: dict[str, dict[str, str]] = {}  # fingerprints of each vehicle's code (`cosim.config.source_code.fingerprint`)
 
 
 class Stepped(msgspec.Struct, frozen=True, tag=True):
-    """What the step gave."""
+    """Answer to `Begin` and `Act`: the events of the agents."""
 
     events: list[Event]
 
 
 class Ended(msgspec.Struct, frozen=True, tag=True):
-    """All agents are closed."""
+    """Answer to `End`: all agents are closed."""
 
 
 class Failed(msgspec.Struct, frozen=True, tag=True):
-    """What went wrong in the host, so that it can be raised in the kernel as if it had happened there."""
+    """An error in a host, which the kernel raises as if it had happened locally."""
 
     cause: str
     details: str = ""
@@ -153,7 +152,7 @@ class Failed(msgspec.Struct, frozen=True, tag=True):
 
     @classmethod
     def of(cls, error: VcmvspError) -> "Failed":
-        """An error as a message."""
+        """The message for an error."""
         if isinstance(error, ScenarioError):
             return cls(cause=error.problem, key=error.key, source=error.source, bad_scenario=True)
         if isinstance(error, AgentError):
@@ -161,7 +160,7 @@ class Failed(msgspec.Struct, frozen=True, tag=True):
         return cls(cause=str(error), details=error.details if isinstance(error, FederateError) else "")
 
     def error(self, vehicles: Sequence[str]) -> VcmvspError:
-        """The error again, from the host of these vehicles."""
+        """The error for this message, from the host of ``vehicles``."""
         if self.bad_scenario:
             return ScenarioError(self.cause, key=self.key, source=self.source)
         if self.vehicles:
@@ -174,17 +173,17 @@ Answer = Built | Stepped | Ended | Failed
 
 
 def sealed(key: bytes, answer: bytes) -> bytes:
-    """An answer with its seal in front (keyed BLAKE2, RFC 7693): another session cannot answer in a host's place."""
+    """An answer with its seal in front (keyed BLAKE2, RFC 7693), so that no other session can answer for the host."""
     return hashlib.blake2b(answer, key=key, digest_size=SEAL).digest() + answer
 
 
 def is_sealed(key: bytes, content: bytes) -> bool:
-    """Whether `sealed` has given this."""
+    """Whether content carries a valid seal of this key."""
     return hmac.compare_digest(sealed(key, content[SEAL:]), content)
 
 
 def encode(value: object) -> bytes:
-    """A message as bytes; what cannot be sent raises a `ValueError`."""
+    """A message as bytes; `ValueError` if it cannot be encoded."""
     events = value.inbox if isinstance(value, Act) else value.events if isinstance(value, Stepped) else ()
     return pack(value) if len(events) >= _MANY else codec.encode(value)
 
@@ -196,10 +195,10 @@ welcomes: codec.Decoder[Welcome] = codec.Decoder(Welcome)
 
 
 def check_events(stepped: Sequence[Event], vehicles: Mapping[str, int], names: frozenset[str]) -> None:
-    """Raise a `ValueError` unless these are events that the agents of a host may give.
+    """Validate the events of a step: `ValueError` unless the agents of a host may publish them.
 
     Args:
-        vehicles: its vehicles whose turn it was, and when what they do takes effect (ns).
+        vehicles: the host's vehicles with a tick in this step, and the time at which their commands take effect (ns).
         names: all vehicles of the run.
     """
     given = set[str]()
@@ -271,7 +270,7 @@ def _rare(value: object, vehicle: str, due_ns: int, names: frozenset[str]) -> No
 
 
 def check_built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
-    """Raise a `ValueError` unless a host has built the agents that it was asked for, and listens to their vehicles alone."""
+    """Validate the answer to `Build`: `ValueError` unless it has the requested agents, with their own vehicles' topics only."""
     wanted = {spec.vehicle: spec for spec in specs}
     found = sorted(info.vehicle for info in answer.agents)
     if found != sorted(wanted):
@@ -324,7 +323,7 @@ def _agent(info: AgentInfo, spec: AgentSpec) -> None:
 
 
 def check_greeting(hello: "Hello") -> None:
-    """Raise a `ValueError` unless what a host says of itself can be shown."""
+    """Validate a join request: `ValueError` unless its texts can be shown."""
     for text in (*hello.vehicles, hello.kind or ""):
         if plain(text, LONGEST_LINE) != text:
             raise ValueError("a name that is too long or cannot be shown")
@@ -338,7 +337,7 @@ def _ticks(ticks: Ticks, period_s: float | None) -> None:
 
 
 def shown_failure(answer: "Failed", vehicles: Sequence[str]) -> "Failed":
-    """What a host says went wrong, fit to be shown; it can blame no vehicles but its own."""
+    """A host's failure, made safe to show; it can blame only the host's own vehicles."""
     own = tuple(vehicle for vehicle in dict.fromkeys(answer.vehicles) if vehicle in vehicles)
     return msgspec.structs.replace(
         answer,

@@ -1,8 +1,8 @@
-"""Agents elsewhere as the kernel sees them: one federate for those of one host, or of several that have come in its place.
+"""Kernel side of agent hosts: `RemoteHost`, a federate for the agents of one host and of its replacements.
 
-A link to a host carries bytes; its crew speaks the language of `cosim.hosts.protocol`. A host that is lost, while the scenario
-wants the run to go on, leaves its vehicles without an agent (`cosim.hosts.remote_host`). They get it back when the host answers
-again, or when another one comes in its place. When that is depends on the wall clock; the recording is told.
+A `SessionLink` carries bytes; a `Crew` speaks `cosim.hosts.protocol` over it. If a host is lost and the scenario lets the run
+continue, its vehicles have no agent (`Absence`) until the host answers again or another host replaces it. That moment depends
+on the wall clock, so it is recorded.
 """
 
 from collections import deque
@@ -21,20 +21,20 @@ from vcmvsp.cosim.util.text import plain
 
 
 class Absence:
-    """A vehicle without its agent: it holds its last command for a while, or has none any more, and then stands still.
+    """A vehicle without a working agent: it holds its last command for a while, if ``on_lost`` says so, then stops.
 
     Args:
-        spec: of the agent; ``on_lost`` is ``hold`` or ``remove``.
-        since_ns: its first tick without an answer.
-        now_ns: when that answer would have taken effect.
-        follows: whether it has said which place it means to keep.
+        spec: specification of the agent; ``on_lost`` is ``hold`` or ``remove``.
+        since_ns: first tick without an answer.
+        now_ns: time at which that answer would have taken effect.
+        follows: whether the vehicle had announced a slot in a formation.
 
     Attributes:
-        news: what there is to publish at ``now_ns``.
+        news: events to publish at ``now_ns``.
     """
 
     def __init__(self, spec: AgentSpec, since_ns: int, now_ns: int, why: str, *, follows: bool) -> None:
-        self.final = spec.on_lost == "remove"  # it will not come back
+        self.final = spec.on_lost == "remove"  # the agent cannot return
         self._vehicle, self._rests = spec.vehicle, False
         self._rests_ns = now_ns if self.final else now_ns + seconds_to_ns(spec.hold_s)
         presence = Presence(state="removed" if self.final else "lost", since_ns=since_ns, why=plain(why))
@@ -43,45 +43,45 @@ class Absence:
             self.news.append(Event(f"{self._vehicle}/follows", now_ns, Follows(leader=None)))
 
     def go_on(self, now_ns: int) -> list[Event]:
-        """What the vehicle does at ``now_ns`` by itself: it stops, once, when its last command has been held long enough."""
+        """The stop command, once, when the hold time has expired; otherwise nothing."""
         if self._rests or now_ns < self._rests_ns:
             return []
         self._rests = True
         return [Event(f"{self._vehicle}/command", now_ns, Velocity())]
 
     def back(self, since_ns: int, now_ns: int, late: int) -> Event:
-        """It has an agent again, from its tick ``since_ns`` on."""
+        """The event that the agent answers again, from its tick ``since_ns`` on."""
         return Event(f"{self._vehicle}/host", now_ns, Presence(state="back", since_ns=since_ns, late=late))
 
 
 class LinkError(Exception):
-    """No answer will come; the message says why, e.g. ``was killed by SIGKILL``."""
+    """The host will not answer; the message is the reason, e.g. ``was killed by SIGKILL``."""
 
 
 class LateError(LinkError, TimeoutError):
-    """No answer came in time; it may still come."""
+    """The host missed its deadline; the answer may still come."""
 
 
 class SessionLink(Protocol):
-    """One host, reachable: questions are answered in order."""
+    """A connection to one host, which answers questions in order."""
 
-    leaving: bool  # set when it is let go, so that nobody wonders where it is
+    leaving: bool  # set when the run releases the host: its absence is then no error
 
     def ask(self, question: bytes, deadline_s: float) -> None:
-        """Send a question that is to be answered within so much wall-clock time; do not wait."""
+        """Send a question without waiting; the host has ``deadline_s`` of wall-clock time to answer."""
 
     def answer(self) -> bytes:
         """Wait for the answer to the oldest open question; `LinkError` if none comes in time or at all."""
 
     def look(self) -> bytes | None:
-        """The answer to the oldest open question, if it is there, however late; `LinkError` if none will come."""
+        """The answer to the oldest open question if it has arrived, even late; `LinkError` if none will come."""
 
     def close(self) -> None:
-        """Let the host go."""
+        """Release the host."""
 
 
 class MemoryLink:
-    """A `SessionLink` within the process: the bytes that would cross a wire, encoded and decoded."""
+    """A `SessionLink` within the process that encodes and decodes every message."""
 
     leaving = False
 
@@ -90,7 +90,7 @@ class MemoryLink:
         self._answers: list[bytes] = []
 
     def ask(self, question: bytes, deadline_s: float) -> None:
-        """Have it answered at once."""
+        """Answer the question at once."""
         self._answers.append(self._handle(question))
 
     def answer(self) -> bytes:
@@ -98,29 +98,29 @@ class MemoryLink:
         return self._answers.pop(0)
 
     def look(self) -> bytes | None:
-        """The same, if there is a question."""
+        """The answer to the oldest open question, or None without a question."""
         return self._answers.pop(0) if self._answers else None
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Do nothing: there is no host process."""
 
 
 class Crew:
-    """The agents of one host, and the questions that the host has not answered yet.
+    """Session with one host: its agents and its open questions.
 
     Attributes:
-        open: how many questions it has not answered.
-        late: how many it had not answered when it was lost.
+        open: number of open questions.
+        late: number of open questions when the host was lost.
     """
 
     def __init__(
         self,
         link: SessionLink,
-        specs: Sequence[AgentSpec],  # the agents that it is to build, which it is asked at once
+        specs: Sequence[AgentSpec],  # the agents that the host builds; the constructor sends the request
         *,
-        deadline_s: float,  # wall-clock seconds within which it has to answer a step
-        build_s: float,  # the same for building its agents, which may load large libraries
-        on_built: Callable[[protocol.Built], None] = lambda _: None,  # takes what the host says that it has built
+        deadline_s: float,  # wall-clock seconds to answer a step
+        build_s: float,  # wall-clock seconds to build the agents, which may load large libraries
+        on_built: Callable[[protocol.Built], None] = lambda _: None,  # called with the host's description of its agents
     ) -> None:
         self.link, self.specs, self._on_built = link, tuple(specs), on_built
         self.vehicles = tuple(spec.vehicle for spec in specs)
@@ -130,7 +130,7 @@ class Crew:
         self.send(protocol.Build(self.specs), build_s)
 
     def build(self) -> protocol.Built:
-        """Wait until the agents stand; the constructor has asked for it, so that all hosts build at once."""
+        """Wait until the agents are built; the constructor sent the request, so all hosts build in parallel."""
         try:
             return self.built(self.receive())
         except AgentError as error:
@@ -139,7 +139,7 @@ class Crew:
             raise
 
     def built(self, answer: protocol.Answer) -> protocol.Built:
-        """The answer to `Build`, which is believed only in what it may say."""
+        """The validated answer to `Build`."""
         if not isinstance(answer, protocol.Built):
             raise self._unreadable(f"it answered {type(answer).__name__} to Build")
         try:
@@ -150,10 +150,10 @@ class Crew:
         return answer
 
     def stepped(self, effects: Mapping[str, int], names: frozenset[str]) -> list[Event]:
-        """Wait for the answer to a step; its events are those of these vehicles alone, at these times."""
+        """Wait for the answer to a step: events of ``effects``' vehicles only, at their times."""
         try:
             answer = self.receive()
-        except ScenarioError as error:  # it is too late to speak of the scenario
+        except ScenarioError as error:  # too late to blame the scenario
             raise self.error(str(error)) from error
         if not isinstance(answer, protocol.Stepped):
             raise self._unreadable(f"it answered {type(answer).__name__} to a step")
@@ -164,7 +164,7 @@ class Crew:
         return answer.events
 
     def send(self, question: protocol.Question, deadline_s: float | None = None) -> None:
-        """Ask, without waiting."""
+        """Send a question without waiting."""
         try:
             self.link.ask(protocol.encode(question), deadline_s or self._deadline_s)
         except ValueError as error:
@@ -178,22 +178,22 @@ class Crew:
         return answer
 
     def look(self) -> protocol.Answer | None:
-        """The answer to the oldest open question, if it is there."""
+        """The answer to the oldest open question, if it has arrived."""
         return self._read(self.link.look)
 
     def release(self, reason: str) -> None:
-        """Tell the host that it is not needed any more, if it still answers."""
+        """Tell the host that the run no longer needs it, if it still answers."""
         if self.alive and not self._released:
             self._released = self.link.leaving = True
             self.send(protocol.End(reason))
 
     def dismiss(self, why: str) -> None:
-        """Let the host go without waiting for it."""
+        """Release the host without waiting for it."""
         self.release(why)
         self.link.close()
 
     def close(self) -> None:
-        """Wait until the agents are closed, and let the host go."""
+        """Wait until the agents are closed, then release the host."""
         try:
             self.release("the run is over")
             while self.alive and self.open and not self.late:
@@ -207,7 +207,7 @@ class Crew:
         return any(spec.on_lost == "stop" for spec in self.specs)
 
     def error(self, cause: str) -> AgentError:
-        """An error that names these agents."""
+        """An error that names the agents of this host."""
         return AgentError(self.vehicles, ", ".join(dict.fromkeys(spec.kind for spec in self.specs)), cause)
 
     def _read(self, take: Callable[[], bytes | None]) -> protocol.Answer | None:
@@ -217,23 +217,23 @@ class Crew:
         except LinkError as error:
             self.alive, self.late = isinstance(error, LateError), self.open
             raise self.error(str(error)) from error
-        except ValueError as error:  # msgspec's errors among them
+        except ValueError as error:  # includes msgspec's errors
             raise self._unreadable(str(error)) from error
         if answer is not None:
             self.open -= 1
         if isinstance(answer, protocol.Failed):
-            self.alive, self.link.leaving = False, True  # it has said why it goes
+            self.alive, self.link.leaving = False, True  # the host gave its reason
             raise protocol.shown_failure(answer, self.vehicles).error(self.vehicles)
         return answer
 
     def _unreadable(self, why: str) -> AgentError:
         self.release(f"it does not accept what this host answers: {why}")
-        self.alive = False  # it may still answer
+        self.alive = False  # the host may still answer
         return self.error(f"gave an answer that is refused: {why}")
 
 
 class RemoteHost:
-    """A `cosim.federate.RemoteFederate` for agents elsewhere."""
+    """A `cosim.federate.RemoteFederate` for agents that run in hosts."""
 
     slot = wake_slot = Slot.AGENT
     wakes: tuple[str, ...] = ()
@@ -242,10 +242,10 @@ class RemoteHost:
         self,
         name: str,
         crews: Sequence[Crew],
-        built: Sequence[protocol.Built],  # what they say of their agents, and what is known of those that nobody hosts yet
+        built: Sequence[protocol.Built],  # descriptions of the agents, including the expected ones of missing hosts
         *,
-        missing: Sequence[AgentSpec] = (),  # specs of the latter
-        door: Callable[[], None] = lambda: None,  # looks whether somebody knocks; called at each tick at which an agent is away
+        missing: Sequence[AgentSpec] = (),  # specs of agents without a host yet
+        door: Callable[[], None] = lambda: None,  # handles join requests; called at each tick at which an agent is missing
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.name, self._door, self._tell = name, door, tell
@@ -257,21 +257,21 @@ class RemoteHost:
         trains = dict.fromkeys(info.ticks for info in self.agents)
         self._trains = {each: frozenset(info.vehicle for info in self.agents if info.ticks == each) for each in trains}
         self.lookahead_ns = min(info.latency_ns for info in self.agents)
-        self._crews = list(crews)  # those that are asked
-        self._others: list[Crew] = []  # those that have yet to answer what they were asked, before they are asked again
+        self._crews = list(crews)  # hosts that receive steps
+        self._others: list[Crew] = []  # hosts that owe an answer before their next step
         self._asked: deque[_Asked] = deque()
         self._missing = tuple(missing)
         self._away: dict[str, Absence] = {}
-        self._kept: dict[str, Event] = {}  # the newest that vehicles have seen which are away
+        self._kept: dict[str, Event] = {}  # newest events that absent vehicles have received
         policies = {spec.on_lost for crew in crews for spec in crew.specs} | {spec.on_lost for spec in missing}
         self._may_go_on = policies != {"stop"}
         self._replaceable = frozenset(self.latest) if "hold" in policies else frozenset()
-        self._following: set[str] = set()  # who means to keep a place
+        self._following: set[str] = set()  # vehicles that have announced a slot in a formation
         self.losses: list[tuple[str, float, str]] = []  # vehicles, time (s) and cause of each loss of a host
-        self._failed: dict[str, Crew] = {}  # agents that failed inside a host that is still there
+        self._failed: dict[str, Crew] = {}  # agents that failed inside a host that still runs
 
     def start(self, run: RunInfo) -> int | None:
-        """Have the agents told who and where they are."""
+        """Send every agent its identity and start pose."""
         self._run, self._names = run, frozenset(run.vehicles)
         for crew in self._crews:
             crew.send(protocol.Begin(run))
@@ -287,7 +287,7 @@ class RemoteHost:
         return 0
 
     def ask(self, now_ns: int, inbox: Sequence[Event]) -> int | None:
-        """Send the step; the next wake-up follows from the agents' ticks, whatever the answer will be."""
+        """Send the step. The next wake-up follows from the agents' ticks, independent of the answer."""
         asked = _Asked(now_ns, self._due(now_ns))
         self._asked.append(asked)
         if self._replaceable:
@@ -306,7 +306,7 @@ class RemoteHost:
         return min([train.after(now_ns) for train in self._trains])
 
     def answer(self) -> Sequence[Event]:
-        """The events of the oldest step that is still open."""
+        """The events of the oldest open step."""
         asked = self._asked.popleft()
         events, now_ns = asked.events, asked.now_ns
         for crew in asked.crews:
@@ -328,17 +328,17 @@ class RemoteHost:
         return due[0] if len(due) == 1 else frozenset().union(*due)
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        """Ask and wait."""
+        """Send the step and wait for its events."""
         next_ns = self.ask(now_ns, inbox)
         return Step(self.answer(), next_ns)
 
     def release(self) -> None:
-        """Tell the hosts that the run is over, as far as they still answer."""
+        """Tell all hosts that still answer that the run is over."""
         for crew in (*self._crews, *self._others):
             crew.release("the run is over")
 
     def close(self) -> None:
-        """Wait until the agents are closed, and let the hosts go; the first failure that matters is raised at the end."""
+        """Wait until the agents are closed and release the hosts; then raise the first failure that matters."""
         failure: VcmvspError | None = None
         for crew in self._crews:
             try:
@@ -350,15 +350,15 @@ class RemoteHost:
         if failure:
             raise failure
 
-    # --- hosts that are lost, and those that come back or instead -------------------------------------------------------------
+    # --- lost, returning and replacement hosts --------------------------------------------------------------------------------
 
     def wants(self, vehicle: str) -> bool:
-        """Whether this vehicle may have another host. Zenoh's thread may ask, too."""
+        """Whether this vehicle may get another host; called by Zenoh's thread, too."""
         absence = self._away.get(vehicle)
         return absence is not None and not absence.final
 
     def welcome(self, crew: Crew) -> None:
-        """Take a host in place of the one that was lost; it is asked as soon as its agents stand."""
+        """Accept a replacement for a lost host; it receives steps once its agents are built."""
         for lost in [each for each in self._others if not set(each.vehicles).isdisjoint(crew.vehicles)]:
             self._dismiss(lost, "another host has come in its place")
         self._others.append(crew)
@@ -382,7 +382,7 @@ class RemoteHost:
             info, follows = self._infos[spec.vehicle], spec.vehicle in self._following
             absence = Absence(spec, info.ticks.after(now_ns - 1), now_ns + info.latency_ns, why, follows=follows)
             self._away[spec.vehicle] = absence
-            if spec.vehicle not in self._failed:  # else it has been said
+            if spec.vehicle not in self._failed:  # else already reported
                 news += absence.news
         return news
 
@@ -394,7 +394,7 @@ class RemoteHost:
                 self._failed[_vehicle(event)] = crew
 
     def _look_around(self, asked: "_Asked", inbox: Sequence[Event]) -> Sequence[Event]:
-        """Take back those who have an agent again; the answer is what all who are there are to know."""
+        """Reinstate vehicles whose agents answer again; returns the events that all present hosts receive."""
         self._door()
         for crew in list(self._others):
             try:
@@ -404,7 +404,7 @@ class RemoteHost:
                 self._tell(f"{error}")
                 self._dismiss(crew, str(error))
         if not self._away:
-            self._door()  # to shut it
+            self._door()  # closes admission again
         return inbox
 
     def _is_ready(self, crew: Crew) -> bool:
@@ -443,12 +443,12 @@ class RemoteHost:
 
 
 class _Asked(msgspec.Struct):
-    """A step that has been asked."""
+    """An open step."""
 
     now_ns: int
-    due: frozenset[str]  # whose turn it is
-    crews: list[Crew] = []  # who was asked
-    events: list[Event] = []  # what is to be said of the others
+    due: frozenset[str]  # vehicles with a tick in this step
+    crews: list[Crew] = []  # hosts that received the step
+    events: list[Event] = []  # events of absent vehicles
 
 
 def _vehicle(event: Event) -> str:

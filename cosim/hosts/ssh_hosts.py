@@ -1,4 +1,4 @@
-"""Hosts that ``vcmvsp launch`` starts: the file that names their machines, and each started through the user's own ssh.
+"""Hosts that ``vcmvsp launch`` starts through the user's ssh, and the file that lists them.
 
 ::
 
@@ -9,10 +9,10 @@
     vehicles = ["car2", "car3"]
     copy = true
 
-The only command that the other machine is given is ``sh``; what to do there comes as a script on its standard input. So no
-login shell, whichever it is, reads a name or a value of ours, and a certificate is on nobody's command line. Behind the script
-the standard input stays open for as long as this process lives. When it closes, because the run is over, because this process
-was killed or because the connection broke, the other machine ends the host, and removes what it was sent.
+The remote command is only ``sh``; a script on its standard input says what to do. So the login shell of the machine parses no
+name or value, and no certificate appears on a command line. The standard input stays open for as long as this process lives.
+When it closes (end of the run, death of this process, broken connection), the remote script ends the host and removes the files
+that it was sent.
 """
 
 import contextlib
@@ -39,18 +39,18 @@ from vcmvsp.cosim.util.documents import read_toml
 
 HERE = (sys.executable, "-P", "-m", "vcmvsp.cosim.cli.app")
 
-CONNECT_S = 10  # for ssh to reach a machine
-ALIVE_S, ALIVE_COUNT = 5, 3  # a machine that does not answer so often is given up
-KILL_S = 2  # from asking a host to leave to making it
-SHOWN_LINES = 3  # of a log, in a message
-NOT_FOUND, SSH_FAILED = 127, 255  # exit codes: of sh, that there is no such command; of ssh itself
+CONNECT_S = 10  # s, for ssh to reach a machine
+ALIVE_S, ALIVE_COUNT = 5, 3  # a machine is lost after so many unanswered probes, one each 5 s
+KILL_S = 2  # s, between SIGTERM and SIGKILL
+SHOWN_LINES = 3  # lines of a log in a message
+NOT_FOUND, SSH_FAILED = 127, 255  # exit codes: of sh for an unknown command; of ssh itself
 _LONGEST_LINE = 2**16
 _HOME = re.compile(r"(~(?:[A-Za-z_][A-Za-z0-9_.-]*)?)(/|$)")
 _END_OF_KEYS = "END_OF_KEYS"
 
 
 class HostTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A ``[[host]]``. Its paths are of its own machine and, on this one, relative to the file."""
+    """A ``[[host]]``. Its paths are on its own machine; without ``ssh`` they are relative to the file."""
 
     vehicles: tuple[Name, ...]  # whose agents it runs
     ssh: str = ""  # what ssh takes, e.g. "anna@laptop"; "": a process of this machine
@@ -66,27 +66,27 @@ class HostTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     @property
     def called(self) -> str:
-        """Its name."""
+        """The host's name: ``name``, or the machine's, or that of its first vehicle."""
         machine = re.sub(r"^ssh://|:\d+$", "", self.ssh).rpartition("@")[2]
         return self.name or re.sub(r"[^A-Za-z0-9_-]+", "-", machine).strip("-")[:64] or self.vehicles[0]
 
     @property
     def where(self) -> str:
-        """Name and machine, for messages."""
+        """Name and machine of the host, for messages."""
         return f"host {self.called}" + (f" (ssh {self.ssh})" if self.ssh else "")
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The words that run vcmvsp on its machine."""
+        """The command words that run vcmvsp on the host's machine."""
         if self.command is None:
             return ("vcmvsp",) if self.ssh else HERE
         return (self.command,) if isinstance(self.command, str) else self.command
 
     def arguments(self, connect: str, code: Sequence[str], *, insecure: bool) -> list[str]:
-        """What vcmvsp is told there, but for keys.
+        """Arguments of vcmvsp on the host's machine, without those for keys.
 
         Args:
-            code: options that name the classes which it may run (`cosim.config.registry.host_options`).
+            code: options that name the classes that it may run (`cosim.config.registry.host_options`).
             insecure: dial without a certificate.
         """
         words = ["agent", *(f"--vehicle={vehicle}" for vehicle in self.vehicles), f"--connect={connect}", *code]
@@ -96,18 +96,18 @@ class HostTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class HostsTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A file of hosts."""
+    """A file that lists hosts."""
 
     host: tuple[HostTable, ...]
     connect: str | None = None  # where hosts dial this machine, e.g. "tls/192.168.1.10:7447"; default: where the run listens
 
 
 def read(path: Path) -> HostsTable:
-    """Read and check a file of hosts.
+    """Read and check a file that lists hosts.
 
     Raises:
         ScenarioError: naming file, line and key, and what is allowed.
-        UsageError: it cannot be read.
+        UsageError: the file cannot be read.
     """
     try:
         text = limits.read_text(path)
@@ -132,7 +132,7 @@ def read(path: Path) -> HostsTable:
 
 
 def _fault(host: HostTable, names: Mapping[str, int], hosted: Mapping[str, str]) -> tuple[str, str] | None:
-    """Key and problem of a host that types cannot say, given the ones before it."""
+    """Key and problem of a host that contradicts itself or earlier hosts, or None."""
     if not host.vehicles or len({*host.vehicles}) < len(host.vehicles):
         return "vehicles", "must name at least one vehicle, and none twice"
     if taken := [vehicle for vehicle in host.vehicles if vehicle in hosted]:
@@ -149,7 +149,7 @@ def _fault(host: HostTable, names: Mapping[str, int], hosted: Mapping[str, str])
 
 
 def toml(value: object) -> str:
-    """A value as ``--set`` reads it, in one line."""
+    """A value in one line of TOML, for ``--set``."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_scalar(str(key))} = {toml(each)}" for key, each in value.items()) + "}"
     if isinstance(value, list | tuple):
@@ -162,36 +162,36 @@ def _scalar(value: object) -> str:
 
 
 def ssh(destination: str, options: Sequence[str] = ()) -> list[str]:
-    """The command that runs ``sh`` on another machine: it never asks, and uses no terminal.
+    """The command that runs ``sh`` on another machine without prompts and without a terminal.
 
     Args:
         destination: what ssh takes: ``anna@laptop``, or a name of ``~/.ssh/config``.
-        options: of ssh, before our own, so that they win.
+        options: options of ssh; they precede the built-in ones, and so take precedence.
     """
     ours = [f"ConnectTimeout={CONNECT_S}", f"ServerAliveInterval={ALIVE_S}", f"ServerAliveCountMax={ALIVE_COUNT}"]
-    # A connection that others share would outlive this process, and keep its end of the pipe; one that is there may be used.
+    # A new shared connection would outlive this process and keep its end of the pipe; an existing one may be used.
     ours += ["ControlMaster=no", "RemoteCommand=none"]
     defaults = [word for each in ours for word in ("-o", each)]
     return ["ssh", "-T", "-o", "BatchMode=yes", *options, *defaults, "--", destination, "sh"]
 
 
 def script(
-    command: Sequence[str],  # a program, and arguments before all others; a ``~`` in front of a word means home there
+    command: Sequence[str],  # program and its first arguments; a leading ``~`` is the remote home
     options: Sequence[str],
     *,
-    last: Sequence[str] = (),  # arguments that are no options
-    folder: str = "",  # to go to first
-    keys: str = "",  # file there, for ``--keys``
+    last: Sequence[str] = (),  # positional arguments
+    folder: str = "",  # working directory
+    keys: str = "",  # remote file for ``--keys``
     bundle: str = "",
-    secret: str = "",  # the same for ``--secret``; not both
+    secret: str = "",  # content for ``--secret``, instead of a bundle
     name: str = "host",
 ) -> str:
-    """What ``sh`` (POSIX) is to do: run a command until it ends or the standard input closes, and end as it did.
+    """The POSIX script that runs a command until it ends or the standard input closes, and exits with its code.
 
     Args:
-        bundle: or its content, which is sent; the file then exists as long as the command runs, and nobody else can read it.
+        bundle: content of a certificate file instead of ``keys``; the remote copy is private and exists while the command runs.
     """
-    lines = ["export PYTHONUNBUFFERED=1"]  # what agents print is heard at once, and not lost when they are killed
+    lines = ["export PYTHONUNBUFFERED=1"]  # output of agents arrives at once and survives a kill
     words = [*map(path, command), *map(shlex.quote, options)]
     if bundle or secret:
         file = f'"$vault"/{shlex.quote(name)}.keys'
@@ -207,9 +207,9 @@ def script(
     if keys:
         words += ["--keys", path(keys)]
     words += ["--", *map(shlex.quote, last)]
-    # In braces: sh has read it all before it begins, so that nobody but the watcher reads the standard input afterwards.
-    # Where there is setsid, the host is a group of its own, and whatever the command has started ends with it.
-    # Its output is one stream: ssh has a channel for stdout and one for stderr, and lines of the two would arrive in pieces.
+    # In braces: sh reads all of it before it starts, so only the watcher reads the standard input afterwards.
+    # With setsid the host is a process group, and all processes of the command end with it.
+    # Stdout and stderr are one stream: ssh has a channel for each, and would interleave pieces of lines.
     return "\n".join(["{", *lines, _RUN.format(words=" ".join(words), kill_s=KILL_S), "}", ""])
 
 
@@ -231,7 +231,7 @@ exit $code"""
 
 
 def path(text: str) -> str:
-    """The word of a shell that means this path, with a ``~`` or ``~name`` in front expanded, and nothing else."""
+    """The shell word for a path; only a leading ``~`` or ``~name`` expands."""
     home = _HOME.match(text)
     if home is None:
         return shlex.quote(text)
@@ -240,11 +240,11 @@ def path(text: str) -> str:
 
 
 class Far:
-    """A script that runs elsewhere, and what it says.
+    """A remote script and its output.
 
     Args:
-        hear: takes each line of it, and in the end how it ended, if that was not well. Called in a thread.
-        folder: where the command is run on this machine.
+        hear: called in a thread with each line of output, and at the end with the failure, if any.
+        folder: working directory of the command on this machine.
     """
 
     def __init__(
@@ -253,7 +253,7 @@ class Far:
         self._log, self._hear = log, hear
         self.last: deque[str] = deque(maxlen=SHOWN_LINES)
         self._released = False
-        # A session of its own: neither Ctrl-C nor the terminal are for it.
+        # Own session: neither Ctrl-C nor the terminal reaches it.
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(
             command, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, cwd=folder, start_new_session=True
@@ -267,34 +267,34 @@ class Far:
 
     @property
     def code(self) -> int | None:
-        """Its exit code, once all is heard that it said; None: it has not ended."""
+        """Exit code of the script, once all its output is read; None: it still runs."""
         code = self._process.poll()
         if code is not None:
-            self._listener.join(1.0)  # what it has started may still hold the pipe
+            self._listener.join(1.0)  # processes that it has started may still hold the pipe
         return code
 
     def release(self) -> None:
-        """Have it end, if it has not by itself."""
+        """End the remote command, if it still runs."""
         self._released = True
         with contextlib.suppress(OSError):
             if self._process.stdin:
                 self._process.stdin.close()
 
     def wait(self, seconds: float) -> bool:
-        """Whether it has ended within so long."""
+        """Whether the script ends within ``seconds``."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(seconds)
         return self.code is not None
 
     def kill(self) -> None:
-        """End the near end; the far one then ends by itself."""
+        """Kill the local process; the remote one then ends by itself."""
         self._process.kill()
         self._process.wait()
 
     def _listen(self) -> None:
         said = self._process.stdout
         while said and (line := said.readline(_LONGEST_LINE)):
-            with contextlib.suppress(ValueError):  # the log is closed by now: something that outlives its end still talks
+            with contextlib.suppress(ValueError):  # the log is closed; a process that outlives the host still writes
                 self._log.write(line)
             text = line.decode(errors="replace").rstrip()
             if text:
