@@ -1,15 +1,15 @@
 """The kernel: one SimPy environment, one logical time, and the order in which federates step (see `cosim.federate`).
 
-Each instant at which something is due holds up to five slots; a slot is one SimPy event whose priority it is. In a slot
+Each instant with anything to do holds up to five slots; a slot is one SimPy event with the slot's priority. In a slot
 
 1. answers that fall due now are collected from remote federates with a lookahead,
-2. events whose time has come are published: recorded and put into the inboxes of those who read them,
-3. all remote federates that are due are asked, the local ones are stepped, the answers awaited,
-4. what they gave is published; of one key what came from elsewhere first.
+2. events of this time are published: recorded and put into the inboxes of their readers,
+3. due remote federates are asked, due local ones are stepped, and the answers are awaited,
+4. the resulting events are published; of one key, remote federates' events come first.
 
-Events are published in the order of (time, slot, key, order of giving); one of the future belongs to its giver's own slot of
-that instant. Nothing in either order depends on where a federate runs or on how long it takes, which is why a run gives the
-same bytes in one process and in many.
+Events are published in the order of (time, slot, key, order of giving); a future event belongs to its federate's own slot of
+that instant. Neither order depends on where a federate runs or on how long it takes, so a run gives the same bytes in one
+process and in many.
 """
 
 import contextlib
@@ -30,22 +30,22 @@ from vcmvsp.cosim.util.polling import readable
 
 Observer = Callable[[Event], None]
 Route = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
-"""Of a key: who reads every event, whom it wakes, who keeps only the newest."""
+"""Readers of a key: federates that read every event, that it wakes, and that keep only the newest."""
 Given = dict[str, list[Event]]
-"""Events of a slot by their keys, in the order of giving."""
+"""Events of a slot by key, in the order of giving."""
 _time = attrgetter("time_ns")
 
 T = TypeVar("T")
 
-_COLLECTED = 50_000  # objects made and still there
+_COLLECTED = 50_000  # net allocations between two garbage collections
 
 
 class Exchange:
-    """The events of one run.
+    """The event bus of one run.
 
     Args:
-        federates: who gives and reads them; numbered in this order.
-        wake: has one of them stepped at a time (ns), because an event of that time wakes it.
+        federates: publishers and readers of events, numbered in this order.
+        wake: schedules a step of a federate at a time (ns), because an event of that time wakes it.
     """
 
     def __init__(self, federates: Sequence[Federate], wake: Callable[[int, int], None]) -> None:
@@ -53,32 +53,32 @@ class Exchange:
         self._federates, self._wake = federates, wake
         self._inbox: list[list[Event]] = [[] for _ in federates]
         self._newest: list[dict[str, Event]] = [{} for _ in federates]
-        self._future: list[tuple[int, Slot]] = []  # heap of the slots to come for which events were given
-        self._given: dict[tuple[int, Slot], Given] = {}  # these events
-        self._present: Given = {}  # those that belong to the slot that is being worked off
+        self._future: list[tuple[int, Slot]] = []  # heap of the future slots with events
+        self._given: dict[tuple[int, Slot], Given] = {}  # events of these slots
+        self._present: Given = {}  # events of the current slot
         self._routes: dict[str, Route] = {}
 
     def inbox(self, index: int) -> Sequence[Event]:
-        """What a federate has not read yet, in order of time; now it has."""
+        """Take the events that a federate has not read yet, in order of time."""
         inbox, self._inbox[index] = self._inbox[index], []
         if newest := self._newest[index]:
             kept = sorted(newest.values(), key=_time)
             newest.clear()
-            if inbox and inbox[-1].time_ns < kept[0].time_ns:  # as it is with what is known of this instant alone
+            if inbox and inbox[-1].time_ns < kept[0].time_ns:  # the usual case: the newest events are of this instant only
                 inbox += kept
             else:
                 inbox = sorted(kept + inbox, key=_time)
         return inbox
 
     def give(self, index: int, events: Sequence[Event], now: int, slot: Slot) -> None:
-        """Take what a federate gave in a slot; an event of the future that wakes someone has its instant scheduled."""
+        """Accept the events that a federate gave in a slot, and schedule the steps that they cause."""
         home, routes = self._federates[index].slot, self._routes
         last, given = now, self._present
         woken: tuple[int, tuple[int, ...]] = now, ()
         for event in events:
             when, key = event.time_ns, event.key
             route = routes.get(key) or self._route(key)
-            if when != last:  # many follow each other that are of one time: receptions of a frame
+            if when != last:  # many successive events have one time: receptions of a frame
                 if when < now:
                     raise FederateError(self._federates[index].name, f"gave {key} of {when} ns at {now} ns")
                 last, given = when, self._present if when == now else self._those_of(when, home)
@@ -86,7 +86,7 @@ class Exchange:
                 given[key].append(event)
             else:
                 given[key] = [event]
-            if route[1] and (when, route[1]) != woken:  # as many who send at once wake the radio
+            if route[1] and (when, route[1]) != woken:  # many senders wake the radio at once
                 woken = when, route[1]
                 for each in route[1]:
                     self._check(each, key, slot if when == now else home)
@@ -100,7 +100,7 @@ class Exchange:
             self._tell(self._given.pop(heapq.heappop(future)))
         if future and future[0] == here:
             present, due = due, self._given.pop(heapq.heappop(future))
-            for key, events in present.items():  # of one key, what was given earlier comes first
+            for key, events in present.items():  # earlier events of a key come first
                 due[key] = due[key] + events if key in due else events
         if due:
             self._tell(due)
@@ -114,7 +114,7 @@ class Exchange:
                     observe(event)
             except KeyboardInterrupt:
                 raise
-            except BaseException as error:  # whatever somebody's own observer raises
+            except BaseException as error:  # user-defined observers may raise anything
                 raise FederateError("recording", words_of(error)) from error
             for index in readers:
                 inboxes[index] += events
@@ -130,7 +130,7 @@ class Exchange:
         return given
 
     def _check(self, index: int, key: str, at: Slot) -> None:
-        """Refuse an event whose slot is not before the one in which it wakes a federate."""
+        """Refuse an event that is published too late to wake a federate in its slot."""
         federate = self._federates[index]
         if federate.wake_slot <= at:
             raise FederateError(federate.name, f"{key}, published in {at.name}, comes too late for {federate.wake_slot.name}")
@@ -156,15 +156,15 @@ class Kernel:
     def __init__(
         self,
         run: RunInfo,
-        federates: Sequence[Federate],  # with names that differ
+        federates: Sequence[Federate],  # with unique names
         *,
-        clock: Clock | None = None,  # what paces the run; default: as fast as possible
-        tolerance_ns: int | None = None,  # an instant that begins later than this on the wall clock is too late; None: none is
-        strict: bool = False,  # what is too late ends the run; else the run slips against the wall clock
+        clock: Clock | None = None,  # pace of the run; default: as fast as possible
+        tolerance_ns: int | None = None,  # allowed lag of an instant behind the wall clock; None: any
+        strict: bool = False,  # a lag beyond the tolerance ends the run; else the run slips against the wall clock
     ) -> None:
         self.run_info, self.now_ns = run, 0
-        self.late_ns: list[int] = []  # how late each tick of agents began, what the run slipped since the tick before included
-        self._slipped_ns = 0  # since the last tick
+        self.late_ns: list[int] = []  # lag of each tick of agents, including the slip since the previous tick
+        self._slipped_ns = 0  # since the previous tick
         self._has_agents = any(each.slot is Slot.AGENT for each in federates)
         self._federates = sorted(federates, key=lambda each: each.name)
         self._blames = [_blame(each) for each in self._federates]
@@ -175,28 +175,28 @@ class Kernel:
         ]
         self._clock, self._tolerance_ns, self._strict = clock or SimClock(), tolerance_ns, strict
         self._events = Exchange(self._federates, self._wake)
-        self._released, self._parted = False, list[VcmvspError]()  # what went wrong when federates were let go of
-        self.waiting = False  # for the clock or for an answer: an interruption may strike at once
-        self.stop = False  # set it to have the run end, as by Ctrl-C, before the next slot
+        self._released, self._parted = False, list[VcmvspError]()  # errors while federates were released
+        self.waiting = False  # the kernel waits for the clock or for an answer and may be interrupted
+        self.stop = False  # set to end the run before the next slot, as with Ctrl-C
         self._env = simpy.Environment(initial_time=0)
         self._due: dict[tuple[int, Slot], dict[int, bool]] = {}  # (time, slot) -> {federate: woken by an event?}
         self._next: list[int | None] = [None] * len(self._federates)
-        self._open: dict[tuple[int, Slot], list[int]] = {}  # (time, slot) -> whose answers are awaited there
+        self._open: dict[tuple[int, Slot], list[int]] = {}  # (time, slot) -> federates with an answer due there
 
     def start(self) -> None:
-        """Start all federates: everything that can be wrong with how they are set up comes out here."""
+        """Start all federates; errors in their set-up are raised here."""
         for index, federate in enumerate(self._federates):
             with self._blames[index]:
                 self._schedule(index, self._await(lambda: federate.start(self.run_info)))  # noqa: B023  called at once
 
     def run(self, observe: Observer, *, on_instant: Callable[[int], None] | None = None) -> None:
-        """Step the started federates until the end; closing them is left to the caller (`close`).
+        """Step the started federates until the end; the caller closes them (`close`).
 
         Args:
             observe: called with every event, in the order of publication (the recording).
         """
         self._events.observe = observe
-        with threadpool_limits(1), _seldom_collected():  # of linear algebra: sums are the same on any number of cores
+        with threadpool_limits(1), _seldom_collected():  # linear algebra on one core: sums do not depend on the number of cores
             self._run(on_instant)
 
     def _run(self, on_instant: Callable[[int], None] | None) -> None:
@@ -215,7 +215,7 @@ class Kernel:
                         self._schedule(index, last)
             if self.stop:
                 raise KeyboardInterrupt
-            if self._env.peek() <= last:  # else it was woken for nothing
+            if self._env.peek() <= last:  # else the federate that woke the clock needs no step
                 self._env.step()
         self.now_ns = end_ns
         self._events.publish(end_ns, Slot.RADIO)
@@ -227,7 +227,7 @@ class Kernel:
             self._clock.sleep = lambda seconds: bool(readable(open_, seconds))
 
     def _wait_until(self, last: int, when: int) -> int:
-        """Wait for the next instant; the answer is its time, which is earlier if somebody comes before."""
+        """Wait for the next instant; returns its time, which is earlier if a prompted federate became readable."""
         late_ns = self._await(lambda: self._clock.wait_until(when))
         if late_ns < 0:
             self.now_ns = max(last + 1, when + late_ns)
@@ -252,7 +252,7 @@ class Kernel:
     def _is_tick(self, when: int) -> bool:
         if not self._has_agents:
             return True
-        due = self._due.get((when, Slot.AGENT), ())  # an answer may be due in it, too, or who is woken
+        due = self._due.get((when, Slot.AGENT), ())  # the slot may also hold a due answer or woken agents
         return when < self.run_info.duration_ns and any(self._next[index] == when for index in due)
 
     def _await(self, wait: Callable[[], T]) -> T:
@@ -271,7 +271,7 @@ class Kernel:
             raise self._parted[0]
 
     def release(self) -> None:
-        """Let all know that the run is over that have something elsewhere: a robot stops before a file is written."""
+        """Tell federates with remote parts that the run is over, so that a robot stops before any file is written."""
         if not self._released:
             self._released = True
             for federate in self._federates:
@@ -285,7 +285,7 @@ class Kernel:
         except VcmvspError as error:
             self._parted.append(error)
 
-    # --- what is due when -------------------------------------------------------------------------------------------------
+    # --- schedule ---------------------------------------------------------------------------------------------------------
 
     def _schedule(self, index: int, when: int | None) -> None:
         self._next[index] = when
@@ -293,7 +293,7 @@ class Kernel:
             self._slot(when, self._federates[index].slot).setdefault(index, False)
 
     def _slot(self, when: int, slot: Slot) -> dict[int, bool]:
-        """The entry of a slot; the first to ask for it has it put into SimPy's queue."""
+        """The entry of a slot; a new one is put into SimPy's queue."""
         entry = self._due.get((when, slot))
         if entry is None:
             entry = self._due[when, slot] = {}
@@ -309,7 +309,7 @@ class Kernel:
     def _run_slot(self, now: int, slot: Slot) -> None:
         entry = self._due.pop((now, slot))
         if now == self.run_info.duration_ns and slot >= Slot.AGENT:
-            return  # the end belongs to the world alone
+            return  # at the end only the world steps
         self._collect(now, slot)
         self._events.publish(now, slot)
         due = sorted([index for index, woken in entry.items() if woken or self._next[index] == now])
@@ -317,7 +317,7 @@ class Kernel:
             if index in self._remote:
                 self._ask(index, now)
         given = [(index, self._step(index, now)) for index in due if index not in self._remote]
-        self._collect(now, slot)  # before what was given here, as who is elsewhere in one run may be here in another
+        self._collect(now, slot)  # before local events: a federate may be remote in one run and local in another
         for index, events in given:
             self._events.give(index, events, now, slot)
         self._events.publish(now, slot)
@@ -354,7 +354,7 @@ class Kernel:
 
 @contextlib.contextmanager
 def _seldom_collected() -> Iterator[None]:
-    """Let Python look for cycles less often: events hold none, and thousands of them wait at a time."""
+    """Make garbage collections rare: events hold no cycles, and thousands of them wait at a time."""
     before = gc.get_threshold()
     gc.set_threshold(max(before[0], _COLLECTED), *before[1:])
     try:
@@ -364,7 +364,7 @@ def _seldom_collected() -> Iterator[None]:
 
 
 class _blame:  # noqa: N801  reads as a word: with _blame(federate)
-    """Names the federate in whatever goes wrong inside, unless the error is one of ours already."""
+    """Names the federate in any exception of its block, unless that is a `VcmvspError` already."""
 
     def __init__(self, federate: Federate) -> None:
         self._name = federate.name

@@ -1,8 +1,8 @@
-"""Child processes of this machine: started afresh (never forked), ended with this one however it ends, and links to them.
+"""Child processes of this machine: started afresh (never forked), ended together with this process, and links to them.
 
-A link carries whole messages, and nobody ever waits for the other side. It is a pair of local sockets that keep messages apart
-(``SOCK_SEQPACKET``): what does not go at once does not go at all, so that half a message is never on its way, and a side that
-hangs cannot hold the other. When a process ends, however, the other side reads the end of the link.
+A link carries whole messages, and neither side ever waits for the other. It is a pair of local sockets that keep message
+boundaries (``SOCK_SEQPACKET``): a message that cannot be sent at once is not sent at all, so there are no partial messages, and
+a side that hangs cannot delay the other. When a process ends, the other side reads the end of the link.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 from vcmvsp.cosim.util.polling import readable
 
-LONGEST = 1 << 18  # bytes of a message; the operating system takes some 200 kB
+LONGEST = 1 << 18  # bytes of a message; the operating system accepts some 200 kB
 
 BOOT = """
 import json, os, sys
@@ -31,12 +31,12 @@ sys.exit(main())
 
 
 class ChildProcess:
-    """One child. It looks for modules where this process does, and nowhere else: not in the current folder.
+    """A child process. It imports modules from this process's paths only, not from the current folder.
 
-    Its standard input closes when this process ends, upon which it leaves. A group of its own keeps Ctrl-C away from it.
+    Its standard input closes when this process ends, and it exits then. Its own process group keeps Ctrl-C away from it.
 
     Args:
-        stdout: descriptor of its standard output; default: standard error, for it must not mix with the run's own output.
+        stdout: descriptor of its standard output; default: standard error, apart from the run's own output.
 
     Raises:
         OSError: it cannot be started.
@@ -44,13 +44,13 @@ class ChildProcess:
 
     def __init__(
         self,
-        module: str,  # whose ``main`` it calls
+        module: str,  # module with the ``main`` to call
         *arguments: str,
-        first: str = "",  # what it reads first of its standard input
+        first: str = "",  # first text on its standard input
         files: Sequence[int] = (),
         stdin: int = subprocess.PIPE,  # descriptor of its standard input; default: a pipe
         stdout: int | None = None,
-        boot: str = BOOT,  # the program that calls ``main``, once it has read the paths of modules
+        boot: str = BOOT,  # the program that reads the module paths and calls ``main``
     ) -> None:
         output = sys.__stderr__ if stdout is None else stdout
         command = [sys.executable, "-P", "-c", boot.format(module=module), *arguments]
@@ -62,36 +62,36 @@ class ChildProcess:
 
     @property
     def pid(self) -> int:
-        """Its number."""
+        """The process id."""
         return self._process.pid
 
     @property
     def returncode(self) -> int | None:
-        """How it ended; None: it has not, or nobody has looked."""
+        """The exit code; None: the process still runs."""
         return self._process.poll()
 
     def why_ended(self, seconds: float = 0.0) -> str:
-        """How it ended, in words; empty: it has not, within so long."""
+        """How the process ended, in words; empty: it still runs after ``seconds``."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             return ending(self._process.wait(seconds))
         return ""
 
     def wait(self) -> None:
-        """Until it ends."""
+        """Wait until the process ends."""
         self._process.wait()
 
     def kill(self) -> None:
-        """End it, without waiting for that."""
+        """Kill the process, without waiting."""
         self._process.kill()
 
     def close(self, seconds: float) -> bool:
-        """Let it leave within so long, or make it; whether it left by itself."""
+        """Let the process exit within ``seconds``, else kill it; returns whether it exited by itself."""
         if self._process.stdin:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()
         if self.why_ended(seconds):
             return True
-        with contextlib.suppress(PermissionError):  # what has more rights than this process ends by itself, with its pipe
+        with contextlib.suppress(PermissionError):  # a process with more rights ends by itself, with its pipe
             self._process.kill()
             self._process.wait()
         return False
@@ -104,7 +104,7 @@ class LinkedProcess(ChildProcess):
         self.link, there = pair()
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
         with there:
-            # A session of its own keeps away Ctrl-C, and the end of the terminal: what it holds is let go of in order first.
+            # Own session: Ctrl-C and a closing terminal do not reach it, so it can release its resources in order.
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", module, str(there.fileno()), *arguments],
                 stdin=subprocess.DEVNULL,
@@ -116,21 +116,21 @@ class LinkedProcess(ChildProcess):
 
 
 class LocalLink:
-    """One end of a link."""
+    """One end of a link between processes."""
 
     def __init__(self, end: socket.socket) -> None:
         self._socket, self.ended = end, False
         end.setblocking(False)
 
     def fileno(self) -> int:
-        """For select."""
+        """The descriptor for select."""
         return self._socket.fileno()
 
     def send(self, message: bytes) -> bool:
-        """Whether it went: not if the other side has stopped reading, or has gone.
+        """Send a message; returns False if the other side has stopped reading or has ended.
 
         Raises:
-            ValueError: it is longer than any message can be, and will never go.
+            ValueError: the message is longer than the longest possible one.
         """
         try:
             self._socket.send(message)
@@ -143,34 +143,34 @@ class LocalLink:
         return True
 
     def receive(self) -> list[bytes]:
-        """All that has come. Raises `ValueError` (a message was longer than `LONGEST`, and the end of it is missing)."""
+        """All messages that have arrived. Raises `ValueError` (one was longer than `LONGEST`, and is cut)."""
         messages = []
         while not self.ended:
             try:
                 message, _, flags, _ = self._socket.recvmsg(LONGEST)
             except BlockingIOError:
                 break
-            except ConnectionResetError:  # it went without reading everything; it is said once, before its last words
+            except ConnectionResetError:  # the other side left messages unread; reported once, before its last ones
                 continue
             if flags & socket.MSG_TRUNC:
                 raise ValueError(f"a message was longer than {LONGEST} bytes")
             if message:
                 messages.append(message)
             else:
-                self.ended = True  # the other side has gone; what it had said before was received
+                self.ended = True  # the other side has ended; its last messages were received
         return messages
 
     def wait(self, seconds: float) -> None:
-        """Until something has come, at most so long."""
+        """Wait until a message arrives, at most ``seconds``."""
         readable([self._socket.fileno()], max(seconds, 0.0))
 
     def close(self) -> None:
-        """Let the other side read the end of the link."""
+        """Close this end; the other side reads the end of the link."""
         self._socket.close()
 
 
 def pair() -> tuple[LocalLink, socket.socket]:
-    """A link, and the end of it that a child process is to inherit."""
+    """A link, and the socket that a child process inherits as its other end."""
     here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     return LocalLink(here), there
 

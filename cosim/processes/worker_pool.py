@@ -1,8 +1,8 @@
-"""A function called many times on this machine, in processes: one that dies costs one call.
+"""Pool of worker processes for many calls of a function on this machine; a worker that dies costs one call.
 
-Workers are started afresh, each by itself, and a thread waits for each. They are interpreters of their own rather than children
-of `multiprocessing`, which would import the caller's script once more in each of them. Functions, what they are given and what
-they give travel as pickles.
+Workers are started afresh, and a thread waits for each. They are separate interpreters rather than children of
+`multiprocessing`, which would import the caller's script again in each of them. Functions, arguments and results travel as
+pickles.
 """
 
 import contextlib
@@ -23,16 +23,16 @@ from typing import Any
 from vcmvsp.cosim.errors import VcmvspError, words_of
 from vcmvsp.cosim.processes.child_process import BOOT, ChildProcess
 
-ATTEMPTS = 2  # of a call
-STARTS = 10  # of a worker, before somebody must mean it
+ATTEMPTS = 2  # attempts of a call
+STARTS = 10  # of a worker, before repeated kills count as an error
 READY = "ready"
 MODULE = "vcmvsp.cosim.processes.worker_pool"
-Asked = tuple[Any, Any]  # the caller's name for a call, and what the function is given
-Answered = tuple[Any, Any]  # the same name, and what the function gave
+Asked = tuple[Any, Any]  # the caller's key of a call, and the argument
+Answered = tuple[Any, Any]  # the same key, and the result
 
 
 class WorkerDiedError(Exception):
-    """The process ended in the middle of a call."""
+    """The worker process ended during a call."""
 
 
 class Worker:
@@ -53,12 +53,12 @@ class Worker:
             ready = None
         if ready != READY:
             self.close()
-            if self._process.returncode == -signal.SIGKILL:  # somebody else's doing: like one that is killed later
+            if self._process.returncode == -signal.SIGKILL:  # killed from outside during its start: treated like a later kill
                 raise WorkerDiedError
             raise VcmvspError(f"a worker ended while it started (exit code {self._process.returncode})")
 
     def run(self, given: object) -> Any:
-        """What the function gives, or raises. Raises `WorkerDiedError` (the process was killed, or crashed)."""
+        """The function's result or exception. Raises `WorkerDiedError` (the process was killed, or crashed)."""
         asked = pickle.dumps(given)
         try:
             self._pipe.send_bytes(asked)
@@ -71,23 +71,23 @@ class Worker:
         return value
 
     def close(self) -> None:
-        """End it, whatever it is doing; hosts of agents that it has started end by themselves then."""
+        """Kill the worker, also during a call; hosts of agents that it has started end by themselves then."""
         self._process.kill()
         self._process.wait()
         self._pipe.close()
 
     def kill(self) -> None:
-        """End it while another thread waits for its answer."""
+        """Kill the worker while another thread waits for its answer."""
         self._process.kill()
 
 
 class Pool:
-    """Workers of this machine. Use it as a context manager: leaving it ends them.
+    """Worker processes of this machine. Use it as a context manager: leaving it ends them.
 
     Args:
         call: a function of a module, or a `functools.partial` of one.
-        jobs: how many calls are made at once.
-        died: what a call gives whose worker died, twice; an error is raised.
+        jobs: number of parallel calls.
+        died: result of a call whose worker died twice; an exception is raised.
     """
 
     def __init__(self, call: Callable[[Any], Any], jobs: int, *, died: object) -> None:
@@ -109,7 +109,7 @@ class Pool:
             thread.join()
 
     def answers(self, asked: Iterable[Asked], count: int) -> Iterator[Answered]:
-        """What these ``count`` calls give, in the order in which it becomes known; the first that raises ends it."""
+        """The results of these ``count`` calls in the order of completion; the first exception ends it."""
         source = iter(asked)
         for _ in range(min(self._jobs, count)):
             self._threads.append(threading.Thread(target=self._serve, args=(source,), daemon=True))
@@ -135,7 +135,7 @@ class Pool:
                         self._left(worker)
                         worker = None
                 self._answers.put(answer if isinstance(answer, BaseException) else (name, answer))
-        except BaseException as error:  # for the main thread to raise
+        except BaseException as error:  # raised in the main thread
             self._answers.put(error)
         finally:
             self._left(worker)
@@ -145,7 +145,7 @@ class Pool:
             return None if self._stopped else next(source, None)
 
     def _started(self) -> Worker:
-        """A worker. One that is killed while it starts has cost no call yet."""
+        """A new worker. A kill during the start does not count as a failed call."""
         for _ in range(STARTS):
             if self._stopped:
                 raise WorkerDiedError
@@ -166,18 +166,18 @@ class Pool:
 
 
 def cores() -> int:
-    """How many processors this process may use."""
+    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-# --- in the worker ----------------------------------------------------------------------------------------------------------
+# --- worker process -------------------------------------------------------------------------------------------------------
 
 
 def main() -> int:
-    """Entry point of a worker process: a function comes in first, then what it is to be given, again and again."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's to handle; it ends its workers
+    """Entry point of a worker process: reads the function, then one argument after the other."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller handles Ctrl-C and ends its workers
     pipe: Connection[Any, Any] = Connection(os.dup(0))
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # nothing that a call starts holds our end, or reads from it
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # processes started by a call neither hold nor read this end
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(pipe, lines), daemon=True).start()
     call = pickle.loads(lines.get())  # noqa: S301  from the process that started us
@@ -187,7 +187,7 @@ def main() -> int:
 
 
 def _read(pipe: "Connection[Any, Any]", lines: "queue.SimpleQueue[bytes]") -> None:
-    """Take calls; leave at once, in the middle of one too, when the caller's process is gone: its end of the pipe closes."""
+    """Read calls; exit at once, also during a call, when the caller's process is gone and its end of the pipe closes."""
     with contextlib.suppress(EOFError, OSError):
         while True:
             lines.put(pipe.recv_bytes())
@@ -202,12 +202,12 @@ def _answer(call: Callable[[Any], Any], given: bytes) -> bytes:
 
 
 def _portable(error: Exception) -> Exception:
-    """The error, where it can be sent; what it says otherwise."""
+    """The error if it can be pickled; otherwise a substitute with its text."""
     if not isinstance(error, VcmvspError):
         error.add_note("".join(traceback.format_exception(error)))
     try:
         pickle.loads(pickle.dumps(error))  # noqa: S301
-    except Exception:  # an error need not be made for it, nor what it holds
+    except Exception:  # arbitrary errors and their contents may not be picklable
         return VcmvspError(str(error) if isinstance(error, VcmvspError) else words_of(error))
     return error
 

@@ -1,6 +1,6 @@
-"""An authority of one's own, which makes, renews and revokes the certificates of machines: ``vcmvsp keys``.
+"""Certificate authority of a site: makes, renews and revokes the certificates of machines (``vcmvsp keys``).
 
-What it writes, and what a certificate means, is in `cosim.security.certificates`.
+The files and the meaning of a certificate are described in `cosim.security.certificates`.
 """
 
 import contextlib
@@ -25,13 +25,12 @@ def init(folder: Path, names: Sequence[str] = (), *, days: int = HUB_DAYS, force
     """Make an authority and the hub's certificate.
 
     Args:
-        folder: a new or empty one; nobody else will be able to read it.
-        names: more host names and addresses under which the hub may be dialled; those that this machine knows of itself come on
-            their own.
-        force: make a new authority although there is one, and so all certificates of the old one void.
+        folder: a new or empty one; only its owner will be able to read it.
+        names: additional host names and addresses of the hub; those that this machine knows are included automatically.
+        force: replace an existing authority, which makes all its certificates void.
 
     Raises:
-        UsageError: the folder holds something, a name is none, or it cannot be written.
+        UsageError: the folder is not empty, a name is invalid, or the folder cannot be written.
     """
     if (folder / INDEX).exists():
         if not force:
@@ -52,10 +51,10 @@ def init(folder: Path, names: Sequence[str] = (), *, days: int = HUB_DAYS, force
 
 
 def renew_hub(folder: Path, names: Sequence[str] = (), *, days: int = HUB_DAYS) -> Keys:
-    """Make the hub's certificate again, for the names that it has, those of this machine, and these.
+    """Renew the hub's certificate for its present names, those of this machine, and ``names``.
 
     Raises:
-        UsageError: the folder is none of an authority, a name is none, or it cannot be written.
+        UsageError: the folder has no authority, a name is invalid, or the folder cannot be written.
     """
     keys = load(folder)
     _check_days(days)
@@ -67,17 +66,17 @@ def renew_hub(folder: Path, names: Sequence[str] = (), *, days: int = HUB_DAYS) 
 
 def issue(
     folder: Path,
-    name: str,  # what runs call the machine
-    vehicles: Sequence[str] = (),  # for which it may speak
+    name: str,  # name of the machine in runs
+    vehicles: Sequence[str] = (),  # vehicles whose agents it may host
     *,
     days: int = HOST_DAYS,
     out: Path | None = None,  # file, or existing folder, to write to; None: ``<name>.keys`` in ``folder``
-    force: bool = False,  # make it again
+    force: bool = False,  # replace an existing one
 ) -> Bundle:
     """Make the file of a machine: of a host of these vehicles' agents or, without vehicles, of an observer.
 
     Raises:
-        UsageError: the name is taken, reserved or revoked, something is no name, or it cannot be written.
+        UsageError: the name is taken, reserved or revoked, a name is invalid, or the file cannot be written.
     """
     keys = load(folder)
     for each in (name, *vehicles):
@@ -101,7 +100,7 @@ def issue(
 
 
 def revoke(folder: Path, name: str) -> Entry:
-    """Let this name in no more. Raises `UsageError` (no certificate was given to that name)."""
+    """Revoke the certificate of a name. Raises `UsageError` (the name has no certificate)."""
     keys = load(folder)
     if (entry := keys.index.find(name)) is None:
         known = ", ".join(each.name for each in keys.index.issued) or "nobody"
@@ -165,7 +164,7 @@ def _write_index(folder: Path, index: Index) -> None:
 
 @contextlib.contextmanager
 def _writing(what: Path) -> Iterator[None]:
-    """Whatever goes wrong with files in here is the user's to hear of."""
+    """Turn file errors into `UsageError`."""
     try:
         yield
     except OSError as error:

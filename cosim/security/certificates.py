@@ -1,17 +1,17 @@
-"""Certificates of the machines that take part in runs: an authority of one's own, and one file for each machine.
+"""Certificates of the machines that take part in runs: the authority's folder, and one file for each machine.
 
 ::
 
     keys/                     stays on the machine that runs scenarios
-        ca.pem   ca.key       the authority: whoever has its key can let anybody in
-        hub.pem  hub.key      what a run shows to those that dial
-        index.json            who was given a certificate, and for which vehicles
-        car2.keys             to be copied to the machine of car2: private key, certificate, the authority's certificate
+        ca.pem   ca.key       the authority: its key can admit any machine
+        hub.pem  hub.key      certificate of a run's hub
+        index.json            issued names, and their vehicles
+        car2.keys             for the machine of car2: private key, certificate, the authority's certificate
 
-The common name of a certificate is the name that a run knows a machine by. Beside it the certificate says itself whether it is
-for a host of agents or for an observer, and for which vehicles. A name means one thing for good: a second certificate of a name
-is for the same vehicles, and a revoked name is not given again, because the revoked certificate would be as good as the new.
-They are made in `cosim.security.authority`, and read here.
+The common name of a certificate is the machine's name in runs. URIs in the certificate give its role, host of agents or
+observer, and its vehicles. The meaning of a name never changes: a second certificate of a name has the same vehicles, and a
+revoked name is not issued again, because the revoked certificate would be as good as the new.
+Certificates are made in `cosim.security.authority`, and read here.
 """
 
 import contextlib
@@ -42,32 +42,32 @@ Role = Literal["host", "observer"]
 HUB = "hub"
 WARN = dt.timedelta(days=7)
 INDEX, SUFFIX = "index.json", ".keys"
-ROLE, VEHICLE = "vcmvsp:", "vcmvsp:vehicle:"  # how the URIs in a certificate begin
+ROLE, VEHICLE = "vcmvsp:", "vcmvsp:vehicle:"  # prefixes of the URIs in a certificate
 
 
 class Signed(NamedTuple):
-    """A private key and the certificate for it."""
+    """A private key and its certificate."""
 
     key_pem: str
     certificate_pem: str
 
 
 class Facts(NamedTuple):
-    """What a certificate says."""
+    """The content of a certificate."""
 
     name: str  # common name
-    others: tuple[str, ...]  # host names, addresses and URIs that it is for as well
+    others: tuple[str, ...]  # further host names, addresses and URIs
     since: dt.datetime
     until: dt.datetime
 
 
 def now() -> dt.datetime:
-    """The time in whole seconds, as certificates have it."""
+    """The time in whole seconds, the resolution of certificates."""
     return dt.datetime.now(dt.UTC).replace(microsecond=0)
 
 
 def new_authority(days: int) -> Signed:
-    """A certificate that signs itself, and may sign others that sign none."""
+    """A self-signed certificate that may sign machines' certificates, but no authorities."""
     key = ec.generate_private_key(ec.SECP256R1())
     subject = _subject(f"vcmvsp authority {os.urandom(4).hex()}")
     draft = _draft(subject, subject, key.public_key(), days)
@@ -79,7 +79,7 @@ def new_authority(days: int) -> Signed:
 
 @contextlib.contextmanager
 def _known() -> Iterator[None]:
-    """What the library has no name for is damaged, or none of ours: a ``ValueError``, as for all else that is wrong."""
+    """Turn errors that the library does not name into `ValueError`: the certificate is damaged or foreign."""
     try:
         yield
     except UnsupportedAlgorithm as error:
@@ -91,11 +91,11 @@ def sign(authority: Signed, name: str, others: Iterable[str], *, server: bool, d
     """A new key, and a certificate for it.
 
     Args:
-        others: host names, addresses (where it is a server) or URIs (where it is none).
-        server: whether it is good for listening, or for dialling.
+        others: host names and addresses (of a server) or URIs (of a client).
+        server: for listening instead of dialling.
 
     Raises:
-        ValueError: the authority is damaged, or ends before.
+        ValueError: the authority is damaged, or expires earlier.
     """
     ca = x509.load_pem_x509_certificate(authority.certificate_pem.encode())
     ca_key = serialization.load_pem_private_key(authority.key_pem.encode(), None)
@@ -120,7 +120,7 @@ def sign(authority: Signed, name: str, others: Iterable[str], *, server: bool, d
 
 @_known()
 def facts(certificate_pem: str) -> Facts:
-    """Read a certificate. Raises `ValueError` (it is none, or not of the kind that `sign` makes)."""
+    """Read a certificate. Raises `ValueError` (not a certificate, or not made by `sign`)."""
     certificate = x509.load_pem_x509_certificate(certificate_pem.encode())
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     try:
@@ -135,7 +135,7 @@ def facts(certificate_pem: str) -> Facts:
 
 @_known()
 def check_together(signed: Signed, ca_pem: str) -> None:
-    """Raise ``ValueError`` unless the key is that of the certificate, and the certificate signed by this authority."""
+    """Raise ``ValueError`` unless the key belongs to the certificate, and this authority has signed it."""
     certificate = x509.load_pem_x509_certificate(signed.certificate_pem.encode())
     key = serialization.load_pem_private_key(signed.key_pem.encode(), None)
     if not isinstance(key, ec.EllipticCurvePrivateKey) or certificate.public_key() != key.public_key():
@@ -160,7 +160,7 @@ def is_address(name: str) -> bool:
 
 
 def write(path: Path, text: str) -> None:
-    """Write what only the owner may read, at once whole: never half a file in place of a good one."""
+    """Write a file that only its owner may read, atomically."""
     write_whole(path, text, 0o600)
 
 
@@ -190,7 +190,7 @@ def _key_pem(key: ec.EllipticCurvePrivateKey) -> str:
 
 
 class Entry(msgspec.Struct, frozen=True):
-    """The latest certificate that was given to a name."""
+    """The latest certificate of a name."""
 
     name: str
     role: Role
@@ -200,12 +200,12 @@ class Entry(msgspec.Struct, frozen=True):
 
     @property
     def state(self) -> str:
-        """What has become of it: ``revoked``, or as `state_of`."""
+        """State of the certificate: ``revoked``, or as `state_of`."""
         return "revoked" if self.revoked else state_of(self.until)
 
 
 class Index(msgspec.Struct, frozen=True):
-    """All names that an authority has given a certificate to."""
+    """Index of all issued names of an authority."""
 
     issued: tuple[Entry, ...] = ()
 
@@ -219,24 +219,24 @@ class Index(msgspec.Struct, frozen=True):
 
 
 class Keys(msgspec.Struct, frozen=True):
-    """The folder of an authority as a run needs it: the hub's certificate, and who may come."""
+    """The folder of an authority as a run needs it: the hub's certificate, and the admitted machines."""
 
     folder: Path
     ca_pem: str
     certificate_pem: str
     key_pem: str
-    names: tuple[str, ...]  # host names and addresses under which the hub may be dialled
+    names: tuple[str, ...]  # host names and addresses of the hub
     since: dt.datetime
     until: dt.datetime
     index: Index
 
     @property
     def members(self) -> tuple[Entry, ...]:
-        """Whoever has a certificate that is not revoked."""
+        """Entries that are not revoked."""
         return tuple(entry for entry in self.index.issued if not entry.revoked)
 
     def lacking(self, vehicles: Iterable[str]) -> list[str]:
-        """Those of the vehicles for which no machine has a valid certificate."""
+        """Vehicles for which no machine has a valid certificate."""
         served = {vehicle for entry in self.members if entry.until > now() for vehicle in entry.vehicles}
         return [vehicle for vehicle in vehicles if vehicle not in served]
 
@@ -246,7 +246,7 @@ class Keys(msgspec.Struct, frozen=True):
         return f"{names[0] if names else vehicle}{SUFFIX}"
 
     def check(self) -> str | None:
-        """Raise `UsageError` if the hub's certificate is out of date; a warning if it soon will be."""
+        """Raise `UsageError` if the hub's certificate has expired; returns a warning if it soon will."""
         remedy = f"vcmvsp keys hub --keys {self.folder}"
         return _check(f"{self.folder}: the hub's certificate", self.since, self.until, remedy)
 
@@ -265,7 +265,7 @@ class Bundle(msgspec.Struct, frozen=True):
     key_pem: str
 
     def check(self) -> str | None:
-        """Raise `UsageError` if the certificate is out of date; a warning if it soon will be."""
+        """Raise `UsageError` if the certificate has expired; returns a warning if it soon will."""
         named = "" if self.vehicles == (self.name,) else f" --as {self.name}"
         what = f"observer {self.name}" if self.role == "observer" else f"vehicle {' '.join(self.vehicles)}{named}"
         remedy = f"vcmvsp keys {what} --force --keys DIR"
@@ -280,7 +280,7 @@ class Bundle(msgspec.Struct, frozen=True):
 
 
 def load(folder: Path) -> Keys:
-    """Read the folder of an authority. Raises `UsageError` (it is none, or damaged)."""
+    """Read the folder of an authority. Raises `UsageError` (no authority, or a damaged one)."""
     if folder.is_file():
         raise UsageError(f"{folder}: is a file; name the folder that 'vcmvsp keys init' has made")
     if not (folder / INDEX).exists():
@@ -296,7 +296,7 @@ def load(folder: Path) -> Keys:
 
 
 def load_bundle(path: Path) -> Bundle:
-    """Read the file of a machine. Raises `UsageError` (it is none, or damaged)."""
+    """Read the file of a machine. Raises `UsageError` (no such file, or a damaged one)."""
     if path.is_dir():
         raise UsageError(f"{path}: is a folder; name the file of this machine, e.g. {path / 'car2.keys'}")
     try:
@@ -314,7 +314,7 @@ def load_bundle(path: Path) -> Bundle:
 
 
 def state_of(until: dt.datetime) -> str:
-    """``valid``, ``expires soon`` or ``expired``."""
+    """State of a certificate by its expiry: ``valid``, ``expires soon`` or ``expired``."""
     left = until - now()
     return "expired" if left < dt.timedelta(0) else "expires soon" if left < WARN else "valid"
 

@@ -1,7 +1,7 @@
-"""What a program and the run say to each other on a socket (`cosim.sockets`): MessagePack behind four bytes of length.
+"""Messages between a program and the run on a socket (`cosim.sockets`): MessagePack behind four bytes of length.
 
-A program says hello, and is welcome or refused. From then on it speaks in its turns alone: `Go` gives it one, which lasts until
-it says `Wait`. In its turn it says what its vehicle sends, for which no answer is awaited. Whoever ends the connection leaves.
+A program sends `Hello` and gets `Welcome` or `Refused`. From then on it sends in its turns only: a turn lasts from `Go` to its
+`Wait`. In its turn it sends its vehicle's datagrams, which are not acknowledged. Either side leaves by closing the connection.
 """
 
 import socket
@@ -15,61 +15,61 @@ T = TypeVar("T")
 VERSION = 1
 DEFAULT = "tcp/127.0.0.1:7550"
 LARGEST = 65_535  # bytes of a datagram
-ROOM = 4 << 20  # bytes of datagrams that wait for a program to take them
-EACH = 512  # bytes that a datagram takes up there beside its own
+ROOM = 4 << 20  # bytes of datagrams that wait for a program
+EACH = 512  # overhead of a waiting datagram, bytes
 MOST_UP = LARGEST + 1024  # bytes of a message from a program
-MOST_DOWN = 2 * ROOM  # bytes of a message to it
-LONGEST_NS = 10**18  # that a program waits
-PIECE = 1 << 16  # bytes that are read at a time
+MOST_DOWN = 2 * ROOM  # bytes of a message to a program
+LONGEST_NS = 10**18  # longest wait of a program
+PIECE = 1 << 16  # bytes of a read
 
 Name = Annotated[str, msgspec.Meta(max_length=256)]
 
 
 class Hello(msgspec.Struct, frozen=True, array_like=True, tag="hello"):
-    """The first word of a program."""
+    """First message of a program."""
 
     version: int
     vehicle: Name
 
 
 class Send(msgspec.Struct, frozen=True, array_like=True, tag="send"):
-    """What its vehicle sends at the present instant."""
+    """A datagram that the program's vehicle sends at the present instant."""
 
     to: Name | None  # None: broadcast
     payload: Annotated[bytes, msgspec.Meta(max_length=LARGEST)]
 
 
 class Wait(msgspec.Struct, frozen=True, array_like=True, tag="wait"):
-    """The end of its turn."""
+    """End of the program's turn."""
 
-    for_ns: Annotated[int, msgspec.Meta(ge=1, le=LONGEST_NS)] | None  # None: however long
-    hears: bool  # go on as soon as something is heard
-    held: Annotated[int, msgspec.Meta(ge=0, le=ROOM)]  # bytes of datagrams that it was given and has not taken, with `EACH`
+    for_ns: Annotated[int, msgspec.Meta(ge=1, le=LONGEST_NS)] | None  # None: no time limit
+    hears: bool  # also resume when a datagram arrives
+    held: Annotated[int, msgspec.Meta(ge=0, le=ROOM)]  # bytes of received datagrams that the program has not taken, with `EACH`
 
 
 class Welcome(msgspec.Struct, frozen=True, array_like=True, tag="welcome"):
-    """It takes part."""
+    """Answer to `Hello`: the program takes part."""
 
     run: str
     vehicles: tuple[str, ...]
 
 
 class Refused(msgspec.Struct, frozen=True, array_like=True, tag="refused"):
-    """It does not."""
+    """Answer to `Hello`: the program does not take part."""
 
     why: str
 
 
 class Go(msgspec.Struct, frozen=True, array_like=True, tag="go"):
-    """The program has its turn."""
+    """Start of the program's turn."""
 
     time_ns: int
-    position: tuple[float, float, float] | None  # m, world: where its vehicle takes itself to be; None: nobody has told
+    position: tuple[float, float, float] | None  # m, world: the vehicle's estimate of its position; None: unknown
     heard: list[tuple[bytes, str]]  # payload and sender, oldest first
 
 
 class Over(msgspec.Struct, frozen=True, array_like=True, tag="over"):
-    """The run has ended."""
+    """End of the run."""
 
 
 Up = Hello | Send | Wait
@@ -80,25 +80,25 @@ _downs: msgspec.msgpack.Decoder[Down] = msgspec.msgpack.Decoder(Down)
 
 
 class WireError(ValueError):
-    """What came cannot be read."""
+    """Received bytes are not a valid message."""
 
 
 class Frames:
-    """Takes bytes as they come, and gives whole messages."""
+    """Splits a stream of bytes into messages."""
 
     def __init__(self, longest: int) -> None:
         self._longest, self._bytes = longest, bytearray()
 
     def __bool__(self) -> bool:
-        """Whether something has come that was not given yet."""
+        """Whether bytes of an incomplete message are waiting."""
         return bool(self._bytes)
 
     def feed(self, piece: bytes) -> None:
-        """Take what has come."""
+        """Add received bytes."""
         self._bytes += piece
 
     def next(self) -> bytes | None:
-        """The next message; None: it is not there yet. Raises `WireError` (it says that it is longer than any may be)."""
+        """The next message; None: it is incomplete. Raises `WireError` (its length exceeds the longest one)."""
         if len(self._bytes) < 4:
             return None
         end = 4 + int.from_bytes(self._bytes[:4], "big")
@@ -112,7 +112,7 @@ class Frames:
 
 
 class Stream:
-    """One end of a connection. Its methods wait, and raise an `OSError` where that fails."""
+    """One end of a connection. Its methods block, and raise an `OSError` if the connection fails."""
 
     def __init__(self, end: socket.socket, longest: int) -> None:
         self.socket, self.frames = end, Frames(longest)
@@ -124,7 +124,7 @@ class Stream:
         self.socket.sendall(framed(message))
 
     def receive(self) -> bytes | None:
-        """The next message; None: the other side has ended the connection. Raises `WireError` (as `Frames.next`)."""
+        """The next message; None: the other side has closed the connection. Raises `WireError` (as `Frames.next`)."""
         while (message := self.frames.next()) is None:
             piece = self.socket.recv(PIECE)
             if not piece:
@@ -134,18 +134,18 @@ class Stream:
 
 
 def framed(message: Up | Down) -> bytes:
-    """A message as it goes over the wire."""
+    """A message as bytes with its length in front."""
     content = _encoder.encode(message)
     return len(content).to_bytes(4, "big") + content
 
 
 def up(message: bytes) -> Up:
-    """What a program says; raises `WireError`."""
+    """Decode a message of a program; raises `WireError`."""
     return _decoded(_ups, message)
 
 
 def down(message: bytes) -> Down:
-    """What the run says; raises `WireError`."""
+    """Decode a message of the run; raises `WireError`."""
     return _decoded(_downs, message)
 
 

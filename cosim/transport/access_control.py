@@ -1,8 +1,8 @@
-"""Who may say what over the network: Zenoh configurations with certificates on both ends and rules of access.
+"""Access control of the network: Zenoh configurations with certificates on both ends and access rules.
 
-A machine's name stands in each key that it may use (`cosim.transport.key_names`), and the hub lets it use no other: Zenoh
-compares with the certificate. All else is denied, both ways. Zenoh denies in silence: a query on a denied key ends at once
-without a reply, and a put goes nowhere.
+Each key contains the name of the machine that may use it (`cosim.transport.key_names`); Zenoh compares it with the certificate.
+All other keys are denied in both directions. Zenoh denies silently: a query on a denied key ends at once without a reply, and a
+put is dropped.
 """
 
 import base64
@@ -16,28 +16,28 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle, Keys
 
 MAX_MESSAGE = 16 * 2**20  # bytes of an answer
-MAX_JOIN = 64 * 2**10  # bytes of a greeting, which anybody may send who is let in at all
-MAX_ROBOT = 64 * 2**10  # bytes of anything that a robot says
-LEASE_MS = 1000  # who says nothing for so long is gone; the lease of the silent one counts
-ACCEPT_MS = 3000  # who dials and then says nothing holds a place for so long
-OPEN_MS = 2000  # who dials something that does not answer tries for so long
+MAX_JOIN = 64 * 2**10  # bytes of a join request, which any connected machine may send
+MAX_ROBOT = 64 * 2**10  # bytes of any message from a robot
+LEASE_MS = 1000  # a machine is lost after so long a silence; the silent side's own lease counts
+ACCEPT_MS = 3000  # a connection that stays silent during the handshake is closed after so long
+OPEN_MS = 2000  # timeout of a connection attempt
 
 LIMITS: dict[str, Any] = {"transport": {"link": {"rx": {"max_message_size": MAX_MESSAGE}}}}
-"""Of any hub; Zenoh's own is 1 GiB."""
+"""Receive limits of any hub; Zenoh's default is 1 GiB."""
 
 ROBOT_LIMITS: dict[str, Any] = {"transport": {"link": {"rx": {"max_message_size": MAX_ROBOT}}}}
-"""The same, where a driver waits for a robot."""
+"""Receive limits of a driver that waits for a robot."""
 
 LOG = "error,zenoh_link_tls=warn,zenoh::net::routing::hat::broker::pubsub=off"
-"""What Zenoh is to log in a hub with certificates: why it turned somebody away at the door is said nowhere else."""
+"""Zenoh's log in a hub with certificates: the only place that gives the reason for a refused connection."""
 
 Config = dict[str, Any]
 Allow = Callable[[str, str, list[str], str], None]
-"""Takes a rule: what it is called, its flow, messages and key."""
+"""Adds a rule: its name, flow, messages and key."""
 
 
 def admission(keys: "Keys", name: str, vehicles: Iterable[str]) -> str | None:
-    """Why a machine of this name may not speak for these vehicles; None: it may."""
+    """Reason to refuse that a machine of this name speaks for these vehicles, or None."""
     entry = keys.index.find(name)
     if entry is None:
         return f"no certificate was given to '{name}'"
@@ -51,12 +51,12 @@ def admission(keys: "Keys", name: str, vehicles: Iterable[str]) -> str | None:
 
 
 def silence(name: str) -> str:
-    """What to say when the hub ends a greeting without a reply, though the connection stands."""
+    """The message for a join request that ends without a reply although the connection stands."""
     return f"the run's rules do not know '{name}': its certificate was revoked, or made after the run had begun to listen"
 
 
 def hub_security(keys: "Keys") -> Config:
-    """What the hub's configuration needs: certificates on both ends, limits, and an access rule for each machine."""
+    """Security part of the hub's configuration: certificates on both ends, limits, and an access rule for each machine."""
     config = merge(_listening(keys), LIMITS)
     asked = {"id": "asked", "flows": ["ingress"], "messages": ["query"], "key_exprs": [JOIN, ABOUT], "size_limit": MAX_JOIN}
     config["low_pass_filter"] = [asked]
@@ -65,7 +65,7 @@ def hub_security(keys: "Keys") -> Config:
 
 
 def driver_security(keys: "Keys", vehicle: str) -> Config:
-    """The same where a driver waits for the robot of this vehicle: who has no certificate for it may greet, and no more."""
+    """Security part of a driver's configuration: machines without a certificate for its vehicle may only send a greeting."""
     config = merge(_listening(keys), ROBOT_LIMITS)
     rules = _Rules()
     for name, vehicles in [(entry.name, entry.vehicles) for entry in keys.members if entry.role == "host"]:
@@ -84,10 +84,10 @@ def driver_security(keys: "Keys", vehicle: str) -> Config:
 
 
 def hub_secret(secret: str, known: IO[bytes]) -> Config:
-    """Configuration of a hub that lets in those who have its secret, which does not pass over the link.
+    """Configuration of a hub that admits machines with its secret; the secret itself does not pass over the link.
 
     Args:
-        known: a file of this process alone, until the session is open.
+        known: a file private to this process until the session is open.
     """
     known.write(f"{OPEN}:{secret}\n".encode())
     known.seek(0)
@@ -97,12 +97,12 @@ def hub_secret(secret: str, known: IO[bytes]) -> Config:
 
 
 def client_secret(secret: str) -> Config:
-    """Configuration of a host or an observer that has the secret of a run."""
+    """Configuration of a host or an observer with the secret of a run."""
     return {"transport": {"auth": {"usrpwd": {"user": OPEN, "password": secret}}}}
 
 
 def machine_security(bundle: "Bundle") -> Config:
-    """What the configuration of a host, an observer or a robot needs."""
+    """Security part of the configuration of a host, an observer or a robot."""
     tls = {"connect_private_key_base64": _base64(bundle.key_pem), "connect_certificate_base64": _base64(bundle.certificate_pem)}
     config = _transport(bundle.ca_pem, tls)
     config["transport"]["unicast"] = {"open_timeout": OPEN_MS}
@@ -110,7 +110,7 @@ def machine_security(bundle: "Bundle") -> Config:
 
 
 def merge(*configs: Mapping[str, Any]) -> Config:
-    """One configuration of several; of tables the keys of both, of all else the later."""
+    """Merge configurations: tables are merged, other values are taken from the later one."""
     merged: Config = {}
     for config in configs:
         for key, value in config.items():
@@ -120,10 +120,10 @@ def merge(*configs: Mapping[str, Any]) -> Config:
 
 
 def check_hub(identifiers: Iterable[str | None]) -> None:
-    """Raise `UsageError` unless all links of a session lead to a hub, by the names of the certificates at their other ends.
+    """Raise `UsageError` unless all links of a session lead to a hub, by the common names of the certificates.
 
-    Beside the authority that it is given, Zenoh's client trusts all public ones, and anybody may ask those for a certificate of
-    a host name of his own; but none of them gives one with the bare common name ``hub``.
+    Zenoh's client trusts all public authorities beside the given one, and anyone can obtain a public certificate for a host
+    name; but no public authority issues one with the bare common name ``hub``.
     """
     from vcmvsp.cosim.security.certificates import (
         HUB,  # here, because loading the library of certificates takes a quarter of a second
@@ -148,26 +148,26 @@ def _listening(keys: "Keys") -> Config:
 
 
 class _Rules:
-    """Deny all but this; "ingress" is what a machine says, "egress" what it hears. The hub's own session is not asked."""
+    """Access rules: all else is denied. "ingress" is from a machine, "egress" to it; the hub's own session is exempt."""
 
     def __init__(self) -> None:
         self._rules: list[Config] = []
         self._policies: list[Config] = []
 
     def of(self, name: str) -> Allow:
-        """Takes rules for the machine of this name."""
+        """The function that adds rules for the machine of this name."""
         own: list[str] = []
         self._policies.append({"subjects": [name], "rules": own})
 
         def allow(rule: str, flow: str, messages: list[str], key: str) -> None:
-            rule = f"{name}/{rule}"  # no name has a slash
+            rule = f"{name}/{rule}"  # names have no slash
             self._rules.append({"id": rule, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": [key]})
             own.append(rule)
 
         return allow
 
     def config(self) -> Config:
-        """As Zenoh wants it."""
+        """The rules in Zenoh's format."""
         subjects = [{"id": name, "cert_common_names": [name]} for each in self._policies for name in each["subjects"]]
         default = {"enabled": True, "default_permission": "deny"}
         return {**default, "rules": self._rules, "subjects": subjects, "policies": self._policies}

@@ -1,8 +1,8 @@
-"""Where a run may listen and machines may dial: beyond this machine not without certificates, unless the user wants it so.
+"""Rules for endpoints: beyond this machine certificates are required, unless the user opts out; secrets of local runs.
 
-The secret of a run that listens without certificates lies in a file, which programs of its user find and others do not:
-``PORT.secret`` in ``$XDG_RUNTIME_DIR/vcmvsp``, or in ``vcmvsp-UID`` of the folder for temporary files; others cannot look into
-it. Zenoh compares secrets by a challenge: none passes over the link.
+The secret of a run without certificates lies in a file that only its user can read: ``PORT.secret`` in
+``$XDG_RUNTIME_DIR/vcmvsp``, or in ``vcmvsp-UID`` of the folder for temporary files. Zenoh compares secrets by a challenge: none
+passes over the link.
 """
 
 import contextlib
@@ -31,14 +31,14 @@ LONGEST = 200  # characters of a secret
 def endpoint_rules(
     endpoint: str, keys: "Keys | Bundle | str | None" = None, *, insecure: bool = False, side: Side = "run"
 ) -> str:
-    """The endpoint as Zenoh writes it, if it may be used so: beyond this machine certificates are a must.
+    """Validate an endpoint and return it in Zenoh's form: beyond this machine certificates are required.
 
     Args:
         endpoint: ``tcp/HOST:PORT`` or ``tls/HOST:PORT``, or the same with ``://``.
-        insecure: the user wants to do without them.
+        insecure: the user opts out of certificates.
 
     Raises:
-        UsageError: it may not, or is no endpoint.
+        UsageError: the endpoint is invalid, or not allowed.
     """
     protocol, host, port = parts(endpoint)
     endpoint = str(Endpoint(protocol, host, port))
@@ -73,10 +73,10 @@ def is_loopback(host: str) -> bool:
 
 
 def check_interfaces(host: str, *, insecure: bool) -> None:
-    """Refuse to hear datagrams on all interfaces, with a `ValueError`, unless the user has said so: anybody may send."""
+    """Raise `ValueError` for datagrams on all interfaces, which any machine may send, unless ``insecure``."""
     try:
         numeric = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM, flags=socket.AI_NUMERICHOST)[0][4][0]
-    except OSError:  # a name
+    except OSError:  # a host name
         return
     if not insecure and ipaddress.ip_address(str(numeric).partition("%")[0]).is_unspecified:
         problem = f"{host} lets in everybody who can reach any address of this machine"
@@ -84,7 +84,7 @@ def check_interfaces(host: str, *, insecure: bool) -> None:
 
 
 def parts(endpoint: str) -> tuple[str, str, int]:
-    """Protocol, host (an IPv6 address without its brackets) and port. Raises `UsageError` (it is no endpoint)."""
+    """Protocol, host (an IPv6 address without its brackets) and port. Raises `UsageError` (invalid endpoint)."""
     found = endpoint_of(endpoint)
     if not found or found.protocol not in ("tcp", "tls") or not found.host or found.port is None:
         raise UsageError(f"'{endpoint}': must be tcp/HOST:PORT or tls/HOST:PORT, e.g. tls/192.168.1.10:7447")
@@ -93,10 +93,10 @@ def parts(endpoint: str) -> tuple[str, str, int]:
 
 @contextlib.contextmanager
 def published(endpoint: str, secret: str) -> Iterator[None]:
-    """While a run listens at an endpoint: let its user's programs find the secret.
+    """Publish the secret of a run to programs of its user while it listens at an endpoint.
 
     Raises:
-        UsageError: the folder is somebody else's, or cannot be written to.
+        UsageError: the folder belongs to another user, or cannot be written to.
     """
     path = _path(endpoint)
     try:
@@ -106,7 +106,7 @@ def published(endpoint: str, secret: str) -> Iterator[None]:
     try:
         yield
     finally:
-        if found(endpoint) == secret:  # else another run listens there by now
+        if found(endpoint) == secret:  # else another run listens there now
             path.unlink(missing_ok=True)
 
 
@@ -118,7 +118,7 @@ def found(endpoint: str) -> str | None:
 
 
 def given(path: Path | None, *, insecure: bool) -> str | None:
-    """What a program dials with: the secret in a file that its user names, none (empty), or what `found` finds (None).
+    """The secret with which a program dials: from the user's file, none (empty), or as `found` finds it (None).
 
     Raises:
         UsageError: the file cannot be read.

@@ -1,31 +1,31 @@
-"""The keys of the protocol, in which the name of the machine stands that may use them.
+"""Key expressions of the protocol; each contains the name of the machine that may use it.
 
 With a machine's name NAME from its certificate and ZID, the id of its Zenoh session::
 
-    vcmvsp/join/NAME             queryable of the hub: a host that wants to take part
-    vcmvsp/about/NAME            queryable of the hub: what run this is, and what NAME is to it
+    vcmvsp/join/NAME             queryable of the hub: join request of a host
+    vcmvsp/about/NAME            queryable of the hub: description of the run, and the role of NAME
     vcmvsp/host/NAME/ZID/ask     the hub publishes questions to a host
     vcmvsp/host/NAME/ZID/answer  the host publishes its answers
     vcmvsp/host/NAME/ZID/alive   liveliness token of a host
     vcmvsp/hub/alive             liveliness token of the hub
-    vcmvsp/topic/...             what the run shows to observers
+    vcmvsp/topic/...             events of the run for observers
 
-Where a driver of the run waits for the robot of its vehicle, which has a program of its own aboard (`hardware.remote_robot`)::
+Between a driver of the run and the program on the robot of its vehicle (`hardware.remote_robot`)::
 
-    vcmvsp/robot/NAME/greet              queryable of the driver: a robot that wants to be driven
+    vcmvsp/robot/NAME/greet              queryable of the driver: greeting of a robot
     vcmvsp/robot/NAME/VEHICLE/ZID/down   the driver publishes velocities to a robot
-    vcmvsp/robot/NAME/VEHICLE/ZID/up     the robot publishes what it knows of itself
+    vcmvsp/robot/NAME/VEHICLE/ZID/up     the robot publishes its state
     vcmvsp/robot/NAME/VEHICLE/ZID/alive  liveliness token of a robot
 
-The hub lets a machine use no key but its own (`cosim.transport.access_control`). So the key says for certain who speaks, and
-what a payload says of it is worth nothing.
+The hub lets a machine use no key but its own (`cosim.transport.access_control`). So the key identifies the sender; a name in
+a payload does not.
 """
 
 import re
 from typing import Literal
 
 OPEN = "anyone"
-"""The name that stands in the keys of a host without a certificate (on this machine, or where the user wants none)."""
+"""The name in the keys of a host without a certificate (on this machine, or if the user opts out)."""
 
 JOIN, ABOUT, HUB_ALIVE = "vcmvsp/join/*", "vcmvsp/about/*", "vcmvsp/hub/alive"
 TOPIC, TOPICS = "vcmvsp/topic/", "vcmvsp/topic/**"
@@ -37,17 +37,17 @@ _ROBOT = re.compile(r"vcmvsp/robot/([A-Za-z0-9_-]+)/(?:greet|([A-Za-z0-9_-]+)/([
 
 
 def join_key(name: str) -> str:
-    """Where a host greets the hub."""
+    """Key of a host's join request."""
     return f"vcmvsp/join/{name}"
 
 
 def about_key(name: str) -> str:
-    """Where a machine asks what run this is."""
+    """Key at which a machine asks for the description of the run."""
     return f"vcmvsp/about/{name}"
 
 
 def answer_key(ask: str) -> str:
-    """Where a host answers what it is asked under this key."""
+    """Key of a host's answers to the questions under ``ask``."""
     return f"{ask.removesuffix('ask')}answer"
 
 
@@ -60,21 +60,21 @@ def host_key(name: str, zid: str, what: Literal["ask", "alive"]) -> str:
 
 
 def speaker(key: str) -> tuple[str, str] | None:
-    """Name and session id (empty unless it is a host's key) of the machine that a key belongs to.
+    """Name and session id (empty unless it is a host's key) of the machine that owns a key.
 
-    None: the key is none, or is for many.
+    None: no machine's key, or one with wildcards.
     """
     found = _KEY.fullmatch(key)
     return (found[1] or found[2], found[3] or "") if found else None
 
 
 def greet_key(name: str) -> str:
-    """Where a robot greets the driver that waits for it."""
+    """Key of a robot's greeting to the driver that waits for it."""
     return f"vcmvsp/robot/{name}/greet"
 
 
 def robot_key(name: str, vehicle: str, zid: str, what: Literal["up", "down", "alive"]) -> str:
-    """A key of a robot. Raises `ValueError` (one of these has characters that could make it another robot's key)."""
+    """A key of a robot. Raises `ValueError` (an argument has characters that could make it another robot's key)."""
     key = f"vcmvsp/robot/{name}/{vehicle}/{zid}/{what}"
     if robot_speaker(key) is None:
         raise ValueError(f"no key of a robot: {key!r}")
@@ -82,9 +82,9 @@ def robot_key(name: str, vehicle: str, zid: str, what: Literal["up", "down", "al
 
 
 def robot_speaker(key: str) -> tuple[str, str, str] | None:
-    """Name of the machine, vehicle and session id (empty where it greets) of the robot that a key belongs to.
+    """Machine name, vehicle and session id (empty in a greeting) of the robot that owns a key.
 
-    None: the key is none, or is for many.
+    None: no robot's key, or one with wildcards.
     """
     found = _ROBOT.fullmatch(key)
     return (found[1], found[2] or "", found[3] or "") if found else None

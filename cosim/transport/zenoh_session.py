@@ -1,8 +1,8 @@
-"""How a session of Eclipse Zenoh is opened, at whichever end, and why it did not come about.
+"""Opening a session of Eclipse Zenoh, and the diagnosis of failed connections.
 
-The run's end is `cosim.hosts.hub`, the host's `cosim.hosts.host_client`; the keys are in `cosim.transport.key_names`, and
-who may use which in `cosim.transport.access_control`. Callbacks are always direct (no thread per callback), and only hand over
-to a queue. Zenoh does not say why it could not connect: a TLS handshake of our own finds out (RFC 8446).
+The run's end is `cosim.hosts.hub`, the host's `cosim.hosts.host_client`; the keys are in `cosim.transport.key_names`, the
+access rules in `cosim.transport.access_control`. Callbacks are always direct (no thread per callback), and only enqueue. Zenoh
+does not report why it could not connect: `diagnose` makes a TLS handshake of its own (RFC 8446).
 """
 
 import contextlib
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
 
 UNIX = "unixsock-stream//proc/self/fd/"
-"""Before the file descriptor of a Unix socket that has no name any more, or of a folder, and its name therein."""
+"""Prefix of an endpoint: followed by the file descriptor of an unnamed Unix socket, or of a folder and the name in it."""
 
 COMMON: dict[str, Any] = {
     "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     "transport": {"shared_memory": {"enabled": False}, "link": {"tx": {"lease": access_control.LEASE_MS}}},
 }
 
-PROBE_S = 1.0  # for a connection, and for each step of the handshake
+PROBE_S = 1.0  # s, for a connection, and for each step of the handshake
 
 
 @contextlib.contextmanager
 def threads(shared: str) -> Iterator[None]:
-    """How Zenoh's threads share their work, which it reads when a process opens its first session; not for children of it."""
+    """Set how Zenoh's threads share their work; Zenoh reads it when a process opens its first session. Not inherited."""
     if "ZENOH_RUNTIME" in os.environ:
         yield
         return
@@ -48,7 +48,7 @@ def threads(shared: str) -> Iterator[None]:
 
 
 def opened(own: dict[str, Any], secure: dict[str, Any], failure: str) -> zenoh.Session:
-    """A session of this configuration. Raises `UsageError` (there can be none; the message begins with ``failure``)."""
+    """A session of this configuration. Raises `UsageError` (it cannot be opened; the message begins with ``failure``)."""
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(access_control.merge(COMMON, own, secure))))
     except zenoh.ZError as error:
@@ -57,38 +57,38 @@ def opened(own: dict[str, Any], secure: dict[str, Any], failure: str) -> zenoh.S
 
 
 def closed(session: zenoh.Session) -> None:
-    """Close a session; connections that never finish their handshake may hold this up for seconds, and do not make it fail."""
+    """Close a session; unfinished handshakes may delay this for seconds, but do not make it fail."""
     with contextlib.suppress(zenoh.ZError):
         session.close()  # type: ignore[no-untyped-call]
 
 
 def common_names(session: zenoh.Session) -> Iterable[str | None]:
-    """The names on the certificates at the other ends of a session's links."""
+    """Common names of the certificates at the other ends of a session's links."""
     return [link.auth_identifier for link in session.info.links()]
 
 
 class PeerCertificate(NamedTuple):
-    """The certificate that a run shows."""
+    """The certificate that a run presents."""
 
-    names: tuple[str, ...]  # host names and addresses under which it may be dialled
+    names: tuple[str, ...]  # host names and addresses of the hub
     until: dt.datetime
 
 
 class Refusal(NamedTuple):
-    """Why a connection did not come about; ``final``: trying again will not help."""
+    """Reason for which a connection failed; ``final``: a retry will not help."""
 
     why: str
     final: bool
 
 
 def diagnose(endpoint: str, bundle: "Bundle | None") -> Refusal | None:
-    """Find out, by a handshake of our own, why Zenoh could not connect, which it does not say.
+    """Find out by a separate handshake why Zenoh could not connect.
 
     Args:
-        bundle: the certificate it tried with; None: plain TCP.
+        bundle: the certificate that was used; None: plain TCP.
 
     Returns:
-        the reason; None: the handshake went well this time.
+        the reason; None: this handshake succeeded.
     """
     _, host, port = parts(endpoint)
     try:
@@ -119,12 +119,12 @@ def _context(bundle: "Bundle") -> ssl.SSLContext:
 
 
 def _probe(connection: socket.socket, host: str) -> Refusal | None:
-    """Whether what listens there wants TLS, whoever it is."""
+    """Probe whether the listener requires TLS."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     try:
         context.wrap_socket(connection, server_hostname=host).close()
-    except OSError:  # which a failed or timed out handshake is, too
+    except OSError:  # includes a failed or timed out handshake
         return None
     return Refusal("that run wants certificates: dial tls/... and add --keys FILE", final=True)
 
@@ -135,13 +135,13 @@ def _probe_tls(connection: socket.socket, host: str, bundle: "Bundle") -> Refusa
         tls = context.wrap_socket(connection, server_hostname=host)
     except ssl.SSLCertVerificationError as error:
         return Refusal(_fault_of_hub(error, host, bundle), final=True)
-    except TimeoutError:  # as a plain listener of Zenoh does, but so does a run that is being flooded
+    except TimeoutError:  # a plain listener of Zenoh, or a run that is being flooded
         return Refusal("what listens there does not answer in TLS; is it a run with --listen tcp/...?", final=False)
     except OSError as error:
         return Refusal(f"what listens there broke off the handshake ({getattr(error, 'reason', None) or error})", final=False)
     with tls:
         try:
-            tls.recv(1)  # in TLS 1.3 the other end checks our certificate after the handshake, and speaks only if it is bad
+            tls.recv(1)  # in TLS 1.3 the hub checks the client's certificate after the handshake, and sends only an alert
         except ssl.SSLError as error:
             return Refusal(_fault_of_ours(error.reason or str(error), bundle), final=True)
         except OSError:
@@ -150,7 +150,7 @@ def _probe_tls(connection: socket.socket, host: str, bundle: "Bundle") -> Refusa
 
 
 def _fault_of_hub(error: ssl.SSLCertVerificationError, host: str, bundle: "Bundle") -> str:
-    """What is wrong with the certificate that the hub has shown (codes: OpenSSL, x509_vfy.h)."""
+    """Fault of the hub's certificate (codes: OpenSSL, x509_vfy.h)."""
     match error.verify_code:
         case 9:
             return "the run's certificate is not valid yet: is the clock of this machine right?"
@@ -166,7 +166,7 @@ def _fault_of_hub(error: ssl.SSLCertVerificationError, host: str, bundle: "Bundl
 
 
 def _fault_of_ours(alert: str, bundle: "Bundle") -> str:
-    """What the hub found wrong with our certificate (alerts: RFC 8446, 6.2)."""
+    """Fault of this machine's certificate according to the hub's alert (RFC 8446, 6.2)."""
     if "EXPIRED" in alert:
         return f"by the clock of the run's machine, {bundle.path} has expired or is not valid yet"
     if "UNKNOWN_CA" in alert:

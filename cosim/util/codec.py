@@ -1,9 +1,9 @@
 """Values as MessagePack bytes, exactly: floats keep every bit, arrays travel as (dtype, shape, raw bytes).
 
-In a message of many arrays (`pack`) these lie behind the MessagePack, those of one type and shape together. It begins with the
-byte 0xC1, which no MessagePack does, and the sizes of two pieces of MessagePack (bytes, unsigned 64-bit, little-endian). The
-first is the value, with a number in place of each array, from 0 on. The second says what follows: dtype, shape, and how many
-arrays there are of that kind, in the order of their numbers.
+In a message of many arrays (`pack`) these follow the MessagePack, grouped by type and shape. It begins with the byte 0xC1,
+which MessagePack never uses, and the sizes of two pieces of MessagePack (bytes, unsigned 64-bit, little-endian). The first
+piece is the value, with a number in place of each array, from 0 on. The second lists the groups in the order of these numbers:
+dtype, shape and number of arrays.
 """
 
 import math
@@ -26,7 +26,7 @@ _TYPES = {
     for code in np.typecodes["AllInteger"] + np.typecodes["Float"] + "?"
     for dtype in (np.dtype(code), np.dtype(code).newbyteorder())
 }
-"""Of arrays that travel: numbers and booleans in either byte order, by what they say of themselves."""
+"""Types of arrays that can be encoded, by name: numbers and booleans in either byte order."""
 _NAMES = {dtype: name for name, dtype in _TYPES.items()}
 
 _MARK = b"\xc1"
@@ -36,15 +36,15 @@ _Size = Annotated[int, msgspec.Meta(ge=0, le=2**48)]
 
 
 def type_of(name: str) -> np.dtype[Any]:
-    """The type of arrays that says its name just so; a `ValueError` if such arrays do not travel."""
+    """The array type of this exact name; `ValueError` if such arrays cannot be encoded."""
     dtype = _TYPES.get(name)
-    if dtype is None:  # the type itself counts as false
+    if dtype is None:  # a dtype may be falsy
         raise ValueError(f"arrays of {name!r} do not travel")
     return dtype
 
 
 def name_of(dtype: np.dtype[Any]) -> str:
-    """What the type says of itself; a `ValueError` if its arrays do not travel."""
+    """The name of an array type; `ValueError` if its arrays cannot be encoded."""
     name = _NAMES.get(dtype)
     if name is None:
         raise ValueError(f"cannot send arrays of {dtype}")
@@ -52,7 +52,7 @@ def name_of(dtype: np.dtype[Any]) -> str:
 
 
 def numbers(dtype: np.dtype[Any], raw: bytes) -> Array:
-    """A read-only view of the bytes."""
+    """A read-only array over the bytes."""
     array = np.frombuffer(raw, dtype)
     if dtype.kind == "b" and array.view(np.uint8).max(initial=0) > 1:
         raise ValueError("a boolean is neither 0 nor 1")
@@ -60,7 +60,7 @@ def numbers(dtype: np.dtype[Any], raw: bytes) -> Array:
 
 
 def other(value: object) -> object:
-    """In place of what MessagePack does not have: an array as (dtype, shape, raw bytes), a number of NumPy's as a plain one."""
+    """Substitute for values that MessagePack lacks: an array as (dtype, shape, raw bytes), a NumPy number as a plain one."""
     if isinstance(value, np.ndarray):
         return name_of(value.dtype), value.shape, value.data if value.flags.c_contiguous else value.tobytes()
     if isinstance(value, Later):
@@ -71,7 +71,7 @@ def other(value: object) -> object:
 
 
 def encode(value: object, other: Callable[[Any], object] = other) -> bytes:
-    """Any `cosim.types` value, or a structure of them, as bytes; what cannot be sent raises a `ValueError`."""
+    """Any `cosim.types` value, or a structure of them, as bytes; `ValueError` if it cannot be encoded."""
     try:
         return msgspec.msgpack.encode(value, enc_hook=other)
     except (TypeError, NotImplementedError, OverflowError, RecursionError) as error:
@@ -79,33 +79,33 @@ def encode(value: object, other: Callable[[Any], object] = other) -> bytes:
 
 
 def _array(_: type, value: Any) -> Array:
-    """What is said just as `other` says it."""
+    """The array that `other` has encoded."""
     name, shape, raw = value
     array = numbers(type_of(name), raw)
     if shape != [len(array)]:
         array = array.reshape(shape)
-        if list(array.shape) != shape:  # such as a size of -1, which NumPy works out
+        if list(array.shape) != shape:  # e.g. a size of -1, which NumPy would infer
             raise ValueError(f"{name!r} of shape {shape!r} is no array's own description")
     return array
 
 
 class Decoder(Generic[T]):
-    """Reads bytes of one type; anything else raises a `ValueError` (msgspec's errors are such).
+    """Decodes bytes to one type; anything else raises a `ValueError` (msgspec's errors are such).
 
     Args:
-        array: gives an array for what stands in its place.
+        array: makes an array of its encoded form.
     """
 
     def __init__(self, kind: object, array: Callable[[type, Any], Array] = _array) -> None:
         self._decoder: msgspec.msgpack.Decoder[T] = msgspec.msgpack.Decoder(kind, dec_hook=array)
 
     def decode(self, data: bytes | memoryview) -> T:
-        """The value."""
+        """The decoded value."""
         try:
             return self._decoder.decode(data)
         except RecursionError:
             raise ValueError("lists and mappings are nested too deeply") from None
-        except msgspec.ValidationError as error:  # it repeats what it was given, which may be meant for a terminal
+        except msgspec.ValidationError as error:  # the message repeats its input, which may contain terminal sequences
             raise msgspec.ValidationError(repr(str(error))[1:-1][:LONGEST_ERROR]) from None
 
 
@@ -119,7 +119,7 @@ _tables: Decoder[list[_Alike]] = Decoder(list[_Alike])
 
 
 def pack(value: object) -> bytes:
-    """The value as bytes; what cannot be sent raises a `ValueError`."""
+    """The value as bytes, arrays grouped; `ValueError` if it cannot be encoded."""
     arrays: list[Array] = []
 
     def place(value: object) -> object:
@@ -138,16 +138,16 @@ def pack(value: object) -> bytes:
 
 
 class Unpacker(Generic[T]):
-    """Reads what `pack` or `encode` has written, of one type; anything else raises a `ValueError`."""
+    """Decodes the bytes of `pack` or `encode` to one type; anything else raises a `ValueError`."""
 
     def __init__(self, kind: object) -> None:
         self._plain: Decoder[T] = Decoder(kind)
         self._decoder: Decoder[T] = Decoder(kind, self._next)
-        self._arrays: Iterator[Array] = iter(())  # of the message that is being read, as many as are left
-        self._lock = threading.Lock()  # there may be runs in other threads
+        self._arrays: Iterator[Array] = iter(())  # remaining arrays of the current message
+        self._lock = threading.Lock()  # runs may share it between threads
 
     def decode(self, data: bytes | memoryview) -> T:
-        """The value; each of its arrays is a read-only view of the bytes of its kind."""
+        """The decoded value; its arrays are read-only views of the data."""
         if data[:1] != _MARK:
             return self._plain.decode(data)
         with self._lock:
@@ -165,7 +165,7 @@ class Unpacker(Generic[T]):
 
 
 def _apart(data: memoryview) -> tuple[memoryview, Iterator[Array]]:
-    """The value, and its arrays; what a message says of itself takes no more memory than the message."""
+    """The encoded value and the arrays; the sizes in a message cannot demand more memory than the message has."""
     if len(data) < _head.size:
         raise ValueError("it breaks off")
     _, size, rest = _head.unpack_from(data)

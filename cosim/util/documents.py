@@ -1,6 +1,6 @@
-"""TOML and JSON from outside: read, or refused in one sentence, whatever they hold.
+"""TOML and JSON from untrusted sources: parsed, or refused with a one-sentence `ValueError`.
 
-The parsers themselves give up in several ways: at depth, at digits, and slowly at keys of thousands of parts.
+The parsers themselves fail in several ways: on depth, on long numbers, and slowly on keys of thousands of parts.
 """
 
 import re
@@ -15,16 +15,16 @@ from vcmvsp.cosim.util import limits
 T = TypeVar("T")
 
 DEEPEST = 64
-"""Tables and lists inside one another: what walks through them calls itself, and Python gives up below 1000."""
+"""Deepest nesting of tables and lists: the code that walks through them is recursive, and Python's limit is below 1000."""
 
 _TOKEN = re.compile(
-    r'"""(?:\\[\s\S]|[^\\])*?"""(?:"{0,2})' r"|'''[\s\S]*?'''(?:'{0,2})"  # strings over several lines may end in quotes
+    r'"""(?:\\[\s\S]|[^\\])*?"""(?:"{0,2})' r"|'''[\s\S]*?'''(?:'{0,2})"  # multi-line strings may end in quotes
     r'|"(?:\\.|[^"\\\n])*"' r"|'[^'\n]*'" r"|#[^\n]*|\n|[\[\]{}=,.]|[^\s\[\]{}=,.\"'#]+"
 )  # fmt: skip
 
 
 def read_toml(text: str) -> dict[str, Any]:
-    """The content of a TOML document. Raises `ValueError` (it is none, too long or too deep)."""
+    """The content of a TOML document. Raises `ValueError` (invalid, too long or too deep)."""
     limits.within(len(text), limits.TOML_BYTES, "characters of TOML")
     if any(line.count(".") > DEEPEST for line in text.splitlines()):
         _check_keys(text)
@@ -34,7 +34,7 @@ def read_toml(text: str) -> dict[str, Any]:
         raise ValueError(_TOO_DEEP) from None
     except tomllib.TOMLDecodeError:
         raise
-    except ValueError:  # Python reads no more digits
+    except ValueError:  # Python limits the digits of an integer
         raise ValueError("a whole number has thousands of digits") from None
     check_depth(content)
     return content
@@ -44,10 +44,10 @@ def read_json(data: bytes | str, kind: Any = Any, *, limit: int = limits.JSON_BY
     """The content of a JSON document.
 
     Args:
-        kind: what it must be.
+        kind: required type.
 
     Raises:
-        ValueError: it is none, no such, too long or too deep.
+        ValueError: invalid, of another type, too long or too deep.
     """
     limits.within(len(data), limit, "bytes of JSON")
     try:
@@ -59,7 +59,7 @@ def read_json(data: bytes | str, kind: Any = Any, *, limit: int = limits.JSON_BY
 
 
 def json_reader(kind: type[T], dec_hook: Callable[[type, Any], Any] | None = None) -> Callable[[bytes], T]:
-    """What reads one message of a recording after another; it raises a `ValueError` as `read_json` does."""
+    """A decoder for many JSON messages of a recording; it raises a `ValueError` as `read_json` does."""
     decode = msgspec.json.Decoder(kind, dec_hook=dec_hook).decode
 
     def read(data: bytes) -> T:
@@ -72,7 +72,7 @@ def json_reader(kind: type[T], dec_hook: Callable[[type, Any], Any] | None = Non
 
 
 def check_depth(value: object) -> None:
-    """Raise a `ValueError` if more tables and lists are inside one another than `DEEPEST`."""
+    """Raise a `ValueError` if tables and lists are nested deeper than `DEEPEST`."""
     level = [value]
     for _ in range(DEEPEST + 1):
         level = [inner for each in level for inner in _inside(each)]
@@ -82,7 +82,7 @@ def check_depth(value: object) -> None:
 
 
 def toml_tokens(text: str) -> Iterator[tuple[str, int]]:
-    """The words and signs of a TOML document without comments, and the line of each; a line's end is one, too."""
+    """The tokens of a TOML document without comments, and the line of each; line ends are tokens, too."""
     line, until = 1, 0
     for match in _TOKEN.finditer(text):
         line += text.count("\n", until, match.start())
@@ -100,7 +100,7 @@ def _inside(value: object) -> list[object]:
 
 
 def _check_keys(text: str) -> None:
-    """Refuse keys of very many parts, for which `tomllib` takes a time that grows with the square of their number."""
+    """Refuse keys of very many parts: `tomllib` takes quadratic time for them."""
     dots = 0
     for word, line in toml_tokens(text):
         dots = dots + 1 if word == "." else 0 if word in "\n[]{}=," else dots

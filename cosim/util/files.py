@@ -1,4 +1,4 @@
-"""The folder that a run or a study writes into, files that are there as a whole or not at all, JSON, and CSV files of users."""
+"""Files and folders: the output folder of a run or a study, atomic writing, JSON, and CSV files of users."""
 
 import contextlib
 import csv
@@ -15,15 +15,15 @@ from typing import Any
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.util import limits
 
-PART = ".part"  # how the names of folders end in which something is not whole yet
+PART = ".part"  # suffix of incomplete folders
 
 
 class Folder:
-    """Where a run is to be written. It is looked at when it is named, and taken, by one run alone, when it is needed.
+    """Output folder of a run or a study: checked when it is named, and claimed by one run when it is needed.
 
     Args:
         path: the folder; it must be new or empty, unless ``force`` or ``numbered``.
-        force: write into it whatever it holds.
+        force: also write into a folder that is not empty.
         numbered: if it exists, take the first of ``path-2``, ``path-3``, ... that does not.
     """
 
@@ -33,7 +33,7 @@ class Folder:
             self._check()
 
     def claim(self) -> Path:
-        """Make it, and say where it is."""
+        """Make the folder and return its path."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self._numbered:
             numbers = (self.path.with_name(f"{self.path.name}-{number}") for number in itertools.count(2))
@@ -66,7 +66,7 @@ def _make(path: Path) -> bool:
 
 @contextlib.contextmanager
 def writing(folder: Path | None) -> Iterator[None]:
-    """A full disk and the like is said in one line."""
+    """Report a full disk and other file errors in one line."""
     try:
         yield
     except OSError as error:
@@ -75,14 +75,13 @@ def writing(folder: Path | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
-    """Where to write a file, or the files of a folder: a place of the same name beside ``path``, which it takes in the end.
+    """Atomic writing: gives a temporary place for a file or folder, which replaces ``path`` in the end.
 
-    If the writing fails, nothing of it is left, and what was there before is untouched. The place is new and nobody else's, its
-    name is random, and a link to a file is replaced: what a stranger has laid out is not written to. A device or a pipe is
-    written as it is.
+    If the writing fails, the place is removed and the old content is untouched. The place is new, private and randomly named,
+    and a link to a file is replaced, so files prepared by others are never written to. A device or a pipe is written directly.
 
     Args:
-        durable: have the disk hold the file before it takes the place of an old one: it outlives a power cut.
+        durable: flush the file to the disk before it replaces the old one, so that it survives a power cut.
     """
     if _is_stream(path):
         yield path
@@ -106,7 +105,7 @@ def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: str | bytes, mode: int = 0o666) -> None:
-    """Write a file by `replacing`, with this mode from its first byte on; text as UTF-8."""
+    """Write a file atomically (`replacing`), with this mode from the first byte on; text as UTF-8."""
     with replacing(path) as place:
         new = 0 if place == path else os.O_CREAT | os.O_EXCL
         with open(os.open(place, os.O_WRONLY | new, mode), "wb") as file:  # noqa: PTH123  Path sets no mode
@@ -114,7 +113,7 @@ def write_whole(path: Path, content: str | bytes, mode: int = 0o666) -> None:
 
 
 def _is_stream(path: Path) -> bool:
-    """Whether it is a device or a pipe; a link to one only where links are the system's: ``/dev/stdout``."""
+    """Whether a path is a device or a pipe; links to one count only in ``/dev``, e.g. ``/dev/stdout``."""
     links = path.is_symlink() and not path.absolute().is_relative_to("/dev")
     return path.exists() and not (path.is_file() or path.is_dir() or links)
 
@@ -128,22 +127,22 @@ def _sync(path: Path) -> None:
 
 
 def finite(value: object) -> Any:
-    """The value with None for numbers that JSON cannot say: a vehicle that was sent to infinity is infinitely far away."""
+    """The value with None for numbers that JSON lacks: a vehicle that was sent to infinity is infinitely far away."""
     if isinstance(value, dict):
         return {name: finite(each) for name, each in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def to_json(value: object) -> str:
-    """JSON as it stands in the files: indented, keys in order, no NaN."""
+    """JSON as in the files: indented, no NaN."""
     return json.dumps(value, indent=2, allow_nan=False) + "\n"
 
 
 def read_cells(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """The lines of a CSV file that are not blank: number of each, from 1, and its cells without white space around them.
+    """The lines of a CSV file that are not blank: line number, from 1, and stripped cells.
 
     Raises:
-        UsageError: there is no such file, or it is no CSV file in UTF-8.
+        UsageError: the file does not exist, or is no CSV file in UTF-8.
     """
     try:
         limits.check_size(path, limits.CSV_BYTES)

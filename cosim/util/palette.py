@@ -1,17 +1,17 @@
-"""One colour per vehicle, target and commander, the same in the recording's scene and in the figures.
+"""Colours of vehicles, targets and commanders, the same in the recording's scene and in the figures.
 
 The order is that of Okabe and Ito ("Color universal design", 2008), whose colours stay apart under every common form of
-colour blindness; black leads and yellow, too pale on paper, is left out.
+colour blindness; black comes first, and yellow, too pale on paper, is left out.
 """
 
 OKABE_ITO = ("#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
-TARGET = "#f0e442"  # their yellow, with a dark edge wherever it is drawn
+TARGET = "#f0e442"  # Okabe and Ito's yellow, drawn with a dark edge
 PROBABILITY = ("#ffffff", "#c9c4d6", "#5e2a84")
-"""Of a map from 0 through one half to 1: empty, unknown, target. Lightness alone tells them apart."""
+"""Colours of a probability map at 0, one half and 1: empty, unknown, target. Lightness alone tells them apart."""
 
 COMMANDERS = {"search": "#56b4e9", "formation": "#0072b2", "track": "#009e73", "avoid1": "#e69f00", "avoid2": "#d55e00"}
-"""Who commands a vehicle on a mission; others are grey."""
+"""Colours of a mission's commanders; others are grey."""
 
 
 def color_of(index: int) -> str:
@@ -20,7 +20,7 @@ def color_of(index: int) -> str:
 
 
 def rgb_of(index: int) -> tuple[float, float, float]:
-    """The same as red, green, blue in [0, 1]."""
+    """Colour of vehicle ``index`` as red, green, blue in [0, 1]."""
     return rgb(color_of(index))
 
 

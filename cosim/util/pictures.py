@@ -1,4 +1,4 @@
-"""Pictures from outside as arrays, and films: MP4 files with VP9 inside, which browsers play (PyAV, FFmpeg)."""
+"""Untrusted pictures as arrays, and films: MP4 files with VP9 inside, which browsers play (PyAV, FFmpeg)."""
 
 from collections.abc import Iterable
 from itertools import chain
@@ -14,10 +14,10 @@ CODEC = {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "8"}  # cons
 
 
 def decoded(data: bytes, flags: int) -> Any:
-    """The pixels of a PNG, a JPEG, ...; None: it is no picture, a broken one, or one of more pixels than `limits` allow.
+    """The pixels of a PNG, a JPEG, ...; None: no picture, a broken one, or one with more pixels than `limits` allow.
 
     Args:
-        flags: of `cv2.imdecode`.
+        flags: as in `cv2.imdecode`.
     """
     import cv2
 
@@ -28,13 +28,13 @@ def decoded(data: bytes, flags: int) -> Any:
 
 
 def write_film(path: Path, pictures: Iterable[Array], fps: int) -> None:
-    """Write a film, read it back, and put it in its place: `replacing`. The same pictures give the same bytes.
+    """Write a film atomically (`replacing`) and verify it. The same pictures give the same bytes.
 
     Args:
         pictures: at least one, all of one size: (height, width, 3) uint8, blue, green, red; both sides are even, px.
 
     Raises:
-        OSError: it cannot be written, or what was written is no film.
+        OSError: it cannot be written, or the result is not a valid film.
     """
     import av
 

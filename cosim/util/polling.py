@@ -1,15 +1,15 @@
-"""Waiting for descriptors to have something to read, or to take bytes, however many files the process has open."""
+"""Waiting until descriptors are readable or writable, for any number of open files."""
 
 import select
 from collections.abc import Sequence
 
-_SELECT_MOST = 1024  # descriptors from there on select() does not take
+_SELECT_MOST = 1024  # select() takes only descriptors below this
 
 
 def readable(descriptors: Sequence[int], seconds: float) -> list[int]:
-    """Those that can be read, or whose other side has gone, after at most so many seconds (>= 0); none: time is over.
+    """The descriptors that are readable or closed at the other side, after at most ``seconds`` (>= 0); empty on timeout.
 
-    Good to a few microseconds, but to a millisecond where one of the descriptors is above 1023.
+    Accurate to a few microseconds, but to a millisecond if a descriptor is above 1023.
     """
     if max(descriptors) < _SELECT_MOST:
         return select.select(descriptors, (), (), seconds)[0]
@@ -20,7 +20,7 @@ def readable(descriptors: Sequence[int], seconds: float) -> list[int]:
 
 
 def writable(descriptor: int, seconds: float) -> bool:
-    """Whether it takes bytes, or its other side has gone, after at most so many seconds (>= 0), to a millisecond."""
+    """Whether a descriptor is writable or closed at the other side, after at most ``seconds`` (>= 0), to a millisecond."""
     poll = select.poll()
     poll.register(descriptor, select.POLLOUT)
     return bool(poll.poll(1e3 * seconds))
