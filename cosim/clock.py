@@ -1,4 +1,4 @@
-"""Logical time: integer nanoseconds, trains of ticks that never drift, and the two clocks that pace a run."""
+"""Logical time: integer nanoseconds, trains of ticks that never drift, and the clocks that pace a run."""
 
 import time
 from bisect import bisect_right
@@ -11,15 +11,15 @@ import msgspec
 
 SECOND_NS = 1_000_000_000
 Sleep = Callable[[float], bool | None]
-"""Waits for so many seconds, or is woken before: whether it was."""
+"""Waits for so many seconds; returns whether it was woken earlier."""
 
-SLIPS = 1000  # that are remembered, for times before them
-LONGEST_SLEEP_S = 3600.0  # the system refuses centuries
-LISTEN_NS = 20_000_000  # between two looks at what those want who look on
+SLIPS = 1000  # number of remembered slips, for earlier times
+LONGEST_SLEEP_S = 3600.0  # s; the operating system refuses centuries
+LISTEN_NS = 20_000_000  # ns between two calls of ``listen``
 
 
 def seconds_to_ns(seconds: float) -> int:
-    """The nearest whole nanosecond; exact for decimal fractions such as 0.1 (10**8 ns)."""
+    """Seconds as the nearest nanosecond; exact for decimal fractions such as 0.1 (10**8 ns)."""
     return round(Fraction(repr(float(seconds))) * SECOND_NS)
 
 
@@ -39,7 +39,7 @@ class Ticks(msgspec.Struct, frozen=True, order=True):
 
     @classmethod
     def rate(cls, hz: float) -> Self:
-        """``hz`` ticks a second."""
+        """A train of ``hz`` ticks per second."""
         return cls._of(SECOND_NS / Fraction(repr(float(hz))))
 
     @classmethod
@@ -50,7 +50,7 @@ class Ticks(msgspec.Struct, frozen=True, order=True):
 
     @property
     def period(self) -> Fraction:
-        """Nanoseconds from tick to tick, exactly."""
+        """Exact time between ticks, ns."""
         return Fraction(self.ns, self.per)
 
     def at(self, k: int) -> int:
@@ -66,12 +66,12 @@ class Ticks(msgspec.Struct, frozen=True, order=True):
         return self.after(now_ns - 1) == now_ns
 
     def is_multiple_of(self, finer: "Ticks") -> bool:
-        """Whether every tick of this train is also one of ``finer``."""
+        """Whether every tick of this train is also a tick of ``finer``."""
         return (self.period / finer.period).denominator == 1
 
 
 class Clock(Protocol):
-    """What paces a run. The kernel asks it to wait before every instant that holds an event."""
+    """Paces a run: the kernel waits for it before every instant with an event."""
 
     @property
     def speed(self) -> float | None:
@@ -79,49 +79,49 @@ class Clock(Protocol):
 
     @property
     def slipped_ns(self) -> int:
-        """What was not made up for, in all."""
+        """Total slip: lag behind the wall clock that is not caught up."""
 
     def start(self) -> None:
         """Called once, when logical time 0 begins."""
 
     def wait_until(self, due_ns: int) -> int:
-        """Return when logical time ``due_ns`` may begin; the answer is how late it is, ns (0: not late).
+        """Wait until logical time ``due_ns`` may begin; returns the lag, ns (0: in time).
 
-        A negative answer: somebody has woken the sleeper, so much earlier in logical time.
+        A negative lag: the wait was interrupted so much earlier in logical time.
         """
 
     def slip(self, by_ns: int) -> None:
-        """What is late by so much is not to be made up for."""
+        """Give up catching up a lag of ``by_ns``."""
 
 
 class SimClock:
-    """Logical time jumps from event to event: as fast as the machine allows. Never late."""
+    """Logical time jumps from event to event, as fast as the machine allows, and never lags."""
 
     speed: float | None = None
     slipped_ns = 0
 
     def start(self) -> None:
-        """Nothing to note: there is no wall clock here."""
+        """Do nothing: there is no wall clock."""
 
     def wait_until(self, due_ns: int) -> int:
         """Return at once."""
         return 0
 
     def slip(self, by_ns: int) -> None:
-        """Nothing is ever late."""
+        """Do nothing: there is never a lag."""
 
 
 class WallClock:
     """Logical time follows the wall clock at ``speed`` simulated seconds per second.
 
-    Every instant has its own place on the wall clock, so that nothing drifts: who was a little late catches up.
+    Every instant has a fixed place on the wall clock, so nothing drifts: a small lag is caught up.
 
     Attributes:
-        slipped_ns: what was not, in all.
+        slipped_ns: total lag that is not caught up.
 
     Args:
         speed: simulated seconds per second.
-        now: the clock, ns.
+        now: the wall clock, ns.
         sleep: waits for so many seconds; may be set later, too.
     """
 
@@ -133,13 +133,13 @@ class WallClock:
         self._slips: deque[_Slip] = deque(maxlen=SLIPS)
 
     def start(self) -> None:
-        """Let logical time 0 be now."""
+        """Begin logical time 0 now."""
         self._origin = self._now()
 
     def logical_ns(self, monotonic_ns: int) -> int:
-        """The logical time at which this machine's monotonic clock shows so much; any time may be asked for.
+        """The logical time at a reading of this machine's monotonic clock, also a past one.
 
-        It never decreases. Where the run slipped, it stood still from when the instant that was late was due.
+        It never decreases: before a slip it stands still from the time at which the late instant was due.
         """
         slips = self._slips
         if not slips or monotonic_ns >= slips[-1].until_ns:
@@ -148,11 +148,11 @@ class WallClock:
         return min(round((monotonic_ns - then.origin_ns) * self.speed), then.stood_ns)
 
     def monotonic_ns(self, logical_ns: int) -> int:
-        """What this machine's monotonic clock shows at a logical time."""
+        """The reading of this machine's monotonic clock at a logical time."""
         return self._origin + round(logical_ns / self.speed)
 
     def wait_until(self, due_ns: int) -> int:
-        """Sleep until ``due_ns``; if that has passed already, go on at once and say by how much."""
+        """Sleep until ``due_ns``; returns the lag if that has passed already."""
         wall_due = self.monotonic_ns(due_ns)
         while (left := wall_due - self._now()) > 0:
             if self.sleep(min(left / SECOND_NS, LONGEST_SLEEP_S)):
@@ -160,7 +160,7 @@ class WallClock:
         return -left
 
     def slip(self, by_ns: int) -> None:
-        """Let all that is still to come begin so much later."""
+        """Delay all later instants by ``by_ns``."""
         until_ns, before_ns = self._now(), self._origin
         self._origin += by_ns
         self.slipped_ns += by_ns
@@ -168,19 +168,19 @@ class WallClock:
 
 
 class _Slip(NamedTuple):
-    """Of a `WallClock`."""
+    """A slip of a `WallClock`."""
 
-    until_ns: int  # on the wall clock
-    origin_ns: int  # there: where logical time 0 was before it
-    stood_ns: int  # logical time, from when it was due until then
+    until_ns: int  # time of the slip on the wall clock
+    origin_ns: int  # logical time 0 on the wall clock before the slip
+    stood_ns: int  # logical time at which the run stood still until the slip
 
 
 class LiveClock:
-    """Logical time as somebody wants it who looks on: standing still, at a pace, or as fast as the machine allows.
+    """Logical time under a viewer's control: paused, at a speed, or as fast as the machine allows.
 
     Args:
         speed: simulated seconds per second at first; None: as fast as the machine allows.
-        listen: called some fifty times a second, also while time stands still: who it hears calls `go`.
+        listen: called some fifty times a second, also while paused; it calls `go` on a command of the viewer.
         now: the wall clock, ns.
         sleep: waits for so many seconds.
     """
@@ -196,32 +196,32 @@ class LiveClock:
         self.speed, self.paused, self.slipped_ns = speed, False, 0
         self._listen, self._now, self._sleep = listen, now, sleep
         self._logical_ns, self._free_ns, self._heard_ns = 0, 0, 0
-        self._anchor = 0, 0  # a logical time, and when it was or is to be
+        self._anchor = 0, 0  # a logical time and its wall-clock time
 
     def start(self) -> None:
-        """Let logical time 0 be now."""
+        """Begin logical time 0 now."""
         self._anchor = 0, self._now()
 
     def go(self, *, paused: bool, speed: float | None, step_ns: int = 0) -> None:
-        """Go on from here like this; paused, still for ``step_ns``."""
+        """Change pause and speed from here on; a paused run still advances by ``step_ns``."""
         self.paused, self.speed, self._free_ns = paused, speed, self._logical_ns + step_ns
         self._anchor = self._logical_ns, self._now()
 
     def wait_until(self, due_ns: int) -> int:
-        """Wait as long as those who look on want it; the answer is how late it is, ns."""
+        """Wait until the viewer's pace lets ``due_ns`` begin; returns the lag, ns."""
         while (left := self._left_ns(due_ns)) > 0:
             self._sleep(min(left, LISTEN_NS) / SECOND_NS)
         self._logical_ns = due_ns
         return -left
 
     def slip(self, by_ns: int) -> None:
-        """Let all that is still to come begin so much later."""
+        """Delay all later instants by ``by_ns``."""
         logical_ns, wall_ns = self._anchor
         self._anchor = logical_ns, wall_ns + by_ns
         self.slipped_ns += by_ns
 
     def _left_ns(self, due_ns: int) -> int:
-        """How long to wait, as far as is known now; not more than 0: no longer."""
+        """Remaining wait as known now; <= 0: no wait."""
         now_ns = self._now()
         if now_ns - self._heard_ns >= LISTEN_NS:
             self._heard_ns = now_ns

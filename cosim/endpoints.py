@@ -1,4 +1,4 @@
-"""Addresses of the network as text: ``tcp/HOST:PORT``, as Zenoh writes them, or ``tcp://HOST:PORT``. Both mean the same."""
+"""Network addresses as text: ``tcp/HOST:PORT``, as Zenoh writes them, or ``tcp://HOST:PORT``. Both mean the same."""
 
 import re
 from typing import NamedTuple
@@ -9,18 +9,18 @@ _HIGHEST = 65535
 
 
 class Endpoint(NamedTuple):
-    """What an address says."""
+    """The parts of a network address."""
 
     protocol: str
-    host: str  # an IPv6 address without its brackets; empty: it is left out
-    port: int | None  # None: it is left out
+    host: str  # an IPv6 address without its brackets; empty: omitted
+    port: int | None  # None: omitted
 
     def __str__(self) -> str:
         return f"{self.protocol}/{bracketed(self.host)}{'' if self.port is None else f':{self.port}'}"
 
 
 def endpoint_of(text: str) -> Endpoint | None:
-    """What an address says; None: it is none."""
+    """Parse a network address; None: the text is not one."""
     protocol, slash, rest = with_slash(text).partition("/")
     found = _REST.fullmatch(rest)
     if not (protocol.isalnum() and slash) or not found or int(found[2] or 0) > _HIGHEST:
@@ -29,10 +29,10 @@ def endpoint_of(text: str) -> Endpoint | None:
 
 
 def with_slash(text: str) -> str:
-    """An address as Zenoh writes it; what is none, as it is."""
+    """A network address in Zenoh's form; other text is unchanged."""
     return _SCHEME.sub(r"\1/", text, count=1) if _SCHEME.match(text) else text
 
 
 def bracketed(host: str) -> str:
-    """A host as it stands before a port."""
+    """A host as written in front of a port: IPv6 addresses in brackets."""
     return f"[{host}]" if ":" in host else host

@@ -1,4 +1,4 @@
-"""Everything that can go wrong, as one tree; each error says what, where and what to do.
+"""The errors of the platform, as one tree; each message says what, where and what to do.
 
 ::
 
@@ -16,7 +16,7 @@ from typing import Any
 
 
 def said_by(error: BaseException) -> str:
-    """What an error says: one of somebody's own may fail at that, too."""
+    """The text of an error; user-defined errors may fail to give one."""
     try:
         return str(error)
     except BaseException:
@@ -24,14 +24,14 @@ def said_by(error: BaseException) -> str:
 
 
 def words_of(error: BaseException) -> str:
-    """Type and words of an error, as the middle of a message."""
+    """Type and text of an error, as the middle of a message."""
     return f"{type(error).__name__}: {said_by(error)}"
 
 
 def place_of(error: BaseException) -> str:
-    """Where an error arose, as the end of a message: `` (file.py line 12, in act)``; empty if that is not known."""
+    """Location of an error, as the end of a message: `` (file.py line 12, in act)``; empty if unknown."""
     frames = [each for each in traceback.extract_tb(error.__traceback__)[1:] if "importlib" not in each.filename]
-    if not frames or isinstance(error, SyntaxError):  # which names its own line
+    if not frames or isinstance(error, SyntaxError):  # a syntax error names its own line
         return ""
     inside = "" if frames[-1].name == "<module>" else f", in {frames[-1].name}"
     return f" ({Path(frames[-1].filename).name} line {frames[-1].lineno}{inside})"
@@ -40,7 +40,7 @@ def place_of(error: BaseException) -> str:
 class VcmvspError(Exception):
     """Base of all errors that are reported as one message, without a traceback.
 
-    ``result`` is what was recorded until then, where the run had begun (a `vcmvsp.Result`).
+    ``result`` holds the recording until then, if the run had begun (a `vcmvsp.Result`).
     """
 
     exit_code = 1
@@ -48,7 +48,7 @@ class VcmvspError(Exception):
 
 
 class ScenarioError(VcmvspError):
-    """A scenario cannot be run as it is written.
+    """A scenario is invalid.
 
     ``source`` is the file (or ``--set ...``) and ``key`` the path of the key inside it, such as
     ``radio.loss.probability``; ``problem`` says what is wrong and what is allowed instead.
@@ -62,13 +62,13 @@ class ScenarioError(VcmvspError):
 
 
 class UsageError(VcmvspError):
-    """A command or call was given something that it cannot work with."""
+    """An argument of a command or call is invalid."""
 
     exit_code = 2
 
 
 class FederateError(VcmvspError):
-    """A federate failed during the run; what was recorded until then is kept."""
+    """A federate failed during the run; the recording until then is kept."""
 
     exit_code = 3
 
@@ -78,7 +78,7 @@ class FederateError(VcmvspError):
 
 
 class AgentError(FederateError):
-    """An agent raised, ended, or did not answer in time. ``details`` holds its traceback, if any."""
+    """An agent raised an exception, ended, or did not answer in time. ``details`` holds its traceback, if any."""
 
     def __init__(self, vehicles: tuple[str, ...], agent: str, cause: str, *, details: str = "") -> None:
         self.vehicles, self.agent = vehicles, agent

@@ -9,7 +9,7 @@ Quaternion = tuple[float, float, float, float]
 
 
 def wrap(angle: float) -> float:
-    """The same angle in [-pi, pi)."""
+    """An angle in [-pi, pi)."""
     wrapped = (angle + math.pi) % math.tau - math.pi
     return wrapped if wrapped < math.pi else -math.pi  # the remainder of a tiny negative angle rounds up to 2 pi
 
@@ -27,7 +27,7 @@ def arc(pose: tuple[float, float, float], v: float, w: float, dt: float) -> tupl
 
 
 def travelled(before: tuple[float, float, float], after: tuple[float, float, float]) -> tuple[float, float]:
-    """How far along its path, m, and by how much a vehicle turned, rad, that went from pose to pose on an arc.
+    """Distance along the arc (m) and turn (rad) of a vehicle between two poses.
 
     The inverse of `arc`; the chord of an arc of length d and angle a is ``d sin(a/2) / (a/2)``, in the direction
     ``yaw + a/2``. Turns of more than half a circle cannot be told from their remainders.
@@ -50,13 +50,13 @@ def yaw_of(attitude: Quaternion) -> float:
 
 
 def rotate2(x: float, y: float, angle: float) -> tuple[float, float]:
-    """The vector (x, y) turned by ``angle``."""
+    """The vector (x, y) rotated by ``angle``."""
     c, s = math.cos(angle), math.sin(angle)
     return c * x - s * y, s * x + c * y
 
 
 def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The rotation ``b`` followed by ``a`` (Hamilton)."""
+    """Quaternion of the rotation ``b`` followed by ``a`` (Hamilton)."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (

@@ -1,4 +1,4 @@
-"""Randomness as named, counter-based streams: adding a vehicle or a draw never moves another's draws.
+"""Random numbers as named, counter-based streams: an additional vehicle or draw never changes the draws of others.
 
 `stream` gives an ordinary NumPy generator for a name. `link_uniform` gives the draws of many (link, frame) pairs at once,
 each a pure function of seed, link, frame and slot, so that evaluation order and grouping do not matter.
@@ -13,22 +13,22 @@ from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
 U64 = NDArray[np.uint64]
-Word = int | NDArray[Any]  # of a counter or key: a plain integer, or an array in uint64
+Word = int | NDArray[Any]  # word of a counter or key: a plain integer, or an array in uint64
 
 _M0, _M1, _W0, _W1 = 0xD2511F53, 0xCD9E8D57, 0x9E3779B9, 0xBB67AE85
 _LOW = 0xFFFFFFFF
 _ROUNDS = 10
-_FEW = 12  # numbers: for up to so many, plain Python is quicker than NumPy
+_FEW = 12  # up to so many numbers, plain Python is faster than NumPy
 
 
 class _Key(ISeedSequence):
-    """A key as it is: ``Philox(key=...)`` first draws a seed from the operating system, only to throw it away."""
+    """A fixed Philox key: ``Philox(key=...)`` would first draw an unused seed from the operating system."""
 
     def __init__(self, words: NDArray[np.uint64]) -> None:
         self._words = words
 
     def generate_state(self, n_words: int, dtype: object = np.uint32) -> NDArray[Any]:
-        """The two words of 64 bits that Philox asks for."""
+        """The two 64-bit words of a Philox key."""
         return self._words
 
 
@@ -38,7 +38,7 @@ def key64(seed: int, name: str) -> int:
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """A generator of its own for ``name``, e.g. ``stream(1, "car2/positioning")``."""
+    """A separate generator for ``name``, e.g. ``stream(1, "car2/positioning")``."""
     digest = hashlib.blake2b(f"{seed}/{name}".encode(), digest_size=16).digest()
     key = _Key(np.frombuffer(digest, "<u8"))
     return np.random.Generator(np.random.Philox(key))  # type: ignore[arg-type]  # NumPy takes it, its annotation does not

@@ -1,7 +1,7 @@
-"""The values that travel between federates: frozen, SI units, ENU world, quaternions (w, x, y, z).
+"""Values exchanged between federates: frozen, SI units, ENU world, quaternions (w, x, y, z).
 
-Small fixed vectors are tuples; scans, pictures and batches are read-only NumPy arrays. Values alone: whatever acts on them, or
-reads and writes them, is elsewhere.
+Small fixed vectors are tuples; scans, pictures and batches are read-only NumPy arrays. This module has data types only, no code
+that acts on them or encodes them.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ Period = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]  # s
 Rate = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]  # Hz
 OnLost = Literal["stop", "hold", "remove"]
 FileName = Annotated[str, msgspec.Meta(extra={"file": True})]
-"""The name of a file; in a scenario relative to its folder. ``pathlib.Path`` is one, too."""
+"""Name of a file; in a scenario relative to its folder. Fields of type ``pathlib.Path`` are file names, too."""
 Name = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9_-]+\Z")]
 
 
@@ -52,7 +52,7 @@ def frozen(array: object, dtype: DTypeLike | None = None) -> Array:
 
 
 class VehicleState(Value, frozen=True, kw_only=True, tag="state"):
-    """A rigid body at one instant."""
+    """State of a rigid body at one instant."""
 
     position: Vec3  # m, world
     velocity: Vec3 = (0.0, 0.0, 0.0)  # m/s, world
@@ -76,7 +76,7 @@ class States(Value, frozen=True, kw_only=True, tag="states"):
 
 
 class Velocity(Value, frozen=True, kw_only=True, tag="velocity"):
-    """A command: move like this until the next command.
+    """A command to move with a velocity until the next command.
 
     ``linear`` is in the body frame for ground robots (x forward; they cannot follow y and z) and in the world frame for
     vehicles that fly.
@@ -87,63 +87,63 @@ class Velocity(Value, frozen=True, kw_only=True, tag="velocity"):
 
 
 class Waypoint(Value, frozen=True, kw_only=True, tag="waypoint"):
-    """A command to a vehicle that flies: go there and stay, until the next command."""
+    """A command to a flying vehicle: go to a position and stay there until the next command."""
 
     position: Vec3  # m, world
-    yaw: float | None = None  # rad; None: keep the present one
-    speed: float | None = None  # m/s; None: as fast as its autopilot goes
+    yaw: float | None = None  # rad; None: keep the present yaw
+    speed: float | None = None  # m/s; None: the autopilot's maximum
 
 
 class Contact(Value, frozen=True, kw_only=True, tag="contact"):
-    """A vehicle began to touch another vehicle, a movable or moving obstacle or, where ``other`` is None, the world."""
+    """Start of a contact of a vehicle with another vehicle, a movable or moving obstacle or (``other`` is None) the world."""
 
     vehicle: str
     other: str | None
 
 
 class Pushed(Value, frozen=True, kw_only=True, tag="pushed"):
-    """Where obstacles are that can be pushed; those that nobody has touched, too."""
+    """Poses of all movable obstacles."""
 
     names: tuple[str, ...]
-    position: Array  # (n, 3) m, world, of their centres
+    position: Array  # (n, 3) m, world, of the centres
     attitude: Array  # (n, 4) w, x, y, z; world_from_body
 
 
 class Presence(Value, frozen=True, kw_only=True, tag="presence"):
-    """What became of a vehicle's agent: it was lost and its vehicle holds, was lost for good, or is back."""
+    """Presence of a vehicle's agent: lost (the vehicle holds its command), removed, or back."""
 
     state: Literal["lost", "removed", "back"]
-    since_ns: int  # its first tick without an answer, or its first with one again
+    since_ns: int  # first tick without an answer, or first answered tick again
     why: str = ""
-    late: int = 0  # back: answers that came too late to count
+    late: int = 0  # back: number of answers that came too late
 
 
 class RealStatus(Value, frozen=True, kw_only=True, tag="real"):
-    """How a real vehicle and the run that it is part of stand, at an instant of the run."""
+    """Status of a real vehicle and its link at an instant of the run."""
 
-    link: int  # which connection since the start: greater than 1 after one was lost
-    age_s: float | None  # of the newest that its driver told; None: nothing yet
-    fix_age_s: float | None = None  # of the newest position that counted
+    link: int  # number of the connection; greater than 1 after a loss
+    age_s: float | None  # age of the newest report of the driver; None: none yet
+    fix_age_s: float | None = None  # age of the newest accepted position
     sigma_m: float | None = None  # standard deviation of the estimated position, along its worse axis
-    prediction_m: float | None = None  # how far off dead reckoning since the last instant was
-    gated: int = 0  # positions that did not fit, so far
-    sent: Velocity | None = None  # what the robot was told last
-    causes: tuple[str, ...] = ()  # why that is not what its agent wanted
+    prediction_m: float | None = None  # error of dead reckoning since the last instant
+    gated: int = 0  # number of rejected positions
+    sent: Velocity | None = None  # last command to the robot
+    causes: tuple[str, ...] = ()  # reasons for a difference from the agent's command
     battery_v: float | None = None
-    bumpers: int = 0  # a bit for each segment that is pressed
-    late_s: float = 0.0  # how late a turn of its station began, at most, since the last instant
+    bumpers: int = 0  # a bit for each pressed segment
+    late_s: float = 0.0  # largest lag of the station's control step since the last instant
 
 
 class Incident(Value, frozen=True, kw_only=True, tag="incident"):
-    """Something that befell a real vehicle."""
+    """An incident of a real vehicle."""
 
     what: Literal["connected", "lost", "stopped", "warned"]
     cause: str
-    happened_ns: int  # in the run's time; may lie before 0
+    happened_ns: int  # simulated time; may be negative
 
 
 class Odometry(Value, frozen=True, kw_only=True, tag="odometry"):
-    """What the wheels say: the pose integrated from the start pose, and the present speeds."""
+    """Wheel odometry: the pose integrated from the start pose, and the present speeds."""
 
     pose: Vec3  # x m, y m, yaw rad; world, drifting
     v: float  # m/s, forward
@@ -151,11 +151,11 @@ class Odometry(Value, frozen=True, kw_only=True, tag="odometry"):
 
 
 class Fix(Value, frozen=True, kw_only=True, tag="fix"):
-    """One answer of a positioning system."""
+    """A measurement of a positioning system."""
 
-    time_ns: int  # when it was measured
+    time_ns: int  # time of the measurement
     position: Vec3  # m, world
-    yaw: float | None = None  # rad; None: it tells no heading
+    yaw: float | None = None  # rad; None: no heading
     sigma_m: float  # standard deviation of x and y
     sigma_rad: float = 0.0  # standard deviation of the yaw
     sigma_z_m: float | None = None  # standard deviation of z; None: as x and y
@@ -166,51 +166,51 @@ class Imu(Value, frozen=True, kw_only=True, tag="imu"):
 
     acceleration: Vec3  # m/s2, specific force
     angular_velocity: Vec3  # rad/s
-    time_ns: int = 0  # when it was measured
+    time_ns: int = 0  # time of the measurement
 
 
 class Scan(Value, frozen=True, kw_only=True, tag="scan"):
-    """One sweep of a range scanner; beam i points at ``angle_min + i * angle_step`` from the body x axis."""
+    """Sweep of a range scanner; beam i points at ``angle_min + i * angle_step`` from the body x axis."""
 
-    ranges: Array  # (n,) float32 m; inf: no return; -inf: nearer than it can measure
+    ranges: Array  # (n,) float32 m; inf: no return; -inf: below the minimum range
     angle_min: float  # rad
     angle_step: float  # rad
     range_max: float  # m
-    time_ns: int = 0  # when it was measured
+    time_ns: int = 0  # time of the measurement
 
 
 class Image(Value, frozen=True, kw_only=True, tag="image"):
-    """One camera picture; the camera looks along its z axis, x is to the right of the picture, y down."""
+    """Camera picture; the camera looks along its z axis, x is to the right of the picture, y down."""
 
     pixels: Array  # (height, width, 3) uint8, RGB
-    time_ns: int = 0  # when it was taken
-    focal_px: float = 0.0  # focal length; the principal point is the middle of the picture
-    depth_m: Array | None = None  # (height, width) float32, along the optical axis; inf: nothing
+    time_ns: int = 0  # time of the exposure
+    focal_px: float = 0.0  # focal length; the principal point is the centre of the picture
+    depth_m: Array | None = None  # (height, width) float32, along the optical axis; inf: no surface
 
 
 class Measured(Value, frozen=True, kw_only=True, tag="measured"):
-    """Numbers by name, of any other sensor: a bumper's segments (0 or 1), ranges to neighbours (m), ..."""
+    """Named numbers of any other sensor: a bumper's segments (0 or 1), ranges to neighbours (m), ..."""
 
     time_ns: int
     values: dict[str, float]
 
 
 class Looks(Value, frozen=True, kw_only=True, tag="looks"):
-    """What a detector says of the cells around it: square cells of the plane, of which (0, 0) has a corner in the origin."""
+    """Detections in the cells around a detector: square cells of the plane; cell (0, 0) has a corner in the origin."""
 
-    time_ns: int  # when it looked
+    time_ns: int  # time of the measurement
     cell_m: float
-    cells: Array  # (n, 2) int32: column, row; cell (i, j) is i * cell_m <= x < (i + 1) * cell_m, likewise j and y
-    hits: Array  # (n,) bool: "there is a target"
+    cells: Array  # (n, 2) int32: column, row; cell (i, j) is i * cell_m <= x < (i + 1) * cell_m, and y with j
+    hits: Array  # (n,) bool: target detected
 
 
 Reading = Odometry | Fix | Imu | Scan | Image | Measured | Looks
 
 
 class Later:
-    """A reading that is worked out when somebody first looks at it, and then kept; it depends on nothing that comes after it.
+    """A reading that is computed when it is first read, and then kept; it is independent of later events.
 
-    It takes the place of the reading inside a process; what leaves the process, or is recorded, is the reading.
+    It stands for the reading inside a process; values that leave the process or are recorded are plain readings.
     """
 
     __slots__ = ("_reading", "_work")
@@ -220,23 +220,23 @@ class Later:
         self._reading: Reading | None = None
 
     def get(self) -> Reading:
-        """The reading."""
+        """The reading, computed on the first call."""
         if self._work is not None:
-            self._reading = self._work()  # where that fails, it fails again at the next look
+            self._reading = self._work()  # a failed computation fails again at the next call
             self._work = None
         assert self._reading is not None  # noqa: S101
         return self._reading
 
 
 class Readings(dict[str, Any]):
-    """Readings by the names of sensors; what is worked out on demand, is when it is looked at."""
+    """Readings by sensor name; readings on demand are computed when they are read."""
 
     def __getitem__(self, name: str) -> Reading:
         reading = super().__getitem__(name)
         return reading.get() if isinstance(reading, Later) else reading
 
     def get(self, name: str, default: object = None) -> Any:
-        """The reading, or the default."""
+        """The reading of a sensor, or the default."""
         return self[name] if name in self else default  # noqa: SIM401  this is that method
 
     def values(self) -> list[Reading]:  # type: ignore[override]  # a list serves
@@ -249,17 +249,17 @@ class Readings(dict[str, Any]):
 
 
 class Message(Value, frozen=True, kw_only=True, tag="message"):
-    """What an agent hands to its radio. The body crosses the air as MessagePack; ``size_bytes`` sets the air time."""
+    """Message that an agent gives to its radio. The body is sent as MessagePack; ``size_bytes`` sets the air time."""
 
     sender: str
     body: dict[str, Any] | bytes
     size_bytes: int
     to: str | None = None  # None: broadcast
-    priority: int = 0  # one of a higher priority overtakes those that wait in its sender's queue, where the mac has one
+    priority: int = 0  # a message of higher priority overtakes others in its sender's queue, if the mac supports it
 
 
 class Reception(Value, frozen=True, kw_only=True, tag="reception"):
-    """A message as it arrived."""
+    """A message at a receiver."""
 
     message: Message
     rssi_dbm: float
@@ -268,7 +268,7 @@ class Reception(Value, frozen=True, kw_only=True, tag="reception"):
 
 
 class FrameReport(Value, frozen=True, kw_only=True, tag="frame"):
-    """What became of one frame at every receiver it was meant for; the rows of ``radio.parquet``."""
+    """Outcome of one frame at each of its receivers; the rows of ``radio.parquet``."""
 
     frame: int  # unique in the run, in the order in which frames entered the channel
     sender: str
@@ -279,106 +279,106 @@ class FrameReport(Value, frozen=True, kw_only=True, tag="frame"):
     rssi_dbm: Array  # (n,) float64
     received_ns: Array  # (n,) int64; -1: lost
     outcome: tuple[str, ...]  # "received" or the cause of the loss, per receiver
-    air_time_ns: int = 0  # one transmission; 0: it was never sent
-    queue_ns: int = 0  # waited behind the sender's earlier frames
-    access_ns: int = 0  # waited for the air, earlier attempts included
-    copy_ns: Array | None = None  # (n,) int64, when a second copy arrives; -1: none does
-    # The link budget, (n,) each; None where the channel has no such layer.
-    snr_db: Array | None = None  # over noise alone
-    sinr_db: Array | None = None  # over noise and interference, the least while it was on the air
+    air_time_ns: int = 0  # of one transmission; 0: it was never sent
+    queue_ns: int = 0  # wait behind the sender's earlier frames
+    access_ns: int = 0  # medium access delay, earlier attempts included
+    copy_ns: Array | None = None  # (n,) int64, arrival of a second copy; -1: none
+    # Link budget, (n,) each; None where the channel has no such layer.
+    snr_db: Array | None = None  # over noise only
+    sinr_db: Array | None = None  # over noise and interference, the minimum over the frame
     path_loss_db: Array | None = None
-    walls: Array | None = None  # int64, how many are crossed
+    walls: Array | None = None  # int64, number of walls crossed
     wall_materials: tuple[str, ...] | None = None  # e.g. "2 brick, 1 wood"
     wall_loss_db: Array | None = None
     shadowing_db: Array | None = None
-    fading_db: Array | None = None  # a gain
+    fading_db: Array | None = None  # as a gain
 
 
 class Datagrams(Value, frozen=True, kw_only=True, tag="datagrams"):
-    """What programs outside have handed to the radios of their vehicles, in the order in which it came."""
+    """Datagrams that external programs have given to the radios of their vehicles, in the order of arrival."""
 
     number: Array  # (n,) int64, unique in the run
     sender: Array  # (n,) int32, rows of the run's vehicles
-    to: Array  # (n,) int32, the only one meant; -1: broadcast
+    to: Array  # (n,) int32, the only receiver; -1: broadcast
     size_bytes: Array  # (n,) int64, payload
-    sent_ns: Array  # (n,) int64, when it came, a little before or after now; decreases for no sender
-    payloads: tuple[bytes, ...] = ()  # where agents are to hear it; else it never leaves whoever carries it
+    sent_ns: Array  # (n,) int64, arrival from the program, a little before or after now; decreases for no sender
+    payloads: tuple[bytes, ...] = ()  # only if agents receive them; otherwise the gateway keeps them
 
 
 class Traffic(Value, frozen=True, kw_only=True, tag="traffic"):
-    """What became of datagrams."""
+    """Outcome of datagrams."""
 
-    reports: tuple[FrameReport, ...]  # of all frames that were sent for them
-    carries: Array  # (len(reports),) int64, the number of the datagram in each
-    number: Array  # (m,) int64, of datagrams that arrive where they are meant to
-    receiver: Array  # (m,) int32, there
-    arrival_ns: Array  # (m,) int64, when; may be earlier than now, if whoever carries it was late
-    frame: Array  # (m,) int64, that brought it: with routing the last of several
-    settled: Array  # (k,) int64, numbers of those of which nothing is to come any more
+    reports: tuple[FrameReport, ...]  # of all frames with these datagrams
+    carries: Array  # (len(reports),) int64, number of the datagram in each frame
+    number: Array  # (m,) int64, of delivered datagrams
+    receiver: Array  # (m,) int32, receiver of each
+    arrival_ns: Array  # (m,) int64, time of delivery; may be earlier than now if the gateway was late
+    frame: Array  # (m,) int64, the frame that delivered it: with routing the last of several
+    settled: Array  # (k,) int64, numbers of datagrams without further deliveries
 
 
 class Routed(Value, frozen=True, kw_only=True, tag="routed"):
-    """What became of a message that others may have passed on, once nothing of it is under way or the run has ended."""
+    """Outcome of a message that others may have relayed, when none of its frames is under way or the run has ended."""
 
     origin: str
-    number: int  # among those of its origin
+    number: int  # sequence number at its origin
     to: str | None  # None: broadcast
     sent_ns: int
     size_bytes: int  # payload
-    frame_bytes: int  # of each frame: that, and what routing adds
-    frames: tuple[int, ...]  # that were sent for it, in their order; none: there was no route
-    receivers: tuple[str, ...]  # whom it reached, relays included, in the order of time
-    hops: tuple[int, ...]  # on the way to each of them
-    via: tuple[str, ...]  # from whom each of them had it
+    frame_bytes: int  # size of each frame, routing header included
+    frames: tuple[int, ...]  # its frames in order of sending; none: there was no route
+    receivers: tuple[str, ...]  # vehicles that received it, relays included, in order of time
+    hops: tuple[int, ...]  # hops to each receiver
+    via: tuple[str, ...]  # last hop of each receiver
     received_ns: tuple[int, ...]
-    update: bool = False  # of routes: no message, but what vehicles tell each other
-    under_way: bool = False  # when the run ended: it may have reached more
+    update: bool = False  # a routing update instead of a message
+    under_way: bool = False  # at the end of the run: further receivers are possible
 
 
 class Follows(Value, frozen=True, kw_only=True, tag="follows"):
-    """The place that a follower means to keep: what the formation error is measured against.
+    """Slot that a follower keeps: the reference of the formation error.
 
-    ``slot`` is where its centre belongs in the leader's frame, (x forward, y left). The error compares the follower's
+    ``slot`` is the place of its centre in the leader's frame, (x forward, y left). The error compares the follower's
     handle, ``handle_m`` ahead of its centre, with the point ``slot + (handle_m, 0)`` of the leader's frame.
     """
 
-    leader: str | None  # None: it follows nobody any more
+    leader: str | None  # None: it stops following
     slot: tuple[float, float] = (0.0, 0.0)  # m
     handle_m: float = 0.0  # m
 
 
 class Note(Value, frozen=True, kw_only=True, tag="note"):
-    """Numbers and words that an agent wants recorded (`Agent.note`)."""
+    """Numbers and words that an agent records (`Agent.note`)."""
 
     values: dict[str, float | str | bool]
 
 
 class ProbabilityMap(Value, frozen=True, kw_only=True, tag="map"):
-    """What a vehicle knows of an area that is searched, and what of it it has seen itself; row 0 is the south edge."""
+    """A vehicle's map of a searched area, and the cells that it has seen itself; row 0 is the south edge."""
 
     left: float  # m, world
     bottom: float  # m, world
     cell_m: float
-    probability: Array  # (rows, columns) uint8, of a target in the cell, in 255ths
-    seen: Array  # (rows, columns) bool: looked at by this vehicle
+    probability: Array  # (rows, columns) uint8, probability of a target in the cell, in 255ths
+    seen: Array  # (rows, columns) bool: seen by this vehicle
 
 
 class Sighting(Value, frozen=True, kw_only=True):
-    """A target that was recognised in a picture."""
+    """A target recognised in a picture."""
 
     target: str
     place: tuple[float, float]  # m, world, on the ground
-    centre_px: tuple[float, float]  # column, row; the middle of the first pixel is (0, 0)
+    centre_px: tuple[float, float]  # column, row; the centre of the first pixel is (0, 0)
     angle: float  # rad, counter-clockwise in the picture
     side_px: float
     score: float  # 0 to 1
 
 
 class Sightings(Value, frozen=True, kw_only=True, tag="sightings"):
-    """What was recognised in one picture of a camera."""
+    """Targets recognised in one picture of a camera."""
 
     sensor: str
-    time_ns: int  # when the picture was taken
+    time_ns: int  # time of the exposure
     width: int  # px
     height: int
     found: tuple[Sighting, ...]
@@ -386,7 +386,7 @@ class Sightings(Value, frozen=True, kw_only=True, tag="sightings"):
 
 
 class Mosaic(Value, frozen=True, kw_only=True, tag="mosaic"):
-    """The ground as far as a vehicle has seen it, from above; row 0 is the south edge."""
+    """Mosaic of the ground that a vehicle has seen, from above; row 0 is the south edge."""
 
     left: float  # m, world
     bottom: float  # m, world
@@ -395,21 +395,21 @@ class Mosaic(Value, frozen=True, kw_only=True, tag="mosaic"):
 
 
 class Outage(Value, frozen=True, kw_only=True, tag="outage"):
-    """The operator has all frames from and to these vehicles lost."""
+    """Operator's command to lose all frames from and to these vehicles."""
 
     vehicles: tuple[str, ...]
     until_ns: int
 
 
 class Changed(Value, frozen=True, kw_only=True, tag="changed"):
-    """The operator has given a key of the scenario another value."""
+    """Operator's change of a scenario key."""
 
     key: str
     value: float
 
 
 class Moved(Value, frozen=True, kw_only=True, tag="moved"):
-    """The operator has put an obstacle somewhere else, where it rests."""
+    """Operator's command to move an obstacle, which then rests."""
 
     obstacle: str
     position: tuple[float, float]  # m, world
@@ -417,7 +417,7 @@ class Moved(Value, frozen=True, kw_only=True, tag="moved"):
 
 
 class Halted(Value, frozen=True, kw_only=True, tag="halted"):
-    """The operator has vehicles stand still, whatever their agents command, or lets them go on."""
+    """Operator's command to stop vehicles, regardless of their agents' commands, or to release them."""
 
     vehicles: tuple[str, ...]
     halted: bool
