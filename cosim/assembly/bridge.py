@@ -1,4 +1,4 @@
-"""Programs outside that take part in a run: ``[bridge]`` and ``[sockets]`` checked, and handed to who knows sockets."""
+"""Build the federates of external programs: checks ``[bridge]`` and ``[sockets]``."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 class ProgramFederates(NamedTuple):
     """The federates that exchange messages with programs."""
 
-    in_run_time: "Programs | None"  # to programs that keep the run's own time
-    bridge: "Bridge | None"  # to programs at wall pace
-    playback: "BridgePlayback | None"  # of such programs in an earlier run
+    in_run_time: "Programs | None"  # programs in simulated time
+    bridge: "Bridge | None"  # programs in wall time
+    playback: "BridgePlayback | None"  # recorded datagrams of such programs
 
 
 def of_scenario(
@@ -43,11 +43,11 @@ def of_scenario(
     """Build the federates of ``[sockets]`` and ``[bridge]``.
 
     Args:
-        bridged: what programs at wall pace handed over in an earlier run, instead of these programs.
-        log: takes what a replay needs.
-        connect: open the gateways; else nothing is, which serves to check the scenario.
+        bridged: datagrams recorded from the programs of an earlier run, which replace the programs.
+        log: receives the datagrams, for a replay.
+        connect: open the gateways; False only checks the scenario.
     """
-    # Programs in simulated time speak anew in a replay.
+    # Programs in simulated time run again in a replay.
     programs = programs_of(scenario, source, resolution, tell=tell, connect=connect or bridged is not None)
     doors = doors_of(scenario, source, resolution)
     if bridged is not None:
@@ -74,16 +74,16 @@ def of_scenario(
 
 
 def kind_of(name: str, content: Any) -> Any:
-    """The kind of a door, as it is written in its table; by default it is the table's name."""
+    """The kind of a gateway: ``kind`` of its table, by default the table's name."""
     return content.get("kind", name) if isinstance(content, dict) else name
 
 
 def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> "list[GatewaySpec]":
-    """The doors of ``[bridge]``, each built once to be checked."""
+    """The gateways of ``[bridge]``, each built once as a check."""
     if scenario.bridge.doors:
         from vcmvsp.netsim.bridge.messages import GatewaySpec
     names, found, resolved = [each.name for each in scenario.vehicle], [], dict[str, Any]()
-    alone: dict[type, str] = {}  # keys of those of which there is one at most
+    alone: dict[type, str] = {}  # keys of the kinds that allow one gateway only
     for name, content in scenario.bridge.doors.items():
         key = f"bridge.{name}"
         if not isinstance(content, dict):
@@ -112,7 +112,7 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> "lis
 
 
 def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, tell: Tell, connect: bool) -> "Programs | None":
-    """The federate that lets programs keep the run's own time; None: no vehicle has one."""
+    """The federate of programs in simulated time, or None if no vehicle has such a program."""
     wanted, names, key = scenario.sockets, [each.name for each in scenario.vehicle], "sockets.vehicles"
     for name in wanted.vehicles:
         if name not in names:

@@ -1,8 +1,7 @@
-"""What an operator does during a run: known beforehand, or asked for while it goes on.
+"""Interventions of an operator during a run: planned in the scenario, or requested live.
 
-Both take the same way: at an instant of the run an event says what is done, and physics, radio and hardware obey it as they do
-commands and frames. What was asked for live is written into the resolved scenario with the time at which it was done, so that
-running that again gives the same bytes.
+Both kinds become events at an instant of the run, which physics, radio and hardware apply like commands and frames. The
+resolved scenario lists live interventions with the time at which they were applied: running it gives the same bytes.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +18,7 @@ from vcmvsp.cosim.scenario.schema import HaltTable, InterventionTable, MoveTable
 from vcmvsp.cosim.types import Changed, Halted, Moved, Outage
 
 Check = Callable[[InterventionTable, Sequence[InterventionTable]], None]
-"""Raises `ValueError` for what cannot be done, after what will have been done before it."""
+"""Raises `ValueError` if an intervention cannot be applied after the given earlier ones."""
 
 
 class Operator:
@@ -46,22 +45,22 @@ class Operator:
         self._vehicles, self._check = tuple(vehicles), check
         self._planned = sorted(planned, key=attrgetter("at_s"))
         self._asked: list[InterventionTable] = []
-        self.done: list[InterventionTable] = []  # in the order in which they were
+        self.done: list[InterventionTable] = []  # in order of application
 
     def start(self, run: RunInfo) -> int | None:
-        """Wait for the first that is planned."""
+        """Wake up at the first planned intervention."""
         return self._next()
 
     def ask(self, intervention: InterventionTable) -> None:
-        """Do this at the next instant, whatever time it names.
+        """Apply an intervention at the next instant; its own ``at_s`` is ignored.
 
         Raises:
-            ValueError: it cannot be done, and why.
+            ValueError: it cannot be applied; the text says why.
         """
         raw = msgspec.to_builtins(intervention)
         if (bad := unfit_number(raw)) is not None:
             raise ValueError(f"every number {problem_of(bad)}")
-        checked = msgspec.convert(raw, type(intervention))  # ranges, which no constructor looks at
+        checked = msgspec.convert(raw, type(intervention))  # checks ranges; the constructor does not
         self._check(checked, self._asked)
         match checked:
             case MoveTable():
@@ -71,11 +70,11 @@ class Operator:
         self._asked.append(checked)
 
     def poll(self, now_ns: int) -> bool:
-        """Whether there is anything to be done at the instant that begins."""
+        """Whether an intervention is to be applied at the instant that begins."""
         return bool(self._asked)
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        """Do what is due and what was asked for, in this order."""
+        """Apply the planned interventions that are due, then the requested ones."""
         due = [each for each in self._planned if seconds_to_ns(each.at_s) <= now_ns]
         self._planned = self._planned[len(due) :]
         asked, self._asked = self._asked, []
@@ -88,16 +87,16 @@ class Operator:
 
     @property
     def all(self) -> list[InterventionTable]:
-        """What was done, and what is still planned."""
+        """Applied interventions, then planned ones."""
         return self.done + self._planned
 
     def _check_alone(self, move: MoveTable) -> None:
-        """Refuse a second obstacle at one instant: each was checked against where the other is now; both may want one place."""
+        """Reject a second move at one instant: checks use current positions, so both might claim one place."""
         if any(isinstance(each, MoveTable) and each.obstacle != move.obstacle for each in self._asked):
             raise ValueError(f"{move.obstacle} stays: another obstacle is moved at this instant, let the run go on first")
 
     def _check_planned(self, change: SetTable) -> None:
-        """Refuse what would make a change impossible that is still planned."""
+        """Reject a change that would make a planned change impossible."""
         before = [*self._asked, change]
         for each in self._planned:
             if isinstance(each, SetTable):
@@ -129,7 +128,7 @@ def checks(
     check_move: Callable[[str, tuple[float, float], float], None],
     check_set: Callable[[str, float, Sequence[tuple[str, float]]], None],
 ) -> Check:
-    """What can be done at all: with vehicles that there are, obstacles that can be moved, and keys that can be changed."""
+    """A check of interventions: existing vehicles, movable obstacles, changeable keys."""
 
     def check(table: InterventionTable, earlier: Sequence[InterventionTable]) -> None:
         if isinstance(table, OutageTable | HaltTable):
@@ -145,12 +144,12 @@ def checks(
 
 
 def nothing_moves(obstacle: str, *_: object) -> None:
-    """For physics of one's own that knows no obstacles which can be moved: refuses all of them."""
+    """Reject every obstacle: for user-defined physics without movable obstacles."""
     raise ValueError(f"{obstacle} cannot be moved: this physics has no check_move(obstacle, position, yaw)")
 
 
 def check_planned(planned: Sequence[InterventionTable], check: Check, source: Source) -> None:
-    """Refuse a scenario with an intervention that cannot be done."""
+    """Reject a scenario with an intervention that cannot be applied."""
     order = sorted(range(len(planned)), key=lambda number: planned[number].at_s)
     for place, number in enumerate(order):
         try:

@@ -1,4 +1,4 @@
-"""From ``[radio]`` to a channel: a preset, and what is changed of its layers."""
+"""Build the channel from ``[radio]``: a preset with changed layers."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -36,9 +36,9 @@ def federate_of(
     """The federate `radio` of a scenario.
 
     Args:
-        resolution: takes ``[radio]`` and ``[routing]`` with everything filled in.
-        recorded: ``radio.parquet`` of an earlier run, whose outcomes its frames have again.
-        programs: programs at wall pace may send any number of frames.
+        resolution: receives the complete ``[radio]`` and ``[routing]``.
+        recorded: ``radio.parquet`` of an earlier run, whose frame outcomes are repeated.
+        programs: whether programs in wall time take part; they may send any number of frames.
     """
     from vcmvsp.netsim.channel.replayed import RecordedFrames
     from vcmvsp.netsim.federate import RadioFederate
@@ -80,7 +80,7 @@ def channel_of(
 
 
 def _federate_keys() -> list[str]:
-    """Keys of ``[radio]`` that are no layers of the channel."""
+    """Keys of ``[radio]`` that are not layers of the channel."""
     from vcmvsp.netsim.federate import RadioFederate
 
     return [name for name in binding.parameters(RadioFederate) if name not in ("channel", "router", "programs")]
@@ -101,14 +101,14 @@ def build(
     """Build a channel.
 
     Args:
-        radio: ``preset``, and a table for each layer that is to be changed.
-        key: path of the table in the scenario; empty: the layers stand at the top.
-        radios: what vehicles have of their own, by name.
-        also: other keys that may stand in this table, for messages.
-        keep: keeps a file that the scenario uses; how the resolved scenario names it.
+        radio: ``preset``, and a table for each changed layer.
+        key: path of the table in the scenario; empty: the layers are top-level keys.
+        radios: radio parameters of single vehicles, by name.
+        also: other keys allowed in this table, for messages.
+        keep: keeps a file that the scenario uses; returns its name in the resolved scenario.
 
     Returns:
-        The `netsim.channel.channel.Channel`, and the table with everything filled in.
+        The `netsim.channel.channel.Channel`, and the complete table.
     """
     from vcmvsp.netsim.channel import user_layers
     from vcmvsp.netsim.channel.channel import Channel
@@ -146,7 +146,7 @@ def build(
 
 
 def _merged(layer: str, base: Mapping[str, Any], own: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The preset's table with what is changed of it; another kind has a table of its own."""
+    """The preset's table of a layer with its changes; a table of another kind replaces it."""
     kinds = [kind for kind in builtin_kinds.KINDS[layer] if kind != "none"]
     if own and base["kind"] == "none" and len(kinds) == 1:
         return {"kind": kinds[0], **own}
@@ -154,20 +154,20 @@ def _merged(layer: str, base: Mapping[str, Any], own: Mapping[str, Any]) -> Mapp
 
 
 def _check_mac(layers: Mapping[str, Any], key: str, source: Source) -> None:
-    """A mac may need a phy of its own standard."""
+    """Check that the phy fits the mac: a mac may require a phy of its own standard."""
     try:
         layers["mac"].open(layers["phy"], 2, np.zeros(2, np.uint64), 1e-9)
     except ScenarioError as error:
         where = binding.join(key, "mac.kind")
         named = source.of(where)
-        named = source.of(binding.join(key, "phy")) if named == source.name else named  # one of both was changed
+        named = source.of(binding.join(key, "phy")) if named == source.name else named  # only one of them was changed
         raise ScenarioError(error.problem, key=where, source=named) from error
 
 
 def _check_names(layers: Mapping[str, Any], vehicles: Sequence[str], key: str, source: Source) -> None:
-    """Layers that name vehicles must mean those that there are."""
+    """Check that layers name existing vehicles only."""
     for layer in ("trace", "jammer"):
-        for name in getattr(layers[layer], "names", tuple)():  # one's own may name none
+        for name in getattr(layers[layer], "names", tuple)():  # a user class may lack it
             if name not in vehicles:
                 where = binding.join(key, layer)
                 raise ScenarioError(binding.unknown("vehicle", name, vehicles), key=where, source=source.of(where))

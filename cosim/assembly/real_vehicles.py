@@ -1,4 +1,4 @@
-"""The real vehicles of a scenario: their tables checked, and handed to the part that knows robots."""
+"""Build the real vehicles of a scenario: checks their tables."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
     from vcmvsp.hardware.playback import Playback
     from vcmvsp.physics.vehicles.specification import Vehicle
 
-MOST_SPEED, MOST_YAW_RATE = 1.0, 2.0  # m/s and rad/s, of a robot among people unless somebody says otherwise; assumed
-ACCEL, YAW_ACCEL = 0.3, 1.5  # m/s2 and rad/s2, of a kind that does not say its own: an AmigoBot's; assumed
+MOST_SPEED, MOST_YAW_RATE = 1.0, 2.0  # m/s and rad/s, default limits of a robot among people; assumed
+ACCEL, YAW_ACCEL = 0.3, 1.5  # m/s2 and rad/s2, of a kind that gives none: an AmigoBot's; assumed
 
-ADDRESSES = frozenset({"port", "address", "listen"})  # parameters of drivers and localisations that one vehicle alone may have
+ADDRESSES = frozenset({"port", "address", "listen"})  # parameters of drivers and localisations that no two vehicles may share
 OF_DRIVER = ("driver", "localisation", "fusion", "safety")
-"""Keys of a vehicle that only a real one has."""
+"""Keys that only real vehicles have."""
 
 
 def of_scenario(
     scenario: Scenario, source: Source, resolution: Resolution, models: "Mapping[str, Vehicle]"
 ) -> tuple[RealVehicle, ...]:
-    """Those vehicles of the scenario that have a driver, checked.
+    """The vehicles of the scenario that have a driver, checked.
 
     Args:
-        resolution: takes the tables with everything filled in.
-        models: what each vehicle is, by name (`physics.vehicles.specification.Vehicle`).
+        resolution: receives the complete tables.
+        models: model of each vehicle, by name (`physics.vehicles.specification.Vehicle`).
     """
     for vehicle in scenario.vehicle:
         if vehicle.driver is None:
@@ -94,14 +94,14 @@ def _described(
 
 
 def playback(scenario: Scenario, inputs: Sequence[Input], tell: Tell) -> "Playback | None":
-    """The federate `hardware` that repeats what real vehicles did in an earlier run; None: no vehicle is real."""
+    """The federate `hardware` that repeats the recorded real vehicles of an earlier run, or None if none was real."""
     from vcmvsp.hardware.playback import Playback
 
     return Playback(scenario.real, inputs, tell=tell) if scenario.real else None
 
 
 def _check_addresses(found: Sequence[RealVehicle], source: Source) -> None:
-    """No two vehicles at one port."""
+    """Reject two vehicles at one port."""
     taken: dict[str, str] = {}
     for each in found:
         for table_, params in (("driver", each.driver_params), ("localisation", each.localisation_params)):
@@ -116,7 +116,7 @@ def _check_addresses(found: Sequence[RealVehicle], source: Source) -> None:
 def _builder(
     vehicle: str, source: Source, resolution: Resolution, *, flies: bool
 ) -> Callable[[str, Mapping[str, Any], str], tuple[str, dict[str, Any]]]:
-    """Checks a table by building what it describes, which does nothing yet; its kind and complete parameters."""
+    """A function that checks a table by building its object and returns the kind and complete parameters."""
     offered = {"vehicle": vehicle, "folder": str(source.folder.resolve())}
 
     def build(group: str, content: Mapping[str, Any], key: str) -> tuple[str, dict[str, Any]]:
@@ -130,7 +130,7 @@ def _builder(
 
 
 def _check_nothing_lost(vehicle: VehicleTable, source: Source) -> None:
-    """Keys that only a real vehicle has are errors at a simulated one, where nobody would look at them."""
+    """Reject keys of real vehicles at a simulated vehicle, where they would have no effect."""
     for name in OF_DRIVER[1:]:
         if name == "fusion" and vehicle.pose_source == "fusion":
             continue
@@ -141,7 +141,7 @@ def _check_nothing_lost(vehicle: VehicleTable, source: Source) -> None:
 
 
 def _safety(shared: SafetyTable, vehicle: VehicleTable, model: "Vehicle", source: Source) -> SafetyTable:
-    """``[safety]``, what the vehicle has of its own, and what its kind knows."""
+    """``[safety]`` of a vehicle: the shared table, the vehicle's own keys, the limits of its kind."""
     key = f"vehicle.{vehicle.name}.safety"
     own = binding.call(SafetyTable, vehicle.safety, key=key, origin=source)
     given = {name: getattr(own if name in vehicle.safety else shared, name) for name in SafetyTable.__struct_fields__}

@@ -1,4 +1,4 @@
-"""The world of a recorded run: built again where its kind is built in, else as the recording draws it."""
+"""The world of a recorded run: rebuilt if its kind is built in, else read from the recording's drawing."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,11 +29,11 @@ T = TypeVar("T")
 
 
 def world_in(folder: Path, scenario: Scenario, source: Source) -> World:
-    """The world of the run that a folder holds; what may be imported says `registry.may_import`.
+    """The world of the run in a folder; `registry.may_import` decides whether its class may be imported.
 
     Raises:
-        ScenarioError: its kind is built in, and it cannot be built any more.
-        UsageError: it cannot be read from the recording.
+        ScenarioError: a world of a built-in kind can no longer be built.
+        UsageError: the recording cannot be read.
     """
     if registry.may_import("world", scenario.world.get("kind", "empty")):
         return worlds.build(scenario.world, source, seed=scenario.seed)[0]
@@ -44,11 +44,11 @@ def world_in(folder: Path, scenario: Scenario, source: Source) -> World:
 
 
 def drawn_in(recording: Path) -> World:
-    """What a recording draws of its world: meshes of no known material, obstacles as they began, and targets.
+    """The world as a recording draws it: meshes without material, obstacles at their start, targets.
 
     Raises:
-        OSError, ValueError: it cannot be read.
-        IndexError: an entity of its drawing lacks its shape.
+        OSError, ValueError: the recording cannot be read.
+        IndexError: an entity of the drawing lacks its shape.
     """
     drawn = next(_read(recording, SOLIDS, SceneUpdate), (0, SceneUpdate([])))[1]
     standing = [_mesh(each) for each in drawn.entities if not each.id.startswith(OBSTACLE)]
@@ -66,16 +66,16 @@ def drawn_in(recording: Path) -> World:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedTarget(PlacedTarget):
-    """A target where it was recorded, once a second; in between on the straight line.
+    """A target at its recorded positions, once a second, linearly interpolated.
 
     Args:
-        times_s: of the corners of its way.
+        times_s: times of the recorded positions.
     """
 
     times_s: tuple[float, ...]
 
     def place(self, time_s: float) -> tuple[float, float]:
-        """Where its middle is then, x, y, m."""
+        """Position of its centre at a time, x, y, m."""
         x, y = (float(np.interp(time_s, self.times_s, column)) for column in zip(*self.way, strict=True))
         return x, y
 
@@ -109,7 +109,7 @@ def _targets(recording: Path) -> tuple[PlacedTarget, ...]:
     seen: dict[str, list[tuple[float, SceneEntity]]] = {}
     for time_ns, scene in _read(recording, SCENE, SceneUpdate):
         found = [each for each in scene.entities if each.id.startswith(TARGET_ID)]
-        if not found:  # there never will be any
+        if not found:  # no later frame will have one
             break
         for each in found:
             seen.setdefault(each.id.removeprefix(TARGET_ID), []).append((time_ns / SECOND_NS, each))

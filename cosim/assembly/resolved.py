@@ -1,6 +1,6 @@
-"""The scenario as it really is: every key of every component filled in, so that running it again gives the same bytes.
+"""The resolved scenario: every key of every component filled in. Running it gives the same bytes.
 
-Where agents ran is not part of it, since that changes no result. Defaults for all agents or vehicles stay defaults: a study can
+It does not say where agents ran, which changes no result. Shared defaults of agents or vehicles stay shared: a study can
 still change them in one place.
 """
 
@@ -19,14 +19,14 @@ from vcmvsp.cosim.util import limits
 
 
 class Resolution:
-    """Collects what is found out while a scenario is being assembled.
+    """Collects the complete tables and files while a scenario is assembled.
 
     Attributes:
         tables: the resolved ``[physics]``, ``[world]`` and ``[radio]``.
         vehicles: the parameters of each vehicle's kind, complete.
         sensors: the tables of each vehicle's sensors, complete.
         real: the tables of each real vehicle, complete.
-        files: files that the scenario uses as they are now, by the name under which they are kept beside it.
+        files: present content of the files that the scenario uses, by their name beside the resolved scenario.
     """
 
     def __init__(self, scenario: Scenario, source: Source) -> None:
@@ -47,34 +47,34 @@ class Resolution:
         given: Mapping[str, Any] | None = None,
         offered: Mapping[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
-        """Build what a table describes, keep its files; the object and the complete table (`cosim.config.registry.build`)."""
+        """Build the object of a table and keep its files; returns object and complete table (`cosim.config.registry.build`)."""
         return component.build(
             group, content, key=key, source=self._source, portable=self.portable, given=given, offered=offered, keep=self.keep
         )
 
     def portable(self, kind: str, *, foreign: bool = False) -> str:
-        """The kind without a folder; a Python file that it names is kept.
+        """The kind without a folder; keeps the Python file that it names.
 
         Args:
-            foreign: a host elsewhere says so, which may name any file of this machine: only those beside the scenario are kept.
+            foreign: the kind comes from a remote host, which may name any file here: only files beside the scenario are kept.
         """
         if not registry.is_file_kind(kind):
             return kind
         path = registry.located(kind.rpartition(":")[0], self._source.folder)
-        if not path.is_file():  # that of a host elsewhere is not on this machine
+        if not path.is_file():  # a remote host's file is not on this machine
             return kind
         if foreign and self._lies_elsewhere(path):
             return kind
         return f"{self.keep(path)}:{kind.rpartition(':')[2]}"
 
     def keep(self, path: Path) -> str:
-        """Keep a file that the scenario uses, as it is now; its name beside the resolved scenario.
+        """Keep the present content of a file that the scenario uses; returns its name beside the resolved scenario.
 
         Raises:
             ScenarioError: the file is too large.
         """
         path, name, number = path.resolve(), path.name, 1
-        while self._paths.setdefault(name, path) != path:  # another file of that name is kept already
+        while self._paths.setdefault(name, path) != path:  # another file has this name
             number += 1
             name = f"{path.stem}-{number}{path.suffix}"
         if name not in self.files:
@@ -88,9 +88,9 @@ class Resolution:
         """The resolved scenario, in TOML's types.
 
         Args:
-            infos: what the hosts say of the agents.
-            brought: the classes that hosts brought along instead of the scenario's, by vehicle.
-            foreign: vehicles whose hosts somebody has started elsewhere.
+            infos: the hosts' descriptions of the agents.
+            brought: agent classes that hosts run instead of the scenario's, by vehicle.
+            foreign: vehicles with remote hosts.
         """
         scenario, agents = self._scenario, self._scenario.agents
         told, files = {info.vehicle: info for info in infos}, {name for info in infos for name in info.files}
@@ -120,7 +120,7 @@ class Resolution:
         }
 
     def _shared_by_agents(self, infos: Sequence[AgentInfo]) -> dict[str, Any]:
-        """Defaults for all agents; a table among them as complete as the first agent has it that takes it."""
+        """Defaults for all agents; tables among them are completed as in the first agent that takes them."""
         shared = {}
         for name, value in self._scenario.agents.defaults.items():
             taken = [info.params[name] for info in infos if name in info.taken and isinstance(info.params.get(name), dict)]
@@ -133,13 +133,13 @@ class Resolution:
             shared["kind"] = self.portable(shared["kind"])
         if "positioning" in shared:
             shared["positioning"] = _sensor(shared["positioning"])
-        shared.pop("sensors", None)  # each vehicle's own say it all
+        shared.pop("sensors", None)  # the vehicles' own tables are complete
         if "radio" in shared:
             shared["radio"] = _radio(shared["radio"])
         return shared
 
     def _vehicle(self, vehicle: VehicleTable, shared: Mapping[str, Any]) -> dict[str, Any]:
-        """Everything of one vehicle that is not a default for all."""
+        """The table of one vehicle without the shared defaults."""
         full = _present(
             name=vehicle.name,
             kind=self.portable(vehicle.kind),
@@ -160,7 +160,7 @@ class Resolution:
         brought: Mapping[str, str],
         foreign: bool,
     ) -> dict[str, Any]:
-        """``agent = {...}``: what is not a default for all, under the kind that really ran."""
+        """``agent = {...}`` of a vehicle without the shared defaults, with the kind that ran."""
         if info is None:
             return {}
         agents, own = self._scenario.agents, vehicle.agent
@@ -178,7 +178,7 @@ class Resolution:
         return {"agent": {**full, **params}}
 
     def _kept(self, value: Any, files: Collection[str] = (), foreign: bool = False) -> Any:
-        """A parameter of an agent; one of ``files``, or a Python file (``file.py:Class``), that stands in it is kept."""
+        """A parameter of an agent; keeps the Python files (``file.py:Class``) and members of ``files`` that it names."""
         if isinstance(value, dict):
             return {name: self._kept(each, files, foreign) for name, each in value.items()}
         if isinstance(value, list):
@@ -189,7 +189,7 @@ class Resolution:
         return self.portable(value, foreign=foreign) if isinstance(value, str) else value
 
     def _lies_elsewhere(self, path: Path) -> bool:
-        """Whether a file is none of the scenario's, nor came with the built-in ones."""
+        """Whether a file is neither in the scenario's folder nor shipped with vcmvsp."""
         return not any(path.resolve().is_relative_to(each.resolve()) for each in (self._source.folder, registry.SHIPPED))
 
 

@@ -1,6 +1,6 @@
-"""From a scenario to a run that can start: every part is found, checked, and handed what it needs.
+"""Assemble a run from a scenario: builds, checks and connects all parts.
 
-This room alone imports the parts (physics, netsim, agents, hardware), each inside the function that builds it.
+Only this package imports the parts (physics, netsim, agents, hardware), each inside the function that builds it.
 """
 
 import contextlib
@@ -37,18 +37,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class AssembledRun:
-    """The federates of a run, ready to start, and the scenario with everything filled in.
+    """The federates of a run, ready to start, and the resolved scenario.
 
     Use it as a context manager: leaving it releases host processes and sockets.
 
     Attributes:
         clock: paces the run.
-        info: what every federate is told before time 0.
-        robots: the federate that drives real vehicles; None: there are none to drive.
-        bridge: the federate that exchanges datagrams with programs at wall pace; None: there are no such programs.
-        agents: what the hosts say of the agents, by vehicle's name.
-        inputs: what comes from outside, for a replay.
-        resolution: the complete tables, and files to be kept.
+        info: run information that every federate receives before time 0.
+        robots: the federate that drives real vehicles; None: no vehicle is driven.
+        bridge: the federate that exchanges datagrams with programs in wall time; None: no such programs.
+        agents: the hosts' descriptions of the agents, by vehicle.
+        inputs: external inputs, recorded for a replay.
+        resolution: the complete tables, and the files to keep.
     """
 
     scenario: Scenario
@@ -75,7 +75,7 @@ class AssembledRun:
         self.hosts.close()
 
     def start(self, kernel: Kernel) -> None:
-        """Start the federates, or close them all; errors of the scenario name their place in it."""
+        """Start the federates, or close them all on an error; scenario errors name their place."""
         try:
             with _located(self.scenario, self.source):
                 kernel.start()
@@ -99,7 +99,7 @@ class AssembledRun:
         )
 
     def resolved(self) -> dict[str, Any]:
-        """The scenario with everything filled in (`cosim.assembly.resolved`), and with the interventions made so far."""
+        """The resolved scenario (`cosim.assembly.resolved`) with the interventions so far."""
         foreign = {vehicle for vehicle, place in self.where.items() if place == "zenoh"}
         resolved = self.resolution.scenario(self.agents, self.hosts.kinds, foreign)
         done = [msgspec.to_builtins(each) for each in self.operator.all]
@@ -107,16 +107,16 @@ class AssembledRun:
 
     @property
     def has_outside(self) -> bool:
-        """Whether robots or programs at wall pace take part."""
+        """Whether robots or programs in wall time take part."""
         return self.robots is not None or self.bridge is not None
 
     @property
     def files(self) -> Mapping[str, bytes]:
-        """Files that the scenario uses, by the name under which they are kept beside the resolved one."""
+        """Files that the scenario uses, by their name beside the resolved scenario."""
         return self.resolution.files
 
     def keep(self, path: Path) -> None:
-        """Keep a file with the others."""
+        """Add a file to `files`."""
         self.resolution.keep(path)
 
 
@@ -137,19 +137,19 @@ def assemble(
     tell: Tell = lambda _: None,
     watch: Callable[[], str | None] | None = None,
 ) -> AssembledRun:
-    """Build the federates of a scenario, and wait until all hosts of agents have joined.
+    """Build the federates of a scenario, and wait until all agent hosts have joined.
 
     Args:
         clock: paces the run (`clock_of`).
-        runs: where all agents run, whatever the scenario says; ``"encoded"`` is in this process behind the wire's bytes,
-            ``"here"`` in this process as far as the scenario names their classes.
-        listen: where hosts started by hand dial in, instead of the scenario's ``agents.listen``.
+        runs: where all agents run, overriding the scenario; ``"encoded"``: in this process, through the wire encoding;
+            ``"here"``: in this process if the scenario names their class.
+        listen: endpoint for manually started hosts, overriding ``agents.listen``.
         keys, insecure: admission of hosts on other machines (`cosim.hosts.manager.Hosts`).
-        connect: drive the real vehicles and open the bridge; else nothing is connected, which serves to check a scenario.
-        playback: real vehicles of an earlier run, instead of their robots.
-        bridged: what programs handed over in an earlier run, instead of these programs.
-        recorded_radio: table of frames of an earlier run, whose outcomes are repeated.
-        watch: asked while hosts are awaited; an answer is the reason to give up.
+        connect: drive the real vehicles and open the bridge; False only checks the scenario.
+        playback: recorded real vehicles of an earlier run, which replace the robots.
+        bridged: recorded datagrams of an earlier run, which replace the programs.
+        recorded_radio: frame table of an earlier run, whose outcomes are repeated.
+        watch: called while waiting for hosts; returns a reason to give up, or None.
 
     Raises:
         ScenarioError: the scenario cannot be run as it is.
@@ -159,7 +159,7 @@ def assemble(
 
     resolution, inputs = Resolution(scenario, source), InputLog()
     clock = clock or SimClock()
-    wall = clock if isinstance(clock, WallClock) else WallClock()  # a scenario is only checked: nobody looks at it
+    wall = clock if isinstance(clock, WallClock) else WallClock()  # unused when a scenario is only checked
     world, resolution.tables["world"] = worlds.build(
         scenario.world, source, seed=scenario.seed, portable=resolution.portable, keep=resolution.keep
     )
@@ -226,16 +226,16 @@ def assemble(
 
 
 SLOWEST = 1e-6
-"""Simulated seconds per second of wall time; the quickest is its inverse."""
+"""Lowest speed, simulated seconds per wall second; the highest is its inverse."""
 
 
 def clock_of(scenario: Scenario, speed: float | None, *, replayed: bool) -> Clock:
-    """The clock of a run: the wall clock if a speed is given, or if a real robot or a program at wall pace takes part.
+    """The clock of a run: the wall clock if a speed is given or a real robot or a program in wall time takes part.
 
     Args:
-        scenario: tells whether one does.
-        speed: simulated seconds per second of wall time; None: as fast as possible, or 1 with robots and programs.
-        replayed: robots and programs are those of a recording, which keeps no pace.
+        scenario: defines the robots and programs.
+        speed: simulated seconds per wall second; None: as fast as possible, or 1 with robots or programs.
+        replayed: robots and programs come from a recording, which needs no wall clock.
     """
     if speed is not None and not SLOWEST <= speed <= 1.0 / SLOWEST:
         problem = f"must be a positive number, from {SLOWEST:g} to {1.0 / SLOWEST:g}; without it a run is as fast as possible"
@@ -249,15 +249,15 @@ def clock_of(scenario: Scenario, speed: float | None, *, replayed: bool) -> Cloc
 
 @contextlib.contextmanager
 def _located(scenario: Scenario, source: Source) -> Iterator[None]:
-    """Add the line or --set to an error of a part, which knows the wrong key and at most a file of its own."""
+    """Add the line or ``--set`` argument to an error of a part, which knows only the key."""
     try:
         yield
     except ScenarioError as error:
         if error.source and error.source != source.name:
-            raise  # in a file that the scenario names
+            raise  # the error is in a file that the scenario names
         key = error.key
         if key in {f"vehicle.{each.name}.position" for each in scenario.vehicle if each.pose is not None}:
-            key = f"{key.removesuffix('position')}pose"  # the word that the scenario uses
+            key = f"{key.removesuffix('position')}pose"  # the scenario's name of the key
         raise ScenarioError(error.problem, key=key, source=source.of(key)) from error
 
 
@@ -289,7 +289,7 @@ def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunI
 
 
 def _instants(scenario: Scenario, agents: Sequence[AgentInfo]) -> tuple[Instants, ...]:
-    """Times at which states are needed: agents' ticks, when their commands take effect, and recorded instants."""
+    """Times at which states are needed: agents' ticks, effects of their commands, recorded instants."""
     tables = {each.name: each.agent for each in scenario.vehicle}
     trains = [Instants(Ticks.every(scenario.record.period_s), 0, "record.period_s")]
     for info in agents:

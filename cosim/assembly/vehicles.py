@@ -1,4 +1,4 @@
-"""The vehicles of a scenario, what each carries, and what physics is told of them; their agents, and where each agent runs."""
+"""Build the vehicles of a scenario and their sensors, and decide where their agents run."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ TOPICS = (
     *("state", "estimate", "odometry", "fix", "command", "send", "heard", "note", "follows", "host", "real", "incident"),
     *SHOWN.values(),
 )
-"""Of every vehicle."""
+"""Topics of every vehicle; no sensor may have such a name."""
 _NOT_SHARED = {"name", "pose", "position", "agent", "driver", "localisation", "params"}
 """Keys of a vehicle for which [vehicles] has no default."""
 
@@ -29,35 +29,35 @@ class Fleet:
     """All vehicles, with their sensors.
 
     Args:
-        resolution: is told what they are with everything filled in.
+        resolution: receives the complete tables.
 
     Attributes:
-        models: what each vehicle is, an object of the class that its kind names, by vehicle.
-        sensors: what each vehicle carries, by vehicle and by the sensor's name.
+        models: model of each vehicle, an object of the class of its kind.
+        sensors: sensors by vehicle and sensor name.
 
     Raises:
-        ScenarioError: a table of theirs is wrong, or no vehicle has what ``[vehicles]`` or ``record.sensors`` speaks of.
+        ScenarioError: a table is wrong, or no vehicle has a key of ``[vehicles]`` or a sensor of ``record.sensors``.
     """
 
     def __init__(self, scenario: Scenario, source: Source, resolution: Resolution) -> None:
         self._scenario, self._source, self._resolution = scenario, source, resolution
-        self._classes: dict[str, type[Vehicle]] = {}  # of vehicles, by kind
+        self._classes: dict[str, type[Vehicle]] = {}  # by kind
         self.models: Mapping[str, Vehicle] = {each.name: self._model(each) for each in scenario.vehicle}
         self.sensors: Mapping[str, Mapping[str, Sensor]] = {each.name: self._fit(each) for each in scenario.vehicle}
         self._check_defaults_taken()
         self._check_recorded()
 
     def specs(self) -> "list[VehicleSpec]":
-        """What physics is told of each, in the scenario's order."""
+        """Specification of each vehicle for physics, in the scenario's order."""
         return [self._spec(each) for each in self._scenario.vehicle]
 
     def recorded(self) -> set[str]:
-        """The readings that are recorded, ``vehicle/sensor``."""
+        """Keys of the recorded readings, ``vehicle/sensor``."""
         kept = self._scenario.record.sensors
         return {f"{v}/{s}" for v, fitted in self.sensors.items() for s in fitted if s in kept or "*" in kept}
 
     def _class(self, vehicle: VehicleTable) -> "type[Vehicle]":
-        """The class of a vehicle's kind, looked up once: a file is not executed again for every vehicle."""
+        """The class of a vehicle's kind, cached so that a file is executed once."""
         if vehicle.kind not in self._classes:
             key = f"vehicle.{vehicle.name}.kind"
             found = registry.find("vehicle", vehicle.kind, folder=self._source.folder, key=key, origin=self._source)
@@ -65,7 +65,7 @@ class Fleet:
         return self._classes[vehicle.kind]
 
     def _own(self, vehicle: VehicleTable) -> dict[str, Any]:
-        """The parameters of a vehicle; a default of ``[vehicles]`` counts only where the kind takes it."""
+        """The parameters of a vehicle; defaults of ``[vehicles]`` apply only to kinds that take them."""
         known = binding.parameters(self._class(vehicle))
         defaults = self._scenario.vehicles
         params = self._source.kept(vehicle.params, f"vehicle.{vehicle.name}", known)
@@ -82,7 +82,7 @@ class Fleet:
         return model
 
     def _fit(self, vehicle: VehicleTable) -> "dict[str, Sensor]":
-        """The sensors of a vehicle, by name; those that ask for its wheels are told."""
+        """The sensors of a vehicle, by name; sensors with a parameter for the wheels receive them."""
         model = self.models[vehicle.name]
         wheels = {name: getattr(model, name) for name in ("wheel_radius_m", "track_m") if hasattr(model, name)}
         fitted, tables = {}, {}
@@ -104,13 +104,13 @@ class Fleet:
             sensor = binding.call(Positioning, vehicle.positioning, key=f"{key}.positioning", origin=self._source)
         position, heading = vehicle.start
         if vehicle.pose_source == "fusion" and not vehicle.is_real:
-            from vcmvsp.cosim.estimation.fusion import Fusion  # takes SciPy, and so its time
+            from vcmvsp.cosim.estimation.fusion import Fusion  # slow import: SciPy
 
             at = {"start": (position[0], position[1], heading)}
             fusion = binding.call(Fusion, vehicle.fusion, key=f"{key}.fusion", origin=self._source, given=at)
             self._resolution.real[vehicle.name] = {"fusion": binding.complete(Fusion, vehicle.fusion, without=at)}
         simulated = self.sensors[vehicle.name]
-        if vehicle.is_real:  # a real robot has its own
+        if vehicle.is_real:  # a real robot carries its own sensors
             simulated = {name: each for name, each in simulated.items() if name != "sonar"}
         given = {
             "name": vehicle.name,
@@ -144,17 +144,17 @@ class Placement:
     """All agents, by where they run.
 
     Args:
-        objects: agents that exist already, by vehicle; they run in this process. Also an attribute.
-        runs: where all run, whatever the scenario says; ``"encoded"`` is in this process behind the wire's bytes, ``"here"`` in
-            this process as far as the scenario names their classes. None: where the scenario says.
+        objects: existing agents, by vehicle; they run in this process. Also an attribute.
+        runs: where all run, overriding the scenario; ``"encoded"``: in this process, through the wire encoding; ``"here"``: in
+            this process if the scenario names their class. None: as in the scenario.
 
     Attributes:
-        specs: what hosts are told of the agents, by where these run: ``inprocess``, ``encoded``, ``process`` or ``zenoh``.
-        where: the same place, by vehicle.
-        kinds: the classes of objects that are given instead of the scenario's, by vehicle.
+        specs: agent specifications for the hosts, by place: ``inprocess``, ``encoded``, ``process`` or ``zenoh``.
+        where: place by vehicle.
+        kinds: classes of the given objects, which replace the scenario's, by vehicle.
 
     Raises:
-        ScenarioError: an object is for no vehicle, or nothing says what somebody's agent is.
+        ScenarioError: an object has no vehicle, or an agent has no kind.
     """
 
     def __init__(
@@ -177,7 +177,7 @@ class Placement:
                 self.where[vehicle.name] = where
 
     def check_defaults_taken(self, infos: Sequence[AgentInfo]) -> None:
-        """Raise `ScenarioError` unless every default of ``[agents]`` is taken by some agent, as their hosts tell."""
+        """Raise `ScenarioError` if no agent takes a default of ``[agents]``."""
         taken = {name for info in infos for name in info.taken}
         if any(each.agent and not each.agent.kind for each in self._scenario.vehicle):
             taken.add("kind")
@@ -193,7 +193,7 @@ class Placement:
                 raise ScenarioError(problem, key=key, source=self._source.of(key))
 
     def _place(self, vehicle: VehicleTable, runs: str | None) -> str | None:
-        """Where a vehicle's agent runs; None: it has none, or ``here`` nobody knows what it is."""
+        """Where a vehicle's agent runs; None: it has no agent, or with ``here`` no known class."""
         if vehicle.name in self.objects:
             return "inprocess"
         if vehicle.agent is None:
@@ -204,7 +204,7 @@ class Placement:
         return runs or where
 
     def _kind(self, vehicle: VehicleTable) -> str:
-        """The kind of a vehicle's agent, as far as the scenario says it."""
+        """The kind of a vehicle's agent in the scenario."""
         return (vehicle.agent and vehicle.agent.kind) or self._scenario.agents.defaults.get("kind", "")
 
     def _spec(self, vehicle: VehicleTable, where: str) -> AgentSpec:
@@ -219,13 +219,13 @@ class Placement:
             meant = registry.target("agent", kind, key=key, origin=self._source) if kind else ""
             if meant.rpartition(":")[2] != made.__qualname__:
                 self.kinds[vehicle.name] = kind = f"{made.__module__}:{made.__qualname__}"
-                own = None  # what the scenario says is meant for another class
+                own = None  # the scenario's table belongs to another class
         if not kind and where != "zenoh":
             key = f"vehicle.{vehicle.name}.agent.kind"
             raise ScenarioError("is missing, and [agents] has no kind for all", key=key, source=self._source.of(key))
         defaults = {name: value for name, value in agents.defaults.items() if name != "kind"}
         params = self._source.kept(own.params, f"vehicle.{vehicle.name}.agent", ()) if own else {}
-        if own and len(params) < len(own.params):  # for another class than the file's: where it takes them
+        if own and len(params) < len(own.params):  # not the file's class: only parameters that it takes
             defaults |= {name: value for name, value in own.params.items() if name not in params}
         given = ((f"agents.{n}", n) for n in defaults), ((f"vehicle.{vehicle.name}.agent.{n}", n) for n in params)
         replaced = {n: names for each in given for key, n in each if (names := self._source.replaced(key)) is not None}

@@ -1,4 +1,4 @@
-"""Worlds by themselves: found by name, file or scenario, counted and drawn."""
+"""Worlds without a run: found by name, file or scenario, described and drawn."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -15,17 +15,17 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.files import write_whole
 
 if TYPE_CHECKING:
-    from vcmvsp.physics.world.world import World as World  # noqa: PLC0414  for packages above, which import no part
+    from vcmvsp.physics.world.world import World as World  # noqa: PLC0414  for packages above, which must not import physics
 
 FILES = {".toml": "file", ".yaml": "map", ".yml": "map", ".geojson": "geojson", ".json": "geojson"}
 MESHES = (".obj", ".stl", ".ply", ".glb", ".off")
 
 
 def world_of(what: str, settings: Mapping[str, Any]) -> "tuple[World, str]":
-    """The world that a word names: a kind, ``module:Class``, a file (world, map, GeoJSON, mesh), or a scenario; and its name.
+    """The world of a kind, ``module:Class``, file (world, map, GeoJSON, mesh) or scenario, and its name.
 
     Args:
-        settings: keys of the world or, for a scenario, of the scenario, and their values.
+        settings: changed keys of the world, or of the scenario if ``what`` is one.
     """
     path, seed = Path(what), 0
     if what in builtin_kinds.KINDS["world"] or ":" in what:
@@ -51,14 +51,14 @@ def build(
     portable: registry.Portable = str,
     keep: registry.Keep = registry.name_of,
 ) -> "tuple[World, dict[str, Any]]":
-    """The world that a table ``[world]`` describes, and the table with all its defaults.
+    """The world of a table ``[world]``, and the complete table.
 
     Args:
         source, portable, keep: as for `cosim.config.registry.build`.
-        seed: of the run: that of a world whose own ``seed`` is None by default, and is not given.
+        seed: of the run; used by a world whose own ``seed`` is None by default and not given.
 
     Raises:
-        ScenarioError: it cannot be built; with its place in the scenario.
+        ScenarioError: it cannot be built; names its place in the scenario.
     """
     from vcmvsp.physics.world.world import World
 
@@ -70,12 +70,12 @@ def build(
         world = maker.build()
     except ScenarioError as error:
         if error.source:
-            raise  # in a file that the scenario names
+            raise  # the error is in a file that the scenario names
         where = binding.join("world", error.key)
         raise ScenarioError(error.problem, key=where, source=source.of(where)) from error
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # whatever somebody's own world raises
+    except BaseException as error:  # a user class may raise anything
         problem = f"{type(maker).__name__}.build raised {words_of(error)}{place_of(error)}"
         raise ScenarioError(problem, key="world", source=source.of("world")) from error
     if not isinstance(world, World):
@@ -85,7 +85,7 @@ def build(
 
 
 def describe(world: "World", name: str) -> dict[str, Any]:
-    """What is in a world."""
+    """Counts and extents of a world, for `vcmvsp world`."""
     kinds = Counter(type(each).__name__.lower() for each in world.solids)
     materials = Counter(each.material for each in world.solids)
     return {
@@ -101,13 +101,13 @@ def describe(world: "World", name: str) -> dict[str, Any]:
 
 
 def outlines(world: "World") -> list[Array]:
-    """What stands in a world seen from above: outlines, (k, 2) m each, of its convex pieces; meshes by their triangles."""
+    """Outlines of a world's solids from above, (k, 2) m each: convex pieces, triangles of meshes."""
     shapes = world.shapes
     return [*(corners for group in shapes.groups for corners in group.corners), *shapes.triangles[:, :, :2]]
 
 
 def draw(world: "World", target: Path) -> None:
-    """Draw a world, from above and in perspective, into a PNG file."""
+    """Write a PNG file of a world, from above and in perspective."""
     if target.suffix.lower() != ".png":
         raise UsageError(f"--png {target}: the name must end in .png")
     from vcmvsp.physics.render import world_picture

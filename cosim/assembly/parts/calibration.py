@@ -1,4 +1,4 @@
-"""Fit of the radio to a measured log, with the walls of a scenario between its places."""
+"""Fit of the radio to a measured log, with the walls of a scenario as obstacles."""
 
 from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.scenario import loader
@@ -10,7 +10,7 @@ __all__ = ["Calibration", "calibrate_file", "figure_data", "sightline_of"]
 
 
 def sightline_of(scenario: str) -> Sightline:
-    """The solids in the world of a scenario, as obstacles of straight lines."""
+    """Line-of-sight test against the solids of a scenario's world."""
     parsed, source = loader.load(scenario)
     world, _ = worlds.build(parsed.world, source, seed=parsed.seed)
     return Sightline(world.solids)

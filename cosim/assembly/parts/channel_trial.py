@@ -1,4 +1,4 @@
-"""The channel alone: curves of its models, its coverage of places, and a trial with radios that stand still and broadcast."""
+"""The channel alone: curves of its models, coverage maps, and a trial with stationary broadcasting radios."""
 
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.evaluation import coverage

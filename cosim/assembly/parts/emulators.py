@@ -1,4 +1,4 @@
-"""Emulated devices, served at a real port until they are interrupted: robots, and tags of positioning systems."""
+"""Emulated robots and positioning tags, served at a real port until interrupted."""
 
 from functools import partial
 

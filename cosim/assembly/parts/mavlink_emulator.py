@@ -1,4 +1,4 @@
-"""An emulated vehicle with an autopilot, served at a real port until it is interrupted; loads MAVLink."""
+"""Emulated vehicle with an autopilot, served at a real port until interrupted; loads MAVLink."""
 
 from vcmvsp.hardware.emulators.mavlink.server import emulate
 

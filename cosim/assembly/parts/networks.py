@@ -1,4 +1,4 @@
-"""Networks of runs on this machine, a namespace for each vehicle (`netsim.bridge.gateways.ip.run_networks`); Linux only."""
+"""Networks of runs on this machine, one namespace per vehicle (`netsim.bridge.gateways.ip.run_networks`); Linux only."""
 
 from vcmvsp.netsim.bridge.gateways.ip.namespaces import missing
 from vcmvsp.netsim.bridge.gateways.ip.run_networks import RunNetwork, become, caller, check_free, clear, networks, run_inside
@@ -8,7 +8,7 @@ __all__ = ["RunNetwork", "check_free", "clear", "leave_root", "missing", "networ
 
 
 def leave_root() -> None:
-    """Be the user who called sudo, if anybody has; root's rights stay with the process that makes the interfaces."""
+    """Switch to the user who called sudo, if any; only the process that makes the interfaces keeps root's rights."""
     if (user := caller()) is not None:
         BridgeClient.prepare()
         become(user)

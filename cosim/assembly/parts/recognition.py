@@ -1,4 +1,4 @@
-"""Recognition of targets in pictures from the air, and the probability map of a search: cells, evidence, decisions."""
+"""Target recognition in aerial pictures, and the probability map of a search: cells, evidence, decisions."""
 
 from vcmvsp.agents.reconnaissance.ground_point import Nadir, turned
 from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor, decisions

@@ -1,4 +1,4 @@
-"""An emulated robot that runs ROS 2, served at a Zenoh endpoint until it is interrupted; loads Zenoh and ROS messages."""
+"""Emulated ROS 2 robot, served at a Zenoh endpoint until interrupted; loads Zenoh and ROS messages."""
 
 from vcmvsp.hardware.emulators.ros2 import emulate
 
