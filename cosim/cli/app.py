@@ -1,6 +1,6 @@
-"""The command line ``vcmvsp``: all commands, and `main`. Commands only parse: each calls what Python users call.
+"""The command line ``vcmvsp``: all commands, and `main`. Commands only parse and call the Python API.
 
-A module of this package holds the commands of one subject and loads heavy parts inside its functions.
+Each module of this package holds the commands of one subject and loads heavy modules inside functions.
 """
 
 import itertools
@@ -35,14 +35,14 @@ from vcmvsp.cosim.config.binding import show
 from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
 
 HANGS_UP = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
-"""The end of a terminal is Ctrl-C too, unless somebody wants it ignored, as nohup does."""
+"""Signals of a closed terminal, handled like Ctrl-C unless ignored, as under nohup."""
 
 
 class Panels(typer.core.TyperGroup):
-    """A group whose help lists the commands in panels of one subject each."""
+    """A command group whose help lists the commands in panels, one per subject."""
 
     def format_commands(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]  # click's types are private to typer
-        """Write the panels."""
+        """Write the panels of commands."""
         for panel, commands in PANELS.items():
             with formatter.section(panel):
                 formatter.write_dl([(name, self.commands[name].short_help or "") for name in commands])
@@ -117,8 +117,8 @@ for _name, _target, _summary, _epilog in itertools.chain.from_iterable(_COMMANDS
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Entry point: one message and an exit code for whatever goes wrong."""
-    if "_VCMVSP_COMPLETE" in os.environ:  # a shell asks what can stand next
+    """Entry point of ``vcmvsp``: reports every error as one message and an exit code."""
+    if "_VCMVSP_COMPLETE" in os.environ:  # a shell requests completions
         from vcmvsp.cosim.cli import completion
 
         completion.answer(app)
@@ -134,10 +134,10 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         say("vcmvsp: interrupted")
         raise SystemExit(Interrupted.exit_code) from None
-    except BrokenPipeError:  # the reader of our output has left, as `| head` does
+    except BrokenPipeError:  # the reader of the output has closed it, as `| head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(1) from None
-    except OSError as error:  # a name that is too long, a folder that cannot be read, a disk that is full
+    except OSError as error:  # name too long, folder unreadable, disk full
         if error.filename is None:
             raise
         say(f"vcmvsp: {show(str(error.filename))}: {error.strerror}")
@@ -147,7 +147,7 @@ def main(arguments: list[str] | None = None) -> None:
 def _with_speed(arguments: list[str]) -> list[str]:
     """``--realtime`` alone means ``--realtime 1``."""
     full: list[str] = []
-    ours = arguments.index("--") if "--" in arguments else len(arguments)  # what follows is another program's
+    ours = arguments.index("--") if "--" in arguments else len(arguments)  # arguments after it belong to another program
     for position, argument in enumerate(arguments[:ours]):
         full.append(argument)
         if argument == "--realtime":

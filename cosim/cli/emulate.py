@@ -1,4 +1,4 @@
-"""``vcmvsp emulate``: devices that are not there, at a port, for rehearsals of runs with real ones."""
+"""``vcmvsp emulate``: emulated devices at real ports, to rehearse runs with real robots."""
 
 import os
 import sys
@@ -228,7 +228,7 @@ def _show_tag(tags: "Tags", pose: str | None, circle: str | None, duration_s: fl
 
 
 def _show(emulate: "Callable[[Ready], Mapping[str, Any]]", *, as_json: bool) -> None:
-    """Emulate; what to connect to is said as soon as it is there, what has happened in the end."""
+    """Run an emulator; prints its addresses when it is ready and its counters at the end."""
     import json
 
     out = _own_stdout()
@@ -242,7 +242,7 @@ def _show(emulate: "Callable[[Ready], Mapping[str, Any]]", *, as_json: bool) -> 
 
 
 def _urls(about: Mapping[str, Any]) -> list[str]:
-    """What one connects to, the robot first; where datagrams go only if there is nothing else."""
+    """Addresses to connect to, the robot's first; the target of datagrams only if there is no other."""
     ports = [each for each in (about.get("url"), about["positioning"].get("dwm1001")) if each]
     return ports or list(about["positioning"].values())
 
@@ -268,7 +268,7 @@ def _words(happened: Mapping[str, Any]) -> str:
 
 
 def _own_stdout() -> Callable[[str], None]:
-    """A way to standard output as it is now, which stays when what others print is turned away."""
+    """A writer to the present standard output, which stays valid when standard output is redirected."""
     here = sys.stdout
 
     def write(text: str) -> None:
@@ -277,7 +277,7 @@ def _own_stdout() -> Callable[[str], None]:
 
     try:
         saved = os.dup(here.fileno())
-    except (OSError, ValueError, AttributeError):  # no file, as in a notebook
+    except (OSError, ValueError, AttributeError):  # standard output is not a file, as in a notebook
         return write
     return lambda text: _write(saved, text.encode())
 

@@ -1,7 +1,7 @@
-"""``vcmvsp list``, ``show``, ``reference``, ``world`` and ``new``: what scenarios are made of; starting points of one's own.
+"""``vcmvsp list``, ``show``, ``reference``, ``world`` and ``new``: scenarios, their kinds and keys, and templates.
 
-What ``new`` writes stands in ``templates/``, but for ``$name`` and ``$Name``: ``PART.toml.tmpl``, ``PART_test.py.tmpl`` and,
-unless it is a scenario, ``PART.py.tmpl``. It runs as it is, with a test that passes as it is.
+``new`` fills ``$name`` and ``$Name`` into the files of ``templates/``: ``PART.toml.tmpl``, ``PART_test.py.tmpl`` and, except
+for a scenario, ``PART.py.tmpl``. The result runs, and its test passes, without changes.
 """
 
 import importlib.util
@@ -149,7 +149,7 @@ def world_command(
 
 
 def parameters_of(group: str, kind: str | None) -> dict[str, Any]:
-    """A kind: what it is, and each parameter with unit, default and meaning (which names its source)."""
+    """Description of a kind, and unit, default and meaning of each parameter (the meaning names its source)."""
     from vcmvsp.cosim.config import binding, builtin_kinds, registry
     from vcmvsp.cosim.reference import describe
 
@@ -204,7 +204,7 @@ PARTS: Mapping[str, str] = {
     "driver": "the way to a real robot, and a robot in software to try it on",
 }
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*([-_][A-Za-z0-9]+)*")
-LONGEST = 60  # letters of a name: its files have longer ones
+LONGEST = 60  # characters of a name; file names are longer
 
 
 def new_command(
@@ -235,10 +235,10 @@ def new_command(
 
 
 def names_of(part: str, name: str) -> tuple[str, str]:
-    """The names of module and class: ``follow_wall`` and ``FollowWall`` of follow-wall, follow_wall or FollowWall.
+    """Names of module and class: ``follow_wall`` and ``FollowWall`` for follow-wall, follow_wall or FollowWall.
 
     Raises:
-        UsageError: no such names can be made of it.
+        UsageError: the name cannot be converted.
     """
     here = f"vcmvsp new {part} {name}"
     if Path(name).name != name or "\\" in name:
@@ -254,7 +254,7 @@ def names_of(part: str, name: str) -> tuple[str, str]:
 
 
 def rendered(part: str, snake: str, camel: str) -> dict[str, str]:
-    """The texts of a starting point, by the names of the files that they belong into: class if it has one, scenario, test."""
+    """Texts of a starting point by file name: class (not for a scenario), scenario, test."""
     sources = {f"{snake}.py": f"{part}.py", f"{snake}.toml": f"{part}.toml", f"test_{snake}.py": f"{part}_test.py"}
     texts = {}
     for file, source in sources.items():
@@ -265,7 +265,7 @@ def rendered(part: str, snake: str, camel: str) -> dict[str, str]:
 
 
 def write(texts: Mapping[str, str], folder: Path) -> None:
-    """Write all of it into a folder, which is made if need be, or nothing."""
+    """Write all files into a folder, created if necessary, or none."""
     from vcmvsp.cosim.util.files import writing
 
     if folder.exists() and not folder.is_dir():
@@ -281,7 +281,7 @@ def write(texts: Mapping[str, str], folder: Path) -> None:
 
 
 def _refuse_taken(part: str, snake: str, camel: str, folder: Path) -> None:
-    """Names that mean something else already, where they are to stand."""
+    """Raise `UsageError` if a built-in kind, a module or the template's own code has this name."""
     from vcmvsp.cosim.config import builtin_kinds
     from vcmvsp.cosim.scenario import loader as scenarios
 
@@ -293,7 +293,7 @@ def _refuse_taken(part: str, snake: str, camel: str, folder: Path) -> None:
         raise UsageError(f"{here}: there is a built-in {part} of that name; give another one, such as my-{snake}")
     if part == "scenario":
         return
-    if part == "channel" and snake == "received":  # recordings call by this name what is not lost
+    if part == "channel" and snake == "received":  # in recordings the name of the outcome "not lost"
         raise UsageError(f"{here}: losses would count as received; give another name, such as my-{snake}")
     spec = importlib.util.find_spec(snake)
     if spec is not None and spec.origin != str((folder / f"{snake}.py").resolve()):

@@ -1,4 +1,4 @@
-"""``vcmvsp net``: a network of vehicles for programs as they are, each vehicle a machine of its own (``[bridge.ip]``)."""
+"""``vcmvsp net``: an IP network of vehicles for unmodified programs, one namespace per vehicle (``[bridge.ip]``)."""
 
 import contextlib
 import json as jsons
@@ -66,7 +66,7 @@ def up_command(
         sets.append(f"duration_s={duration}")
     parsed, _ = scenarios.load(scenario, settings=scenarios.settings_of(sets), seed=seed)
     try:
-        with contextlib.suppress(PermissionError):  # the process that makes the interfaces will see
+        with contextlib.suppress(PermissionError):  # the process that makes the interfaces reports it
             networks.check_free(parsed.name)
     except OSError as error:
         raise UsageError(str(error)) from error
@@ -118,7 +118,7 @@ def status_command(json: AsJson = False) -> None:
 
     try:
         known = networks.networks()
-    except OSError as error:  # somebody keeps what he has to himself
+    except OSError as error:  # a file of another user, not readable
         raise UsageError(f"{error.filename}: {error.strerror}: ask as root (sudo)") from error
     if json:
         sys.stdout.write(f"{jsons.dumps(msgspec.to_builtins(known))}\n")
@@ -162,7 +162,7 @@ def _check_rights() -> None:
 
 
 def _chosen(run: str | None) -> "RunNetwork":
-    """The network of this run, which is alive; of the only one without a name."""
+    """The network of a running run; without a name, of the only one."""
     from vcmvsp.cosim.assembly.parts import networks
 
     alive = [each for each in networks.networks() if each.alive]

@@ -1,4 +1,4 @@
-"""Options and helpers that several commands share."""
+"""Options and helpers of several commands."""
 
 import math
 import sys
@@ -28,14 +28,14 @@ PROGRAM = (
     "A scenario is a program: the classes that it names are imported and may do whatever you may. "
     "Give none of people whose programs you would not start."
 )
-"""In the help of commands: `DATA` where they read what a run has left, `PROGRAM` where they import what a scenario names."""
+"""Help texts on trust: `DATA` for commands that read a run's files, `PROGRAM` for those that import a scenario's classes."""
 
 
 def pose_of(text: str | None) -> "Vec3 | None":
-    """``X,Y,YAW`` of ``--pose``: m, m, rad; None: nothing was said.
+    """Parse ``X,Y,YAW`` of ``--pose``: m, m, rad; None if it was not given.
 
     Raises:
-        UsageError: it is something else.
+        UsageError: the text has another form.
     """
     if text is None:
         return None

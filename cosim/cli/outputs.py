@@ -1,4 +1,4 @@
-"""``vcmvsp plot``, ``report``, ``export`` and ``view``: what is made of a recorded run, again or for other tools, and shown."""
+"""``vcmvsp plot``, ``report``, ``export`` and ``view``: figures, reports, exports and playback of a recorded run."""
 
 import contextlib
 import json as jsons
@@ -101,22 +101,22 @@ def _of_run(folder: Path, out: Path | None, *, trust: bool) -> Path:
 
     try:
         figures = figures_again(folder, trust=trust)
-    except UsageError:  # its tables are not there, or damaged: the page says so
+    except UsageError:  # tables missing or damaged: the page says so
         figures = {}
     return run_page.write(folder, {name: svg(figure) for name, figure in figures.items()}, out)
 
 
 class _Exporting(StatusDisplay):
-    """How far an export is."""
+    """Shows the progress of an export."""
 
     def on_part(self, name: str, part: float) -> None:
-        """Note how far an output is, 0 to 1."""
+        """Note the progress of an output, 0 to 1."""
         if self._is_due():
             words = f"{name}: {100 * part:.0f} %"
             self._draw(part, 1.0, words) if self._terminal else self.tell(words)
 
 
-PERIOD_S = 1.0 / 30.0  # between two pictures
+PERIOD_S = 1.0 / 30.0  # between two updates of the page
 
 
 def view_command(
@@ -144,7 +144,7 @@ def view_command(
 
 
 def _serve(player: "Player", recording: "Recording", host: str, port: int, *, as_json: bool) -> None:
-    """Show it until Ctrl-C, which is a good end only once the page is there; it goes on as soon as somebody looks."""
+    """Serve the page until Ctrl-C, which is a success only once the page is up; playback starts with the first viewer."""
     from vcmvsp.cosim.view.messages import Go
     from vcmvsp.cosim.view.page.control_station import Station
     from vcmvsp.cosim.view.web_server import caution, close_server, new_token, open_server, url_of

@@ -1,4 +1,4 @@
-"""``vcmvsp radio``, ``channel``, ``per``, ``pathloss``, ``calibrate``: of a run, a scenario, or the channel alone."""
+"""``vcmvsp radio``, ``channel``, ``per``, ``pathloss``, ``calibrate``: the radio of a run or scenario, or the channel alone."""
 
 import contextlib
 import json as jsons
@@ -130,7 +130,7 @@ def channel_command(
             counts = channel_trial.run(channel, plan, sink=None if rows is None else rows.add, progress=progress.on_instant)
     except KeyboardInterrupt:
         raise Interrupted("interrupted") from None
-    except ScenarioError as error:  # a mac that does not go with the phy
+    except ScenarioError as error:  # the mac does not fit the phy
         if error.source:
             raise
         raise ScenarioError(error.problem, key="mac.kind", source=_changed(source, "mac", "phy")) from error
@@ -183,7 +183,7 @@ def pathloss_command(
 
 
 def _plain(value: object) -> object:
-    """The value with None for numbers that JSON cannot say: a vehicle may have been sent to infinity."""
+    """The value with None for NaN and infinity, which JSON lacks: a vehicle may have been sent to infinity."""
     if isinstance(value, dict):
         return {name: _plain(each) for name, each in value.items()}
     if isinstance(value, list):
@@ -242,7 +242,7 @@ def _drawn(what: str, vehicle: str, given: dict[str, Any], *, json: bool, trust:
 def _channel(
     preset: str, arguments: Sequence[str] | None, vehicles: Sequence[str] = ()
 ) -> "tuple[Channel, dict[str, Any], Source]":
-    """A channel of a preset with some keys changed, its tables with everything filled in, and where keys came from."""
+    """A preset's channel with changed keys, its complete tables, and the source of the keys."""
     from vcmvsp.cosim.assembly import radio
     from vcmvsp.cosim.assembly.parts.presets import LAYERS
     from vcmvsp.cosim.config import binding
@@ -369,7 +369,7 @@ def calibrate_command(
 
 
 def write_calibration(folder: Path, calibration: "Calibration", figure_data: dict[str, Any]) -> None:
-    """Write ``radio.toml`` and ``calibration.png``: a calibration of `netsim.calibration`, and the data of its figure."""
+    """Write ``radio.toml`` and ``calibration.png`` of a calibration (`netsim.calibration`) and the data of its figure."""
     from vcmvsp.cosim.plots.radio_plots import draw_calibration
     from vcmvsp.cosim.plots.style import save_png
 
@@ -433,7 +433,7 @@ def calibrate_recognition_command(
 
 class _Pictures(StatusDisplay):
     def on_picture(self, done: int, of: int) -> None:
-        """Tell how many pictures are taken."""
+        """Note the number of pictures taken."""
         if self._is_due():
             words = f"{done} of {of} pictures"
             self._draw(done, of, words) if self._terminal else self.tell(words)
@@ -468,6 +468,6 @@ def _words(share: "Share") -> str:
 
 
 def _number(value: float) -> str:
-    """With two digits that count, of what is left to 1 too."""
+    """A number with two significant digits, also of its distance to 1."""
     digits = 1 - math.floor(math.log10(min(value, 1.0 - value)))
     return f"{value:.{digits}f}"

@@ -1,4 +1,4 @@
-"""``vcmvsp agent``, ``watch`` and ``doctor``: runs on other machines, and what works on this one or on the way to another."""
+"""``vcmvsp agent``, ``watch`` and ``doctor``: runs on other machines, and checks of installation and connection."""
 
 import contextlib
 import math
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.hosts.observers import Check, Seen
 
 
-REFRESH_S = 0.5  # of a terminal
-WIDTH = 100  # characters of a value
+REFRESH_S = 0.5  # between two updates of a terminal
+WIDTH = 100  # most characters of a value
 Fields = Mapping[str, Any]
-"""A value, as it was in JSON."""
+"""A value decoded from JSON."""
 
 
 def agent_command(
@@ -118,15 +118,15 @@ def watch_command(
 
 
 def line(seen: "Seen") -> str:
-    """An event for people."""
+    """An event as a line of text."""
     return plain(f"{seen.time_ns / 1e9:9.3f} s  {seen.topic:<16}  {words(seen.type, seen.value)}") + "\n"
 
 
 def words(kind: str, value: object) -> str:
-    """A value for people; of a kind that is not known here, its JSON."""
+    """A value as text; JSON if its kind is unknown."""
     try:
         said = _WORDS[kind](value)
-    except Exception:  # of another version, or of somebody's own, with anything in it
+    except Exception:  # a kind of another version or of a user, with any content
         said = _json_or(value)
     return said if len(said) <= WIDTH else f"{said[: WIDTH - 3]}..."
 
@@ -275,7 +275,7 @@ def doctor_command(
 
 
 def report(checks: "Iterable[Check]", *, as_json: bool = False) -> int:
-    """Print a line per check as soon as it is known; 0 if all is well, else 1."""
+    """Print a line per finished check; returns exit code 0 if all passed, else 1."""
     found = []
     for name, ok, words in checks:
         found.append({"name": name, "ok": ok, "words": words})
@@ -290,7 +290,7 @@ def report(checks: "Iterable[Check]", *, as_json: bool = False) -> int:
 
 
 def installation() -> "Iterator[Check]":
-    """Whether everything is here, and two short runs."""
+    """Checks of the installation, and two short runs."""
     checks: list[tuple[str, Callable[[], str]]] = [
         ("python", _python),
         ("vcmvsp", _vcmvsp),
@@ -309,10 +309,10 @@ def installation() -> "Iterator[Check]":
 def connection(
     endpoint: str, keys: Path | None = None, *, insecure: bool = False, secret: Path | None = None
 ) -> "Iterator[Check]":
-    """How well the run at an endpoint can be reached with this certificate.
+    """Checks of the connection to the run at an endpoint with this certificate.
 
     Raises:
-        UsageError: the endpoint is none, or may not be dialled so, or the file is none of a machine.
+        UsageError: the endpoint is malformed or may not be dialled in this way, or the file is not a key bundle.
     """
     from vcmvsp.cosim.hosts.observers import examine
     from vcmvsp.cosim.transport import endpoints

@@ -1,4 +1,4 @@
-"""``vcmvsp figure``, ``validate`` and ``bench``: published numbers, laws and costs, measured again and compared."""
+"""``vcmvsp figure``, ``validate`` and ``bench``: measure published numbers, laws and costs again, and compare them."""
 
 import subprocess
 import sys
@@ -137,7 +137,7 @@ def bench_command(
         try:
             code = measuring.wait()
         except KeyboardInterrupt:
-            measuring.wait()  # until it has told what it measured
+            measuring.wait()  # until it has printed its results
             raise Interrupted("interrupted") from None
     if code:
         raise SystemExit(code)

@@ -1,4 +1,4 @@
-"""``vcmvsp robot``, ``stop`` and ``operator``: robots that this machine drives, and how people stop them."""
+"""``vcmvsp robot``, ``stop`` and ``operator``: drive robots from this machine, and stop them."""
 
 import contextlib
 import json as jsons
@@ -111,7 +111,7 @@ def operator_command(
 
 
 def stopped(vehicles: Sequence[str]) -> "tuple[list[StationAnswer], list[str]]":
-    """Stop them (none named: all); what each answered, and what there was none of."""
+    """Stop these robots (none named: all); returns the answers, and the names without a robot."""
     from vcmvsp.cosim.assembly.parts.stations import LONGEST_NAME, StopCaller
 
     with StopCaller() as caller:
@@ -123,7 +123,7 @@ def stopped(vehicles: Sequence[str]) -> "tuple[list[StationAnswer], list[str]]":
 
 
 def line(answer: "StationAnswer") -> str:
-    """What a station said, for people."""
+    """A station's answer as a line of text."""
     match answer.state:
         case "silent":
             return f"{answer.vehicle}: DOES NOT ANSWER (process {answer.pid}): look after the robot\n"

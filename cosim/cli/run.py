@@ -1,4 +1,4 @@
-"""``vcmvsp run``, ``study``, ``launch``, ``replay``, ``drive``, ``check``; `conduct` is what they share."""
+"""``vcmvsp run``, ``study``, ``launch``, ``replay``, ``drive``, ``check``; `conduct` is their common part."""
 
 import contextlib
 import functools
@@ -183,7 +183,7 @@ def check_command(scenario: ScenarioName, set_: Sets = None) -> None:
 
 
 def simulated(scenario: str, sets: Sequence[str]) -> list[str]:
-    """The same ``--set`` arguments, and those that have real vehicles simulated."""
+    """The ``--set`` arguments, extended so that real vehicles are simulated."""
     from vcmvsp.cosim.scenario import loader as scenarios
 
     parsed, _ = scenarios.load(scenario, settings=scenarios.settings_of(sets))
@@ -203,7 +203,7 @@ def conduct(
     page: tuple[str, int] | None = None,
     **options: object,
 ) -> "Result":
-    """Call `vcmvsp.run`, or ``start`` in its place; show progress and what came out, on a page too where there is one."""
+    """Call `vcmvsp.run`, or ``start`` in its place; show progress and results, also on a page if one is asked for."""
     from vcmvsp.cosim.runs import api
     from vcmvsp.cosim.scenario import loader as scenarios
     from vcmvsp.cosim.terminal.progress import Progress, lateness, summary
@@ -245,7 +245,7 @@ def conduct(
 
 
 def _viewing(page: tuple[str, int]) -> "Viewing":
-    """Where the run is shown, once there is anything to show; its address is told even to who wants to hear nothing else."""
+    """The page of a live run; its address is printed even with ``--quiet``."""
     from vcmvsp.cosim.view.live.session import Viewing
     from vcmvsp.cosim.view.web_server import caution
 
@@ -256,7 +256,7 @@ def _viewing(page: tuple[str, int]) -> "Viewing":
     return Viewing(*page, opened=opened)
 
 
-SHOWN = 40  # points
+SHOWN = 40  # points of a study in the terminal's table
 
 
 def study_command(

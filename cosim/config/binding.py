@@ -1,7 +1,7 @@
-"""A TOML table becomes a checked call: keys against the parameters, values against their annotations.
+"""Call a function or class with a TOML table: checks keys against parameters and values against annotations.
 
-Everything that a scenario configures, from the scenario itself to somebody's own agent, goes through `call`. There is one home
-for defaults (the signature), and one form of error: what is wrong, at which key of which file, and what is allowed.
+Everything that a scenario configures, from the scenario itself to a user's agent, goes through `call`. Defaults stand in the
+signature only, and every error names the problem, the key, the file, and what is allowed.
 """
 
 import collections.abc
@@ -35,7 +35,7 @@ class Parameter(msgspec.Struct, frozen=True):
 def parameters(target: Callable[..., Any]) -> Mapping[str, Parameter]:
     """The parameters that a table can give to ``target`` (a class or function), in order.
 
-    A class that takes ``**more`` is taken to hand that on to its base class, whose parameters then count too.
+    A class with ``**more`` is assumed to pass it to its base class, whose parameters are included.
     """
     return _parameters(target)
 
@@ -49,7 +49,7 @@ def _parameters(target: Callable[..., object]) -> Mapping[str, Parameter]:
         hints = typing.get_type_hints(holder, include_extras=True)
     except (NameError, TypeError):
         hints = {}
-    made: dict[str, Callable[[], Any]] = {}  # defaults that are made anew each time
+    made: dict[str, Callable[[], Any]] = {}  # factories of mutable defaults
     if isinstance(target, type) and issubclass(target, msgspec.Struct):
         hints = typing.get_type_hints(target, include_extras=True)
         made = {each.name: each.default_factory for each in msgspec.structs.fields(target) if callable(each.default_factory)}
@@ -59,7 +59,7 @@ def _parameters(target: Callable[..., object]) -> Mapping[str, Parameter]:
             required = parameter.default is parameter.empty
             default = None if required else made[name]() if name in made else parameter.default
             found[name] = Parameter(hints.get(name, Any), default, required)
-        elif parameter.kind is parameter.VAR_KEYWORD and isinstance(target, type):  # handed on to the next class in line
+        elif parameter.kind is parameter.VAR_KEYWORD and isinstance(target, type):  # passed to the next class of the MRO
             line = [base for base in target.__mro__ if "__init__" in vars(base)]
             found |= {name: each for name, each in _parameters(line[1]).items() if name not in found}
     return types.MappingProxyType(found)
@@ -74,14 +74,14 @@ def call(
     given: Mapping[str, Any] | None = None,
     also: Iterable[str] = (),
 ) -> T:
-    """Call ``target`` with the table's values, each checked and converted by its annotation.
+    """Call ``target`` with the table's values, checked and converted by their annotations.
 
     Args:
-        given: arguments that come from the program, not from the table.
-        also: other keys that may stand in this table, for messages.
+        given: arguments from the program instead of the table.
+        also: other keys allowed in this table, for messages.
 
     Raises:
-        ScenarioError: unknown or missing key, wrong type or range, or whatever ``target`` itself raises.
+        ScenarioError: unknown or missing key, wrong type or range, or any error of ``target``.
     """
     origin, given = origin or Source(), given or {}
     known = {name: each for name, each in parameters(target).items() if name not in given}
@@ -99,11 +99,11 @@ def call(
         raise ScenarioError(error.problem, key=where, source=origin.of(where)) from error
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # whatever somebody's own class raises
+    except BaseException as error:  # a user class may raise anything
         problem = text = said_by(error)
         if not isinstance(error, ValueError):
             problem = f"{target.__name__} raised {words_of(error)}{place_of(error)}"
-        mentioned = [name for name in values if re.search(rf"\b{name}\b", text)]  # a constructor says which one it means
+        mentioned = [name for name in values if re.search(rf"\b{name}\b", text)]  # parameters named in its message
         where = join(key, mentioned[0]) if len(mentioned) == 1 and _is_named(mentioned[0], text) else key
         raise ScenarioError(problem, key=where, source=origin.of(where)) from error
 
@@ -118,12 +118,12 @@ def _values(known: Mapping[str, Parameter], table: Mapping[str, Any], key: str, 
 
 
 def _is_named(name: str, problem: str) -> bool:
-    """Whether a word of a message is the name of a parameter: at its beginning, quoted, with a value, or no English word."""
+    """Whether a word in a message names a parameter: it is first, quoted, followed by a value, or not an English word."""
     return "_" in name or re.search(rf"^{name}\b|['\"`]{name}['\"`]|\b{name} ?[=:'\"]", problem) is not None
 
 
 def fitted(value: object, annotation: object, kept: Collection[str]) -> object:
-    """A table whose kind has been replaced, without what only its former kind has; what is ``kept`` stays."""
+    """A table whose kind was replaced, without keys unknown to the new kind; keys in ``kept`` stay."""
     tables = [each for each in structs(annotation) if each.__struct_config__.tag_field and _may_be(each, value)]
     if len(tables) != 1 or not isinstance(value, Mapping):
         return value
@@ -132,7 +132,7 @@ def fitted(value: object, annotation: object, kept: Collection[str]) -> object:
 
 
 def complete(target: Callable[..., Any], table: Mapping[str, Any], without: Iterable[str] = ()) -> dict[str, Any]:
-    """The table with all defaults of ``target`` filled in, in plain TOML types; None and what is not plain are left out."""
+    """The table with all defaults of ``target``, in TOML types; None and values without a TOML type are left out."""
     skipped, full = frozenset(without), {}
     for name, parameter in parameters(target).items():
         if name not in skipped:
@@ -143,7 +143,7 @@ def complete(target: Callable[..., Any], table: Mapping[str, Any], without: Iter
 
 
 def with_files(target: Callable[..., Any], table: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
-    """The table with file names in it changed: what ``target`` annotates as `FileName` or ``pathlib.Path``, at any depth."""
+    """The table with changed file names: values that ``target`` annotates as `FileName` or ``pathlib.Path``, at any depth."""
     known = parameters(target)
     return {name: _with_files(each, known[name].annotation, change) if name in known else each for name, each in table.items()}
 
@@ -172,7 +172,7 @@ def _names_file(annotation: object) -> bool:
 
 
 def _holds_path(annotation: object) -> bool:
-    """Whether a value of this annotation may hold a path, as any table may."""
+    """Whether a value of this annotation may contain a path."""
     return annotation is Path or bool(structs(annotation)) or any(map(_holds_path, typing.get_args(annotation)))
 
 
@@ -189,7 +189,7 @@ def _text(value: object) -> str:
 
 
 def plain(value: object) -> Any:
-    """The value in types that TOML has; None where there is none."""
+    """The value in TOML types; None if it has none."""
     try:
         return _without_none(msgspec.to_builtins(value, builtin_types=(), enc_hook=_text))
     except TypeError:
@@ -205,24 +205,24 @@ def _without_none(value: object) -> object:
 
 
 def convert(value: object, annotation: object, *, key: str = "", origin: Source | None = None) -> Any:
-    """The value as its annotation wants it, or a `ScenarioError` that says what is allowed."""
+    """The value converted to its annotation; `ScenarioError` with the allowed values if it does not fit."""
     if (bad := unfit_number(value)) is not None:
         raise _refused(problem_of(bad), key, origin)
     try:
         return msgspec.convert(value, annotation, dec_hook=_path if _holds_path(annotation) else None)
     except msgspec.ValidationError as error:
         words, _, inside = str(error).partition(" - at `$")
-        if isinstance(error.__cause__, ValueError):  # of a table's own
+        if isinstance(error.__cause__, ValueError):  # raised by a table's own check
             raise _refused(words, f"{key}{inside[:-1]}", origin) from error
         if structs(annotation) and (inside or words.startswith("Object ")):
             raise _refused(_inside(words, inside[:-1], value, annotation), f"{key}{inside[:-1]}", origin) from error
         raise _refused(unlike(value, annotation), key, origin) from error
     except TypeError:
-        return value  # an annotation that only Python objects meet; the target checks it itself
+        return value  # an annotation for Python objects only; the target checks the value
 
 
 def _inside(words: str, path: str, value: Any, annotation: object) -> str:
-    """What is wrong at a path such as ``[0].size`` inside a list of tables, or a table, and the tables in it."""
+    """The problem at a path such as ``[0].size`` inside nested tables and lists of tables."""
     for step in re.findall(r"\w+", path):
         if step.isdigit():
             value, annotation = value[int(step)], _item(annotation, int(step))
@@ -249,19 +249,19 @@ def _item(annotation: object, number: int) -> object:
 
 
 def _known(annotation: object, value: object) -> dict[str, Parameter]:
-    """The keys of the table, or of those, that a value of this annotation may be."""
+    """Keys of the table types that a value of this annotation may have."""
     tables = [each for each in structs(annotation) if _may_be(each, value)] or structs(annotation)
     return {name: each for struct in tables for name, each in parameters(struct).items()} | _tags(tables)
 
 
 def _may_be(struct: type[msgspec.Struct], value: object) -> bool:
-    """Whether a value does not say that it is a table of another kind."""
+    """Whether a value may be a table of this type: its tag, if given, is not another one."""
     config = struct.__struct_config__
     return not config.tag_field or not isinstance(value, Mapping) or value.get(config.tag_field, config.tag) == config.tag
 
 
 def _tags(tables: Iterable[type[msgspec.Struct]]) -> dict[str, Parameter]:
-    """The keys that say which of several tables is meant, and the words that each of them allows."""
+    """The tag keys of several table types, and the allowed tags of each."""
     words: dict[str, list[Any]] = {}
     for each in tables:
         if (config := each.__struct_config__).tag_field:
@@ -270,7 +270,7 @@ def _tags(tables: Iterable[type[msgspec.Struct]]) -> dict[str, Parameter]:
 
 
 def structs(annotation: object) -> list[type[msgspec.Struct]]:
-    """The tables that a value of this annotation consists of."""
+    """The table types in an annotation."""
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
         return [annotation]
     return [each for inner in typing.get_args(annotation) for each in structs(inner)]
@@ -281,7 +281,7 @@ def _refused(problem: str, key: str, origin: Source | None) -> ScenarioError:
 
 
 def unfit_number(value: object) -> float | None:
-    """The first NaN, infinity or integer of more than 64 bits inside the value."""
+    """The first NaN, infinity or integer of more than 64 bits in a value, or None."""
     if isinstance(value, float | int):
         return None if (-(2**63) <= value < 2**64 if isinstance(value, int) else math.isfinite(value)) else value
     inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
@@ -289,12 +289,12 @@ def unfit_number(value: object) -> float | None:
 
 
 def problem_of(bad: float) -> str:
-    """What is wrong with an unfit number, in words."""
+    """The problem of an unfit number, in words."""
     return "must fit into 64 bits" if isinstance(bad, int) else f"must be finite, not {bad}"
 
 
 def unknown(what: str, name: str, allowed: Iterable[str]) -> str:
-    """``unknown key 'probabilty'; did you mean 'probability'? (allowed: ...)``."""
+    """Message for an unknown name: ``unknown key 'probabilty'; did you mean 'probability'? (allowed: ...)``."""
     names = sorted(set(allowed))
     near = difflib.get_close_matches(name, names, n=1)
     guess = f"; did you mean '{near[0]}'?" if near else ""
@@ -302,7 +302,7 @@ def unknown(what: str, name: str, allowed: Iterable[str]) -> str:
 
 
 def unlike(value: object, annotation: object) -> str:
-    """What is allowed instead of this value, and which of a choice is nearly it."""
+    """Message for a value that does not fit: the allowed values, and the closest of a choice."""
     problem = f"must be {describe(annotation)}, not {show(value)}"
     choices = [each for each in typing.get_args(annotation) if isinstance(each, str)]
     near = difflib.get_close_matches(value, choices, n=1) if isinstance(value, str) else []
@@ -310,7 +310,7 @@ def unlike(value: object, annotation: object) -> str:
 
 
 def describe(annotation: object) -> str:
-    """What values an annotation allows, in words."""
+    """The values that an annotation allows, in words."""
     origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is typing.Annotated:
         limits = [(sign, getattr(meta, name)) for meta in inner[1:] for name, sign in _SIGNS]
@@ -335,12 +335,12 @@ def describe(annotation: object) -> str:
 
 
 def join(*parts: str) -> str:
-    """A key path of the parts that are not empty."""
+    """Join the parts that are not empty into a key path."""
     return ".".join(part for part in parts if part)
 
 
 def show(value: object) -> str:
-    """The value for a message, cut where it is long; what fails to show itself, as integers of 4301 digits do, by its type."""
+    """The value for a message, shortened if long; its type if ``repr`` fails, as for integers of 4301 digits."""
     try:
         text = repr(value)
     except Exception:

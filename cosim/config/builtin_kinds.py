@@ -1,6 +1,6 @@
-"""Kinds that a scenario may name, by group, and what a class of each group must have.
+"""Built-in kinds by group, and the methods that a class of each group must have.
 
-Strings, which `cosim.config.registry` looks up when a scenario names a kind. A new built-in kind is a line here.
+`cosim.config.registry` looks these strings up when a scenario names a kind. A new built-in kind is a line here.
 """
 
 from collections.abc import Mapping
@@ -30,10 +30,10 @@ VERBS: Mapping[str, str] = {
     "driver": "write(velocity)",
     "localisation": "read(now_ns)",
 }
-"""What a class of each group must have."""
+"""Methods that a class of each group must have."""
 
 NOTHING = "vcmvsp.cosim.config.registry:nothing"
-"""A kind of a layer that may be left out."""
+"""The kind of an optional layer that is left out."""
 
 KINDS: Mapping[str, Mapping[str, str]] = {
     "physics": {"bullet": "vcmvsp.physics.federate:BulletPhysics", "kinematic": "vcmvsp.physics.federate:KinematicPhysics"},
@@ -94,8 +94,8 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "track": "vcmvsp.agents.reconnaissance.track:TrackTarget",
         "mission": "vcmvsp.agents.mission.mission:SearchMission",
     },
-    "estimator": {},  # a parameter of agents, which know their own
-    "avoidance": {},  # likewise
+    "estimator": {},  # a parameter of agents, which list their kinds
+    "avoidance": {},  # as for estimators
     "path_loss": {
         "log_distance": "vcmvsp.netsim.propagation.path_loss:LogDistance",
         "friis": "vcmvsp.netsim.propagation.path_loss:Friis",

@@ -1,4 +1,4 @@
-"""Where a scenario came from: its file, the lines of its keys, and what the command line has set instead."""
+"""Origin of a scenario's values: file, lines of keys, and ``--set`` arguments."""
 
 import functools
 import re
@@ -23,18 +23,18 @@ def lines_of(text: str) -> dict[str, int]:
 
 
 def prefixes(key: str) -> Iterator[str]:
-    """The key path, and those of what it is in, from the inside out."""
+    """The key path and its parent paths, innermost first."""
     ends = [match.start() for match in re.finditer(r"[.\[]", key)]
     return (key[:end] for end in (len(key), *reversed(ends)))
 
 
 class _Document:
-    """Walks through the tokens of a document once."""
+    """Maps key paths to lines in one pass over the tokens of a TOML document."""
 
     def __init__(self, text: str) -> None:
         self.lines: dict[str, int] = {}
         self.vehicles: dict[str, str] = {}  # ``vehicle[0]`` -> ``vehicle.car1``
-        self._counts: dict[str, int] = {}  # of the tables in each array of tables
+        self._counts: dict[str, int] = {}  # tables in each array of tables
         self._tokens = toml_tokens(text)
         self._next, self._line = next(self._tokens, ("", 0))
 
@@ -78,7 +78,7 @@ class _Document:
         return here
 
     def _last(self, path: str) -> str:
-        """The newest table, where a path names an array of tables."""
+        """The path, with the last table of an array that it names."""
         return f"{path}[{self._counts[path] - 1}]" if path in self._counts else path
 
     def _value(self, path: str) -> None:
@@ -113,11 +113,11 @@ def _text(token: str) -> str:
 
 
 class Source:
-    """Where a scenario was read from; knows lines and ``--set`` arguments of keys.
+    """Origin of a scenario, with the lines and ``--set`` arguments of its keys.
 
     Args:
-        name: of the file; of what is no file, one name for all keys.
-        folder: to which files in the scenario are relative.
+        name: of the file; without a file, one name for all keys.
+        folder: base of relative file names in the scenario.
     """
 
     def __init__(self, name: str = "", folder: Path = Path(), text: str = "") -> None:
@@ -126,11 +126,11 @@ class Source:
         self._set: dict[str, str] = {}
 
     def note_set(self, key: str, argument: str) -> None:
-        """The value of ``key`` comes from a command-line argument."""
+        """Note that the value of ``key`` comes from a command-line argument."""
         self._set[key] = argument
 
     def kept(self, content: Mapping[str, Any], key: str, known: Container[str]) -> dict[str, Any]:
-        """The parameters of a table: if another ``kind`` has been set, the file's count as far as that one knows them."""
+        """The parameters of a table; if ``kind`` was set, without the file's parameters that the new kind does not know."""
         switched = f"{key}.kind" in self._set
         return {
             name: value
@@ -139,13 +139,13 @@ class Source:
         }
 
     def replaced(self, key: str) -> tuple[str, ...] | None:
-        """The names in a table whose values have been set, where another ``kind`` has been; None: that has not."""
+        """The keys set in a table whose ``kind`` was set, or None if it was not."""
         if f"{key}.kind" not in self._set:
             return None
         return tuple(path.removeprefix(f"{key}.").partition(".")[0] for path in self._set if path.startswith(f"{key}."))
 
     def of(self, key: str) -> str:
-        """The argument that set the key or something in it, or file and line."""
+        """The argument that set the key or a key inside it, else file and line."""
         for prefix in prefixes(key):
             if prefix in self._set:
                 return self._set[prefix]
@@ -165,7 +165,7 @@ class Source:
 
 
 def _places(key: str) -> Iterator[str]:
-    """Where a key may stand, the likeliest first; a copy of a vehicle stands in one table for many, and in that of all."""
+    """Places where a key may be defined, likeliest first; a copied vehicle also has its template's and ``[vehicles]``."""
     for prefix in prefixes(key):
         yield prefix
         if vehicle := re.fullmatch(r"vehicle\.([^.\[]*?)(\d*)((?:[.\[].*)?)", prefix):

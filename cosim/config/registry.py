@@ -1,8 +1,8 @@
-"""From the ``kind`` of a table to a class, and to an object of it, built from the table.
+"""Find the class of a table's ``kind``, and build an object from the table.
 
 A kind is a short name (`cosim.config.builtin_kinds`), ``module:Class`` or ``file.py:Class``. It is imported when a scenario
-names it, so that ``import vcmvsp`` stays light; `only` limits which classes may be. Other distributions add short names through
-the entry-point groups ``vcmvsp.<group>``, e.g. ``vcmvsp.agent``.
+names it, so that ``import vcmvsp`` stays light; `only` limits the classes that may be imported. Other distributions add short
+names through the entry-point groups ``vcmvsp.<group>``, e.g. ``vcmvsp.agent``.
 """
 
 import contextlib
@@ -31,28 +31,28 @@ _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", 
 
 
 SHIPPED = Path(__file__).resolve().parents[2] / "scenarios"
-"""The built-in scenarios, and the files that come with them."""
+"""Folder of the built-in scenarios and their files."""
 
 
 def located(name: str, folder: Path | None = None) -> Path:
-    """Where a file is that a scenario names: beside it, or else among those that come with the built-in scenarios.
+    """Path of a file that a scenario names: beside the scenario, else among the built-in scenarios' files.
 
     Args:
         folder: the scenario's; default: that of `looking_in`, or the current one.
     """
     folder = folder or _folder.get() or Path()
     is_shipped = os.path.realpath(folder) == str(SHIPPED)
-    places = (SHIPPED, Path()) if is_shipped else (folder, SHIPPED)  # what a built-in scenario has not, --set has named
+    places = (SHIPPED, Path()) if is_shipped else (folder, SHIPPED)  # a file that is not shipped was named by --set
     try:
         first, second = (Path(os.path.realpath(each / name)) for each in places)
         return first if first.exists() or not (is_shipped or second.is_file()) else second
-    except (OSError, ValueError) as error:  # too long for the system, or with a zero in it
+    except (OSError, ValueError) as error:  # name too long, or with a zero byte
         raise ScenarioError(f"{show(name)} cannot be the name of a file") from error
 
 
 @contextlib.contextmanager
 def looking_in(folder: Path) -> Iterator[None]:
-    """While something is built: where the files are that it names itself, in its parameters."""
+    """Set the folder of the files that an object under construction names in its parameters."""
     token = _folder.set(folder)
     try:
         yield
@@ -61,7 +61,7 @@ def looking_in(folder: Path) -> Iterator[None]:
 
 
 def may_import(group: str, kind: object) -> bool:
-    """Whether `find` imports the class of a kind: that of a built-in one always, any other unless results are read."""
+    """Whether `find` may import the class of a kind: always a built-in one, others unless results are read."""
     return allowed_code.get() is not NO_CODE or (isinstance(kind, str) and kind in KINDS[group])
 
 
@@ -69,11 +69,11 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
     """The class that ``kind`` names.
 
     Args:
-        group: what it is looked up as, e.g. ``"agent"``.
-        folder: where a relative file is looked for (the scenario's folder); default: that of `looking_in`, or the current one.
+        group: group of the kind, e.g. ``"agent"``.
+        folder: base of a relative file (the scenario's folder); default: that of `looking_in`, or the current one.
 
     Raises:
-        ScenarioError: there is no such kind, what it names cannot be imported, or may not be (`user_classes.only`).
+        ScenarioError: the kind is unknown, or its class cannot or must not be imported (`only`).
     """
     origin = origin or Source()
     aim = target(group, kind, key=key, origin=origin)
@@ -89,7 +89,7 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
         module = load_file(path) if path else importlib.import_module(where)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # whatever somebody's own module raises
+    except BaseException as error:  # a user module may raise anything
         problem = f"'{where}' cannot be imported: {words_of(error)}{place_of(error)}"
         raise ScenarioError(problem, key=key, source=origin.of(key)) from error
     if is_own and (code := allowed_code.get()):
@@ -105,12 +105,12 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
 
 
 def target(group: str, kind: str, *, key: str = "kind", origin: Source | None = None) -> str:
-    """``module:Class`` or ``file.py:Class`` of a kind that may be a short name."""
+    """``module:Class`` or ``file.py:Class`` of a kind, also of a short name."""
     if ":" in kind:
         return kind
     if kind in KINDS[group]:
         return KINDS[group][kind]
-    others = _entry_points(group)  # looks through all installed distributions: only where it must
+    others = _entry_points(group)  # slow: searches all installed distributions
     if kind not in others:
         names = [*KINDS[group], *others]
         problem = unknown(f"{group.replace('_', '-')} kind", kind, names) + "; or give module:Class or file.py:Class"
@@ -119,10 +119,10 @@ def target(group: str, kind: str, *, key: str = "kind", origin: Source | None = 
 
 
 def file_of(kind: str, folder: Path | None) -> Path | None:
-    """The Python file of a kind that is not built in, if that may be loaded; None: it is no file's.
+    """The Python file of a kind that is not built in, or None if it is not in a file.
 
     Raises:
-        ScenarioError: the kind may not be loaded (`user_classes.only`).
+        ScenarioError: the kind must not be loaded (`only`).
     """
     if code := allowed_code.get():
         return code.file_of(kind)
@@ -130,11 +130,11 @@ def file_of(kind: str, folder: Path | None) -> Path | None:
 
 
 def load_file(path: Path) -> ModuleType:
-    """Import a Python file by its path, afresh; modules beside it can be imported by it."""
+    """Import a Python file by its path, without a cache; it can import modules beside it."""
     name = f"_vcmvsp_{path.stem}_{hashlib.blake2b(str(path).encode(), digest_size=6).hexdigest()}"
     loader = importlib.machinery.SourceFileLoader(name, str(path))
     spec = importlib.machinery.ModuleSpec(name, loader, origin=str(path))
-    spec.has_location = True  # so that the module has a __file__, by which its source is found
+    spec.has_location = True  # sets __file__, by which the source is found
     module = importlib.util.module_from_spec(spec)
     before = {*sys.modules, name}
     sys.modules[name] = module
@@ -144,7 +144,7 @@ def load_file(path: Path) -> ModuleType:
     finally:
         sys.path.remove(str(path.parent))
         for other in [each for each in sys.modules if each not in before and _lies_in(sys.modules[each], path.parent)]:
-            del sys.modules[other]  # what it imported from beside it is its own, and is read afresh next time
+            del sys.modules[other]  # modules beside the file are private to it and not cached
     return module
 
 
@@ -158,14 +158,14 @@ def _entry_points(group: str) -> dict[str, str]:
 
 
 Portable = Callable[[str], str]
-"""From a kind to how the resolved scenario names it."""
+"""Maps a kind to its name in the resolved scenario."""
 
 Keep = Callable[[Path], str]
-"""Keeps a file that the scenario uses; how the resolved scenario names it."""
+"""Keeps a file that the scenario uses and returns its name in the resolved scenario."""
 
 
 def name_of(path: Path) -> str:
-    """For a scenario that is not kept: the file where it is."""
+    """A `Keep` for a scenario that is not kept: returns the file's path."""
     return str(path)
 
 
@@ -186,18 +186,18 @@ def build(
     keep: Keep = name_of,
     guard: Callable[[Any], Any] = lambda kind: kind,
 ) -> tuple[Any, dict[str, Any]]:
-    """Build what a table with a ``kind`` describes.
+    """Build the object of a table with a ``kind``.
 
     Args:
-        portable: how the resolved scenario names the kind.
-        given: arguments that come from the program, not from the table.
-        offered: the same, for those who have such a parameter.
-        absent: arguments for parameters whose default is None, where the table has none.
-        keep: what becomes of files that it names.
-        guard: from the class that was found to the one that is built.
+        portable: maps the kind to its name in the resolved scenario.
+        given: arguments from the program instead of the table.
+        offered: further such arguments, passed only to classes with these parameters.
+        absent: arguments for parameters with default None that the table does not give.
+        keep: keeps the files that the table names.
+        guard: maps the found class to the class to build.
 
     Returns:
-        The object, and the table with all its defaults.
+        The object, and the complete table.
     """
     kind = content.get("kind")
     if not isinstance(kind, str):
@@ -210,14 +210,14 @@ def build(
     unset = {name for name, each in known.items() if each.default is None and not each.required} - {*params, *given}
     given |= {name: value for name, value in (absent or {}).items() if name in unset}
     built = binding.call(maker, params, key=key, origin=source, given=given)
-    for path in getattr(built, "files", tuple)():  # those that its own files name
-        if path.is_file():  # else whoever reads it says so
+    for path in getattr(built, "files", tuple)():  # files named inside its files
+        if path.is_file():  # a missing file is reported by its reader
             keep(path)
     return built, {"kind": portable(kind), **kept(maker, binding.complete(maker, params, without=given), keep)}
 
 
 def found(target: Callable[..., Any], params: Mapping[str, Any], source: Source, key: str) -> dict[str, Any]:
-    """The parameters of ``target``, at a key path, with the files that they name where these really are."""
+    """The parameters of ``target`` with the real paths of the files that they name."""
     try:
         return binding.with_files(target, params, lambda name: str(located(name, source.folder)))
     except ScenarioError as error:
@@ -225,7 +225,7 @@ def found(target: Callable[..., Any], params: Mapping[str, Any], source: Source,
 
 
 def kept(target: Callable[..., Any], params: Mapping[str, Any], keep: Keep) -> dict[str, Any]:
-    """The parameters with the files that they name kept, as far as there are such, by the names under which they are."""
+    """The parameters with their existing files kept and named as in the resolved scenario."""
     return binding.with_files(target, params, lambda name: keep(Path(name)) if Path(name).is_file() else name)
 
 
@@ -233,7 +233,7 @@ _MODULE_KIND = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 def classes_in(value: object) -> list[str]:
-    """All ``module:Class`` and ``file.py:Class`` among the strings of a value, as TOML has it."""
+    """All ``module:Class`` and ``file.py:Class`` strings in a TOML value."""
     if isinstance(value, str):
         return [value] if is_file_kind(value) or _MODULE_KIND.fullmatch(value) else []
     if not isinstance(value, Mapping | list | tuple):
@@ -243,10 +243,10 @@ def classes_in(value: object) -> list[str]:
 
 
 def host_options(tables: object, folder: str) -> list[str]:
-    """The options with which ``vcmvsp agent`` lets a run ask for the classes that these tables name.
+    """Options of ``vcmvsp agent`` that allow the classes that these tables name.
 
     Args:
-        folder: where their Python files are on the host's machine.
+        folder: of their Python files on the host's machine.
     """
     classes = classes_in(tables)
     options = [f"--allow={kind}" for kind in classes if not is_file_kind(kind)]
@@ -259,19 +259,19 @@ def is_file_kind(kind: str) -> bool:
 
 
 class OwnCode:
-    """The classes that may be loaded beside those that are built in or, but for `NO_CODE`, installed under a short name.
+    """The user classes that may be loaded besides built-in ones and, except with `NO_CODE`, installed short names.
 
     Args:
-        kinds: ``module:Class`` or ``file.py:Class``, as they stand on the host's command line.
-        folder: of Python files that a run may ask for by file name; None: none.
-        tell: takes a line for the user about each class that is loaded.
+        kinds: ``module:Class`` or ``file.py:Class``, as on the host's command line.
+        folder: of Python files that a run may name; None: no such files.
+        tell: receives a line for the user about each loaded class.
     """
 
     def __init__(self, kinds: Collection[str], folder: Path | None, tell: Callable[[str], None] = lambda _: None) -> None:
         self._kinds, self._folder, self._tell = frozenset(kinds), folder, tell
 
     def file_of(self, kind: str) -> Path | None:
-        """Where the file of this kind is on this machine; None: it is a module's.
+        """Path of this kind's file on this machine, or None for a module.
 
         Raises:
             ScenarioError: the user has not allowed this class.
@@ -299,13 +299,13 @@ class OwnCode:
 
 
 NO_CODE = OwnCode((), None)
-"""None but the built-in classes: results are read."""
+"""Allows built-in classes only, to read results."""
 allowed_code: contextvars.ContextVar[OwnCode | None] = contextvars.ContextVar("allowed_code", default=None)
 
 
 @contextlib.contextmanager
 def only(code: OwnCode | None) -> Iterator[None]:
-    """While a host answers a run, or results are read: load these classes alone; None: whatever may be loaded now."""
+    """Load only these user classes meanwhile, in a host or while results are read; None: no change."""
     token = allowed_code.set(code or allowed_code.get())
     try:
         yield

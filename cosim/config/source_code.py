@@ -1,7 +1,7 @@
-"""Which source code a class is made of, so that two machines can tell whether they run the same.
+"""Fingerprint of a class's source code, to compare the code of two machines.
 
-It is found by reading import statements, without running any: the file of the class, and files beside it that it imports. Of
-vcmvsp itself and of NumPy the version counts.
+It covers the file of the class and the files beside it that it imports, found by parsing import statements without running
+them. vcmvsp itself and NumPy are compared by version.
 """
 
 import ast
@@ -23,13 +23,13 @@ _INSTALLED = frozenset({"site-packages", "dist-packages"})
 
 
 def fingerprint(spec: AgentSpec) -> dict[str, str]:
-    """SHA-256 of each source file that an agent is made of, by its name, and versions of libraries.
+    """SHA-256 of each source file of an agent, by file name, and versions of libraries.
 
     Files that are not on this machine are left out.
     """
     found = {name: metadata.version(name) for name in LIBRARIES}
     kind = spec.kind
-    with contextlib.suppress(ScenarioError):  # a name that is unknown here
+    with contextlib.suppress(ScenarioError):  # a short name unknown on this machine
         kind = registry.target("agent", spec.kind)
     for each in classes_in([kind, spec.params, spec.defaults]):
         path = _path(each, Path(spec.folder))
@@ -39,7 +39,7 @@ def fingerprint(spec: AgentSpec) -> dict[str, str]:
 
 
 def difference(here: Mapping[str, str], there: Mapping[str, str]) -> str:
-    """How the code of another machine differs from that of this one; empty: not at all."""
+    """Difference of another machine's code from this machine's, in words; empty if equal."""
     words = []
     for name in sorted({*here, *there}):
         ours, theirs = here.get(name), there.get(name)
@@ -51,12 +51,12 @@ def difference(here: Mapping[str, str], there: Mapping[str, str]) -> str:
 
 
 def _path(kind: str, folder: Path) -> Path | None:
-    """The file of a class; that of a module is found without importing it."""
+    """The file of a class; a module is located without importing it."""
     module = kind.partition(":")[0]
     if is_file_kind(kind):
         return registry.file_of(kind, folder)
     if module.startswith("vcmvsp."):
-        return None  # the version says it
+        return None  # compared by version
     with contextlib.suppress(ImportError, ValueError):
         spec = importlib.util.find_spec(module)
         return Path(spec.origin) if spec is not None and spec.origin else None
@@ -64,7 +64,7 @@ def _path(kind: str, folder: Path) -> Path | None:
 
 
 def _sources(path: Path) -> dict[str, str]:
-    """The file and what it imports from beside it, transitively; of an installed package the package alone."""
+    """The file and the files beside it that it imports, transitively; in an installed package, of that package only."""
     root = path.parent
     while (root / "__init__.py").is_file():
         root = root.parent
@@ -83,7 +83,7 @@ def _sources(path: Path) -> dict[str, str]:
 
 
 def _imported(content: bytes, file: Path, root: Path) -> Iterator[Path]:
-    """The source files below ``root`` that a file imports, packages on the way included."""
+    """The source files below ``root`` that a file imports, with the ``__init__.py`` of enclosing packages."""
     try:
         tree = ast.parse(content)
     except (SyntaxError, ValueError, RecursionError):
@@ -102,7 +102,7 @@ def _imported(content: bytes, file: Path, root: Path) -> Iterator[Path]:
 
 
 def _files(folder: Path, names: Sequence[str], root: Path) -> Iterator[Path]:
-    """The source of the module of these names in a folder, and of the packages that it lies in."""
+    """The source files of a module in a folder, and of its enclosing packages."""
     for count in range(len(names) + 1):
         module = folder.joinpath(*names[:count])
         for file in (module.parent / f"{module.name}.py", module / "__init__.py"):
