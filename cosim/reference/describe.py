@@ -1,7 +1,6 @@
-"""What the code says of the keys of one class: types, units, ranges, defaults, meanings, in the words of the reference.
+"""Description of the keys of one class, from the code: types, units, ranges, defaults, meanings.
 
-Types, ranges and defaults are those of its signature (`cosim.config.binding`), meanings those of its docstrings and comments
-(`cosim.reference.describe`).
+Types, ranges and defaults come from the signature (`cosim.config.binding`), meanings from docstrings and comments.
 """
 
 import ast
@@ -26,13 +25,13 @@ from vcmvsp.cosim.scenario.loader import Repeat
 
 
 def meanings(target: Callable[..., object], *, joined: bool = False) -> Mapping[str, str]:
-    """The meaning of each parameter of a class or function that has one, without a final period; those of base classes first.
+    """Documented meanings of the parameters of a class or function, without final period; base classes first.
 
     ::
 
         exponent: NonNegative = 3.0  # 2 in free space, about 3 among obstacles
 
-    With ``joined``, what a class says of a parameter comes after what its base has said, instead of in its place.
+    With ``joined``, a class's text of a parameter follows that of its base instead of replacing it.
     """
     found: dict[str, str] = {}
     for base in reversed(getattr(target, "__mro__", (target,))):
@@ -45,12 +44,12 @@ def meanings(target: Callable[..., object], *, joined: bool = False) -> Mapping[
 
 
 def summary(target: object) -> str:
-    """The first line of its docstring."""
+    """The first line of a class's or function's docstring."""
     return (inspect.getdoc(target) or "").partition("\n")[0]
 
 
 def _comments(target: type[Any]) -> dict[str, str]:
-    """The comments of fields: those in the lines of the field, after those that fill the lines above it."""
+    """Comments of a class's fields: comment lines above the field, then comments in its own lines."""
     source = textwrap.dedent(inspect.getsource(target))
     lines = source.splitlines()
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
@@ -67,7 +66,7 @@ def _comments(target: type[Any]) -> dict[str, str]:
 
 
 def _arguments(docstring: str) -> dict[str, str]:
-    """The entries of ``Args``: ``name: words`` or ``one, other: words``, and what is indented below."""
+    """Entries of a docstring's ``Args``: ``name: words`` or ``one, other: words``, with indented continuation lines."""
     section = re.search(r"^Args:\n(.*?)(?=^\S|\Z)", inspect.cleandoc(docstring), re.DOTALL | re.MULTILINE)
     if section is None:
         return {}
@@ -76,16 +75,16 @@ def _arguments(docstring: str) -> dict[str, str]:
 
 
 Described = Callable[..., object]
-"""A class with parameters, or the function that stands for a kind."""
+"""A class with parameters, or the function of a kind."""
 
-REST = ("defaults", "params", "doors", "channel", "router", "programs")  # what is no key of the table itself
-"""Parameters that hold what is no key of the table itself."""
+REST = ("defaults", "params", "doors", "channel", "router", "programs")
+"""Parameters that are not keys of the table itself."""
 
 OFFERED = ("sightline", "noise_dbm", "world", "outside")
 """Parameters that come from the rest of the scenario (`cosim.assembly.radio`, `cosim.assembly.run`), not from a key."""
 
 OFFERED_TO = {"physics": ("vehicles",), "hardware": ("start", "now", "vehicle", "folder")}
-"""The same, of what is physics' or what a station builds (`cosim.assembly.real_vehicles`)."""
+"""Further such parameters of classes in `physics`, and in `hardware`, where stations give them."""
 
 _UNITS = {
     "_per_s": "1/s",
@@ -155,7 +154,7 @@ EXTRA_DOCS: Mapping[str, Mapping[str, str]] = {
 
 
 def keys(target: Described, common: type | None = None) -> dict[str, binding.Parameter]:
-    """The parameters that a scenario can give, but for those that are as in a common base class."""
+    """Parameters that a scenario can give, except those inherited unchanged from a common base class."""
     known = keys(common) if common is not None and common in getattr(target, "__mro__", ()) else {}
     offered = {*OFFERED, *OFFERED_TO.get(target.__module__.removeprefix("vcmvsp.").partition(".")[0], ())}
     own = {name: each for name, each in binding.parameters(target).items() if name not in offered}
@@ -163,20 +162,20 @@ def keys(target: Described, common: type | None = None) -> dict[str, binding.Par
 
 
 def common_of(classes: Iterable[type]) -> type:
-    """The base class that most of these have."""
+    """The most frequent base class of these classes."""
     bases = [base for each in classes for base in each.__mro__[1:] if "__annotations__" in vars(base)]
     ((common, _),) = Counter(bases).most_common(1)
     return common
 
 
 def about(target: Described) -> str:
-    """What a class is, in a line, without the name of its kind."""
+    """One-line description of a class, without the name of its kind."""
     return markdown(re.sub(r" \(kind ``[^`]*``\)", "", summary(target)))
 
 
 @functools.cache
 def first_meanings(target: Described) -> dict[str, str]:
-    """What the first of its base classes that speaks of a parameter says; what others add is of their own default."""
+    """Meaning of each parameter in its topmost documenting base class; subclasses only document their own default."""
     found: dict[str, str] = {}
     for base in reversed(getattr(target, "__mro__", (target,))):
         found = {**meanings(base), **found}
@@ -184,7 +183,7 @@ def first_meanings(target: Described) -> dict[str, str]:
 
 
 def said(parameter: binding.Parameter, words: str) -> tuple[str, str]:
-    """What a key means and, where its default is None, what holds without it: ``how long; None: for ever``."""
+    """Split ``how long; None: for ever`` into the meaning and, if the default is None, the effect without the key."""
     if parameter.default is not None:
         return words.rstrip("; "), ""
     meaning, _, without = re.sub(r"\b(None|default): ", "\0", words).partition("\0")
@@ -192,7 +191,7 @@ def said(parameter: binding.Parameter, words: str) -> tuple[str, str]:
 
 
 def type_of(name: str, annotation: object) -> str:
-    """Unit, by the end of the name, and what values are allowed."""
+    """Unit, from the end of the name, and allowed values."""
     unit = unit_of(name)
     words = re.sub(r">= (\S+) and <= (\S+)", r"\1 to \2", binding.describe(annotation))
     listed = "list of tables" if typing.get_origin(annotation) is tuple else "table"
@@ -202,12 +201,12 @@ def type_of(name: str, annotation: object) -> str:
 
 
 def unit_of(name: str) -> str:
-    """The unit of a key, by the end of its name; empty: it has none, or its meaning says it."""
+    """The unit of a key, from the end of its name; empty if it has none or its meaning states it."""
     return next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
 
 
 def default_of(parameter: binding.Parameter, without: str) -> str:
-    """``required``, the default as TOML or, where that is None, what then holds; of a table what is unlike its own defaults."""
+    """``required``, the default as TOML or, if None, its effect; of a table only values that differ from its own defaults."""
     if parameter.required:
         return "required"
     value = changed(parameter.default)
@@ -215,7 +214,7 @@ def default_of(parameter: binding.Parameter, without: str) -> str:
 
 
 def changed(value: object) -> object:
-    """A default; of a table what is unlike the table's own defaults."""
+    """A default; of a table only values that differ from its own defaults."""
     if isinstance(value, msgspec.Struct):
         known = binding.parameters(type(value))
         return {name: own for name in known if (own := getattr(value, name)) != known[name].default}
@@ -223,7 +222,7 @@ def changed(value: object) -> object:
 
 
 def toml(value: object) -> str:
-    """A value as it can be written in a scenario."""
+    """A value in TOML."""
     if isinstance(value, float):
         return _short(Decimal(repr(value)).normalize().to_eng_string() if abs(value) >= 1e5 else repr(value))
     if isinstance(value, dict):
@@ -234,12 +233,12 @@ def toml(value: object) -> str:
 
 
 def markdown(text: str) -> str:
-    """Text of a docstring: code has single quotes there."""
+    """Markdown of a docstring: code in single backquotes."""
     return text.replace("``", "`")
 
 
 def _short(numbers: str) -> str:
-    """Numbers without what their exponents need not have: 1e+09 is 1e9; and whole numbers without the largest that there is."""
+    """Shorten numbers in a text: 1e+09 becomes 1e9, the range of whole numbers loses its upper end."""
     return re.sub(r"(?<=\d)[eE]\+?(-?)0*(?=\d)", r"e\1", numbers).replace("0 to 9.22337e18", ">= 0")
 
 
@@ -247,24 +246,24 @@ class Key(msgspec.Struct, frozen=True, kw_only=True):
     """One key of a table."""
 
     name: str
-    type: str  # unit and allowed values in words: "s, 0 to 1e9"
-    unit: str  # "s", "m", ...; empty: it has none, or `meaning` says it
-    schema: dict[str, Any]  # JSON Schema of its values; empty: the code says no more than `type`
+    type: str  # unit and allowed values: "s, 0 to 1e9"
+    unit: str  # "s", "m", ...; empty: none, or stated in `meaning`
+    schema: dict[str, Any]  # JSON Schema of its values; empty: only `type` is known
     required: bool
-    default: object  # None: there is none
-    without: str  # what holds without it, where it has no default: "no limit"
+    default: object  # None: no default
+    without: str  # effect of leaving it out, if it has no default: "no limit"
     meaning: str
 
 
 def table_keys(target: Described, common: type | None = None) -> Mapping[str, binding.Parameter]:
-    """The parameters that are keys of a table."""
-    ours = target.__module__ in (schema.__name__, Repeat.__module__)  # nothing else offers what these name
+    """Parameters of a class that are keys of a table."""
+    ours = target.__module__ in (schema.__name__, Repeat.__module__)  # these classes have no offered parameters
     known = binding.parameters(target) if ours else keys(target, common)
     return {name: each for name, each in known.items() if name not in REST}
 
 
 def keys_of(target: Described, common: type | None = None) -> Iterator[tuple[Key, binding.Parameter]]:
-    """The keys of a class and its parameters, in its order."""
+    """Keys of a class with their parameters, in order of definition."""
     means = {**first_meanings(target), **EXTRA_DOCS.get(target.__name__, {})}
     for name, parameter in table_keys(target, common).items():
         meaning, without = said(parameter, means.get(name, ""))
@@ -282,13 +281,13 @@ def keys_of(target: Described, common: type | None = None) -> Iterator[tuple[Key
 
 
 def schema_of(annotation: object) -> dict[str, Any]:
-    """JSON Schema of the values; tables have sections of their own."""
+    """JSON Schema of the values of an annotation; tables have their own sections."""
     if binding.structs(annotation):
         return {"type": "array" if typing.get_origin(annotation) is tuple else "object"}
     try:
         text = msgspec.json.encode(msgspec.json.schema(annotation))
-    except TypeError:  # what only Python objects meet
+    except TypeError:  # an annotation for Python objects only
         return {}
-    found: dict[str, Any] = msgspec.json.decode(text.replace(rb"\\A", b"^").replace(rb"\\Z", b"$"))  # as ECMAScript has it
+    found: dict[str, Any] = msgspec.json.decode(text.replace(rb"\\A", b"^").replace(rb"\\Z", b"$"))  # ECMAScript syntax
     choices = [each for each in found.get("anyOf", []) if each != {"type": "null"}]  # TOML has no null
     return choices[0] if len(choices) == 1 else found

@@ -1,7 +1,7 @@
-"""JSON Schema (draft 2020-12) of a scenario, from the same text, units and ranges as the reference.
+"""JSON Schema (draft 2020-12) of a scenario, with the texts, units and ranges of the reference.
 
-A table with a ``kind`` has the keys of that kind (``if``, ``then``); of a class of your own (``module:Class``) any. Where the
-kind is left out, as that of one table may stand in another, keys are checked by their types alone.
+A table with a ``kind`` has the keys of that kind (``if``, ``then``); with a user class (``module:Class``) any key. Without a
+kind, which another table may give, only the types of keys are checked.
 """
 
 import types
@@ -19,13 +19,13 @@ from vcmvsp.cosim.reference.tree import NOT_SHARED, VEHICLE, Place, extra_keys, 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 AGENTS = ("agents", f"{VEHICLE}.agent")
 OPEN = (*AGENTS, VEHICLE)
-"""Tables whose kind may stand in another table: without it, they may have any key."""
+"""Tables whose kind may be given in another table: without a kind they may have any key."""
 
 Schema = dict[str, Any]
 
 
 def scenario_schema() -> Schema:
-    """The schema of a whole scenario, as it stands in a TOML file."""
+    """The schema of a whole scenario in a TOML file."""
     tables = _Tables()
     root: Schema = {"$schema": DRAFT, "title": "VCMVSP scenario", **tables.of_place(places()[0])}
     for place in places()[1:]:
@@ -41,7 +41,7 @@ def scenario_schema() -> Schema:
 
 
 def _inside(schema: Schema, step: str) -> Schema:
-    """The schema of a table in a table; a step in capitals stands for names of one's own."""
+    """The schema of a table inside a table; a step in capitals stands for any name."""
     found: Schema = (
         schema["items" if step == "NAME" else "additionalProperties"] if step.isupper() else schema["properties"][step]
     )
@@ -49,7 +49,7 @@ def _inside(schema: Schema, step: str) -> Schema:
 
 
 def _put(schema: Schema, step: str, table: Schema) -> None:
-    """Say more of a table of which the schema says only that it is one."""
+    """Replace the placeholder of a table in a schema by its full schema."""
     if step == "NAME":
         schema["items"] = table
     elif step.isupper():
@@ -60,22 +60,22 @@ def _put(schema: Schema, step: str, table: Schema) -> None:
 
 
 class _Tables:
-    """Schemas of tables; those within others are definitions, each once."""
+    """Schemas of tables; nested tables are shared definitions."""
 
     def __init__(self) -> None:
         self.definitions: dict[str, Schema] = {}
 
     def of_place(self, place: Place) -> Schema:
-        """The table of a place: keys that count whatever its kind, and those of each kind."""
+        """The schema of a place: keys of all kinds, and the keys of each kind."""
         table = self._object(place.own())
         table["properties"] |= {key.name: _described(key, key.schema) for key in extra_keys(place)}
         if place.path == VEHICLE:
             table["required"].remove("count")
             table["dependentRequired"] = {name: ["count"] for name in ("columns", "spacing")}
         if place.path == "bridge":
-            table["additionalProperties"] = {"type": "object"}  # gateways by names of one's own
+            table["additionalProperties"] = {"type": "object"}  # gateways by any name
         group = "agent" if place.path in AGENTS else place.group
-        if place.path.startswith("bridge."):  # with a kind, the name of the table is but a name
+        if place.path.startswith("bridge."):  # with a kind, the table's name is arbitrary
             return {"type": "object", "if": {"not": {"required": ["kind"]}}, "then": {**table, "additionalProperties": False}}
         if not group:
             return table if "additionalProperties" in table else {**table, "additionalProperties": False}
@@ -91,7 +91,7 @@ class _Tables:
         return {**table, "allOf": branches, **rest}
 
     def _kind(self, group: str, kind: str, *, is_whole: bool) -> str:
-        """The name of the definition of a kind's keys; ``is_whole``: none of them may stand in another table."""
+        """Define the keys of a kind and return the definition's name; ``is_whole``: no other table may give its keys."""
         name = f"{group}.{kind}"
         found = self.definitions[name] = self._object([registry.find(group, kind)])
         if not is_whole:
@@ -99,7 +99,7 @@ class _Tables:
         return name
 
     def _object(self, targets: Iterable[Described]) -> Schema:
-        """The keys of some classes, as those of one table."""
+        """The schema of one table with the keys of several classes."""
         found: Schema = {"type": "object", "properties": {}}
         required = []
         for target in targets:
@@ -109,7 +109,7 @@ class _Tables:
         return {**found, "required": required} if required else found
 
     def _values(self, annotation: object) -> Schema:
-        """The values of a key."""
+        """The schema of an annotation's values."""
         if not binding.structs(annotation):
             return describe.schema_of(annotation)
         origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
@@ -123,7 +123,7 @@ class _Tables:
         return self._reference(annotation) if isinstance(annotation, type) else self._values(inner[0])
 
     def _choice(self, annotation: object) -> Schema:
-        """One of several: a table says by its kind that it is meant."""
+        """The schema of one alternative; a table must give its kind."""
         tag = next((each.__struct_config__.tag_field for each in binding.structs(annotation)), None)
         return self._values(annotation) | ({"required": [tag]} if tag else {})
 
@@ -140,7 +140,7 @@ class _Tables:
 
 
 def _described(key: Key, values: Schema) -> Schema:
-    """The schema of a key's values, with what it means, its unit, and its default."""
+    """The schema of a key's values, with meaning, unit and default."""
     words = key.meaning + (f"; default: {key.without}" if key.without else "")
     about = {"description": words, "unit": key.unit, "default": key.default}
     return {**values, **{name: value for name, value in about.items() if value not in ("", None)}}

@@ -1,8 +1,8 @@
-"""What is generated from the reference of keys: ``python -m vcmvsp.cosim.reference.markdown --write`` brings it up to date.
+"""Generate pages from the reference of keys: ``python -m vcmvsp.cosim.reference.markdown --write`` updates them.
 
-Between two comments of ``scenarios/README.md`` stand tables of what the code says of keys (`cosim.reference.describe`).
-``reference_keys.tsv`` has the keys that ``--set`` can give, for completion, which has no time to look through the code: a line
-for each, with its path (NAME and SENSOR for names of one's own) and values that it may have, divided by tabs.
+``scenarios/README.md`` has tables of keys (`cosim.reference.describe`) between two comments. ``reference_keys.tsv`` lists the
+keys of ``--set`` for fast completion: a line each, with path (NAME and SENSOR stand for any name) and values, separated by
+tabs.
 """
 
 import argparse
@@ -50,10 +50,10 @@ VEHICLES: Mapping[str, Sequence[Sequence[str]]] = {
     "Vehicles that fly": [["quadrotor"], ["point"]],
     "Vehicles of your own, from URDF": [["urdf"], ["urdf-quadrotor"]],
 }
-"""Kinds of vehicles that stand in one table, by the headings over them."""
+"""Kinds of vehicles that share a table, by heading."""
 
 ABSENT = "–"  # this kind takes no such key
-RANGE_BYTES = 100  # of the frames by which the range of a preset is meant
+RANGE_BYTES = 100  # size of the frames that define the range of a preset
 
 
 def updated(page: str) -> str:
@@ -68,7 +68,7 @@ def updated(page: str) -> str:
 
 
 def main(arguments: Sequence[str] | None = None, page: Path = PAGE, index: Path = INDEX) -> None:
-    """Bring page and index up to date, or say what is not."""
+    """Update page and index, or report which one is out of date."""
     about = "The reference of keys, from the code."
     parser = argparse.ArgumentParser(prog="python -m vcmvsp.cosim.reference.markdown", description=about)
     parser.add_argument("--write", action="store_true", help="update the files instead of checking them")
@@ -83,12 +83,12 @@ def main(arguments: Sequence[str] | None = None, page: Path = PAGE, index: Path 
 
 
 def physics() -> str:
-    """What both kinds of physics take."""
+    """Parameters of both kinds of physics."""
     return parameter_table({"bullet, kinematic": registry.find("physics", "bullet")})
 
 
 def vehicles() -> str:
-    """Tables of parameters under headings."""
+    """Parameters of vehicles: tables under headings."""
     parts = []
     for heading, tables in VEHICLES.items():
         parts.append(f"#### {heading}")
@@ -99,7 +99,7 @@ def vehicles() -> str:
 
 
 def families(group: str) -> str:
-    """What the kinds of a group have in common, then each kind and those that it comes from, then the tables that they hold."""
+    """Common parameters of a group's kinds, then each kind and its bases, then the tables they hold."""
     classes = {kind: registry.find(group, kind) for kind in builtin_kinds.KINDS[group]}
     common = common_of(classes.values())
     alike: dict[type, dict[str, type]] = {}
@@ -111,7 +111,7 @@ def families(group: str) -> str:
 
 
 def radio() -> str:
-    """Layers, presets, and a table of parameters for each layer."""
+    """Radio: layers, presets, and a table of parameters for each layer."""
     parts = [_layers(), _presets()]
     for layer in LAYERS:
         classes = {kind: registry.find(layer, kind) for kind in builtin_kinds.KINDS[layer]}
@@ -125,24 +125,24 @@ def agents(*names: str) -> str:
 
 
 def apart(group: str) -> str:
-    """The kinds of a group that have little in common: a table each, and the tables that they hold."""
+    """Kinds of a group with little in common: a table each, and the tables they hold."""
     classes = {kind: registry.find(group, kind) for kind in builtin_kinds.KINDS[group]}
     return "\n\n".join([*(kinds({kind: each}) for kind, each in classes.items()), *lists(classes.values())])
 
 
 def only(classes: Sequence[type]) -> str:
-    """The parameters of a class that is the only one of its table, and the tables that it holds."""
+    """Parameters of the only class of a table, and the tables it holds."""
     (target,) = classes
     return "\n\n".join([parameter_table({"default": target}), *lists([target])])
 
 
 def team() -> str:
-    """The tables that agents of a team hold."""
+    """Tables that agents of a team hold."""
     return "\n\n".join(lists([registry.find("agent", "leader_follower")]))
 
 
 def metrics() -> str:
-    """What each number of ``metrics.json`` is."""
+    """Meaning of each number in ``metrics.json``."""
     rows = []
     for name, metric in METRICS.items():
         words = f"{metric.meaning}. {metric.details}" if metric.details else metric.meaning
@@ -181,7 +181,7 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
 
 
 def _layers() -> str:
-    """What each layer is about: the first words of the module that defines its first kind."""
+    """Description of each layer: the first words of the module of its first kind."""
     rows = []
     for layer in LAYERS:
         kinds_of = builtin_kinds.KINDS[layer]
@@ -191,7 +191,7 @@ def _layers() -> str:
 
 
 def _presets() -> str:
-    """What each preset sets beyond the defaults of its kinds, and how far it reaches."""
+    """Keys that each preset sets beyond the defaults of its kinds, and its range."""
     tables = {name: preset(name) for name in PRESETS}
     first = tables[PRESETS[0]]
     alike = [layer for layer in LAYERS if all(each[layer] == first[layer] for each in tables.values())]
@@ -233,7 +233,7 @@ def reach_m(tables: Mapping[str, Mapping[str, Any]]) -> float:
     if errors is not None:
         ratios_db = np.arange(-20.0, 40.0, 1e-3)
         snr_db = max(snr_db, ratios_db[np.argmax(errors.frame_success(ratios_db, RANGE_BYTES) >= 0.5)])
-    sensitivity_dbm = -math.inf if mac["kind"] == "csma154" else phy.sensitivity_dbm  # there it is no threshold
+    sensitivity_dbm = -math.inf if mac["kind"] == "csma154" else phy.sensitivity_dbm  # not a reception threshold there
     margin_db = phy.tx_power_dbm - law["reference_loss_db"] - max(sensitivity_dbm, noise_dbm + snr_db)
     return float(law["reference_distance_m"] * 10.0 ** (margin_db / (10.0 * law["exponent"])))
 
@@ -244,27 +244,27 @@ def _complete(layer: str, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, 
 
 
 def params(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The keys of a table but for its kind."""
+    """The keys of a table except its kind."""
     return {name: value for name, value in content.items() if name != "kind"}
 
 
 def kinds(classes: Mapping[str, Described], common: type | None = None) -> str:
-    """What each kind is, and the parameters of them all, but for those that are as in a common class."""
+    """Description of each kind, and the parameters of all, except those inherited unchanged from a common class."""
     lines = [f"- `{kind}`: {about(each)}" for kind, each in classes.items()]
     with_keys = {kind: each for kind, each in classes.items() if keys(each, common)}
     return "\n".join(lines) + (f"\n\n{parameter_table(with_keys, common)}" if with_keys else "")
 
 
 def lists(classes: Iterable[Described]) -> list[str]:
-    """For each parameter that is a table or a list of tables, the keys of such a table; those within tables too."""
-    holders: dict[type[msgspec.Struct], dict[str, str]] = {}  # kind of table -> how the keys that hold it are spoken of
+    """Keys of the tables that parameters hold, alone or in lists, nested tables included."""
+    holders: dict[type[msgspec.Struct], dict[str, str]] = {}  # table type -> names of the keys that hold it
     for each in (waiting := list(classes)):
         for name, parameter in keys(each).items():
             for item in binding.structs(parameter.annotation):
                 waiting += [] if item in holders else [item]
                 listed = typing.get_origin(parameter.annotation) is tuple
                 holders.setdefault(item, {})[name] = f"each of the `{name}`" if listed else f"`{name}`"
-    columns: dict[str, dict[str, type]] = {}  # of each table: what it is of, and the kinds that it may be
+    columns: dict[str, dict[str, type]] = {}  # per table: its title, and its possible kinds
     for item, spoken in holders.items():
         config = item.__struct_config__
         by, column = (f", by `{config.tag_field}`", str(config.tag)) if config.tag_field else ("", item.__name__.lower())
@@ -273,7 +273,7 @@ def lists(classes: Iterable[Described]) -> list[str]:
 
 
 def parameter_table(columns: Mapping[str, Described], common: type | None = None) -> str:
-    """Key, type, default for each class, meaning; a key that means different things has several rows."""
+    """Table of key, type, default in each class, and meaning; a key with several meanings has several rows."""
     rows: dict[tuple[str, str, str], dict[str, str]] = {}
     for column, target in columns.items():
         means = first_meanings(target)
@@ -296,7 +296,7 @@ def grid(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 @functools.cache
 def index_text() -> str:
-    """The index as it should be."""
+    """The up-to-date content of the index."""
     found: dict[str, dict[str, None]] = {}
     for path, values in _entries():
         found.setdefault(path, {}).update(dict.fromkeys(values))
@@ -316,7 +316,7 @@ def _entries() -> Iterator[tuple[str, list[str]]]:
 
 
 def _paths(path: str, key: str) -> list[str]:
-    """The tables in which a key of this table may stand: agents and vehicles have theirs, and defaults for all."""
+    """Paths of the tables that may have a key of this table: agents and vehicles also have shared defaults."""
     first, _, rest = path.partition(".")
     if first == "agents":
         return [path, _join(f"{VEHICLE}.agent", rest)]
@@ -326,12 +326,12 @@ def _paths(path: str, key: str) -> list[str]:
 
 
 def _is_set(section: Section) -> bool:
-    """Whether ``--set`` reaches it: it is no table of a list, nor within one, as the solid of an obstacle is."""
+    """Whether ``--set`` reaches a section: it is neither in a list of tables nor nested in one, as an obstacle's solid is."""
     return not any(each.listed and f"{section.path}.".startswith(f"{each.path}.") for each in whole().sections)
 
 
 def _values(key: Key) -> list[str]:
-    """Values that can be completed: the choice that there is, or the default."""
+    """Completion values of a key: its choices, or its default."""
     choice: list[Any] = key.schema.get("enum", [True, False] if key.schema.get("type") == "boolean" else [])
     words = [each if isinstance(each, str) else toml(each) for each in choice]
     if not words and isinstance(key.default, str | float | int):

@@ -1,7 +1,7 @@
-"""Every key of a scenario, table by table, from the code: what ``vcmvsp reference`` prints and completion completes.
+"""The tree of all scenario keys, table by table, from the code: for ``vcmvsp reference`` and completion.
 
-A `Place` is somewhere in a scenario where a table may stand. Places are known without loading anything; the `Section`s of a
-place are what the code says of it: one for the keys that count whatever its ``kind``, and one for each kind.
+A `Place` is a position in a scenario where a table may stand. Places are known without loading anything. A place has one
+`Section` for the keys of all kinds, and one for each kind.
 """
 
 import difflib
@@ -23,7 +23,7 @@ from vcmvsp.cosim.scenario.loader import Repeat
 from vcmvsp.cosim.scenario.schema import AgentTable, SafetyTable, Scenario, VehicleTable
 
 SCHEMA = "vcmvsp.reference/1"
-OF_ALL = ("world", "sensor")  # groups whose kinds have much in common: it is said once
+OF_ALL = ("world", "sensor")  # groups whose common keys are listed once
 VEHICLE = "vehicle.NAME"
 NOT_SHARED = (
     "name",
@@ -43,65 +43,65 @@ class Section(msgspec.Struct, frozen=True, kw_only=True):
     """The keys of a table, whatever its kind or of one kind."""
 
     path: str  # of the table, as in --set PATH.KEY=VALUE; NAME and SENSOR stand for names of your own; empty: the top
-    kind: str  # its `kind` where these are keys of that kind alone; empty: of all
+    kind: str  # the only `kind` with these keys; empty: all kinds
     listed: bool  # a list of such tables, [[...]] or [{ ... }, ...], none of which --set reaches
     about: str
     keys: tuple[Key, ...]
 
 
 class Reference(msgspec.Struct, frozen=True, kw_only=True):
-    """What ``vcmvsp reference --json`` prints."""
+    """Output of ``vcmvsp reference --json``."""
 
     schema: str = SCHEMA
     sections: tuple[Section, ...]
 
 
 class Place(typing.NamedTuple):
-    """Somewhere in a scenario where a table may stand."""
+    """A position in a scenario where a table may stand."""
 
     path: str
-    group: str = ""  # of its kinds; empty: it has none
-    own: Callable[[], Sequence[type]] = tuple  # what has the keys that count whatever its kind
+    group: str = ""  # of its kinds; empty: no kinds
+    own: Callable[[], Sequence[type]] = tuple  # classes of the keys that all kinds have
 
     @property
     def steps(self) -> tuple[str, ...]:
-        """Its path without names of one's own."""
+        """Steps of the path without user-chosen names."""
         return steps_of(self.path)
 
     @property
     def name(self) -> str:
-        """The same in one word: ``vehicle.agent``."""
+        """The steps joined by dots: ``vehicle.agent``."""
         return ".".join(self.steps)
 
     @property
     def kinds(self) -> Sequence[str]:
-        """The kinds that it may be of."""
+        """The possible kinds of the table."""
         return [*builtin_kinds.KINDS[self.group]] if self.group else []
 
 
 def radio() -> Sequence[type]:
-    """The class that ``[radio]`` describes, but for its layers."""
+    """The class of ``[radio]`` without its layers."""
     from vcmvsp.cosim.assembly.parts.radio import RadioFederate
 
     return [RadioFederate]
 
 
 def vehicle_radio() -> Sequence[type]:
-    """The class that ``[vehicle.radio]`` describes."""
+    """The class of ``[vehicle.radio]``."""
     from vcmvsp.cosim.assembly.parts.radio import Radio
 
     return [Radio]
 
 
 def positioning() -> Sequence[type]:
-    """The class that ``[vehicle.positioning]`` describes."""
+    """The class of ``[vehicle.positioning]``."""
     from vcmvsp.cosim.assembly.parts.vehicles import Positioning
 
     return [Positioning]
 
 
 def fusion() -> Sequence[type]:
-    """The class that ``[vehicle.fusion]`` describes."""
+    """The class of ``[vehicle.fusion]``."""
     from vcmvsp.cosim.estimation.fusion import Fusion
 
     return [Fusion]
@@ -117,7 +117,7 @@ def _door(kind: str) -> Callable[[], Sequence[type]]:
 
 @functools.cache
 def places() -> Sequence[Place]:
-    """All places, in the order in which they are shown."""
+    """All places, in display order."""
     layers = [Place(f"radio.{each}", each) for each in LAYERS]
     known = {
         "physics": [Place("physics", "physics")],
@@ -146,17 +146,17 @@ def places() -> Sequence[Place]:
 
 
 def _is_table(name: str) -> bool:
-    """Whether a key of a scenario is one table, neither a list of them nor one of several kinds."""
+    """Whether a key of a scenario is a single table without kinds."""
     return len(_field(name)()) == 1 and _field(name)()[0] is binding.parameters(Scenario)[name].annotation
 
 
 def steps_of(path: str) -> tuple[str, ...]:
-    """A path without names of one's own."""
+    """Steps of a path without user-chosen names."""
     return tuple(each for each in path.split(".") if each and not each.isupper())
 
 
 def of_place(place: Place) -> Iterator[Section]:
-    """What the code says of a place: what all kinds have, each kind, and the tables within."""
+    """Sections of a place: keys of all kinds, of each kind, and of nested tables."""
     classes = {kind: registry.find(place.group, kind) for kind in place.kinds}
     own, common = list(place.own()), None
     if place.group in OF_ALL:
@@ -179,7 +179,7 @@ def of_place(place: Place) -> Iterator[Section]:
 
 
 def _within(path: str, targets: Sequence[Described], seen: set[tuple[str, Described]]) -> Iterator[Section]:
-    """The tables that these hold, and those within them, each once."""
+    """Sections of the tables that these classes hold, recursively, each once."""
     for target in targets:
         for name, parameter in table_keys(target).items():
             below = f"{path}.{name}" if path else name
@@ -196,12 +196,12 @@ def _within(path: str, targets: Sequence[Described], seen: set[tuple[str, Descri
 
 
 def _about(target: Described) -> str:
-    """What a class is, without where it stands."""
+    """One-line description of a class, without its table's name."""
     return re.sub(r"^(An? )?`\[+\w+\]+`[:;.] ?", "", describe.about(target))
 
 
 def extra_keys(place: Place) -> Iterator[Key]:
-    """The keys that are no parameters of anything: a radio's preset, which fills its layers."""
+    """Keys that are not parameters of a class: a radio's preset, which fills its layers."""
     if place.path == "radio":
         yield Key(
             name="preset",
@@ -217,18 +217,18 @@ def extra_keys(place: Place) -> Iterator[Key]:
 
 @functools.cache
 def whole() -> Reference:
-    """All of it."""
+    """The whole reference."""
     return Reference(sections=tuple(each for place in places() for each in of_place(place)))
 
 
 def asked(section: str = "") -> Iterator[Section]:
-    """The sections that a name stands for, as they are found out; all of them, if it is empty.
+    """The sections that a name stands for, one by one; all sections if it is empty.
 
-    ``radio`` is that table and all within it, ``radio.loss.bernoulli`` one kind, ``radio.loss.probability`` one key; the
-    beginning may be left out, as in ``loss`` or ``leader_follower``.
+    ``radio`` is that table with all nested ones, ``radio.loss.bernoulli`` one kind, ``radio.loss.probability`` one key. The
+    first steps may be left out, as in ``loss`` or ``leader_follower``.
 
     Raises:
-        UsageError: there is nothing of that name; the nearest one is told.
+        UsageError: the name is unknown; the message names the nearest one.
     """
     if not section:
         return (each for place in places() for each in of_place(place))
@@ -240,7 +240,7 @@ def asked(section: str = "") -> Iterator[Section]:
 
 
 def _spellings(wanted: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
-    """A path as it is, and without the names of a vehicle and of a sensor that messages have in it: ``vehicle.car1.driver``."""
+    """Variants of a path: as given, and without the vehicle and sensor names of messages, as in ``vehicle.car1.driver``."""
     yield wanted
     if wanted[0] == "vehicle" and len(wanted) > 2 and wanted[1] not in binding.parameters(VehicleTable):
         wanted = (wanted[0], *wanted[2:])
@@ -252,7 +252,7 @@ def _spellings(wanted: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 
 
 def _found(wanted: tuple[str, ...]) -> list[Section]:
-    """The sections, or parts of them, that a path without names of one's own stands for."""
+    """Sections, or parts of sections, for a path without user-chosen names."""
     top, *others = places()
     named = [(place, 0) for place in others if _overlap(place.steps, wanted)]
     within = [(place, cut) for place in others for cut in range(1, len(place.steps)) if _overlap(place.steps[cut:], wanted)]
@@ -274,7 +274,7 @@ def _overlap(some: tuple[str, ...], others: tuple[str, ...]) -> bool:
 
 
 def _part(section: Section, name: tuple[str, ...], place: Place, wanted: tuple[str, ...]) -> Section | None:
-    """Of a section of this name what is wanted: all of it, one key, or nothing."""
+    """The wanted part of a section with this name: the whole section, one key, or None."""
     kinds = [section.kind] if section.kind else place.kinds if section.path == place.path else []
     if (name and name[: len(wanted)] == wanted) or wanted in [(*name, kind) for kind in kinds]:
         return section
@@ -284,7 +284,7 @@ def _part(section: Section, name: tuple[str, ...], place: Place, wanted: tuple[s
 
 
 def _called(section: Section, wanted: tuple[str, ...]) -> list[Section]:
-    """What is wanted, if a table within a table or a key has that name: ``formation``, ``probability``."""
+    """The wanted part of a section if a nested table or a key has that name: ``formation``, ``probability``."""
     steps = steps_of(section.path)
     place = Place(section.path)
     parts = (_part(section, steps[cut:], place, wanted) for cut in range(1, len(steps) + 1))
@@ -292,7 +292,7 @@ def _called(section: Section, wanted: tuple[str, ...]) -> list[Section]:
 
 
 def _nearest(section: str, wanted: tuple[str, ...]) -> str:
-    """What there is instead: the keys and kinds of the last table that it names, or all tables."""
+    """Message for an unknown name: keys and kinds of the last table that it names, or all tables."""
     begun = [place for place in places() if place.steps and wanted[: len(place.steps)] == place.steps]
     if begun:
         place = max(begun, key=lambda each: len(each.steps))
@@ -306,16 +306,16 @@ def _nearest(section: str, wanted: tuple[str, ...]) -> str:
     return binding.unknown("section", section, {*binding.parameters(Scenario), *(place.name for place in others), *near})
 
 
-NARROWEST = 30  # columns for a meaning; where there are fewer, it stands below its key
+NARROWEST = 30  # columns for a meaning; with fewer, it is printed below its key
 Style = Callable[[str], str]
 
 
 def lines(section: Section, width: int | None = None, strong: Style = str) -> Iterator[str]:
-    """The lines of a section.
+    """Text lines of a section.
 
     Args:
-        width: of the window; None: there is none, and nothing is wrapped.
-        strong: what makes a word stand out.
+        width: columns of the window; None: no wrapping.
+        strong: highlights a word.
     """
     head = heading(section)
     yield from _wrapped(f"{strong(head)}: ", len(head) + 2, section.about, width, hanging=4)
@@ -328,18 +328,18 @@ def lines(section: Section, width: int | None = None, strong: Style = str) -> It
 
 
 def heading(section: Section) -> str:
-    """Where the keys stand, as ``--set`` names it, and of which kind they are."""
+    """Heading of a section: path for ``--set``, and kind."""
     where = f"[[{section.path}]]" if section.listed else section.path or "scenario"
     return f'{where}, kind = "{section.kind}"' if section.kind else where
 
 
 def default_of(key: Key) -> str:
-    """``required``, a value as TOML says it, or what holds without one."""
+    """``required``, the default as TOML, or the effect without the key."""
     return "required" if key.required else key.without or "none" if key.default is None else toml(key.default)
 
 
 def _wrapped(begun: str, size: int, words: str, width: int | None, *, hanging: int) -> Iterator[str]:
-    """A line that has begun, with ``size`` columns on the screen, and words that end it or go on below."""
+    """Wrap words after the beginning of a line, which takes ``size`` columns on the screen."""
     if width is None:
         yield f"{begun}{words}".rstrip()
     elif width - size < NARROWEST:

@@ -1,6 +1,6 @@
-"""``vcmvsp.run``: a scenario in, a `Result` out. What the command line does, notebooks and studies do through here.
+"""``vcmvsp.run``: runs a scenario and returns a `Result`, for the command line, notebooks and studies.
 
-A run, from its first event to its files: kernel, recording, interruption, and what is known of the machine.
+Covers a run from its first event to its files: kernel, recording, interruption, and facts about the machine.
 """
 
 import contextlib
@@ -46,10 +46,10 @@ if TYPE_CHECKING:
 
 
 class SlowAgents:
-    """A thread beside the run that looks at what its thread does; it changes nothing of it.
+    """A thread that watches the run's thread and reports agents that compute for too long.
 
     Args:
-        deadline_s: longer than this an agent may not compute without a word.
+        deadline_s: wall time after which a computing agent is reported.
     """
 
     def __init__(self, now_ns: Callable[[], int], deadline_s: float, tell: Tell) -> None:
@@ -67,7 +67,7 @@ class SlowAgents:
     def _watch(self) -> None:
         tick, since, told = ("", -1), time.monotonic(), False
         while not self._over.wait(min(self._deadline_s / 4, 1.0)):
-            who, where = computing(sys._current_frames().get(self._run))  # noqa: SLF001  the only way to another thread's
+            who, where = computing(sys._current_frames().get(self._run))  # noqa: SLF001  the only access to another thread's frame
             if (who, self._now_ns()) != tick:
                 tick, since, told = (who, self._now_ns()), time.monotonic(), False
             elif who and not told and (for_s := time.monotonic() - since) > self._deadline_s:
@@ -76,7 +76,7 @@ class SlowAgents:
 
 
 def computing(frame: FrameType | None) -> tuple[str, str]:
-    """Which agent computes in a thread, and where it is, both in words; empty: none does."""
+    """The agent that computes in a thread and its code location, in words; empty if none does."""
     where = "" if frame is None else f"{Path(frame.f_code.co_filename).name} line {frame.f_lineno}, in {frame.f_code.co_name}"
     who = ""
     while frame is not None:
@@ -90,18 +90,18 @@ def computing(frame: FrameType | None) -> tuple[str, str]:
 Progress = Callable[[int, int], None]
 ABOUT_SCHEMA = "vcmvsp.about/1"
 DELIVERIES = "bridge.parquet"
-"""What was delivered to programs outside, and how late: on the wall clock, so that it is no part of what a repetition gives."""
+"""Table of deliveries to external programs and their wall-clock lateness, which a repetition does not reproduce."""
 
 
 class Simulation:
     """One run: kernel and recording, from the first event to the files.
 
     Args:
-        folder: takes the files; None: they stay in memory.
+        folder: receives the files; None: they stay in memory.
         progress: called with (now, end) in ns before every instant.
-        observe: called with every event, behind the recording.
-        view: shows the run, and lets its user intervene.
-        speed: of the view at first, simulated seconds per second.
+        observe: called with every event, after the recording.
+        view: shows the run and accepts interventions.
+        speed: initial speed of the view, simulated seconds per wall second.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class Simulation:
         topics, live = run.hosts.topics, self._live
         onlookers = (topics.on if topics else None, observe, live.on if live else None)
         self._observers = [each for each in onlookers if each is not None]
-        self._resolved = run.resolved()  # before the run: what is wrong with it must not cost the run
+        self._resolved = run.resolved()  # before the run: an error here must not discard a finished run
         info = msgspec.structs.replace(run.info, paced=self._clock.speed is not None)
         strict = run.scenario.clock.late == "stop"
         self._kernel = Kernel(info, run.federates, clock=self._clock, tolerance_ns=self._tolerance_ns(), strict=strict)
@@ -130,7 +130,7 @@ class Simulation:
         self._recorder: Recorder | None = None
 
     def run(self) -> VcmvspError | None:
-        """Run to the end; what goes wrong once the run has begun is returned, so that the recording can be kept."""
+        """Run to the end; returns an error after the start, so that the recording can be kept."""
         kernel = self._kernel
         self._run.start(kernel)
         try:
@@ -148,9 +148,9 @@ class Simulation:
 
     @contextlib.contextmanager
     def calm(self) -> Iterator[None]:
-        """Let Ctrl-C strike only where it breaks nothing: while waiting, or between two slots. A second one strikes at once.
+        """Delay Ctrl-C to a safe point: a wait, or the end of a slot. A second Ctrl-C acts at once.
 
-        When the run is over, the first one says that files are written, and what a second one leaves.
+        After the run, the first Ctrl-C only reports that files are written, and what a second one would leave.
         """
         kernel, saved = self._kernel, {}
 
@@ -161,9 +161,9 @@ class Simulation:
             if self._over:
                 self._tell(f"the run is over, its files are written; Ctrl-C once more stops that: {self._left()}")
 
-        if threading.current_thread() is threading.main_thread():  # elsewhere signals do not arrive
+        if threading.current_thread() is threading.main_thread():  # other threads receive no signals
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-                if signal.getsignal(number) is signal.default_int_handler:  # else somebody has plans of their own
+                if signal.getsignal(number) is signal.default_int_handler:  # else the caller has its own handler
                     saved[number] = signal.signal(number, on_signal)
         try:
             yield
@@ -176,7 +176,7 @@ class Simulation:
                 signal.signal(number, handler)
 
     def _left(self) -> str:
-        """What stays of a run whose files are not all written."""
+        """What remains of a run whose files are not all written, in words."""
         return "nothing is kept" if self._folder is None else f"run.mcap in {self._folder.path} is whole"
 
     def _go(self, recorder: Recorder) -> VcmvspError | None:
@@ -203,13 +203,13 @@ class Simulation:
         return failure
 
     def _stop(self) -> None:
-        """End the run as Ctrl-C does: while it waits, at once, for where time stands still it would wait for ever."""
+        """End the run like Ctrl-C; at once while it waits, since a paused run would never reach the next slot."""
         if self._kernel.waiting:
             raise KeyboardInterrupt
         self._kernel.stop = True
 
     def _on_instant(self) -> Callable[[int], None] | None:
-        """What is told of each instant before it begins: who shows how far the run is, and who listens to those who look on."""
+        """Callback before each instant: progress display and live view."""
         progress, live, end_ns = self._progress, self._live, self._run.info.duration_ns
         if live is None:
             return None if progress is None else lambda now: progress(now, end_ns)
@@ -222,7 +222,7 @@ class Simulation:
         return both
 
     def _observer(self, recorder: Recorder) -> Observer:
-        """The recording, and behind it all others that look on."""
+        """Passes each event to the recording, then to the other observers."""
         others = self._observers
         if not others:
             return recorder.on
@@ -249,13 +249,13 @@ class Simulation:
             yield self._recorder
 
     def _new_file(self, stack: contextlib.ExitStack, path: Path) -> BinaryIO:
-        """A file that is open until the stack closes it; one that is there already is replaced only where the user says so."""
+        """A new file, closed by the stack; an existing one is replaced only with ``force``."""
         if self._folder and self._folder.force:
-            path.unlink(missing_ok=True)  # what was a link is none
+            path.unlink(missing_ok=True)  # a link is not followed
         return stack.enter_context(path.open("xb"))
 
     def _write_scenario(self, folder: Path) -> None:
-        """Write the scenario and its files, for those who look at the recording of a run that goes on, or was killed."""
+        """Write the scenario and its files, for readers of an unfinished or killed run's recording."""
         write_whole(folder / "scenario.toml", tomli_w.dumps(self._resolved))
         for name, content in self._run.files.items():
             write_whole(folder / name, content)
@@ -265,10 +265,10 @@ class Simulation:
         run, recorder = self._run, self._recorder
         if recorder is None:
             raise failure or VcmvspError("the run did not begin")
-        resolved = run.resolved() if run.operator.done else self._resolved  # with what was done live
+        resolved = run.resolved() if run.operator.done else self._resolved  # with live interventions
         metrics = finite(recorder.metrics(window=(resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))))
         files = dict(run.files)
-        if kept := run.inputs.content:  # in memory alone
+        if kept := run.inputs.content:  # kept in memory
             files[FILE] = kept
         if run.bridge is not None:
             table = io.BytesIO()
@@ -281,7 +281,7 @@ class Simulation:
         return result
 
     def _about(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> dict[str, Any]:
-        """``about.json``: what differs between two equal runs."""
+        """Content of ``about.json``: facts that differ between two equal runs."""
         run = self._run
         return {
             "schema": ABOUT_SCHEMA,
@@ -302,19 +302,19 @@ class Simulation:
         }
 
     def _tolerance_ns(self) -> int | None:
-        """How late an instant may begin on the wall clock; None: there is no such clock."""
+        """Tolerated lateness of an instant on the wall clock, or None without a wall clock."""
         if self._clock.speed is None:
             return None
         wanted = self._run.scenario.clock.tolerance_s
         return seconds_to_ns(self._period_s() if wanted is None else wanted)
 
     def _period_s(self) -> float:
-        """Of the quickest agent, on the wall clock."""
+        """Wall-clock period of the fastest agent."""
         periods = [float(info.ticks.period) / SECOND_NS for info in self._run.agents]
         return min(periods, default=0.1) / (self._clock.speed or 1.0)
 
     def _lateness(self) -> dict[str, Any] | None:
-        """How late instants began at which agents act, at wall pace."""
+        """Statistics of the lateness of agents' instants on the wall clock."""
         if self._clock.speed is None or not self._kernel.late_ns:
             return None
         late_s = np.maximum(self._kernel.late_ns, 0) / 1e9
@@ -368,35 +368,36 @@ def run(
     """Run a scenario to its end.
 
     Args:
-        scenario: a built-in name, the path of a TOML file, its content as a mapping, or one that is loaded.
-        seed: instead of the scenario's.
+        scenario: a built-in name, the path of a TOML file, its content as a mapping, or a loaded scenario.
+        seed: replaces the scenario's.
         set: key path -> value, e.g. ``{"radio.loss.probability": 0.3}``.
         agents: agents as objects, by vehicle; or where all agents run: ``"inprocess"``, ``"process"`` or ``"zenoh"``.
-        listen: endpoint for hosts that are started by hand, instead of ``agents.listen``.
+        listen: endpoint for manually started hosts, overriding ``agents.listen``.
         keys: folder of certificates (``vcmvsp keys init``), for hosts on other machines.
-        insecure: let hosts on other machines come without certificates.
+        insecure: admit hosts on other machines without certificates.
         realtime: simulated seconds per wall-clock second, above 0; None: as fast as possible, or 1 with real vehicles.
-        playback: folder of a run whose real vehicles do again what they did then; they are not driven.
-        recorded_radio: ``radio.parquet`` of a run whose frames fare again as they did then, see `netsim.channel.replayed`.
-        out: folder to write into; the recording then grows on disk while the run goes on.
-        numbered: where ``out`` exists already, take ``out-2``, ``out-3``, ...: ``result.folder`` says which it was.
+        playback: folder of a run whose recorded real vehicles replace the robots, which are not driven.
+        recorded_radio: ``radio.parquet`` of a run whose frame outcomes are repeated, see `netsim.channel.replayed`.
+        out: folder to write into; the recording is then written during the run.
+        numbered: if ``out`` exists, use ``out-2``, ``out-3``, ...; ``result.folder`` is the one used.
         force: write into a folder that is not empty.
-        mcap: without it, nothing but tables and metrics is kept, in memory, which takes two thirds of the time.
+        mcap: make a recording; without it only tables and metrics are kept, in memory, which takes two thirds of the time.
         progress: called with (now, end) in ns before every instant.
-        tell: takes lines for the user.
-        observe: called with every event at its own time, behind the recording. What it does changes nothing of the run.
-        view: shows the run while it goes on, and lets its user intervene (`cosim.view.live.session.Viewing`). The run then
-            keeps to the wall clock, at speed 1 unless ``realtime`` says otherwise, until the user there changes it.
-        watch: asked while hosts are waited for; an answer is why there is no use in it. None: the user starts them, told how.
+        tell: receives lines for the user.
+        observe: called with every event at its own time, after the recording; it cannot change the run.
+        view: shows the run live and accepts interventions (`cosim.view.live.session.Viewing`). The run then keeps to the wall
+            clock, at speed ``realtime`` or 1 until the user changes it.
+        watch: called while waiting for hosts; returns a reason to give up, or None. Default: the user is told how to start
+            the hosts.
 
     Raises:
         ScenarioError: the scenario cannot be run as it is.
-        FederateError: a part or an agent failed; ``error.result`` is the `Result` up to then.
-        Interrupted: Ctrl-C; ``error.result`` likewise.
-        UsageError: an argument is none of those, or there is a run in ``out`` already.
+        FederateError: a part or an agent failed; ``error.result`` is the `Result` so far.
+        Interrupted: Ctrl-C; ``error.result`` is the `Result` so far.
+        UsageError: an argument is invalid, or ``out`` already holds a run.
     """
     objects, runs = (None, agents) if agents is None or isinstance(agents, str) else (agents, None)
-    if runs is not None and runs not in (*get_args(Runs), "encoded"):  # the last as `assemble` has it, for who tests the wire
+    if runs is not None and runs not in (*get_args(Runs), "encoded"):  # "encoded": for tests of the wire encoding
         raise UsageError(f"agents: must be {binding.describe(Runs)}, not {runs!r}")
     folder = None if out is None else Folder(Path(out), force=force, numbered=numbered)
     if folder and not mcap:
@@ -439,9 +440,9 @@ def run(
 
 
 def check(scenario: str | Path | Mapping[str, Any], *, set: Mapping[str, Any] | None = None) -> dict[str, Any]:  # noqa: A002
-    """Build and start everything, run nothing, and give the resolved scenario.
+    """Check a scenario: builds and starts all parts, runs nothing, returns the resolved scenario.
 
-    Agents are built in this process, wherever the scenario runs them.
+    All agents are built in this process.
 
     Raises:
         ScenarioError: the scenario cannot be run as it is.
@@ -455,9 +456,9 @@ def check(scenario: str | Path | Mapping[str, Any], *, set: Mapping[str, Any] | 
 
 
 def plot(run_dir: Path, out: Path, *, svg: bool = False, tell: Tell = lambda _: None, trust: bool = False) -> list[Path]:
-    """Draw the figures of a run that was saved, or cut, into the folder ``out``, as PNG or SVG; which files it wrote.
+    """Draw the figures of a saved or interrupted run into the folder ``out``, as PNG or SVG; returns the files.
 
-    With ``trust`` the class of its world is imported, if that is not built in.
+    With ``trust`` the class of its world is imported even if it is not built in.
     """
     from vcmvsp.cosim.plots import style
 

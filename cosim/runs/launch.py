@@ -1,4 +1,4 @@
-"""A run here with its hosts on other machines, which are started through ssh and ended with the run (``vcmvsp launch``)."""
+"""Run a scenario with hosts on other machines, started through ssh and ended with the run (``vcmvsp launch``)."""
 
 import contextlib
 import functools
@@ -30,8 +30,8 @@ from vcmvsp.cosim.util.text import Tell
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
 
-LEAVE_S, ABORT_S = 3.0, 0.5  # for hosts to leave by themselves after a run that went well, and after another
-END_S = ssh_hosts.KILL_S + 3.0  # for hosts to be ended
+LEAVE_S, ABORT_S = 3.0, 0.5  # for hosts to leave by themselves after a successful run, and after a failed one
+END_S = ssh_hosts.KILL_S + 3.0  # to end the hosts
 
 
 def launch(
@@ -46,23 +46,23 @@ def launch(
     tell: Tell = lambda _: None,
     **options: Any,
 ) -> api.Result:
-    """Run a scenario here, and its agents in hosts that are started for it; they are gone when this returns or raises.
+    """Run a scenario, with its agents in hosts started for the run and ended before this returns or raises.
 
-    Every agent is to have a host, except those whose own table in the scenario says where they run (``agent.runs``), and which
-    no host names. What hosts say is kept in ``hosts/NAME.log`` beside the results.
+    Every agent needs a host, except unlisted ones whose own table in the scenario gives ``agent.runs``. The output of hosts is
+    kept in ``hosts/NAME.log`` beside the results.
 
     Args:
         scenario: as of `vcmvsp.run`.
-        hosts: file that says which hosts there are (`cosim.hosts.ssh_hosts`).
+        hosts: file with the list of hosts (`cosim.hosts.ssh_hosts`).
         seed, set, keys, insecure: as of `vcmvsp.run`.
-        listen: where the run listens; default: the scenario's ``agents.listen`` or, without one, where the hosts dial.
-        tell: takes lines for the user, also what hosts say.
-        options: others of `vcmvsp.run`.
+        listen: endpoint of the run; default: the scenario's ``agents.listen`` or, without one, the hosts' ``connect``.
+        tell: receives lines for the user, including the hosts' output.
+        options: further arguments of `vcmvsp.run`.
 
     Raises:
         ScenarioError: the scenario or the file cannot be used as it is.
-        UsageError: something is missing, such as ssh or a certificate.
-        FederateError: a host ended too early, or whatever else `vcmvsp.run` raises.
+        UsageError: ssh, a certificate or the like is missing.
+        FederateError: a host ended too early. Further errors as of `vcmvsp.run`.
     """
     path, folder = Path(hosts), None if keys is None else Path(keys)
     listed = ssh_hosts.read(path)
@@ -101,26 +101,26 @@ def launch(
 
 
 class Plan(msgspec.Struct, frozen=True):
-    """A host that is ready to be started."""
+    """A host that is ready to start."""
 
     table: HostTable
     command: list[str]
-    makes_script: Callable[..., str]  # `cosim.hosts.ssh_hosts.script`, but for the secret
-    shares: str = ""  # endpoint of a run without certificates, whose secret the host is sent
+    makes_script: Callable[..., str]  # `cosim.hosts.ssh_hosts.script` without the secret
+    shares: str = ""  # endpoint of a run without certificates, whose secret is sent to the host
 
     def script(self) -> str:
-        """What the host's machine is to do; asked for when the run listens."""
+        """Script for the host's machine; called once the run listens."""
         secret = endpoints.found(self.shares) if self.shares else None
         return self.makes_script(secret=secret or "")
 
 
 class Fleet:
-    """The hosts of a run. They are started when it first waits for them, so that they find it."""
+    """The hosts of a run, started when the run first waits for them and can be reached."""
 
     def __init__(self, plans: Sequence[Plan], folder: Path, tell: Tell) -> None:
         self._plans, self._folder, self._tell = plans, folder, tell
         self._stack = contextlib.ExitStack()
-        self._logs = {plan.table.called: tempfile.TemporaryFile() for plan in plans}  # noqa: SIM115  the stack closes them
+        self._logs = {plan.table.called: tempfile.TemporaryFile() for plan in plans}  # noqa: SIM115  closed by the stack
         for log in self._logs.values():
             self._stack.enter_context(log)
         self._started: list[ssh_hosts.Far] = []
@@ -132,7 +132,7 @@ class Fleet:
         self._stack.close()
 
     def watch(self) -> str | None:
-        """Which host will never join, and why; called while the run waits."""
+        """Reason why a host will never join, or None; called while the run waits."""
         for plan in self._plans[len(self._started) :]:
             name = plan.table.called
             hear = functools.partial(self._hear, name)
@@ -143,7 +143,7 @@ class Fleet:
         return None
 
     def end(self, patience_s: float) -> None:
-        """End them all; for so long they may leave by themselves."""
+        """End all hosts, after ``patience_s`` to leave by themselves."""
         self._remaining(patience_s)
         for far in self._started:
             far.release()
@@ -151,7 +151,7 @@ class Fleet:
             far.kill()
 
     def save(self, folder: Path) -> None:
-        """Keep what they said, a file for each."""
+        """Write the hosts' output, a file for each."""
         with writing(folder):
             folder.mkdir(exist_ok=True)
             for name, log in self._logs.items():
@@ -176,7 +176,7 @@ def _why(host: HostTable, code: int, last: Sequence[str]) -> str:
 
 
 def _placing(path: Path, listed: HostsTable, parsed: Scenario) -> dict[str, Any]:
-    """The settings by which the run waits for these hosts; whoever is waited for in vain is an error."""
+    """Settings that make the run wait for these hosts; an agent that no host runs is an error."""
     agents = {each.name: each.agent for each in parsed.vehicle}
     named = [vehicle for host in listed.host for vehicle in host.vehicles]
     for vehicle in named:
@@ -192,7 +192,7 @@ def _placing(path: Path, listed: HostsTable, parsed: Scenario) -> dict[str, Any]
 
 
 def _listening(agents: AgentsTable, listed: HostsTable) -> str:
-    """Where the run listens if nobody has said it: what the scenario says or, if it says nothing, where the hosts dial."""
+    """Default endpoint of the run: the scenario's ``agents.listen`` or, without one, the hosts' ``connect``."""
     return listed.connect if listed.connect and agents.listen == AgentsTable().listen else agents.listen
 
 
@@ -206,7 +206,7 @@ def _plan(
     insecure: bool,
     tell: Tell,
 ) -> list[Plan]:
-    """The hosts as they are to be started; certificates that are to be sent are made where there are none yet."""
+    """Plans of all hosts; issues missing certificates that are to be sent."""
     keys = None
     if folder is not None:
         from vcmvsp.cosim.security import certificates
@@ -243,7 +243,7 @@ def _dialled(path: Path, host: HostTable, connect: str | None, listen: str) -> s
         return with_slash(connect)
     protocol, _, rest = listen.partition("/")
     name, _, port = rest.rpartition(":")
-    everywhere = {"0.0.0.0": "127.0.0.1", "[::]": "localhost"}  # noqa: S104  told apart here, not listened on
+    everywhere = {"0.0.0.0": "127.0.0.1", "[::]": "localhost"}  # noqa: S104  compared, not listened on
     if not host.ssh:
         return f"{protocol}/{everywhere.get(name, name)}:{port}"
     if name in everywhere or is_loopback(name.strip("[]")):
@@ -253,7 +253,7 @@ def _dialled(path: Path, host: HostTable, connect: str | None, listen: str) -> s
 
 
 def _check_dialling(what: str, host: HostTable, connect: str, listen: str, keys: "Keys | None", *, insecure: bool) -> None:
-    """Raise `UsageError` if this host could not join so."""
+    """Raise `UsageError` if this host could not join: wrong protocol, or keys missing or superfluous."""
     protocol, used = connect.partition("/")[0], bool(host.keys or host.copy)
     if protocol != listen.partition("/")[0]:
         raise UsageError(f"{what} dials {connect}, but the run listens at {listen}")
@@ -265,7 +265,7 @@ def _check_dialling(what: str, host: HostTable, connect: str, listen: str, keys:
 
 
 def _bundle(keys: "Keys", host: HostTable, tell: Tell) -> str:
-    """The content of a host's file of keys, which is made if its name has none yet."""
+    """Content of a host's key bundle, issued if it does not exist."""
     from vcmvsp.cosim.security import authority, certificates
 
     path = keys.folder / f"{host.called}{certificates.SUFFIX}"

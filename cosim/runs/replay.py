@@ -1,9 +1,9 @@
-"""A recorded run again, in logical time and as fast as possible: unchanged it is the same run, to the byte.
+"""Replay a recorded run, in logical time and as fast as possible; unchanged it gives the same bytes.
 
-Real vehicles do what they did: their poses, estimates and readings come from the recording, whatever they are commanded now.
-Algorithms run anew, simulated vehicles move anew. So what an algorithm would have done with what it saw can be found out with
-one thing changed; what a robot would have done instead cannot, unless its simulated twin takes its place. Agents whose host
-was lost then are there now, and those of a host that ran other code run this machine's: `comparison` says so.
+Poses, estimates and readings of real vehicles come from the recording, independent of new commands. Algorithms and simulated
+vehicles run anew. A replay shows what a changed algorithm would have done with the recorded observations, but not what the
+robot would have done then, unless its simulated twin replaces it. Agents of lost hosts take part again, and agents of hosts
+with other code run this machine's code: `comparison` reports both.
 """
 
 import contextlib
@@ -33,15 +33,15 @@ def replay(
     force: bool = False,
     **options: Any,
 ) -> api.Result:
-    """Run again what a run has left.
+    """Replay a recorded run from its folder.
 
     Args:
-        seed: instead of the run's.
-        set: keys of its scenario that are changed, as for `vcmvsp.run`.
+        seed: replaces the run's.
+        set: changed keys of its scenario, as for `vcmvsp.run`.
         agents: agents as objects, or where all run.
-        twin: simulated vehicles of the same kinds take the place of the real ones.
-        radio: ``"drawn"``: chance and the models say anew what becomes of each frame, with the same seed the same as long as
-            nothing that counts was changed; ``"recorded"``: frames fare as they did, see `netsim.channel.replayed`.
+        twin: simulated vehicles of the same kinds replace the real ones.
+        radio: ``"drawn"``: frame outcomes are drawn again from the models, equal for the same seed and unchanged inputs;
+            ``"recorded"``: frame outcomes are repeated, see `netsim.channel.replayed`.
         out: folder to write into.
         force: write into a folder that is not empty.
         options: further arguments of `vcmvsp.run`.
@@ -69,7 +69,7 @@ def replay(
         raise UsageError(f"{what}: replay with simulated ones instead (--twin)" if real and not twin else what)
     return api.run(
         loaded,
-        agents=agents,  # type: ignore[arg-type]  # it says itself what is wrong with them
+        agents=agents,  # type: ignore[arg-type]  # `run` checks them
         out=out,
         force=force,
         playback=folder if outside else None,
@@ -79,7 +79,7 @@ def replay(
 
 
 def comparison(run_dir: str | Path, result: api.Result) -> tuple[bool, str]:
-    """Compare an unchanged replay with its run: whether nothing speaks against their being the same, and that in a line."""
+    """Compare an unchanged replay with its run: whether no difference was found, and a line that says so."""
     before, about = (_content(Path(run_dir) / name) for name in ("metrics.json", "about.json"))
     if "digest" not in before or about.get("error"):
         return True, f"not compared: {run_dir} did not come to its end"
@@ -92,7 +92,7 @@ def comparison(run_dir: str | Path, result: api.Result) -> tuple[bool, str]:
 
 
 def beside(run_dir: Path) -> Path:
-    """Where a replay goes unless somebody says otherwise: ``NAME-replay`` beside the run ``NAME``."""
+    """Default folder of a replay: ``NAME-replay`` beside the run ``NAME``."""
     folder = run_dir.resolve()
     return (
         run_dir.parent / f"{run_dir.name}-replay"
@@ -102,7 +102,7 @@ def beside(run_dir: Path) -> Path:
 
 
 def _content(path: Path) -> dict[str, Any]:
-    """A JSON file that a run has left; empty: it is not there, or damaged."""
+    """Content of a run's JSON file; empty if it is missing or damaged."""
     with contextlib.suppress(OSError, ValueError):
         found: dict[str, Any] = read_json(limits.read_bytes(path), dict[str, Any])
         return found
@@ -110,7 +110,7 @@ def _content(path: Path) -> dict[str, Any]:
 
 
 def check(folder: Path, out: str | Path | None, radio: str) -> None:
-    """Refuse a folder that lacks what a replay needs, and to write into it."""
+    """Reject a folder that lacks files for the replay, and the folder itself as output."""
     if not (folder / "scenario.toml").is_file():
         problem = "there is no such folder" if not folder.is_dir() else "has no scenario.toml"
         raise UsageError(f"{folder}: {problem}; name the folder that a run left (runs/NAME-SEED, or its --out)")

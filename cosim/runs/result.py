@@ -1,4 +1,4 @@
-"""What a run gave, in memory and as files."""
+"""Result of a run, in memory and as files."""
 
 import contextlib
 import io
@@ -36,13 +36,13 @@ DRAWN = ("sender", "receiver", "outcome", "sent_ns", "received_ns", *routing.COL
 
 
 class Result:
-    """What a run gave.
+    """The result of a run.
 
     Attributes:
-        metrics: the numbers, as in ``metrics.json`` (schema ``vcmvsp.metrics/1``).
-        about: host, versions and wall times; the only part that differs between two equal runs.
+        metrics: content of ``metrics.json`` (schema ``vcmvsp.metrics/1``).
+        about: host, versions and wall times: the only part that differs between two equal runs.
         scenario: the resolved scenario as TOML; running it gives the same result again.
-        folder: where it was written, if it was.
+        folder: of its files; None: not written.
     """
 
     folder: Path | None = None
@@ -69,22 +69,22 @@ class Result:
 
     @property
     def states(self) -> "pa.Table":
-        """True states, a row per vehicle and recorded instant."""
+        """True states: a row per vehicle and recorded instant."""
         return self._recorder.states
 
     @property
     def radio(self) -> "pa.Table":
-        """Frames, a row per frame and receiver."""
+        """Radio frames: a row per frame and receiver."""
         return self._recorder.radio
 
     @property
     def files(self) -> Mapping[str, bytes]:
-        """Files that the run depends on, as they were used, by the name under which they are kept beside the scenario."""
+        """Content of the files that the run used, by their name beside the scenario."""
         return self._files
 
     @property
     def follows(self) -> Sequence[Placement]:
-        """Who meant to keep which place, and from when on."""
+        """Formation slots announced by vehicles, with start times."""
         return self._recorder.follows
 
     def plot(self) -> "dict[str, Figure]":
@@ -97,7 +97,7 @@ class Result:
         return figures | mission_figures(shown, recorder.states, self._world)
 
     def _shown(self) -> MissionLog | None:
-        """What agents showed, if they did, and it was recorded."""
+        """Mission data that agents published, or None if there is none or no recording."""
         facts = self._recorder.facts
         if "mission" not in self.metrics or (self._mcap is None and self.folder is None):
             return None
@@ -107,7 +107,7 @@ class Result:
         return mission_log(self.folder, facts)
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
-        """Write everything that a run leaves into a folder."""
+        """Write all files of the run into a folder."""
         if self._mcap is None and self.folder is None:
             raise UsageError("a run with mcap = False cannot be saved: it has no recording")
         with writing(Path(folder)):
@@ -125,7 +125,7 @@ class Result:
         return path
 
     def write(self, folder: Path) -> None:
-        """Everything but the MCAP file, which is written as the run goes on."""
+        """Write all files except the MCAP file, which is written during the run."""
         from vcmvsp.cosim.plots import style
         from vcmvsp.cosim.report import run_page as report
 
@@ -146,14 +146,14 @@ class Result:
 
 
 def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = False) -> "dict[str, Figure]":
-    """The figures of a run that was saved, or cut, by name, from its tables (`tables_of`) and its recording.
+    """The figures of a saved or interrupted run, by name, from its tables (`tables_of`) and recording.
 
     Args:
-        tell: takes a line about a cut recording.
-        trust: import the class of its world, if that is not built in.
+        tell: receives a line about an incomplete recording.
+        trust: import the class of its world even if it is not built in.
 
     Raises:
-        UsageError: they are not there, or cannot be read.
+        UsageError: tables or recording are missing or unreadable.
     """
     scenario = run_dir / "scenario.toml"
     try:
@@ -164,7 +164,7 @@ def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = F
     from vcmvsp.cosim.assembly.recorded_world import world_in
 
     world: Any = None
-    with contextlib.suppress(VcmvspError), only(None if trust else NO_CODE):  # a world that is lost is not drawn
+    with contextlib.suppress(VcmvspError), only(None if trust else NO_CODE):  # a world that cannot be built is not drawn
         world = world_in(run_dir, *loader.load(scenario))
     seen: Sequence[Array] = () if world is None else worlds.outlines(world)
     within = window.get("from_s", 0.0), window.get("to_s")
@@ -187,14 +187,14 @@ def figures_of(
 
 
 def mission_log(folder: Path, facts: RunFacts) -> MissionLog | None:
-    """What agents showed in a run that was saved, if its recording is still there."""
+    """Mission data that agents published in a saved run, or None without its recording."""
     with contextlib.suppress(OSError), (folder / "run.mcap").open("rb") as stream:
         return read_mission(stream, facts.vehicles, facts.end_ns)
     return None
 
 
 def mission_figures(shown: MissionLog | None, states: "pa.Table", world: Any) -> "dict[str, Figure]":
-    """The figures of a reconnaissance, by name: ``mission``, and ``mosaic`` and ``detections`` where agents showed such."""
+    """Figures of a reconnaissance mission, by name: ``mission``, and ``mosaic`` and ``detections`` if agents published them."""
     if not shown:
         return {}
     from vcmvsp.cosim.plots import mission_plot
@@ -209,7 +209,7 @@ def mission_figures(shown: MissionLog | None, states: "pa.Table", world: Any) ->
 
 
 def mission_video(path: Path, shown: MissionLog | None, states: "pa.Table", world: Any) -> None:
-    """Write the film of a reconnaissance, if there was one."""
+    """Write the video of a reconnaissance mission, if there was one."""
     if shown:
         from vcmvsp.cosim.plots.mission_video import write_video
 

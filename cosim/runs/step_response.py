@@ -1,4 +1,4 @@
-"""Step responses: one vehicle of a scenario gets one command at 0 and holds it."""
+"""Step response of one vehicle of a scenario to a constant command."""
 
 import math
 from collections.abc import Mapping
@@ -22,31 +22,31 @@ from vcmvsp.cosim.scenario.schema import AgentsTable
 from vcmvsp.cosim.types import Array, States, Velocity, Waypoint
 
 SCHEMA = "vcmvsp.drive/1"
-STEP_S = 0.05  # from row to row, where steps of physics allow it
+STEP_S = 0.05  # between rows, if the physics step allows it
 ARRIVED_M = 0.1
 LARGEST = 1e6  # m, m/s, rad, rad/s
-NEAR = 0.9  # rise time: to this part of the final speed
+NEAR = 0.9  # rise time: until this fraction of the final speed
 _VELOCITY = ("v", "vx", "vy", "vz", "w")
 _WAYPOINT = ("x", "y", "z", "yaw", "speed")
 
 
 class Constant(Agent):
-    """Gives one command for ever."""
+    """Agent with a constant command."""
 
     def __init__(self, command: Velocity | Waypoint, period_s: float) -> None:
         self._command, self.period, self.sensors = command, period_s, ()
 
     def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint:
-        """The command."""
+        """The constant command."""
         return self._command
 
 
 def command_of(text: str, heading: float, *, flies: bool) -> Velocity | Waypoint:
-    """``v=0.3,w=0.5`` (forward, yaw rate), ``vx=1,vy=0,vz=0.2,w=0`` (vehicles that fly), or ``x=1,y=2,z=3,yaw=0,speed=1``.
+    """Parse ``v=0.3,w=0.5`` (forward, yaw rate), ``vx=1,vy=0,vz=0.2,w=0`` (aerial) or ``x=1,y=2,z=3,yaw=0,speed=1``.
 
     Args:
         heading: of the vehicle at the start, rad.
-        flies: whether velocities are in the world frame: ``v`` is then along the heading.
+        flies: whether velocities are in the world frame; ``v`` is then along the heading.
     """
     values = _numbers(text)
     if not flies and (others := {*values} - {"v", "w"}):
@@ -87,14 +87,14 @@ def _numbers(text: str) -> dict[str, float]:
 def drive(
     what: str | Path | Mapping[str, Any], vehicle: str, command: str, seconds: float, settings: dict[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Let one vehicle obey one command, while all others stand still.
+    """Simulate the response of one vehicle to one command; all others stand still.
 
     Args:
         command: see `command_of`.
         settings: changed keys of the scenario.
 
     Returns:
-        What became of it (schema ``vcmvsp.drive/1``): columns over time and the figures of its response, SI units.
+        The response (schema ``vcmvsp.drive/1``): columns over time and characteristic values, SI units.
     """
     parsed, source = scenarios.load(what, settings={**(settings or {}), "duration_s": seconds})
     if parsed.real:
@@ -133,13 +133,13 @@ def drive(
 
 
 class _Seen:
-    """Keeps what is published of one vehicle."""
+    """Collects the published events of one vehicle."""
 
     def __init__(self, vehicle: str, *, flies: bool) -> None:
         self._vehicle, self._flies, self._rows, self._contacts = vehicle, flies, dict[int, list[float]](), 0
 
     def on(self, event: Event) -> None:
-        """Take an event."""
+        """Observe an event."""
         if isinstance(event.value, States):
             row, states = event.value.names.index(self._vehicle), event.value
             _, qx, qy, _ = attitude = states.attitude[row].tolist()
@@ -155,7 +155,7 @@ class _Seen:
             self._contacts += 1
 
     def figures(self, command: Velocity | Waypoint) -> dict[str, Any]:
-        """Columns and figures."""
+        """Columns over time and characteristic values."""
         time_s = np.array(sorted(self._rows)) / SECOND_NS
         rows = np.array([self._rows[each] for each in sorted(self._rows)])
         x, y, z, yaw, vx, vy, vz, w, tilt = rows.T
@@ -183,7 +183,7 @@ class _Seen:
         if isinstance(command, Velocity):
             (lx, ly, lz), rate = command.linear, command.yaw_rate
             along, wanted = v, lx
-            if self._flies:  # velocities are in the world frame: along the one that was commanded
+            if self._flies:  # velocities in the world frame: component along the commanded one
                 wanted = math.hypot(lx, ly)
                 along = (vx * lx + vy * ly) / wanted if wanted else np.hypot(vx, vy)
             figures["v"] = _response(time_s, along, wanted)
@@ -194,7 +194,7 @@ class _Seen:
             away = np.sqrt(sum((now - to) ** 2 for now, to in zip((x, y, z), command.position, strict=True)))
             figures["final_error_m"] = float(away[-1])
             inside = np.nonzero(away > ARRIVED_M)[0]
-            first = inside[-1] + 1 if len(inside) else 0  # from then on it is there
+            first = inside[-1] + 1 if len(inside) else 0  # inside the tolerance from here on
             figures["arrival_s"] = float(time_s[first]) if first < len(time_s) else None
         return {**figures, "series": {name: column.tolist() for name, column in columns.items()}}
 
@@ -212,7 +212,7 @@ def _response(time_s: Array, series: Array, wanted: float) -> dict[str, Any]:
 
 
 def summary(about: dict[str, Any]) -> str:
-    """The figures as lines."""
+    """Characteristic values as lines of text."""
     lines = [f"{about['vehicle']} ({about['kind']}), {about['command']}, {about['series']['time_s'][-1]:g} s:"]
     for name, value in about.items():
         if isinstance(value, dict) and name != "series":
