@@ -40,7 +40,7 @@ DOORS = (*builtin_kinds.KINDS["door"],)
 
 
 class Section(msgspec.Struct, frozen=True, kw_only=True):
-    """The keys of a table, whatever its kind or of one kind."""
+    """Keys of a table: common to all kinds, or of one kind."""
 
     path: str  # of the table, as in --set PATH.KEY=VALUE; NAME and SENSOR stand for names of your own; empty: the top
     kind: str  # the only `kind` with these keys; empty: all kinds

@@ -1,4 +1,4 @@
-"""Scenarios: TOML files parsed once, at the edge, into checked tables (`cosim.scenario.schema`)."""
+"""Load scenarios: parses TOML files once into checked tables (`cosim.scenario.schema`)."""
 
 import copy
 import itertools
@@ -29,7 +29,7 @@ from vcmvsp.cosim.types import Vec3
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import DEEPEST, check_depth, read_toml
 
-MOST = 10_000  # vehicles of a scenario: what they need grows with them, and with their pairs
+MOST = 10_000  # vehicles of a scenario: memory and time grow with their number, and with that of their pairs
 _PLACES = {"pose": Vec3, "position": Vec3}
 
 
@@ -45,7 +45,7 @@ KEYS = tuple(binding.parameters(Repeat))
 
 
 def repeated(listed: Sequence[Any], source: Source) -> list[Any]:
-    """The vehicles, each that has a ``count`` as often as it says."""
+    """The vehicles, with one copy per ``count`` of repeated ones."""
     counts = [one.get("count", 1) if isinstance(one, dict) else 1 for one in listed]
     if (total := sum(each for each in counts if isinstance(each, int))) > MOST:
         problem = f"there may be {MOST} vehicles in all, not {total}: give fewer, or a smaller count"
@@ -54,7 +54,7 @@ def repeated(listed: Sequence[Any], source: Source) -> list[Any]:
 
 
 def names_copy(raw: Mapping[str, Any], key: str) -> bool:
-    """Whether a key path is of one copy of a repeated vehicle: ``vehicle.uav7.kind``."""
+    """Whether a key path belongs to one copy of a repeated vehicle: ``vehicle.uav7.kind``."""
     group, _, rest = key.partition(".")
     name, listed = rest.partition(".")[0], raw.get("vehicle")
     stems = (
@@ -84,13 +84,13 @@ def _copies(one: dict[str, Any], source: Source) -> list[dict[str, Any]]:
     ]
 
 
-RESERVED = ("world", "radio", "bridge", "operator", "log", "tf")  # first chunks of keys that belong to no vehicle
+RESERVED = ("world", "radio", "bridge", "operator", "log", "tf")  # first parts of event keys that belong to no vehicle
 BUILT_IN = registry.SHIPPED
 T = TypeVar("T")
 
 
 class Loaded(NamedTuple):
-    """A scenario, and where it was read from."""
+    """A scenario and its source."""
 
     scenario: Scenario
     source: Source
@@ -102,17 +102,17 @@ def load(
     """Read, override and check a scenario.
 
     Args:
-        scenario: a built-in name, the path of a TOML file, or the content of one as a mapping.
+        scenario: a built-in name, the path of a TOML file, or its content as a mapping.
         settings: key path -> value, e.g. ``{"radio.loss.probability": 0.3, "vehicle.car2.kind": "lag"}``.
         seed: replaces the scenario's.
 
     Raises:
-        ScenarioError: naming file, key path, and what is allowed.
+        ScenarioError: a key or value is wrong; names file, key path and allowed values.
     """
     raw, source = _read(scenario)
     settings = settings or {}
     _check_depth(settings, "--set")
-    for key in sorted(settings, key=lambda key: names_copy(raw, key)):  # those of one copy after those of all
+    for key in sorted(settings, key=lambda key: names_copy(raw, key)):  # settings of one copy override settings of all
         if key.count(".") >= DEEPEST:
             raise ScenarioError(f"the key has more than {DEEPEST} parts", source=f"--set {binding.show(key)}")
         value = settings[key]
@@ -125,7 +125,7 @@ def load(
 
 
 def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
-    """Check the content of a scenario file."""
+    """Check the content of a scenario file and convert it to tables."""
     _check_depth(raw, source.name)
     if (bad := binding.unfit_number(raw)) is not None:
         key = _path_of(raw, bad)
@@ -171,19 +171,19 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
 
 
 def names() -> list[str]:
-    """The built-in scenarios."""
+    """Names of the built-in scenarios."""
     return sorted(path.stem for path in BUILT_IN.glob("*.toml"))
 
 
 def first_words(name: str) -> str:
-    """What a built-in scenario says of itself: the first sentence of its opening comment."""
+    """Description of a built-in scenario: the first sentence of its opening comment."""
     text = (BUILT_IN / f"{name}.toml").read_text("utf-8")
     comment = " ".join(line.lstrip("# ") for line in itertools.takewhile(lambda each: each.startswith("#"), text.splitlines()))
     return re.split(r"(?<!Fig)\.\s+(?=[A-Z])", comment)[0].rstrip(".") + "."
 
 
 def path_of(scenario: str | Path) -> Path:
-    """The file of a scenario that is named or given as a path."""
+    """The file of a scenario given by name or path."""
     text = str(scenario)
     if text in names():
         return BUILT_IN / f"{text}.toml"
@@ -199,7 +199,7 @@ def path_of(scenario: str | Path) -> Path:
 
 
 def text_of(scenario: str | Path) -> str:
-    """What stands in the file of a scenario."""
+    """Text of a scenario's file."""
     path = path_of(scenario)
     try:
         return limits.read_text(path, limits.TOML_BYTES)
@@ -212,7 +212,7 @@ def text_of(scenario: str | Path) -> str:
 
 
 def table_of(path: Path) -> dict[str, Any]:
-    """What stands in a TOML file, unchecked; nothing if it is none."""
+    """Unchecked content of a TOML file; empty if it is unreadable or malformed."""
     try:
         return read_toml(limits.read_text(path, limits.TOML_BYTES))
     except (OSError, ValueError):
@@ -220,7 +220,7 @@ def table_of(path: Path) -> dict[str, Any]:
 
 
 def value_of(text: str) -> Any:
-    """The value that ``--set KEY=text`` gives: TOML if it reads as TOML, else the text itself."""
+    """The value of ``--set KEY=text``: TOML if it parses as TOML, else the text itself."""
     try:
         parsed = read_toml(f"value = {text}")
     except ValueError:
@@ -229,7 +229,7 @@ def value_of(text: str) -> Any:
 
 
 def settings_of(arguments: Sequence[str]) -> dict[str, Any]:
-    """``--set`` arguments as a mapping."""
+    """Parse ``--set`` arguments into a mapping."""
     settings = {}
     for argument in arguments:
         key, equals, text = argument.partition("=")
@@ -258,7 +258,7 @@ def _check_depth(value: object, source: str) -> None:
 
 
 def _number(value: object) -> object:
-    """NumPy's numbers and arrays, as a notebook may give them, in plain ones."""
+    """Convert NumPy numbers and arrays, for example from a notebook, to Python's."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise ScenarioError(f"holds a {type(value).__name__}, {binding.show(value)}, which is no value that TOML could say")
@@ -275,17 +275,17 @@ def _assign(raw: dict[str, Any], key: str, value: object, source: Source) -> Non
     for depth, part in enumerate(parents):
         if depth == 0 and part == "vehicle":
             if names_copy(raw, key):
-                raw["vehicle"] = repeated(raw["vehicle"], source)  # one of many is to be unlike the others
+                raw["vehicle"] = repeated(raw["vehicle"], source)  # one copy gets its own value
             here = {str(each.get("name")): each for each in raw.get("vehicle", []) if isinstance(each, dict)}
         elif depth == 1 and parents[0] == "vehicle" and part not in here:
             raise ScenarioError(binding.unknown("vehicle", part, here), key=key, source=source.of(key))
-        elif depth == 2 and parents[0] == "vehicle":  # one key of a table that it shares with all others
+        elif depth == 2 and parents[0] == "vehicle":  # one key of a table in [vehicles]
             here = here.setdefault(part, copy.deepcopy(raw.get("vehicles", {}).get(part, {})))
         else:
             here = here.setdefault(part, {})
         if not isinstance(here, dict):
             raise ScenarioError(f"'{'.'.join(parents[: depth + 1])}' is a value, not a table", key=key, source=source.of(key))
-    here[last] = copy.deepcopy(value)  # the caller's mapping is not ours to write into
+    here[last] = copy.deepcopy(value)  # the caller's mapping must not change
 
 
 def _mapping(value: object, key: str, source: Source) -> dict[str, Any]:
@@ -295,7 +295,7 @@ def _mapping(value: object, key: str, source: Source) -> dict[str, Any]:
 
 
 def _open_table(kind: Callable[..., T], raw: object, rest: str, key: str, source: Source) -> T:
-    """A table whose keys are those of ``kind``; all others go into its field ``rest``."""
+    """Build a table of class ``kind``; keys unknown to it go into its field ``rest``."""
     own = {name for name in binding.parameters(kind) if name != rest}
     content = _mapping(raw, key, source)
     others = {name: value for name, value in content.items() if name not in own}
@@ -303,7 +303,7 @@ def _open_table(kind: Callable[..., T], raw: object, rest: str, key: str, source
 
 
 def _check_named(raw: object, index: int, source: Source) -> None:
-    """Refuse a ``[[vehicle]]`` that is no table with a name, by its number in the file."""
+    """Reject a ``[[vehicle]]`` that is not a table with a name; the error gives its index."""
     here = f"vehicle[{index}]"
     key, name = f"{here}.name", _mapping(raw, here, source).get("name")
     if name is None:
@@ -348,7 +348,7 @@ def _check_window(parsed: Scenario, source: Source) -> None:
 
 
 def _path_of(value: object, wanted: float, key: str = "") -> str:
-    """Where in a nested value this very object is."""
+    """Path of an object, by identity, inside a nested value."""
     if value is wanted:
         return key
     items = value.items() if isinstance(value, Mapping) else enumerate(value if isinstance(value, list) else ())

@@ -1,7 +1,7 @@
-"""The tables of a scenario: every key stands in a class here, with its default.
+"""The tables of a scenario: one class per table, with all keys and defaults.
 
-Tables that configure one of several kinds (``physics``, ``world``, the layers of ``radio``, a vehicle, an agent, a driver) stay
-mappings: their keys are the constructor parameters of the kind, checked when it is built (`cosim.assembly.run`).
+Tables with a kind (``physics``, ``world``, the layers of ``radio``, a vehicle, an agent, a driver) stay mappings: their keys
+are the constructor parameters of the kind, checked when it is built (`cosim.assembly.run`).
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from vcmvsp.cosim.types import Count, Name, NonNegative, OnLost, Period, Positiv
 Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
 Coordinate = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]  # m
 Runs = Literal["inprocess", "process", "zenoh"]
-SIMULATED = "none"  # the kind of a driver, or a localisation, that is left out: without a driver, the simulated twin takes part
+SIMULATED = "none"  # kind of an absent driver or localisation; without a driver, the vehicle is simulated
 PoseSource = Literal["truth", "odometry", "positioning", "fusion"]
 
 
@@ -71,12 +71,12 @@ class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_real(self) -> bool:
-        """Whether a real vehicle takes the place of the simulated one."""
+        """Whether a real vehicle replaces the simulated one."""
         return self.driver is not None and self.driver.get("kind") != SIMULATED
 
     @property
     def start(self) -> tuple[Vec3, float]:
-        """Where it starts: position m, heading rad."""
+        """Start pose: position m, heading rad."""
         if self.pose is None:
             return self.position, self.heading
         x, y, yaw = self.pose
@@ -178,7 +178,7 @@ class SetTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 InterventionTable = OutageTable | HaltTable | MoveTable | SetTable
-"""What an operator does during a run; the station's buttons add to these, so that a run can be repeated."""
+"""An intervention of an operator; the control station adds its own to the scenario, so that a run can be repeated."""
 
 
 class StudyTable(msgspec.Struct, frozen=True, kw_only=True):
@@ -213,17 +213,17 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def real(self) -> tuple[str, ...]:
-        """Names of the vehicles that are real."""
+        """Names of the real vehicles."""
         return tuple(each.name for each in self.vehicle if each.is_real)
 
     @property
     def twins(self) -> dict[str, str]:
-        """Settings that have all of them simulated."""
+        """Settings that make all real vehicles simulated."""
         return {f"vehicle.{name}.driver.kind": SIMULATED for name in self.real}
 
 
 class RealVehicle(Value, frozen=True, kw_only=True):
-    """A real vehicle as the scenario describes it."""
+    """Specification of a real vehicle from the scenario."""
 
     name: str
     folder: str  # of the scenario
@@ -232,7 +232,7 @@ class RealVehicle(Value, frozen=True, kw_only=True):
     localisation: str | None  # its kind, as written
     localisation_params: dict[str, Any]
     fusion: dict[str, Any]
-    safety: SafetyTable  # nothing in it is left to a default
+    safety: SafetyTable  # complete: defaults filled in
     pose_source: str
     start: Vec3  # x m, y m, yaw rad
     height_m: float  # of its reference point above the ground

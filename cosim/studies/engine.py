@@ -1,4 +1,4 @@
-"""``vcmvsp.study``: what ``vcmvsp study`` does. From the arguments to the table, in the order in which things happen."""
+"""``vcmvsp.study``, the engine of ``vcmvsp study``: from the arguments to the table, in order of execution."""
 
 import contextlib
 import difflib
@@ -41,7 +41,7 @@ ABOUT_SCHEMA = "vcmvsp.study-about/1"
 
 
 class Studied(NamedTuple):
-    """What a study gave."""
+    """Result of a study."""
 
     table: "pa.Table"
     plan: Plan
@@ -63,20 +63,20 @@ def study(
     force: bool = False,
     progress: Progress | None = None,
 ) -> "pa.Table":
-    """Run a scenario at every combination of some values, with the same seeds at each.
+    """Run a scenario at every combination of values, with the same seeds at each.
 
     Args:
         scenario: a built-in name, the path of a TOML file, or its content as a mapping.
-        vary: key path -> values, e.g. ``{"radio.loss.probability": [0.0, 0.3]}``, or as text, ``"0:0.9:0.1"``; without it, and
-            likewise for ``seeds`` and ``metrics``: what the scenario says in ``[study]``.
+        vary: key path -> values, e.g. ``{"radio.loss.probability": [0.0, 0.3]}``, or as text, ``"0:0.9:0.1"``. Defaults of
+            ``vary``, ``seeds`` and ``metrics`` come from ``[study]`` of the scenario.
         seeds: runs of each combination.
-        seed: the first seed, instead of the scenario's.
+        seed: the first seed, replacing the scenario's.
         set: key path -> value, for all runs.
-        metrics: what is drawn and summarised; the table has all.
-        jobs: runs at once on this machine; default: one on each core.
-        cluster: run there instead: the address of a Dask scheduler, e.g. ``tcp://10.0.0.1:8786``, or Dask's cluster object.
+        metrics: metrics to draw and summarise; the table has all.
+        jobs: parallel runs on this machine; default: one per core.
+        cluster: run on this Dask cluster instead: address of the scheduler, e.g. ``tcp://10.0.0.1:8786``, or cluster object.
         out: folder for ``study.parquet``, summary, figures and report; without it nothing is written.
-        resume: go on with the study in ``out``; values and seeds may have been added. Failed runs are run again.
+        resume: continue the study in ``out``; values and seeds may have been added. Failed runs are repeated.
         force: write into a folder that is not empty.
         progress: called with (done, failed, total) runs.
 
@@ -85,8 +85,8 @@ def study(
         where the run succeeded) and ``digest``.
 
     Raises:
-        ScenarioError, UsageError: before the first run, if any of them could not begin.
-        Interrupted: Ctrl-C; what is done is in ``out``.
+        ScenarioError, UsageError: a run could not start; raised before the first run.
+        Interrupted: Ctrl-C; finished runs are in ``out``.
     """
     return conduct(
         scenario, vary=vary, seeds=seeds, seed=seed, settings=set or {}, metrics=metrics, jobs=jobs, cluster=cluster,
@@ -112,12 +112,12 @@ def conduct(
     noted: Noted = lambda *_: None,
     numbered: bool = False,
 ) -> Studied:
-    """`study`, with what it was.
+    """Run a study as `study` does, and return its plan and folder too.
 
     Args:
         checking: called with (checked, total) points before the first run.
-        noted: called with the name of the first metric and its value in each run that is made.
-        numbered: where ``out`` exists already, take ``out-2``, ``out-3``, ...
+        noted: called with the name of the first metric and its value after each run.
+        numbered: if ``out`` exists, use ``out-2``, ``out-3``, ...
     """
     started, begin = datetime.now(UTC), time.monotonic()
     _check_arguments(jobs, cluster, out, resume=resume, force=force)
@@ -198,13 +198,13 @@ def _check_arguments(jobs: int | None, cluster: object, out: Path | None, *, res
 
 
 def _about(plan: Plan, started: datetime, wall_s: float, made: int, *, cluster: object, jobs: int | None) -> dict[str, Any]:
-    """The only part that differs between two equal studies."""
+    """Facts about a study that differ between two equal studies."""
     return {
         "schema": ABOUT_SCHEMA,
         "started": started.isoformat(),
         "wall_s": wall_s,
         "runs": plan.size,
-        "runs_made": made,  # the others were there already
+        "runs_made": made,  # the others were resumed
         "where": f"{jobs or cores()} jobs" if cluster is None else str(cluster),
         "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
         "versions": plan.versions,
@@ -212,16 +212,16 @@ def _about(plan: Plan, started: datetime, wall_s: float, made: int, *, cluster: 
 
 
 PACKAGES = ("vcmvsp", "numpy", "scipy", "pybullet", "simpy", "pyarrow")
-ALL_CHECKED = 50  # points; of more, every value of every key is checked once: each takes a tenth of a second
+ALL_CHECKED = 50  # points; in larger grids, every value of every key is checked once, about 0.1 s each
 FORMATION = ("formation.rms_m", "radio.delivery_ratio")
 NO_FORMATION = ("radio.delivery_ratio", "radio.age_s.mean")
 
 
 def examined(plan: Plan, base: Base, checking: Callable[[int, int], None] = lambda *_: None) -> Plan:
-    """The plan with its metrics, files and versions, if every run can begin.
+    """Check that every run can start, and complete the plan with metrics, files and versions.
 
     Args:
-        checking: told before each point how many are checked, and of how many.
+        checking: called with (checked, total) before each point.
 
     Raises:
         ScenarioError: a point cannot be run as it is.
@@ -239,7 +239,7 @@ def examined(plan: Plan, base: Base, checking: Callable[[int, int], None] = lamb
 
 
 def where(plan: Plan, base: Base) -> Literal["inprocess"] | None:
-    """Where agents of the runs run, if not where the scenario says: nobody starts hosts by hand for each run of a study."""
+    """Place of the agents that overrides the scenario's: in this process instead of manually started hosts."""
     parsed, _ = loader.load(base.asked, settings=plan.set)
     return "inprocess" if _by_hand(parsed) else None
 
@@ -260,7 +260,7 @@ def _chosen(plan: Plan) -> Iterator[tuple[Any, ...]]:
 
 
 def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes]:
-    """Build and start a point's federates once; the files that it uses."""
+    """Build and start a point's federates once; returns the files that it uses."""
     settings = plan.settings(point)
     files: Mapping[str, bytes] = {}
     try:
@@ -270,29 +270,29 @@ def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes
         if parsed.real:
             raise UsageError(f"a study drives no real vehicles ({', '.join(parsed.real)}): simulate them with --twin")
         with assemble(parsed, source, runs="inprocess" if _by_hand(parsed) else "here") as assembled:
-            assembled.resolved()  # only then are all files known
+            assembled.resolved()  # only now all files are known
             files = assembled.files
             kernel = Kernel(assembled.info, assembled.federates)
             assembled.start(kernel)
             kernel.close()
     except ScenarioError as error:
         asked = re.match(r"--set (\S+)=", error.source)
-        if asked and asked[1] in plan.vary:  # the user said --vary
+        if asked and asked[1] in plan.vary:  # set by --vary
             raise ScenarioError(error.problem, key=error.key, source=error.source.replace("--set", "--vary", 1)) from error
         raise
-    except AgentError:  # that is for the runs to show
+    except AgentError:  # the runs will report it
         pass
     return files
 
 
 def _metrics(plan: Plan, base: Base) -> list[str]:
-    """The metrics that are asked for, or those that say most; all of them exist."""
+    """The requested metrics, checked, or the default ones."""
     first, last = (tuple(values[place] for values in plan.vary.values()) for place in (0, -1))
     names = _names(plan, base, first)
     if not plan.metrics:
         return list(FORMATION if any(name.startswith("formation.per_follower.") for name in names) else NO_FORMATION)
     if names and not _known(plan.metrics, names):
-        names |= _names(plan, base, last)  # which may have vehicles that the first has not
+        names |= _names(plan, base, last)  # may have more vehicles than the first
     for name in plan.metrics:
         if names and not _known([name], names):
             near = difflib.get_close_matches(name, names, n=1)
@@ -303,12 +303,12 @@ def _metrics(plan: Plan, base: Base) -> list[str]:
 
 
 def _known(metrics: Sequence[str], names: set[str]) -> bool:
-    """Whether all of these exist; a cause of losses may turn up in one run alone."""
+    """Whether all metrics exist; every loss cause is accepted, since it may occur in a single run only."""
     return all(name in names or name.startswith("radio.losses.") for name in metrics)
 
 
 def _names(plan: Plan, base: Base, point: tuple[Any, ...]) -> set[str]:
-    """The metrics that are numbers, from a run that is cut short; none if that fails."""
+    """Names of the numeric metrics, from a shortened run; empty if it fails."""
     settings = plan.settings(point)
     try:
         parsed, _ = loader.load(base.asked, settings=settings)

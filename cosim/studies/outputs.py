@@ -1,4 +1,4 @@
-"""What a study leaves to look at: its summary as a table, figures, and a page with both and all that is needed to repeat it."""
+"""Outputs of a study: summary table, figures, and a report with both and the data to repeat the study."""
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,11 +28,11 @@ def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True)
 
     Args:
         table: a row for each run: the varied keys, ``seed``, metrics, ``error`` and ``digest``.
-        plan: what was studied. The map is drawn where two keys with numbers were varied.
-        repeatable: whether the scenario has a name or a file, so that there is a command for it.
+        plan: of the study. The map is drawn if two numeric keys were varied.
+        repeatable: whether the scenario has a name or a file, so that a command can repeat the study.
 
     Returns:
-        What was written.
+        The files.
     """
     from vcmvsp.cosim.plots import style
 
@@ -47,10 +47,10 @@ def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True)
 
 
 def report_again(folder: Path, out: Path | None = None) -> Path:
-    """Write the page of a study anew, from its folder: also of one that was cut, or goes on.
+    """Write the report of a study again from its folder, also of an unfinished study.
 
     Raises:
-        UsageError: its plan or its rows cannot be read.
+        UsageError: its plan or rows cannot be read.
     """
     from vcmvsp.cosim.plots import style
 
@@ -79,7 +79,7 @@ def _figures(summary: pa.Table, plan: Plan) -> "dict[str, FigureOfPlots]":
 
 
 def _is_file(plan: Plan) -> bool:
-    """Whether the scenario had a name or a file when the study began: one that was a mapping has only its own name."""
+    """Whether the scenario was given by name or file, not as a mapping."""
     if Path(plan.scenario).suffix == ".toml":
         return True
     return plan.scenario in loader.names() and loader.text_of(plan.scenario) == plan.scenario_toml
@@ -137,7 +137,7 @@ def _page(table: pa.Table, summary: pa.Table, plan: Plan, drawings: Mapping[str,
 
 
 def _lead(table: pa.Table, summary: pa.Table, plan: Plan, failed: int) -> Iterator[str]:
-    """What was run, and between which means each metric lies."""
+    """Lines on the runs and the range of each metric's means."""
     points, seeds = plan.size // len(plan.seeds), len(plan.seeds)
     failures = f"; {failed} failed" if failed else ""
     yield f"{_count(plan.size, 'run')}: {_count(points, 'point')} with {_count(seeds, 'seed')} each{failures}."
@@ -180,7 +180,7 @@ def _varied(plan: Plan) -> list[tuple[str, str]]:
 
 
 def _table(summary: pa.Table, plan: Plan) -> Rows:
-    """The summary with bands as ``low to high`` would be hard to compare: a column each."""
+    """The summary with a column for each bound of a band, which is easier to compare than ``low to high``."""
     keys = list(plan.vary)
     columns = summary.to_pydict()
     partly = [metric for metric in plan.metrics if columns[f"{metric}.n"] != columns["n"]]

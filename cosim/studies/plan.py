@@ -1,4 +1,4 @@
-"""What a study is: a scenario, values of its keys (``--vary``), seeds. Written down as ``study.toml`` before the first run."""
+"""Plan of a study: a scenario, values of its keys (``--vary``), seeds. Saved as ``study.toml`` before the first run."""
 
 import itertools
 import json
@@ -27,7 +27,7 @@ _PAIRS = {"[": "]", "{": "}"}
 
 
 def vary_of(arguments: Sequence[str]) -> dict[str, list[Any]]:
-    """``--vary`` arguments as key path -> values."""
+    """Parse ``--vary`` arguments into key path -> values."""
     vary: dict[str, list[Any]] = {}
     for argument in arguments:
         key, equals, text = argument.partition("=")
@@ -44,13 +44,13 @@ def vary_of(arguments: Sequence[str]) -> dict[str, list[Any]]:
 
 
 def values_of(text: str) -> list[Any]:
-    """The values that ``a,b,c`` or ``start:stop:step`` (both ends included) stands for, each in TOML.
+    """Parse ``a,b,c`` or ``start:stop:step`` (both ends included) into values, each in TOML.
 
-    Commas inside quotes, lists and inline tables separate nothing; text that is no TOML is a string, as in ``--set``.
-    Ranges are counted in decimals: ``0:1:0.1`` is eleven values, and the fourth is 0.3.
+    Commas inside quotes, lists and inline tables do not separate; text that is not TOML is a string, as in ``--set``.
+    Ranges are computed in decimals: ``0:1:0.1`` has eleven values, and the fourth is 0.3.
 
     Raises:
-        ValueError: saying what is wrong with the text.
+        ValueError: the text is malformed; says how.
     """
     values: list[Any] = []
     for item in _items(text):
@@ -62,7 +62,7 @@ def values_of(text: str) -> list[Any]:
 
 
 def label(value: object) -> str:
-    """The value as text, the same for values that are the same to a scenario: 1 and 1.0, but not 1 and true."""
+    """The value as text, equal for values that are equal in a scenario: 1 and 1.0, but not 1 and true."""
     if isinstance(value, str):
         return value
     if isinstance(value, bool):
@@ -73,7 +73,7 @@ def label(value: object) -> str:
 
 
 def _items(text: str) -> list[str]:
-    """The text, cut at the commas that stand in no quotes and no brackets."""
+    """Split a text at commas outside quotes and brackets."""
     items, closing, quote, escaped = [""], "", "", False
     for sign in text:
         if quote:
@@ -122,21 +122,21 @@ class Run(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Which run it is, whatever the order of the values, and in which process or file it is asked."""
+        """Identifier of the run, independent of the order of values, of process and of file."""
         return "\n".join((*map(label, self.point), str(self.seed)))
 
 
 class Plan(msgspec.Struct, frozen=True, kw_only=True):
-    """A study. All points have the same seeds, so that they face the same draws (common random numbers)."""
+    """Plan of a study. All points have the same seeds and thus the same draws (common random numbers)."""
 
     scenario: str  # its name, or its file
-    scenario_toml: str  # its text, as it was when the study began
-    vary: dict[str, list[Any]]  # key path -> values; the product of all is run, the last key changing first
+    scenario_toml: str  # its text at the start of the study
+    vary: dict[str, list[Any]]  # key path -> values; the study runs their product, the last key changes fastest
     seeds: list[int]
-    metrics: list[str] = []  # what is drawn and summarised
+    metrics: list[str] = []  # metrics to draw and summarise
     set: dict[str, Any] = {}  # key path -> value, for all runs
     versions: dict[str, str] = {}
-    files: dict[str, str] = {}  # SHA-256 of each file that a point names, by its name; several where points differ in it
+    files: dict[str, str] = {}  # SHA-256 of each file that a point uses, by name; several if its content differs between points
     schema: str = SCHEMA
 
     @property
@@ -146,20 +146,20 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def runs(self) -> Iterator[Run]:
-        """All runs, in the order in which they stand in the table: point by point, seed by seed."""
+        """All runs in the order of the table: point by point, seed by seed."""
         return (Run(point, seed) for point in self.points for seed in self.seeds)
 
     @property
     def size(self) -> int:
-        """How many runs there are."""
+        """Number of runs."""
         return len(self.seeds) * math.prod(map(len, self.vary.values()))
 
     def settings(self, point: tuple[Any, ...]) -> dict[str, Any]:
-        """What ``--set`` would have to say for this point."""
+        """Settings of a point, as for ``--set``."""
         return {**self.set, **dict(zip(self.vary, point, strict=True))}
 
     def to_toml(self) -> str:
-        """``study.toml``: the seeds as the first and their number, the scenario's text as it was, where TOML can hold that."""
+        """Text of ``study.toml``: first seed and number of seeds, and the scenario's text, verbatim if TOML can hold it."""
         rest = {
             name: value for name, value in msgspec.to_builtins(self).items() if name not in ("scenario_toml", "seeds", "schema")
         }
@@ -174,7 +174,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
 
     @classmethod
     def read(cls, path: Path) -> "Plan":
-        """The plan that stands in a ``study.toml``."""
+        """Read the plan from a ``study.toml``."""
         try:
             found = read_toml(limits.read_text(path))
             first = found.pop("seed")
@@ -187,19 +187,19 @@ class Base(NamedTuple):
     """The scenario of a study."""
 
     text: str  # TOML
-    folder: Path  # its files are relative to
-    asked: str | Path | Mapping[str, Any]  # as it was named: for messages with lines
+    folder: Path  # base of its relative file names
+    asked: str | Path | Mapping[str, Any]  # as the caller gave it, for messages with lines
 
 
 def base_of(scenario: str | Path | Mapping[str, Any]) -> Base:
-    """The scenario's text, taken once: what happens to the file while the study runs does not matter."""
+    """The scenario with its text read once, so that later changes of the file have no effect."""
     if isinstance(scenario, Mapping):
         return Base(tomli_w.dumps(binding.plain(dict(scenario))), Path.cwd(), scenario)
     return Base(loader.text_of(scenario), loader.path_of(scenario).resolve().parent, scenario)
 
 
 def content(text: str) -> dict[str, Any]:
-    """The scenario to be run: what studies do with it does not belong to it."""
+    """The scenario's content without ``[study]``."""
     return {name: value for name, value in read_toml(text).items() if name != "study"}
 
 
@@ -213,10 +213,10 @@ def make(
     metrics: Sequence[str] | None,
     stored: Plan | None,
 ) -> Plan:
-    """The plan of a study: what is asked for, else what it was before (``stored``), else what the scenario says in ``[study]``.
+    """Make the plan of a study: arguments, else the ``stored`` plan, else ``[study]`` of the scenario.
 
     Raises:
-        UsageError, ScenarioError: nothing is varied, a value stands twice, there are no seeds.
+        UsageError, ScenarioError: no key is varied, a value is repeated, or there are no seeds.
     """
     parsed, _ = loader.load(base.asked, settings=settings, seed=seed)
     said = parsed.study
@@ -243,10 +243,10 @@ def make(
 
 
 def check_same(plan: Plan, stored: Plan, out: Path) -> None:
-    """Refuse to go on with another study than the one that was begun; values and seeds may have been added.
+    """Reject the continuation of a different study; values and seeds may have been added.
 
     Raises:
-        UsageError: naming what differs.
+        UsageError: the studies differ; names the difference.
     """
     for what, now, then in (
         ("the scenario", content(plan.scenario_toml), content(stored.scenario_toml)),
@@ -281,7 +281,7 @@ def _vary(vary: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 
 def _plain(value: object) -> object:
-    """The value in TOML's types, of Python's or NumPy's."""
+    """Convert a Python or NumPy value to TOML types."""
     found = binding.plain(value.tolist() if hasattr(value, "tolist") else value)
     if found is None:
         raise ValueError(f"{binding.show(value)} is no value that a scenario can have")
@@ -309,14 +309,14 @@ def _ours(versions: Mapping[str, str]) -> dict[str, str]:
 
 
 def _in_both(now: Mapping[str, str], then: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
-    """The files that both studies name, now and then. Further files, of values that were added, make no difference."""
+    """The common files of both plans, now and then; files of added values are ignored."""
     names = [name for name in then if name in now]
     kept = {name: then[name] if {*then[name].split()} <= {*now[name].split()} else now[name] for name in names}
     return kept, {name: then[name] for name in names}
 
 
 def _difference(now: object, then: object, key: str = "") -> str | None:
-    """The first thing in which two nested values differ."""
+    """The first difference of two nested values, or None."""
     if isinstance(now, dict) and isinstance(then, dict):
         names = [*then, *(name for name in now if name not in then)]
         inside = (_difference(now.get(name), then.get(name), binding.join(key, name)) for name in names)

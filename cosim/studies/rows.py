@@ -1,8 +1,7 @@
-"""Rows of a study's table, and the table.
+"""Rows and table of a study.
 
-A run's row is kept as the JSON that its worker gave, compressed, which is a twentieth of the memory of a dictionary, until a
-table is built. Which columns there are, in which order, and of which types depends on the rows alone, not on who made them
-when.
+Until a table is built, a row is kept as the compressed JSON of its worker, which takes a twentieth of a dictionary's memory.
+Columns, their order and types depend on the rows alone, not on the worker or time of a run.
 """
 
 import re
@@ -22,9 +21,9 @@ LOSSES = "radio.losses."
 
 
 class Row(msgspec.Struct, frozen=True):
-    """What a run gave."""
+    """Row of one run."""
 
-    values: dict[str, float | int | str | None] = {}  # its metrics, flattened
+    values: dict[str, float | int | str | None] = {}  # flattened metrics
     error: str | None = None
 
 
@@ -52,7 +51,7 @@ def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 class Column:
-    """A metric in all runs, filled run by run: numbers, or texts."""
+    """Column of a metric, filled run by run: numbers or texts."""
 
     def __init__(self, size: int) -> None:
         self._numbers, self._valid = np.zeros(size), np.zeros(size, np.bool_)
@@ -60,7 +59,7 @@ class Column:
         self._whole = True
 
     def put(self, row: int, value: float | str) -> None:
-        """A run's value."""
+        """Set a run's value."""
         if isinstance(value, str):
             self._texts[row] = value
             return
@@ -68,31 +67,31 @@ class Column:
         self._whole = self._whole and isinstance(value, int)
 
     def fill(self, rows: Array, value: int) -> None:
-        """A value for those of the runs that have none."""
+        """Set the value of the selected runs that have none."""
         empty = rows & ~self._valid
         self._numbers[empty], self._valid[empty] = value, True
 
     def arrow(self) -> "pa.Array[Any]":
-        """Whole numbers, texts, or else numbers, as which a column counts that has no value at all."""
+        """Arrow array of texts, whole numbers, or numbers; an empty column is one of numbers."""
         if self._texts:
             return self.texts()
         whole = self._whole and self._valid.any()
         return column(self._numbers.astype(np.int64) if whole else self._numbers, self._valid)
 
     def texts(self) -> "pa.Array[Any]":
-        """Texts, whether there are any or not."""
+        """Arrow array of texts, also without any value."""
         return strings([self._texts.get(row) for row in range(len(self._valid))])
 
 
 def table_of(plan: Plan, answers: Mapping[str, bytes]) -> pa.Table:
     """The table of the runs that have an answer (`packed`), in the plan's order.
 
-    The varied keys, ``seed``, the metrics in alphabetical order (numbers in names by size), ``error`` and ``digest``.
+    Columns: the varied keys, ``seed``, the metrics in alphabetical order (numbers in names by size), ``error``, ``digest``.
     """
     runs = [run for run in plan.runs if run.key in answers]
     metrics: dict[str, Column] = {name: Column(len(runs)) for name in plan.metrics}
     errors: list[str | None] = []
-    for place, run in enumerate(runs):  # one by one: as dictionaries, all of them would take much memory
+    for place, run in enumerate(runs):  # one by one, to save memory
         row = decode(unpacked(answers[run.key]))
         errors.append(row.error)
         for name, value in row.values.items():
@@ -107,9 +106,9 @@ def table_of(plan: Plan, answers: Mapping[str, bytes]) -> pa.Table:
         columns[key] = _varied([run.point[place] for run in runs], values)
     columns["seed"] = column(np.array([run.seed for run in runs], np.int64))
     for name in sorted(metrics.keys() - columns.keys() - {"error"}, key=_natural):
-        metric = metrics.pop(name)  # as Arrow has it, it is not needed any more
+        metric = metrics.pop(name)  # frees the memory of the column
         if name.startswith(LOSSES):
-            metric.fill(succeeded, 0)  # a cause that did not occur
+            metric.fill(succeeded, 0)  # a loss cause that did not occur
         columns[name] = metric.arrow()
     columns["error"] = strings(errors)
     columns["digest"] = digest.texts()
@@ -117,7 +116,7 @@ def table_of(plan: Plan, answers: Mapping[str, bytes]) -> pa.Table:
 
 
 def answers_of(table: pa.Table, keys: Sequence[str], *, failed: bool = False) -> dict[str, bytes]:
-    """The answers (`packed`) from which a table was made; those of ``failed`` runs only if wanted: they are run again."""
+    """Restore the answers (`packed`) of a table; of failed runs, which are repeated, only with ``failed``."""
     answers: dict[str, bytes] = {}
     names = [name for name in table.column_names if name not in (*keys, "seed", "error")]
     for batch in table.to_batches(max_chunksize=500):
@@ -142,12 +141,12 @@ def _bits(values: Array) -> pa.Buffer:
 
 
 def _natural(name: str) -> list[Any]:
-    """For sorting: ``car2`` before ``car10``."""
+    """Sort key of a name: ``car2`` before ``car10``."""
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", name)]
 
 
 def _varied(values: Sequence[Any], all_values: Sequence[Any]) -> "pa.Array[Any]":
-    """A column of a varied key; its type is that of all values of the plan, and text where they are mixed, lists or tables."""
+    """Column of a varied key, of the type of all its values in the plan; text for mixed types, lists and tables."""
     kinds = {type(value) for value in all_values}
     if kinds == {bool}:
         return pa.Array.from_buffers(pa.bool_(), len(values), [None, _bits(np.array(values, np.bool_))])

@@ -1,12 +1,12 @@
-"""A study's folder: one table that is readable at any moment, and nothing lost by whatever ends the study.
+"""Folder of a study: a table that is readable at any time, and a journal that survives a crash.
 
-``study.toml`` says what is run and is written first. A finished run is a line of ``study.journal`` at once; now and then the
-table ``study.parquet`` is written anew, beside the old one and then in its place, and the journal is emptied. That is done so
-rarely that it takes less than a fiftieth of the time, however large the table. In the end there is no journal.
+``study.toml`` holds the plan and is written first. Each finished run is appended to ``study.journal``. From time to time the
+table ``study.parquet`` is replaced atomically and the journal is emptied, in less than a fiftieth of the total time for any
+size of the table. A finished study has no journal.
 
-Whatever ends the process loses nothing. A power cut may: as runs finish, the journal is written through to the disk at most
-five times a second; the system writes the rest within seconds. What a cut takes is run again. Plan and table are on the disk
-before they take the place of those before them.
+The end of the process loses nothing. A power failure may lose runs, which are then repeated: the journal is synced to disk at
+most five times a second as runs finish, and the system writes the rest within seconds. Plan and table are synced before they
+replace earlier ones.
 """
 
 import contextlib
@@ -35,8 +35,8 @@ from vcmvsp.cosim.util.files import PART, Folder, replacing, writing
 PLAN, TABLE, JOURNAL, LOCK = "study.toml", "study.parquet", "study.journal", "study.lock"
 FIGURES = tuple(f"{name}.{kind}" for name in ("study", "study-map") for kind in ("png", "svg"))
 OUTPUTS = ("about.json", "summary.csv", "report.html", *FIGURES)
-SHARE = 0.02  # of the time may go into writing the table, and as much into waiting for the disk
-SYNC_EVERY_S = 0.2  # at the most often: the journal, to the disk
+SHARE = 0.02  # largest share of time for writing the table, and for waiting for the disk
+SYNC_EVERY_S = 0.2  # least time between two syncs of the journal
 
 
 class JournalLine(msgspec.Struct, frozen=True):
@@ -47,7 +47,7 @@ class JournalLine(msgspec.Struct, frozen=True):
 
 
 class Answers:
-    """What the runs gave, in memory."""
+    """Rows of finished runs, in memory."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
@@ -60,7 +60,7 @@ class Answers:
         """Nothing is held."""
 
     def add(self, run: str, row: bytes) -> None:
-        """Keep a run's row."""
+        """Store a run's row."""
         self.rows[run] = rows.packed(row)
 
     def finish(self) -> pa.Table:
@@ -69,15 +69,15 @@ class Answers:
 
 
 def begun(folder: Path, *, resume: bool, force: bool) -> Plan | None:
-    """The plan of the study that a folder holds and that is to go on; None: a new one begins there.
+    """The plan of the study to resume in a folder, or None for a new study.
 
     Raises:
-        UsageError: the folder holds something, and it is not said what to do with that.
+        UsageError: the folder is not empty, and neither ``resume`` nor ``force`` is given.
     """
     found = folder.iterdir() if folder.is_dir() else ()
-    there = {path.name for path in found if path.name != LOCK and path.suffix != PART}  # which one leaves that was killed
+    there = {path.name for path in found if path.name != LOCK and path.suffix != PART}  # leftovers of a killed study
     if force or not there:
-        Folder(folder, force=True)  # whether it can be written
+        Folder(folder, force=True)  # checks that it is writable
         return None
     if PLAN not in there:
         why = "holds no study" if resume else "is not empty; give another folder, or --force to overwrite"
@@ -90,11 +90,11 @@ def begun(folder: Path, *, resume: bool, force: bool) -> Plan | None:
 
 
 class Store(Answers):
-    """The same, in a folder. Use it as a context manager: meanwhile no other study can write there.
+    """Rows of finished runs, in a folder. As a context manager it locks the folder.
 
     Args:
-        resume: go on with what is there, which must be the same study.
-        force: begin anew, whatever is there.
+        resume: continue the study in the folder, which must be the same.
+        force: start a new study and discard the folder's content.
     """
 
     def __init__(self, folder: Path, plan: Plan, *, resume: bool, force: bool) -> None:
@@ -108,7 +108,7 @@ class Store(Answers):
             self._folder.mkdir(parents=True, exist_ok=True)
             stack.enter_context(_locked(self._folder / LOCK))
             for left in self._folder.glob(f".*{PART}"):
-                shutil.rmtree(left, ignore_errors=True)  # of a study that was killed
+                shutil.rmtree(left, ignore_errors=True)  # leftovers of a killed study
             if stored := begun(self._folder, resume=self._resume, force=self._force):
                 check_same(self.plan, stored, self._folder)
                 self._recover(stored)
@@ -123,14 +123,14 @@ class Store(Answers):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Let go of the folder; what has been added so far is in its table."""
+        """Write the rows so far into the table and release the folder."""
         with self._stack:
             if error is not None:
-                with contextlib.suppress(OSError):  # what is in the journal is not lost
+                with contextlib.suppress(OSError):  # the journal still has the rows
                     self.write()
 
     def add(self, run: str, row: bytes) -> None:
-        """Keep a run's row, in the journal at once."""
+        """Store a run's row and append it to the journal."""
         super().add(run, row)
         with writing(self._folder):
             self._journal.write(msgspec.json.encode(JournalLine(run, msgspec.Raw(row))) + b"\n")
@@ -154,14 +154,14 @@ class Store(Answers):
         return table
 
     def finish(self) -> pa.Table:
-        """Write the table of all runs; the journal goes."""
+        """Write the table of all runs and remove the journal."""
         with writing(self._folder):
             table = self.write()
             (self._folder / JOURNAL).unlink()
         return table
 
     def _recover(self, stored: Plan) -> None:
-        """Take the rows that are there: of the table, and of those lines of the journal that can be read."""
+        """Load the stored rows from the table and the readable lines of the journal."""
         wanted = {run.key for run in self.plan.runs}
         try:
             if (self._folder / TABLE).exists():
@@ -171,18 +171,18 @@ class Store(Answers):
             problem = " ".join(str(error).split())
             raise UsageError(f"--resume {self._folder}: its rows cannot be read: {problem}") from error
         for told in lines:
-            if rows.decode(told.row).error is None:  # failed runs are run again
+            if rows.decode(told.row).error is None:  # failed runs are repeated
                 self.rows[told.run] = rows.packed(bytes(told.row))
         self.rows = {run: row for run, row in self.rows.items() if run in wanted}
 
 
 def so_far(folder: Path, plan: Plan) -> pa.Table:
-    """The table of a study that is in a folder, with what only its journal has yet: it may be cut, or go on.
+    """The table of a study in a folder, with rows that only the journal has; the study may be unfinished.
 
     Raises:
-        UsageError: it cannot be read.
+        UsageError: the folder cannot be read.
     """
-    try:  # the journal first: it is emptied once the table has what stands in it
+    try:  # the journal first: it is emptied after the table is written
         answers = {line.run: rows.packed(bytes(line.row)) for line in _journal(folder)}
         table = read_table(folder / TABLE) if (folder / TABLE).exists() else rows.table_of(plan, {})
         if not answers:
@@ -196,12 +196,12 @@ def _journal(folder: Path) -> Iterator[JournalLine]:
     text = limits.read_bytes(folder / JOURNAL, limits.CSV_BYTES) if (folder / JOURNAL).exists() else b""
     limits.within(text.count(b"\n"), limits.MESSAGES, f"lines in {JOURNAL}")
     for line in text.split(b"\n"):
-        with contextlib.suppress(ValueError):  # half a line, or what a power cut left of one: it is run again
+        with contextlib.suppress(ValueError):  # an incomplete line: its run is repeated
             yield read_json(line, JournalLine)
 
 
 def _opened(path: Path, mode: str) -> IO[bytes]:
-    """A file that is written in place, without a buffer; what a link points to is left alone."""
+    """Open a file in place, unbuffered, without following a link."""
     try:
         return open(path, mode, 0, opener=lambda name, flags: os.open(name, flags | os.O_NOFOLLOW, 0o666))
     except OSError as error:
@@ -212,7 +212,7 @@ def _opened(path: Path, mode: str) -> IO[bytes]:
 
 @contextlib.contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Hold a folder; the system lets go of it for a process that dies."""
+    """Lock a folder; the system releases the lock of a process that dies."""
     while True:
         file = _opened(path, "a+b")
         try:
@@ -224,12 +224,12 @@ def _locked(path: Path) -> Iterator[None]:
             raise UsageError(f"--out {path.parent}: another study is writing there ({holder})") from None
         if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
             break
-        file.close()  # its holder has just removed it
+        file.close()  # removed by its last holder
     try:
         file.truncate(0)
         file.write(f"process {os.getpid()} on {platform.node()}".encode())
         yield
     finally:
-        with contextlib.suppress(OSError):  # of a folder that cannot be written to any more: a lock that nobody holds is none
+        with contextlib.suppress(OSError):  # folder no longer writable: the leftover file locks nothing
             path.unlink()
         file.close()

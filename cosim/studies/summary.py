@@ -1,8 +1,8 @@
-"""What many runs say together: mean and confidence band of each metric at each point of a study.
+"""Summary of a study: mean and confidence band of each metric at each point.
 
 The band is a bootstrap of the mean (Efron and Tibshirani, *An introduction to the bootstrap*, 1993, 13.3): the middle 95 % of
-the means of 9999 samples, drawn with replacement from the runs of the point. It asks nothing of their distribution; with few
-runs it is too narrow, as such bands are (of 10 normal values it covers the mean in about 90 % of all cases, of 20 in 93 %).
+the means of 9999 samples, drawn with replacement from the runs of the point. It assumes no distribution. With few runs it is
+too narrow: for 10 normal values it covers the mean in about 90 % of all cases, for 20 in 93 %.
 """
 
 import csv
@@ -24,7 +24,7 @@ CONFIDENCE = 0.95
 
 
 class Band(NamedTuple):
-    """A mean and where it may lie; None where there is nothing to tell it from."""
+    """A mean and its confidence band; None without enough values."""
 
     mean: float | None
     low: float | None
@@ -32,16 +32,16 @@ class Band(NamedTuple):
 
 
 def summarise(table: pa.Table, keys: Sequence[str], metrics: Sequence[str]) -> pa.Table:
-    """A row for each point, in the order in which the table first has it.
+    """Summarise a table of runs: a row for each point, in order of first occurrence.
 
     Args:
         table: a row per run: ``keys``, metrics, and ``error``, which is null where a run succeeded.
-        keys: what was varied: runs that are alike in all of these belong to one point.
+        keys: varied keys; runs with equal values of all keys form a point.
         metrics: names of columns with numbers. Nulls (a formation that never settled) are left out, and counted.
 
     Returns:
-        The keys, ``n`` (runs that succeeded), ``failed`` (that did not), and of each metric ``<metric>.n`` (runs that have
-        a value), ``<metric>.mean``, ``<metric>.low`` and ``<metric>.high``. One value alone has no band.
+        The keys, ``n`` (successful runs), ``failed``, and for each metric ``<metric>.n`` (runs with a value),
+        ``<metric>.mean``, ``<metric>.low`` and ``<metric>.high``. A single value has no band.
     """
     points = _points(table, keys)
     first = pa.array([rows[0] for rows in points], pa.int64())
@@ -60,14 +60,14 @@ def summarise(table: pa.Table, keys: Sequence[str], metrics: Sequence[str]) -> p
 
 
 def band(values: ArrayLike, name: str = "") -> Band:
-    """Mean of some numbers, in whatever order, and its 95 % band; ``name`` names the random stream of the resampling."""
+    """Mean and 95 % band of numbers in any order; ``name`` selects the random stream of the resampling."""
     values = np.sort(np.asarray(values, float))
     if not len(values):
         return Band(None, None, None)
     if values[0] == values[-1]:
         same = float(values[0])
         return Band(same, *((same, same) if len(values) > 1 else (None, None)))
-    from scipy import stats  # takes half a second
+    from scipy import stats  # slow import: half a second
 
     found = stats.bootstrap(
         (values,),
@@ -82,7 +82,7 @@ def band(values: ArrayLike, name: str = "") -> Band:
 
 
 def to_csv(summary: pa.Table) -> str:
-    """The same numbers as text: floats with as many digits as they have, nothing where there is no value."""
+    """The summary as CSV: floats in full precision, empty fields for missing values."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(summary.column_names)
@@ -92,7 +92,7 @@ def to_csv(summary: pa.Table) -> str:
 
 
 def rows(summary: pa.Table, keys: Sequence[str], metrics: Sequence[str]) -> list[dict[str, Any]]:
-    """The summary for JSON: of each point its keys, ``n``, ``failed``, and a mapping for each metric."""
+    """The summary for JSON: for each point its keys, ``n``, ``failed``, and a mapping for each metric."""
     return [
         {
             **{key: row[key] for key in (*keys, "n", "failed")},
@@ -111,7 +111,7 @@ def _points(table: pa.Table, keys: Sequence[str]) -> list[list[int]]:
 
 
 def _values(table: pa.Table, metric: str) -> Array:
-    """A metric of every run; NaN where it has none. Where no run succeeded, no run has any."""
+    """A metric of every run, NaN where missing; all NaN if the column is missing because no run succeeded."""
     if metric not in table.column_names:
         return np.full(table.num_rows, np.nan)
     return np.array([math.nan if value is None else float(value) for value in table.column(metric).to_pylist()])

@@ -1,6 +1,6 @@
-"""Runs of a study, wherever they are made: on this machine (`cosim.processes.worker_pool`) or by workers of a Dask scheduler.
+"""Execute runs of a study: on this machine (`cosim.processes.worker_pool`) or on workers of a Dask scheduler.
 
-Which workers a scheduler has, and what becomes of the runs of one that is lost, is its own business. Nothing else knows Dask.
+The scheduler manages its workers and repeats the runs of lost ones. No other module uses Dask.
 """
 
 import contextlib
@@ -27,21 +27,21 @@ from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.studies.plan import Run, content
 from vcmvsp.cosim.studies.rows import Row, encode, flat
 
-_one_at_a_time = threading.Lock()  # a run has the process for itself, its current folder too
+_one_at_a_time = threading.Lock()  # a run needs the process and its current folder for itself
 
 
 class WorkersGoneError(VcmvspError):
-    """Those who make the runs are not to be had any more; what is done can be gone on with."""
+    """The workers are gone; the study can be resumed."""
 
 
 class Work(msgspec.Struct, frozen=True):
-    """What all runs of a study share."""
+    """Common data of all runs of a study."""
 
     scenario_toml: str
-    folder: str  # where the scenario's files are
-    version: str  # of vcmvsp, which must be the same everywhere
-    agents: Literal["inprocess"] | None = None  # where agents run, if not where the scenario says
-    files: dict[str, str] = {}  # SHA-256 of the files that the scenario names, as `Plan.files`
+    folder: str  # base of the scenario's relative file names
+    version: str  # of vcmvsp, equal on all workers
+    agents: Literal["inprocess"] | None = None  # where agents run, overriding the scenario
+    files: dict[str, str] = {}  # SHA-256 of the scenario's files, as `Plan.files`
 
 
 class Job(msgspec.Struct, frozen=True):
@@ -53,12 +53,12 @@ class Job(msgspec.Struct, frozen=True):
 
 @functools.cache
 def version() -> str:
-    """Of vcmvsp, here."""
+    """Version of vcmvsp on this machine."""
     return metadata.version("vcmvsp")
 
 
 def run_one(work: Work, job: Job) -> bytes:
-    """Run, and give a `Row` as JSON. Whatever goes wrong becomes a row with an error; nothing is raised."""
+    """Execute a run and return its `Row` as JSON. Every error becomes a row with ``error``; nothing is raised."""
     try:
         if version() != work.version:
             return failed(f"this worker has vcmvsp {version()}, the study {work.version}")
@@ -76,7 +76,7 @@ def run_one(work: Work, job: Job) -> bytes:
 
 
 def failed(message: str) -> bytes:
-    """The row of a run that failed."""
+    """The row of a failed run."""
     return encode(Row(error=" ".join(message.split())))
 
 
@@ -89,28 +89,28 @@ def _content(text: str) -> dict[str, Any]:
 
 
 def _in(folder: str) -> contextlib.AbstractContextManager[None]:
-    """Relative files of a scenario lie in its folder, which a worker elsewhere need not have if there are none."""
+    """Change to the scenario's folder, for relative file names; without effect if a remote worker lacks the folder."""
     return contextlib.chdir(folder) if Path(folder).is_dir() else contextlib.nullcontext()
 
 
 T = TypeVar("T")
-TIMEOUT_S = 10  # for the scheduler, and then for what its workers say of their version
-PER_THREAD = 4  # runs that are handed over at once: enough that no worker waits for us
-LEAST = 8  # also to a cluster that has no workers yet, so that it knows that it needs some
+TIMEOUT_S = 10  # for the scheduler's answer, and then for the workers' versions
+PER_THREAD = 4  # runs submitted in advance, so that no worker idles
+LEAST = 8  # also for a cluster without workers, so that an adaptive one starts some
 LOOK_EVERY_S = 5.0
-LOGGERS = ("distributed", "distributed.client", "tornado.application")  # what they tell of a lost cluster, we say
+LOGGERS = ("distributed", "distributed.client", "tornado.application")  # silenced: `Cluster` reports a lost cluster
 _ADDRESS = re.compile(r"([a-z]+://)?[^/\s]+:\d+")
 
 
 class Cluster:
-    """The workers of a scheduler. Use it as a context manager: leaving it takes back what is under way.
+    """The workers of a Dask scheduler. As a context manager it cancels pending runs at the end.
 
     Args:
-        work: what all runs share.
-        address: of the scheduler, e.g. ``tcp://10.0.0.1:8786``; or a cluster object of Dask's.
+        work: common data of all runs.
+        address: of the scheduler, e.g. ``tcp://10.0.0.1:8786``; or a Dask cluster object.
 
     Raises:
-        UsageError: Dask is not installed, nobody answers, or workers have another version of vcmvsp.
+        UsageError: Dask is not installed, the scheduler does not answer, or workers have another version of vcmvsp.
     """
 
     def __init__(self, work: Work, address: object) -> None:
@@ -123,7 +123,7 @@ class Cluster:
         self._distributed, self._work, self._name = distributed, work, str(address)
         try:
             self._client: Any = _in_time(lambda: distributed.Client(address, timeout=f"{TIMEOUT_S}s", set_as_default=False))
-        except Exception as error:  # what is no scheduler may answer anything, and Dask believes it
+        except Exception as error:  # another server may answer anything, and Dask does not check
             problem = f"no Dask scheduler answers there within {TIMEOUT_S} s"
             raise UsageError(f"--cluster {self._name}: {problem} ({' '.join(str(error).split())})") from error
         self._capacity, self._looked = LEAST, 0.0
@@ -145,10 +145,10 @@ class Cluster:
             logger.setLevel(level)
 
     def answers(self, asked: Iterable[Asked], count: int) -> Iterator[Answered]:
-        """The ``count`` rows of these runs, in the order in which they become known.
+        """The ``count`` rows of these runs, in order of completion.
 
         Raises:
-            WorkersGoneError: the scheduler has died, or does not know the runs any more.
+            WorkersGoneError: the scheduler has died or no longer knows the runs.
         """
         source, study = enumerate(asked), uuid.uuid4().hex
         running: dict[str, Run] = {}
@@ -162,7 +162,7 @@ class Cluster:
             if not running:
                 return
             future = self._ask(next, done)
-            if future.status in ("lost", "pending"):  # its worker died with the answer: Dask makes the run again
+            if future.status in ("lost", "pending"):  # its worker died with the answer: Dask repeats the run
                 done.add(future)
             else:
                 yield running.pop(future.key), self._answer(future)
@@ -175,14 +175,14 @@ class Cluster:
         return DIED if isinstance(error, self._distributed.KilledWorker) else failed(f"{type(error).__name__}: {error}")
 
     def _ask(self, call: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-        """What Dask answers. Where the scheduler has died, it raises many kinds of errors, and of a cancelled future too."""
+        """Call Dask; any of its errors, after a dead scheduler or a cancelled future, becomes `WorkersGoneError`."""
         try:
             return call(*arguments, **named)
         except Exception as error:
             raise WorkersGoneError(f"the cluster at {self._name} is gone") from error
 
     def _room(self) -> int:
-        """How many runs may be under way; clusters grow and shrink."""
+        """Number of runs that may be pending, by the present size of the cluster."""
         if time.monotonic() - self._looked > LOOK_EVERY_S:
             self._capacity = max(LEAST, PER_THREAD * sum(self._ask(self._client.nthreads).values()))
             self._looked = time.monotonic()
@@ -191,7 +191,7 @@ class Cluster:
     def _check_versions(self) -> None:
         try:
             found: dict[str, str] = _in_time(lambda: self._client.run(version))
-        except Exception as error:  # whatever its workers make of it
+        except Exception as error:  # a worker may raise anything
             raise UsageError(
                 f"--cluster {self._name}: a worker cannot run vcmvsp ({type(error).__name__}: {' '.join(str(error).split())})"
             ) from error
@@ -201,10 +201,10 @@ class Cluster:
 
 
 def _in_time(call: Callable[[], T]) -> T:
-    """What the call gives within `TIMEOUT_S`. Dask waits without end for a peer that accepts a connection and says nothing.
+    """Result of a call within `TIMEOUT_S`: Dask itself waits forever for a peer that accepts a connection and stays silent.
 
     Raises:
-        TimeoutError: it has given nothing by then; its thread is left behind.
+        TimeoutError: no result in time; the thread keeps running.
     """
     given: list[T] = []
     raised: list[Exception] = []

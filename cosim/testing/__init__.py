@@ -36,9 +36,9 @@ def check_agent(
 ) -> None:
     """Check that agents made by ``make`` keep the contract of `vcmvsp.Agent`.
 
-    The laws: it acts before it has heard anything; it survives messages that it does not understand (other keys, other types,
-    NaN, bytes); what it commands and sends is finite and can be encoded; two of them that see the same say the same; it leaves
-    what it is shown unchanged; seeing it through a wire makes no difference.
+    The laws: an agent acts before it has received a message; it survives unknown messages (other keys, other types, NaN,
+    bytes); its commands and messages are finite and can be encoded; two agents with equal observations give equal outputs; it
+    does not modify its observations; the wire encoding of observations makes no difference.
     """
     shown = [_observation(vehicle, others, tick) for tick in range(ticks)]
     plain = _play(make(), vehicle, others, shown)
@@ -50,10 +50,10 @@ def check_agent(
 
 
 def check_channel(layer: Any, *, reciprocal: bool = True) -> None:
-    """Check that a layer of the radio keeps the contract of `netsim.interfaces.layers`, whichever of its verbs it has.
+    """Check that a layer of the radio keeps the contract of `netsim.interfaces.layers`, for all methods that it has.
 
-    The laws: one finite answer per receiver, of the right type; the same question gets the same answer; a receiver's answer
-    does not depend on who else listens; a path loss is the same in both directions (unless ``reciprocal`` is false).
+    The laws: one finite result per receiver, of the right type; equal calls give equal results; a receiver's result does not
+    depend on the other receivers; path loss is equal in both directions (unless ``reciprocal`` is false).
     """
     verbs: dict[str, Callable[[Any, str], None]] = {
         "loss_db": _check_path_loss,
@@ -71,22 +71,22 @@ def check_channel(layer: Any, *, reciprocal: bool = True) -> None:
 
 
 def check_federate(make: Callable[[], Federate], run: RunInfo, inputs: Sequence[Event] = ()) -> None:
-    """Check that federates made by ``make`` keep the contract of `cosim.federate.Federate` over a run by themselves.
+    """Check that federates made by ``make`` keep the contract of `cosim.federate.Federate` in a run of their own.
 
-    The laws: names and slots are declared; every event is in effect no earlier than the step that gave it, has a valid key and
-    can be encoded; the next wake-up lies ahead; two of them that get the same give the same; closing works.
+    The laws: names and slots are declared; every event takes effect no earlier than its step, has a valid key and can be
+    encoded; the next wake-up is in the future; two federates with equal inputs give equal outputs; closing works.
 
     Args:
-        make: makes a fresh one.
-        run: what it is told.
-        inputs: events that it is given at their time, as far as it reads them.
+        make: makes a new federate.
+        run: its run information.
+        inputs: events, delivered at their time if the federate subscribes to them.
     """
     first, second = _step_through(make(), run, inputs), _step_through(make(), run, inputs)
     _require(first == second, "two federates that got the same gave different events")
 
 
 def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Observation]) -> bytes:
-    """Everything that the agent says, encoded."""
+    """All outputs of the agent, encoded."""
     from vcmvsp.cosim.assembly.parts.agent_host import AgentHost
 
     spec = AgentSpec(
@@ -102,7 +102,7 @@ def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Obs
             inbox += [Event(f"{vehicle}/heard", each.received_ns, each) for each in seen.heard]
             step = federate.step(now, inbox)
             said.append(list(step.events))
-            assert step.next_ns is not None  # noqa: S101  agents always have a next tick
+            assert step.next_ns is not None  # noqa: S101  an agent always has a next tick
             now = step.next_ns
     except AgentError as error:
         raise AssertionError(f"{error}\n{error.details}") from error
@@ -112,7 +112,7 @@ def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Obs
 
 
 def _observation(vehicle: str, others: Sequence[str], tick: int) -> Observation:
-    """What an agent might see: silence at first, then sense and nonsense in turn."""
+    """A test observation: no messages at first, then valid and invalid ones in turn."""
     rng = np.random.default_rng(tick)
     x, y, yaw = rng.uniform(-3.0, 3.0, 3).tolist()
     now = tick * SECOND // 10
