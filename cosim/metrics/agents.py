@@ -1,11 +1,11 @@
-"""What agents commanded, and how well they and real vehicles took part: missed ticks, ages of what is known, stops.
+"""Metrics of commands and of the participation of agents and real vehicles: missed ticks, ages of information, stops.
 
-A command holds until the next one, the last to the end of the run. So the commanded speed |v| and yaw rate are step functions
-of time, and their root mean squares and the control effort, ``integral of |v|^2 dt``, are exact. The commanded acceleration is
-the change from one command to the next over the time between them, its root mean square weighted with that time; |v| and
-changes are those of vectors. While a vehicle flies to a way-point no velocity is commanded, and the time does not count.
+A command holds until the next one, the last until the end of the run. So the commanded speed |v| and yaw rate are step
+functions of time, and their root mean squares and the control effort, ``integral of |v|^2 dt``, are exact. The commanded
+acceleration is the change from one command to the next over the time between them, its root mean square weighted with that
+time; |v| and changes are of vectors. Time towards a way-point has no commanded velocity and does not count.
 
-An answer of an agent that comes in time leaves nothing here, however late it is on the wall clock: the run waits for it.
+An answer that arrives in time leaves no trace here, however late on the wall clock: the run waits for it.
 """
 
 import itertools
@@ -22,13 +22,13 @@ from vcmvsp.cosim.types import Array, Incident, Presence, RealStatus
 
 KEYS = ("speed_rms_m_s", "yaw_rate_rms_rad_s", "acceleration_rms_m_s2", "yaw_acceleration_rms_rad_s2", "effort_m2_s")
 SPREAD = ("p50", "p99", "max")
-LIMITS = "limits"  # among the causes of a `RealStatus`: of speed and acceleration
+LIMITS = "limits"  # a cause in `RealStatus`: limits of speed and acceleration
 
 
 def control_metrics(commands: Mapping[str, Array], vehicles: Sequence[str], window: Window, end_ns: int) -> dict[str, Any]:
-    """The ``control`` part, of each vehicle and of all.
+    """The ``control`` part, per vehicle and for all vehicles together.
 
-    ``commands`` are rows of time in ns, velocity (3) in m/s and yaw rate in rad/s, in order of time; NaN: none from then on.
+    ``commands`` are rows of time in ns, velocity (3) in m/s and yaw rate in rad/s, in order of time; NaN: no command.
     """
     begin, last = window_ns(window)
     none = np.empty((0, 5))
@@ -40,14 +40,14 @@ def control_metrics(commands: Mapping[str, Array], vehicles: Sequence[str], wind
 @np.errstate(over="ignore")  # a command may be any number: what cannot be said of it is infinite
 def _sums(rows: Array, begin: int, end: int) -> Array:
     """Integrals over time: 1, |v|^2 and w^2 under command; 1, |dv/dt|^2 and (dw/dt)^2 between commands."""
-    rows = rows[np.append(np.diff(rows[:, 0]) > 0, True)[: len(rows)]]  # of several at one instant the last counts
+    rows = rows[np.append(np.diff(rows[:, 0]) > 0, True)[: len(rows)]]  # the last of several at one instant counts
     time, values = rows[:, 0], rows[:, 1:]
     held = np.diff(np.append(time, end).clip(begin, end)) / SECOND_NS
     held[np.isnan(values[:, 0])] = 0.0
     step, apart = np.diff(values, axis=0), np.diff(time) / SECOND_NS
     judged = (time[1:] >= begin) & (time[1:] <= end) & ~np.isnan(step[:, 0])
     step, apart = step[judged], apart[judged]
-    squared = np.where(held[:, np.newaxis] > 0.0, values, 0.0) ** 2  # no time of what is infinite would be no number
+    squared = np.where(held[:, np.newaxis] > 0.0, values, 0.0) ** 2  # zero time times infinity would be NaN
     changed = step**2 / apart[:, np.newaxis]
     return np.array(
         [
@@ -77,7 +77,7 @@ def _summary(sums: Array) -> dict[str, float | None]:
 def agent_metrics(
     presences: Sequence[tuple[str, Presence]], ticks: Mapping[str, Ticks], end_ns: int, duration_ns: int
 ) -> dict[str, Any]:
-    """The ``agents`` part of a run that lasted until ``end_ns``, and was to last ``duration_ns``, when agents do not act."""
+    """The ``agents`` part of a run that ended at ``end_ns`` of ``duration_ns``, given the ticks at which agents did not act."""
     until_ns = min(end_ns + 1, duration_ns)  # an agent that ends the run has missed the tick at its end
     return {
         vehicle: _of_agent([each for name, each in presences if name == vehicle], train, end_ns, until_ns)
@@ -102,7 +102,7 @@ def _of_agent(presences: Sequence[Presence], train: Ticks, end_ns: int, until_ns
 
 
 def _count(train: Ticks, from_ns: int, to_ns: int) -> int:
-    """Ticks t with from <= t < to."""
+    """Number of ticks t with from <= t < to."""
     first, stop = (-(-time_ns * train.per // train.ns) for time_ns in (from_ns, to_ns))
     return max(0, stop - first)
 
@@ -113,7 +113,7 @@ def hardware_metrics(
     fixes: Mapping[str, int],
     got: Receptions,
 ) -> dict[str, Any]:
-    """The ``hardware`` part: of each real vehicle, from its statuses (with times, ns), incidents and positions that came."""
+    """The ``hardware`` part of each real vehicle, from its timed statuses (ns), incidents and received fixes."""
     return {
         vehicle: _of_one(
             told, [each for name, each in incidents if name == vehicle], fixes.get(vehicle, 0), _delays_s(got, vehicle)
@@ -144,7 +144,7 @@ def _of_one(
 
 
 def limited_by_s(told: Sequence[tuple[int, RealStatus]]) -> dict[str, float]:
-    """How long each cause held a real vehicle back; its limits, which act whenever it gains speed, where nothing else did."""
+    """Time for which each cause limited a real vehicle; `LIMITS`, active in every acceleration, counts only on its own."""
     by_ns = Counter[str]()
     for (now, status), (after, _) in itertools.pairwise(told):
         others = [cause for cause in status.causes if cause != LIMITS]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 SCHEMA = "vcmvsp.metrics/1"
 MANY = ("per_follower", "per_vehicle")  # tables of the same numbers, one for each vehicle
-UNITS = {  # by the ends of names, the longest first
+UNITS = {  # by the ends of names, longest first
     "m_s2": "m/s²", "rad_s2": "rad/s²", "m2_s": "m²/s", "m_s": "m/s", "rad_s": "rad/s", "1_s": "1/s", "s": "s", "m": "m",
     "hz": "Hz", "dbm": "dBm", "db": "dB", "rad": "rad", "deg": "degrees", "kg": "kg", "seconds": "s", "bytes": "bytes",
 }  # fmt: skip
@@ -20,10 +20,10 @@ UNITS = {  # by the ends of names, the longest first
 class Metric(NamedTuple):
     """A number of a run."""
 
-    meaning: str  # in a line
-    details: str = ""  # how it is computed, and when there is no value
-    label: str = ""  # of an axis, without its unit, where the name does not say it
-    unit: str = ""  # where the name does not tell it
+    meaning: str  # one line
+    details: str = ""  # how it is computed, and when it has no value
+    label: str = ""  # axis label without unit, if the name is unclear
+    unit: str = ""  # if the name has none
 
 
 GROUPS = {
@@ -175,7 +175,7 @@ METRICS = {  # ``*`` stands for a name
 
 
 def metric_of(path: Sequence[str]) -> Metric:
-    """What a number is, or the table that it is in; nothing where neither is known."""
+    """The catalogue entry of a metric or of its table; empty if both are unknown."""
     for length in range(len(path), 0, -1):
         for place in range(length, -1, -1):
             name = ".".join("*" if at == place else part for at, part in enumerate(path[:length]))
@@ -185,12 +185,12 @@ def metric_of(path: Sequence[str]) -> Metric:
 
 
 def unit_of(path: Sequence[str]) -> str:
-    """The unit that a name tells, or the nearest table that it is in: ``delay_s.mean`` is in s. Counts and shares have none."""
+    """Unit in a metric's name or in the nearest table above it: ``delay_s.mean`` is in s. Counts and shares have none."""
     return metric_of(path).unit or next((unit for name in reversed(path) if (unit := split_unit(name)[1])), "")
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """A name without its unit, and the unit; empty where it tells none."""
+    """Split a name into the name without unit, and the unit; empty if it has none."""
     for end, unit in UNITS.items():
         stem = name.removesuffix(f"_{end}")
         if stem not in (name, "") and not stem.isdigit():

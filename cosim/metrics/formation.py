@@ -1,28 +1,27 @@
-"""How well followers keep their places, each against its own leader, and how they get there.
+"""Metrics of formations: errors of followers relative to their own leaders, and their convergence.
 
-Places lie in the plane: a vehicle in the air that is too high or too low counts as in place.
+Slots lie in the plane: errors in height do not count.
 
-Overshoot and rate of convergence are of a follower's largest step: of the stretches of time in which it has one place to
-keep, the one that begins with the greatest error. One that begins within `SETTLED_M` of its place makes no step.
+Overshoot and rate of convergence belong to a follower's largest step: among the periods with a constant slot, the one with the
+largest initial error. A period that begins within `SETTLED_M` of the slot is no step.
 
 - Overshoot (as in Toh 2012, Figs 30 and 31): the component of z along the start error z0, in the follower's frame, begins
-  at |z0|; as far as it ever falls below zero, as share of |z0|. Whatever disturbs the follower later counts, too.
+  at |z0|; its largest value below zero as a share of |z0|. Later disturbances of the follower count, too.
 - Rate of convergence: the k of ``|z| = |z0| exp(-k t)``, least squares of ln|z| over the recorded instants from the start
   until |z| first falls below 5 % of |z0|, or below twice the error that remains: the RMS |z| of the stretch's last fifth.
   None where that leaves fewer than two instants.
 
-A team is everybody connected by following at the time. Its shape is where the members' centres belong if all head the same
-way: the slots, added up along the links from the one that follows nobody (in a ring: from its first in the order of the run).
-The misfit of an instant is what remains between centres and shape after the best rotation and translation of the shape
+A team is a set of vehicles connected by following at the time. Its shape is the members' centres if all have the same heading:
+the slots, added up along the links from the vehicle that follows none (in a ring: from the first in the order of the run).
+The shape error of an instant is the distance between centres and shape after the best rotation and translation of the shape
 (Kabsch, Acta Crystallographica A32, 1976; in the plane, with centred positions as complex numbers p and d, the rotation is
 that of ``sum(conj(d) p)``): root mean square over the members of all teams. Links compare a follower's handle with its
-leader's frame; this compares centres with each other, so in turns, where headings differ, the shape bends although every
-link's error is zero.
+leader's frame; this compares centres with each other, so in turns, where headings differ, the shape bends although the
+error of every link is zero.
 
-What agents note of their way past obstacles (modes, shapes of a team, whether the lane ahead of its leader is free) holds from
-the time of `cosim.agent.Agent.note` until the next note; the first is no change. A mode says that a vehicle is on its way
-around something if it is ``avoid`` or ``turn``; to stand and see nothing, ``blind``, is none of that, nor is a mode of a
-user's own.
+Notes on obstacle avoidance (modes, shapes of a team, whether the lane ahead of its leader is free) hold from the time of
+`cosim.agent.Agent.note` until the next note; the first is no change. The modes ``avoid`` and ``turn`` mean that a vehicle
+avoids an obstacle; ``blind`` (standing without sensor data) and a user's own modes do not.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -37,25 +36,25 @@ from vcmvsp.cosim.metrics.motion import FOREVER_NS, Motion, Window, between, fol
 from vcmvsp.cosim.tables.schema import Placement
 from vcmvsp.cosim.types import Array, Follows
 
-SETTLED_M = 0.05  # a follower this near to its place has settled
-ROUNDING_M = 1e-6  # errors below it are rounding, which nobody passes on from link to link
+SETTLED_M = 0.05  # a follower this near to its slot has settled
+ROUNDING_M = 1e-6  # smaller errors are rounding and do not propagate from link to link
 ARRIVED = 0.05  # share of |z0|
 REMAINS = 2.0  # times the RMS |z| of the last fifth: noise seldom exceeds it
-AROUND = ("avoid", "turn")  # modes of one that gets around something
-FREE = "free"  # of a lane; else it is narrow
+AROUND = ("avoid", "turn")  # modes of obstacle avoidance
+FREE = "free"  # value of a lane; any other means narrow
 
-History = Sequence[tuple[int, Any]]  # ns and value, each unlike the one before it
-Team = tuple[list[int], Array]  # columns of its members, and where they belong (k,): x + iy, m
+History = Sequence[tuple[int, Any]]  # ns and value; consecutive values differ
+Team = tuple[list[int], Array]  # columns of its members, and their slots (k,): x + iy, m
 
 
 class Noted:
-    """Every change of the values that count here, as the notes of a run come in."""
+    """History of the notes that count here."""
 
     def __init__(self) -> None:
         self._histories: dict[tuple[str, str], list[tuple[int, Any]]] = {}
 
     def take(self, vehicle: str, time_ns: int, values: Mapping[str, Any]) -> None:
-        """What an agent noted at a time."""
+        """Record the notes of an agent at a time."""
         for name in ("mode", "shape", "lane"):
             if name in values:
                 history = self._histories.setdefault((vehicle, name), [])
@@ -63,7 +62,7 @@ class Noted:
                     history.append((time_ns, values[name]))
 
     def of(self, vehicle: str, name: str) -> History:
-        """The values that it noted under this name."""
+        """History of the values that a vehicle noted under a name."""
         return self._histories.get((vehicle, name), ())
 
 
@@ -73,7 +72,7 @@ def formation_errors(moved: Motion, follows: Sequence[Placement]) -> dict[str, A
 
 
 def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Window, noted: Noted, end_ns: int) -> dict[str, Any]:
-    """The ``formation`` part: RMS, mean, maximum, gain and shape over the window, the rest over the whole run."""
+    """The ``formation`` part: RMS, mean, maximum, gain and shape over the window, the others over the whole run."""
     begin, end = window_ns(window)
     inside = (moved.time_ns >= begin) & (moved.time_ns <= end)
     offsets = {name: _offsets(moved, name, follows) for name in followers(moved.names, follows)}
@@ -122,7 +121,7 @@ def _parts(moved: Motion, name: str, follows: Sequence[Placement]) -> list[tuple
 
 
 def _offsets(moved: Motion, name: str, follows: Sequence[Placement]) -> Array:
-    """``r - h`` (m,) of a follower in the world, m: x + iy; NaN while it follows nobody."""
+    """``r - h`` (m,) of a follower in the world, m: x + iy; NaN while it follows no vehicle."""
     x, y, _ = moved.position
     offset = np.full(len(moved.time_ns), np.nan, np.complex128)
     f = moved.column(name)
@@ -148,14 +147,14 @@ def _of_leader(moved: Motion, name: str, follows: Sequence[Placement], errors: d
 
 
 def _hop_gain(own: Array, leaders: Array, inside: Array) -> float | None:
-    """RMS of a link's error over that of its leader's link, where both are measured; None where there is no such."""
+    """RMS error of a link over that of its leader's link, where both are measured; None without such links."""
     both = inside & np.isfinite(own) & np.isfinite(leaders)
     below, above = np.sqrt(np.sum(own[both] ** 2)), np.sqrt(np.sum(leaders[both] ** 2))
     return float(below / above) if above > ROUNDING_M * np.sqrt(both.sum()) else None
 
 
 def _summary(errors: Array, inside: Array) -> dict[str, float | None]:
-    """Of errors (followers, m): root mean square, mean and maximum in the window, and the greatest at the last instant."""
+    """RMS, mean and maximum of errors (followers, m) in the window, and the largest at the last instant."""
     chosen = errors[:, inside]
     chosen = chosen[np.isfinite(chosen)]
     final = errors[:, -1:]
@@ -169,10 +168,10 @@ def _summary(errors: Array, inside: Array) -> dict[str, float | None]:
 
 
 def _settling_s(time_ns: Array, errors: Array) -> float | None:
-    """The earliest recorded instant from which no error exceeds `SETTLED_M` any more; one that ends stays as it was."""
+    """The first recorded instant after which no error exceeds `SETTLED_M`; an error that ends keeps its last value."""
     measured = np.any(np.isfinite(errors), axis=0)
     instants = np.arange(errors.shape[1])
-    last = np.maximum.accumulate(np.where(np.isfinite(errors), instants, 0), axis=1)  # the newest that was measured
+    last = np.maximum.accumulate(np.where(np.isfinite(errors), instants, 0), axis=1)  # the newest measured instant
     held = np.take_along_axis(errors, last, axis=1)
     unsettled = np.flatnonzero(np.any(held[:, measured] > SETTLED_M, axis=0))
     times = time_ns[measured]
@@ -185,10 +184,10 @@ def _known(each: dict[str, dict[str, Any]], key: str) -> list[float]:
 
 
 def _response(steps: Sequence[tuple[Array, Array]]) -> tuple[float | None, float | None]:
-    """Overshoot and rate (1/s) of the largest of these steps.
+    """Overshoot and rate (1/s) of the largest step.
 
-    Each is recorded instants (m,) in ns and the error z (m,) at them in the follower's frame, m: z1 + i z2; NaN where it is not
-    known.
+    Each step is recorded instants (m,) in ns and the error z (m,) in the follower's frame, m: z1 + i z2; NaN where
+    unknown.
     """
     known = [(time_ns[there], z[there]) for time_ns, z in steps if (there := np.isfinite(z)).any()]
     if not known:
@@ -213,14 +212,14 @@ def _rate(time_ns: Array, error: Array) -> float | None:
 
 
 def shape_errors(moved: Motion, follows: Sequence[Placement]) -> Array:
-    """The misfit (m,) in m of all teams together; NaN while there is none."""
+    """Shape error (m,) in m of all teams together; NaN without a team."""
     result = np.full(len(moved.time_ns), np.nan)
     places = moved.position[0] + 1j * moved.position[1]
     for span, teams in _eras(moved, follows):
         squared, members = np.zeros(span.stop - span.start), np.zeros(span.stop - span.start)
         for columns, slots in teams:
             own = misfit_squared(places[span, columns], slots)
-            there = np.isfinite(own)  # a team that lacks a member is not judged
+            there = np.isfinite(own)  # a team that lacks a member does not count
             squared[there] += own[there]
             members[there] += len(columns)
         result[span] = np.sqrt(np.divide(squared, members, out=np.full_like(squared, np.nan), where=members > 0))
@@ -228,7 +227,7 @@ def shape_errors(moved: Motion, follows: Sequence[Placement]) -> Array:
 
 
 def misfit_squared(places: Array, slots: Array) -> Array:
-    """Sum (m,) of squared distances between places (m, k) and slots (k,) after the best rigid motion; x + iy, m."""
+    """Sum (m,) of squared distances between positions (m, k) and slots (k,) after the best rigid motion; x + iy, m."""
     p, d = places - places.mean(axis=1, keepdims=True), slots - slots.mean()
     turn = p @ np.conj(d)
     size = np.abs(turn)
@@ -257,11 +256,11 @@ def _teams(names: Sequence[str], placed: Mapping[str, Follows]) -> list[Team]:
     leading = [name for name in names if name not in placed or placed[name].leader is None]
     where: dict[str, complex] = {}
     teams = []
-    for first in (*leading, *names):  # the second time round: who follows each other in a ring
+    for first in (*leading, *names):  # second pass: members of rings
         if first in where or not links[first]:
             continue
         where[first], members = 0j, [first]
-        for member in members:  # which grows on the way
+        for member in members:  # grows during the loop
             for other, slot in links[member]:
                 if other not in where:
                     where[other] = where[member] + slot
@@ -271,9 +270,9 @@ def _teams(names: Sequence[str], placed: Mapping[str, Follows]) -> list[Team]:
 
 
 def change_metrics(noted: Noted, vehicles: Iterable[str], tellers: Iterable[str], end_ns: int) -> dict[str, Any]:
-    """Changes of the shape that ``tellers`` noted, changes to modes that lead around something and back, and time (s) in those.
+    """Number of changes of shape (noted by ``tellers``) and of avoidance mode, and time (s) in those modes.
 
-    Of modes it is None where nobody notes any.
+    The values of modes are None if no vehicle notes a mode.
     """
     modes = [history for name in vehicles if (history := noted.of(name, "mode"))]
     steps = [(before, after) for history in modes for (_, before), (_, after) in pairwise(history)]
@@ -287,24 +286,24 @@ def change_metrics(noted: Noted, vehicles: Iterable[str], tellers: Iterable[str]
 
 
 def leaders(names: Iterable[str], follows: Sequence[Placement]) -> list[str]:
-    """Those who lead teams: they are followed, and never follow."""
+    """Team leaders: vehicles that are followed and never follow."""
     followed, following = {each.follows.leader for each in follows}, {each.vehicle for each in follows}
     return [name for name in names if name in followed and name not in following]
 
 
 def led_by(name: str, follows: Sequence[Placement]) -> str:
-    """Who leads the team of a follower: whom it followed last, whom that one did, and so on up."""
+    """Leader of a follower's team: the last leader of its last leader, and so on upwards."""
     above = {each.vehicle: each.follows.leader for each in follows if each.follows.leader is not None}
-    for _ in above:  # at most: nobody follows himself, however he may do so
+    for _ in above:  # bounds the loop if vehicles follow in a ring
         name = above.get(name, name)
     return name
 
 
 def reformed_s(noted: Noted, settled: Mapping[str, float | None]) -> float | None:
-    """How long after the lane of its leader was free all of a team had settled, s; of the team that took longest.
+    """Longest time (s) from the leader's lane becoming free until its whole team had settled.
 
-    None where no lane was ever narrow, and where a team has not formed again: its lane is narrow to the end, not all of it have
-    settled (``settled``, s, by leader), or it has to the end kept the shape that it took while its lane was narrow.
+    None if no lane was ever narrow, or if a team has not formed again: its lane stays narrow, a member has not settled
+    (``settled``, s, by leader), or the team kept its narrow shape to the end.
     """
     taken = []
     for leader, settled_s in settled.items():

@@ -1,8 +1,8 @@
-"""What a reconnaissance found, followed and saw, from what its agents noted and from where the targets truly were.
+"""Metrics of a reconnaissance mission: finds, tracking and area seen, from notes of agents and true positions of targets.
 
-Agents note who commands (``commander``), what their task is (``task``) and after which target (``target``), what they confirmed
-and where (``found``, ``found_x``, ``found_y``), and how many bytes of maps they have sent (``map_bytes``). A target or a place
-without a name is ``""``: it may be any. A vehicle whose agent has failed (``status``) or is lost has none of the first three.
+Agents note their commander (``commander``), task (``task``), target (``target``), confirmed finds and their positions
+(``found``, ``found_x``, ``found_y``), and bytes of maps sent (``map_bytes``). A target or position without a name is ``""``,
+any target. A vehicle whose agent has failed (``status``) or is lost has none of the first three.
 """
 
 import math
@@ -16,47 +16,47 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.motion import Motion
 from vcmvsp.cosim.types import Array, Mosaic, ProbabilityMap, Sightings
 
-NEAR_M = 3.0  # nearer to a target than this is at the target, in the plane
-TRACKED_NS = 10 * SECOND_NS  # so long a vehicle stays near a target that it tracks
-KEPT = ("commander", "task", "target")  # of these every change counts
-MARKS = ("commander", "task", "found")  # who notes one of these is on a mission
+NEAR_M = 3.0  # within this distance in the plane a vehicle is at the target
+TRACKED_NS = 10 * SECOND_NS  # a tracking vehicle stays near its target at least this long
+KEPT = ("commander", "task", "target")  # every change of these counts
+MARKS = ("commander", "task", "found")  # a vehicle that notes one of these is on a mission
 COUNTED = frozenset({*KEPT, *MARKS, "map_bytes"})
 
 
 class Target(Protocol):
-    """Something on the ground that is searched for."""
+    """A search target on the ground."""
 
     @property
     def name(self) -> str:
-        """It is called so by those who search for it."""
+        """Name used by the search."""
 
     @property
     def size_m(self) -> float:
-        """Its edge, or its diameter."""
+        """Edge length or diameter."""
 
     def place(self, time_s: float) -> tuple[float, float]:
-        """Where its middle is, m, world."""
+        """Position of its centre, m, world."""
 
     def yaw(self, time_s: float) -> float:
-        """How it is turned, rad."""
+        """Heading, rad."""
 
 
 class Found(NamedTuple):
-    """What a vehicle confirmed for itself."""
+    """A find that a vehicle confirmed."""
 
     time_ns: int
     vehicle: str
-    name: str  # "": it cannot tell
+    name: str  # "": unknown
     place: tuple[float, float]  # m
 
 
 class Mission:
-    """Collects what counts as a run goes on."""
+    """Collects mission data during a run."""
 
     def __init__(self) -> None:
         self._histories: dict[tuple[str, str], list[tuple[int, str]]] = {}
-        self._left: dict[tuple[str, str], str] = {}  # what it was when an agent was lost
-        self._map_bytes: dict[str, list[float]] = {}  # of each of its agents: one that takes another's place begins at 0
+        self._left: dict[tuple[str, str], str] = {}  # values at the loss of an agent
+        self._map_bytes: dict[str, list[float]] = {}  # per agent; a replacement agent begins at 0
         self._maps: dict[str, ProbabilityMap] = {}
         self._marked = False
         self.found: list[Found] = []
@@ -65,9 +65,9 @@ class Mission:
         return self._marked
 
     def take(self, vehicle: str, time_ns: int, values: Mapping[str, Any]) -> None:
-        """What an agent noted at a time."""
+        """Record the notes of an agent at a time."""
         if COUNTED.isdisjoint(values) and values.get("status") != "failed":
-            return  # most
+            return  # most notes
         self._marked = self._marked or any(mark in values for mark in MARKS)
         for name in KEPT:
             if name in values:
@@ -85,7 +85,7 @@ class Mission:
             self.found.append(Found(time_ns, vehicle, str(values["found"]), place))
 
     def leave(self, vehicle: str, time_ns: int) -> None:
-        """A vehicle is without its agent from now on."""
+        """Record that a vehicle has lost its agent."""
         for name in KEPT:
             history = self._histories.get((vehicle, name))
             if history and history[-1][1]:
@@ -93,30 +93,30 @@ class Mission:
                 history.append((time_ns, ""))
 
     def come_back(self, vehicle: str, time_ns: int) -> None:
-        """Its agent is there again, and goes on as before, if it has not noted otherwise."""
+        """Record that an agent is back; its last notes apply until it notes others."""
         for name in KEPT:
             before = self._left.pop((vehicle, name), "")
             if before and not (history := self._histories[vehicle, name])[-1][1]:
                 history.append((time_ns, before))
 
     def see(self, vehicle: str, shown: ProbabilityMap | Sightings | Mosaic) -> None:
-        """What an agent showed; of maps the newest counts. Who shows something is on a mission, though it may find nothing."""
+        """Record a map (the newest counts), sightings or a mosaic; each marks its vehicle as on a mission."""
         self._marked = True
         if isinstance(shown, ProbabilityMap):
             self._maps[vehicle] = shown
 
     def of(self, vehicle: str, name: str) -> Sequence[tuple[int, str]]:
-        """When (ns) a vehicle noted which commander, task or target: each unlike the one before it; ``""``: none."""
+        """Times (ns) and values that a vehicle noted as commander, task or target; consecutive values differ; ``""``: none."""
         return self._histories.get((vehicle, name), ())
 
     def lost(self, vehicle: str) -> list[tuple[int, str]]:
-        """When (ns) a vehicle gave up tracking, and which target."""
+        """Times (ns) at which a vehicle gave up tracking, and the targets."""
         tasks = self.of(vehicle, "task")
         ends = [end for (_, task), (end, following) in pairwise(tasks) if task == "track" and following]
         return [(end, next((name for at, name in reversed(self.of(vehicle, "target")) if at < end), "")) for end in ends]
 
     def metrics(self, moved: Motion, targets: Sequence[Target]) -> dict[str, Any] | None:
-        """The ``mission`` part (`cosim.metrics`); None where there are no targets, and nobody is on a mission."""
+        """The ``mission`` part (`cosim.metrics`); None without targets and without a vehicle on a mission."""
         if not (self._marked or targets):
             return None
         first_s: dict[str, float | None] = {target.name: None for target in targets}
@@ -128,7 +128,7 @@ class Mission:
             elif first_s[target.name] is None:
                 first_s[target.name] = found.time_ns / SECOND_NS
         changes = [history for (_, name), history in self._histories.items() if name == "commander"]
-        commanders = [[name for _, name in history if name] for history in changes]  # with nobody between them or not
+        commanders = [[name for _, name in history if name] for history in changes]  # ignores gaps without a commander
         return {
             "targets_found": sum(time_s is not None for time_s in first_s.values()),
             "targets_tracked": sum(self._tracked(moved, target) for target in targets),
@@ -145,7 +145,7 @@ class Mission:
             x, y, _ = moved.position[:, :, column]
             if self.of(vehicle, "task"):
                 follows = self._was(moved, vehicle, "task", ("track",)) & self._was(moved, vehicle, "target", ("", target.name))
-            else:  # it has but one task
+            else:  # a single task
                 follows = self._was(moved, vehicle, "target", (target.name,))
             if _longest_ns(moved.time_ns, follows & (np.hypot(x - places[:, 0], y - places[:, 1]) <= NEAR_M)) >= TRACKED_NS:
                 return True
@@ -158,7 +158,7 @@ class Mission:
 
 
 def target_at(targets: Sequence[Target], found: Found) -> Target | None:
-    """The nearest target that was near what was found then, and may have the name that it was given."""
+    """The nearest target to a find that was within `NEAR_M` and matches its name; None without one."""
     time_s = found.time_ns / SECOND_NS
     away = [(math.dist(target.place(time_s), found.place), target) for target in targets if found.name in ("", target.name)]
     near = [pair for pair in away if pair[0] <= NEAR_M]
@@ -166,9 +166,9 @@ def target_at(targets: Sequence[Target], found: Found) -> Target | None:
 
 
 def seen_ratio(maps: Iterable[ProbabilityMap]) -> float | None:
-    """Share of the area of these maps that one vehicle or another has seen; None without maps.
+    """Share of the area of the maps that at least one vehicle has seen; None without maps.
 
-    Where their grids differ, the middles of all cells count, each for the area of its cell, shared by the maps that it is in.
+    For different grids, all cell centres count, weighted with the area of the cell over the number of maps around it.
     """
     grids: dict[tuple[float, ...], Array] = {}
     for each in maps:
@@ -188,7 +188,7 @@ def seen_ratio(maps: Iterable[ProbabilityMap]) -> float | None:
 
 
 def _looked_up(grid: tuple[float, ...], seen: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Which of these points, (len(y), len(x)), are in a grid, and which have been seen there."""
+    """Which of the points (len(y), len(x)) a grid contains, and which of them have been seen."""
     left, bottom, cell_m, *_ = grid
     (rows, columns), (i, j) = seen.shape, (np.floor((each - edge) / cell_m) for each, edge in ((y, bottom), (x, left)))
     up, along = (i >= 0) & (i < rows), (j >= 0) & (j < columns)
@@ -198,7 +198,7 @@ def _looked_up(grid: tuple[float, ...], seen: Array, x: Array, y: Array) -> tupl
 
 
 def _number(noted: object) -> float:
-    """What an agent noted, which may be anything."""
+    """A noted value as a number; notes may be of any type."""
     return float(noted) if isinstance(noted, int | float) else math.nan
 
 

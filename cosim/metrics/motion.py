@@ -1,4 +1,4 @@
-"""Where the vehicles were at recorded instants, which time is evaluated, who follows whom when, and how near vehicles came."""
+"""Recorded motion of the vehicles as arrays, the evaluation window, leaders over time, and minimum separations."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from vcmvsp.cosim.types import Array, Follows
 
 @dataclass(frozen=True)
 class Motion:
-    """The recorded poses of m instants and n vehicles; NaN where a vehicle was not there."""
+    """The recorded poses of m instants and n vehicles; NaN where a vehicle was absent."""
 
     time_ns: Array  # (m,)
     names: tuple[str, ...]
@@ -23,12 +23,12 @@ class Motion:
     yaw: Array  # (m, n) rad
 
     def column(self, name: str) -> int:
-        """Which column belongs to a vehicle."""
+        """Column of a vehicle."""
         return self.names.index(name)
 
 
 def motion(states: pa.Table) -> Motion:
-    """The table of states as dense arrays."""
+    """Convert the table of states to dense arrays."""
     names, code = names_of(states, "vehicle")
     times, instant = np.unique(numbers(states, "time_ns"), return_inverse=True)
 
@@ -44,14 +44,14 @@ def motion(states: pa.Table) -> Motion:
 
 
 def safety_metrics(moved: Motion, collisions: int, clearance_m: float | None) -> dict[str, Any]:
-    """The ``safety`` part; the smallest distance to an obstacle is of the world, None where that is not known."""
+    """The ``safety`` part; ``clearance_m`` is the minimum distance to an obstacle, None if unknown."""
     return {"collisions": collisions, "min_separation_m": min_separation_m(moved), "min_clearance_m": clearance_m}
 
 
 def min_separation_m(moved: Motion) -> float | None:
     """Smallest distance (m) between the centres of any two vehicles at any recorded instant."""
     best = np.inf
-    for shift in range(1, len(moved.names)):  # column j against column j + shift: every pair once, whole blocks of memory
+    for shift in range(1, len(moved.names)):  # column j against column j + shift: every pair once, in contiguous blocks
         apart = moved.position[:, :, shift:] - moved.position[:, :, :-shift]
         squared = np.einsum("kmn,kmn->mn", apart, apart)
         best = min(best, np.fmin.reduce(squared, axis=None, initial=np.inf))
@@ -63,24 +63,24 @@ Window = tuple[float, float | None]  # s, both ends included; None: the end of t
 
 
 def window_ns(window: Window) -> tuple[int, int]:
-    """Both ends in ns."""
+    """Both ends of a window, ns."""
     begin, end = window
     return seconds_to_ns(begin), FOREVER_NS if end is None else seconds_to_ns(end)
 
 
 def followers(names: Iterable[str], follows: Sequence[Placement]) -> list[str]:
-    """Those of these vehicles that follow somebody at some time."""
+    """The vehicles that follow a leader at any time."""
     following = {placement.vehicle for placement in follows}
     return [name for name in names if name in following]
 
 
 def stretches(name: str, follows: Sequence[Placement]) -> list[tuple[int, int, Follows]]:
-    """Begin, end (ns) and place of each stretch of a follower's time."""
+    """Begin, end (ns) and slot of each period in which a vehicle follows."""
     own = [placement for placement in follows if placement.vehicle == name]
     ends = [*(placement.time_ns for placement in own[1:]), FOREVER_NS]
     return [(placement.time_ns, end, placement.follows) for placement, end in zip(own, ends, strict=True)]
 
 
 def between(time_ns: Array, begin_ns: int, end_ns: int) -> slice:
-    """The instants with ``begin <= t < end``."""
+    """Slice of the instants with ``begin <= t < end``."""
     return slice(*np.searchsorted(time_ns, [begin_ns, end_ns]).tolist())

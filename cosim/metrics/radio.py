@@ -1,17 +1,16 @@
-"""What the radio did: frames, losses, delays; the age of information; how well it connects the vehicles.
+"""Metrics of the radio: frames, losses, delays, age of information, connectivity.
 
-Age of information: how old the newest message is that a vehicle has of another. Of each follower, what it has from the leader
-it then follows; in a run without followers, every link to a vehicle with an agent. A link counts from its first reception on.
-Over time the age is a sawtooth: it rises at one second per second, and falls at each reception of something newer to that
-message's own age. It is taken at the agents' ticks, when they act on it, and over all time: with period T, delay d and
+Age of information: the age of the newest message that a receiver has from a sender. For a follower, the sender is its current
+leader; in a run without followers, every link to a vehicle with an agent counts. A link counts from its first reception on.
+Over time the age is a sawtooth: it rises at one second per second, and falls at each reception of a newer message to that
+message's own age. It is measured at the agents' ticks, when agents use it, and over all time: with period T, delay d and
 independent losses of probability p the mean is ``d + T (1 + p) / (2 (1 - p))``, and the mean of the peaks just before each
-fall ``d + T / (1 - p)`` (renewal theory; Kaul, Yates and Gruteser, INFOCOM 2012, for the notion).
-
+fall ``d + T / (1 - p)`` (renewal theory; Kaul, Yates and Gruteser, INFOCOM 2012).
 Connectivity: in each second of the window the graph has an edge between two vehicles if either received a frame of the other
 in it. The algebraic connectivity is the second smallest eigenvalue of its Laplacian (Fiedler, Czechoslovak Mathematical
-Journal 23, 1973): 0 where the graph falls into parts, N where everybody heard everybody, 1 for a star, 2 (1 - cos(pi/N)) for a
-path. The rate at which a consensus converges is in proportion to it. Every vehicle of the run counts, whether it sends or not;
-a message that is sent less than once a second leaves seconds without an edge.
+Journal 23, 1973): 0 for a disconnected graph, N for a complete graph, 1 for a star, 2 (1 - cos(pi/N)) for a path. The
+convergence rate of a consensus is proportional to it. Every vehicle of the run counts, sender or not; messages sent less
+than once a second leave seconds without an edge.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,18 +32,18 @@ from vcmvsp.cosim.types import Array
 
 @dataclass(frozen=True)
 class Receptions:
-    """The frames that were received, in the order in which they entered the channel."""
+    """The received frames, in the order in which they entered the channel."""
 
     receivers: tuple[str, ...]
     senders: tuple[str, ...]
-    to: Array  # (n,) number of the receiver's name
-    by: Array  # (n,) number of the sender's
+    to: Array  # (n,) index of the receiver's name
+    by: Array  # (n,) index of the sender's name
     sent_ns: Array  # (n,)
     received_ns: Array  # (n,)
 
 
 def receptions(radio: pa.Table) -> Receptions:
-    """Those of the table of frames."""
+    """The received frames of the table."""
     (receivers, to), (senders, by) = names_of(radio, "receiver"), names_of(radio, "sender")
     received = numbers(radio, "received_ns", null=-1)
     got = np.flatnonzero(received >= 0)
@@ -52,9 +51,9 @@ def receptions(radio: pa.Table) -> Receptions:
 
 
 def informed(radio: pa.Table, got: Receptions) -> Receptions:
-    """Whose information was received by whom, and from when it was: as `receptions`, but for what was passed on.
+    """Receptions of information: as `receptions`, but relayed messages count from their origin.
 
-    That came from its origin, and only to those for whom it was meant (`cosim.metrics.routing`).
+    A relayed message counts only at its destinations (`cosim.metrics.routing`).
     """
     if "origin" not in radio.column_names:
         return got
@@ -69,15 +68,15 @@ def informed(radio: pa.Table, got: Receptions) -> Receptions:
 
 
 def _codes(names: Sequence[str], others: Sequence[str]) -> Array:
-    """Of each of the others its number among the names; -1: it is none of them."""
+    """Index of each of the others among the names; -1: not among them."""
     numbered = {name: number for number, name in enumerate(names)}
     return np.array([numbered.get(each, -1) for each in others], np.int32)
 
 
 def radio_metrics(radio: pa.Table, ages: dict[str, float | None]) -> dict[str, Any]:
-    """The ``radio`` part: counts of the whole run, delays of all receptions, ages as given.
+    """The ``radio`` part: counts of the whole run, delays of all receptions, the given ages.
 
-    A frame that is still under way when the run ends is neither received nor lost.
+    A frame still in transit at the end of the run is neither received nor lost.
     """
     outcomes, code = names_of(radio, "outcome")
     counts = dict(zip(outcomes, np.bincount(code, minlength=len(outcomes)).tolist(), strict=True))
@@ -86,7 +85,7 @@ def radio_metrics(radio: pa.Table, ages: dict[str, float | None]) -> dict[str, A
     delays = numbers(radio, "delay_ns", null=-1)
     delays = delays[delays >= 0] / SECOND_NS
     return {
-        "frames": int(np.count_nonzero(np.diff(numbers(radio, "frame"), prepend=-1))),  # the rows of a frame are together
+        "frames": int(np.count_nonzero(np.diff(numbers(radio, "frame"), prepend=-1))),  # the rows of a frame are adjacent
         "receptions": got,
         "delivery_ratio": got / decided if decided else None,
         "under_way": under_way,
@@ -97,7 +96,7 @@ def radio_metrics(radio: pa.Table, ages: dict[str, float | None]) -> dict[str, A
 
 
 def quantiles(values: Array, names: Sequence[str]) -> dict[str, float | None]:
-    """Mean, sd, min, median, max and percentiles (``p95``; linear between ranks); None where there are no values."""
+    """Mean, sd, min, median, max and percentiles (``p95``; linear between ranks); None without values."""
     if not values.size:
         return dict.fromkeys(names)
     percents = {"min": 0, "median": 50} | {name: int(name[1:]) for name in names if name[0] == "p"}
@@ -106,24 +105,24 @@ def quantiles(values: Array, names: Sequence[str]) -> dict[str, float | None]:
 
 
 class LinkHistory(NamedTuple):
-    """What one vehicle received of another, in order of reception."""
+    """Receptions of one receiver from one sender, in order."""
 
     sent_ns: Array  # the newest sending time received so far
     received_ns: Array
 
     def age_ns(self, at_ns: Array) -> Array:
-        """Age of the newest message at these instants, of which none lies before the first reception."""
+        """Age of the newest message at these instants, none before the first reception."""
         newest = self.received_ns.searchsorted(at_ns, side="right") - 1
         return np.asarray(at_ns - self.sent_ns[newest])
 
     def sawtooth(self, begin_ns: int, end_ns: int) -> "Sawtooth":
-        """The age from ``begin_ns`` (not before the first reception) to ``end_ns``."""
+        """The age from ``begin_ns``, not before the first reception, to ``end_ns``."""
         first, stop = (int(self.received_ns.searchsorted(at_ns, side="right")) for at_ns in (begin_ns, end_ns))
         edges = np.empty(stop - first + 2, np.int64)
         edges[0], edges[1:-1], edges[-1] = begin_ns, self.received_ns[first:stop], end_ns
         begins, ends, sent = edges[:-1], edges[1:], self.sent_ns[first - 1 : stop]
-        last = ends > begins  # of messages that arrive at once
-        last[-1] = True  # the last tooth may be of no length
+        last = ends > begins  # of messages that arrive at the same time
+        last[-1] = True  # the last tooth may have zero length
         if not last.all():
             begins, ends, sent = begins[last], ends[last], sent[last]
         low, high = (begins - sent) / SECOND_NS, (ends - sent) / SECOND_NS
@@ -147,17 +146,17 @@ class _Stretch(NamedTuple):
 
 
 def links(radio: pa.Table | Receptions) -> dict[tuple[str, str], LinkHistory]:
-    """What was received of every vehicle by every other (receiver, sender), over whatever relays."""
+    """Reception history of every link (receiver, sender), over any relays."""
     got = radio if isinstance(radio, Receptions) else informed(radio, receptions(radio))
     width = max(len(got.senders), 1)
     code = got.to.astype(np.int64) * width + got.by
-    small = len(got.receivers) * width < 2**16  # then sorting takes time in proportion to the rows
+    small = len(got.receivers) * width < 2**16  # radix sort, in linear time
     order = np.argsort(code.astype(np.uint16) if small else code, kind="stable")
     link, received = code[order], got.received_ns[order]
     starts = np.flatnonzero(np.diff(link, prepend=-1))
     turned = np.diff(received) < 0
     turned[starts[1:] - 1] = False
-    if turned.any():  # messages that overtake each other
+    if turned.any():  # messages out of order
         order = order[np.lexsort((received, link))]
         received = got.received_ns[order]
     sent = got.sent_ns[order]
@@ -172,7 +171,7 @@ def links(radio: pa.Table | Receptions) -> dict[tuple[str, str], LinkHistory]:
 def age_metrics(
     got: Receptions, follows: Sequence[Placement], ticks: Mapping[str, Ticks], window: Window, end_ns: int
 ) -> dict[str, float | None]:
-    """Age of the newest message (s) at the receivers' ticks in the window; its mean over all time, and that of its peaks."""
+    """Age of the newest message (s) at the receivers' ticks in the window; its mean over time, and the mean of its peaks."""
     counted = list(_stretches(links(got), follows, ticks))
     begin, last = window_ns(window)
     spans = ((each.link, max(each.begin_ns, begin), min(each.end_ns, last, end_ns)) for each in counted)
@@ -215,14 +214,14 @@ def _train(ticks: Ticks, begin_ns: int, end_ns: int) -> Array:
     return np.array([ticks.at(k) for k in range(first, stop)], np.int64)
 
 
-SPAN_NS = SECOND_NS  # one graph is of so much time
-MOST_VEHICLES = 200  # of more, eigenvalues would take longer than the run
-AT_ONCE = 1 << 20  # entries of the matrices that are held in memory together
-DECIMALS = 9  # to which eigenvalues are the same on any machine
+SPAN_NS = SECOND_NS  # time covered by one graph
+MOST_VEHICLES = 200  # above, eigenvalues would take longer than the run
+AT_ONCE = 1 << 20  # matrix entries in memory at once
+DECIMALS = 9  # eigenvalues agree on all machines to this precision
 
 
 def connectivity_metrics(got: Receptions, vehicles: Sequence[str], window: Window, end_ns: int) -> dict[str, float | None]:
-    """The ``connectivity`` part; None for one vehicle alone, more than `MOST_VEHICLES`, or a window shorter than `SPAN_NS`."""
+    """The ``connectivity`` part; None for a single vehicle, more than `MOST_VEHICLES`, or a window shorter than `SPAN_NS`."""
     begin, last = window_ns(window)
     graphs = (min(last, end_ns) - begin) // SPAN_NS
     if not 2 <= len(vehicles) <= MOST_VEHICLES or graphs < 1:
@@ -232,7 +231,7 @@ def connectivity_metrics(got: Receptions, vehicles: Sequence[str], window: Windo
 
 
 def adjacency(got: Receptions, vehicles: Sequence[str], begin_ns: int, graphs: int) -> Array:
-    """Who heard whom in each of so many seconds, either way: (graphs, n, n) bool."""
+    """Adjacency of the vehicles in each of ``graphs`` seconds, in either direction: (graphs, n, n) bool."""
     n, number = len(vehicles), {name: i for i, name in enumerate(vehicles)}
     to, by = (
         np.array([number[name] for name in names], np.int64)[codes]
@@ -251,7 +250,7 @@ def algebraic_connectivity(adjacent: Array) -> Array:
     m, n, _ = adjacent.shape
     values = np.empty(m)
     step = max(1, AT_ONCE // n**2)
-    with threadpool_limits(1):  # sums come out the same on any number of cores
+    with threadpool_limits(1):  # sums do not depend on the number of cores
         for first in range(0, m, step):
             some = adjacent[first : first + step].astype(np.float64)
             laplacian = -some

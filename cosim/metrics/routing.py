@@ -1,10 +1,9 @@
-"""What the network layer did: how many hops messages took, what that cost, and whose information a frame carried.
+"""Metrics of the network layer: hop counts, overhead, and the origin of the information in a frame.
 
-With routing a frame is sent by whoever passes a message on. So the table of frames says in five columns more what was in it:
-``origin``, the vehicle whose message it is; ``origin_sent_ns`` and ``origin_number``, when that had it and which of its own it
-is; ``destination``, the only one meant, empty for a broadcast; and ``message``, whether that was ``under way`` when the run
-ended or ``over``. A frame that tells of routes has an empty origin and no number, and so has one whose message was under way
-when a run broke off.
+With routing, relays send frames with messages of other vehicles. So the table of frames has five more columns: ``origin``, the
+vehicle that made the message; ``origin_sent_ns`` and ``origin_number``, its time and sequence number there; ``destination``,
+empty for a broadcast; and ``message``, whether the message was ``under way`` at the end of the run or ``over``. A frame of
+the routing protocol has an empty origin and no number, and so has a frame whose message was under way when a run was aborted.
 """
 
 from array import array
@@ -22,26 +21,26 @@ from vcmvsp.cosim.types import Array, Routed
 
 COLUMNS = ("origin", "destination", "origin_sent_ns", "origin_number", "message")
 FATES = ("", "over", "under way")
-_NOBODY = 0, 0, 0  # in place of when, which and its fate
+_NOBODY = 0, 0, 0  # time, number and outcome of a frame without a message
 
 
 class Routing:
-    """Takes what the network layer tells of messages."""
+    """Collects the routing events of messages."""
 
     def __init__(self, vehicles: Sequence[str]) -> None:
         self._names = (*vehicles, "")
         self._code: Mapping[str, int] = {name: code for code, name in enumerate(self._names)}
         self._messages = array("q")  # origin, destination, sent_ns, number, fate of each
-        self._frames = array("q")  # of each, and the place of its message
-        self._arrivals = array("q")  # hops, delay ns of each
+        self._frames = array("q")  # frame number, and index of its message
+        self._arrivals = array("q")  # hops and delay (ns) of each
         self._counts = dict.fromkeys(("messages", "decided", "forwarded", "no_route", "control_frames", "control_bytes"), 0)
 
     def __bool__(self) -> bool:
-        """Whether there was anything to tell."""
+        """Whether any message was routed."""
         return bool(self._frames or self._counts["messages"])
 
     def take(self, routed: Routed) -> None:
-        """A message that is under way no more, or was when the run ended."""
+        """Record a message that ended, or was under way at the end of the run."""
         counts, code, frames = self._counts, self._code, len(routed.frames)
         origin, to, fate = ("", "", "") if routed.update else (routed.origin, routed.to or "", FATES[1 + routed.under_way])
         for frame in routed.frames:
@@ -61,7 +60,7 @@ class Routing:
         counts["decided"] += sum(came) if routed.under_way else meant
 
     def metrics(self) -> dict[str, Any]:
-        """The ``routing`` part, of the whole run. Where a message may still arrive when that ends, it has neither failed to."""
+        """The ``routing`` part, of the whole run. Messages still under way at its end have not failed."""
         counts = dict(self._counts)
         hops, delays = np.array(self._arrivals, np.int64).reshape(-1, 2).T
         decided = counts.pop("decided")
@@ -82,7 +81,7 @@ class Routing:
         known, frames = np.array(self._frames, np.int64).reshape(-1, 2), numbers(radio, "frame")
         place = np.full(1 + max(known[:, 0].max(initial=-1), frames.max(initial=-1)), -1)
         place[known[:, 0]] = known[:, 1]
-        of = place[frames]  # -1: of a run that broke off, some were not told of
+        of = place[frames]  # -1: an aborted run reports some messages never
         origin, to, fate = (messages[row][of].astype(np.int32) for row in (0, 1, 4))
         columns = (
             name_column(self._names, origin),
@@ -97,7 +96,7 @@ class Routing:
 
 
 def unreached_s(radio: pa.Table, receiver: str, origin: str) -> Array:
-    """When messages were sent that were meant for a vehicle and came to it over nobody, s."""
+    """Sending times (s) of messages meant for a vehicle that never reached it over any relay."""
     (origins, by), (destinations, to) = names_of(radio, "origin"), names_of(radio, "destination")
     (receivers, at), (fates, fate) = names_of(radio, "receiver"), names_of(radio, "message")
     own, its = by == _code(origins, origin), (to == _code(destinations, "")) | (to == _code(destinations, receiver))

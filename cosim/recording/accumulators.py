@@ -1,7 +1,7 @@
-"""What is kept of a run for its two tables, its numbers and its digest; nothing of it is written while the run goes on.
+"""Collects the data of a run for its two tables, its metrics and its digest; writes nothing while the run continues.
 
-A value is taken by its type (`_takers`). What is in neither table counts in the digest as MessagePack, in the order
-in which it came: most types just as they are (`PACKED`), arrays by their bytes.
+Values are handled by type (`_takers`). Values that are in neither table enter the digest as MessagePack, in order of arrival:
+most types unchanged (`PACKED`), arrays as their bytes.
 """
 
 import functools
@@ -36,38 +36,38 @@ from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.files import replacing
 
 Take = Callable[[str, int, Any], None]
-"""What is done with a value, given its key and its time (ns)."""
+"""Handles one value, given its key and time (ns)."""
 PACKED = (
     *(types.Changed, types.Contact, types.Fix, types.Follows, types.Halted, types.Imu, types.Incident, types.Measured),
     *(types.Message, types.Moved, types.Note, types.Odometry, types.Outage, types.Presence, types.RealStatus),
     *(types.Velocity, types.Waypoint),
 )
-"""Types that count in the digest as they are: `Recorder.on` adds these to `packed`, as key, time and value."""
-HASHED_BYTES = 1 << 16  # so many are hashed together
-_COMMAND = struct.Struct("<5d").pack  # time ns, velocity m/s, yaw rate rad/s: an array's own `extend` takes twice as long
-_NO_COMMAND = (math.nan,) * 4  # what a way-point leaves of velocities, from then on
+"""Types that enter the digest unchanged: `Recorder.on` appends them to `packed` as key, time and value."""
+HASHED_BYTES = 1 << 16  # bytes hashed at once
+_COMMAND = struct.Struct("<5d").pack  # time ns, velocity m/s, yaw rate rad/s; `array.extend` would be half as fast
+_NO_COMMAND = (math.nan,) * 4  # a way-point ends the commanded velocity
 
 
 class Accumulators:
-    """Collects as a run goes on; tables and numbers are made once it is over. Args: see `cosim.recording.recorder.Recorder`."""
+    """Collects data during a run and makes tables and metrics after it. Args: see `cosim.recording.recorder.Recorder`."""
 
     def __init__(self, run: RunInfo, agents: Sequence[AgentInfo], world: DrawnWorld | None = None) -> None:
         self._run, self._world = run, world
-        self._now = 0  # ns: of the newest value; once the run is over, its end
+        self._now = 0  # ns: time of the newest value; after the run, its end
         self._ticks = {agent.vehicle: agent.ticks for agent in agents}
         self._rows: list[tuple[int, types.States]] = []
         self._frames = Frames(run.vehicles)
         self._follows: list[Placement] = []
         self._noted, self._mission = Noted(), Mission()
         self._routing = Routing(run.vehicles)
-        self._commands = {name: bytearray() for name in run.vehicles}  # `_COMMAND`, one behind the other
+        self._commands = {name: bytearray() for name in run.vehicles}  # packed `_COMMAND` records
         self._presences: list[tuple[str, types.Presence]] = []
         self._statuses: defaultdict[str, list[tuple[int, types.RealStatus]]] = defaultdict(list)  # of real vehicles
         self._incidents: list[tuple[str, types.Incident]] = []
         self._fixes: Counter[str] = Counter()
         self._contacts: Counter[str] = Counter()
-        self._packed = bytearray()  # what is in no table, since it was hashed last
-        self._others = hashlib.sha256()  # of all before
+        self._packed = bytearray()  # values in no table that are not hashed yet
+        self._others = hashlib.sha256()  # hash of all earlier ones
         self._tables: tuple[pa.Table, pa.Table] | None = None
         self._takers: dict[type, Take] = {
             types.FrameReport: lambda _key, _time_ns, report: self._frames.extend((report,)),
@@ -92,33 +92,33 @@ class Accumulators:
         }
 
     def _hash_much(self) -> None:
-        """Hash what is packed, if that is much: for little at a time it takes as long again as to pack it."""
+        """Hash the packed bytes once there are enough: many small updates would double the cost."""
         if len(self._packed) > HASHED_BYTES:
             self._hash()
 
     @property
     def follows(self) -> tuple[Placement, ...]:
-        """Who means to keep which place, and from when on."""
+        """Slots of all followers, each with the time from which it holds."""
         return tuple(self._follows)
 
     @property
     def facts(self) -> RunFacts:
-        """What the tables do not say of the run."""
+        """Facts about the run that the tables do not contain."""
         run = self._run
         return RunFacts(scenario=run.scenario, seed=run.seed, end_ns=self._now, vehicles=run.vehicles, follows=self.follows)
 
     @property
     def states(self) -> pa.Table:
-        """The true states (`cosim.tables.schema.STATES_SCHEMA`) of a run that is over."""
+        """The table of true states (`cosim.tables.schema.STATES_SCHEMA`), after the run."""
         return self._both()[0]
 
     @property
     def radio(self) -> pa.Table:
-        """The frames at their receivers (`cosim.tables.schema.RADIO_SCHEMA`), likewise."""
+        """The table of frames per receiver (`cosim.tables.schema.RADIO_SCHEMA`), after the run."""
         return self._both()[1]
 
     def _both(self) -> tuple[pa.Table, pa.Table]:
-        """Both tables; what they are made of is given up."""
+        """Both tables; releases the data that they are made from."""
         if self._tables is None:
             facts = self.facts
             self._tables = states_table(self._rows, facts), radio_table(self._frames, facts)
@@ -134,7 +134,7 @@ class Accumulators:
                 write_table(table, path)
 
     def metrics(self, *, window: Window) -> dict[str, Any]:
-        """The numbers of a run that is over (`cosim.metrics.catalogue`); all but counts within the window (s)."""
+        """The metrics of a finished run (`cosim.metrics.catalogue`); all but counts are taken over the window (s)."""
         states, radio, end_ns = self.states, self.radio, self._now
         self._hash()
         moved, got = motion(states), receptions(radio)
@@ -193,14 +193,14 @@ class Accumulators:
 
 @functools.cache
 def vehicle_of(key: str) -> str:
-    """Whose key it is."""
+    """Vehicle name in a key."""
     return key.partition("/")[0]
 
 
 def digest(tables: list[pa.Table], rest: bytes = b"") -> str:
-    """SHA-256 (hex) over all columns of the tables, name by name, and ``rest``.
+    """SHA-256 (hex) over all columns of the tables, column by column, and ``rest``.
 
-    It is taken over the values: chunks of tables, the order of names and the versions of file formats do not change it.
+    The hash is taken over values: it does not depend on chunks, on the order of names or on versions of file formats.
     """
     total = hashlib.sha256()
     for table in tables:

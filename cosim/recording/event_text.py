@@ -1,4 +1,4 @@
-"""Events that a person wants to be told of, in words: for the log of the recording, and for the terminal."""
+"""Text of events for the log of the recording and for the terminal."""
 
 from collections.abc import Mapping
 
@@ -20,17 +20,17 @@ _HELD_BY = {
     "clock": "its clock",
     "not_finite": "what is no number",
 }
-"""Causes for which a real vehicle is held back; others are words already."""
+"""Words for the causes that limit a real vehicle; other causes are words already."""
 
 
 def of_limits(by_s: Mapping[str, float]) -> str:
-    """What held a real vehicle back, and for how long each, the longest first."""
+    """Causes that limited a real vehicle and for how long, the longest first."""
     longest = sorted(by_s.items(), key=lambda item: -item[1])
     return ", ".join(f"{_HELD_BY.get(cause, cause)} {held_s:.1f} s" for cause, held_s in longest)
 
 
 def of_event(vehicle: str, event: Told, time_ns: int) -> tuple[str, str]:
-    """Level of the log and text: of an agent that was lost, an incident, a touch, or what the operator did."""
+    """Log level and text of an event: a lost agent, an incident, a contact, or an operator's action."""
     match event:
         case Presence():
             why = f": {event.why}" if event.why else ""

@@ -1,13 +1,13 @@
-"""What came into a run from outside, kept so that the run can be made again: ``hardware.mcap``.
+"""Records external inputs of a run in ``hardware.mcap``, so that the run can be replayed.
 
-Real vehicles and programs outside make a run unlike any other: what they did is not to be had from scenario and seed. So
-everything that they told is kept here, at its time and to the last bit, as MessagePack (`cosim.util.codec`) in an MCAP file.
-``run.mcap`` is for people and viewers; this file is for `cosim.runs.replay`.
+Real vehicles and external programs make a run that scenario and seed cannot reproduce. All their data are recorded here with
+their times and to the last bit, as MessagePack (`cosim.util.codec`) in an MCAP file. ``run.mcap`` is for people and viewers;
+this file is for `cosim.runs.replay`.
 
 =======================  ==========================================================================================
-``<vehicle>/<topic>``    an event that the vehicle gave: its estimate, odometry, fixes, readings, how it stands
-``<vehicle>/reflected``  the motion that physics was given, at each instant that it asked (`cosim.federate.ExternalMotion`)
-``bridge/sent``          what programs handed to radios: numbers, sizes and times (`Datagrams`)
+``<vehicle>/<topic>``    an event from the vehicle: estimate, odometry, fixes, readings, status
+``<vehicle>/reflected``  the motion that physics received, at each instant (`cosim.federate.ExternalMotion`)
+``bridge/sent``          datagrams that programs gave to radios: numbers, sizes, times (`Datagrams`)
 =======================  ==========================================================================================
 """
 
@@ -26,22 +26,22 @@ from vcmvsp.cosim.types import AnyValue, Later
 from vcmvsp.cosim.util.codec import Decoder, encode
 
 FILE = "hardware.mcap"
-REFLECTED = "reflected"  # the topic of what physics was told
-LOST_NS = SECOND_NS  # what the file of a killed process lacks at most
+REFLECTED = "reflected"  # topic of the motion that physics received
+LOST_NS = SECOND_NS  # a killed process loses at most this much
 
 Input = tuple[str, int, AnyValue]
 """Key, time (ns) and value."""
 
 
 def schema_of(kind: type) -> Schema:
-    """The fields of a value and their types, in words."""
+    """Field names and types of a value as text."""
     fields = "\n".join(f"{name}: {_words(hint)}" for name, hint in get_type_hints(kind).items() if not name.startswith("__"))
     text = f"A MessagePack map of these fields and 'type'; an array is [dtype of NumPy, shape, bytes].\n{fields}\n"
     return Schema(f"vcmvsp.{kind.__name__}", "x-text", text.encode())
 
 
 def encode_into(value: object, buffer: bytearray, place: int) -> None:
-    """Have the buffer end with the value's bytes, which begin at or behind its present end."""
+    """Encode the value into the buffer at ``place``, at or after its end; the buffer then ends with the value."""
     data = encode(value)
     buffer += bytes(place - len(buffer)) + data
 
@@ -50,7 +50,7 @@ MSGPACK = Form("msgpack", encode_into, schema_of)
 
 
 class InputLog:
-    """Writes the file while the run goes on, from `open` on: a crash loses the last second at most."""
+    """Writes the file during the run, after `open`; a crash loses at most the last second."""
 
     def __init__(self) -> None:
         self._memory: io.BytesIO | None = None
@@ -58,13 +58,13 @@ class InputLog:
         self._due_ns = LOST_NS
 
     def open(self, stream: BinaryIO | None = None) -> None:
-        """Begin to write into a binary stream, which the caller closes; None: into memory (`content`)."""
+        """Start writing to a binary stream, which the caller closes, or to memory (None; see `content`)."""
         if stream is None:
             stream = self._memory = io.BytesIO()
         self._log = McapLog(stream, {"content": "inputs"}, MSGPACK)
 
     def on(self, key: str, time_ns: int, value: AnyValue) -> None:
-        """Write a value, if the file is open; times never decrease."""
+        """Write a value if the file is open; times never decrease."""
         if self._log is None:
             return
         if time_ns >= self._due_ns:
@@ -73,22 +73,22 @@ class InputLog:
         self._log.write(key, time_ns, value.get() if isinstance(value, Later) else value)
 
     def close(self) -> None:
-        """Finish the file. May be called again."""
+        """Finish the file. Repeated calls are allowed."""
         if self._log is not None:
             self._log.finish()
             self._log = None
 
     @property
     def content(self) -> bytes:
-        """The file, where it is kept in memory."""
+        """The bytes of a file in memory."""
         return b"" if self._memory is None else self._memory.getvalue()
 
 
 def read_inputs(path: str | Path, *, tell: Callable[[str], None] = lambda _: None) -> list[Input]:
-    """Everything that such a file holds, in its order; of a damaged one, which ``tell`` says, what comes before that.
+    """All inputs of such a file, in order; of a damaged file, those before the damage, which ``tell`` reports.
 
     Raises:
-        UsageError: there is no such file, or nothing in it can be read.
+        UsageError: the file does not exist or is unreadable.
     """
     decoder: Decoder[Any] = Decoder(AnyValue)
     inputs: list[Input] = []

@@ -1,16 +1,15 @@
-"""Messages that Foxglove and Lichtblick draw by themselves, and what agents show as such messages.
+"""Message types that Foxglove and Lichtblick display, and conversion of agents' maps and sightings to them.
 
-Names and fields are those of Foxglove's published schemas (https://docs.foxglove.dev/docs/sdk/schemas); of a scene entity's
-primitives only those drawn here. What those schemas have no place for stands in further fields, which viewers pass over. They
-are written as JSON (`cosim.recording.mcap_writer`): Foxglove's own packages for Python speak Protobuf alone and know no further
-fields. Lengths m, angles rad, world frame ``world`` (x east, y north, z up), a frame of its own per vehicle (x forward, y left,
-z up).
+Names and fields follow Foxglove's published schemas (https://docs.foxglove.dev/docs/sdk/schemas); of the primitives of a scene
+entity only those drawn here. Further fields hold what those schemas lack; viewers ignore them. Messages are written as JSON
+(`cosim.recording.mcap_writer`): Foxglove's own Python packages support Protobuf alone and no further fields. Lengths m, angles
+rad, world frame ``world`` (x east, y north, z up), a frame per vehicle (x forward, y left, z up).
 
 ===============================  ===========================  =====================================================
 ``<vehicle>/map``                `Grid`                       ``probability`` in 255ths and ``seen``, 0 or 1, per cell
 ``<vehicle>/mosaic``             `Grid`                       ``red``, ``green``, ``blue``; ``alpha`` 0: not seen
-``<vehicle>/sightings``          `ImageAnnotations`           turned boxes with names, and the sightings themselves
-``<vehicle>/sightings/picture``  `CompressedImage`            the picture that they are in, where it was kept
+``<vehicle>/sightings``          `ImageAnnotations`           turned boxes with names, and the sightings
+``<vehicle>/sightings/picture``  `CompressedImage`            the picture of the sightings, if kept
 ===============================  ===========================  =====================================================
 """
 
@@ -29,12 +28,12 @@ from vcmvsp.cosim.util.palette import rgb_of
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}  # foxglove.LogLevel
 UINT8 = 1  # foxglove.NumericType
 LINE_LOOP = 2  # foxglove.PointsAnnotationType
-PICTURE = "picture"  # under the key of the sightings
+PICTURE = "picture"  # suffix of the key of the sightings
 FONT_PX = 16.0
 
 
 class FoxgloveMessage(msgspec.Struct, frozen=True, gc=False):
-    """Base of the messages that Foxglove knows."""
+    """Base of the Foxglove message types."""
 
 
 class Time(FoxgloveMessage, frozen=True):
@@ -45,17 +44,17 @@ class Time(FoxgloveMessage, frozen=True):
 
     @classmethod
     def of(cls, time_ns: int) -> "Time":
-        """The instant ``time_ns``."""
+        """Create from ns."""
         return cls(*divmod(time_ns, SECOND_NS))
 
     @property
     def ns(self) -> int:
-        """The same as a number."""
+        """The instant in ns."""
         return self.sec * SECOND_NS + self.nsec
 
 
 class Duration(FoxgloveMessage, frozen=True):
-    """A length of time; zero for an entity means that it stays."""
+    """A length of time; zero as an entity's lifetime means no limit."""
 
     sec: int = 0
     nsec: int = 0
@@ -70,7 +69,7 @@ class Vector3(FoxgloveMessage, frozen=True):
 
 
 class Quaternion(FoxgloveMessage, frozen=True):
-    """A rotation. Here x, y, z come first, as Foxglove has it."""
+    """A rotation in Foxglove's order x, y, z, w."""
 
     x: float = 0.0
     y: float = 0.0
@@ -86,14 +85,14 @@ class Pose(FoxgloveMessage, frozen=True):
 
 
 class Stamped(FoxgloveMessage, frozen=True):
-    """A message with the time at which it was measured, and the frame in which it stands."""
+    """A message with its time of measurement and its frame."""
 
     timestamp: Time
     frame_id: str
 
 
 class PoseInFrame(Stamped, frozen=True):
-    """A pose that a sensor measured; the standard deviations are additional to Foxglove's fields."""
+    """A pose that a sensor measured; the standard deviations extend Foxglove's fields."""
 
     pose: Pose
     sigma_m: float
@@ -101,14 +100,14 @@ class PoseInFrame(Stamped, frozen=True):
 
     @property
     def yaw(self) -> float | None:
-        """The heading, rad; one that is exactly east, and sure, was not told."""
+        """The heading, rad; None if not measured, encoded as exactly east without uncertainty."""
         turn = self.pose.orientation
         yaw = yaw_of((turn.w, turn.x, turn.y, turn.z))
         return yaw if yaw or self.sigma_rad else None
 
 
 class FrameTransform(FoxgloveMessage, frozen=True):
-    """Where the child frame lies in its parent."""
+    """Pose of a child frame in its parent frame."""
 
     timestamp: Time
     parent_frame_id: str
@@ -118,7 +117,7 @@ class FrameTransform(FoxgloveMessage, frozen=True):
 
 
 class FrameTransforms(FoxgloveMessage, frozen=True):
-    """All vehicles at one instant."""
+    """Frames of all vehicles at one instant."""
 
     transforms: list[FrameTransform]
 
@@ -144,7 +143,7 @@ class ArrowPrimitive(FoxgloveMessage, frozen=True):
 
 
 class CubePrimitive(FoxgloveMessage, frozen=True):
-    """A block about its pose."""
+    """A cuboid centred on its pose."""
 
     pose: Pose
     size: Vector3
@@ -162,7 +161,7 @@ class CylinderPrimitive(FoxgloveMessage, frozen=True):
 
 
 class LinePrimitive(FoxgloveMessage, frozen=True):
-    """Points joined by lines: 0 a strip, 1 a closed loop, 2 separate segments."""
+    """A line through points: 0 a strip, 1 a closed loop, 2 separate segments."""
 
     type: Literal[0, 1, 2]
     pose: Pose
@@ -173,7 +172,7 @@ class LinePrimitive(FoxgloveMessage, frozen=True):
 
 
 class TextPrimitive(FoxgloveMessage, frozen=True):
-    """A label."""
+    """A text label."""
 
     pose: Pose
     billboard: bool
@@ -184,7 +183,7 @@ class TextPrimitive(FoxgloveMessage, frozen=True):
 
 
 class TriangleListPrimitive(FoxgloveMessage, frozen=True):
-    """Triangles of one colour: three indices each into the points, counter-clockwise seen from outside."""
+    """Triangles of one colour: three point indices each, counter-clockwise seen from outside."""
 
     pose: Pose
     points: list[Vector3]
@@ -194,7 +193,7 @@ class TriangleListPrimitive(FoxgloveMessage, frozen=True):
 
 
 class SceneEntity(Stamped, frozen=True):
-    """Something to draw, moving with its frame."""
+    """An object to draw that moves with its frame."""
 
     id: str
     lifetime: Duration
@@ -208,7 +207,7 @@ class SceneEntity(Stamped, frozen=True):
 
 
 class SceneEntityDeletion(FoxgloveMessage, frozen=True):
-    """What was drawn before this time is there no longer: 0 the entity of that name, 1 all of the topic."""
+    """Removes entities drawn before this time: 0 the entity of that name, 1 all of the topic."""
 
     timestamp: Time
     type: Literal[0, 1] = 1
@@ -216,7 +215,7 @@ class SceneEntityDeletion(FoxgloveMessage, frozen=True):
 
 
 class SceneUpdate(FoxgloveMessage, frozen=True):
-    """The whole scene: a viewer that jumps in time reads only the newest message of a topic."""
+    """The complete scene: a viewer that jumps in time reads only the newest message of a topic."""
 
     entities: list[SceneEntity]
     deletions: list[SceneEntityDeletion] = []
@@ -234,7 +233,7 @@ class Log(FoxgloveMessage, frozen=True):
 
 
 class LaserScan(Stamped, frozen=True):
-    """One sweep; a beam without return is null, as JSON knows no infinity. The range is additional to Foxglove's fields."""
+    """One sweep; a beam without return is null, as JSON has no infinity. The range extends Foxglove's fields."""
 
     pose: Pose
     start_angle: float
@@ -245,71 +244,71 @@ class LaserScan(Stamped, frozen=True):
 
     @classmethod
     def of(cls, scan: Scan, vehicle: str, time_ns: int) -> "LaserScan":
-        """A sweep of the scanner at the vehicle's centre."""
+        """Create from a sweep of the scanner at the vehicle's centre."""
         end = scan.angle_min + (len(scan.ranges) - 1) * scan.angle_step
         return cls(Time.of(time_ns), vehicle, Pose(), scan.angle_min, end, scan.ranges.tolist(), range_max=scan.range_max)
 
 
 class RawImage(Stamped, frozen=True):
-    """One picture, rows from top to bottom."""
+    """One uncompressed picture, rows from top to bottom."""
 
     width: int
     height: int
     encoding: str
-    step: int  # bytes a row
+    step: int  # bytes per row
     data: bytes
 
     @classmethod
     def of(cls, image: Image, vehicle: str, time_ns: int) -> "RawImage":
-        """A picture of the vehicle's camera."""
+        """Create from a picture of the vehicle's camera."""
         height, width, _ = image.pixels.shape
         return cls(Time.of(time_ns), vehicle, width, height, "rgb8", 3 * width, image.pixels.tobytes())
 
     @property
     def pixels(self) -> Array:
-        """(height, width, 3) uint8, RGB."""
+        """The pixels, (height, width, 3) uint8, RGB."""
         return np.frombuffer(self.data, np.uint8).reshape(self.height, self.width, 3)
 
 
 class CameraCalibration(Stamped, frozen=True):
-    """A pinhole without distortion; the matrices are written row by row."""
+    """Calibration of a pinhole camera without distortion; matrices row by row."""
 
     width: int
     height: int
     K: list[float]  # 3 x 3, px: focal lengths and principal point
-    P: list[float]  # 3 x 4: K, and nothing beside it
+    P: list[float]  # 3 x 4: K and a zero column
     distortion_model: str = "plumb_bob"
     D: tuple[float, ...] = (0.0,) * 5
     R: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
     @classmethod
     def of(cls, image: Image, vehicle: str, time_ns: int) -> "CameraCalibration":
-        """Of the camera that took a picture; its principal point is the middle of the picture."""
+        """Calibration of the camera that took a picture; its principal point is the centre of the picture."""
         height, width, _ = image.pixels.shape
-        f, u, v = image.focal_px, 0.5 * (width - 1), 0.5 * (height - 1)  # the middle of the first pixel is (0, 0)
+        f, u, v = image.focal_px, 0.5 * (width - 1), 0.5 * (height - 1)  # the centre of the first pixel is (0, 0)
         matrix, projection = [f, 0.0, u, 0.0, f, v, 0.0, 0.0, 1.0], [f, 0.0, u, 0.0, 0.0, f, v, 0.0, 0.0, 0.0, 1.0, 0.0]
         return cls(Time.of(time_ns), vehicle, width, height, matrix, projection)
 
 
-_NUMPY = (np.ndarray, np.generic)  # made once, as frames have many of them
+_NUMPY = (np.ndarray, np.generic)  # created once: frames have many arrays
 
 
 def to_json(value: object) -> object:
-    """NumPy arrays and numbers as JSON writes them (for ``enc_hook``)."""
+    """Convert NumPy arrays and numbers to JSON types (for ``enc_hook``)."""
     if isinstance(value, _NUMPY):
         return value.tolist()
     raise TypeError(f"cannot record a {type(value).__name__}; use numbers, strings, bytes, lists and mappings")
 
 
 class Vector2(FoxgloveMessage, frozen=True):
-    """A size; or a place in a picture, px: columns and rows from the top left corner of the top left pixel."""
+    """A size; or a position in a picture, px: columns and rows from the top left corner of the top left pixel."""
 
     x: float
     y: float
 
 
 class PackedElementField(FoxgloveMessage, frozen=True):
-    """What stands where in a cell."""
+    """Name, type and offset of a value in a cell."""
 
     name: str
     offset: int  # bytes
@@ -317,7 +316,7 @@ class PackedElementField(FoxgloveMessage, frozen=True):
 
 
 class Grid(Stamped, frozen=True):
-    """Square cells of the ground, row by row from the south, each row from the west; the pose is the south-west corner's."""
+    """Square cells on the ground, row by row from the south, each row from the west; the pose is at the south-west corner."""
 
     pose: Pose
     column_count: int
@@ -329,12 +328,12 @@ class Grid(Stamped, frozen=True):
 
     @property
     def cells(self) -> Array:
-        """The numbers: (rows, columns, fields) uint8."""
+        """The cell values, (rows, columns, fields) uint8."""
         return np.frombuffer(self.data, np.uint8).reshape(-1, self.column_count, self.cell_stride)
 
     @property
     def shown(self) -> ProbabilityMap | Mosaic:
-        """What a vehicle knows of the area, or the ground as it has seen it."""
+        """The vehicle's map or mosaic that the grid was made from."""
         place = {"left": self.pose.position.x, "bottom": self.pose.position.y, "cell_m": self.cell_size.x}
         if self.fields[0].name == "probability":
             return ProbabilityMap(**place, probability=frozen(self.cells[..., 0]), seen=frozen(self.cells[..., 1] != 0))
@@ -345,7 +344,7 @@ WHITE, SHADE = Color(1.0, 1.0, 1.0), Color(0.0, 0.0, 0.0, 0.6)
 
 
 class PointsAnnotation(FoxgloveMessage, frozen=True):
-    """Points of a picture, joined by lines."""
+    """Points of a picture connected by lines."""
 
     timestamp: Time
     type: int
@@ -357,7 +356,7 @@ class PointsAnnotation(FoxgloveMessage, frozen=True):
 
 
 class TextAnnotation(FoxgloveMessage, frozen=True):
-    """Words in a picture; the position is that of their bottom left."""
+    """Text in a picture; the position is its bottom left."""
 
     timestamp: Time
     position: Vector2
@@ -368,7 +367,7 @@ class TextAnnotation(FoxgloveMessage, frozen=True):
 
 
 class CircleAnnotation(FoxgloveMessage, frozen=True):
-    """A circle in a picture: Foxglove asks for the list, and nothing here is round."""
+    """A circle in a picture; unused, but Foxglove's schema requires the list."""
 
     timestamp: Time
     position: Vector2
@@ -379,7 +378,7 @@ class CircleAnnotation(FoxgloveMessage, frozen=True):
 
 
 class ImageAnnotations(FoxgloveMessage, frozen=True):
-    """What was recognised in a picture; what stands behind the three lists is additional to Foxglove's fields."""
+    """Detections in a picture; fields after the three lists extend Foxglove's."""
 
     circles: list[CircleAnnotation]
     points: list[PointsAnnotation]
@@ -391,13 +390,13 @@ class ImageAnnotations(FoxgloveMessage, frozen=True):
     found: tuple[Sighting, ...] = ()
 
     def sightings(self, jpeg: bytes = b"") -> Sightings:
-        """What was recognised, with its picture, if it was kept."""
+        """The sightings, with their picture if given."""
         told = {name: getattr(self, name) for name in ("sensor", "time_ns", "width", "height", "found")}
         return Sightings(**told, jpeg=jpeg)
 
 
 class CompressedImage(Stamped, frozen=True):
-    """A picture as a JPEG file."""
+    """A picture in JPEG format."""
 
     data: bytes
     format: str = "jpeg"
@@ -406,7 +405,7 @@ class CompressedImage(Stamped, frozen=True):
 def messages_of(
     key: str, value: ProbabilityMap | Sightings | Mosaic, time_ns: int, color: int = 0
 ) -> Iterator[tuple[str, FoxgloveMessage]]:
-    """Topic and message of each part of what a vehicle shows; ``color`` is the number of the vehicle."""
+    """Topic and messages for data that a vehicle shows; ``color`` is the number of the vehicle."""
     if isinstance(value, ProbabilityMap):
         yield key, _grid(value, ("probability", "seen"), np.dstack((value.probability, value.seen)), time_ns)
     elif isinstance(value, Mosaic):
@@ -420,14 +419,14 @@ def messages_of(
 
 
 def corners_of(sighting: Sighting) -> list[tuple[float, float]]:
-    """The corners of a target in its picture, px, the middle of the first pixel being (0, 0); the first two are its top."""
+    """The corners of a target in its picture, px, with the centre of the first pixel at (0, 0); the first two are its top."""
     (u, v), half = sighting.centre_px, 0.5 * sighting.side_px
     c, s = half * math.cos(sighting.angle), half * math.sin(sighting.angle)  # rows count downwards
     return [(u + x * c + y * s, v - x * s + y * c) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
 
 
 def label_of(sighting: Sighting) -> str:
-    """Name and score."""
+    """Label of a detection: name and score."""
     return f"{sighting.target} {sighting.score:.2f}".strip()
 
 
@@ -439,7 +438,7 @@ def _grid(shown: ProbabilityMap | Mosaic, names: tuple[str, ...], cells: Array, 
 
 
 def _annotations(sightings: Sightings, color: Color) -> ImageAnnotations:
-    """The time is that of the picture, by which viewers put the two together."""
+    """Annotations with the time of the picture, by which viewers match the two."""
     at, clear = Time.of(sightings.time_ns), Color(0.0, 0.0, 0.0, 0.0)
     points, texts = [], []
     for each in sightings.found:

@@ -1,4 +1,4 @@
-"""Reads MCAP files, whole ones and those of a process that was killed while it wrote."""
+"""Reads MCAP files, also incomplete ones of killed processes."""
 
 import contextlib
 import io
@@ -19,15 +19,15 @@ from mcap.writer import MCAP0_MAGIC
 from vcmvsp.cosim.util import limits
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of the rest
-_CHUNK = struct.Struct("<QQQI")  # first and last time; size and checksum of what is in it
+_CHUNK = struct.Struct("<QQQI")  # first and last time; size and checksum of the content
 _INDEX = struct.Struct("<HI")  # channel, bytes of entries
-_MESSAGE = struct.Struct("<HIQQ")  # channel, number, time, and when it was published
-_PASSED = -1  # channel of the message in place of those that are passed over
-_ENTRY_BYTES, _LEAST_BYTES = 16, 31  # of an index, for each message; of a message
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, log time, publish time
+_PASSED = -1  # channel of the placeholder for skipped messages
+_ENTRY_BYTES, _LEAST_BYTES = 16, 31  # index entry of a message; smallest message
 
 
 class Recorded(NamedTuple):
-    """A message of a file."""
+    """A message in a file."""
 
     topic: str
     schema: str  # its name
@@ -36,7 +36,7 @@ class Recorded(NamedTuple):
 
 
 def about(stream: BinaryIO) -> dict[str, str]:
-    """What the head of a file says of it; empty: nothing, or it is damaged."""
+    """Metadata at the head of a file; empty if there is none or it is damaged."""
     with contextlib.suppress(ValueError):
         for record in itertools.islice(_records(stream), 2):  # behind the header
             if isinstance(record, records.Metadata):
@@ -45,15 +45,15 @@ def about(stream: BinaryIO) -> dict[str, str]:
 
 
 def messages(stream: BinaryIO) -> Iterator[tuple[str, int, bytes]]:
-    """Topic, time (ns) and content of each message of a file, in its order; errors as of `contents`."""
+    """Topic, time (ns) and content of each message, in file order; errors as of `contents`."""
     for topic, _, time_ns, data in contents(stream):
         yield topic, time_ns, data
 
 
 def of_topic(stream: BinaryIO, topic: str) -> Iterator[tuple[int, bytes]]:
-    """Time (ns) and content of each message of one topic; chunks whose index does not name it are passed over.
+    """Time (ns) and content of each message of one topic; skips chunks whose index does not contain it.
 
-    Of a file without an end those before the damage; a whole one that is damaged is a ValueError.
+    Yields the messages before the damage in an incomplete file; a damaged complete file is a ValueError.
     """
     is_whole = stream.seek(0, os.SEEK_END) >= len(MCAP0_MAGIC)
     if is_whole:
@@ -71,13 +71,13 @@ def contents(
     """Each message of a file, in its order.
 
     Args:
-        stream: of the file.
-        wanted: takes topic and name of the schema: whether messages of this topic are given. In place of the others in a chunk
-            there is one behind it, without topic and content, at the time of the last of them.
-        by_index: chunks whose index names nothing that is wanted are passed over, damaged or not.
+        stream: the file.
+        wanted: takes topic and schema name; whether messages of this topic are wanted. The skipped messages of a chunk are
+            replaced by one at its end, without topic and content, at the time of the last of them.
+        by_index: skip chunks whose index contains no wanted topic, damaged or not.
 
     Raises:
-        ValueError: from here on the file is damaged, or it ends too soon; or it unpacks to too much.
+        ValueError: the file is damaged from here on, ends early, or unpacks to too many bytes.
     """
     counts = indexed(stream)
     stream.seek(0)
@@ -110,15 +110,15 @@ def _next(counts: Iterator[dict[int, int]]) -> dict[int, int]:
 
 
 def indexed(stream: BinaryIO) -> Iterator[dict[int, int]]:
-    """Of each chunk of a file, the number of messages of its channels as its index says; empty: it has none.
+    """For each chunk, the number of messages per channel according to its index; empty without an index.
 
     Raises:
-        ValueError: the file unpacks to more than `limits` say; nothing has been unpacked yet.
+        ValueError: the file would unpack to more than `limits` allow; nothing has been unpacked yet.
     """
-    chunks: list[tuple[int, dict[int, int]]] = []  # bytes, counts
+    chunks: list[tuple[int, dict[int, int]]] = []  # bytes, counts per channel
     stream.seek(0)
     if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-        return iter(())  # whoever reads it says so; to look for chunks in zeros takes very long
+        return iter(())  # the reader reports the damage; a search for chunks in zeros would take very long
     size, place = stream.seek(0, os.SEEK_END), len(MCAP0_MAGIC)
     while place < size and stream.seek(place) and len(head := stream.read(_RECORD.size)) == _RECORD.size:
         opcode, length = _RECORD.unpack(head)
@@ -133,7 +133,7 @@ def indexed(stream: BinaryIO) -> Iterator[dict[int, int]]:
             chunks[-1][1][channel] = entries // _ENTRY_BYTES
     else:
         if chunks:
-            chunks[-1][1].clear()  # the file was cut, perhaps in this very index
+            chunks[-1][1].clear()  # the file was cut, perhaps within this index
     messages = sum(sum(counts.values()) or unpacked // _LEAST_BYTES for unpacked, counts in chunks)
     limits.within(sum(unpacked for unpacked, _ in chunks), max(limits.UNPACKED_BYTES, limits.UNPACKED_RATIO * size), "bytes")
     limits.within(messages, max(limits.MESSAGES, size), "messages")
@@ -141,10 +141,10 @@ def indexed(stream: BinaryIO) -> Iterator[dict[int, int]]:
 
 
 def unpacked(data: bytes, compression: str, size: int, crc: int) -> bytes:
-    """What is in a chunk.
+    """The decompressed content of a chunk.
 
     Raises:
-        ValueError: it is not what its head says, or too much.
+        ValueError: the content does not match its header, or is too large.
     """
     limits.within(size, limits.CHUNK_BYTES, "bytes in a chunk")
     if compression not in ("", "zstd"):
@@ -157,30 +157,30 @@ def unpacked(data: bytes, compression: str, size: int, crc: int) -> bytes:
 
 
 def declared(record: bytes) -> records.McapRecord:
-    """A schema or a channel from its bytes.
+    """Decode a schema or channel record.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the bytes are no such record.
     """
     try:
         return next(StreamReader(io.BytesIO(record), skip_magic=True).records)
-    except Exception as error:  # the library has many
+    except Exception as error:  # the library raises many types
         raise ValueError(f"{type(error).__name__}: {error}") from error
 
 
 def _unpacked(chunk: records.Chunk, most: int, passed: Container[int]) -> Iterator[records.McapRecord]:
-    """What is in a chunk but for some channels, of which the index names so many messages; 0: there is none."""
+    """Records of a chunk without some channels, whose messages its index counts; 0: no index."""
     try:
         data = unpacked(chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc)
         yield from _inside(data, most or len(data), passed)
     except ValueError:
         raise
-    except Exception as error:  # the libraries have many
+    except Exception as error:  # the libraries raise many types
         raise ValueError(f"{type(error).__name__}: {error}") from error
 
 
 def _inside(data: bytes, most: int, passed: Container[int]) -> Iterator[records.McapRecord]:
-    """Schemas, channels and at most so many messages of a chunk; for messages the library takes ten times as long."""
+    """Schemas, channels and at most ``most`` messages of a chunk; ten times as fast as the library."""
     end, number, last_ns, message = 0, 0, -1, int(Opcode.MESSAGE)
     while end < len(data):
         opcode, length = _RECORD.unpack_from(data, end)
@@ -203,14 +203,14 @@ def _inside(data: bytes, most: int, passed: Container[int]) -> Iterator[records.
 
 
 def _records(stream: BinaryIO) -> Iterator[records.McapRecord]:
-    """Header and data of a file, without its end; chunks as they are."""
+    """Header and data records of a file, without its end; chunks stay packed."""
     found = StreamReader(stream, emit_chunks=True, record_size_limit=limits.FILE_BYTES).records
     while True:
         try:
             record = next(found)
         except (EndOfFile, struct.error) as error:
             raise ValueError("it ends too soon") from error
-        except Exception as error:  # the library has many, and those of others show through
+        except Exception as error:  # the library raises many types, also those of other libraries
             raise ValueError(f"{type(error).__name__}: {error}") from error
         if isinstance(record, records.DataEnd):
             return

@@ -1,10 +1,10 @@
 """Writes MCAP files: messages under the keys of their events, each with its schema (https://mcap.dev/spec).
 
-``run.mcap`` holds JSON, for viewers; a file that is read back to the last bit has its own encoding. Nothing of the host, the
-wall clock or a library version goes into a file, so the same messages give the same bytes.
+``run.mcap`` holds JSON, for viewers; files for exact replay have their own encoding. A file contains no host name, wall-clock
+time or library version, so the same messages give the same bytes.
 
-The library describes the records; messages and their index, of which there are thousands, are packed here, in a tenth of
-the time that its writer takes (0.4 against 3.7 us a message: half the cost of recording a run).
+The library describes records. Messages and their index, thousands of them, are packed here, ten times as fast as by the
+library's writer (0.4 instead of 3.7 us a message: half the cost of recording a run).
 """
 
 import functools
@@ -29,11 +29,11 @@ from vcmvsp.cosim.recording.foxglove import FoxgloveMessage, to_json
 from vcmvsp.cosim.types import Array, FrameReport, Looks
 
 LIBRARY = "vcmvsp"
-CHUNK_BYTES, CHUNK_NS = 1 << 20, 5_000_000_000  # before compression, simulated: the file of a killed process lacks no more
+CHUNK_BYTES, CHUNK_NS = 1 << 20, 5_000_000_000  # before compression; simulated; a killed process loses at most one chunk
 _put_head = struct.Struct("<BQH4xQQ").pack_into  # of a message: opcode, length of the rest, channel, no sequence, two times
 _HEAD = np.dtype([("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("seq", "<u4"), ("log_ns", "<u8"), ("sent_ns", "<u8")])
 _HEAD_BYTES, _OPENING_BYTES = _HEAD.itemsize, 9  # the latter of any record: opcode and length
-_IS_MESSAGE = int(Opcode.MESSAGE)  # an enumeration's name takes long to look up
+_IS_MESSAGE = int(Opcode.MESSAGE)  # looking up an enumeration member is slow
 _MESSAGE_INDEX = struct.Struct("<BQHI")  # opcode, length of the rest, channel, bytes of entries
 _ENTRY_BYTES = 16  # time and place of a message
 FRAME = {
@@ -60,11 +60,11 @@ FRAME = {
     "shadowing_db": "loss by shadowing, dB; null: the channel has no such layer",
     "fading_db": "gain by fading, dB, mostly negative; null: the channel has no such layer",
 }
-"""What the fields of ``radio/frame`` mean, to those who read a recording without this program."""
+"""Descriptions of the fields of ``radio/frame``, for readers without this program."""
 
 
 class Schema(NamedTuple):
-    """Description of a type of message."""
+    """Schema of a message type."""
 
     name: str
     encoding: str  # of the text
@@ -72,10 +72,10 @@ class Schema(NamedTuple):
 
 
 class Form(NamedTuple):
-    """Encoding of messages."""
+    """Encoding of messages in a file."""
 
-    encoding: str  # as MCAP calls it
-    encode_into: Callable[[object, bytearray, int], None]  # message, buffer, offset: the buffer then ends with the message
+    encoding: str  # MCAP's name for it
+    encode_into: Callable[[object, bytearray, int], None]  # message, buffer, offset; the buffer then ends with the message
     schema: Callable[[type], Schema]
 
 
@@ -107,10 +107,10 @@ def _array_schema(annotation: object) -> dict[str, Any]:
 
 
 def _simple(node: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    """The same schema for a simple reader: every node has a ``type``, every object its ``properties``.
+    """A JSON schema for simple readers: every node has a ``type``, every object its ``properties``.
 
-    Foxglove's and Lichtblick's readers follow no references, and know no unions and no tuples; they ask a schema for the names
-    of fields only. So a field that may also be null, or of a second type, is described by its first type and not required.
+    The readers of Foxglove and Lichtblick follow no references and know no unions and no tuples; they use a schema only for the
+    names of fields. So a nullable field, or one of two types, is described by its first type and not required.
     """
     if "$ref" in node:
         return _simple(definitions[node["$ref"].rsplit("/", 1)[1]], definitions)
@@ -135,19 +135,19 @@ JSON = Form("json", msgspec.json.Encoder(enc_hook=to_json).encode_into, schema_o
 
 
 class McapLog:
-    """An open recording. The stream stays its owner's: it is not closed here."""
+    """An open recording. The caller closes the stream."""
 
     def __init__(self, stream: BinaryIO, about: Mapping[str, str], form: Form = JSON) -> None:
         self._stream, self._size, self._form = stream, 0, form
-        self._numbers: dict[tuple[str, type], int] = {}  # of channels
+        self._numbers: dict[tuple[str, type], int] = {}  # channel numbers
         self._schemas: dict[type, records.Schema] = {}
         self._channels: list[records.Channel] = []
         self._chunk = bytearray()
-        self._places = array("Q")  # of the messages in the chunk: all else that an index says stands in their heads
+        self._places = array("Q")  # offsets of the messages in the chunk; their heads contain the rest of an index entry
         self._chunks: list[records.ChunkIndex] = []
         self._counts: Counter[int] = Counter()  # messages by channel
-        self._until_ns = CHUNK_NS  # then the present chunk ends
-        self._codec = pa.Codec("zstd", compression_level=1)  # at 3 it takes half as long again, for 2 % less
+        self._until_ns = CHUNK_NS  # end of the current chunk
+        self._codec = pa.Codec("zstd", compression_level=1)  # level 3 takes 1.5 times as long, for 2 % less
         self._encode_into = form.encode_into
         self._put(MCAP0_MAGIC + _bytes(records.Header(profile="", library=LIBRARY)))
         metadata = _bytes(records.Metadata(name="vcmvsp", metadata=dict(about)))
@@ -155,7 +155,7 @@ class McapLog:
         self._put(metadata)
 
     def write(self, topic: str, time_ns: int, message: object) -> None:
-        """Append a message (a msgspec Struct) in effect at ``time_ns``; each type of a topic has a channel with its schema."""
+        """Append a message (a msgspec Struct) in effect at ``time_ns``; each type on a topic has a channel with its schema."""
         kind = type(message)
         channel = self._numbers.get((topic, kind)) or self._register(topic, kind)
         chunk = self._chunk
@@ -173,12 +173,12 @@ class McapLog:
             self._until_ns = time_ns + CHUNK_NS
 
     def flush(self) -> None:
-        """Have everything up to now in the file, where it outlives this process."""
+        """Write everything so far to the file, where it survives a crash of this process."""
         self._end_chunk()
         self._stream.flush()
 
     def finish(self) -> None:
-        """Write index and summary; nothing can be appended afterwards."""
+        """Write index and summary; no message can be appended afterwards."""
         self._end_chunk()
         self._put(_bytes(records.DataEnd(data_section_crc=0)))
         groups = (
@@ -282,7 +282,7 @@ def _bytes(record: records.McapRecord) -> bytes:
 
 
 def _blocks(channel: Array, entries: Array) -> Iterator[tuple[int, bytes]]:
-    """Each channel of a chunk, with the entries of its messages, given channel (n,) and entry (n, 2) of each message."""
+    """Channel number and index entries of each channel in a chunk, given channel (n,) and entry (n, 2) of each message."""
     order = np.argsort(channel, kind="stable")
     channels, first = np.unique(channel[order], return_index=True)
     packed = entries[order].astype("<u8").tobytes()

@@ -1,7 +1,7 @@
-"""What a reconnaissance showed, read back from its ``run.mcap``: for pictures that are drawn after the run.
+"""Reads the data of a reconnaissance mission from ``run.mcap``, for figures drawn after the run.
 
-Read back and not kept, a run costs no memory for pictures that nobody may want, and a saved one can be drawn again. What is
-held here is bounded, however long the run: of maps and camera pictures no more than `FRAMES` of each vehicle, evenly in time.
+Reading after the run costs the run no memory, and a saved run can be drawn again. Memory is bounded for runs of any length: at
+most `FRAMES` maps and camera pictures per vehicle, spread evenly over time.
 """
 
 import contextlib
@@ -29,15 +29,15 @@ _read_presence = json_reader(Presence)
 
 @dataclass
 class MissionLog:
-    """What the vehicles showed and noted; times are those at which they did, ns.
+    """Maps, pictures, sightings and notes of the vehicles, with their times, ns.
 
-    Of sightings all in which something was recognised, and those with a picture; of pictures one in each part of the run: the
-    last that shows something recognised, or the last.
+    Keeps all sightings with a detection or a picture, and one picture for each part of the run: the last one with a detection,
+    else the last one.
     """
 
     vehicles: tuple[str, ...]
     end_ns: int
-    noted: Mission = field(default_factory=Mission)  # who commanded when, and what was found
+    noted: Mission = field(default_factory=Mission)  # commanders over time, and finds
     maps: dict[str, list[tuple[int, ProbabilityMap]]] = field(default_factory=dict)  # the newest in each part of the run
     sightings: dict[str, list[tuple[int, Sightings]]] = field(default_factory=dict)
     mosaics: dict[str, Mosaic] = field(default_factory=dict)  # the newest
@@ -46,14 +46,14 @@ class MissionLog:
         return bool(self.noted or self.maps or self.sightings or self.mosaics)
 
     def part(self, time_ns: int) -> int:
-        """In which part of the run a time lies."""
+        """Index of the part of the run that contains a time."""
         return time_ns * FRAMES // max(self.end_ns + 1, FRAMES)
 
 
 def read_mission(stream: BinaryIO, vehicles: tuple[str, ...], end_ns: int) -> MissionLog:
-    """What is in a recording; of a damaged one what comes before the damage."""
+    """Read a recording; of a damaged one, the part before the damage."""
     log = MissionLog(vehicles, end_ns)
-    with contextlib.suppress(ValueError, LookupError):  # a message that is none, or a picture of nothing
+    with contextlib.suppress(ValueError, LookupError):  # not a mission message, or an unreadable picture
         for topic, time_ns, data in messages(stream):
             vehicle, _, what = topic.partition("/")
             if vehicle in vehicles:
@@ -64,9 +64,9 @@ def read_mission(stream: BinaryIO, vehicles: tuple[str, ...], end_ns: int) -> Mi
 
 
 def surest_map(log: MissionLog, now_ns: int) -> tuple[ProbabilityMap | None, Array]:
-    """Of each cell, the probability that is furthest from one half among the vehicles' maps of that time, in 255ths.
+    """For each cell, the probability furthest from one half among the vehicles' maps at that time, in 255ths.
 
-    The maps of one grid, that of the first vehicle that has a map; and that map, which says where it lies.
+    Uses the grid of the first vehicle with a map and ignores other grids. Also returns that map, which holds the grid's origin.
     """
     newest = [[shown for time_ns, shown in maps if time_ns <= now_ns][-1:] for maps in log.maps.values()]
     maps = [shown for each in newest for shown in each]
@@ -113,7 +113,7 @@ def _take_sightings(log: MissionLog, vehicle: str, time_ns: int, data: bytes) ->
 
 
 def _take_picture(log: MissionLog, vehicle: str, data: bytes) -> None:
-    """The picture of the newest sightings, unless a better one of the same part of the run is there; a worse one goes."""
+    """Keep the picture of the newest sightings unless this part of the run has a better one; drop the worse one."""
     seen = log.sightings[vehicle]
     time_ns, newest = seen[-1]
     for place in range(len(seen) - 2, -1, -1):

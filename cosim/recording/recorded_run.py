@@ -1,4 +1,4 @@
-"""A run's recording read back for exports: ``run.mcap``, which is all that a killed run leaves."""
+"""Reads the recording of a run for exports: ``run.mcap``, the only file that a killed run leaves."""
 
 import contextlib
 import math
@@ -27,7 +27,7 @@ TOLD_EVERY = 500  # messages
 
 
 class Noted(msgspec.Struct, tag="note"):
-    """A note; null is a number that JSON cannot say."""
+    """A note of an agent; null stands for a number that JSON cannot express."""
 
     values: dict[str, Any]
 
@@ -40,7 +40,7 @@ class _Measured(msgspec.Struct, tag="measured"):
 Command = types.Velocity | types.Waypoint
 _READ_AS: dict[str, Any] = {
     **{f"vcmvsp.{name}": getattr(types, name) for name in ("VehicleState", "Odometry", "Imu", "RealStatus", "Incident")},
-    **dict.fromkeys(("vcmvsp.Velocity", "vcmvsp.Waypoint"), Command),  # one topic may have both
+    **dict.fromkeys(("vcmvsp.Velocity", "vcmvsp.Waypoint"), Command),  # one topic may carry both
     "vcmvsp.Measured": _Measured,
     "vcmvsp.Note": Noted,
     "vcmvsp.Frame": types.FrameReport,
@@ -58,17 +58,17 @@ class Source:
     """The recording in a run's folder; each pass reads the file anew.
 
     Args:
-        run_dir: the folder that a run has left, or is writing.
-        tell: takes a line for the user: that the recording is damaged, and how far it goes. It is told so once.
+        run_dir: folder of a finished or current run.
+        tell: receives one line for the user if the recording is damaged: how far it is readable.
 
     Raises:
-        UsageError: there is no recording in the folder, or nothing in it can be read.
+        UsageError: the folder contains no readable recording.
     """
 
     def __init__(self, run_dir: Path, tell: Callable[[str], None]) -> None:
         self.folder, self.tell = run_dir, tell
         self._path, self._told = run_dir / FILE, False
-        self.progress: Callable[[float], None] = lambda _: None  # takes the part of the file that a pass has read, 0 to 1
+        self.progress: Callable[[float], None] = lambda _: None  # receives the share of the file read by a pass, 0 to 1
         try:
             with self._path.open("rb") as stream:
                 said = about(stream)
@@ -82,11 +82,11 @@ class Source:
         self.vehicles = tuple(said["vehicles"].split())
 
     def __iter__(self) -> Iterator[Recorded]:
-        """Every message, in order of time; of a damaged recording those before the damage."""
+        """All messages in order of time; of a damaged recording, those before the damage."""
         return self.only(lambda *_: True)
 
     def only(self, wanted: Callable[[str, str], bool]) -> Iterator[Recorded]:
-        """Messages of some topics, and one without a topic behind others: see `contents`."""
+        """Messages of wanted topics, and placeholders without a topic for the others: see `contents`."""
         last_ns = 0
         try:
             with self._path.open("rb") as stream:
@@ -105,15 +105,15 @@ class Source:
 
 
 def is_known(schema: str) -> bool:
-    """Whether `Values` looks into messages of this schema."""
+    """Whether `Values` decodes messages of this schema."""
     return schema in _READ_AS
 
 
 class Values:
-    """Messages as values; None: of a kind that no export looks into.
+    """Decodes messages to values; None for types that no export uses.
 
     Args:
-        also: further schemas that are looked into, and the type of each.
+        also: further schemas to decode, each with its type.
     """
 
     def __init__(self, also: Mapping[str, Any] = {}) -> None:
@@ -121,10 +121,10 @@ class Values:
         self._decoders: dict[str, Callable[[bytes], Any]] = {}
 
     def of(self, message: Recorded) -> Any:
-        """The value that a message was made of, or the `cosim.recording.foxglove` message that it is.
+        """The value that a message was made from, or the message itself if it is a `cosim.recording.foxglove` type.
 
         Raises:
-            UsageError: it is not what its schema says.
+            UsageError: the message does not match its schema.
         """
         kind = self._read_as.get(message.schema)
         if kind is None:
@@ -156,12 +156,12 @@ def _array(_: type, numbers: Sequence[float | None]) -> types.Array:
 def tables_of(
     folder: Path, tell: Tell = lambda _: None, *, numbers: bool = False, radio: Collection[str] | None = None
 ) -> schema.Recording:
-    """Both tables, of the radio's these columns, if not all; with ``numbers`` those of ``metrics.json``, if it is there.
+    """Both tables of a run, the radio table with the given columns or all; ``numbers``: with ``metrics.json`` if it exists.
 
-    ``tell`` takes a line for the user: that only the recording is there, and how far it goes.
+    ``tell`` receives a line for the user if only the recording exists: how far it goes.
 
     Raises:
-        UsageError: there is neither.
+        UsageError: the folder contains neither tables nor a recording.
         OSError, ValueError: a table is damaged.
     """
     if not (absent := _absent(folder)):
@@ -174,7 +174,7 @@ def tables_of(
 def radio_columns(
     folder: Path, tell: Tell = lambda _: None
 ) -> tuple[schema.RunFacts, Sequence[str], Callable[[str], pa.Table]]:
-    """Facts of a run, names of the columns of its radio's table, and what gives one of them; errors as of `tables_of`."""
+    """Facts of a run, column names of its radio table, and a function that reads one column; errors as of `tables_of`."""
     if absent := _absent(folder):
         _, frames, facts = _recorded(folder, absent, tell)
         return facts, schema.RADIO_SCHEMA.names, lambda name: schema.radio_table(frames, facts, (name,))
@@ -218,7 +218,7 @@ def _recorded(folder: Path, absent: str, tell: Tell, *, with_frames: bool = True
 
 
 def states_of(states: Mapping[str, types.VehicleState]) -> types.States:
-    """The true states of one instant, in columns."""
+    """The true states of one instant as columns."""
     fields = ("position", "velocity", "attitude", "angular_velocity")
     columns = {name: types.frozen([getattr(state, name) for state in states.values()], np.float64) for name in fields}
     return types.States(names=tuple(states), **columns)

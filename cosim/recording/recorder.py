@@ -1,16 +1,16 @@
-"""The recorder: sees every event of a run once, in order of time, and keeps what the run leaves.
+"""The recorder: receives every event of a run once, in order of time, and produces the run's output.
 
-An event is handled by the type of its value. It is taken for tables, numbers and digest (`cosim.recording.accumulators`), and
-it becomes a message of ``run.mcap`` under its key (`cosim.recording.run_mcap`), with these differences, which make the file
-small and a viewer useful:
+Events are handled by the type of their value. Each enters tables, metrics and digest (`cosim.recording.accumulators`) and
+becomes a message of ``run.mcap`` under its key (`cosim.recording.run_mcap`), with these exceptions, which keep the file small
+and suit viewers:
 
-- ``world/states`` is kept at the recorder's ticks and at the run's end, as ``/tf`` and as ``<vehicle>/state``;
-- ``<vehicle>/estimate`` is left out where it equals the true state of the same instant;
-- ``world/scene`` draws a body per vehicle, the place that each follower means to keep and, once a second, the world's targets;
-  ``world/solids`` all that stands still, ``world/moving`` the frames of obstacles;
+- ``world/states`` is written at the recorder's ticks and at the run's end, as ``/tf`` and as ``<vehicle>/state``;
+- ``<vehicle>/estimate`` is omitted if it equals the true state of the same instant;
+- ``world/scene`` draws a body per vehicle, the slot of each follower and, once a second, the world's targets;
+  ``world/solids`` all static bodies, ``world/moving`` the frames of obstacles;
 - maps, mosaics and sightings become grids and annotated pictures (`cosim.recording.foxglove`).
 
-An event of a type that nobody knows is written as it is.
+Events of unknown types are written unchanged.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,25 +31,25 @@ from vcmvsp.cosim.types import Contact, Later, States
 
 
 class Way(NamedTuple):
-    """What is done with values of a type, in this order."""
+    """Steps that handle values of a type, in this order."""
 
-    take: Take | None  # for tables and numbers
+    take: Take | None  # for tables and metrics
     is_packed: bool  # for the digest
     write: Take  # into ``run.mcap``
 
 
 class Recorder(Accumulators):
-    """Keeps the tables and, where a stream is given, the MCAP file of one run.
+    """Records the tables and, to a given stream, the MCAP file of one run.
 
     Args:
-        run: what the federates are told of the run.
-        record_ticks: when true states are recorded; the run's end always is.
-        mcap: an open binary stream for the MCAP file, or None. It stays the caller's to close.
-        agents: whose ticks the age of information is measured at.
+        run: run data as the federates receive them.
+        record_ticks: ticks at which true states are recorded; the run's end is always recorded.
+        mcap: an open binary stream for the MCAP file, or None. The caller closes it.
+        agents: ticks of each agent, at which the age of information is measured.
         radius_m: radius of each vehicle's body, for drawing.
-        sensors: whose readings are recorded although they are worked out on demand, by name; ``*``: all.
-        world: what the vehicles move in; None: nothing is told of how near they came to it.
-        tell: takes lines for the user: which agent was lost, and which is back.
+        sensors: names of on-demand sensors whose readings are recorded; ``*``: all.
+        world: the world of the run; None: no distance to obstacles is measured.
+        tell: receives lines for the user: agents that were lost or are back.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Recorder(Accumulators):
         }
 
     def on(self, event: Event) -> None:
-        """Take an event at its own time; times never decrease."""
+        """Record an event at its own time; times never decrease."""
         key, time_ns, value = event.key, event.time_ns, event.value
         if time_ns != self._now:
             self._advance(time_ns)
@@ -96,14 +96,14 @@ class Recorder(Accumulators):
         write(key, time_ns, value)
 
     def log(self, level: str, text: str, time_ns: int) -> None:
-        """Write a line into the recording: ``debug``, ``info``, ``warning``, ``error`` or ``fatal``, e.g. why the run ended."""
+        """Write a log line: ``debug``, ``info``, ``warning``, ``error`` or ``fatal``, e.g. why the run ended."""
         if time_ns != self._now:
             self._advance(time_ns)
         if self._viewer is not None:
             self._viewer.say(level, text, time_ns)
 
     def close(self, end_ns: int, *, is_cut: bool = False) -> None:
-        """Finish the recording of a run that lasted until ``end_ns``, or was cut within that instant. May be called again."""
+        """Finish the recording of a run that ended at ``end_ns`` or was cut within that instant. Repeated calls are allowed."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -127,12 +127,12 @@ class Recorder(Accumulators):
             self._viewer.put_states(time_ns, states)
 
     def _write_later(self, key: str, time_ns: int, later: Later) -> None:
-        """A reading that was worked out on demand, if it is one to be recorded."""
+        """Write an on-demand reading if its sensor is recorded."""
         if "*" in self._sensors or key.partition("/")[2] in self._sensors:
             self.on(Event(key, time_ns, later.get()))
 
     def _write_told(self, key: str, time_ns: int, event: event_text.Told) -> None:
-        """In the log and, but for contacts, of which there may be very many, on the terminal, too."""
+        """Write an event to the log and, except contacts, which may be frequent, to the terminal."""
         self._write(key, time_ns, event)
         level, text = event_text.of_event(vehicle_of(key), event, time_ns)
         self.log(level, text, time_ns)
@@ -147,4 +147,4 @@ class Recorder(Accumulators):
 
 
 def _nowhere(*_: object) -> None:
-    """Without an MCAP file, an event leaves what is taken of it."""
+    """Writer of events without an MCAP file: does nothing."""

@@ -1,8 +1,8 @@
-"""``run.mcap``: the events of a run as messages that viewers draw (`cosim.recording.foxglove`), each under its key.
+"""Writes ``run.mcap``: the events of a run as messages for viewers (`cosim.recording.foxglove`), each under its key.
 
-What Foxglove has no schema for is written as it is. Pictures stay raw: in compressed chunks they are smaller than PNG files,
-written five times as fast, and come back as they were. Two things can be told only once an instant is over: which estimates
-differ from the truth, and how the scene looks.
+Values without a Foxglove schema are written unchanged. Pictures stay raw: in compressed chunks they are smaller than PNG files,
+five times as fast to write, and lossless. Two messages wait for the end of an instant: estimates that differ from the true
+state, and the scene.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,39 +23,39 @@ SOLIDS, SCENE, MOVING = "world/solids", "world/scene", "world/moving"
 
 
 class DatagramCount(types.Value, frozen=True, kw_only=True):
-    """How much programs outside have handed over at an instant."""
+    """Datagrams and bytes from external programs at an instant."""
 
     datagrams: int
     bytes: int
 
 
 class TrafficCount(types.Value, frozen=True, kw_only=True):
-    """What became of such datagrams, as far as it is known at an instant."""
+    """Outcome of such datagrams, as known at an instant."""
 
     frames: int
     arrivals: int
-    lost: int  # receiver by receiver
+    lost: int  # counted per receiver
 
 
 class Viewer:
-    """Writes the file of one run into a stream, which stays its owner's to close.
+    """Writes the messages of one run to a stream, which the caller closes.
 
-    An event of a type that `putters` has goes there, any other to `write`: key, time (ns) and value; times never decrease.
+    `putters` maps types to their functions, `write` takes all others: key, time (ns) and value; times never decrease.
     """
 
     def __init__(self, stream: BinaryIO, run: RunInfo, radius_m: Mapping[str, float], world: DrawnWorld | None = None) -> None:
         about = {"scenario": run.scenario, "seed": str(run.seed), "vehicles": " ".join(run.vehicles)}
         self._log = McapLog(stream, about)
-        self.write = self._log.write  # a value as it is
+        self.write = self._log.write  # writes a value unchanged
         self._vehicles, self._radius_m = run.vehicles, radius_m
         self._targets = () if world is None else world.targets
         self._moving = world if world is not None and (world.moving or world.movables) else None
         self._calibrated: set[str] = set()  # keys of cameras
-        self._places: dict[str, types.Follows] = {}  # that followers mean to keep
+        self._places: dict[str, types.Follows] = {}  # slots of followers
         self._scene_is_due, self._scene_ns = True, 0
         self._pushed: types.Pushed | None = None
-        self._estimates: list[tuple[str, types.VehicleState]] = []  # of the present instant
-        self._told: tuple[types.States | None, dict[str, types.VehicleState]] = None, {}  # those asked for last, by vehicle
+        self._estimates: list[tuple[str, types.VehicleState]] = []  # of the current instant
+        self._told: tuple[types.States | None, dict[str, types.VehicleState]] = None, {}  # the last states split by vehicle
         self.putters: dict[type, Callable[[str, int, Any], None]] = {
             types.VehicleState: lambda key, _, estimate: self._estimates.append((key, estimate)),  # the truth may come later
             types.Datagrams: self._put_datagrams,
@@ -74,7 +74,7 @@ class Viewer:
             self.write(SOLIDS, 0, standing)
 
     def put_states(self, time_ns: int, states: types.States) -> None:
-        """Where all vehicles truly are, at an instant that is recorded."""
+        """Write the true states of all vehicles at a recorded instant."""
         now, transforms, write = fg.Time.of(time_ns), [], self.write
         for name, state in self._each(states).items():
             (x, y, z), (qw, qx, qy, qz) = state.position, state.attitude
@@ -85,16 +85,16 @@ class Viewer:
             write(MOVING, time_ns, moving_frames(self._moving, self._pushed, time_ns))
 
     def say(self, level: str, text: str, time_ns: int) -> None:
-        """A line of the log."""
+        """Write a log line."""
         self.write("log", time_ns, fg.Log(fg.Time.of(time_ns), fg.LEVELS[level], text))
 
     def end_instant(self, time_ns: int, latest: tuple[int, types.States] | None, *, is_cut: bool = False) -> None:
-        """An instant is over: write the estimates that differ from its truth, and the scene if it is due.
+        """End an instant: write the estimates that differ from the true states, and the scene if it is due.
 
         Args:
             time_ns: the instant.
-            latest: when states were last told (ns), and these.
-            is_cut: the run has ended within it: of the scene, not all places are known.
+            latest: time (ns) and values of the newest states.
+            is_cut: the run ended within this instant, so the scene may lack slots.
         """
         if self._estimates:
             true = self._each(latest[1]) if latest is not None and latest[0] == time_ns else {}
@@ -104,7 +104,7 @@ class Viewer:
             self._estimates.clear()
         if is_cut:
             return
-        if self._scene_is_due or (self._targets and time_ns - self._scene_ns >= SECOND_NS):  # once, whoever changed it
+        if self._scene_is_due or (self._targets and time_ns - self._scene_ns >= SECOND_NS):  # once, however often it changed
             drawn = scene(self._vehicles, self._radius_m, self._places, time_ns, self._targets)
             self.write(SCENE, time_ns, drawn)
             self._scene_is_due, self._scene_ns = False, time_ns
@@ -114,7 +114,7 @@ class Viewer:
         self._log.finish()
 
     def _each(self, states: types.States) -> dict[str, types.VehicleState]:
-        """The state of each vehicle by itself; worked out once, as it is asked for twice at most instants."""
+        """The states as one value per vehicle; cached, because most instants need them twice."""
         if states is not self._told[0]:
             columns = (states.position, states.velocity, states.attitude, states.angular_velocity)
             rows = zip(states.names, *(zip(*column.T.tolist(), strict=True) for column in columns), strict=True)
@@ -125,7 +125,7 @@ class Viewer:
         return self._told[1]
 
     def _put_datagrams(self, key: str, time_ns: int, datagrams: types.Datagrams) -> None:
-        """Only how many there were: each is in the table of frames."""
+        """Write only their number and bytes: the table of frames contains each."""
         self.write(key, time_ns, DatagramCount(datagrams=len(datagrams.number), bytes=int(datagrams.size_bytes.sum())))
 
     def _put_traffic(self, key: str, time_ns: int, traffic: types.Traffic) -> None:
@@ -133,7 +133,7 @@ class Viewer:
         self.write(key, time_ns, TrafficCount(frames=len(traffic.reports), arrivals=len(traffic.number), lost=lost))
 
     def _put_pushed(self, key: str, time_ns: int, pushed: types.Pushed) -> None:
-        self._pushed = pushed  # it is written with the states
+        self._pushed = pushed  # written with the states
 
     def _put_follows(self, key: str, time_ns: int, follows: types.Follows) -> None:
         self._places[vehicle_of(key)] = follows

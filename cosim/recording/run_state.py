@@ -1,6 +1,6 @@
-"""The newest values of a run, taken event by event: what the table of the terminal and the page of a run show.
+"""The newest values of a run, updated by each event, for the terminal table and the control station.
 
-Nothing here grows with the length of a run: frames are counted, and of everything else the newest is kept.
+Memory does not grow with the length of a run: frames are counted, everything else keeps its newest value.
 """
 
 from collections import deque
@@ -14,8 +14,8 @@ from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.recording import event_text
 
-MOST_LINES = 200  # of the log; older ones give way
-COMMANDERS = ("commander", "mode")  # what agents call in their notes who commands
+MOST_LINES = 200  # log lines kept
+COMMANDERS = ("commander", "mode")  # names under which agents note their commander
 BY_VEHICLE: Mapping[type, str] = {
     types.Follows: "places",
     types.Fix: "fixes",
@@ -25,7 +25,7 @@ BY_VEHICLE: Mapping[type, str] = {
     types.RealStatus: "real",
     types.Presence: "presence",
 }
-"""Types of which the newest value of each vehicle is kept, and the name of each collection."""
+"""Types with a newest value per vehicle, and the name of each collection."""
 
 
 class LogLine(types.Value, frozen=True, kw_only=True):
@@ -37,16 +37,16 @@ class LogLine(types.Value, frozen=True, kw_only=True):
 
 
 class RunState:
-    """The newest of everything.
+    """The newest values of a run.
 
     Attributes:
-        newest: collections of values by their keys: those of `BY_VEHICLE`; ``notes`` and ``heard_ns`` (the last reception) of
-            each vehicle; ``frames`` of each sender; ``pushed``, the pose of each obstacle (x, y, z m, yaw rad); ``states``.
-        fresh: collection and key of what is new since somebody emptied it, in order.
-        tallies: frames by sender and receivers: how many, and how many each receiver received, (1 + receivers,) int64.
-        commanders: who commands each vehicle, as its agent notes it.
-        halted: vehicles that the operator has stopped.
-        lines: what befell, and what the operator did.
+        newest: collections of values by key: those in `BY_VEHICLE`; ``notes`` and ``heard_ns`` (last reception) per vehicle;
+            ``frames`` per sender; ``pushed``, the pose of each obstacle (x, y, z m, yaw rad); ``states``.
+        fresh: collection and key of each value since the reader last cleared it, in order.
+        tallies: by sender and receivers: frames, and frames received by each receiver, (1 + receivers,) int64.
+        commanders: commander of each vehicle, as its agent notes it.
+        halted: vehicles stopped by the operator.
+        lines: log lines of incidents and operator actions.
     """
 
     def __init__(self) -> None:
@@ -70,18 +70,18 @@ class RunState:
         }
 
     def on(self, event: Event) -> None:
-        """Take an event; times never decrease."""
+        """Update from an event; times never decrease."""
         handler = self._handlers.get(type(event.value))
         if handler is not None:
             handler(event.key.partition("/")[0], event.time_ns, event.value)
 
     def keep(self, collection: str, key: str, value: object) -> None:
-        """Keep a value as the newest of its key."""
+        """Store a value as the newest of its key."""
         self.newest[collection][key] = value
         self.fresh[collection, key] = None
 
     def say(self, time_ns: int, level: str, text: str) -> None:
-        """Add a line to the log."""
+        """Add a log line."""
         self.lines.append(LogLine(time_ns=time_ns, level=level, text=text))
 
     def _on_frame(self, _: str, time_ns: int, report: types.FrameReport) -> None:

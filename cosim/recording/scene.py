@@ -1,7 +1,7 @@
-"""The drawing of a run in a 3D viewer: body, heading and name of each vehicle, the place that each follower keeps, targets.
+"""Drawing of a run for 3D viewers: body, heading and name of each vehicle, slots of followers, targets.
 
-What stands about is drawn once for all (`solids`), what keeps to a time-table in a frame of its own (`moving_frames`). Bodies
-that can be pushed are not drawn: a recording does not say where they are.
+Static bodies are drawn once (`solids`), obstacles with a time-table in their own frames (`moving_frames`). Pushable bodies are
+not drawn: a recording does not contain their poses.
 """
 
 import math
@@ -18,11 +18,11 @@ from vcmvsp.cosim.types import Array, Follows, Pushed, Vec3
 from vcmvsp.cosim.util.palette import TARGET, rgb, rgb_of
 
 TARGET_HEIGHT_M = 0.05
-DEFAULT_RADIUS_M = 0.25  # for a vehicle of which no radius is known
-MOST_TRIANGLES = 200_000  # of a world that is drawn: more are some 30 MB of JSON, before compression
+DEFAULT_RADIUS_M = 0.25  # of a vehicle whose radius is unknown
+MOST_TRIANGLES = 200_000  # limit for drawing a world; more are some 30 MB of JSON before compression
 DIGITS = 4  # of coordinates, m: a tenth of a millimetre
 OBSTACLE_OPACITY = 0.9
-OBSTACLE, TARGET_ID = "obstacle/", "target/"  # of names of entities
+OBSTACLE, TARGET_ID = "obstacle/", "target/"  # prefixes of entity names
 _RING = [(math.cos(i * math.tau / 24), math.sin(i * math.tau / 24)) for i in range(24)]
 
 
@@ -31,19 +31,19 @@ class DrawnSolid(Protocol):
 
     @property
     def hull(self) -> tuple[Vec3, Vec3, str, tuple[int, int, int]]:
-        """Its size and offset, m, "box" or "cylinder", and its colour."""
+        """Size and offset, m, "box" or "cylinder", and colour."""
 
 
 class DrawnObstacle(Protocol):
-    """A body that moves: `physics.world.world.Movable` or `Moving`."""
+    """A movable obstacle: `physics.world.world.Movable` or `Moving`."""
 
     @property
     def name(self) -> str:
-        """Unique in the world."""
+        """Unique name in the world."""
 
     @property
     def solid(self) -> DrawnSolid:
-        """Its shape."""
+        """Shape of the obstacle."""
 
     def pose(self, time_s: float) -> tuple[float, float, float, float]:
         """Centre, m, and yaw, rad, unless it was pushed."""
@@ -62,7 +62,7 @@ class DrawnWorld(Protocol):
 
     @property
     def targets(self) -> Sequence[Target]:
-        """Flat things on the floor that vehicles search."""
+        """Search targets: flat pictures on the floor."""
 
     def mesh(self) -> tuple[Array, Array]:
         """Vertices (v, 3) m and triangles (t, 3) of all solids."""
@@ -81,7 +81,7 @@ def scene(
     time_ns: int,
     targets: Sequence[Target] = (),
 ) -> fg.SceneUpdate:
-    """The whole scene: entities move with the frames of their vehicles, and stay until the next scene takes their place."""
+    """The complete scene: entities move with their vehicles' frames and stay until the next scene replaces them."""
     now, entities = fg.Time.of(time_ns), []
     for index, name in enumerate(vehicles):
         color, radius = fg.Color(*rgb_of(index)), radius_m.get(name, DEFAULT_RADIUS_M)
@@ -93,7 +93,7 @@ def scene(
 
 
 def solids(world: DrawnWorld) -> fg.SceneUpdate | None:
-    """A world's solids by their colours, and its obstacles with a time-table; None: nothing, or more than `MOST_TRIANGLES`."""
+    """A world's solids by colour and its obstacles with a time-table; None if empty or larger than `MOST_TRIANGLES`."""
     vertices, triangles = world.mesh()
     if len(triangles) > MOST_TRIANGLES:
         return None
@@ -106,7 +106,7 @@ def solids(world: DrawnWorld) -> fg.SceneUpdate | None:
 
 
 def moving_frames(world: DrawnWorld, pushed: Pushed | None, time_ns: int) -> fg.FrameTransforms:
-    """Where the obstacles are that may move: those with a time-table, and those that can be pushed."""
+    """Poses of movable obstacles: with a time-table or pushable."""
     placed: list[tuple[str, Sequence[float], Sequence[float]]] = []
     for each in (*world.moving, *(world.movables if pushed is None else ())):
         x, y, z, yaw = each.pose(time_ns / SECOND_NS)

@@ -1,9 +1,9 @@
-"""Theory against measurement: the closed forms of radio and formation that a run is compared with.
+"""Theoretical values for a run's report: closed forms of radio and formation that measurements are compared with.
 
 With period T, delay d and independent losses p, messages that arrive are G periods apart, G geometric. The age rises from d by
 one second per second, so its mean over time is ``d + T E[G^2] / (2 E[G]) = d + T (1 + p) / (2 (1 - p))``, and that of its peaks
-``d + T E[G]`` (`cosim.metrics.radio`). Of the formation: the lag of followers on a straight line, and the circles on which they
-follow a leader on a circle.
+``d + T E[G]`` (`cosim.metrics.radio`). For the formation: the lag of followers on a straight line, and their circles behind a
+leader on a circle.
 """
 
 import math
@@ -24,17 +24,17 @@ from vcmvsp.cosim.types import Array
 
 NORMAL_95 = 1.96
 CAUSES = {"bernoulli": "random loss", "gilbert_elliott": "burst"}
-_BEHIND = ("script", "trace", "delivery")  # layers that lose what `loss` has let pass
-_EVEN = 0.001  # share of a period by which the sending of a vehicle may be off
-_LONGEST = 100_000  # periods: the sums over G end there
-_SETTLED = 5.0  # time constants of the follower after which its start counts no more
-_ROOM = 1.5  # times the leader's speed: what followers must be able to go, so that no limit matters
-_LISTED = 8  # followers
+_BEHIND = ("script", "trace", "delivery")  # layers behind `loss` that lose frames, too
+_EVEN = 0.001  # largest deviation of a vehicle's send period, as a share
+_LONGEST = 100_000  # periods: limit of the sums over G
+_SETTLED = 5.0  # time constants of the follower after which its start is negligible
+_ROOM = 1.5  # ratio of the followers' speed limits to the leader's speed, so that no limit acts
+_LISTED = 8  # followers listed
 
 
 @dataclass(frozen=True)
 class Expected:
-    """A number that a law gives, and what was measured."""
+    """An expected value of a law beside the measured one."""
 
     quantity: str
     expected: float
@@ -42,12 +42,12 @@ class Expected:
     law: str
     holds: str  # why the law applies
     unit: str = ""
-    spread: float | None = None  # half of the range in which 95 % of all such runs lie
+    spread: float | None = None  # half-width of the 95 % range over runs
 
 
 @dataclass(frozen=True)
 class MeasuredRun:
-    """A run that is compared with theory: all of its parts are there."""
+    """A complete run to compare with theory."""
 
     scenario: Mapping[str, Any]
     metrics: Mapping[str, Any]
@@ -63,38 +63,38 @@ class MeasuredRun:
 
     @property
     def window(self) -> Window:
-        """What is evaluated, s."""
+        """Evaluation window, s."""
         said = self.scenario["metrics"]
         return said["from_s"], said.get("to_s")
 
     def vehicle(self, name: str) -> Mapping[str, Any]:
-        """What is said of a vehicle, its own table before that of all."""
+        """Settings of a vehicle, its own table before the defaults."""
         own = {each["name"]: each for each in self.scenario["vehicle"]}
         return {**self.scenario["vehicles"], **own[name]}
 
     def agent(self, vehicle: str) -> Mapping[str, Any]:
-        """What a vehicle's agent was told, likewise."""
+        """Settings of a vehicle's agent, its own before the defaults."""
         return {**self.scenario["agents"], **self.vehicle(vehicle).get("agent", {})}
 
     @property
     def steady(self) -> list[Placement]:
-        """Who keeps which place, where that never changes; nobody where it does."""
+        """Slots of the followers if constant over the run; else empty."""
         follows = self.recording.follows
         changes = len({each.vehicle for each in follows}) < len(follows)
         return [] if changes else [each for each in follows if each.follows.leader is not None]
 
 
 def laws(run: MeasuredRun) -> Iterator[Expected]:
-    """Those that a run obeys."""
+    """Expected values of all laws that apply to a run."""
     yield from radio_laws(run)
     yield from motion_laws(run)
 
 
 def radio_laws(run: MeasuredRun) -> Iterator[Expected]:
-    """Those that the scenario's radio obeys."""
+    """Expected values of the laws of the scenario's radio."""
     yield from _losses(run)
     yield from _delay(run)
-    if "routing" not in run.scenario:  # messages that are passed on have more than one chance
+    if "routing" not in run.scenario:  # a relayed message has more than one chance
         yield from _age(run)
 
 
@@ -104,7 +104,7 @@ def _losses(run: MeasuredRun) -> Iterator[Expected]:
     if cause is None or any(run.radio[layer]["kind"] != "none" for layer in _BEHIND):
         return
     lost = run.links.losses.get(cause, np.zeros_like(run.links.sent))
-    passed = int(np.count_nonzero(_received(run)))  # also those that arrive after the end
+    passed = int(np.count_nonzero(_received(run)))  # also arrivals after the end
     n = passed + int(lost.sum())
     if not n:
         return
@@ -120,11 +120,11 @@ def _losses(run: MeasuredRun) -> Iterator[Expected]:
     to_bad, to_good, bad, good = (float(loss[key]) for key in ("to_bad_per_s", "to_good_per_s", "bad_loss", "good_loss"))
     rate, share = to_bad + to_good, to_bad / (to_bad + to_good)
     p = share * bad + (1.0 - share) * good
-    times = rate * float(run.metrics["duration_s"])  # how often the state is drawn anew
+    times = rate * float(run.metrics["duration_s"])  # number of independent draws of the state
     states = share * (1.0 - share) * (bad - good) ** 2 * 2.0 / times * (1.0 - (1.0 - math.exp(-times)) / times)
     frames = (share * bad * (1.0 - bad) + (1.0 - share) * good * (1.0 - good)) / n
     reached = run.links.received + lost
-    uneven = float(((reached / reached.sum()) ** 2).sum())  # 1 over the number of links, where all carry as much
+    uneven = float(((reached / reached.sum()) ** 2).sum())  # 1 over the number of links, if all carry the same traffic
     yield Expected(
         "share of frames lost in bursts",
         p,
@@ -158,7 +158,7 @@ def _age(run: MeasuredRun) -> Iterator[Expected]:
         return
     begin, end = run.window
     lasted = min(math.inf if end is None else end, run.metrics["duration_s"]) - begin
-    n = max(1.0, lasted / period_s * (1.0 - p)) * int(links.sum())  # receptions in the window, about
+    n = max(1.0, lasted / period_s * (1.0 - p)) * int(links.sum())  # approximate number of receptions in the window
     mean_gap, area_sd, gap_sd = _renewal(p)
     holds = f"each sends every {period_s:g} s, and only chance takes messages; d is the measured mean delay"
     spread = [NORMAL_95 * sd * period_s / math.sqrt(n) or None for sd in (area_sd, gap_sd)]
@@ -172,16 +172,16 @@ def _age(run: MeasuredRun) -> Iterator[Expected]:
 
 
 def _renewal(p: float) -> tuple[float, float, float]:
-    """Of the gaps G in periods: their mean; n times the variance of the mean of n of them, and of the mean age, as roots."""
+    """For gaps G in periods: mean; roots of n times the variance of the mean of n gaps, and of the mean age."""
     g = np.arange(1.0, min(_LONGEST, 2.0 + (40.0 / -math.log(p) if p > 0.0 else 0.0)))
     share = (1.0 - p) * p ** (g - 1.0)
     mean, square = float(share @ g), float(share @ g**2)
-    area = 0.5 * g**2 - 0.5 * square / mean * g  # the mean age is a ratio of sums: the delta method
+    area = 0.5 * g**2 - 0.5 * square / mean * g  # the mean age is a ratio of sums: delta method
     return mean, math.sqrt(float(share @ area**2)) / mean, math.sqrt(max(0.0, square - mean**2))
 
 
 def _range_s(run: MeasuredRun) -> tuple[float, float] | None:
-    """Between which times the delay layer draws evenly; None: it does something else, or a script or a trace delays, too."""
+    """Range of the uniform delay layer; None for other layers, or if a script or a trace adds delay."""
     scripted = any("delay_s" in change for change in run.radio["script"].get("changes", ()))
     if scripted or run.radio["trace"]["kind"] != "none":
         return None
@@ -194,7 +194,7 @@ def _range_s(run: MeasuredRun) -> tuple[float, float] | None:
 
 
 def _bounds_s(run: MeasuredRun) -> tuple[float, float] | None:
-    """The same, where the delay layer alone decides when frames arrive."""
+    """Range of the delay if the delay layer alone determines it; else None."""
     range_s = _range_s(run)
     if range_s is None:
         return None
@@ -212,7 +212,7 @@ def _received(run: MeasuredRun) -> Array:
 
 
 def _counted(run: MeasuredRun) -> Array:
-    """The links (n, n) whose ages count: from leaders to followers; without followers all to vehicles with an agent."""
+    """Links (n, n) whose ages count: leader to follower; without followers, all links to vehicles with an agent."""
     names = run.links.names
     chosen = np.zeros((len(names), len(names)), np.bool_)
     if not run.recording.follows:
@@ -241,7 +241,7 @@ def _sending_period_s(run: MeasuredRun) -> float | None:
 
 
 def motion_laws(run: MeasuredRun) -> Iterator[Expected]:
-    """Those that the scenario's followers obey."""
+    """Expected values of the laws of the scenario's followers."""
     followers = [each for each in run.steady if run.agent(each.vehicle).get("kind") == "leader_follower"]
     faulty = any(any(each.values()) for each in run.metrics["agents"].values())
     if not followers or len(followers) < len(run.steady) or faulty:
@@ -295,7 +295,7 @@ def _circle(run: MeasuredRun, placed: Placement) -> Iterator[Expected]:
     kept = own is not None and own["rms_m"] is not None and own["rms_m"] < SETTLED_M
     if not _drives(leader, "circle") or not kept or not rate:
         return
-    if abs(at.handle_m + ahead) > 1e-9:  # the closed form wants the handle beside the leader
+    if abs(at.handle_m + ahead) > 1e-9:  # the closed form needs the handle beside the leader
         return
     speed = float(leader["speed"])
     _, distance, own_speed = closed_forms.circle(speed / abs(rate), speed, -math.copysign(aside, aside * rate), -ahead)

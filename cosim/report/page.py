@@ -1,7 +1,7 @@
-"""A self-contained page: a title, a few words, and sections of figures, tables and text. It asks nothing of a network.
+"""Self-contained HTML page: a title, a lead, and sections of figures, tables and text. It makes no network requests.
 
-What goes in is escaped by the template; only figures are taken as they are, and they must be SVG that we drew ourselves. The
-page tells browsers to run no script, to load nothing, and to follow no style sheets but its own and those of its figures.
+The template escapes all content except figures, which must be SVG drawn by this program. The page forbids scripts and external
+resources, and allows only its own style sheets and those of its figures.
 """
 
 import base64
@@ -26,13 +26,13 @@ class Figure:
     """A drawing, as the text of an SVG file."""
 
     svg: str
-    words: str  # what it shows, for those who do not see it
+    words: str  # alternative text
     kind: str = "figure"
 
 
 @dataclass(frozen=True)
 class Rows:
-    """A table; numbers in it are shown to four digits, None as a dash."""
+    """A table; numbers are shown with four digits, None as a dash."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[Any]]
@@ -40,13 +40,13 @@ class Rows:
 
     @property
     def numeric(self) -> frozenset[int]:
-        """The columns in which there are numbers."""
+        """The columns that contain numbers."""
         return frozenset(place for row in self.rows for place, value in enumerate(row) if _is_number(value))
 
 
 @dataclass(frozen=True)
 class Facts:
-    """Names and what they are."""
+    """Pairs of name and value."""
 
     facts: Sequence[tuple[str, Any]]
     kind: str = "facts"
@@ -54,7 +54,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class Code:
-    """Text as it is: a command, a file. ``folded`` words stand in its place until a reader opens it."""
+    """Literal text: a command, a file. With ``folded``, these words stand for it until the reader opens it."""
 
     text: str
     folded: str = ""
@@ -74,7 +74,7 @@ Part = Figure | Rows | Facts | Code | Words
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what stands below it."""
+    """A heading and its content."""
 
     title: str
     parts: Sequence[Part]
@@ -117,7 +117,7 @@ def _template() -> jinja2.Template:
 
 
 def cell(value: object) -> str:
-    """A value as it stands in a table."""
+    """A value formatted for a table cell."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -132,7 +132,7 @@ def _is_number(value: object) -> bool:
 
 
 def _digits(value: float) -> str:
-    """Four significant digits, and no exponent where it can be read without one."""
+    """Four significant digits, without an exponent where that is readable."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
     if 1e-4 <= abs(value) < 1e6:
@@ -147,7 +147,7 @@ def _breakable(name: str) -> Markup:
 
 
 def _inline(figure: Figure, number: int) -> Markup:
-    """An SVG file as an element of a page, whose names do not collide with those of another."""
+    """An SVG file as an element of a page, with identifiers that are unique in the page."""
     svg = figure.svg[figure.svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
     svg = re.sub(r"""(\bid="|url\(#|href="#)""", rf"\g<1>f{number}-", svg)

@@ -1,4 +1,4 @@
-"""What a run has left in its folder: as much of it as is there and can be read."""
+"""Reads the files of a run's folder, as far as they exist and are readable."""
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
@@ -28,9 +28,9 @@ FILES = {
     "run.mcap": "what befell agents and robots, and what was seen in a mission",
     "about.json": "whether the run came to its end, and the machine that it ran on",
 }
-"""What a run leaves, and what cannot be told without it."""
+"""Files of a run, and the content that is missing without each."""
 _COUNTED = ("frame", "sender", "receiver", "sent_ns", "outcome", "rssi_dbm", "air_time_ns", "queue_ns", "access_ns")
-"""Columns of the radio's table that a report looks into."""
+"""Columns of the radio table that a report uses."""
 _LEVELS = {number: name for name, number in LEVELS.items()}
 
 
@@ -41,7 +41,7 @@ class _Line(msgspec.Struct):
 
 @dataclass(frozen=True)
 class Left:
-    """A run as its folder tells of it."""
+    """The content of a run's folder."""
 
     folder: Path
     scenario_toml: str = ""
@@ -50,14 +50,14 @@ class Left:
     links: Links | None = None
     metrics: dict[str, Any] = field(default_factory=dict)
     about: dict[str, Any] = field(default_factory=dict)
-    told: Sequence[tuple[float, str, str]] = ()  # s, level, text: the log of the recording
+    told: Sequence[tuple[float, str, str]] = ()  # s, level, text: log of the recording
     missing: Sequence[tuple[str, str]] = ()  # file, and why it is not shown
-    head: Mapping[str, str] = field(default_factory=dict)  # of the recording: scenario, seed, vehicles
-    recorded_s: float | None = None  # how far the recording of a run goes that has left no tables
+    head: Mapping[str, str] = field(default_factory=dict)  # metadata of the recording: scenario, seed, vehicles
+    recorded_s: float | None = None  # length of the recording, if the run left no tables
 
 
 def left_in(folder: Path) -> Left:
-    """Read what a run has left; that it has left nothing is a UsageError."""
+    """Read the folder of a run; an empty one is a UsageError."""
     if not any((folder / name).is_file() for name in FILES):
         raise UsageError(f"{folder}: no run or study has left anything here; name its folder (runs/<name>-<seed> or its --out)")
     missing = {name: "is not there" for name in FILES if not (folder / name).is_file()}
@@ -118,9 +118,9 @@ def _head(path: Path) -> dict[str, str]:
 
 
 def _recorded_s(path: Path) -> float:
-    """The time of the last message before the damage."""
+    """Time of the last message before the damage."""
     last = 0
-    with path.open("rb") as stream, contextlib.suppress(ValueError):  # it ends there
+    with path.open("rb") as stream, contextlib.suppress(ValueError):  # the readable part ends there
         for _, time_ns, _ in messages(stream):
             last = max(last, time_ns)
     return last / SECOND_NS

@@ -1,6 +1,6 @@
-"""``report.html`` of a run: all that its folder tells, in one file. What of the folder is gone is said, not guessed.
+"""Writes ``report.html`` of a run: the content of its folder in one file. The page names what is missing.
 
-The page of equal runs is equal but for its last section, which is about the machine, as ``about.json`` is.
+Equal runs have equal pages except the last section, which describes the machine, as ``about.json`` does.
 """
 
 import shlex
@@ -16,7 +16,7 @@ from vcmvsp.cosim.report.tables import expectation_table, fault_table, link_tabl
 from vcmvsp.cosim.util.files import write_whole
 
 FILE = "report.html"
-MACHINE = "Machine"  # the title of the only section that differs between equal runs
+MACHINE = "Machine"  # title of the only section that differs between equal runs
 FIGURES = {
     "trajectory": "Seen from above: a mark where each starts, arrowheads on the way, thin lines from followers to leaders.",
     "formation_error": "How far followers were off their places, the age of what they knew of leaders, and what was lost.",
@@ -40,14 +40,14 @@ BRIDGE = {
     "lost": "lost on the way: datagrams that did not reach a vehicle, for each that they were meant for",
     "over_1ms": "late by more than 1 ms",
 }
-TOLD = 500  # lines of the log that are shown
+TOLD = 500  # log lines shown
 
 
 def write(folder: Path, drawings: Mapping[str, str], out: Path | None = None) -> Path:
-    """Write the page of a run into its folder, or to ``out``; drawings are its figures as the text of SVG files, by name.
+    """Write the page of a run into its folder, or to ``out``; ``drawings`` are its figures as SVG text, by name.
 
     Raises:
-        UsageError: no run has left anything in the folder.
+        UsageError: the folder contains no files of a run.
     """
     path = out or folder / FILE
     write_whole(path, _page_of(left_in(folder), drawings))
@@ -55,7 +55,7 @@ def write(folder: Path, drawings: Mapping[str, str], out: Path | None = None) ->
 
 
 def _page_of(left: Left, drawings: Mapping[str, str]) -> str:
-    """The page; without numbers and facts that are not what this version writes."""
+    """Build the page; on an error, without metrics and facts, which another version may have written."""
     try:
         return run_page(left, drawings)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
@@ -205,7 +205,7 @@ def _what(left: Left) -> str:
 
 
 def radio_sentences(radio: Mapping[str, Any]) -> Iterator[str]:
-    """What became of the frames, from the radio's numbers."""
+    """Sentences on the outcome of the frames, from the radio metrics."""
     if not radio["frames"]:
         yield "Nobody sent anything."
     elif radio["delivery_ratio"] is None:

@@ -1,4 +1,4 @@
-"""Tables of a run's page: its numbers, vehicles, links, losses and their causes, and theory beside measurement."""
+"""Tables of a run's page: metrics, vehicles, links, losses and their causes, theory beside measurement."""
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +22,7 @@ LISTED_LINKS = 150
 
 
 def number_tables(metrics: Mapping[str, Any]) -> Iterator[tuple[str, Sequence[Part]]]:
-    """Title and content of each group of numbers that a run has, but for the faults of agents (`fault_table`)."""
+    """Title and content of each group of metrics, except the faults of agents (`fault_table`)."""
     for group, (title, introduction) in GROUPS.items():
         if group not in metrics:
             continue
@@ -37,7 +37,7 @@ def number_tables(metrics: Mapping[str, Any]) -> Iterator[tuple[str, Sequence[Pa
 
 
 def fault_table(agents: Mapping[str, Any]) -> Sequence[Part]:
-    """Agents that missed something, and what; words where nobody did."""
+    """Agents with missed ticks or other faults; a sentence if there are none."""
     faulty = {vehicle: found for vehicle, found in agents.items() if any(found.values())}
     if not faulty:
         return [Words("No agent missed a tick, and none was late.")]
@@ -55,7 +55,7 @@ def _table(group: str, found: Mapping[str, Any]) -> Iterator[Part]:
 
 
 def flat(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Path and value of each number, but for those of each vehicle."""
+    """Path and value of each metric, except per-vehicle tables."""
     for name, value in table.items():
         if name in MANY:
             continue
@@ -80,7 +80,7 @@ def _explained(group: str, of: Mapping[str, Mapping[str, Any]]) -> Sequence[Part
 
 
 def vehicle_table(left: Left) -> Sequence[Part]:
-    """A row for each vehicle."""
+    """One row per vehicle."""
     said = {each["name"]: each for each in left.scenario.get("vehicle", []) if "name" in each}
     names = list(said) if left.recording is None else list(left.recording.facts.vehicles)
     names = names or left.head.get("vehicles", "").split()
@@ -133,7 +133,7 @@ def _air(left: Left) -> dict[str, list[Any]]:
 
 
 def link_table(links: Links) -> Sequence[Part]:
-    """All links, those that delivered least first."""
+    """All links, lowest delivery ratio first."""
     pairs = sorted(links.pairs, key=lambda pair: 2.0 if (ratio := links.ratio(*pair)) is None else ratio)
     if not pairs:
         return [Words("Nothing was sent.")]
@@ -154,7 +154,7 @@ def link_table(links: Links) -> Sequence[Part]:
 
 
 def loss_table(links: Links, folder: Path) -> Sequence[Part]:
-    """The causes of losses, the most frequent first, each with where it struck most and an example in words."""
+    """Causes of losses, the most frequent first, each with its worst link and an example in words."""
     total = int(links.sent.sum())
     if not total:
         return []
@@ -191,9 +191,9 @@ def _percent(share: float | None) -> float | None:
 
 
 def expectation_table(left: Left) -> list[Part]:
-    """What was expected and what was measured; nothing where no law applies.
+    """Expected and measured values; empty if no law applies.
 
-    The half-widths are of 95 % of all runs that differ in their draws alone; where nothing is left to chance there is none.
+    The half-widths hold for 95 % of all runs that differ in random draws alone; without randomness there is none.
     """
     rows = [
         [each.quantity, each.unit, each.expected, _range(each), each.measured, each.law, each.holds] for each in _expected(left)
@@ -211,9 +211,9 @@ def _expected(left: Left) -> Iterator[Expected]:
     recording, links = left.recording, left.links
     if recording is None or links is None or not left.scenario or not left.metrics:
         return
-    if left.scenario.get("intervention"):  # the operator had a hand in it
+    if left.scenario.get("intervention"):  # the operator intervened
         return
-    with contextlib.suppress(KeyError):  # a scenario of another version lacks a key that a law needs
+    with contextlib.suppress(KeyError):  # a scenario of another version may lack a key of a law
         yield from laws(MeasuredRun(left.scenario, left.metrics, recording, links, motion(recording.states)))
 
 
