@@ -1,7 +1,7 @@
-"""Closed forms and plain integrations that the runs are compared with: NumPy alone, nothing of the platform.
+"""Closed forms and simple integrations for comparison with runs; NumPy only, independent of the platform.
 
-Conventions: T period, s; v, w the leader's speeds; L, L' of a follower with its handle at L; sources are Toh 2012 by equation
-number where there is one.
+Conventions: T period, s; v, w the leader's speeds; L, L' longitudinal and lateral offset of a follower with its handle at L;
+equation numbers are those of Toh 2012.
 """
 
 import math
@@ -34,7 +34,7 @@ def circle_distance(radius: float, speed: float, aside: float, ahead: float, han
 
 
 def servo_step(gain: float, period_s: float, lag_s: float, count: int) -> Array:
-    """z1 (count,) of a start one metre behind, at the leader's speed: sampled at T, speed as a first-order servo.
+    """z1 (count,) from a start one metre behind, at the leader's speed: sampled at T, speed as a first-order servo.
 
     State ``(z1, v_f - v_l)``; without lag it is ``(1 - k1 T)^n``.
     """
@@ -49,13 +49,13 @@ def servo_step(gain: float, period_s: float, lag_s: float, count: int) -> Array:
 
 
 def servo_overshoot(gain: float, lag_s: float) -> float:
-    """The overshoot as T goes to 0: ``exp(-pi zeta / sqrt(1 - zeta^2))`` with ``zeta = 1 / (2 sqrt(k1 tau))``."""
+    """The overshoot for T towards 0: ``exp(-pi zeta / sqrt(1 - zeta^2))`` with ``zeta = 1 / (2 sqrt(k1 tau))``."""
     zeta = 0.5 / math.sqrt(gain * lag_s)
     return math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta * zeta)) if zeta < 1.0 else 0.0
 
 
 def side_steps(gain: float, period_s: float, handle: float, speed: float, count: int) -> Array:
-    """z2 (count,) of a start one metre aside, small angles, no lag: the exact map of (z2, heading) over a period.
+    """z2 (count,) from a start one metre to the side, small angles, no lag: the exact map of (z2, heading) over a period.
 
     ``ell w = -(v th + k2 h)``, ``h+ = h + v T th + (v T / 2 + ell) T w``, ``th+ = th + T w``; it is stable for
     ``k2 < 2 / T - v / ell``.
@@ -71,10 +71,10 @@ def side_steps(gain: float, period_s: float, handle: float, speed: float, count:
 def start_up(
     behind: float, lag_s: float, accel: float, *, gain: float, speed: float, period_s: float, first_tick: int
 ) -> Array:
-    """z1 (m,) at the periods of 20 s of a follower at rest whose leader leaves at once: integrated at 1 ms.
+    """z1 (m,) at each period for 20 s, of a follower at rest whose leader starts at once: integrated at 1 ms.
 
-    It begins ``behind`` (m) its place, with k1 = ``gain`` (1/s), a servo of ``lag_s`` and at most ``accel`` (m/s2), 0.75 m/s2
-    when it brakes and 0.75 m/s; it knows of its leader from ``first_tick`` on, by a report that is then one tick old.
+    It starts ``behind`` (m) its slot, with k1 = ``gain`` (1/s), a servo of ``lag_s``, acceleration at most ``accel`` (m/s2),
+    braking at most 0.75 m/s2, speed at most 0.75 m/s; reports of its leader, one tick old, arrive from ``first_tick`` on.
     """
     z, own, command, seen = behind, 0.0, 0.0, []
     each = round(period_s * 1000.0)
@@ -89,7 +89,7 @@ def start_up(
 
 
 def lag_behind(speed: float, gain: float, period_s: float, age_s: float, probability: float) -> tuple[float, float]:
-    """Mean and root mean square of ``|z|`` (m) on a straight line with ``hold``: losses p on their own, age d without loss.
+    """Mean and root mean square of ``|z|`` (m) on a straight line with ``hold``: independent losses p, age d without loss.
 
     ``v (d + T p / (1 - p))``, and the variance
     ``v^2 (k1 T)^2 / (1 - a^2) T^2 p / (1 - p)^2 (1 + a p) / (1 - a p)`` with ``a = 1 - k1 T``.
@@ -101,10 +101,10 @@ def lag_behind(speed: float, gain: float, period_s: float, age_s: float, probabi
 
 
 def hop_gain(omega: Array, gain: float, lag_s: float, delay_s: float, way: str) -> Array:
-    """How much more a follower sways than its predecessor: ``|N(s)| / |tau s^2 + s + k|`` at ``s = j omega`` (rad/s).
+    """Gain of a follower's sway over its predecessor's: ``|N(s)| / |tau s^2 + s + k|`` at ``s = j omega`` (rad/s).
 
-    With the age d of the predecessor's reports and the way: ``hold`` (N = s + k), ``dr`` ((1 + k d) s + k), ``none`` (speed not
-    used: k), ``acceleration`` (tau times it fed forward too: tau s^2 + s + k).
+    For age d of the predecessor's reports and the way: ``hold`` (N = s + k), ``dr`` ((1 + k d) s + k), ``none`` (speed unused:
+    k), ``acceleration`` (fed forward with factor tau: tau s^2 + s + k).
     """
     s = 1j * np.asarray(omega)
     numerator = {

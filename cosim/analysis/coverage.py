@@ -1,4 +1,4 @@
-"""A map of where a vehicle's radio is heard, from a scenario: the same channel that a run would have, asked at many places."""
+"""Radio coverage map of a vehicle in a scenario, computed by the channel of a run at a grid of positions."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 SCHEMA = "vcmvsp.coverage/1"
 MOST_PLACES = 1_000_000
-_STEPS = 150  # places along the longer side, about
+_STEPS = 150  # approximate grid points along the longer side
 
 
 class Site(msgspec.Struct, frozen=True):
-    """What the radio of a scenario knows: the channel, and what stands where."""
+    """The radio environment of a scenario: channel, solids and antenna positions."""
 
     channel: "Channel"
     solids: Sequence[Any]  # of the world
@@ -39,7 +39,7 @@ class Site(msgspec.Struct, frozen=True):
 
 
 class Map(msgspec.Struct, frozen=True, kw_only=True):
-    """Level and success on a grid of places, all seen from above."""
+    """Level and success probability on a grid of positions seen from above."""
 
     scenario: str
     vehicle: str
@@ -47,12 +47,12 @@ class Map(msgspec.Struct, frozen=True, kw_only=True):
     seed: int
     size_bytes: int
     height_m: float  # of the receivers' antennas
-    floor_dbm: float  # the weakest level that is noticed
+    floor_dbm: float  # detection floor: the weakest level that a receiver detects
     noise_dbm: float
     x: Array  # (m,) m, world
     y: Array  # (n,)
     level_dbm: Array  # (n, m) mean over the fading
-    success: Array  # (n, m) chance that a frame arrives
+    success: Array  # (n, m) probability that a frame arrives
     places: Mapping[str, Vec3]  # of the vehicles
     others: Mapping[str, tuple[float, float]]  # level and success at each other vehicle's own antenna
     solids: Sequence[Any]  # of the world
@@ -60,9 +60,9 @@ class Map(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _site(folder: Path | None, parsed: Scenario, source: Source) -> Site:
-    """Of a scenario, or of a recorded run within what may be imported (`registry.may_import`).
+    """Radio environment of a scenario or of a recorded run, restricted to importable classes (`registry.may_import`).
 
-    In place of the layers that may not stand those of the preset, in place of such a world what the recording draws of it.
+    Layers that may not be imported are replaced by the preset's, such a world by the solids in the recording.
     """
     known, own = (parsed, ()) if folder is None else without_own_layers(parsed)
     if folder is None:
@@ -78,7 +78,7 @@ def _site(folder: Path | None, parsed: Scenario, source: Source) -> Site:
 
 
 def without_own_layers(parsed: Scenario) -> tuple[Scenario, tuple[str, ...]]:
-    """A scenario without the layers of its radio whose classes may not be imported, and the names of these."""
+    """A scenario without radio layers whose classes may not be imported, and the names of the removed layers."""
     kinds = {name: table["kind"] for name, table in parsed.radio.items() if isinstance(table, Mapping) and "kind" in table}
     own = tuple(f"radio.{name}" for name, kind in kinds.items() if name in KINDS and not registry.may_import(name, kind))
     layers = {name: value for name, value in parsed.radio.items() if f"radio.{name}" not in own}
@@ -97,22 +97,22 @@ def coverage(
     set: Mapping[str, Any] | None = None,  # noqa: A002  the word of the command line
     trust: bool = False,
 ) -> Map:
-    """Where the frames of a vehicle arrive.
+    """Compute the coverage map of a vehicle's transmitter.
 
     Args:
-        what: a scenario, or the directory of a run: that run's.
-        vehicle: who sends.
-        at_s: of a run: when the vehicles are where they are taken to be; default: at the start.
+        what: a scenario, or the directory of a run.
+        vehicle: the sender.
+        at_s: for a run: time at which the vehicles' positions are taken; default: the start.
         size_bytes: payload of a frame.
-        height_m: of the receivers' antennas above the floor.
-        resolution_m: from place to place; default: about 150 places along the longer side.
-        seed: instead of the scenario's.
+        height_m: height of the receivers' antennas above the floor.
+        resolution_m: grid spacing; default: about 150 positions along the longer side.
+        seed: replaces the scenario's seed.
         set: key path -> value, as for a run.
-        trust: of a run: import classes of its scenario that are not built in.
+        trust: for a run: import classes of its scenario that are not built in.
 
     Raises:
         ScenarioError: the scenario has no such radio.
-        UsageError: no such vehicle, time or resolution; or the states of the run cannot be read.
+        UsageError: unknown vehicle, invalid time or resolution, or unreadable states of the run.
     """
     if resolution_m is not None and not (math.isfinite(resolution_m) and resolution_m > 0.0):
         raise UsageError(f"a resolution of {resolution_m:g} m: must be a positive number")
@@ -199,7 +199,7 @@ def _places_at(folder: Path, at_s: float) -> dict[str, Vec3]:
 
 
 def to_table(found: Map) -> dict[str, Any]:
-    """The map for JSON: row by row from south to north, each from west to east."""
+    """The map for JSON: rows from south to north, each from west to east."""
     names = ("scenario", "vehicle", "preset", "seed", "size_bytes", "height_m", "floor_dbm", "noise_dbm")
     arrays = ("x", "y", "level_dbm", "success")
     return {
@@ -215,12 +215,12 @@ def to_table(found: Map) -> dict[str, Any]:
 
 
 def heard_share(found: Map) -> float:
-    """Share of the area in which the mean level suffices."""
+    """Share of the area with a mean level at or above the detection floor."""
     return float((found.level_dbm >= found.floor_dbm).mean())
 
 
 def summary(found: Map) -> str:
-    """The map in a few lines."""
+    """The map as a few lines of text."""
     width, height = (float(np.ptp(axis)) for axis in (found.x, found.y))
     lines = [
         f"{found.scenario}: {found.vehicle} is heard at {found.floor_dbm:.1f} dBm or more in "

@@ -1,4 +1,4 @@
-"""The link budget of one frame of a run, and why the frame was received or lost, in a sentence.
+"""Link budget of one frame of a run, and the reason for its reception or loss as a sentence.
 
 ::
 
@@ -28,17 +28,17 @@ _HEARS_ALL_DBM = -200.0
 
 
 def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True, trust: bool = False) -> dict[str, Any]:
-    """One frame of a link: its budget, times, fate and why.
+    """One frame of a link: budget, times, outcome and reason.
 
     Args:
-        log: of the run.
+        log: frames of the run.
         pair: sender, receiver.
-        which: the frame's number; ``lost``, the first that was lost; ``worst``, the one with the lowest SINR on the air.
-        with_scenario: build the run's radio, too, which knows what the receiver needs. It may take longer than all the rest.
-        trust: import classes of the scenario's radio that are not built in; else nothing is told of a ``phy`` that is not.
+        which: the frame's number; ``lost``: the first lost frame; ``worst``: the frame with the lowest SINR on the air.
+        with_scenario: also build the run's radio, for the level that the receiver needs. This may take longest.
+        trust: import radio classes of the scenario that are not built in; without it, such a ``phy`` is not described.
 
     Raises:
-        UsageError: there is no such frame on this link.
+        UsageError: the link has no such frame.
     """
     frames = log.frames(pair)
     frame = frames.where(np.arange(len(frames)) == _find(log, frames, pair, which))
@@ -93,7 +93,7 @@ def _find(log: Log, frames: LinkFrames, pair: Pair, which: str) -> int:
 
 
 def _radio(log: Log, pair: Pair) -> dict[str, Any] | None:
-    """What the resolved scenario, if it is there, says of the radios of a link."""
+    """Radios of a link according to the resolved scenario, if available."""
     path = log.folder / "scenario.toml"
     if not path.is_file():
         return None
@@ -115,12 +115,12 @@ def _radio(log: Log, pair: Pair) -> dict[str, Any] | None:
 
 
 def _budget(row: Mapping[str, Any], radio: Mapping[str, Any] | None) -> Budget:
-    """The items of the budget; gains are positive, losses negative. Without a scenario, power is what the rest leaves."""
+    """The items of the budget; gains are positive, losses negative. Without a scenario, power is the remainder."""
     losses = -row["path_loss_db"] - row["wall_loss_db"] - row["shadowing_db"] + row["fading_db"]
     rest = row["rssi_dbm"] - losses
     noise_dbm = row["rssi_dbm"] - row["snr_db"]
     sinr_db = None if math.isnan(row["sinr_db"]) else row["sinr_db"]
-    more_db = 0.0 if sinr_db is None else row["snr_db"] - sinr_db  # so much stronger than noise are noise and interference
+    more_db = 0.0 if sinr_db is None else row["snr_db"] - sinr_db  # ratio of noise and interference to noise
     budget = {"power_dbm": rest, "tx_gain_dbi": None, "rx_gain_dbi": None}
     if radio is not None:
         tx_gain, rx_gain = radio["gains_dbi"]
@@ -152,7 +152,7 @@ def _survival(row: Mapping[str, Any], radio: Mapping[str, Any] | None) -> float 
 
 
 def why(report: Report) -> str:
-    """The outcome, and what would have had to be different."""
+    """The outcome as a sentence, with the change that would have reversed it."""
     outcome = report["outcome"]
     if outcome == UNDER_WAY:
         return "under way: the run ended before it had arrived"
@@ -177,7 +177,7 @@ def _too_far(report: Report) -> str:
 
 
 def _without(item: str, words: Callable[[Report], str], later: Sequence[str] = ()) -> Callable[[Report], str]:
-    """What the level would have been without one item of the budget; if still too low, without the ``later`` items too."""
+    """Text on the level without one item of the budget; if still too low, without the ``later`` items too."""
 
     def say(report: Report) -> str:
         budget = report["budget"]

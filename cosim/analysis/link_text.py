@@ -1,15 +1,15 @@
-"""The answers of `cosim.analysis.links` as text for a terminal."""
+"""Text output of `cosim.analysis.links` for a terminal."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 Row = Mapping[str, Any]
-_MATRIX = 12  # vehicles that a matrix has room for
-_LINKS = 40  # links that a table shows
+_MATRIX = 12  # maximum number of vehicles in a matrix
+_LINKS = 40  # maximum number of links in a table
 
 
 def overview_text(rows: Sequence[Row], vehicles: Sequence[str]) -> str:
-    """A matrix of delivery ratios, where it has room, and a table of links, the worst first."""
+    """A matrix of delivery ratios, if it fits, and a table of links, the worst first."""
     parts = []
     if len(rows) > 1 and len(vehicles) <= _MATRIX:
         ratio = {(row["sender"], row["receiver"]): _percent(row["delivery_ratio"]) for row in rows}
@@ -30,7 +30,7 @@ def overview_text(rows: Sequence[Row], vehicles: Sequence[str]) -> str:
 
 
 def link_text(link: Row) -> str:
-    """One link."""
+    """Report of one link as text."""
     if not link["frames"]:
         return f"{link['sender']} -> {link['receiver']}: no frames\n"
     delivered = f"{link['received']} delivered"
@@ -60,7 +60,7 @@ def link_text(link: Row) -> str:
 
 
 def frame_text(frame: Row) -> str:
-    """The budget of one frame, and its fate."""
+    """Budget and outcome of one frame as text."""
     budget = frame["budget"]
     gains = []
     if budget["tx_gain_dbi"] is not None:

@@ -1,7 +1,7 @@
-"""Why messages arrived or not: the links of a run, from its ``radio.parquet``.
+"""Link statistics of a run, from its ``radio.parquet``: deliveries, losses and their causes.
 
-Counts obey ``frames = received + sum of losses + under_way``: a frame that was on its way when the run ended is neither
-received nor lost. Levels and ratios are those of frames that were on the air. What cannot be measured is None.
+Counts obey ``frames = received + sum of losses + under_way``: a frame in transit at the end of the run is neither received nor
+lost. Levels and ratios are taken over frames that were on the air. Unmeasurable values are None.
 """
 
 import math
@@ -31,17 +31,17 @@ NUMBERS = (
     *("frame", "sent_ns", "received_ns", "size_bytes", "distance_m", "rssi_dbm", "delay_ns", "snr_db", "sinr_db"),
     *("path_loss_db", "walls", "wall_loss_db", "shadowing_db", "fading_db", "air_time_ns", "queue_ns", "access_ns"),
 )
-"""Columns that are read."""
+"""Columns read from the table."""
 Pair = tuple[str, str]
 
 
 class Log:
-    """The frames of a run, by link; of their columns those that are asked for.
+    """The frames of a run by link; columns are read on demand.
 
-    ``tell`` takes a line for the user: that the run was cut, and how far its recording goes.
+    ``tell`` receives a line for the user if the run was cut: how far its recording goes.
 
     Raises:
-        UsageError: it is no such folder, or its tables cannot be read.
+        UsageError: the folder is no run, or its tables are unreadable.
     """
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda _: None) -> None:
@@ -55,16 +55,16 @@ class Log:
         if missing:
             raise UsageError(f"{folder}: radio.parquet has no {missing[0]}: it was written by another version; run it again")
         self.folder, self.vehicles = folder, self.facts.vehicles
-        self._columns: dict[str, Array] = {}  # rows link by link: those that were asked for
+        self._columns: dict[str, Array] = {}  # cached columns, sorted by link
         self.names: dict[str, tuple[str, ...]] = {}
-        """What the codes of a column of names mean."""
+        """Names behind the codes of each column of names."""
         self._spans, self._order = self._by_link()
 
     def pairs(self, link: str = "*/*") -> list[Pair]:
-        """The links (sender, receiver) that an expression like ``car1/car2`` or ``car1/*`` means, in the order of the run.
+        """The links (sender, receiver) that match an expression such as ``car1/car2`` or ``car1/*``, in the order of the run.
 
         Raises:
-            UsageError: it is no such expression, or there is no such vehicle or link.
+            UsageError: the expression is invalid, or matches no vehicle or link.
         """
         sender, slash, receiver = link.partition("/")
         if not slash or not sender or not receiver or "/" in receiver:
@@ -80,18 +80,18 @@ class Log:
         return meant
 
     def frames(self, pair: Pair) -> "LinkFrames":
-        """The frames of a link, in the order in which they were sent."""
+        """The frames of a link, in order of sending."""
         return LinkFrames(self, np.arange(*self._spans.get(pair, (0, 0))))
 
     def only(self, pairs: Sequence[Pair]) -> None:
-        """Forget all other links: their rows take up no memory any more."""
+        """Drop all other links to free their memory."""
         known = [pair for pair in dict.fromkeys(pairs) if pair in self._spans]
         parts = [self._order[slice(*self._spans[pair])] for pair in known]
         self._spans = _spans(known, list(map(len, parts)))
         self._order, self._columns = np.concatenate([np.empty(0, np.int64), *parts]), {}
 
     def column(self, name: str) -> Array:
-        """A column, read when it is first asked for."""
+        """A column by name, read on first use."""
         if name not in self._columns:
             if name == "under_way":
                 outcome, names = self.column("outcome"), self.names["outcome"]
@@ -101,7 +101,7 @@ class Log:
         return self._columns[name]
 
     def _whole(self, name: str) -> Array:
-        """A column in the order of the table: numbers, or codes of names."""
+        """A column in table order: numbers, or codes of names."""
         try:
             table = self._read(name)
         except (OSError, ValueError) as error:
@@ -113,13 +113,13 @@ class Log:
         return np.where(nulls(table, name), np.nan, values) if name == "sinr_db" else values
 
     def _by_link(self) -> tuple[dict[Pair, tuple[int, int]], Array]:
-        """Of each link the span of its rows, which stand in the order of the table; and all rows, link by link."""
+        """The span of rows of each link, and all rows sorted by link, in table order within each link."""
         link = self._whole("sender").astype(np.int64)
         senders, receiver = self.names["sender"], self._whole("receiver")
         receivers = self.names["receiver"]
         link *= max(1, len(receivers))
         link += receiver
-        is_small = link.max(initial=0) < 1 << 16  # then sorting takes time in proportion to the rows
+        is_small = link.max(initial=0) < 1 << 16  # radix sort, in linear time
         order = np.argsort(link.astype(np.uint16) if is_small else link, kind="stable")
         link = link[order]
         first = np.flatnonzero(np.diff(link, prepend=-1))
@@ -128,7 +128,7 @@ class Log:
 
 
 class LinkFrames:
-    """Some rows of the log."""
+    """A selection of rows of the log."""
 
     def __init__(self, log: Log, rows: Array) -> None:
         self._log, self._rows = log, rows
@@ -137,37 +137,37 @@ class LinkFrames:
         return len(self._rows)
 
     def __getitem__(self, name: str) -> Array:
-        """A column: numbers, or codes of names; received_ns and delay_ns are -1, sinr_db is NaN, where there is none."""
+        """A column: numbers, or codes of names; received_ns and delay_ns are -1 and sinr_db is NaN without a value."""
         values: Array = self._log.column(name)[self._rows]
         return values
 
     def where(self, chosen: Array) -> "LinkFrames":
-        """Those of them for which ``chosen`` (n,) is true."""
+        """The rows for which ``chosen`` (n,) is true."""
         return LinkFrames(self._log, self._rows[chosen])
 
     def words(self, name: str) -> list[str]:
-        """A column of names."""
+        """A column of names as text."""
         codes = self[name].tolist()
         return [self._log.names[name][code] for code in codes]
 
     def counts(self, name: str) -> dict[str, int]:
-        """How often each name stands in a column, most frequent first."""
+        """Frequency of each name in a column, most frequent first."""
         counts, names = np.bincount(self[name]), self._log.names[name]
         return {names[code]: int(counts[code]) for code in np.argsort(-counts, kind="stable") if counts[code]}
 
     @property
     def decided(self) -> "LinkFrames":
-        """Those that were received or lost before the run ended."""
+        """The frames received or lost before the run ended."""
         return self.where(~self["under_way"])
 
     @property
     def arrived(self) -> "LinkFrames":
-        """Those that were received before the run ended."""
+        """The frames received before the run ended."""
         return self.decided.where(self.decided["received_ns"] >= 0)
 
 
 def overview(log: Log, link: str = "*/*") -> list[dict[str, Any]]:
-    """The links that an expression means, the worst first: frames, received, losses, and medians of level and distance."""
+    """The links that match an expression, worst first: frames, received, losses, and medians of level and distance."""
     rows = []
     for pair in log.pairs(link):
         frames = log.frames(pair)
@@ -178,7 +178,7 @@ def overview(log: Log, link: str = "*/*") -> list[dict[str, Any]]:
 
 
 def link_report(log: Log, pair: Pair) -> dict[str, Any]:
-    """Everything about one link."""
+    """All statistics of one link."""
     frames = log.frames(pair)
     sent, arrived = frames.where(frames["air_time_ns"] > 0), frames.arrived
     sinr = sent["sinr_db"]
@@ -234,37 +234,37 @@ def _receptions(received_ns: Array) -> dict[str, float | None]:
 
 @dataclass(frozen=True)
 class Links:
-    """All links at once, by sender and receiver: arrays (n, n), [sender, receiver], in the order of ``names``.
+    """Statistics of all links: arrays (n, n), [sender, receiver], in the order of ``names``.
 
-    Counts are as those of `Log`; ratios are of what was decided, levels those of frames that were on the air.
+    Counts are as in `Log`; ratios are over decided frames, levels over frames that were on the air.
     """
 
     names: tuple[str, ...]
     sent: Array
     received: Array
     under_way: Array
-    level_dbm: Array  # mean; NaN where none was on the air
-    frames: Array  # (n,) that each sent, for whomever: one that several were meant to hear counts once
+    level_dbm: Array  # mean; NaN where no frame was on the air
+    frames: Array  # (n,) sent by each; a frame for several receivers counts once
     losses: Mapping[str, Array]  # by cause, the most frequent first
 
     @property
     def pairs(self) -> Iterator[tuple[int, int]]:
-        """The links over which anything was sent, in the order of the run."""
+        """The links with at least one frame, in the order of the run."""
         yield from ((int(a), int(b)) for a, b in np.argwhere(self.sent > 0))
 
     def ratio(self, a: int, b: int) -> float | None:
-        """Share of what was decided that was received."""
+        """Share of decided frames that were received."""
         decided = int(self.sent[a, b] - self.under_way[a, b])
         return int(self.received[a, b]) / decided if decided else None
 
     def lost_to(self, a: int, b: int) -> str:
-        """What the link lost to which cause."""
+        """Losses of a link by cause, as text."""
         counts = [(cause, int(lost[a, b])) for cause, lost in self.losses.items()]
         return ", ".join(f"{count} {cause}" for cause, count in sorted(counts, key=lambda each: -each[1]) if count)
 
 
 def links_of(radio: pa.Table, vehicles: Sequence[str]) -> Links:
-    """The links of a run; the vehicles are known to the table in their order."""
+    """Compute the statistics of all links of a run; ``vehicles`` in the order of the table."""
     (senders, by), (receivers, to), (outcomes, outcome) = (names_of(radio, name) for name in ("sender", "receiver", "outcome"))
     names = tuple(dict.fromkeys((*vehicles, *senders, *receivers)))
     n = len(names)

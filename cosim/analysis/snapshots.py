@@ -1,6 +1,6 @@
-"""Pictures that a vehicle of a scenario would take from random places over its world, and how far its detector is right.
+"""Camera pictures from random positions over a scenario's world, and the detection rates of its detector on them.
 
-The world, the camera, the targets that are looked for and the cells of the map are those of the scenario; no run is needed.
+World, camera, targets and map cells are those of the scenario; no run is needed.
 """
 
 import math
@@ -24,51 +24,51 @@ from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import VehicleTable
 from vcmvsp.cosim.types import Array, Image, Positive, Sighting, VehicleState
 
-STEEPEST = math.radians(5.0)  # tilt
-ROOM_M = 0.5  # nothing may be nearer to a vehicle
-TRIES = 1000  # to find a place that is free
-HIDDEN = 0.02  # of the distance: what is nearer than that before a target hides it
-CELL_M = 2.0  # where the scenario says nothing
+STEEPEST = math.radians(5.0)  # largest tilt
+ROOM_M = 0.5  # minimum distance of a vehicle to solids
+TRIES = 1000  # attempts to find a free position
+HIDDEN = 0.02  # of the distance: anything nearer hides a target
+CELL_M = 2.0  # if the scenario gives none
 MOST_CELLS = 10_000_000
 Area = tuple[float, float, float, float]  # left, bottom, right, top, m
 
 
 class InSight(NamedTuple):
-    """A target that is looked for, whose middle is in a picture."""
+    """A search target with its centre in a picture."""
 
     name: str
     place: tuple[float, float]  # m, world
     size_m: float
     pixel: tuple[float, float]  # u, v of its middle
-    angle: float  # rad, by which it is turned in the picture, counter-clockwise
-    visible: float  # which part of it nothing hides
-    looked: bool  # whether its middle lies where the detector says that it looked
+    angle: float  # rad, rotation in the picture, counter-clockwise
+    visible: float  # visible share
+    looked: bool  # whether its centre lies in the area that the detector examined
     cell: int | None  # of the map; None: outside
 
 
 class Snapshot(NamedTuple):
-    """A picture and what is said of it."""
+    """A picture, its targets and its detections."""
 
     pixels: Array  # (h, w, 3) uint8
     targets: tuple[InSight, ...]
     sightings: tuple[Sighting, ...]
-    cells: Array  # (n,) of the map, that are looked at
-    hits: Array  # (n,) bool: something was recognised there
+    cells: Array  # (n,) cells of the map that were looked at
+    hits: Array  # (n,) bool: a target was recognised there
 
 
 class Snapshots:
-    """Takes pictures.
+    """Takes pictures with a vehicle's camera from random positions.
 
     Args:
         scenario: name, file or content of a scenario.
-        vehicle: whose camera; default: the first one that recognises something.
-        height_m: of the vehicle, world; default: at which it searches.
-        cell_m: side of a cell of the map; default: as in its search.
-        seed: of the places; that of the world is the scenario's.
-        settings: keys of the scenario, and their values.
+        vehicle: carrier of the camera; default: the first vehicle with a detector.
+        height_m: height of the vehicle, world; default: search height.
+        cell_m: side of a map cell; default: as in its search.
+        seed: seed of the positions; the scenario's seed determines the world.
+        settings: keys of the scenario with new values.
 
     Raises:
-        ScenarioError: there is no such vehicle, it looks for nothing, or nothing that it looks for is there.
+        ScenarioError: unknown vehicle, no search targets, or none of them in the world.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Snapshots:
             raise ScenarioError(problem, key="world.targets", source=self._source.of("world"))
 
     def take(self, number: int, of: int) -> Snapshot:
-        """One picture of so many, always the same for a number; in every other one there is a target. Call them in order."""
+        """Picture ``number`` of ``of``, reproducible; every other one contains a target. Call in order."""
         rng = stream(self._seed, f"snapshots/{number}")
         time_s = self._scenario.duration_s * number / of
         state, time_ns = self._placed(rng, time_s, with_target=number % 2 == 0), seconds_to_ns(time_s)
@@ -143,7 +143,7 @@ class Snapshots:
         if settings.camera not in vehicle.sensors:
             problem = f"{binding.unknown('sensor', settings.camera, vehicle.sensors)} (of {vehicle.name})"
             raise ScenarioError(problem, key=f"{key}.camera", source=self._source.of(f"{key}.camera"))
-        sensor = {**vehicle.sensors[settings.camera], "depth": True}  # tells what is hidden
+        sensor = {**vehicle.sensors[settings.camera], "depth": True}  # for occlusion tests
         self._camera: recognition.Camera
         self._camera, _ = registry.build("sensor", sensor, key=f"{where}.{settings.camera}", source=self._source)
         if not hasattr(self._camera, "focal_px"):
@@ -187,7 +187,7 @@ class Snapshots:
         return grid
 
     def _placed(self, rng: np.random.Generator, time_s: float, *, with_target: bool) -> VehicleState:
-        """Somewhere over the area, clear of what stands there; a target is anywhere in the picture, where one has to be."""
+        """A random pose in the area, clear of solids; with ``with_target``, a target lies anywhere in the picture."""
         left, bottom, right, top = self.area
         for _ in range(TRIES):
             yaw, about = rng.uniform(-math.pi, math.pi, 2).tolist()
@@ -199,7 +199,7 @@ class Snapshots:
                 target = self._targets[int(rng.integers(len(self._targets)))]
                 across, down = (rng.uniform(0.0, 1.0, 2) * (self._camera.width - 1, self._camera.height - 1)).tolist()
                 off = self._over(attitude).ground_point((across, down))
-                if off is None:  # a wide one sees the horizon, too
+                if off is None:  # a wide-angle camera also sees the horizon
                     continue
                 x, y = (here - there for here, there in zip(target.place(time_s), off, strict=True))
             if not (left <= x <= right and bottom <= y <= top):
@@ -242,7 +242,7 @@ class Snapshots:
         if pixel is None or not all(-0.5 <= at < edge - 0.5 for at, edge in zip(pixel, size, strict=True)):
             return None
         u, v = pixel
-        ahead = target.yaw(time_s) + 0.5 * math.pi  # its upper edge, where it is not turned, is north
+        ahead = target.yaw(time_s) + 0.5 * math.pi  # the upper edge points north at heading 0
         region = frame.looked
         return InSight(
             name=target.name,
@@ -265,7 +265,7 @@ def _search_of(params: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
 
 
 def _visible(target: recognition.PlacedTarget, frame: recognition.WatchFrame, time_s: float) -> float:
-    """Which part of a target nothing hides, of 25 points of it that the picture shows."""
+    """Unoccluded share of a target, from 25 of its points within the picture."""
     depth_m = frame.image.depth_m
     assert depth_m is not None  # noqa: S101  the camera is made so that it gives depths
     (x, y), yaw, nadir = target.place(time_s), target.yaw(time_s), frame.nadir
@@ -288,31 +288,31 @@ def _visible(target: recognition.PlacedTarget, frame: recognition.WatchFrame, ti
     return free / total if total else 0.0
 
 
-NEAR = 0.5  # sides: what is recognised no further than that from a target is that target
-FREE = 0.99  # a target is unoccluded from this visible part on
-RINGS = ("middle third", "second third", "outer third")  # of the way from the middle of a picture to its corners
+NEAR = 0.5  # in sides: maximum distance between a detection and its target
+FREE = 0.99  # visible share from which a target counts as unoccluded
+RINGS = ("middle third", "second third", "outer third")  # by distance from the centre of a picture to its corners
 Z = 1.959964  # standard normal, two-sided 95 %
 
 
 class Share(NamedTuple):
-    """So many of all."""
+    """A count and its total."""
 
     part: int
     of: int
 
     @property
     def value(self) -> float:
-        """The share; NaN: of none."""
+        """The share; NaN for a total of zero."""
         return self.part / self.of if self.of else math.nan
 
     @property
     def mean(self) -> float:
-        """The mean of the posterior after a flat prior: never 0 and never 1, which no map could bear."""
+        """Posterior mean with a flat prior: never 0 or 1, which a map cannot represent."""
         return (self.part + 1) / (self.of + 2)
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 %, by Wilson's score (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
+        """95 % Wilson score interval (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
         if self.of == 0:
             return 0.0, 1.0
         n, share, z2 = self.of, self.value, Z * Z
@@ -321,7 +321,7 @@ class Share(NamedTuple):
         return (middle - reach if self.part > 0 else 0.0), (middle + reach if self.part < self.of else 1.0)
 
     def plus(self, *answers: bool) -> "Share":
-        """With further ones."""
+        """The share with further answers."""
         return Share(self.part + sum(answers), self.of + len(answers))
 
 
@@ -330,19 +330,19 @@ NONE = Share(0, 0)
 
 @dataclass
 class Rates:
-    """Counts of pictures; a look is a cell of the map that a picture shows."""
+    """Detection rates over pictures; a look is a map cell within a picture."""
 
-    p: Share = NONE  # of the looks at cells with a target, those that say target
-    q: Share = NONE  # of the looks at cells without one, those that do
-    precision: Share = NONE  # of what is recognised, what is right
-    recall: Share = NONE  # of the targets in view, those that are recognised, hidden ones too
-    unoccluded: Share = NONE  # the same, of those that nothing hides
-    by_ring: dict[str, Share] = field(default_factory=lambda: dict.fromkeys(RINGS, NONE))  # by where in the picture
-    angles: list[float] = field(default_factory=list)  # errors of those recognised, rad
-    places: list[float] = field(default_factory=list)  # likewise, m
+    p: Share = NONE  # share of looks at cells with a target that report one
+    q: Share = NONE  # share of looks at cells without a target that report one
+    precision: Share = NONE  # share of detections that are right
+    recall: Share = NONE  # share of targets in view that are recognised, occluded ones included
+    unoccluded: Share = NONE  # share of unoccluded targets that are recognised
+    by_ring: dict[str, Share] = field(default_factory=lambda: dict.fromkeys(RINGS, NONE))  # recall by position in the picture
+    angles: list[float] = field(default_factory=list)  # angle errors of recognised targets, rad
+    places: list[float] = field(default_factory=list)  # position errors of recognised targets, m
 
     def add(self, taken: Snapshot) -> None:
-        """Count a picture. A target that is not in what the detector looked at counts nowhere, unless it is recognised."""
+        """Count a picture. A target outside the examined area counts only if it is recognised."""
         held = [each.cell for each in taken.targets if each.cell is not None]
         there = np.isin(taken.cells, held)
         self.p, self.q = (
@@ -367,7 +367,7 @@ class Rates:
         self.precision = self.precision.plus(*(False for _ in left))
 
     def plain(self) -> Mapping[str, Any]:
-        """Numbers by name."""
+        """The rates as numbers by name."""
         shares = {name: getattr(self, name) for name in ("p", "q", "precision", "recall", "unoccluded")}
         told = {name: _plain(each) for name, each in shares.items()}
         for name in ("p", "q"):

@@ -1,4 +1,4 @@
-"""The figures of a reconnaissance: who commanded when and what was found, the map as it filled, the mosaic, the detections."""
+"""Figures of a reconnaissance mission: commanders and finds over time, the map over time, the mosaic, the detections."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -25,11 +25,11 @@ from vcmvsp.cosim.types import Array, Sighting, Sightings
 from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, color_of
 from vcmvsp.cosim.util.pictures import decoded
 
-INSTANTS = 4  # at which the map is shown, evenly to the end of the run
-SHEET = 12  # pictures with detections, at most
+INSTANTS = 4  # map snapshots, evenly spaced to the end of the run
+SHEET = 12  # maximum number of pictures with detections
 HATCHES = {"search": "", "formation": "\\\\\\\\", "track": "..", "avoid1": "////", "avoid2": "xxxx"}
 HATCH = "#ffffff80"
-EDGE = "0.15"  # of a target's mark
+EDGE = "0.15"  # of a target's marker
 COLORS = LinearSegmentedColormap.from_list("probability", PROBABILITY)
 MARKED: dict[str, Any] = {
     "marker": "*",
@@ -44,15 +44,14 @@ DOT: dict[str, Any] = {"marker": "o", "markersize": 4.0, "markeredgecolor": "whi
 
 
 def mission(log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> Figure:
-    """Above, who commanded each vehicle when; below, the surest of the vehicles' maps at `INSTANTS` instants, and their tracks.
+    """Commanders of all vehicles over time; below, the merged map (`surest_map`) at `INSTANTS` instants with tracks.
 
-    Stars are finds, crosses finds where no such target was, triangles targets that were given up; on the maps, stars are true
-    places.
+    Stars are finds, crosses false finds, triangles abandoned targets; on the maps, stars are true positions.
     """
     with style(MAP):
         shapes = [shown.seen.shape for maps in log.maps.values() for _, shown in maps[:1]]
         rows, columns = shapes[0] if shapes else (1, 1)
-        slenderness = np.clip(rows / max(columns, 1), 0.4, 2.5)  # how much taller than wide the maps are drawn
+        slenderness = np.clip(rows / max(columns, 1), 0.4, 2.5)  # aspect ratio of the maps: height over width
         heights = 1.1 + 0.3 * len(log.vehicles), 0.9 + 2.35 * slenderness  # inches
         figure = Figure(figsize=(11.0, sum(heights)), layout="constrained")
         figure.suptitle("Who commanded each vehicle, and the map of the search")
@@ -63,7 +62,7 @@ def mission(log: MissionLog, moved: Motion, targets: Sequence[Target], outlines:
 
 
 def mosaic(log: MissionLog, moved: Motion, targets: Sequence[Target]) -> Figure:
-    """The ground as all vehicles together saw it, their tracks, where they recognised what, and true places at the end."""
+    """The merged mosaic of all vehicles, with tracks, detections and the targets' true positions at the end."""
     with style(MAP):
         figure = Figure(figsize=(7.0, 7.2), layout="constrained")
         figure.suptitle("The ground as the vehicles saw it")
@@ -107,9 +106,9 @@ def detections(log: MissionLog) -> Figure:
 
 
 def chosen_pictures(log: MissionLog) -> list[tuple[int, str, Sightings]]:
-    """Time (ns), vehicle and sightings of the pictures for the contact sheet, in order of time.
+    """Time (ns), vehicle and sightings of the pictures on the contact sheet, in order of time.
 
-    Of each vehicle and target the first, and then those in which it lies in other places, as far apart as can be.
+    For each vehicle and target: the first picture, then those in which the target's position differs most.
     """
     pairs: dict[tuple[str, str], list[tuple[int, str, Sightings]]] = {}
     for name, shown in log.sightings.items():
@@ -126,7 +125,7 @@ def _best(seen: Sightings) -> Sighting:
 
 
 def _apart(group: Sequence[tuple[int, str, Sightings]], count: int) -> list[tuple[int, str, Sightings]]:
-    """The first, and one by one those that are furthest from all before them, by where the target is in the picture."""
+    """The first sighting, then repeatedly the one farthest from all chosen so far, by the target's position in the picture."""
     places = np.array([_best(seen).centre_px for _, _, seen in group])
     away = np.full(len(group), np.inf)
     chosen, newest = [0], 0
@@ -144,7 +143,7 @@ def _timeline(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
     for row, name in enumerate(log.vehicles):
         changes = [*log.noted.of(name, "commander"), (log.end_ns, "")]
         for (begin, commander), (end, _) in pairwise(changes):
-            if not commander:  # its agent has failed, or is lost
+            if not commander:  # its agent has failed or is lost
                 continue
             told.add(commander)
             span = begin / SECOND_NS, (end - begin) / SECOND_NS
@@ -242,7 +241,7 @@ def _boxes(axes: Axes, seen: Sightings) -> None:
         axes.add_patch(Polygon(corners, fill=False, edgecolor=EDGE, linewidth=3.0))
         axes.add_patch(Polygon(corners, fill=False, edgecolor=TARGET, linewidth=1.4))
         axes.plot(*corners[:2].T, color=TARGET, linewidth=3.0)
-        middle = float(np.clip(each.centre_px[0], 0.14 * seen.width, 0.86 * seen.width))  # so that the words stay within
+        middle = float(np.clip(each.centre_px[0], 0.14 * seen.width, 0.86 * seen.width))  # so that the text stays inside
         place, low = (middle, corners[:, 1].min() - 4.0), corners[:, 1].min() > 0.12 * seen.height
         axes.annotate(
             label_of(each),

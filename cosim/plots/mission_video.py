@@ -1,4 +1,4 @@
-"""A reconnaissance as a film: the map from above with vehicles, trails and what they look at; beside it what they see."""
+"""Video of a reconnaissance mission: a map with vehicles, trails and viewed areas, beside the camera pictures."""
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -17,16 +17,16 @@ from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, rgb, rgb_
 from vcmvsp.cosim.util.pictures import decoded, write_film
 
 FPS = 10
-QUICKER = 4  # simulated seconds in one of the film, or more: it has no more than `FRAMES` frames
+QUICKER = 4  # least speed-up of the video, which has at most `FRAMES` frames
 MAP_PX, SIDE_PX = 640, 480  # width of the map, which is square, and of the pictures beside it
 MARGIN_PX = 30
-GLIMPSE_NS = 3 * SECOND_NS  # what was seen within this time is tinted: where the vehicle looks
+GLIMPSE_NS = 3 * SECOND_NS  # areas seen within this time are tinted
 MOST_PICTURES = 6
 DARK, PALE, LINE = (45, 45, 45), (255, 255, 255), (110, 110, 110)
 FONT = 0  # cv2.FONT_HERSHEY_SIMPLEX
 
 T = TypeVar("T")
-Color = tuple[int, ...]  # blue, green, red, as OpenCV has it
+Color = tuple[int, ...]  # blue, green, red (OpenCV order)
 
 
 def write_video(path: Path, log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> None:
@@ -35,7 +35,7 @@ def write_video(path: Path, log: MissionLog, moved: Motion, targets: Sequence[Ta
 
 
 def frames(log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> Iterator[Array]:
-    """The pictures of the film, one after another: (MAP_PX, MAP_PX + SIDE_PX, 3) uint8, blue, green, red."""
+    """The video frames, (MAP_PX, MAP_PX + SIDE_PX, 3) uint8, blue, green, red."""
     step_ns = max(round(QUICKER / FPS * SECOND_NS), -(-log.end_ns // (FRAMES - 1)))
     above, beside = _Above(log, moved, targets, outlines), _Beside(log)
     for now_ns in range(0, log.end_ns + 1, step_ns):
@@ -50,7 +50,7 @@ class _Above:
         self._trails = self._px(np.moveaxis(moved.position[:2], 0, -1))  # (m, n, 2)
         self._there: Array = np.isfinite(moved.position[:2].sum(axis=0))
         self._base = _paper()
-        self._base_of: tuple[int, ...] | None = None  # how many maps of each vehicle were known then
+        self._base_of: tuple[int, ...] | None = None  # number of maps of each vehicle in the cached background
 
     def at(self, now_ns: int) -> Array:
         import cv2
@@ -176,7 +176,7 @@ def _paper() -> Array:
 
 
 def _frame_of(log: MissionLog, moved: Motion) -> tuple[Array, float]:
-    """The south-west corner (m) and the scale (px/m) of a picture that has all maps and all ways in it."""
+    """The south-west corner (m) and the scale (px/m) of a picture that contains all maps and tracks."""
     corners = [moved.position[:2].reshape(2, -1).T]
     for maps in log.maps.values():
         for _, each in maps[:1]:
@@ -202,7 +202,7 @@ def _say(
     import cv2
 
     x, y = place
-    if shade is not None:  # the same strokes all around: thicker ones would be spaced otherwise
+    if shade is not None:  # outline of the same stroke width: wider strokes change the spacing
         for right, down in ((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)):
             cv2.putText(picture, words, (x + right, y + down), FONT, size, shade, 1, cv2.LINE_AA)
     cv2.putText(picture, words, place, FONT, size, color, 1, cv2.LINE_AA)
@@ -214,4 +214,4 @@ def _bgr(color: tuple[float, ...]) -> Color:
 
 _STOPS = np.array([_bgr(rgb(code)) for code in PROBABILITY]).T
 _PARTS = [np.interp(np.arange(256), np.linspace(0.0, 255.0, len(PROBABILITY)), part) for part in _STOPS]
-PROBABILITY_BGR: Array = np.stack(_PARTS, axis=1).round().astype(np.uint8)  # of 0 to 255 of a map
+PROBABILITY_BGR: Array = np.stack(_PARTS, axis=1).round().astype(np.uint8)  # for map values 0 to 255

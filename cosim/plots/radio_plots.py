@@ -1,4 +1,4 @@
-"""Figures of the radio: level and success of a coverage map from above, and a calibration's levels over distance."""
+"""Radio figures: maps of level and success of a coverage study, and a calibration's levels over distance."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -17,16 +17,16 @@ from vcmvsp.cosim.util.palette import OKABE_ITO
 if TYPE_CHECKING:
     from vcmvsp.cosim.analysis.coverage import Map
 
-# Viridis and cividis keep their order in grey and under every common form of colour blindness; both run from dark to light.
+# Viridis and cividis stay ordered in grey and for common forms of colour blindness; both run from dark to light.
 _LEVEL, _SUCCESS = "viridis", "cividis"
-_WALLS = (OKABE_ITO[2], OKABE_ITO[4], OKABE_ITO[5], OKABE_ITO[6])  # those that viridis and cividis do not have
+_WALLS = (OKABE_ITO[2], OKABE_ITO[4], OKABE_ITO[5], OKABE_ITO[6])  # colours that viridis and cividis lack
 _WHITE: list[effects.AbstractPathEffect] = [effects.withStroke(linewidth=3.2, foreground="white")]
 _BLUE, _RED = OKABE_ITO[1], OKABE_ITO[2]
-_DEEPEST_DB = 15.0  # below what is noticed: weaker levels all look alike
+_DEEPEST_DB = 15.0  # below the detection floor; weaker levels share one colour
 
 
 def coverage(found: "Map") -> Figure:
-    """Two maps with the same axes: the mean level, with a contour where it is just noticed, and the share of frames."""
+    """Two maps with common axes: mean level, with a contour at the detection floor, and share of frames received."""
     with style(MAP):
         width, height = np.ptp(found.x), np.ptp(found.y)
         wide = width > 1.6 * height
@@ -126,21 +126,21 @@ def draw_calibration(
     curve: Array,
     correlation_distance_m: float | None,
 ) -> Figure:
-    """Above: levels over distance (logarithmic), fitted line and +-sigma band, lost rows as ticks at the sensitivity.
+    """Levels over distance (logarithmic), fitted line and +-sigma band; lost rows as ticks at the sensitivity.
 
-    Below: correlation of the residuals of two rows over how far both ends moved between them, and the fitted one. The points
-    tend to lie lower: a line that is fitted takes part of the field with it, and rows that are lost cut its troughs off.
+    Below: correlation of the residuals of two rows over the distance that both ends moved, and its fit. The points tend to lie
+    below the fit: a fitted line absorbs part of the field, and lost rows cut off its troughs.
 
     Args:
-        distance_m: of each row, (n,).
-        level_dbm: of each row, (n,), without its walls; NaN where lost.
-        line_m: where the fitted line is drawn, (l,), with ``line_dbm`` (l,).
+        distance_m: distance of each row, (n,).
+        level_dbm: level of each row, (n,), without its walls; NaN where lost.
+        line_m: distances of the fitted line, (l,), with ``line_dbm`` (l,).
         sigma_db: standard deviation of a single level about the line.
-        sensitivity_dbm: below which rows were lost; None where none was.
-        walls: whether losses of walls were added to the levels.
-        moved_m: middles of the intervals of displacement, (k,), with ``correlation`` (k,); NaN where there are few pairs.
-        curve_m: where the fitted correlation is drawn, (c,), with ``curve`` (c,).
-        correlation_distance_m: of the fitted correlation; None where rows are independent.
+        sensitivity_dbm: level below which rows were lost; None without lost rows.
+        walls: whether the levels include added wall losses.
+        moved_m: centres of the displacement intervals, (k,), with ``correlation`` (k,); NaN where pairs are few.
+        curve_m: displacements of the fitted correlation, (c,), with ``curve`` (c,).
+        correlation_distance_m: distance of the fitted correlation; None where rows are independent.
     """
     figure = Figure(figsize=(7.0, 6.2), layout="constrained")
     figure.suptitle("Levels over distance, and how alike neighbouring ones are")

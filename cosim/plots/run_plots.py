@@ -1,4 +1,4 @@
-"""The figures of a run, from its tables alone: `trajectory` seen from above and `formation_error` over time."""
+"""Figures of a run from its tables: `trajectory` seen from above and `formation_error` over time."""
 
 from collections.abc import Sequence
 
@@ -19,16 +19,16 @@ from vcmvsp.cosim.tables.schema import NOT_LOST, Placement
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.palette import color_of
 
-SNAPSHOTS = 5  # instants at which the formation is drawn, start and end among them
-NAMED = 8  # rows of lost messages, each a line of text high: more of them have no names
+SNAPSHOTS = 5  # instants at which the formation is drawn, including start and end
+NAMED = 8  # rows of lost messages, one text line high each; with more, they have no names
 
 
 @styled
 def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Sequence[Array] = ()) -> Figure:
-    """Where the vehicles went, seen from above: a marker where each starts, arrowheads on its way, a larger one at its end.
+    """Tracks of the vehicles seen from above: a marker at each start, arrowheads on the way, a larger one at the end.
 
-    At a few instants thin lines join followers and leaders, so that the shape of the formation shows. ``outlines``, (k, 2) m
-    each, are what stood about.
+    At a few instants thin lines from followers to leaders show the shape of the formation. ``outlines``, (k, 2) m each, are
+    those of solids.
     """
     moved = motion(states)
     x, y, _ = moved.position
@@ -36,7 +36,7 @@ def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Se
     figure.suptitle("Where the vehicles went")
     axes = figure.add_subplot()
     solids = PolyCollection(outlines, facecolor="0.88", edgecolor="0.72", linewidth=0.5, zorder=1)
-    axes.add_collection(solids, autolim=False)  # the paths say how much of the world is shown
+    axes.add_collection(solids, autolim=False)  # the tracks determine the axis limits
     last = len(moved.time_ns) - 1
     shown: list[int] = np.unique(np.linspace(0, last, SNAPSHOTS).round().astype(int)).tolist() if last > 0 else []
     for instant in shown:
@@ -57,9 +57,9 @@ def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Se
 
 @styled
 def formation_error(states: pa.Table, radio: pa.Table, follows: Sequence[Placement], window: Window | None = None) -> Figure:
-    """Formation error of every follower over time; below, with radio, the age of what it knows of its leader, and losses.
+    """Formation error of every follower over time; below, with radio, the age of its information on its leader, and losses.
 
-    The window (s) that the metrics are taken over is shaded; the dashed line is the 5 cm at which a follower has settled.
+    The evaluation window (s) is shaded; the dashed line is the 5 cm at which a follower has settled.
     """
     moved = motion(states)
     errors = formation_errors(moved, follows)
@@ -93,7 +93,7 @@ def formation_error(states: pa.Table, radio: pa.Table, follows: Sequence[Placeme
 
 
 def draw_vehicle(axes: Axes, pose: tuple[float, float, float], color: str, size: float) -> None:
-    """A slender triangle that points ahead, of a size in points, so that it is seen at any scale."""
+    """Draw a vehicle as a slender triangle that points ahead, of a size in points, visible at any scale."""
     x, y, yaw = pose
     if np.isnan(yaw):
         return
@@ -157,7 +157,7 @@ def _leaders(name: str, follows: Sequence[Placement]) -> list[str]:
 
 
 def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
-    """When frames of this link were sent that were lost, s; with routing messages that came over nobody."""
+    """Sending times of lost frames of this link, s; with routing, of messages that arrived over no relay."""
     if "origin" in radio.column_names:
         return unreached_s(radio, receiver, sender)
     (receivers, to), (senders, by), (words, outcome) = (names_of(radio, name) for name in ("receiver", "sender", "outcome"))

@@ -1,6 +1,6 @@
-"""The figures of a study: each metric over what was varied, with its band; and a map where two numbers were varied.
+"""Figures of a study: each metric over the varied keys, with its band; a heat map for two varied numbers.
 
-They are drawn from the summary (`cosim.studies.summary`) alone, in the style of a run's figures.
+The summary (`cosim.studies.summary`) is their only input; the style is that of a run's figures.
 """
 
 import contextlib
@@ -26,17 +26,17 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.documents import read_json
 from vcmvsp.cosim.util.palette import color_of
 
-MAP_COLORS = "cividis"  # keeps its order in grey and under every common form of colour blindness
-ANNOTATED_CELLS = 60  # a map of more cells has no numbers in them
-MOST_WORDS = 48  # along a side of a map, which then grows no more
-NAME_INCHES = 0.175  # of a legend's rows
-DECADES = 30.0  # a metric whose means span more than this is drawn on a logarithmic scale
+MAP_COLORS = "cividis"  # stays ordered in grey and for common forms of colour blindness
+ANNOTATED_CELLS = 60  # larger maps show no numbers in cells
+MOST_WORDS = 48  # labels along a side of a map, which then stops growing
+NAME_INCHES = 0.175  # height of a legend's row
+DECADES = 30.0  # metrics whose means span a larger ratio have a logarithmic axis
 _STATISTIC = re.compile(r"mean|max|min|rms|p\d+|final|peak|time_average")
 _WORDS = {"probability": "{table} probability", "seconds": "{table}", "count": "{table} count", "kind": "{table}"}
 
 
 class Table(NamedTuple):
-    """A summary, and which of its columns are what."""
+    """A summary, and the roles of its columns."""
 
     columns: Mapping[str, list[Any]]
     numeric: tuple[str, ...]  # varied keys with two or more numbers
@@ -44,9 +44,9 @@ class Table(NamedTuple):
 
 
 def lines(summary: pa.Table, keys: Sequence[str], metrics: Sequence[str], title: str = "") -> Figure:
-    """A panel for each metric: its mean and band over the first key with numbers, a line for each combination of the others.
+    """One panel per metric: mean and band over the first key with numbers, a line for each combination of the other keys.
 
-    Where no key has numbers: points with error bars over the values of the first.
+    Without a key with numbers: points with error bars over the values of the first key.
     """
     table = _sorted(summary, keys)
     x_key = table.numeric[0] if table.numeric else next(iter(table.named), "")
@@ -76,9 +76,9 @@ def lines(summary: pa.Table, keys: Sequence[str], metrics: Sequence[str], title:
 
 
 def heat_map(summary: pa.Table, keys: Sequence[str], metric: str, title: str = "") -> Figure | None:
-    """A metric over the first two keys with numbers, a panel for each combination of the others; None if there are no two.
+    """A metric over the first two keys with numbers, one panel per combination of the others; None without two such keys.
 
-    Every cell is equally large, whatever the steps between values; the number in it is the mean.
+    All cells have the same size, independent of the steps between values; the number in a cell is the mean.
     """
     table = _sorted(summary, keys)
     if len(table.numeric) < 2:
@@ -233,7 +233,7 @@ def _numbers(axes: Axes, image: AxesImage, field: Array) -> None:
 
 
 def _sorted(summary: pa.Table, keys: Sequence[str]) -> Table:
-    """Rows in the order of all numbers, names in the order in which they come; keys of a single value are left out."""
+    """Sort the rows by all numbers and keep the order of names; drop keys with a single value."""
     columns = summary.to_pydict()
     varied = [key for key in keys if len(_distinct(columns[key])) > 1]
     numeric = tuple(key for key in varied if all(_is_number(value) for value in columns[key]))
@@ -261,14 +261,14 @@ def _is_number(value: object) -> bool:
 
 
 def _labels(values: Sequence[Any]) -> list[str]:
-    """How values that differ are named: tables by their kinds, numbers by six digits, as far as these differ."""
+    """Labels of different values: tables by their kinds, numbers with six digits where those suffice."""
     kinds = [kind for value in values if isinstance(kind := _kind(value), str)]
     short = [_short(value) for value in values]
     return next((names for names in (kinds, short) if len(set(names)) == len(values)), [str(value) for value in values])
 
 
 def _kind(value: object) -> object:
-    with contextlib.suppress(ValueError):  # a text may begin like a table
+    with contextlib.suppress(ValueError):  # a text may look like a table
         if isinstance(value, str) and value.startswith("{"):
             return read_json(value).get("kind")
     return None
@@ -281,7 +281,7 @@ def _short(value: object) -> str:
 
 
 def label_of(key: str) -> str:
-    """A key or a metric in words, with its unit where the name tells one: ``radio.delay.jitter_s`` is ``jitter [s]``."""
+    """Label of a key or metric, with the unit from its name: ``radio.delay.jitter_s`` is ``jitter [s]``."""
     *above, last = key.split(".")
     stem, unit = split_unit(last)
     words = _WORDS.get(stem, stem).format(table=above[-1] if above else "")

@@ -1,8 +1,7 @@
-"""How every figure looks, whatever the user's own matplotlibrc says, and how it is written as PNG and SVG.
+"""Style of all figures, independent of the user's matplotlibrc, and output as PNG and SVG.
 
-Series are told apart twice, by colour and by line style or marker, so that they stay apart in grey, too. The colours
-themselves are in `cosim.util.palette`. Files have no date, library version or global state in them: the same figure gives
-the same bytes.
+Series differ in colour and in line style or marker, so that they can be told apart in grey. The colours are in
+`cosim.util.palette`. Files contain no date, library version or global state: the same figure gives the same bytes.
 """
 
 import re
@@ -43,21 +42,21 @@ STYLE: dict[str, Any] = {
     "legend.frameon": False,
     "legend.fontsize": 8,
     "svg.fonttype": "none",  # text stays text
-    "svg.hashsalt": "vcmvsp",  # the same names inside for the same figure
+    "svg.hashsalt": "vcmvsp",  # deterministic identifiers
 }
 MAP = {"axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}
-"""For `style`: of maps, which fill their axes."""
+"""Parameters for `style`: maps, which fill their axes."""
 SVG = {"path.simplify": True, "path.simplify_threshold": 0.03, "savefig.dpi": 200}
-"""For `style`: of drawings. Curves may be 0.03 pt off, which no screen shows; what is rasterised in them is fine enough."""
+"""Parameters for `style`: drawings. Curves may deviate by 0.03 pt, which is invisible; rasterised parts are fine enough."""
 GREY = "0.55"
 LEVEL: dict[str, Any] = {"color": GREY, "linestyle": "--", "linewidth": 0.9}
-"""Of a line that marks a level: a limit, a threshold, what theory says."""
+"""Style of a line at a fixed level: a limit, a threshold, a theoretical value."""
 ABOVE: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2, "columnspacing": 1.2}
-"""Of a legend above its axes, where it hides nothing."""
+"""Position of a legend above its axes, where it hides nothing."""
 MARKERS = "osD^v*XP"
 _DASHES: tuple[Any, ...] = ("-", (0, (5.0, 1.6)), (0, (1.2, 1.4)), (0, (6.0, 1.5, 1.2, 1.5)))
-DENSE = 1000  # marks of a curve, or pieces of a collection: more than this are a picture within a drawing
-FINE = 100  # cells of a grid, likewise: between finer ones seams would show
+DENSE = 1000  # curves or collections with more parts become pictures within a drawing
+FINE = 100  # grid cells; smaller cells would show seams
 _PATH = re.compile(r'(<path [^>]*?\bd=")([^"]*)')
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
 P = ParamSpec("P")
@@ -65,16 +64,16 @@ P = ParamSpec("P")
 
 @contextmanager
 def style(more: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """Matplotlib's own defaults, `STYLE`, and ``more``."""
+    """Context with Matplotlib's defaults, `STYLE`, and ``more``."""
     with mpl.rc_context():
         mpl.rcdefaults()
-        wanted: dict[Any, Any] = {**STYLE, **(more or {})}  # names that the library lists one by one
+        wanted: dict[Any, Any] = {**STYLE, **(more or {})}  # the library's types list the names one by one
         mpl.rcParams.update(wanted)
         yield
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """A function that draws in this style."""
+    """Decorator: draw the figure in this style."""
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
@@ -90,13 +89,13 @@ def marker_of(index: int) -> str:
 
 
 def line_of(index: int) -> dict[str, Any]:
-    """Colour and line style of series ``index``, with a marker here and there: each round of colours has its own dashes."""
+    """Colour, line style and sparse markers of series ``index``: each round of colours has its own dashes."""
     return {
         "color": color_of(index),
         "linestyle": _DASHES[index // len(OKABE_ITO) % len(_DASHES)],
         "marker": marker_of(index),
         "markersize": 4.0,
-        "markevery": (0.03 + 0.02 * (index % len(OKABE_ITO)), 0.17),  # of the axes' diagonal: of neighbours not at one place
+        "markevery": (0.03 + 0.02 * (index % len(OKABE_ITO)), 0.17),  # share of the axes' diagonal; different for neighbours
     }
 
 
@@ -114,7 +113,7 @@ def save_svg(figure: Figure, path: str | Path) -> None:
 
 
 def svg(figure: Figure) -> str:
-    """A figure as the text of an SVG file: the same for the same figure, text as text, of dense parts a picture."""
+    """A figure as SVG text, deterministic: text as text, dense parts as a picture."""
     with style(SVG):
         _laid_out(figure)
         _make_light(figure)
@@ -135,13 +134,13 @@ def save(figure: Figure, stem: Path) -> list[Path]:
 
 
 def _laid_out(figure: Figure) -> FigureCanvasAgg:
-    """A canvas for a figure that is drawn in the style of now, its layout worked out once: then nothing is left to chance."""
+    """Create a canvas and compute the layout once, in the current style, so that the output is deterministic."""
     canvas = FigureCanvasAgg(figure)
     engine = figure.get_layout_engine()
     if engine is not None and not isinstance(engine, PlaceHolderLayoutEngine):
         engine.execute(figure)
         figure.set_layout_engine("none")
-        for axes in figure.axes:  # the last bit of a position differs from time to time
+        for axes in figure.axes:  # the last bit of a position varies between runs
             left, bottom, width, height = (round(edge, 6) for edge in axes.get_position().bounds)
             axes.set_position((left, bottom, width, height))
     for line in figure.findobj(Line2D):

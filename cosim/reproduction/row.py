@@ -1,4 +1,4 @@
-"""Rows of figures and checks: a measured number beside the expected one, and its tolerance."""
+"""Rows of figures and checks: measured and expected value, and tolerance."""
 
 import csv
 import math
@@ -16,7 +16,7 @@ COLUMNS = ("case", "expected", "measured", "tolerance", "ok")
 
 @dataclass(frozen=True)
 class Row:
-    """An expected and a measured number. Tolerances are absolute; the case names the share where one is relative."""
+    """An expected and a measured value. Tolerances are absolute; the case names the share of a relative one."""
 
     case: str
     expected: float
@@ -25,12 +25,12 @@ class Row:
 
     @property
     def ok(self) -> bool:
-        """Whether the numbers agree within the tolerance; NaN never does."""
+        """Whether the values agree within the tolerance; NaN never does."""
         return bool(abs(self.measured - self.expected) <= self.tolerance)
 
     @property
     def tolerance_used(self) -> float:
-        """``|measured - expected|`` over the tolerance, at most 1 if the row is ok; infinite or NaN if it cannot be."""
+        """``|measured - expected|`` over the tolerance, at most 1 if the row is ok; infinite or NaN where undefined."""
         difference = abs(self.measured - self.expected)
         if self.tolerance:
             return difference / self.tolerance
@@ -54,7 +54,7 @@ class Row:
 
 
 def relative(case: str, expected: float, measured: float, share: float) -> Row:
-    """A row whose tolerance is a share of the expected number; the case names the share."""
+    """A row with a tolerance relative to the expected value; the case names the share."""
     return Row(f"{case} (within {100 * share:g} %)", float(expected), float(measured), float(abs(expected) * share))
 
 
@@ -74,6 +74,6 @@ def at_least(case: str, limit: float, measured: float) -> Row:
 
 
 def write_csv(path: Path, header: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
-    """Write a CSV file whole or not at all."""
+    """Write a CSV file atomically."""
     with replacing(path) as place, place.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([header, *lines])

@@ -1,4 +1,4 @@
-"""Runs the jobs of figures and checks, several at a time in processes."""
+"""Runs the jobs of figures and checks, in parallel processes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Job:
-    """A run and the function that reads its result; ``read`` must be a function of a module, for other processes."""
+    """A run and the function that reads its result; ``read`` must be a module-level function, for other processes."""
 
     scenario: Mapping[str, Any]
     read: Read
@@ -31,7 +31,7 @@ class Runner:
 
     Args:
         jobs: number of processes; 1: this one.
-        progress: called after every run with the finished and the total number.
+        progress: called after every job with the finished and the total number.
     """
 
     def __init__(self, jobs: int = 1, progress: Callable[[int, int], None] | None = None) -> None:

@@ -1,6 +1,6 @@
-"""Arrow columns from NumPy arrays and back, by their buffers.
+"""Conversion between Arrow columns and NumPy arrays, by their buffers.
 
-`pyarrow.array` and ``to_numpy`` would do, but they import pandas wherever it is installed, which takes a second of every run.
+`pyarrow.array` and ``to_numpy`` import pandas if it is installed, which takes a second of every run.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from vcmvsp.cosim.types import Array
 
 
 def column(values: Array, valid: Array | None = None) -> "pa.Array[Any]":
-    """An Arrow array of these numbers, null where they are not valid."""
+    """An Arrow array of the values, null where not valid."""
     bits = None if valid is None else pa.py_buffer(np.packbits(valid, bitorder="little").tobytes())
     return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [bits, pa.py_buffer(values.tobytes())])
 
@@ -28,26 +28,26 @@ def name_column(names: Sequence[str], codes: Array) -> "pa.Array[Any]":
 
 
 def numbers(table: pa.Table, name: str, null: float = 0) -> Array:
-    """The numbers of a column, with ``null`` where there is none."""
+    """The numbers of a column, with ``null`` for missing values."""
     chunks = table[name].chunks
     return joined([_numbers(chunk, null) for chunk in chunks], (0,), table.schema.field(name).type.to_pandas_dtype())
 
 
 def names_of(table: pa.Table, name: str) -> tuple[tuple[str, ...], Array]:
-    """The names that a column of names may hold, and the number of each row's name among them."""
+    """The distinct names of a column of names, and the index of each row's name among them."""
     chunks: Any = table[name].unify_dictionaries().chunks
     names = tuple(str(value) for value in chunks[0].dictionary) if chunks else ()
     return names, joined([_numbers(chunk.indices, 0) for chunk in chunks], (0,), np.int32)
 
 
 def nulls(table: pa.Table, name: str) -> Array:
-    """Where a column has no value."""
+    """Mask of the missing values of a column."""
     chunks = table[name].chunks
     return joined([~_valid(chunk) for chunk in chunks], (0,), np.bool_)
 
 
 def joined(parts: Sequence[Array], empty: tuple[int, ...], dtype: DTypeLike = np.float64) -> Array:
-    """The parts one after another, one alone as it is; of shape ``empty`` where there are none."""
+    """Concatenate arrays; a single one is returned unchanged, none gives an array of shape ``empty``."""
     whole = parts[0] if len(parts) == 1 else np.concatenate([np.empty(empty, dtype), *parts])
     return whole.astype(dtype, copy=False)
 

@@ -1,6 +1,6 @@
-"""Frames as columns: what a recorder keeps of them while a run goes on, and the columns of the table of the radio.
+"""Column storage of frames: packing during a run, and the columns of the radio table.
 
-A report is a kilobyte or two of small objects. Packed, a receiver of a frame takes some tens of bytes.
+A report is one or two kilobytes of small objects. Packed, a receiver of a frame takes some tens of bytes.
 """
 
 from collections.abc import Collection, Iterable, Sequence
@@ -14,8 +14,8 @@ import pyarrow as pa
 from vcmvsp.cosim.tables.columns import column, joined, name_column
 from vcmvsp.cosim.types import Array, FrameReport
 
-UNDER_WAY = "under way"  # the fate of a frame that had neither arrived nor been lost when the run ended
-CHUNK_ROWS = 1 << 13  # so many are packed together, within milliseconds; a frame counts as one more: it may have no receivers
+UNDER_WAY = "under way"  # outcome of a frame in transit at the end of the run
+CHUNK_ROWS = 1 << 13  # rows packed at once, within milliseconds; a frame counts as one more row, as it may have no receivers
 PER_FRAME = ("frame", "sent_ns", "size_bytes", "air_time_ns", "queue_ns", "access_ns")
 PER_ROW = {"received_ns": np.int64, "distance_m": np.float64, "rssi_dbm": np.float64}
 BUDGET = {  # zeros where the channel has no such layer
@@ -30,7 +30,7 @@ BUDGET = {  # zeros where the channel has no such layer
 }
 NAMED = ("sender", "receiver", "outcome", "wall_materials")
 COLUMNS = (*PER_FRAME, "sender", "receiver", *PER_ROW, "delay_ns", "outcome", "wall_materials", *BUDGET)
-_LAST_USE = {  # what is needed no more once a column is made, where that is not the column itself
+_LAST_USE = {  # columns released after the column that is made from them
     **dict.fromkeys(("sent_ns", "sender", "received_ns"), ()),
     "receiver": ("receiver", "sender"),
     "delay_ns": ("sent_ns",),
@@ -47,43 +47,43 @@ class _Numbered(dict[str, int]):
 
 
 class Names:
-    """Numbers for names: those known beforehand in their order, others as they come."""
+    """Codes for names: given names in their order, others in order of appearance."""
 
     def __init__(self, known: Sequence[str]) -> None:
         self._known = len(known)
         self._codes = _Numbered((name, i) for i, name in enumerate(known))
 
     def codes(self, names: Iterable[str]) -> Array:
-        """Their numbers."""
+        """Codes of the names."""
         return np.fromiter(map(self._codes.__getitem__, names), np.int32)
 
     def column(self, codes: Array) -> "pa.Array[Any]":
-        """An Arrow column of these numbers' names."""
+        """An Arrow column of the names of these codes."""
         return name_column(list(self._codes), codes)
 
     def in_order_of(self, codes: Array) -> tuple["Names", Array]:
-        """The same names with those that were not known in the order in which they occur there; and new numbers for old."""
+        """The names with initially unknown ones sorted by first occurrence in ``codes``, and the new codes."""
         first = np.full(len(self._codes), len(codes))
-        first[codes[::-1]] = np.arange(len(codes))[::-1]  # of places given to one name the last one stands
+        first[codes[::-1]] = np.arange(len(codes))[::-1]  # duplicate indices: the last assignment counts
         first[: self._known] = -1
         order, names = np.argsort(first, kind="stable"), list(self._codes)
         return Names([names[old] for old in order.tolist()]), np.argsort(order).astype(np.int32)
 
 
 class Frames:
-    """Frames as they are reported; a row for each receiver that a frame was meant for."""
+    """Packed frame reports; one row per intended receiver of a frame."""
 
     def __init__(self, vehicles: Sequence[str]) -> None:
         self._vehicles, self._outcomes, self._materials = Names(vehicles), Names(("received",)), Names(("",))
         self._waiting: list[FrameReport] = []
-        self._held = 0  # frames and rows of those
-        self._chunks: dict[str, list[Array]] = {}  # of each column
+        self._held = 0  # frames and rows not packed yet
+        self._chunks: dict[str, list[Array]] = {}  # packed parts of each column
         self._counts = np.empty(0, np.int64)  # rows of each frame, in the order of the table
-        self._order: Array | None = None  # of frames, and of their rows
+        self._order: Array | None = None  # sort order of frames and rows
         self._rows: Array | None = None
 
     def extend(self, reports: Iterable[FrameReport]) -> None:
-        """Take over frames; every frame comes once, in any order."""
+        """Add frame reports; every frame comes once, in any order."""
         for report in reports:
             self._waiting.append(report)
             self._held += 1 + len(report.receivers)
@@ -93,7 +93,7 @@ class Frames:
     def columns(self, end_ns: int = 2**63 - 1, wanted: Collection[str] | None = None) -> dict[str, Any]:
         """The Arrow columns of the table, rows in the order in which frames entered the channel.
 
-        An arrival after ``end_ns`` is not known, and the frame is `UNDER_WAY`. Without ``wanted`` columns nothing is left here.
+        Frames that would arrive after ``end_ns`` are `UNDER_WAY`. Without ``wanted``, the stored columns are released.
         """
         self._pack()
         self._counts, frame = self._joined("receivers"), self._joined("frame")
@@ -135,7 +135,7 @@ class Frames:
         return _in_order(self._joined(name), self._rows)
 
     def _of_frames(self, name: str) -> Array:
-        """What is the same in all rows of a frame."""
+        """A column with one value per frame, repeated for its rows."""
         return np.repeat(_in_order(self._joined(name), self._order), self._counts)
 
     def _joined(self, name: str) -> Array:
@@ -172,13 +172,13 @@ def _in_order(values: Array, order: Array | None) -> Array:
 
 
 def _slim(values: Array) -> Array:
-    """The same values; where all have the same bits, in the space of one."""
+    """The values; if all have the same bits, a broadcast of one."""
     bits = values.view(f"i{values.itemsize}")
     return np.broadcast_to(values[0].copy(), values.shape) if len(values) and (bits == bits[0]).all() else values
 
 
 def dtype_of(name: str) -> type[np.number]:
-    """The type of a column's numbers, or of its codes of names."""
+    """Type of a column's numbers, or of its codes of names."""
     return np.int32 if name in NAMED else {**PER_ROW, **BUDGET}.get(name, np.int64)
 
 

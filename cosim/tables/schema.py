@@ -1,8 +1,8 @@
-"""The two tables of a run, in memory (Arrow) and on disk (Parquet), and a run directory read back.
+"""The two tables of a run, in memory (Arrow) and on disk (Parquet), and reading of a run directory.
 
 ``states``: a row per recorded instant and vehicle, instants in order, vehicles in the order of the run.
-``radio``: a row per frame and receiver it was meant for, in the order in which frames entered the channel.
-The schema metadata of both carry who ran (`RunFacts`), so that either file can be understood alone.
+``radio``: a row per frame and intended receiver, in the order in which frames entered the channel.
+The schema metadata of both contain the facts of the run (`RunFacts`), so that each file is self-contained.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -36,16 +36,16 @@ RADIO_SCHEMA = pa.schema(
         *("shadowing_db", "fading_db", "air_time_ns", "queue_ns", "access_ns"),
     )
 )
-"""As `cosim.recording.mcap_writer.FRAME` says. No value: ``received_ns`` and ``delay_ns`` of what was lost or under way when
-the run ended, ``copy_ns`` without a second copy, items of a link budget that cannot be told."""
+"""See `cosim.recording.mcap_writer.FRAME`. Null: ``received_ns`` and ``delay_ns`` of frames lost or under way at the end of the
+run, ``copy_ns`` without a second copy, unknown items of a link budget."""
 NOT_LOST = ("received", UNDER_WAY)  # outcomes
 FACTS = b"vcmvsp.run"
-PART_ROWS = 1 << 17  # of a table that is read in parts
+PART_ROWS = 1 << 17  # rows per part in partial reading
 _PHYSICAL = ("BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE", "BYTE_ARRAY")
 
 
 class Placement(msgspec.Struct, frozen=True):
-    """From ``time_ns`` on, ``vehicle`` means to keep this place."""
+    """The slot that ``vehicle`` keeps from ``time_ns`` on."""
 
     time_ns: int
     vehicle: str
@@ -53,7 +53,7 @@ class Placement(msgspec.Struct, frozen=True):
 
 
 class RunFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """What the tables do not say of their run."""
+    """Facts about a run that its tables do not contain."""
 
     scenario: str
     seed: int
@@ -64,7 +64,7 @@ class RunFacts(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Recording:
-    """A run read back from its directory."""
+    """A run read from its directory."""
 
     states: pa.Table
     radio: pa.Table
@@ -73,12 +73,12 @@ class Recording:
 
     @property
     def follows(self) -> tuple[Placement, ...]:
-        """Who meant to keep which place, and from when on."""
+        """Slots of all followers, each with the time from which it holds."""
         return self.facts.follows
 
 
 def states_table(rows: Sequence[tuple[int, States]], facts: RunFacts) -> pa.Table:
-    """The table of the true states at these instants."""
+    """Build the table of true states at these instants."""
     vehicles = Names(facts.vehicles)
     names = [states.names for _, states in rows]
     times = np.repeat(np.array([time for time, _ in rows], np.int64), [len(each) for each in names])
@@ -92,7 +92,7 @@ def states_table(rows: Sequence[tuple[int, States]], facts: RunFacts) -> pa.Tabl
 
 
 def radio_table(frames: Frames | Sequence[FrameReport], facts: RunFacts, columns: Collection[str] | None = None) -> pa.Table:
-    """The table of all frames at all receivers they were meant for; `Frames` give all up, unless only columns are wanted."""
+    """Build the table of all frames at all intended receivers; releases `Frames` unless ``columns`` are given."""
     if not isinstance(frames, Frames):
         given, frames = frames, Frames(facts.vehicles)
         frames.extend(given)
@@ -102,7 +102,7 @@ def radio_table(frames: Frames | Sequence[FrameReport], facts: RunFacts, columns
 
 
 def write_table(table: pa.Table, path: Path | BinaryIO) -> None:
-    """Write Parquet: the same table gives the same bytes (fixed row groups, zstd)."""
+    """Write Parquet, deterministically (fixed row groups, zstd)."""
     encodings: dict[str, Any] = {
         "use_dictionary": [field.name for field in table.schema if pa.types.is_dictionary(field.type)],
         "use_byte_stream_split": [field.name for field in table.schema if pa.types.is_floating(field.type)],
@@ -111,10 +111,10 @@ def write_table(table: pa.Table, path: Path | BinaryIO) -> None:
 
 
 def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
-    """Read Parquet, these columns if they are there; `pyarrow.parquet.read_table` imports pandas where that is installed.
+    """Read Parquet, the given columns as far as they exist; `pyarrow.parquet.read_table` would import pandas if installed.
 
     Raises:
-        OSError, ValueError: it cannot be read, or is beyond `limits`.
+        OSError, ValueError: the file is unreadable or exceeds `limits`.
     """
     file, fields = _opened(path, columns)
     with file:
@@ -122,7 +122,7 @@ def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
 
 
 def parts_of_table(path: Path) -> Iterator[pa.Table]:
-    """The same table in parts that need little memory, the first one without rows; errors as of `read_table`."""
+    """The table in parts that need little memory, the first one without rows; errors as of `read_table`."""
     file, fields = _opened(path)
     with file:
         yield pa.schema(fields).empty_table()
@@ -134,11 +134,11 @@ def _opened(path: Path, columns: Collection[str] | None = None) -> "tuple[pq.Par
     with pq.ParquetFile(path) as file:
         fields, texts = list(file.schema_arrow), _checked(file.metadata, path.name)
     wanted = [field for field in fields if columns is None or field.name in columns]
-    return pq.ParquetFile(path, read_dictionary=texts), wanted  # a word that stands in all rows takes up the space of one
+    return pq.ParquetFile(path, read_dictionary=texts), wanted  # dictionary encoding: a text of all rows takes the space of one
 
 
 def _as_written(table: pa.Table, fields: "Sequence[pa.Field[Any]]", name: str) -> pa.Table:
-    """Its columns with the types that the file says."""
+    """The columns with the types stored in the file."""
     for place, field in enumerate(fields):
         if field.type != table.schema.field(place).type:
             limits.within(_text_bytes(table.column(place)), limits.TABLE_TEXT_BYTES, f"bytes of {field.name} in {name}")
@@ -148,7 +148,7 @@ def _as_written(table: pa.Table, fields: "Sequence[pa.Field[Any]]", name: str) -
 
 
 def _checked(about: pq.FileMetaData, name: str) -> list[str]:
-    """The columns of texts in a file of Parquet that is within limits, and flat."""
+    """Text columns of a Parquet file, after a check that it is flat and within limits."""
     limits.within(about.num_columns, limits.COLUMNS, f"columns in {name}")
     limits.within(about.num_rows, limits.ROWS, f"rows in {name}")
     columns = [about.schema.column(number) for number in range(about.num_columns)]
@@ -167,14 +167,14 @@ def _text_bytes(texts: "pa.ChunkedArray[Any]") -> int:
 
 
 def load(run_dir: str | Path, radio: Collection[str] | None = None) -> Recording:
-    """Read a run directory back: ``states.parquet``, ``radio.parquet`` and, if it is there, ``metrics.json``."""
+    """Read a run directory: ``states.parquet``, ``radio.parquet`` and, if it exists, ``metrics.json``."""
     folder = Path(run_dir)
     recording, metrics = load_tables(folder, radio), folder / "metrics.json"
     return replace(recording, metrics=read_json(limits.read_bytes(metrics), dict[str, Any])) if metrics.is_file() else recording
 
 
 def load_tables(folder: Path, radio: Collection[str] | None = None) -> Recording:
-    """Both tables of a run directory, without its numbers; ``radio``: the columns of that table that are read, if not all."""
+    """Read both tables of a run directory, without its metrics; ``radio``: the columns of that table to read, if not all."""
     for name in ("states.parquet", "radio.parquet"):
         if not (folder / name).is_file():
             raise UsageError(f"{folder}: no {name} here; name the directory that a run left (runs/<name>-<seed> or its --out)")

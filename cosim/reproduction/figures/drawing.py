@@ -19,7 +19,7 @@ from vcmvsp.cosim.reproduction.row import COLUMNS, write_csv
 from vcmvsp.cosim.util.files import write_whole, writing
 from vcmvsp.cosim.util.palette import OKABE_ITO, PROBABILITY, color_of
 
-# What sets a kind of curve apart; those with a marker take that of their colour.
+# Styles that distinguish kinds of curves; curves with markers take the marker of their colour.
 LINES: dict[str, dict[str, Any]] = {
     "line": {},
     "pose": {},
@@ -34,8 +34,8 @@ LINES: dict[str, dict[str, Any]] = {
 MARKED = {"markers", "hollow", "both"}
 PANEL_INCHES = (4.7, 3.5)
 MAP_INCHES = (3.4, 3.3)
-LEGEND_POINTS = 30.0  # below its axes: room for the numbers and the words of the axis
-ROW_INCHES = 0.17  # of a legend
+LEGEND_POINTS = 30.0  # below the axes: room for tick labels and axis label
+ROW_INCHES = 0.17  # height of a legend's row
 GROWING = LinearSegmentedColormap.from_list("growing", ["#ffffff", OKABE_ITO[1], "#00304f"])
 ABOUT_ONE = LinearSegmentedColormap.from_list("about one", [OKABE_ITO[1], "#ffffff", OKABE_ITO[2]])
 CHANCE = LinearSegmentedColormap.from_list("probability", PROBABILITY)
@@ -54,7 +54,7 @@ def write(name: str, figure: Figure, folder: Path) -> list[Path]:
 
 @styled
 def draw(figure: Figure) -> Canvas:
-    """All panels of a figure, ``columns`` of them side by side; legends stand below, where they hide nothing."""
+    """Draw all panels of a figure, ``columns`` side by side, with legends below."""
     columns = min(figure.columns, len(figure.panels))
     rows = -(-len(figure.panels) // columns)
     maps = [panel.heat for panel in figure.panels if panel.heat is not None and panel.heat.style == "map"]
@@ -133,21 +133,21 @@ def _set_scales(axes: Axes, panel: Panel) -> None:
 
 
 def _plain_numbers(axis: Axis) -> None:
-    """0.1, 0.2, 0.5, 1 along a logarithmic axis that spans few decades."""
+    """Labels 0.1, 0.2, 0.5, 1 on a logarithmic axis of few decades."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
 
 
 def _draw_curve(axes: Axes, curve: Curve, label: str, *, marked: bool, shaped: bool) -> None:
-    """Draw a curve; a marked line has markers here and there, and shaped markers are those of its colour."""
+    """Draw a curve; ``marked`` adds sparse markers, ``shaped`` uses the marker shape of its colour."""
     color = color_of(curve.color)
     look: dict[str, Any] = {"color": color, **LINES[curve.style]}
     if curve.style in MARKED:
         look["marker"] = marker_of(curve.color) if shaped else "o"
     elif curve.style == "pose":
         look |= {"marker": marker_of(curve.color), "markevery": [0], "markersize": 4.5}
-    elif curve.style == "line" and marked and curve.label and curve.color:  # black, often a wall, is seen as such in grey, too
+    elif curve.style == "line" and marked and curve.label and curve.color:  # black, often a wall, is distinct in grey, too
         look |= {**line_of(curve.color), "markersize": 3.5}
     axes.plot(curve.x, curve.y, label=label or "_", zorder=3, **look)
     if curve.style == "pose":
@@ -156,7 +156,7 @@ def _draw_curve(axes: Axes, curve: Curve, label: str, *, marked: bool, shaped: b
 
 
 def _draw_heat(axes: Axes, heat: Heat) -> None:
-    """One cell per pair of values, evenly spaced, with its number; a map is drawn to scale."""
+    """Draw one evenly spaced cell per pair of values, with its number; a map is drawn to scale."""
     values = np.asarray(heat.values)
     axes.grid(visible=False)
     if heat.style == "map":
@@ -179,7 +179,7 @@ def _draw_heat(axes: Axes, heat: Heat) -> None:
 
 
 def _points(figure: Figure) -> Iterator[tuple[str, str, float, float, float | str]]:
-    """Panel, label of the curve, x, y; cells of a `Heat` also have a value."""
+    """All points as panel, label of the curve, x, y; cells of a `Heat` also have a value."""
     for panel in figure.panels:
         for curve in panel.curves:
             for x, y in zip(curve.x, curve.y, strict=True):

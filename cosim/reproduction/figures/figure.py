@@ -1,4 +1,4 @@
-"""Content and files of a figure: panels with curves, and rows that compare measured with expected numbers.
+"""Content of a figure: panels with curves, and rows that compare measured with expected values.
 
 A figure is a function ``make(runner: Runner) -> Figure`` in a module, listed in `cosim.reproduction.figures.NAMES`. It builds
 scenarios as mappings and gives them to the runner as jobs; `drawing` draws the result.
@@ -18,7 +18,7 @@ Style = Literal["line", "dashed", "dotted", "thin", "markers", "dots", "hollow",
 
 @dataclass(frozen=True)
 class Curve:
-    """Points (n,) that belong together; of curves of equal ``label`` in a panel the legend shows one."""
+    """A set of points (n,); the legend shows one of the curves with equal ``label`` in a panel."""
 
     x: Array
     y: Array
@@ -29,7 +29,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Heat:
-    """Values over a grid: ``values[i, j]`` belongs to ``y[i]``, ``x[j]``; every cell is drawn with its number, but in a map."""
+    """Values over a grid: ``values[i, j]`` belongs to ``y[i]``, ``x[j]``; cells show their numbers, except in a map."""
 
     x: Array
     y: Array
@@ -41,14 +41,14 @@ class Heat:
 
 @dataclass(frozen=True)
 class Photo:
-    """A picture, (h, w, 3) uint8, under the curves; the middle of its first pixel, at the top left, is (0, 0)."""
+    """A picture, (h, w, 3) uint8, below the curves; the centre of its first pixel, at the top left, is (0, 0)."""
 
     pixels: Array
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A pair of axes; it shows curves, or a `Heat`, or curves on a `Photo`."""
+    """A pair of axes with curves, or a `Heat`, or curves on a `Photo`."""
 
     title: str
     x_label: str
@@ -57,10 +57,10 @@ class Panel:
     _: KW_ONLY
     heat: Heat | None = None
     photo: Photo | None = None
-    levels: Mapping[str, float | tuple[float, float]] = field(default_factory=dict)  # horizontal lines, by their labels
+    levels: Mapping[str, float | tuple[float, float]] = field(default_factory=dict)  # horizontal lines, by label
     log_x: bool = False
     log_y: bool = False
-    equal: bool = False  # the same scale on both axes: a map
+    equal: bool = False  # equal scale on both axes: a map
     x_limits: tuple[float, float] | None = None
     y_limits: tuple[float, float] | None = None
 

@@ -1,10 +1,10 @@
-"""The scenarios of the figures, in the product's own vocabulary, and what is read of their runs.
+"""Scenarios of the formation figures, and functions that read their runs.
 
 Standard triangle: car2 keeps 1 m to its leader at +30 degrees (right-behind), car3 at -30 degrees, so that L = 0.866 m,
-L' = +-0.5 m; gains k1 = 0.8, k2 = 0.5 1/s; the leader drives at 0.3 m/s. The thesis gives none of these but the triangle.
+L' = +-0.5 m; gains k1 = 0.8, k2 = 0.5 1/s; the leader drives at 0.3 m/s. The thesis gives only the triangle.
 
-The error z of a follower is worked out here from true poses and from where the *scenario* says its place is, not from what the
-agent believes: ``z = Rot(-th_f) (p_l + Rot(th_l) (slot + (ell, 0)) - p_f - ell (cos th_f, sin th_f))`` (Toh 2012, 3-31, 3-34).
+The error z of a follower is computed here from true poses and the slot in the *scenario*, independent of the agent:
+``z = Rot(-th_f) (p_l + Rot(th_l) (slot + (ell, 0)) - p_f - ell (cos th_f, sin th_f))`` (Toh 2012, 3-31, 3-34).
 """
 
 import math
@@ -26,18 +26,18 @@ K1, K2 = 0.8, 0.5  # 1/s
 AHEAD, ASIDE = math.cos(math.radians(30.0)), 0.5  # L, L' of car2, m
 RIGHT_BEHIND, LEFT_BEHIND = {"bearing_deg": 30.0}, {"bearing_deg": -30.0}
 TRIANGLE = (RIGHT_BEHIND, LEFT_BEHIND)
-UNLIMITED = {"max_reverse": 1e9, "timeout_s": 1e9, "horizon_s": 1e9}  # closed forms know no such limits
+UNLIMITED = {"max_reverse": 1e9, "timeout_s": 1e9, "horizon_s": 1e9}  # closed forms have no such limits
 IDEAL: Mapping[str, Any] = {"preset": "ideal"}
 STEP = "vcmvsp.cosim.reproduction.figures.formation.steps:StepFollower"
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """True poses of the m recorded instants, and the error of every follower."""
+    """True poses at the m recorded instants, and the error of every follower."""
 
     time_s: Array  # (m,)
     pose: Array  # (m, vehicles, 3): x m, y m, yaw rad
-    z: Array  # (m, followers, 2) m: forward and left of each follower
+    z: Array  # (m, followers, 2) m: forward and left in the follower's frame
 
     @property
     def error(self) -> Array:
@@ -46,7 +46,7 @@ class Tracks:
 
 
 class TeamRun(NamedTuple):
-    """What is read of a run of a team that may change its shape: m instants, n vehicles, the leader first."""
+    """Data of a run of a team that may change its shape: m instants, n vehicles, the leader first."""
 
     time_s: Array  # (m,)
     place: Array  # (m, n, 2) m, from above
@@ -56,7 +56,7 @@ class TeamRun(NamedTuple):
 
 
 def team_run(result: Result, names: Sequence[str]) -> TeamRun:
-    """Tracks, errors and shape of these vehicles, car1 first."""
+    """Read tracks, errors and shape of these vehicles, car1 first."""
     movement = motion(result.states)
     errors = formation_errors(movement, result.follows)
     is_column = np.zeros(len(movement.time_ns), bool)
@@ -68,13 +68,13 @@ def team_run(result: Result, names: Sequence[str]) -> TeamRun:
 
 
 def places_of(movement: Motion, names: Sequence[str]) -> Array:
-    """Where these vehicles were, from above, (m, n, 2) m."""
+    """Positions of these vehicles in the plane, (m, n, 2) m."""
     columns = [movement.column(name) for name in names]
     return np.stack([movement.position[axis][:, columns] for axis in (0, 1)], axis=-1)
 
 
 def scene(name: str, duration_s: float, cars: Sequence[Mapping[str, Any]], /, **tables: object) -> dict[str, Any]:
-    """A scenario of these vehicles: without inertia and over an ideal radio, unless further tables say otherwise."""
+    """A scenario of these vehicles: without inertia and with an ideal radio, unless further tables change that."""
     fixed = {"physics": {"kind": "kinematic"}, "radio": IDEAL}
     return {"name": name, "duration_s": duration_s, "vehicle": cars, **fixed, **tables}
 
@@ -89,17 +89,17 @@ def fleet(
     vehicles: Mapping[str, Any] | None = None,
     **tables: object,
 ) -> dict[str, Any]:
-    """A scenario: car1 leads from the origin, car2, car3, ... follow it.
+    """A scenario in which car1 leads from the origin and car2, car3, ... follow it.
 
     Args:
-        duration_s: how long.
-        followers: the agent's parameters of each; ``leader`` among them is another car than car1, and ``pose`` where it
-            starts, by default in its place.
-        path: of the leader.
+        duration_s: duration of the run.
+        followers: the agent's parameters of each; ``leader``, if not car1, and ``pose``, the start, by default in its slot,
+        may be among them.
+        path: path of the leader.
         leader: further parameters of the leader's agent.
-        kind: of all vehicles.
+        kind: kind of all vehicles.
         vehicles: further defaults for all vehicles.
-        tables: other tables of the scenario, such as ``radio``; by default an ideal radio.
+        tables: other tables of the scenario, such as ``radio``; default: an ideal radio.
     """
     cars: list[dict[str, Any]] = [{"name": "car1", "agent": {"kind": "trajectory", "path": path, **(leader or {})}}]
     starts = {"car1": (0.0, 0.0, 0.0)}
@@ -118,7 +118,7 @@ def fleet(
 
 
 def lossy(probability: float = 0.0, delay_s: float = 0.0) -> dict[str, Any]:
-    """A radio without range or bandwidth, that loses each message on its own and delays all alike."""
+    """A radio without range or bandwidth limits, with independent losses and a constant delay."""
     return {
         "preset": "ideal",
         "loss": {"kind": "bernoulli", "probability": probability},
@@ -129,7 +129,7 @@ def lossy(probability: float = 0.0, delay_s: float = 0.0) -> dict[str, Any]:
 def place_of(agent: Mapping[str, Any]) -> tuple[float, float, float]:
     """Where a follower's parameters put it in its leader's frame, x and y in m, and the length of its handle, m.
 
-    Of a follower that steps, the place after the step.
+    For a follower with a step, the slot after the step.
     """
     table = {**agent, **agent.get("after", {})}
     bearing, distance = math.radians(table.get("bearing_deg", 0.0)), table.get("distance", 1.0)
@@ -138,9 +138,9 @@ def place_of(agent: Mapping[str, Any]) -> tuple[float, float, float]:
 
 
 def step_follower(at_s: float, behind: float = 0.0, left: float = 0.0, **law: object) -> dict[str, Any]:
-    """A follower that drives steadily behind and to the left of the place of car2, and is sent there at ``at_s``.
+    """A follower in steady motion behind and to the left of the slot of car2, commanded into it at ``at_s``.
 
-    So the step begins with all vehicles at the same speed, and with the newest report in use.
+    So the step begins with all vehicles at equal speed and with the newest report in use.
     """
     x, y = -AHEAD - behind, -ASIDE + left
     before = {"distance": math.hypot(x, y), "bearing_deg": math.degrees(math.atan2(-y, -x))}
@@ -154,7 +154,7 @@ def step_follower(at_s: float, behind: float = 0.0, left: float = 0.0, **law: ob
 
 
 def tracks(result: Result, scenario: Mapping[str, Any]) -> Tracks:
-    """Poses and errors of a run of `fleet`."""
+    """Read poses and errors of a run of `fleet`."""
     movement = motion(result.states)
     x, y, _ = movement.position
     z = []
@@ -185,12 +185,12 @@ def rms(scenario: Mapping[str, Any], from_s: float = 20.0, **more: Any) -> Job:
 
 
 def overshoot(z: Array) -> float:
-    """How far a step response (m,) goes beyond zero, as a share of its start."""
+    """Overshoot of a step response (m,) beyond zero, as a share of its start."""
     return float(max(0.0, (-z / z[0]).max()))
 
 
 def settling_s(time_s: Array, z: Array, band_m: float) -> float:
-    """The first instant, from the first on, from which ``|z|`` (m,) stays within the band; NaN: it does not, to the end."""
+    """The earliest instant from which ``|z|`` (m,) stays within the band; NaN: never."""
     outside = np.flatnonzero(np.abs(z) > band_m)
     since = int(outside[-1]) + 1 if outside.size else 0
     return float(time_s[since] - time_s[0]) if since < len(z) else math.nan

@@ -1,4 +1,4 @@
-"""Bodies and sensors: what wheels and rotors make of commands and wind, and what scanners and other sensors say."""
+"""Checks of bodies and sensors: response of wheels and rotors to commands and wind, readings of scanners and other sensors."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from vcmvsp.cosim.types import Array, Later, Scan
 
 WEIGHT_N, DRAG = 0.8 * 9.81, 0.25  # of the quadrotor; N s/m
 HEIGHT_M = 10.0
-HALF_M = (4.0, 3.0)  # a room of 8 x 6 m, in its middle
+HALF_M = (4.0, 3.0)  # a room of 8 x 6 m with its centre at the origin
 POSES = ((0.0, 0.0, 0.0), (1.5, -2.0, -2.2), (-3.0, 1.0, 3.1))  # x m, y m, yaw rad
 GRAVITY_M_S2 = 9.81
 SCANNER: Mapping[str, Any] = {"kind": "range_scanner", "position": (0.0, 0.0, 0.5)}
@@ -24,7 +24,7 @@ STILL: Mapping[str, Any] = {"speed": 0.0, "yaw_rate": 0.0}
 
 
 def wheels() -> Sequence[Row]:
-    """p2dx and amigobot bodies in PyBullet on a circle and on a line, against what was commanded."""
+    """p2dx and amigobot bodies in PyBullet on a circle and on a line, against their commands."""
     rows = []
     for kind in ("p2dx", "amigobot"):
         scenario = fleet(20.0, [], kind=kind, physics={"kind": "bullet"})
@@ -46,7 +46,7 @@ def wheels() -> Sequence[Row]:
 
 
 def quadrotor() -> Sequence[Row]:
-    """Steady flight: balance of weight, drag and wind by the tilt; commanded speeds; limits; two rates of steps."""
+    """Steady flight: balance of weight, drag and wind by tilt; commanded speeds; limits; two step rates."""
     rows = []
     for hz in (120.0, 240.0):
         at = f"{hz:g} Hz"
@@ -95,7 +95,7 @@ def _off(series: Mapping[str, Sequence[float]], place: tuple[float, float, float
 
 
 def scanner() -> Sequence[Row]:
-    """Beams of three scanners in a room, and among round pillars, against where a ray meets a line or a circle."""
+    """Beams of three scanners in a room and among round pillars, against exact intersections with lines and circles."""
     wide, long = HALF_M[0] + 0.5, HALF_M[1] + 0.5
     room = [{"center": (side * wide, 0.0, 1.0), "size": (1.0, 9.0, 2.0)} for side in (-1, 1)]
     room += [{"center": (0.0, side * long, 1.0), "size": (9.0, 1.0, 2.0)} for side in (-1, 1)]
@@ -125,7 +125,7 @@ def _bearings(scan: Scan) -> Array:
 
 
 def _room(pose: tuple[float, float, float], bearing: Array) -> Array:
-    """Distances of the walls, m."""
+    """Distances to the walls, m."""
     x, y, yaw = pose
     c, s = np.cos(bearing + yaw), np.sin(bearing + yaw)
     with np.errstate(divide="ignore"):
@@ -133,7 +133,7 @@ def _room(pose: tuple[float, float, float], bearing: Array) -> Array:
 
 
 def _pillars(centres: Sequence[tuple[float, float]], radius: float, angle: Array) -> Array:
-    """Distances of the nearest circles from the origin, m; inf: none is hit."""
+    """Distances from the origin to the nearest circle, m; inf: no hit."""
     nearest = np.full(len(angle), np.inf)
     for x, y in centres:
         along, aside = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
@@ -144,7 +144,7 @@ def _pillars(centres: Sequence[tuple[float, float]], radius: float, angle: Array
 
 
 def inertial() -> Sequence[Row]:
-    """A unit without errors on a vehicle that drives a circle."""
+    """An error-free inertial unit on a vehicle that drives a circle."""
     v, w = 0.3, 0.15
     sensor = {"kind": "imu", "rate_hz": 50.0, "accelerometer_density": 0.0, "gyroscope_density": 0.0}
     sensor |= {name: {"sigma": 0.0} for name in ("accelerometer", "gyroscope")}
@@ -160,7 +160,7 @@ def inertial() -> Sequence[Row]:
 
 
 def positions() -> Sequence[Row]:
-    """Errors of fixes on a vehicle that stands: as large as stated, and independent from one to the next."""
+    """Errors of fixes on a stationary vehicle: of the stated size, and independent of each other."""
     sensor = {"kind": "positioning", "rate_hz": 50.0, "sigma_m": 0.15, "sigma_rad": 0.05}
     readings = _readings({"kind": "empty"}, (2.0, -1.0, 0.3), sensor, STILL, 100.0)
     x = np.array([fix.position[0] for fix in readings]) - 2.0

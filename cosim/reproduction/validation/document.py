@@ -1,4 +1,4 @@
-"""Files of a validation: head figures as Markdown, all rows as CSV and JSON. None of them contains a time of writing."""
+"""Files of a validation: head figures as Markdown, all rows as CSV and JSON. They contain no time stamps."""
 
 import math
 import platform
@@ -57,7 +57,7 @@ def as_json(outcomes: Sequence[Outcome]) -> str:
 
 
 def as_markdown(outcomes: Sequence[Outcome]) -> str:
-    """The head figures of all checks, a line each."""
+    """The head figures of all checks, one line each."""
     off = failures(outcomes)
     only = "".join(f" --only {each.check.name}" for each in outcomes)
     rows = sum(len(each.rows) for each in outcomes)
@@ -86,7 +86,7 @@ def head_line(outcome: Outcome) -> str:
 
 
 def failures(outcomes: Sequence[Outcome]) -> list[str]:
-    """A line for each row that is off and for each check that broke off."""
+    """A line for each row outside its tolerance and for each check that failed with an error."""
     lines = []
     for each in outcomes:
         for row in each.missed:

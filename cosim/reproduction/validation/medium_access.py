@@ -1,4 +1,4 @@
-"""Many radios that share the air: Bianchi's model of IEEE 802.11, and what ns-3 makes of the same radios and traffic."""
+"""Checks of shared media: Bianchi's model of IEEE 802.11, and ns-3 with the same radios and traffic."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ EDGES_M = (0.0, 20.0, 40.0, 60.0, 75.0, 86.0)
 
 
 class Ns3Case(NamedTuple):
-    """Radios uniform in a square that broadcast 100 bytes at random times, and what ns-3 makes of them."""
+    """Radios uniform in a square that broadcast 100 bytes at random times, and the results of ns-3."""
 
     preset: str
     radios: int
@@ -30,7 +30,7 @@ class Ns3Case(NamedTuple):
     delivery: float
     mean_ms: float
     quantiles_ms: tuple[float, float, float]
-    shares: tuple[float, float, float]  # of delays that are not above these
+    shares: tuple[float, float, float]  # cumulative shares of delays up to these values
     by_distance: tuple[float, ...]  # delivery, see `EDGES_M`
 
 
@@ -66,7 +66,7 @@ NS3 = {
         (0.9846, 0.9699, 0.9387, 0.8824, 0.8032, 0.0),
     ),
 }
-# Each broadcasts 100 bytes at 10 Hz: preset, radios in a square of 200 m, delivery, mean delay in ms.
+# Each radio broadcasts 100 bytes at 10 Hz: preset, radios in a square of 200 m, delivery, mean delay in ms.
 PERIODIC = (
     ("wifi-b-1", 10, 0.9993, 1.45),
     ("wifi-b-1", 50, 0.9631, 2.83),
@@ -121,7 +121,7 @@ def _rate_hz(count: int, reports: Sequence[FrameReport]) -> float:
 
 
 def sending_chance(count: int, window: int = 32, stages: int = 5) -> float:
-    """Of a saturated radio to send in a slot (G. Bianchi, IEEE JSAC 18(3), 2000, equations 7 and 9), by bisection."""
+    """Send probability of a saturated radio in a slot (G. Bianchi, IEEE JSAC 18(3), 2000, equations 7 and 9), by bisection."""
     low, high, tau = 0.0, 1.0, 0.0
     for _ in range(60):
         p = (low + high) / 2.0
@@ -131,7 +131,7 @@ def sending_chance(count: int, window: int = 32, stages: int = 5) -> float:
 
 
 def periodic(seeds: int = 20) -> Sequence[Row]:
-    """Radios with random phases, over several placements: ``vcmvsp channel``."""
+    """Radios with random phases, in several placements: ``vcmvsp channel``."""
     rows = []
     for preset, count, delivery, mean_ms in PERIODIC:
         counts = []
@@ -150,7 +150,7 @@ def periodic(seeds: int = 20) -> Sequence[Row]:
 
 
 def judged(name: str) -> Sequence[Row]:
-    """One of `NS3`."""
+    """Compare one case of `NS3`."""
     of = NS3[name]
     position = np.zeros((of.radios, 3))
     position[:, :2] = np.random.default_rng(1).uniform(0.0, of.side_m, (of.radios, 2))

@@ -1,4 +1,4 @@
-"""One radio link: a channel by itself, as ``[radio]`` of a scenario describes it, and the frames that are sent through it."""
+"""Checks of one radio link: a channel as described by ``[radio]`` of a scenario, and frames sent through it."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -46,7 +46,7 @@ SLABS = (
 SIGMA_DB, APART_M = 4.0, 10.0
 DOPPLER_HZ, LAGS_S = 8.0, (0.005, 0.01, 0.02, 0.03, 0.048, 0.08, 0.12)
 BITS = 1088  # of a PSDU of 136 bytes
-# By preset and model: SINR dB and success, as the error models of ns-3 say.
+# By preset and model: SINR dB and success, from the error models of ns-3.
 SUCCESS: Mapping[tuple[str, str], Sequence[tuple[float, float]]] = {
     ("wifi-b-1", "dsss"): ((-6.0, 0.114408641), (-5.2, 0.492387011), (-4.1, 0.90090911)),
     ("wifi-b-2", "dsss"): ((-1.8, 0.098592624), (-0.8, 0.503983425), (0.4, 0.897292683)),
@@ -62,9 +62,9 @@ SUCCESS: Mapping[tuple[str, str], Sequence[tuple[float, float]]] = {
     ("wifi-a-54", "nist"): ((20.8, 0.122778052), (21.2, 0.535521127), (21.8, 0.897401443)),
     ("zigbee", "oqpsk"): ((-1.5, 0.060843949), (-0.7, 0.481240135), (0.2, 0.894607301)),
 }
-# What its table needs for one half of a PSDU of 128 bytes, dB.
+# SINR in dB of ns-3's table for a success of one half, PSDU of 128 bytes.
 HALF_DB = {"6": -0.60, "9": 0.97, "12": 2.39, "18": 4.88, "24": 7.82, "36": 10.99, "48": 14.99, "54": 16.33}
-# Of 20,000 broadcasts over one link: preset, model, received level dBm, payload bytes, how many arrived.
+# 20,000 broadcasts over one link: preset, model, received level dBm, payload bytes, number received.
 RECEIVED = (
     ("wifi-b-1", "dsss", -99.5, 1, 13870),
     ("wifi-b-11", "dsss", -89.0, 100, 10344),
@@ -90,7 +90,7 @@ LINKS = 1000
 
 
 def channel(preset: str = "ideal", *, seed: int = 1, **layers: object) -> Channel:
-    """A channel of a preset with some layers changed, which draws from ``seed``."""
+    """A channel of a preset with some layers changed, drawing from ``seed``."""
     built: Channel
     built, _ = radio.build({"preset": preset, **layers}, Source("validation", Path()))
     built.start(seed)
@@ -98,7 +98,7 @@ def channel(preset: str = "ideal", *, seed: int = 1, **layers: object) -> Channe
 
 
 def names_of(count: int) -> tuple[str, ...]:
-    """So many vehicles."""
+    """Names of ``count`` vehicles."""
     return tuple(f"v{number}" for number in range(count))
 
 
@@ -110,7 +110,7 @@ def line(distances_m: Sequence[float], height_m: float = 0.0) -> Array:
 def send(
     on: Channel, position: Array, *, sent_ns: int = 0, sender: int = 0, to: int | None = None, size_bytes: int = 100
 ) -> list[FrameReport]:
-    """One frame among vehicles at these places (n, 3); what is decided by it."""
+    """Send one frame among vehicles at these positions (n, 3); returns the reports that it decides."""
     names = names_of(len(position))
     message = Message(sender=names[sender], body={}, size_bytes=size_bytes, to=None if to is None else names[to])
     return on.send(sent_ns, message, names, position)
@@ -123,18 +123,18 @@ def heard(on: Channel, position: Array, **frame: int) -> FrameReport:
 
 
 def part(name: str, on: Channel, position: Array, **frame: int) -> Array:
-    """A part of the link budget of a frame at all its receivers, by its name in the report."""
+    """A component of the link budget of a frame at all its receivers, by its name in the report."""
     return np.asarray(getattr(heard(on, position, **frame), name))
 
 
 def decided(on: Channel) -> Iterator[FrameReport]:
-    """The reports of all frames that are still open."""
+    """The reports of all open frames."""
     while (due_ns := on.next_ns()) is not None:
         yield from on.advance(due_ns + SECOND_NS)
 
 
 def path_loss() -> Sequence[Row]:
-    """Three laws over 1 m to 2 km, and the range with the numbers of the Wireless Simulation Server."""
+    """Three laws over 1 m to 2 km, and the range with the parameters of the Wireless Simulation Server."""
     d, height = np.array(DISTANCES_M), 1.5
     free = 20.0 * np.log10(4.0 * math.pi * d * HZ / LIGHT_M_S)
     laws = {
@@ -164,7 +164,7 @@ def path_loss() -> Sequence[Row]:
 
 
 def walls() -> Sequence[Row]:
-    """Slabs of usual walls in a world between two vehicles."""
+    """Slabs of common walls in a world between two vehicles."""
     rows = []
     for material, thick, *expected in SLABS:
         for hz, loss_db in zip((2.437e9, 5.2e9), expected, strict=True):
@@ -225,7 +225,7 @@ def fading() -> Sequence[Row]:
 
 
 def doppler() -> Sequence[Row]:
-    """A thousand links with gains that vary in time, at 60 instants within an hour and a little later."""
+    """A thousand links with time-varying gains, at 60 instants within an hour and a little later."""
     rows = []
     for name, layer, direct in (
         ("Rayleigh", {"kind": "rayleigh", "doppler_hz": DOPPLER_HZ}, 0.0),
@@ -276,7 +276,7 @@ def success() -> Sequence[Row]:
 
 
 def received() -> Sequence[Row]:
-    """Noise, headers, filling bits and the curves together; within 3.5 standard deviations."""
+    """Noise, headers, padding bits and error curves together; within 3.5 standard deviations."""
     rows = []
     for preset, model, level_dbm, size, arrived in RECEIVED:
         on = channel(preset)
@@ -289,7 +289,7 @@ def received() -> Sequence[Row]:
 
 
 def air_time() -> Sequence[Row]:
-    """Of frames that are sent."""
+    """Air time of sent frames."""
     sizes = {"zigbee": (1, 7, 100)}
     return [
         absolute(f"{preset}, {size} bytes: time on the air, us", us, _air_us(preset, size), 0.0)
@@ -303,7 +303,7 @@ def _air_us(preset: str, size: int) -> float:
 
 
 def chance() -> Sequence[Row]:
-    """Losses of Bernoulli and of Gilbert and Elliott on a thousand links: how many, how long, how much alike."""
+    """Losses of Bernoulli and of Gilbert and Elliott on a thousand links: frequency, burst length, correlation."""
     position, rows = line(np.linspace(1.0, 2.0, LINKS).tolist()), []
     for p in (0.1, 0.5, 0.9):
         on = channel("ideal", loss={"kind": "bernoulli", "probability": p})
@@ -329,7 +329,7 @@ def _lost(outcome: tuple[str, ...]) -> Array:
 
 
 def queue() -> Sequence[Row]:
-    """A radio that is handed frames at random: Lindley's recursion frame by frame, and the mean wait of M/D/1."""
+    """A radio with randomly arriving frames: Lindley's recursion frame by frame, and the mean wait of M/D/1."""
     air_ns, position, rows = 1_280_000, line([5.0]), []
     for load in (0.3, 0.6, 0.8):
         on = channel("wifi-b-1", mac={"kind": "ideal"})
@@ -346,7 +346,7 @@ def queue() -> Sequence[Row]:
 
 
 def age() -> Sequence[Row]:
-    """A message every 0.1 s, lost with p, received d later: the mean of the age over time, and that of its peaks."""
+    """A message every 0.1 s, lost with p, received d later: mean age over time, and mean of its peaks."""
     period_s, rows = T_NS / 1e9, []
     for p, delay_s in ((0.0, 0.1), (0.3, 0.0), (0.5, 0.25), (0.8, 0.1)):
         layers: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""Time: ticks that do not drift, delays to the very tick, draws by published vectors, and the same bytes every time."""
+"""Checks of time and reproducibility: ticks without drift, exact delays, published vectors of the generator, equal bytes."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from vcmvsp.cosim.rng import philox4x32
 from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.types import Array
 
-START_M = 0.5  # behind its place
+START_M = 0.5  # behind its slot
 # Known answers of Random123 for philox4x32 with ten rounds: counter, key, answer.
 PHILOX = (
     ("00000000 00000000 00000000 00000000", "00000000 00000000", "6627e8d5 e169c58d bc57ac4c 9b00dbd8"),
@@ -27,7 +27,7 @@ PHILOX = (
 
 
 def ticks() -> Sequence[Row]:
-    """Where trains of ticks are after an hour, and the instants of a run in which agents of several rates act."""
+    """Times of tick trains after an hour, and the instants of a run in which agents of several rates act."""
     rows = []
     for hz in (10, 30, 60, 120, 1000 / 7):
         train, exact = Ticks.rate(hz), Fraction(repr(float(hz)))
@@ -56,7 +56,7 @@ def ticks() -> Sequence[Row]:
 
 
 def late_loop() -> Sequence[Row]:
-    """``z' = -k z(t - d)``, sampled and held: every latency to the tick, and where it becomes unstable."""
+    """``z' = -k z(t - d)``, sampled and held: every latency exact to the tick, and the stability limit."""
     rows = []
     for latency_s in (0.0, 0.05, 0.1, 0.25, 0.3):
         _, z = _alone(2.0, latency_s, 10.0)
@@ -81,7 +81,7 @@ def late_loop() -> Sequence[Row]:
 
 
 def _alone(gain: float, latency_s: float, duration_s: float, *, period_s: float = T) -> tuple[Array, Array]:
-    """A follower behind its place at a standing leader, with delayed commands: times, s, and z1, m."""
+    """A follower behind its slot at a stationary leader, with delayed commands: times, s, and z1, m."""
     follower = {"pose": (-1.0 - START_M, 0.0, 0.0), "k1": gain, "latency_s": latency_s, **UNLIMITED}
     periods: dict[str, Any] = {"agents": {"period_s": period_s}, "record": {"period_s": period_s}}
     scenario = fleet(duration_s, [follower], path="straight", leader={"speed": 0.0}, **periods)
@@ -100,7 +100,7 @@ def _recursion(gain: float, late: float, count: int) -> Array:
 
 
 def old_reports() -> Sequence[Row]:
-    """``hold``: the lag that the age of reports makes, on a line and along the arc of a circle."""
+    """``hold``: lag caused by the age of reports, on a line and along the arc of a circle."""
     rows = []
     for delay_s in (0.0, 0.25, 0.3, 1.0):
         age_s = T * max(1, math.ceil(delay_s / T - 1e-9))
@@ -119,7 +119,7 @@ def old_reports() -> Sequence[Row]:
 
 
 def draws() -> Sequence[Row]:
-    """The generator behind every draw of a link, by the published vectors."""
+    """The generator behind every draw of a link, against published vectors."""
     rows = []
     for number, (counter, key, answer) in enumerate(PHILOX, 1):
         c0, c1, c2, c3 = _words(counter)
@@ -135,7 +135,7 @@ def _words(text: str) -> list[int]:
 
 
 def same_bytes() -> Sequence[Row]:
-    """Digests of everything that a run records, from scenarios with chance and with bodies."""
+    """Digests of everything that a run records, from scenarios with random draws and with bodies."""
     short = {"duration_s": 4.0, "metrics.from_s": 2.0}
     ways: dict[str, dict[str, Any]] = {
         "again": {"set": short},

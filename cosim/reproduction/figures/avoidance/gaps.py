@@ -1,12 +1,11 @@
-"""Figures 40 and 41: a robot before a wall with doors; the door that it takes, and how wide doors look (Toh 2012, 4.1).
+"""Figures 40 and 41: a robot before a wall with doors; its choice of door, and estimated door widths (Toh 2012, 4.1).
 
-A following AmigoBot needs 0.4 m: twice its distance to keep. It takes the wide enough door nearest in bearing to its leader;
-with the leader behind it, the gap at that border of its field of view. Only the method is shown: no speed limit near
-obstacles (``level`` 1). A door is no wider at an angle: from further aside, one that is just wide enough is touched.
+A following AmigoBot needs 0.4 m: twice its safety distance. It chooses the wide enough door nearest in bearing to its leader;
+with the leader behind it, the gap at that border of its field of view. The method alone acts: no speed limit near obstacles
+(``level`` 1). A door is no wider at an angle: from further aside, a robot touches a door that is just wide enough.
 
-`Gauge` jumps from wall to wall, and at each asks an agent ``avoid`` with the method ``gap``, for one width after another that
-it would need, whether it goes through the door. So these are the widths by which the platform decides, from ranges that its
-scanner measured.
+`Gauge` jumps from wall to wall. At each it asks an agent ``avoid`` with the method ``gap`` whether it goes through the door,
+for a series of needed widths. So these are the widths on which the platform decides, from ranges that its scanner measured.
 """
 
 import itertools
@@ -29,25 +28,25 @@ from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array, Velocity
 
 HERE = "vcmvsp.cosim.reproduction.figures.avoidance.gaps"
-NEEDED_M, NARROW_M, ENOUGH_M = 0.40, 0.35, 0.45  # a robot needs; 5 cm less and more
-SIDE_M, HEIGHT_M, THIN_M, APART_M = 4.0, 8.0, 1e-5, 12.0  # of walls: how far to either side, how high, thickness; between them
-LOW_M, TOP = 1.0, 6  # flight; both free sides of a wall are gaps, too
-ASIDE = 0.2  # of the way from the middle of a door to its left jamb
-STEPS, STEP_M = 15, 4.0 * 2.0**-15  # of a bisection from 4 m on
+NEEDED_M, NARROW_M, ENOUGH_M = 0.40, 0.35, 0.45  # needed by a robot; 5 cm less and more
+SIDE_M, HEIGHT_M, THIN_M, APART_M = 4.0, 8.0, 1e-5, 12.0  # walls: extent to either side and in height, thickness; spacing
+LOW_M, TOP = 1.0, 6  # flight height; the free sides of a wall are gaps, too
+ASIDE = 0.2  # share of the way from the middle of a door to its left jamb
+STEPS, STEP_M = 15, 4.0 * 2.0**-15  # of a bisection, starting at 4 m
 DOORS, PARTS, SIGHT_M = 998, 4, 2.0  # random doors, runs, look-ahead distance
-DISTANCES, RANGE_M, PIER_M, FAR_M = 400, (0.8, 1.3), 0.3, 2.4  # Fig. 40: how many, m; between doors; look-ahead distance
+DISTANCES, RANGE_M, PIER_M, FAR_M = 400, (0.8, 1.3), 0.3, 2.4  # Fig. 40: number, m; between doors; look-ahead distance
 BODY_M = 0.18  # radius of an AmigoBot
-WALL_M, END_M, LOOKAHEAD_M = 2.5, 3.0, 3.5  # how far ahead the wall is, how far it goes to either side; how far robots look
+WALL_M, END_M, LOOKAHEAD_M = 2.5, 3.0, 3.5  # distance of the wall, its extent to either side, look-ahead distance of robots
 SIDES = ("left", "middle", "right")
-ALIKE = ((1.2, 0.7), (0.0, 0.7), (-1.2, 0.7))  # middle and width of three doors, m
+ALIKE = ((1.2, 0.7), (0.0, 0.7), (-1.2, 0.7))  # centre and width of three doors, m
 UNLIKE = ((0.75, NARROW_M), (0.0, ENOUGH_M), (-0.75, NARROW_M), (-1.5, 0.7))
-BEYOND_M, SLOT_M = 1.6, (-0.7, 0.0)  # from the wall to the leader; from the leader to the place behind it, m
-BEHIND, ROUND = ((-1.5, 1.0), (-1.5, -1.0)), (4.9, 0.4)  # leaders behind the robot; from them to the place beyond the wall, m
-TURNED_DEG = 60.0  # a way to the border; doors are within 45
+BEYOND_M, SLOT_M = 1.6, (-0.7, 0.0)  # from the wall to the leader; slot behind the leader, m
+BEHIND, ROUND = ((-1.5, 1.0), (-1.5, -1.0)), (4.9, 0.4)  # leaders behind the robot; from them to the slot beyond the wall, m
+TURNED_DEG = 60.0  # direction of the border; doors are within 45
 
 
 def wall_pieces(doors: Sequence[tuple[float, float]], end: float) -> list[tuple[float, float]]:
-    """From where to where there is wall between doors (middle, width), m."""
+    """Wall segments between doors (centre, width), m."""
     edges = [-end, *(edge for middle, width in sorted(doors) for edge in (middle - 0.5 * width, middle + 0.5 * width)), end]
     return list(zip(edges[::2], edges[1::2], strict=True))
 
@@ -55,7 +54,7 @@ def wall_pieces(doors: Sequence[tuple[float, float]], end: float) -> list[tuple[
 def wall_box(
     x: float, y: float, low: float, high: float, tilt: float, thick: float = 0.02, height: float = 1.0
 ) -> dict[str, Any]:
-    """A piece of a wall that is turned about (x, y)."""
+    """A wall segment rotated about (x, y)."""
     along = 0.5 * (low + high)
     center = (x - along * math.sin(tilt), y + along * math.cos(tilt), 0.5 * height)
     return {"center": center, "size": (thick, high - low, height), "yaw_rad": tilt}
@@ -70,20 +69,20 @@ class WallDoor(NamedTuple):
     width: float  # m
 
     def at(self, share: float) -> tuple[float, float]:
-        """A point of it as seen from the origin, m; -1: its right jamb, 1: its left one."""
+        """A point of the door seen from the origin, m; -1: right jamb, 1: left jamb."""
         along = self.middle + 0.5 * share * self.width
         return self.distance - along * math.sin(self.tilt), along * math.cos(self.tilt)
 
 
 class Gauge(Agent):
-    """Is at a new place at every tick, from which it asks how wide doors look.
+    """Jumps to a new position at every tick and measures the apparent width of a door from there.
 
-    It tells by where it goes next: that is recorded. Its height above the lowest one is the width that it has found.
+    The recorded height above the lowest one encodes the measured width.
 
     Args:
-        places: where it is at each tick, x and y, m, world.
-        doors: distance, tilt, middle and width of the door that it looks at from there.
-        lookahead_m: of the method.
+        places: position at each tick, x and y, m, world.
+        doors: distance, tilt, centre and width of the door to measure from there.
+        lookahead_m: look-ahead distance of the method.
     """
 
     def __init__(
@@ -97,7 +96,7 @@ class Gauge(Agent):
         self._info = info
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """Gauge a door, and on to the next place."""
+        """Measure a door, and move to the next position."""
         here, self._tick = min(self._tick, len(self.doors) - 1), self._tick + 1
         there = self.places[min(self._tick, len(self.places) - 1)]
         target = (*there, LOW_M + self._width(obs, radio, WallDoor(*self.doors[here])))
@@ -105,7 +104,7 @@ class Gauge(Agent):
         return Velocity(linear=(x, y, z))
 
     def _width(self, obs: Observation, radio: Radio, door: WallDoor) -> float:
-        """The largest width that may be needed for the door to be taken, m."""
+        """The largest needed width with which the agent takes the door, m."""
         accepted_m, refused_m = 0.0, 4.0
         for _ in range(STEPS):
             needed = 0.5 * (accepted_m + refused_m)
@@ -116,10 +115,10 @@ class Gauge(Agent):
         return accepted_m
 
     def _takes(self, obs: Observation, radio: Radio, door: WallDoor, needed: float) -> bool:
-        """Whether a vehicle that needs so much goes through the door.
+        """Whether a vehicle with this needed width goes through the door.
 
-        It is sent beside the middle, so that no lane there is free, but not far: a gap is cut a quarter turn from where a
-        vehicle wants to go, and closed at the look-ahead distance, so that a door of which a part lies there looks wider.
+        Its destination is beside the centre, so that no lane there is free, but not far: a gap is cut a quarter turn from the
+        desired direction, and closed at the look-ahead distance, so a door partly beyond it would look wider.
         """
         avoidance = {
             "kind": "gap",
@@ -140,7 +139,7 @@ class Gauge(Agent):
 
 
 class GaugeReading(NamedTuple):
-    """Doors, and how wide they looked."""
+    """Doors and their measured widths."""
 
     doors: tuple[WallDoor, ...]
     width: Array  # (n,) m
@@ -149,11 +148,11 @@ class GaugeReading(NamedTuple):
 def gauge(
     walls: Mapping[tuple[float, float], Sequence[WallDoor]], looks: Sequence[tuple[tuple[float, float], WallDoor]], far: float
 ) -> Job:
-    """A run in which doors are gauged.
+    """A run in which door widths are measured.
 
     Args:
-        walls: the doors of each wall, as seen from a point (m, world) that is the origin of their axes.
-        looks: from where, and at which door as seen from there.
+        walls: the doors of each wall, seen from a point (m, world), the origin of their axes.
+        looks: viewpoints, each with a door as seen from there.
         far: look-ahead distance, m.
     """
     boxes = []
@@ -179,13 +178,13 @@ def gauge(
 
 
 def gauged(result: Result, doors: tuple[WallDoor, ...]) -> GaugeReading:
-    """What a run of `gauge` has found."""
+    """Read the widths measured in a run of `gauge`."""
     height = motion(result.states).position[2][:, 0]
     return GaugeReading(doors, height[1 : len(doors) + 1] - LOW_M)
 
 
 def random_doors() -> list[Job]:
-    """Each in a wall of its own; those are left out of which a jamb is hardly in sight: they are one with the free side."""
+    """Random doors, each in its own wall, without those whose jamb is hardly visible: these merge with the free side."""
     draws, doors = np.random.Generator(np.random.PCG64(0)), list[WallDoor]()
     while len(doors) < DOORS:
         distance, width, tilt, middle = draws.uniform((0.5, 0.4, -0.3, -0.4), (1.7, 1.6, 0.3, 0.4)).tolist()
@@ -200,7 +199,7 @@ def random_doors() -> list[Job]:
 
 
 def four_doors() -> Job:
-    """Fig 40: two that are too narrow and two that are not, in every order, from random distances."""
+    """Fig 40: two doors that are too narrow and two that are not, in every order, from random distances."""
     draws = np.random.Generator(np.random.PCG64(40))
     orders = sorted(set(itertools.permutations((NARROW_M, NARROW_M, ENOUGH_M, ENOUGH_M))))
     middles = np.array([[sum(each[:k]) + 0.5 * each[k] + k * PIER_M for k in range(4)] for each in orders])
@@ -226,19 +225,19 @@ class GapRun(NamedTuple):
 
     @property
     def through_m(self) -> float:
-        """Where it is when it first comes through the wall, m to the left; NaN: it does not."""
+        """Lateral position at the first passage of the wall, m to the left; NaN: no passage."""
         beyond = np.flatnonzero(self.place[:, 0] > WALL_M)
         return float(self.place[beyond[0], 1]) if beyond.size else math.nan
 
     @property
     def first_deg(self) -> float:
-        """Where it is once it is 0.5 m from its start, degrees to the left."""
+        """Direction after the first 0.5 m, degrees to the left."""
         away = np.flatnonzero(np.hypot(*self.place.T) > 0.5)
         return math.degrees(math.atan2(*self.place[away[0], ::-1])) if away.size else math.nan
 
 
 def team(doors: Sequence[tuple[float, float]], leader: tuple[float, float], slot: tuple[float, float]) -> dict[str, Any]:
-    """A follower at the origin, that looks east, before a wall with doors (middle and width, m), and a leader that stands."""
+    """A follower at the origin, facing east, before a wall with doors (centre and width, m), and a stationary leader."""
     avoidance = {
         "kind": "gap",
         "level": 1,
@@ -262,7 +261,7 @@ def team(doors: Sequence[tuple[float, float]], leader: tuple[float, float], slot
 
 
 def passed(result: Result) -> GapRun:
-    """The data of a run."""
+    """Read the data of a run of `team`."""
     movement = motion(result.states)
     x, y = (movement.position[axis] for axis in (0, 1))
     lead, own = movement.column("leader"), movement.column("follower")
@@ -271,7 +270,7 @@ def passed(result: Result) -> GapRun:
 
 
 def fig_41(runner: Runner) -> Figure:
-    """Which door a follower takes, and how wide doors look."""
+    """Figure 41: the door that a follower takes, and apparent door widths."""
     beyond = WALL_M + BEYOND_M
     cases = {
         **{f"leader behind the {name} door": (ALIKE, (beyond, ALIKE[i][0]), SLOT_M) for i, name in enumerate(SIDES)},

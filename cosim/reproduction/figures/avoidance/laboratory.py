@@ -1,10 +1,10 @@
-"""Figure 54: a team among the furniture of a laboratory, `lab-formation` unchanged.
+"""Figure 54: a team among laboratory furniture, in the unchanged scenario `lab-formation`.
 
-Three AmigoBots, bodies in Bullet, keep a wedge of 0.7 m through two turns, and a column in an aisle with two objects that
-is too narrow for the wedge. A demonstration: without a contact, and with a wedge at the end.
+Three AmigoBots with bodies in Bullet keep a wedge of 0.7 m through two turns, and a column in an aisle with two objects that is
+too narrow for the wedge. A demonstration: no contact, and a wedge at the end.
 
-In place at the end are the hand points of the followers, which the law controls. The robots themselves come into place while
-the leader drives on, only 4 s after the last call: they stand 0.54 m from each other and 0.65 m from it.
+At the end the handles of the followers, which the law controls, are in place. The robots themselves arrive while the leader
+drives on, only 4 s after the last call: they stand 0.54 m from each other and 0.65 m from it.
 """
 
 from functools import partial
@@ -22,13 +22,13 @@ SCENARIO = "lab-formation"
 NAMES = ("car1", "car2", "car3")
 PAIRS = ((0, 1), (0, 2), (1, 2))
 SEEDS = (1, 2, 3)
-SPACING_M, BODY_M, NEAR_M = 0.7, 0.18, 0.05  # of the wedge; radius of a robot; in place
-EVERY_S, STILL_M = 6.0, 0.02  # how often the team is drawn; so near to where it ends, the heading of a track says nothing
-SMALL_M = 0.1  # legs, and backs of chairs: below or above something larger
+SPACING_M, BODY_M, NEAR_M = 0.7, 0.18, 0.05  # of the wedge; radius of a robot; tolerance for in place
+EVERY_S, STILL_M = 6.0, 0.02  # interval between drawn teams; so near to the end of a track, its heading is undefined
+SMALL_M = 0.1  # legs and chair backs: below or above something larger
 
 
 def fig_54(runner: Runner) -> Figure:
-    """Tracks among the furniture, the shape, and the errors; the numbers of three seeds."""
+    """Figure 54: tracks among the furniture, shape and errors; metrics of three seeds."""
     table = loader.table_of(loader.path_of(SCENARIO))
     runs = runner([Job(table, partial(team_run, names=NAMES), seed=seed) for seed in SEEDS])
     rows = [row for seed, tour in zip(SEEDS, runs, strict=True) for row in _rows(f"seed {seed}", tour)]

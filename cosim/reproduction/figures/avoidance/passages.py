@@ -1,11 +1,10 @@
-"""Figures 42, 43 and beyond: a team of three passes where its wedge is too wide, and three rules of when to be wide again.
+"""Figures 42, 43 and more: a team of three in passages that are too narrow for its wedge, with three rules for widening again.
 
-Three AmigoBots in a wedge of 1 m, bodies 0.28 m wide, drive at 0.3 m/s towards passages 0.9 m wide, go through in a column of
-0.8 m, and become a wedge again. Scans have errors of 2 cm, one report in ten is lost. The walls are too long for anybody to go
-around them.
+Three AmigoBots in a wedge of 1 m, bodies 0.28 m wide, drive at 0.3 m/s towards passages 0.9 m wide, pass in a column of 0.8 m,
+and form a wedge again. Scans have errors of 2 cm, one report in ten is lost. The walls are too long to drive around.
 
-The scanners look over the robots: of what they see, all is wall. Where they see robots, too, a follower takes those of its team
-for what they are (`agents.formation.passage`); rows with low scanners show that this changes nothing that counts.
+The scanners look over the robots and see walls only. Where they see robots, too, a follower recognises its team members
+(`agents.formation.passage`); rows with low scanners show that the results stay the same.
 """
 
 import math
@@ -26,12 +25,12 @@ NAMES = ("car1", "car2", "car3")
 POLICIES = ("immediate", "timer", "all-clear")  # A, A2, B
 LETTERS = dict(zip(POLICIES, ("A", "A2", "B"), strict=True))
 OFFSETS: Mapping[str, tuple[float, ...]] = {"gates": (0.0, 0.0, 0.0), "offset gates": (0.0, 0.8, -0.5)}
-FIRST, APART, WALL, THICK = 4.0, 3.5, 3.0, 0.2  # m: where passages begin, from gate to gate, walls aside of the gap, gates
+FIRST, APART, WALL, THICK = 4.0, 3.5, 3.0, 0.2  # m: start of passages, gate spacing, walls beside the gap, gate thickness
 LONG = 3.0  # m, the corridor
 SEEDS = (1, 2, 3)
 TICK_S = 0.1  # s, of the agents
-AROUND = 0.35  # m/s, of a follower on its own way; `EXPECTED` does not come with it: of 0.3 to 0.6, this gives its times
-SHOWN = 1.8  # m, how much of the walls is drawn to either side
+AROUND = 0.35  # m/s, of a follower on its own way; not part of `EXPECTED`: of 0.3 to 0.6, this gives its times
+SHOWN = 1.8  # m, drawn extent of the walls to either side
 BODY = 0.18  # m, radius of a robot
 NEAR = 0.05  # m, in place
 
@@ -58,7 +57,7 @@ EXPECTED: Mapping[str, Mapping[str, tuple[int, int, float, float, float]]] = {
 
 
 def walls(world: str) -> list[tuple[float, float, float, float]]:
-    """West, east, south and north end of every wall, m."""
+    """West, east, south and north limit of every wall, m."""
     if world == "corridor":
         places = [(FIRST, FIRST + LONG, 0.0)]
     else:
@@ -72,12 +71,12 @@ def walls(world: str) -> list[tuple[float, float, float, float]]:
 
 
 def team(world: str, policy: str, *, loss: float = 0.1, scanner_m: float = 0.3) -> dict[str, Any]:
-    """The scenario.
+    """A scenario with a team before passages.
 
     Args:
         world: ``corridor``, ``gates`` or ``offset gates``.
-        policy: when it is wide again.
-        loss: probability of each report to be lost.
+        policy: rule for widening again.
+        loss: loss probability of each report.
         scanner_m: height of the scanners, m; robots are 0.15 m high.
     """
     boxes = [
@@ -107,28 +106,28 @@ def team(world: str, policy: str, *, loss: float = 0.1, scanner_m: float = 0.3) 
 
 
 def is_late(run: TeamRun, world: str) -> Array:
-    """When all of the leader is out of the passage, (m,) bool."""
+    """Mask of the instants after the whole leader has left the passage, (m,) bool."""
     return np.maximum.accumulate(run.place[:, 0, 0] > BODY + max(east for _, east, _, _ in walls(world)))
 
 
 def formed_s(run: TeamRun, world: str) -> float:
-    """From when the leader is out until both followers are in place, and stay there; NaN: they do not."""
+    """Time from the leader's exit until both followers are and stay in place; NaN: never."""
     late = is_late(run, world)
     return settling_s(run.time_s[late], run.error[late].max(axis=1), NEAR) if late.any() else math.nan
 
 
 def job(world: str, policy: str, seed: int, **more: Any) -> Job:
-    """A run."""
+    """A run of `team`."""
     return Job(team(world, policy, **more), partial(team_run, names=NAMES), seed=seed)
 
 
 def fig_42(runner: Runner) -> Figure:
-    """The corridor, and wide again as soon as the leader is out: those behind are called out of it sideways."""
+    """Figure 42: corridor, widening when the leader is out: followers are called out of it sideways."""
     return _corridor(runner, "immediate", "Fig. 42: a corridor; wide again as soon as the leader is out of it")
 
 
 def fig_43(runner: Runner) -> Figure:
-    """The corridor, and wide again when all are clear: the formation stays together."""
+    """Figure 43: corridor, widening when all are out: the formation stays together."""
     return _corridor(runner, "all-clear", "Fig. 43: a corridor; wide again when all say that they are clear")
 
 
@@ -151,7 +150,7 @@ def passage_policies(runner: Runner) -> Figure:
             absolute(f"{case}: changes of shape, mean of {len(runs)} runs", 2.0, _count(runs, "shape_changes"), 0.0),
             absolute(f"{case}: changes of mode", 0.0, _count(runs, "mode_toggles"), 0.0),
         ]
-        if name == "p = 0.9":  # reports stay away for longer than followers extrapolate them, time and again
+        if name == "p = 0.9":  # reports are repeatedly missing for longer than followers extrapolate
             wide = [each.error[is_late(each, world) & ~each.is_column] for each in runs]
             nearest = max(error.max(axis=1).min(initial=math.inf) for error in wide)
             rows.append(absolute(f"{case}: least |z| once wide again, m", 0.0, nearest, NEAR))
@@ -176,10 +175,10 @@ def _corridor(runner: Runner, policy: str, title: str) -> Figure:
 
 
 def _rows(world: str, policy: str, runs: Sequence[TeamRun]) -> list[Row]:
-    """The row of `EXPECTED`.
+    """Rows that compare runs with an entry of `EXPECTED`.
 
-    Among offset gates much depends on how the leader gets around them, which here it does with more room: there the clearance,
-    and all of the other rules than the first, are bounds.
+    Among offset gates, results depend on the leader's path, which has more clearance here: there the clearance, and all values
+    of rules other than the first, are bounds.
     """
     changes, toggles, avoid_s, clearance_m, expected_s = EXPECTED[world][policy]
     case, exact = f"{world}, {LETTERS[policy]}", world != "offset gates" or policy == "immediate"

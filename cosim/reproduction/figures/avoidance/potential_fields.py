@@ -1,11 +1,11 @@
-"""Figures 28, 29 and the stall: a potential field in the air, past a pillar, alone and in formation.
+"""Figures 28, 29 and the stall: a potential field for flying vehicles at a pillar, alone and in formation.
 
-Vehicles are points that follow commands exactly, with a scanner of 32 beams all the way round, 6 m, without noise; the
-pillar is 0.5 x 0.5 m at the origin. Only the field is measured: no speed limit near obstacles (``level`` 1). Expected
-numbers are those of an independent simulation, within 2 cm and one period of 0.1 s. It does not say how wide vehicles are in
-each other's scans, which the errors at close spacings depend on: the radius of 4 cm was picked for being within 2 cm of
-all three (so is 5 cm; 3 and 10 cm are not), not derived, and at 1.2 m, where 0.003 m is expected, 2 cm says little. The way
-past the pillar hardly depends on it. Real bodies need a spacing of reach and radius.
+Vehicles are points that follow commands exactly, with a noiseless scanner of 32 beams all round and 6 m range; the pillar is
+0.5 x 0.5 m at the origin. The field alone acts: no speed limit near obstacles (``level`` 1). Expected values are from an
+independent simulation, within 2 cm and one period of 0.1 s. It does not state the width of vehicles in each other's scans,
+on which the errors at close spacings depend: the radius of 4 cm was chosen because it fits all three within 2 cm (so does
+5 cm; 3 and 10 cm do not), not derived; at 1.2 m, where 0.003 m is expected, 2 cm says little. The path past the pillar
+hardly depends on it. Real bodies need a spacing of reach plus radius.
 """
 
 import math
@@ -24,36 +24,36 @@ from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 
-HALF_M = 0.25  # of the pillar's edge
+HALF_M = 0.25  # half edge of the pillar
 HEIGHT_M = 1.0  # of flight
-CORE_M = 0.6  # of the field: it pushes without end there
+CORE_M = 0.6  # of the field: infinite push inside
 CM2 = 0.02  # m
 BOX = {"center": [0.0, 0.0, HEIGHT_M], "size": [2 * HALF_M, 2 * HALF_M, 2 * HEIGHT_M]}
 FIELD: Mapping[str, Any] = {"kind": "potential_field", "level": 1, "tang": 0.0}
 ARRIVE_M = 0.1
-BEAMS: Mapping[int, float] = {16: 0.763, 32: 0.791, 64: 0.794, 128: 0.794}  # of a scanner: what clearance they leave, m
+BEAMS: Mapping[int, float] = {16: 0.763, 32: 0.791, 64: 0.794, 128: 0.794}  # number of beams -> clearance, m
 SPACINGS: Mapping[float, float | None] = {
     0.8: 0.17,
     1.0: 0.07,
     1.2: 0.003,
     1.35: None,
     1.5: None,
-}  # m: what error they leave, m
-SHARE = 8  # points between recorded instants, when distances are measured: each stretch is straight
-THIN_M, WIDE_M = 0.04, 0.25  # radius of vehicles, as others see them: picked, see above; about that of a quadrotor
+}  # spacing -> error, m
+SHARE = 8  # interpolated points between recorded instants for distances: each stretch is straight
+THIN_M, WIDE_M = 0.04, 0.25  # radius of vehicles in scans: chosen, see above; about that of a quadrotor
 
 
 @dataclass(frozen=True)
 class FieldRun:
-    """True places of the m recorded instants."""
+    """True positions at the m recorded instants."""
 
     time_s: Array  # (m,)
     x: Array  # (m, vehicles) m
     y: Array  # (m, vehicles) m
-    error: Array  # (m, followers) m: each from its place beside the first
+    error: Array  # (m, followers) m: distance of each from its slot beside the first
 
     def finely(self) -> tuple[Array, Array]:
-        """The places with more between them: vehicles keep their velocity from tick to tick."""
+        """Positions with interpolation: vehicles keep their velocity from tick to tick."""
         at = np.arange(0, len(self.time_s) - 1 + 0.5 / SHARE, 1 / SHARE)
         whole = np.minimum(at.astype(int), len(self.time_s) - 2)
         part = (at - whole)[:, np.newaxis]
@@ -61,24 +61,24 @@ class FieldRun:
         return x, y
 
     def clearance_m(self) -> float:
-        """The least distance of any vehicle's centre to the pillar."""
+        """Minimum distance of any vehicle's centre to the pillar."""
         x, y = self.finely()
         return float(np.hypot(np.maximum(np.abs(x) - HALF_M, 0.0), np.maximum(np.abs(y) - HALF_M, 0.0)).min())
 
     def apart_m(self) -> float:
-        """The least distance of two vehicles."""
+        """Minimum distance between two vehicles."""
         x, y = self.finely()
         i, j = np.triu_indices(x.shape[1], 1)
         return float(np.hypot(x[:, i] - x[:, j], y[:, i] - y[:, j]).min())
 
     def arrived_s(self, goal: tuple[float, float]) -> float:
-        """When the first vehicle is at the goal; NaN: never."""
+        """Arrival time of the first vehicle at the goal; NaN: never."""
         there = np.flatnonzero(np.hypot(self.x[:, 0] - goal[0], self.y[:, 0] - goal[1]) < ARRIVE_M)
         return float(self.time_s[there[0]]) if there.size else math.nan
 
 
 def fig_28(runner: Runner) -> Figure:
-    """One vehicle flies straight on past the pillar, from three offsets; a stronger field; four resolutions."""
+    """Figure 28: one vehicle flies straight past the pillar, from three offsets; a stronger field; four resolutions."""
     offsets, expected = (0.1, 0.2, 0.4), (0.795, 0.796, 0.799)
     printed, strong, resolved = _split(
         runner(
@@ -116,7 +116,7 @@ def fig_28(runner: Runner) -> Figure:
 
 
 def fig_29(runner: Runner) -> Figure:
-    """A triangle flies to a goal behind the pillar, as printed and with the push aside; how near members may be."""
+    """Figure 29: a triangle flies to a goal behind the pillar, as printed and with a sideways push; close spacings."""
     goal = (10.0, 0.3)
     cases = ((0.0, 51.6, 0.639, 1.11), (1.0, 47.8, 0.699, 0.87))
     pasts, thin, wide = _split(
@@ -164,7 +164,7 @@ def fig_29(runner: Runner) -> Figure:
 
 
 def stall(runner: Runner) -> Figure:
-    """A pillar right on the way to the goal: the field as printed stops before it, a push aside leads round it."""
+    """A pillar exactly on the path to the goal: the printed field stops before it, a sideways push leads around it."""
     goal = (4.0, 0.0)
     stuck, led = runner([_alone(0.0, goal=goal), _alone(0.0, goal=goal, tang=1.0)])
     rows = [
@@ -214,7 +214,7 @@ def _job(
     radius: float = THIN_M,
     boxes: Sequence[Mapping[str, Any]] = (BOX,),
 ) -> Job:
-    """A run; the first vehicle starts at ``start``, the others in their slots beside it."""
+    """A run whose first vehicle starts at ``start``, the others in their slots beside it."""
     x, y = start
     vehicles = [{"name": "uav1", "position": [x, y, HEIGHT_M], "agent": leader}]
     for number, slot in enumerate(slots, 2):
@@ -234,7 +234,7 @@ def _job(
 
 
 def flown(result: Result, slots: Sequence[tuple[float, float]]) -> FieldRun:
-    """Where all were; the first never turns, so that places beside it are those of the scenario."""
+    """Read the positions; the first vehicle never turns, so its slots stay as in the scenario."""
     movement = motion(result.states)
     x, y, _ = movement.position
     error = [np.hypot(x[:, 0] + dx - x[:, i], y[:, 0] + dy - y[:, i]) for i, (dx, dy) in enumerate(slots, 1)]
@@ -242,7 +242,7 @@ def flown(result: Result, slots: Sequence[tuple[float, float]]) -> FieldRun:
 
 
 def _above(title: str, curves: Sequence[Curve], x_limits: tuple[float, float] | None = None) -> Panel:
-    """Tracks around the pillar; limits that leave room for the legend."""
+    """Tracks around the pillar; ``x_limits`` leave room for the legend."""
     corners = HALF_M * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
     turn = np.linspace(0.0, 0.5 * np.pi, 12)
     edge = np.concatenate(

@@ -1,13 +1,13 @@
-"""Limits of the speed near obstacles: a field alone fails when fast, a second level keeps it from what it is to keep away from.
+"""Speed limits near obstacles: at high speed a field alone violates its safety distance, a second level keeps it.
 
-A vehicle in the air with a lag of 0.5 s flies at 1, 2 and 3 m/s past a square pillar that stands in its way, 0.2 m beside the
-middle of it, led by a potential field of 32 beams at 10 Hz, with and without level 2.
+A flying vehicle with a lag of 0.5 s passes a square pillar on its path, 0.2 m beside the centre line, at 1, 2 and 3 m/s, guided
+by a potential field of 32 beams at 10 Hz, with and without level 2.
 
-Expected clearances come from an independent simulation in which the lag was stepped once a period, before the vehicle moved,
-``v += (command - v) T / lag``. Such a servo runs after its command by lag - T = 0.4 s instead of 0.5 s, which at 3 m/s is 30 cm
-of way: the comparison needs the same servo, so `ServoAgent` puts it between the agent and a vehicle without lag.
-What the exact lag of a vehicle gives stands beside it. At 3 m/s the field alone is a matter of luck: with where on the way the
-scans fall, 0.3 m apart, its clearance scatters from 0.16 to 0.20 m (with level 2 by 3 mm).
+Expected clearances are from an independent simulation that stepped the lag once a period, before the vehicle moved:
+``v += (command - v) T / lag``. Such a servo follows its command after lag - T = 0.4 s instead of 0.5 s, 30 cm of path at 3 m/s:
+the comparison needs the same servo, so `ServoAgent` puts it between the agent and a vehicle without lag. The results of the
+exact lag stand beside it. At 3 m/s the field alone depends on where along the path the scans fall, 0.3 m apart: its clearance
+scatters from 0.16 to 0.20 m (with level 2 by 3 mm).
 """
 
 import math
@@ -27,34 +27,34 @@ from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array, Positive, Velocity
 
 SPEEDS = (1.0, 2.0, 3.0)  # m/s
-ALONE, LIMITED = (0.613, 0.404, 0.167), (0.709, 0.737, 0.746)  # m: least clearance at these speeds
-HALF_M, CORE_M = 0.25, 0.6  # of the pillar's edge; what the field is to keep away from
-LAG_S, START = 0.5, (-9.0, 0.2, 1.0)  # m: so far away that it flies steadily when it first sees the pillar
+ALONE, LIMITED = (0.613, 0.404, 0.167), (0.709, 0.737, 0.746)  # m: minimum clearance at these speeds
+HALF_M, CORE_M = 0.25, 0.6  # half edge of the pillar; safety distance of the field
+LAG_S, START = 0.5, (-9.0, 0.2, 1.0)  # m: far enough for steady flight when it first sees the pillar
 RECORD_S = 0.02
-SHOWN = (-3.0, 3.4)  # m, x: what is drawn of the tracks
+SHOWN = (-3.0, 3.4)  # m, x: drawn part of the tracks
 HERE = "vcmvsp.cosim.reproduction.figures.avoidance.speed_limits"
 TOWARDS = f"{HERE}:Towards"
 NAMES = {1: "the field alone", 2: "with level 2"}
 STYLES: Mapping[int, Style] = {1: "dotted", 2: "line"}
 LAGS: Mapping[bool, tuple[str, Style]] = {True: ("", "line"), False: (", exact lag", "dashed")}
 
-Case = tuple[bool, int, float]  # whether the servo is stepped, the highest level, m/s
+Case = tuple[bool, int, float]  # stepped servo, highest level, m/s
 
 
 class Towards(Agent):
-    """Flies into one direction, (x, y), for ever, at ``speed`` m/s."""
+    """Flies in a constant direction, (x, y), at ``speed`` m/s."""
 
     def __init__(self, direction: tuple[float, float], speed: Positive = 1.0) -> None:
         self.direction, self.speed = direction, speed
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """The same at every tick."""
+        """Return the constant velocity."""
         x, y = (self.speed * part / math.hypot(*self.direction) for part in self.direction)
         return Velocity(linear=(x, y, 0.0))
 
 
 class ServoAgent(Agent):
-    """What another agent commands reaches the vehicle through a servo that is stepped once a tick."""
+    """Passes another agent's commands to the vehicle through a servo that is stepped once a tick."""
 
     def __init__(self, agent: dict[str, Any], lag_s: Positive) -> None:
         kind = registry.find("agent", agent["kind"])
@@ -62,12 +62,12 @@ class ServoAgent(Agent):
         self.lag_s = lag_s
 
     def start(self, info: VehicleInfo) -> None:
-        """At rest."""
+        """Start at rest."""
         self.agent.start(info)
         self._share, self._speed = info.period_s / self.lag_s, np.zeros(3)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """A share of the way to the command."""
+        """Move a share of the way to the command."""
         command = self.agent.act(obs, radio)
         assert isinstance(command, Velocity)  # noqa: S101
         self._speed += self._share * (np.array(command.linear) - self._speed)
@@ -76,7 +76,7 @@ class ServoAgent(Agent):
 
 
 def fig_levels(runner: Runner) -> Figure:
-    """Least clearance at three speeds, with and without level 2; with the stepped servo, and with an exact lag."""
+    """Minimum clearance at three speeds, with and without level 2; with the stepped servo and with an exact lag."""
     cases = [(stepped, level, speed) for stepped in (True, False) for level in (1, 2) for speed in SPEEDS]
     tracks = dict(zip(cases, runner([Job(_scenario(*case), _track) for case in cases]), strict=True))
     least = {case: float(_clearance(track).min()) for case, track in tracks.items()}
@@ -114,7 +114,7 @@ def _scenario(stepped: bool, level: int, speed: float) -> dict[str, Any]:
 
 
 def _track(result: Result) -> Array:
-    """Place and speed at every recorded instant, (m, 3): x m, y m, m/s."""
+    """Position and speed at every recorded instant, (m, 3): x m, y m, m/s."""
     movement = motion(result.states)
     x, y = (movement.position[axis][:, 0] for axis in (0, 1))
     speed = np.hypot(np.gradient(x, RECORD_S), np.gradient(y, RECORD_S))
@@ -132,7 +132,7 @@ def _between(track: Array, west: float, east: float) -> Array:
 
 
 def _from_above(tracks: Mapping[Case, Array], level: int) -> Panel:
-    around = np.linspace(0.0, math.tau, 401) + 1e-6  # no corner of the pillar is met exactly
+    around = np.linspace(0.0, math.tau, 401) + 1e-6  # no beam hits a corner of the pillar exactly
     cos, sin = np.cos(around), np.sin(around)
     lines = [
         Curve(HALF_M * np.array([-1, 1, 1, -1, -1]), HALF_M * np.array([-1, -1, 1, 1, -1]), "pillar"),

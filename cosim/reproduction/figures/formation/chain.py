@@ -1,4 +1,4 @@
-"""A column in which each follows the one before: how swaying grows from hop to hop, and what cures it."""
+"""A column in which each vehicle follows its predecessor: growth of sway from hop to hop, and its remedies."""
 
 import math
 from collections.abc import Mapping
@@ -35,11 +35,11 @@ OMEGAS = (0.3, 0.5, 0.8, 0.963, 1.3, 2.0, 3.0)  # rad/s
 DELAYS_S = (0.1, 0.3, 1.0)
 WARM_S = 40.0
 LINKS, SPACING_M, HANDLE_M = 6, 0.8, 0.5
-COLUMN = {"hold": (0.110, 0.152), "dr": (0.062, 0.258)}  # RMS of |z| of the first and the last link, m, integrated apart
+COLUMN = {"hold": (0.110, 0.152), "dr": (0.062, 0.258)}  # RMS of |z| of the first and the last link, m, integrated separately
 
 
 def chain(runner: Runner) -> Figure:
-    """Gain of a hop for a leader that surges, at T = 10 ms; and the links of a column of seven on a random path at 0.1 s."""
+    """Gain of a hop for a surging leader, at T = 10 ms; and the links of a column of seven on a random path at 0.1 s."""
     peaks = {d: _peak("dr", d) for d in DELAYS_S}
     swings = [(w, DELAY_S) for w in OMEGAS] + [(peaks[d][0], d) for d in DELAYS_S]
     columns = {**WAYS, "leader": LED}
@@ -107,14 +107,14 @@ def _column_rows(links: Mapping[str, Array]) -> list[Row]:
 
 
 def _peak(way: str, delay_s: float) -> tuple[float, float]:
-    """Frequency, rad/s, and value of the largest gain of a hop."""
+    """Frequency, rad/s, and value of the maximum gain of a hop."""
     omega = np.linspace(0.01, 5.0, 5000)
     gain = closed_forms.hop_gain(omega, K1, LAG_S, delay_s, way)
     return float(omega[gain.argmax()]), float(gain.max())
 
 
 def _surge(omega: float, delay_s: float) -> Job:
-    """A leader that surges on a straight line, car2 that follows it, and one follower of car2 in each way."""
+    """A run of a leader that surges on a straight line, car2 that follows it, and one follower of car2 per way."""
     law = {**UNLIMITED, "handle": HANDLE_M}
     followers = [{**law, "estimator": "acc", "broadcast": True}, *({**law, "leader": "car2", **way} for way in WAYS.values())]
     scenario = fleet(
@@ -131,7 +131,7 @@ def _surge(omega: float, delay_s: float) -> Job:
 
 
 def sways(result: Result, scenario: Mapping[str, Any], omega: float) -> Array:
-    """How far each follower of car2 sways to and fro at ``omega``, over how far car2 does."""
+    """Ratio of the sway of each follower of car2 at ``omega`` to that of car2."""
     run = tracks(result, scenario)
     late = run.time_s >= WARM_S
     t = run.time_s[late]
@@ -142,7 +142,7 @@ def sways(result: Result, scenario: Mapping[str, Any], omega: float) -> Array:
 
 
 def column(way: Mapping[str, Any]) -> Job:
-    """A column of seven with a leader without lag; gives the root mean square error of each link."""
+    """A run of a column of seven with a leader without lag; gives the root mean square error of each link."""
     law = {"distance": SPACING_M, "handle": HANDLE_M, "broadcast": True, **way}
     followers = [{**law, "leader": f"car{number}"} for number in range(1, LINKS + 1)]
     scenario = fleet(120.0, followers, path="random", kind="lag", leader={"tell": ["a"]}, radio=lossy(delay_s=DELAY_S))

@@ -1,4 +1,4 @@
-"""Figures 24 to 26: the triangle on a circle; exact, with inertia, with noise of positioning. And the proof of convergence."""
+"""Figures 24 to 26: the triangle on a circle; exact, with inertia, with position noise. And the proof of convergence."""
 
 import math
 from functools import partial
@@ -29,12 +29,12 @@ from vcmvsp.cosim.types import Array
 
 NAMES = ("leader", "follower 1", "follower 2")
 SIDES = (ASIDE, -ASIDE)
-GAIN, SPAN_S = 1.0, 0.5  # of the proof: k1 = k2, 1/s; its runs
-STARTS, PARTS = 200, 4  # its starts, over as many runs
+GAIN, SPAN_S = 1.0, 0.5  # of the proof: k1 = k2, 1/s; duration of its runs
+STARTS, PARTS = 200, 4  # number of its starts, and of runs that share them
 
 
 def fig_24(runner: Runner) -> Figure:
-    """The triangle on a circle of 2 m: every error ends at zero, and the followers' circles are those of the closed forms."""
+    """Figure 24: the triangle on a circle of 2 m; all errors converge to zero, and circles match the closed forms."""
     short = [{**place, "handle": 0.3} for place in (RIGHT_BEHIND, LEFT_BEHIND)]
     starts = [{**RIGHT_BEHIND, "pose": (-1.6, -0.9, 0.4)}, {**LEFT_BEHIND, "pose": (-1.3, 0.9, -0.4)}]
     steady, handle, *proofs = runner(
@@ -66,7 +66,7 @@ def fig_24(runner: Runner) -> Figure:
 
 
 def fig_25(runner: Runner) -> Figure:
-    """The same with limited accelerations and lags: commands are constant on a circle, so no error remains."""
+    """Figure 25: limited accelerations and lags; commands are constant on a circle, so no error remains."""
     places = [{**RIGHT_BEHIND, "pose": (-1.6, -0.9, 0.4)}, {**LEFT_BEHIND, "pose": (-1.3, 0.9, -0.4)}]
     (steady,) = runner([track(fleet(90.0, places, kind="inertial"))])
     late = steady.error[steady.time_s >= 60.0]
@@ -75,7 +75,7 @@ def fig_25(runner: Runner) -> Figure:
 
 
 def fig_26(runner: Runner) -> Figure:
-    """The same where all poses that are used come from positioning, with independent errors of every fix."""
+    """Figure 26: all poses come from positioning, with independent errors of every fix."""
     rows, runs = [], []
     noises = ((0.15, 0.05, (0.06, 0.01), (0.03, 0.005)), (0.05, 0.02, (0.018, 0.002), (0.008, 0.0015)))
     jobs = []
@@ -109,7 +109,7 @@ def _panels(track: Tracks, *, log: bool = True) -> list[Panel]:
 
 
 def _radius(track: Tracks) -> Array:
-    """Distance of all vehicles to the middle of the circle that the leader ends on, (m, vehicles)."""
+    """Distance of all vehicles to the centre of the leader's final circle, (m, vehicles)."""
     x, y, yaw = track.pose[-1, 0]
     return np.asarray(np.hypot(track.pose[..., 0] - x + R * math.sin(yaw), track.pose[..., 1] - y - R * math.cos(yaw)))
 
@@ -120,7 +120,7 @@ def _rho(track: Tracks) -> Array:
 
 
 def _on_circle(track: Tracks, tolerance: float = 1e-5) -> list[Row]:
-    """Radius, distance and speed of both followers at the end, against the closed forms."""
+    """Rows for radius, distance and speed of both followers at the end, against the closed forms."""
     chord = np.hypot(*(track.pose[-1, 1:, :2] - track.pose[-2, 1:, :2]).T)
     speed = chord / (T * np.sinc(W * T / 2.0 / math.pi))  # along the arc
     rows = []
@@ -136,7 +136,7 @@ def _on_circle(track: Tracks, tolerance: float = 1e-5) -> list[Row]:
 
 
 def _proof(part: int) -> Job:
-    """A share of the random starts, at T = 1 ms, behind a leader of its own yaw rate."""
+    """A run with a share of the random starts, at T = 1 ms, behind a leader with its own yaw rate."""
     draws = np.random.Generator(np.random.PCG64(part))
     rate, middle = (-0.15, -0.05, 0.05, 0.15)[part], np.array([-AHEAD, 0.0])
     followers = [
@@ -154,6 +154,6 @@ def _proof(part: int) -> Job:
 
 
 def _squares(result: Result, scenario: dict[str, object]) -> tuple[Array, Array]:
-    """Times from the first report on, s, and |z|^2 (m, followers), m2: twice V."""
+    """Times from the first report on, s, and |z|^2 (m, followers), m2, equal to 2 V."""
     track = tracks(result, scenario)
     return track.time_s[1:] - track.time_s[1], track.error[1:] ** 2

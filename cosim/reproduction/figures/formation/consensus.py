@@ -1,9 +1,10 @@
-"""Consensus with delay: where it stops being stable, for four graphs; a delay that is wrong by one tick would show.
+"""Consensus with delay: stability limit for four graphs; an error of one tick in the delay would be visible.
 
-Members are integrators that compare points as old as what they hear. With L the Laplacian of their graph, the mode of its
-eigenvalue lambda is multiplied in every tick, in the end, by the largest root of ``z^(d+1) - z^d + kappa lambda T = 0``, where
-d is the age of reports in ticks; the fastest mode is stable if and only if ``kappa lambda_max T < 2 sin(pi / (2 (2 d + 1)))``,
-and for T -> 0 if the age is less than ``tau* = pi / (2 kappa lambda_max)`` (Olfati-Saber and Murray 2004).
+Members are integrators that compare their points with those in received messages at the same age. With L the Laplacian of the
+graph, the mode of its eigenvalue lambda is finally multiplied in every tick by the largest root of
+``z^(d+1) - z^d + kappa lambda T = 0``, where d is the age of reports in ticks; the fastest mode is stable if and only if
+``kappa lambda_max T < 2 sin(pi / (2 (2 d + 1)))``, and for T -> 0 if the age is less than
+``tau* = pi / (2 kappa lambda_max)`` (Olfati-Saber and Murray 2004).
 """
 
 import math
@@ -21,9 +22,9 @@ from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 
 GRAPHS: Mapping[str, int] = {"complete": 5, "star": 5, "ring": 6, "path": 5}  # graph -> members; kappa is 1 1/s throughout
-T, FINE = 0.1, 1e-3  # s: period of the sweep, and where it is nearly continuous time
+T, FINE = 0.1, 1e-3  # s: period of the sweep, and a nearly continuous one
 AGES = range(1, 7)  # ticks of T
-LAST_STABLE = {"complete": 2, "star": 2, "ring": 3, "path": 3}  # greatest age that is stable, ticks of T
+LAST_STABLE = {"complete": 2, "star": 2, "ring": 3, "path": 3}  # largest stable age, ticks of T
 LAMBDA_2 = {"complete": 5.0, "star": 1.0, "ring": 1.0, "path": 0.38197}
 SHARES = (0.90, 0.98, 1.02, 1.10)  # of tau*
 GROWTH = {  # per s, at all of these shares: from an independent simulation at 1 ms
@@ -32,12 +33,12 @@ GROWTH = {  # per s, at all of these shares: from an independent simulation at 1
     "ring": (0.806, 0.967, 1.041, 1.171),
     "path": (0.825, 0.966, 1.035, 1.155),
 }
-START_M = 1e-6  # so small that no vehicle reaches its greatest speed, however the mode grows
+START_M = 1e-6  # so small that a growing mode reaches no speed limit
 SHOWN = "path"
 
 
 def consensus_delay(runner: Runner, shares: Sequence[float] = SHARES) -> Figure:
-    """Growth of the fastest mode against the age of reports, at 10 Hz and at 1 kHz, by the roots and through the platform.
+    """Growth of the fastest mode over the age of reports, at 10 Hz and at 1 kHz, from the roots and from the platform.
 
     Args:
         runner: makes the runs.
@@ -58,7 +59,7 @@ def consensus_delay(runner: Runner, shares: Sequence[float] = SHARES) -> Figure:
     at_10_hz = {key: next(answers) for key in swept}
     at_1_khz = {key: next(answers) for key in fine}
     swings = {key: growth(y[20:], 3) ** (1.0 / T) for key, y in at_10_hz.items()}
-    fast = {key: growth(y[1800:], 100) ** (1.0 / FINE) for key, y in at_1_khz.items()}  # by then other roots have died out
+    fast = {key: growth(y[1800:], 100) ** (1.0 / FINE) for key, y in at_1_khz.items()}  # other roots have died out by then
     rows = [
         *(row for graph in GRAPHS for row in _bounds(graph, swings)),
         *(
@@ -80,7 +81,7 @@ def consensus_delay(runner: Runner, shares: Sequence[float] = SHARES) -> Figure:
 
 
 def laplacian(graph: str) -> Array:
-    """Of a graph of `GRAPHS`, (n, n)."""
+    """Laplacian of a graph of `GRAPHS`, (n, n)."""
     count = GRAPHS[graph]
     edges = {
         "complete": [(i, j) for i in range(count) for j in range(i)],
@@ -95,7 +96,7 @@ def laplacian(graph: str) -> Array:
 
 
 def lambda_max(graph: str) -> float:
-    """The largest eigenvalue of its Laplacian."""
+    """The largest eigenvalue of a graph's Laplacian."""
     return float(np.linalg.eigvalsh(laplacian(graph))[-1])
 
 
@@ -117,14 +118,14 @@ def continuous(share: Array) -> Array:
 
 
 def growth(y: Array, step: int) -> float:
-    """Growth per tick of what swings as one pair of roots z: ``y[n + 2 s] = a y[n + s] + b y[n]`` has ``b = -|z|^(2 s)``."""
+    """Growth per tick of a mode with one pair of roots z: ``y[n + 2 s] = a y[n + s] + b y[n]`` has ``b = -|z|^(2 s)``."""
     past = np.stack([y[step:-step], y[: -2 * step]], axis=1)
     _, b = np.linalg.lstsq(past, y[2 * step :], rcond=None)[0]
     return float(math.sqrt(-b) ** (1.0 / step))
 
 
 def _mode(graph: str, number: int, duration_s: float, period_s: float, delay_s: float = 0.0, **agent: object) -> Job:
-    """A run that starts in an eigenvector of the Laplacian; gives the remaining amplitude, (ticks + 1,)."""
+    """A run that starts in an eigenvector of the Laplacian and gives the remaining amplitude, (ticks + 1,)."""
     vector = np.linalg.eigh(laplacian(graph))[1][:, number]
     scenario = scene(
         "consensus",
@@ -143,12 +144,12 @@ def _share(result: Result, vector: Array) -> Array:
 
 
 def _short(graph: str) -> float:
-    """A period in which the fastest of the slow modes loses half a percent: reports are a tick old, which must not count."""
+    """Period in which the fastest of the slow modes loses half a percent, so that an age of one tick is negligible."""
     return round(0.005 / LAMBDA_2[graph], 3)
 
 
 def _age(graph: str, share: float) -> int:
-    """Ticks of `FINE` nearest to a share of tau*."""
+    """Number of `FINE` ticks nearest to a share of tau*."""
     return round(share * math.pi / (2.0 * lambda_max(graph)) / FINE)
 
 
@@ -171,7 +172,7 @@ def _colors() -> Mapping[str, int]:
 
 
 def _growths(swings: Mapping[tuple[str, int], float]) -> Panel:
-    """Lines: roots. Filled: measured and stable; hollow: unstable. Complete and star coincide."""
+    """Lines: roots. Filled markers: measured and stable; hollow: unstable. Complete and star coincide."""
     curves = []
     ages = np.array(AGES)
     for graph, color in _colors().items():

@@ -1,8 +1,8 @@
-"""A plain integration of the triangle under loss and delay: NumPy alone, many followers at once, nothing of the platform.
+"""Direct integration of the triangle under loss and delay: NumPy only, many followers at once, independent of the platform.
 
-Kinematic vehicles at T = 0.1 s. A follower uses the newest report that has reached it: that of tick n is usable from tick
-n + ``age`` on, unless it is lost. What each estimator makes of a report is a table over (tick of the report, age in ticks), so
-that a tick of all followers is a look-up and the law (Toh 2012, 3-31 to 3-35, corrected).
+Kinematic vehicles at T = 0.1 s. A follower uses the newest report that has arrived: that of tick n is usable from tick
+n + ``age`` on, unless it is lost. A table over (tick of the report, age in ticks) holds the estimates of each estimator, so a
+tick of all followers is a look-up and the law (Toh 2012, 3-31 to 3-35, corrected).
 """
 
 import functools
@@ -22,14 +22,14 @@ LOST, HORIZON, FADE, PLAN, FROM = (
     10,
     20,
     200,
-)  # ticks: lost; 2 s; 1 s; speeds of a plan besides those of now; counts
-AFTER = PLAN + 1 + HORIZON  # ticks: speeds at the end of a plan are trusted till then
+)  # ticks: lost; 2 s; 1 s; speeds of a plan besides the present ones; counts
+AFTER = PLAN + 1 + HORIZON  # ticks: speeds at the end of a plan are used until then
 SLOWEST = -0.1  # m/s
-DECAY_S, LIMITS = 1.0, ((-0.1, 0.6), (-0.8, 0.8))  # of accelerations: forgotten within; where they end, m/s and rad/s
+DECAY_S, LIMITS = 1.0, ((-0.1, 0.6), (-0.8, 0.8))  # of accelerations: decay time; limits of extrapolated speeds, m/s and rad/s
 
 
 class LeaderTrack(NamedTuple):
-    """Speeds (n, 2) of every tick, m/s and rad/s, and the poses (n, 3) that they lead to, m and rad."""
+    """Speeds (n, 2) of every tick, m/s and rad/s, and the resulting poses (n, 3), m and rad."""
 
     speeds: Array
     pose: Array
@@ -37,7 +37,7 @@ class LeaderTrack(NamedTuple):
 
 @functools.cache
 def leader(path: str, duration_s: float = 120.0) -> LeaderTrack:
-    """The standard paths of a leader, as far as its last plan goes."""
+    """The standard paths of a leader, up to the end of its last plan."""
     count = round(duration_s / T) + PLAN + 1
     t = T * np.arange(count)
     slalom = np.stack([np.full(count, V), 0.4 * np.sin(math.tau * t / 16.0)], axis=-1)
@@ -52,10 +52,10 @@ def rms(path: str, estimator: str, probability: Array, age: Array, *, count: int
     """Root mean square of ``|z|`` (m) from 20 s to 120 s, for each pair of ``probability`` and ``age``, (n,).
 
     Args:
-        path: of the leader.
-        estimator: of the followers.
-        probability: of losing a report, each on its own, (n,).
-        age: of a report that is not lost when it is first usable, ticks, (n,).
+        path: path of the leader.
+        estimator: estimator of the followers.
+        probability: independent loss probability of each report, (n,).
+        age: age at first use of a report that is not lost, ticks, (n,).
         count: followers of each pair; every other one is car3.
     """
     draws = np.random.Generator(np.random.PCG64(1))
@@ -69,10 +69,10 @@ def errors(path: str, estimator: str, missed: Array, age: Array) -> Array:
     """Root mean square of ``|z|`` (m) from 20 s on of each of n followers; every other one is car3, on the leader's left.
 
     Args:
-        path: of the leader.
-        estimator: of the followers.
-        missed: which reports do not reach which follower, (ticks, n).
-        age: of a report when it is first usable, ticks, (n,).
+        path: path of the leader.
+        estimator: estimator of the followers.
+        missed: lost reports of each follower, (ticks, n).
+        age: age of a report at first use, ticks, (n,).
     """
     ticks, number = missed.shape
     lead = leader(path, ticks * T)
@@ -97,7 +97,7 @@ def errors(path: str, estimator: str, missed: Array, age: Array) -> Array:
 
 
 def _predictions(lead: LeaderTrack, estimator: str, oldest: int) -> Array:
-    """Pose and speeds of the leader (reports, ages up to ``oldest``, 5) as estimated."""
+    """Estimated pose and speeds of the leader, (reports, ages up to ``oldest``, 5)."""
     count = len(lead.pose) - PLAN
     table = np.empty((count, oldest + 1, 5))
     start, reported = lead.pose[:count], lead.speeds[:count]
@@ -105,26 +105,26 @@ def _predictions(lead: LeaderTrack, estimator: str, oldest: int) -> Array:
     pose, believed = start, reported
     for age in range(oldest + 1):
         points = min(age, HORIZON)
-        if estimator == "plan" and age <= PLAN:  # the plan is what will come
+        if estimator == "plan" and age <= PLAN:  # the plan contains the future speeds
             pose, believed = lead.pose[age : age + count], lead.speeds[age : age + count]
         elif estimator == "acc" and age <= HORIZON:
             low, high = np.array(LIMITS).T
             believed = np.clip(reported + DECAY_S * (1.0 - math.exp(-points * T / DECAY_S)) * change, low, high)
             pose = _arc(start, 0.5 * (reported + believed) * points)
-        elif estimator != "hold" and age > 0:  # on by a period, at the speeds in its middle
+        elif estimator != "hold" and age > 0:  # forward by a period, at the speeds in its middle
             pose = _arc(pose, believed * _left(estimator, age - 0.5))
         table[:, age] = np.concatenate([pose, believed * _left(estimator, age)], axis=-1)
     return table
 
 
 def _left(estimator: str, age: float) -> float:
-    """Share of the speeds that an estimator uses after ``age`` ticks."""
+    """Remaining share of the speeds that an estimator uses after ``age`` ticks."""
     ends = math.inf if estimator == "hold" else AFTER if estimator == "plan" else HORIZON
     return min(1.0, max(0.0, 1.0 - (age - ends) / FADE))
 
 
 def _error(lead: Array, pose: Array, side: Array) -> Array:
-    """Errors z (n, 2), in the followers' frames: handles, L ahead, short of the points beside the leader; poses (..., 3)."""
+    """Errors z (n, 2) in the followers' frames: from the handles, L ahead, to the points beside the leader; poses (..., 3)."""
     x, y, th = np.moveaxis(lead, -1, 0)
     off_x = x + side * np.sin(th) - pose[:, 0]
     off_y = y - side * np.cos(th) - pose[:, 1]
@@ -133,7 +133,7 @@ def _error(lead: Array, pose: Array, side: Array) -> Array:
 
 
 def _law(estimate: Array, pose: Array, side: Array) -> Array:
-    """Commands (n, 2) for estimates (n, 5) of the leader, no faster in reverse than allowed."""
+    """Commands (n, 2) for estimates (n, 5) of the leader, with the limit on reverse speed."""
     z = _error(estimate[:, :3], pose, side)
     v, w = estimate[:, 3], estimate[:, 4]
     turned = estimate[:, 2] - pose[:, 2]
@@ -143,7 +143,7 @@ def _law(estimate: Array, pose: Array, side: Array) -> Array:
 
 
 def _arc(pose: Array, speeds: Array) -> Array:
-    """Poses (..., 3) after a period at constant speeds (..., 2)."""
+    """Poses (..., 3) after one period at constant speeds (..., 2)."""
     v, w = speeds[..., 0], speeds[..., 1]
     chord, heading = v * T * np.sinc(w * T / (2.0 * math.pi)), pose[..., 2] + 0.5 * w * T
     step = [chord * np.cos(heading), chord * np.sin(heading), w * T]
@@ -151,7 +151,7 @@ def _arc(pose: Array, speeds: Array) -> Array:
 
 
 def _random(count: int) -> Array:
-    """Speeds towards new targets every 2 s, by at most 0.3 m/s2 and 0.6 rad/s2."""
+    """Random speeds: new targets every 2 s, approached with at most 0.3 m/s2 and 0.6 rad/s2."""
     draws = np.random.Generator(np.random.PCG64(7))
     now, target, speeds = np.array([V, 0.0]), np.zeros(2), np.empty((count, 2))
     for tick in range(count):

@@ -1,4 +1,4 @@
-"""What loss and delay of messages do to the triangle, and what estimating the leader's present state makes of them."""
+"""Effect of message loss and delay on the triangle, and compensation by estimating the leader's present state."""
 
 import math
 from collections.abc import Mapping
@@ -34,12 +34,12 @@ from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.types import Array
 
 PROBABILITIES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9)
-FOLLOWERS = 40  # of each estimator, half of them on either side; they share the leader and lose messages on their own
-MANY = 500  # followers behind each point of the lines in the picture
+FOLLOWERS = 40  # per estimator, half of them on either side; they share the leader and lose messages independently
+MANY = 500  # followers behind each point of the lines in the figure
 RARE = 0.7  # from this loss on, the closed form takes twice as many: errors last longer and scatter more
 TITLES = {"slalom": "Leader on a slalom", "random": "Leader on a random path"}
 DELAYS_S = (0.1, 0.3, 0.5, 1.0, 1.5, 2.0)
-# RMS of |z|, m, over DELAYS_S: an integration of the same set-up that knows nothing of the platform.
+# RMS of |z|, m, over DELAYS_S: an independent integration of the same set-up.
 REFERENCE = {
     "slalom": {
         "hold": (0.036, 0.102, 0.169, 0.334, 0.496, 0.656),
@@ -55,23 +55,23 @@ REFERENCE = {
     },
 }
 MAP_P, MAP_S = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9), (0.1, 0.3, 0.5, 1.0, 1.5, 2.0)
-CELL_FOLLOWERS = 20  # of each estimator in each cell of the map
+CELL_FOLLOWERS = 20  # per estimator and cell of the map
 NAMED = {(0.6, 0.5): (0.219, 0.057), (0.9, 2.0): (0.94, 0.55)}  # (p, delay s) -> RMS |z| m of hold and dr, as above
 
 
 def loss(
     runner: Runner, followers: int = FOLLOWERS, probabilities: tuple[float, ...] = PROBABILITIES, straight: int = FOLLOWERS
 ) -> Figure:
-    """RMS of |z| over the probability of loss: closed form on a straight line, plain integration on two other paths.
+    """RMS of |z| over loss probability: closed form on a straight line, direct integration on two other paths.
 
-    The reports of the platform are one tick old when they are used, without any loss; what is expected counts that tick. The
-    rows integrate with the very losses of the run, the lines in the picture with many others.
+    The platform's reports are one tick old at first use, even without loss; expected values include that tick. The rows
+    integrate with the actual losses of the run, the lines in the figure with many others.
 
     Args:
         runner: makes the runs.
-        followers: of each estimator on the two paths; what is expected knows their losses, however few they are.
-        probabilities: of loss.
-        straight: followers on the straight line; what is expected is a mean, which they must be enough for.
+        followers: number per estimator on the two paths; expected values use their actual losses, so few are enough.
+        probabilities: loss probabilities.
+        straight: number of followers on the straight line; expected values are means, so it must be large.
     """
     cases = [
         (path, p, estimator)
@@ -113,16 +113,16 @@ def loss(
 
 @dataclass(frozen=True)
 class TeamRun:
-    """What is read of a run of `team`."""
+    """Data of a run of `team`."""
 
     estimators: tuple[str, ...]
     rms: Array  # (followers,) m, from 20 s on
-    missed: Array  # (ticks, followers): which reports were lost
-    age: int  # of the others when they were first used, ticks
+    missed: Array  # (ticks, followers): lost reports
+    age: int  # age of the other reports at first use, ticks
 
 
 def team(path: str, air: dict[str, Any], count: int, estimators: tuple[str, ...]) -> Job:
-    """A run of 120 s with ``count`` followers of each estimator, that gives a `TeamRun`."""
+    """A run of 120 s with ``count`` followers per estimator; gives a `TeamRun`."""
     places = (RIGHT_BEHIND, LEFT_BEHIND)
     followers = [{**places[i % 2], "estimator": each} for each in estimators for i in range(count)]
     needs = [need for need, user in (("a", "acc"), ("plan", "plan")) if user in estimators]
@@ -131,13 +131,13 @@ def team(path: str, air: dict[str, Any], count: int, estimators: tuple[str, ...]
 
 
 def by_estimator(each: TeamRun) -> dict[str, float]:
-    """The errors of a team, put together."""
+    """Errors of a team by estimator, merged over its followers."""
     parts = np.split(each.rms, len(each.estimators))
     return {name: root_mean_square(part) for name, part in zip(each.estimators, parts, strict=True)}
 
 
 def integrated(path: str, each: TeamRun) -> dict[str, float]:
-    """What they must be, given the losses."""
+    """Expected errors of a team by estimator, given its actual losses."""
     parts = np.split(each.missed, len(each.estimators), axis=1)
     age = np.full(parts[0].shape[1], each.age)
     return {
@@ -158,20 +158,20 @@ def _read(result: Result, scenario: Mapping[str, Any], estimators: tuple[str, ..
 
 
 def root_mean_square(each: Array) -> float:
-    """Of several root mean squares over equal times."""
+    """Root mean square of several root mean squares over equal times."""
     return float(np.sqrt((each**2).mean()))
 
 
 def _straight(p: float, count: int) -> Job:
-    """The lag on a straight line, of followers that never give their leader up; 300 s of each."""
+    """A run that gives the lag on a straight line, for followers that never stop following; 300 s each."""
     followers = [{**UNLIMITED, "estimator": "hold"}] * count
     return rms(fleet(300.0, followers, path="straight", radio=radio(p)), seed=1)
 
 
 def delay(runner: Runner) -> Figure:
-    """RMS of |z| over the delay of all messages, without loss: closed forms, and two paths without any.
+    """RMS of |z| over a constant delay of all messages, without loss: closed forms, and two paths without one.
 
-    On a straight line ``hold`` lags by ``v d``; on a circle its error is ``2 (R + L') sin(w d / 2)``; there ``dr`` is exact.
+    On a straight line ``hold`` lags by ``v d``; on a circle its error is ``2 (R + L') sin(w d / 2)``; ``dr`` is exact there.
     """
     both = ("hold", "dr")
     kinds = [(path, estimator) for path in ("straight", "circle") for estimator in both]
@@ -207,7 +207,7 @@ def delay(runner: Runner) -> Figure:
 
 
 def estimators(runner: Runner) -> Figure:
-    """RMS of |z| over the delay of all messages, for all estimators."""
+    """RMS of |z| over a constant delay of all messages, for all estimators."""
     names = loss_integration.ESTIMATORS
     runs = runner([team(path, radio(delay_s=d), 2, names) for path in loss_integration.PATHS for d in DELAYS_S])
     panels, rows = _curved([by_estimator(each) for each in runs], names, "log")
@@ -215,7 +215,7 @@ def estimators(runner: Runner) -> Figure:
 
 
 def loss_delay(runner: Runner, followers: int = CELL_FOLLOWERS) -> Figure:
-    """RMS of |z| on the slalom over loss and delay together: ``dr``, and how it compares with ``hold``."""
+    """RMS of |z| on the slalom over loss and delay together: ``dr``, and its comparison with ``hold``."""
     both = ("hold", "dr")
     cells = [(p, d) for d in MAP_S for p in MAP_P]
     runs = runner([team("slalom", radio(p, d), followers * (1 + 3 * ((p, d) in NAMED)), both) for p, d in cells])

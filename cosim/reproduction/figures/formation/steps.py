@@ -1,4 +1,4 @@
-"""Figures 30 to 33: steps along and across the heading, by gain and by rate of control, the lag of a servo, and starts."""
+"""Figures 30 to 33: steps along and across the heading, by gain and control rate, servo lag, and starts from rest."""
 
 import math
 from collections.abc import Mapping
@@ -37,11 +37,11 @@ TINY_M = 1e-4
 RATES_HZ = (10.0, 2.0, 1.0, 0.5)
 Z1_SETTLING_S, Z2_OVERSHOOT = (3.6, 3.0, 2.0, 12.0), (0.0, 0.0, 0.0, 0.426)  # by rate
 BOUND_PERIODS_S, BOUND_COUNT = (0.1, 0.5, 1.0, 2.0), 30
-BEFORE_S = 100.0  # with any of the rates
+BEFORE_S = 100.0  # time of the step, equal for all rates
 BAND_M = 0.05
 CASES: tuple[
     tuple[str, float, str, Mapping[str, float], tuple[float, float]], ...
-] = (  # name, m behind the place, kind, its parameters, (lag s, acceleration m/s2)
+] = (  # name, m behind the slot, kind, its parameters, (lag s, acceleration m/s2)
     ("kinematic, in its place", 0.0, "kinematic", {}, (0.0, math.inf)),
     ("inertial, in its place", 0.0, "inertial", {}, (0.5, 0.3)),
     ("kinematic, 0.5 m behind", 0.5, "kinematic", {}, (0.0, math.inf)),
@@ -52,7 +52,7 @@ KNOWN_AT_ONCE_S = (0.0, 2.6, 2.8, 3.8, 5.9)
 
 
 class StepFollower(Agent):
-    """Two of `leader_follower` in one, with parameters ``before`` and ``after``: the second decides from ``at_s`` on."""
+    """Two `leader_follower` agents with parameters ``before`` and ``after``; the second takes over at ``at_s``."""
 
     def __init__(self, leader: str, at_s: NonNegative, before: Mapping[str, Any], after: Mapping[str, Any]) -> None:
         follower = find("agent", "leader_follower")
@@ -62,12 +62,12 @@ class StepFollower(Agent):
         self.follows = self._before.follows
 
     def start(self, info: VehicleInfo) -> None:
-        """Start both."""
+        """Start both agents."""
         self._before.start(info)
         self._after.start(info)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint | None:
-        """Run both, since both need the messages; return the command of one."""
+        """Run both agents, since both need the messages; return the command of the active one."""
         commands = self._before.act(obs, radio), self._after.act(obs, radio)
         stepped = obs.time_s >= self._at_s
         self.follows = (self._after if stepped else self._before).follows
@@ -75,7 +75,7 @@ class StepFollower(Agent):
 
 
 def fig_30(runner: Runner) -> Figure:
-    """0.5 m behind the place at the leader's speed: with a servo of 0.5 s, without one, and with T towards 0."""
+    """Figure 30: 0.5 m behind the slot at the leader's speed; with a servo of 0.5 s, without one, and with T towards 0."""
     servo = [_step(30.0, 12.0, kind="lag", behind=STEP_M, k1=k1) for k1 in GAINS]
     bare = [_step(10.0, 5.0, behind=STEP_M, k1=k1) for k1 in BARE_GAINS]
     fine = [_step(10.0, 4.0, kind="lag", period_s=FINE_T, behind=STEP_M, k1=k1) for k1 in FINE_GAINS]
@@ -113,7 +113,7 @@ def fig_30(runner: Runner) -> Figure:
 
 
 def fig_31(runner: Runner) -> Figure:
-    """0.5 m to the left of the place at the leader's speed: z2 of the handle, and the robot itself, which no k2 hurries."""
+    """Figure 31: 0.5 m left of the slot at the leader's speed; z2 of the handle, and the robot itself, independent of k2."""
     runs = runner([_step(30.0, 16.0, kind="lag", left=STEP_M, k2=k2) for k2 in GAINS])
     expected = (0.0, 0.0, 0.160, 0.376, 0.646)
     handle, robot, rows, latest = [], [], [], []
@@ -135,7 +135,7 @@ def fig_31(runner: Runner) -> Figure:
 
 
 def fig_33(runner: Runner) -> Figure:
-    """Steps of 0.5 m along and across the heading at 10 to 0.5 Hz, k1 = 0.8, k2 = 0.5 1/s; and growth next to the bound."""
+    """Figure 33: steps of 0.5 m along and across the heading at 10 to 0.5 Hz, k1 = 0.8, k2 = 0.5 1/s; growth near the bound."""
     along = [_step(BEFORE_S, 20.0, period_s=1.0 / rate, behind=STEP_M) for rate in RATES_HZ]
     across = [_step(BEFORE_S, 20.0, period_s=1.0 / rate, left=STEP_M) for rate in RATES_HZ]
     servo = [_step(BEFORE_S, 20.0, kind="lag", period_s=1.0 / rate, behind=STEP_M) for rate in RATES_HZ]
@@ -202,16 +202,16 @@ def _response(run: Tracks, at_s: float, component: int) -> tuple[Array, Array]:
 
 
 def _aside(run: Tracks) -> Array:
-    """How far left of its place the follower itself is, in the leader's frame, m (which here is the world's)."""
+    """Distance of the follower itself to the left of its slot, in the leader's frame, m (here the world's)."""
     slot_y = -np.sqrt(1.0 - AHEAD**2)
     return np.asarray(run.pose[:, 1, 1] - run.pose[:, 0, 1] - slot_y)
 
 
 def fig_32(runner: Runner) -> Figure:
-    """Settling to 5 cm, 10 Hz, leader at 0.3 m/s from the start.
+    """Figure 32: settling to 5 cm, 10 Hz, leader at 0.3 m/s from the start.
 
-    Were the leader known at once, it would take 0 / 2.6 s in the place and 2.8 / 3.8 / 5.9 s from 0.5 m behind. Here its
-    first report is a tick old when it is used; what is expected counts that.
+    With immediate knowledge of the leader, it would take 0 / 2.6 s in the slot and 2.8 / 3.8 / 5.9 s from 0.5 m behind. Here
+    the first report is a tick old at first use; expected values include that.
     """
     jobs = []
     for _, behind, kind, lags, _ in CASES:

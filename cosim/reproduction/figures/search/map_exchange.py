@@ -1,12 +1,12 @@
-"""Map exchange between searching vehicles, and its dependence on loss of messages; figure 45: the shared map over time.
+"""Map exchange between searching vehicles and its dependence on message loss; figure 45: the shared map over time.
 
-Two targets in 100 x 100 m, two or four vehicles without a body at 4 m/s, looks once a second at the cells of 2 m within 8 m,
-right with p = 0.9 at a target and wrong with q = 0.1 elsewhere, messages of up to 1400 bytes once a second, which each receiver
-loses independently; a search ends when every vehicle's map is sure of both. Members count as living after any silence.
+Two targets in 100 x 100 m, two or four bodiless vehicles at 4 m/s. Each looks once a second at the cells of 2 m within 8 m
+(right with p = 0.9 at a target, wrong with q = 0.1 elsewhere) and sends messages of up to 1400 bytes once a second, which each
+receiver loses independently. A search ends when every vehicle's map is sure of both targets. Members never time out.
 
 All exchanges get the same searches, since lanes and detection errors are equal. Durations vary: medians of eight, as in the
-independent simulation, spread by 30 %, of twenty-four by half as much. The ledger must agree with that simulation. An exchange
-that loses or dilutes evidence must be slower than the ledger, and no slower than in that simulation.
+independent simulation, spread by 30 %, of twenty-four by half as much. The ledger must agree with that simulation. Exchanges
+that lose or dilute evidence must be slower than the ledger, and no slower than in that simulation.
 """
 
 import math
@@ -30,18 +30,18 @@ from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Array, Note, ProbabilityMap, States
 
 EDGE_M, CELL_M, REACH_M, SPEED = 100.0, 2.0, 8.0, 4.0
-MARGIN_M = 10.0  # targets keep this from the border, where cells are seen for less time
+MARGIN_M = 10.0  # minimum distance of targets from the border, where cells are seen for less time
 P, Q, OVERLAP = 0.9, 0.1, 0.2
 SURE = 252.5  # of 255: P > 0.99
 HEIGHT_M, NEVER_S = 20.0, 1e6
-PERIOD_S = 0.2  # of the agents
+PERIOD_S = 0.2  # period of the agents
 COUNTS = (2, 4)
 LIMITS_S = {2: 600.0, 4: 500.0}
 LOSSES = (0.0, 0.3, 0.6, 0.9)
 SEEDS = 24
-ALONE = 8  # seeds without an exchange: all of these searches run to the limit
+ALONE = 8  # seeds without an exchange: all of these searches reach the limit
 KINDS = ("ledger", "delta", "consensus")
-# An independent simulation: medians of eight searches, s; of those of which many are not over within the limit, their share.
+# An independent simulation: medians of eight searches, s; where many exceed the limit, their share.
 REFERENCE: Mapping[int, Mapping[str, tuple[float, ...]]] = {
     2: {
         "ledger": (95.0, 100.0, 102.0, 116.0),
@@ -56,13 +56,13 @@ REFERENCE: Mapping[int, Mapping[str, tuple[float, ...]]] = {
 }
 NOT_OVER: Mapping[int, Mapping[tuple[str, float], float]] = {2: {("delta", 0.9): 1.0}, 4: {("delta", 0.9): 0.75}}
 SHARE = 0.15
-FALSE_CELLS = 0.6  # 0.4 to 0.8 of 2500, a map, when both targets are found: the price of speed
+FALSE_CELLS = 0.6  # per map; 0.4 to 0.8 of 2500 when both targets are found: the price of speed
 SEQUENTIAL = {0.9: (3, 0.00137, 3.740), 0.8: (4, 0.00389, 6.615)}  # p: net hits, wrong decisions, looks at a cell
 SHOWN_SEED, SHOWN_LOSS, SHOWN_S = 4, 0.3, (20.0, 50.0, 80.0, 160.0)
 
 
 def search(count: int, exchange: str, loss: float, seed: int, limit_s: float) -> dict[str, Any]:
-    """The scenario."""
+    """The scenario of a search."""
     width = EDGE_M / count
     lanes = math.ceil(width / (2.0 * REACH_M * (1.0 - OVERLAP)))
     return {
@@ -108,7 +108,7 @@ def search(count: int, exchange: str, loss: float, seed: int, limit_s: float) ->
 
 
 def places(seed: int) -> list[tuple[float, float]]:
-    """Where the two targets are, m."""
+    """Positions of the two targets, m."""
     x, y = stream(seed, "targets").uniform(MARGIN_M, EDGE_M - MARGIN_M, (2, 2)).tolist()
     return [(x[0], x[1]), (y[0], y[1])]
 
@@ -117,16 +117,16 @@ def places(seed: int) -> list[tuple[float, float]]:
 class SearchRun:
     """Data of a search."""
 
-    done_s: float = math.inf  # when all maps were sure of both targets; inf: not within the limit
-    false_cells: float = math.nan  # then, a map: cells that are held to be targets, and are none
-    bytes_sent: float = 0.0  # of maps, by all, until then
-    seconds: float = 0.0  # until then, or the limit
+    done_s: float = math.inf  # time at which all maps are sure of both targets; inf: not within the limit
+    false_cells: float = math.nan  # per map, at that time: cells wrongly decided as targets
+    bytes_sent: float = 0.0  # of maps, all vehicles, up to that time
+    seconds: float = 0.0  # up to that time, or the limit
     maps: list[dict[str, ProbabilityMap]] = field(default_factory=list)  # by vehicle, at the requested seconds
     tracks: dict[str, Array] = field(default_factory=dict)  # by vehicle, (n, 3): s, x and y, m
 
 
 class Watcher:
-    """Looks at what is published."""
+    """Observer that collects the data of a search."""
 
     def __init__(self, count: int, targets: list[tuple[float, float]], keep_s: tuple[float, ...]) -> None:
         self._count = count
@@ -136,7 +136,7 @@ class Watcher:
         self.searched = SearchRun()
 
     def on(self, event: Event) -> None:
-        """Take an event."""
+        """Record an event."""
         value, vehicle = event.value, event.key.partition("/")[0]
         time_s = event.time_ns / 1e9
         if isinstance(value, States):
@@ -149,7 +149,7 @@ class Watcher:
                 self.searched.done_s = min(self.searched.done_s, time_s)
 
     def end(self, limit_s: float) -> SearchRun:
-        """The data."""
+        """The collected data."""
         search = self.searched
         search.seconds = min(search.done_s, limit_s)
         search.bytes_sent = sum(self._bytes.values())
@@ -172,7 +172,7 @@ class Watcher:
 
 
 def searched(count: int, exchange: str, loss: float, seed: int, limit_s: float, *, keep_s: tuple[float, ...] = ()) -> SearchRun:
-    """The result of a search; with maps and tracks if there are seconds for maps (then it runs to the limit)."""
+    """Run a search and return its data; with ``keep_s``, also maps and tracks (it then runs to the limit)."""
     parsed, source = scenarios.load(search(count, exchange, loss, seed, limit_s))
     watcher = Watcher(count, places(seed), keep_s)
     with assemble(parsed, source) as assembled:
@@ -193,7 +193,7 @@ def searched(count: int, exchange: str, loss: float, seed: int, limit_s: float, 
 
 
 def search_exchange(runner: Runner, seeds: int = SEEDS, losses: Sequence[float] = LOSSES) -> Figure:
-    """How long it takes until all know both targets, by exchange and loss."""
+    """Time until all vehicles know both targets, by exchange and loss."""
     cases = [(count, kind, loss) for count in COUNTS for kind in KINDS for loss in losses]
     tries = dict.fromkeys(cases, seeds) | {(count, "none", 0.0): min(seeds, ALONE) for count in COUNTS}
     jobs = [partial(searched, *case, seed, LIMITS_S[case[0]]) for case, most in tries.items() for seed in range(most)]
@@ -240,7 +240,7 @@ def _rows(count: int, searches: Mapping[tuple[int, str, float], list[SearchRun]]
 
 
 def sequential_rows() -> list[Row]:
-    """The test of a single cell, exactly: from the evidence of the platform's own map, as a walk from decision to decision."""
+    """Exact test of a single cell: evidence of the platform's own map as a random walk between decisions."""
     rows = []
     for p, (net, wrong, looks) in SEQUENTIAL.items():
         found_net, found_wrong, found_looks = sequential(p)
@@ -255,13 +255,13 @@ def sequential_rows() -> list[Row]:
 def sequential(p: float) -> tuple[int, float, float]:
     """Net hits until a cell with a target is decided, share of wrong decisions, mean looks, for q = 1 - p and a prior of 0.5.
 
-    A walk from state to state, one step up with p and down with 1 - p, until a decision: its fundamental matrix tells all.
+    A random walk, one step up with p and down with 1 - p, until a decision, solved by its fundamental matrix.
     """
     evidence = Sensor(p, 1.0 - p).evidence(np.array([1]), np.array([0]))[0]
     net = next(hits for hits in range(1, 100) if decisions(np.array([hits * evidence]))[0] == 1)
     states = 2 * net - 1  # -net + 1 to net - 1
     steps = np.diag(np.full(states - 1, p), 1) + np.diag(np.full(states - 1, 1.0 - p), -1)
-    visits = np.linalg.inv(np.eye(states) - steps)[net - 1]  # from the middle
+    visits = np.linalg.inv(np.eye(states) - steps)[net - 1]  # start in the middle
     return net, float(visits[0] * (1.0 - p)), float(visits.sum())
 
 
@@ -303,7 +303,7 @@ def _bytes(count: int, searches: Mapping[tuple[int, str, float], list[SearchRun]
 
 
 def fig_45(runner: Runner) -> Figure:
-    """The maps of two vehicles at four instants, three messages in ten lost."""
+    """Figure 45: the maps of two vehicles at four instants, with three messages in ten lost."""
     limit_s = SHOWN_S[-1] + 2.0
     (search,) = runner([partial(searched, 2, "ledger", SHOWN_LOSS, SHOWN_SEED, limit_s, keep_s=SHOWN_S)])
     targets = places(SHOWN_SEED)
@@ -334,7 +334,7 @@ def _plain(belief: ProbabilityMap) -> Array:
 def _map(name: str, at_s: float, belief: ProbabilityMap, search: SearchRun, targets: Sequence[tuple[float, float]]) -> Panel:
     middles = CELL_M * (np.arange(belief.probability.shape[0]) + 0.5)
     x, y = np.array(targets).T
-    named = at_s == SHOWN_S[0]  # a legend in each would hide too much
+    named = at_s == SHOWN_S[0]  # more legends would hide too much
     curves = [Curve(x, y, "target" if named else "", 2, "hollow")]
     for color, (other, track) in zip((4, 3), search.tracks.items(), strict=True):
         so_far = track[track[:, 0] <= at_s]

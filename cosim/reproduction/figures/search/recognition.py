@@ -1,6 +1,6 @@
-"""Recognition of targets from 10 to 40 m: how many are found, how many of the answers are right, and what each stage adds.
+"""Recognition of targets from 10 to 40 m: recall, precision, and the contribution of each stage.
 
-On made-up ground, and in pictures that a camera of the platform takes over a town with the same target and likenesses.
+On synthetic ground, and in pictures of a platform camera over a town with the same target and likenesses.
 """
 
 import math
@@ -33,7 +33,7 @@ HEIGHTS = (10.0, 15.0, 20.0, 30.0, 40.0)  # m
 FRAMES = 60  # at each height
 PARTS = 3  # jobs for each height
 TOWNS = (1, 2, 3)  # seeds
-PHOTO = (8, 20)  # number of the picture of a town that is shown, and of how many
+PHOTO = (8, 20)  # number of the town picture that is shown, and their total
 STAGES = ("colour", "and rings", "and match")
 SHOWN = ((10.0, 1), (40.0, 2))  # heights and numbers of the pictures that are shown
 REFERENCE = (0.05, 0.44, 1.0)  # an independent implementation's precision with one, two and three stages

@@ -1,4 +1,4 @@
-"""Figures 46 and 47: what each stage of recognition sees, in made-up pictures of the ground (Toh 2012, 5.3)."""
+"""Figures 46 and 47: the stages of recognition in synthetic pictures of the ground (Toh 2012, 5.3)."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -19,19 +19,19 @@ T = TypeVar("T")
 HEIGHTS = (10.0, 20.0, 30.0, 40.0)  # m
 FRAMES = 25  # at each height
 SHOWN = (20.0, 4)  # height and number of the picture that is shown
-HUES = (1, 2, 3, 4)  # the most frequent ones that count
+HUES = (1, 2, 3, 4)  # number of most frequent hues that count
 PEAKS = 16  # at most
 RINGS, MATCH = 0.88, 0.75  # thresholds of the stages
 TURNS_DEG = tuple(range(0, 181, 5))
 SHIFTS_PX = tuple(range(8))  # of the patch, which has 48 a side
-# of an independent implementation: the least of targets in stages 2 and 3, the most of likenesses in 3, the mirrored in 2
+# of an independent implementation: minimum of targets in stages 2 and 3, maximum of likenesses in 3, the mirrored in 2
 TARGET_RINGS, TARGET_MATCH, ALIKE_MATCH, MIRRORED_RINGS = 0.97, 0.96, 0.65, 0.99
-UPRIGHT = {0: 0.985, 20: 0.52}  # degrees: correlation without turning back; below 0.75 beyond 10
+UPRIGHT = {0: 0.985, 20: 0.52}  # degrees: correlation without rotation; below 0.75 beyond 10
 COLORS = dict(zip(KINDS, (2, 1, 3, 4, 5, 6), strict=True))
 
 
 def fig_46(runner: Runner, frames: int = FRAMES) -> Figure:
-    """Where the target's colours are: by the most frequent one alone, and by up to four of them."""
+    """Figure 46: score maps of the target's colours, by the most frequent hue alone and by up to four hues."""
     ranks = np.concatenate(_by_height(runner, _ranks, frames))
     shares = ground.glyph().reshape(-1, 3)
     counted = np.unique(shares, axis=0, return_counts=True)[1] / len(shares)
@@ -49,7 +49,7 @@ def fig_46(runner: Runner, frames: int = FRAMES) -> Figure:
 
 
 def _ranks(height_m: float, numbers: Sequence[int]) -> Array:
-    """Rank of the target in the list of peaks, from 1, (pictures, numbers of hues); inf if it is not in it."""
+    """Rank of the target in the list of peaks, from 1, (pictures, numbers of hues); inf if absent."""
     ranks = np.full((len(numbers), len(HUES)), np.inf)
     for row, number in enumerate(numbers):
         frame = made_up(height_m, number)
@@ -78,7 +78,7 @@ def _maps() -> list[Panel]:
 
 
 def _enlarged(score: Array, shape: Sequence[int]) -> Array:
-    """A score map in the size of the picture: white 0, black all of the target's colours."""
+    """A score map at the size of the picture: white 0, black all of the target's colours."""
     rows, columns = ((np.arange(n) * m // n) for n, m in zip(shape, score.shape, strict=True))
     grey = 255 - score[np.ix_(rows, columns)]
     return np.repeat(grey[:, :, None], 3, axis=2)
@@ -100,14 +100,14 @@ def _hues(shares: Sequence[float]) -> Panel:
 
 
 class PlaceScores(NamedTuple):
-    """What the stages say of places in a picture."""
+    """Scores of the stages at positions in a picture."""
 
     scores: dict[str, inspection.Scores]  # by kind
     angle: float  # rad, of the target
 
 
 def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
-    """What turning changes and what it does not; scores of targets and of their likenesses; estimated angles."""
+    """Figure 47: effect of rotation on the stages; scores of targets and of their likenesses; estimated angles."""
     judgements = [one for each in _by_height(runner, _judged, frames) for one in each]
     moved = runner([*(partial(_alone, at) for at in TURNS_DEG), *(partial(_alone, 30.0, off) for off in SHIFTS_PX)])
     turned, shifted = moved[: len(TURNS_DEG)], moved[len(TURNS_DEG) :]
@@ -155,7 +155,7 @@ def _judged(height_m: float, numbers: Sequence[int]) -> list[PlaceScores]:
 
 
 def _alone(degrees: float, off_px: float = 0.0) -> inspection.Scores:
-    """Scores of a single target, 40 px a side, at an angle; the given place is so many px of the patch off."""
+    """Scores of a single target, 40 px a side, at an angle; ``off_px`` is the position error in px of the patch."""
     place = 319.5, 239.5
     frame = ground.frame(
         np.random.default_rng(5), 20.0, places=[place], angles=[math.radians(degrees)], distractors=False, light=1.0
@@ -170,7 +170,7 @@ def _likenesses() -> Panel:
     upper, lower = (np.hstack([part for each in pictures[i : i + 3] for part in (each, edge)]) for i in (0, 3))
     between = np.full((24, upper.shape[1], 3), 255, np.uint8)
     pixels = np.vstack([upper, between, lower])
-    first = box(63.5, 63.5, 132.0, 0.0, "", 0)  # a legend would hide one of them
+    first = box(63.5, 63.5, 132.0, 0.0, "", 0)  # a legend would hide a target
     return Panel(f"A target of {SIZE_M:g} m, framed, and its likenesses", "u [px]", "v [px]", [first], photo=Photo(pixels))
 
 

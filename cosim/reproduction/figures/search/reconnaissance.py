@@ -1,7 +1,7 @@
 """Figures 49 to 51: two quadrotors with cameras search a town for two targets, `recon-urban` with a longer duration.
 
-Bodies in Bullet, recognition in rendered pictures, maps over 802.11g with loss: the whole mission. Each seed has a town of
-its own. Both targets are found and tracked, each by one vehicle, without a contact.
+The complete mission: bodies in Bullet, recognition in rendered pictures, maps over 802.11g with loss. Each seed has its own
+town. Both targets are found and tracked, each by one vehicle, without a contact.
 """
 
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ SCENARIO = "recon-urban"
 NAMES = ("uav1", "uav2")
 SEEDS = (1, 2, 3)
 DURATION_S = 300.0  # after the first target the other vehicle searches the whole town
-BODY_M = 0.5  # two vehicles are further apart than that, and each from what stands there: it flies at their height, too
-SPEED, SEEN_M = 4.0, 24.0  # m/s; about how wide a strip a camera sees
-SLOW = 3.5  # times as long as it takes to fly over all of the town once: turns, what is in the way, what was hidden
-ON_IT_M, LAST_S = 1.0, 10.0  # largest distance of a tracker over the last seconds
+BODY_M = 0.5  # minimum distance between vehicles and of each from solids: some are as high as the flight
+SPEED, SEEN_M = 4.0, 24.0  # m/s; approximate width of the strip that a camera sees
+SLOW = 3.5  # times the time to fly over the whole town once: turns, obstacles, occlusions
+ON_IT_M, LAST_S = 1.0, 10.0  # maximum distance of a tracker over the last seconds
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class MissionRun:
     """Data of a run."""
 
     time_s: Array  # (m,)
-    place: Array  # (m, 2, 2) m, of the vehicles, from above
+    place: Array  # (m, 2, 2) m, of the vehicles, in the plane
     found_s: dict[str, float]  # by target; NaN: never
     tracked: int
     false_finds: int
@@ -44,7 +44,7 @@ class MissionRun:
 
 
 def scouted(result: Result) -> MissionRun:
-    """The data of a run."""
+    """Read the data of a run."""
     movement = motion(result.states)
     mission, safety = result.metrics["mission"], result.metrics["safety"]
     return MissionRun(
@@ -61,7 +61,7 @@ def scouted(result: Result) -> MissionRun:
 
 
 def fig_51(runner: Runner, seeds: tuple[int, ...] = SEEDS) -> Figure:
-    """Tracks through three towns, and how near the vehicles come to the targets."""
+    """Figure 51: tracks through three towns, and distances of the vehicles to the targets."""
     table = loader.table_of(loader.path_of(SCENARIO))
     runs: list[MissionRun] = runner([Job(table, scouted, {"duration_s": DURATION_S}, seed) for seed in seeds])
     rows: list[Row] = []
@@ -82,8 +82,8 @@ def fig_51(runner: Runner, seeds: tuple[int, ...] = SEEDS) -> Figure:
 
 
 def rows_of(case: str, mission: MissionRun, once_s: float, away: dict[str, Array]) -> list[Row]:
-    """What must come out of a run."""
-    last = float(np.max([*mission.found_s.values()]))  # NaN: one was not
+    """Rows with the requirements on a run."""
+    last = float(np.max([*mission.found_s.values()]))  # NaN: a target was not found
     late = mission.time_s >= mission.time_s[-1] - LAST_S
     rows = [
         absolute(f"{case}: targets found", len(away), sum(np.isfinite(list(mission.found_s.values()))), 0.0),

@@ -1,8 +1,8 @@
 """Detection rates in synthetic pictures of the ground with known targets and likenesses.
 
 The pictures: 640 x 480 px, focal length 400 px, textured ground, roads, three to seven roofs, half of them coloured, light from
-0.75 to 1.2, noise of 6 levels; one target of 2 m at any angle, and of its size a mirror image of it, one cut into 16 pieces,
-one of a single colour, one in other hues, and another picture in its colours.
+0.75 to 1.2, noise of 6 levels; one target of 2 m at any angle, and likenesses of equal size: a mirror image, one cut into 16
+pieces, one of a single colour, one in other hues, and another picture in the target's colours.
 """
 
 import math
@@ -19,23 +19,23 @@ from vcmvsp.cosim.assembly.parts.recognition import Detection, Detector, TargetP
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.reproduction.figures.figure import Curve
 
-NEAR = 0.25  # sides: a detection that is so near to a target's middle is right
+NEAR = 0.25  # in sides: maximum distance of a right detection from the target's centre
 SIZE_M = 2.0
 KINDS = ("target", "mirrored", "scrambled", "solid", "recoloured", "other")
 
 
 @dataclass
 class Tally:
-    """What a detector made of pictures."""
+    """Detection counts over pictures."""
 
-    targets: int = 0  # in them
+    targets: int = 0  # number of targets in the pictures
     found: int = 0
     false: int = 0
     angles: list[float] = field(default_factory=list)  # errors, rad
     places: list[float] = field(default_factory=list)  # errors, sides
 
     def add(self, detections: Sequence[Detection], truths: Sequence[ground.Truth], side_px: float) -> None:
-        """Count those of a picture; ``truths`` are all targets in it, each of which is found once."""
+        """Count the detections of a picture; ``truths`` are all targets in it, each of which counts as found once."""
         left = list(detections)
         for truth in truths:
             right = [one for one in left if one.target == truth.name and _apart(one, truth) < NEAR * side_px][:1]
@@ -48,7 +48,7 @@ class Tally:
 
     @property
     def precision(self) -> float:
-        """Share of the detections that are right; NaN: there are none."""
+        """Share of the detections that are right; NaN without detections."""
         return self.found / (self.found + self.false) if self.found + self.false else math.nan
 
     @property
@@ -58,7 +58,7 @@ class Tally:
 
 
 def together(tallies: Iterable[Tally]) -> Tally:
-    """Of all pictures."""
+    """Merge the tallies of several pictures."""
     total = Tally()
     for each in tallies:
         total.targets, total.found, total.false = (
@@ -72,17 +72,17 @@ def together(tallies: Iterable[Tally]) -> Tally:
 
 
 def target() -> TargetPicture:
-    """What is looked for in made-up pictures."""
+    """The target of the synthetic pictures."""
     return TargetPicture("glyph", ground.glyph(), SIZE_M)
 
 
 def made_up(height_m: float, number: int) -> ground.SyntheticFrame:
-    """A picture of the ground, always the same for these arguments: ``image``, ``seen``, ``likenesses``, ``side_px``."""
+    """A reproducible picture of the ground: ``image``, ``seen``, ``likenesses``, ``side_px``."""
     return ground.frame(np.random.default_rng([round(10 * height_m), number]), height_m)
 
 
 def tallied(height_m: float, numbers: Sequence[int]) -> tuple[Tally, Tally, Tally]:
-    """With the first stage alone, with two and with all three."""
+    """Tallies with the first stage alone, with two and with all three."""
     sample, tallies = target(), (Tally(), Tally(), Tally())
     detectors = [Detector([sample], stages=stages) for stages in (1, 2, 3)]
     for number in numbers:
@@ -94,7 +94,7 @@ def tallied(height_m: float, numbers: Sequence[int]) -> tuple[Tally, Tally, Tall
 
 
 def town(folder: Path, height_m: float, seed: int) -> dict[str, Any]:
-    """A town with a target and its likenesses in the streets, and a vehicle above; writes their pictures into a folder."""
+    """A scenario of a vehicle above a town with a target and likenesses; writes their pictures into a folder."""
     pictures = [ground.glyph(), *ground.likenesses(ground.glyph(), np.random.default_rng(seed))]
     for name, picture in zip(KINDS, pictures, strict=True):
         ground.save(picture, folder / f"{name}.png")
@@ -140,7 +140,7 @@ def town(folder: Path, height_m: float, seed: int) -> dict[str, Any]:
 
 
 def photographed(height_m: float, frames: int, seeds: Sequence[int]) -> Rates:
-    """Of pictures that a camera of the platform takes over towns, its vehicle tilted by up to 5 deg."""
+    """Detection rates in pictures of a platform camera over towns, with the vehicle tilted by up to 5 deg."""
     rates = Rates()
     with tempfile.TemporaryDirectory() as folder:
         for seed in seeds:
@@ -151,7 +151,7 @@ def photographed(height_m: float, frames: int, seeds: Sequence[int]) -> Rates:
 
 
 def box(u: float, v: float, side_px: float, angle: float, label: str, color: int) -> Curve:
-    """A square in a picture, turned counter-clockwise as one looks at it."""
+    """A square in a picture, rotated counter-clockwise in the view."""
     along, across = np.array([0.5, -0.5, -0.5, 0.5, 0.5]), np.array([0.5, 0.5, -0.5, -0.5, 0.5])
     c, s = math.cos(angle), math.sin(angle)
     x, y = side_px * (c * across - s * along), side_px * (s * across + c * along)  # y up
