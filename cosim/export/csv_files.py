@@ -1,10 +1,10 @@
-"""A recording as CSV files, for spreadsheets and whatever else reads nothing better; units stand in the headers.
+"""Exports a recording as CSV files; headers contain the units.
 
 ``states.csv`` has the true states, ``radio.csv`` the columns of ``radio.parquet``, a row per frame and receiver,
-``commands.csv`` what agents commanded, ``notes.csv`` what they noted; of real vehicles, ``real.csv`` has how they stood and why
-they were held back, ``incidents.csv`` what befell them. Each sensor that gives numbers has a file of its name,
-with the vehicles below one another. Times are those of the run, s; an empty cell is a number that there was not. Scans,
-pictures and maps are not exported: they are no rows.
+``commands.csv`` the commands of agents, ``notes.csv`` their notes; for real vehicles, ``real.csv`` has their status and the
+causes that limited them, ``incidents.csv`` their incidents. Each sensor with numeric readings has a file of its name, with
+all vehicles in it. Times are simulated, s; an empty cell is a missing value. Scans, pictures and maps are not exported: they
+do not fit into rows.
 """
 
 import csv
@@ -40,15 +40,15 @@ COLUMNS: Mapping[type[Tabular], Sequence[str]] = {
     Velocity: ("vx_m_s", "vy_m_s", "vz_m_s", "yaw_rate_rad_s"),
     Waypoint: ("to_x_m", "to_y_m", "to_z_m", "to_yaw_rad", "speed_m_s"),
 }
-"""The columns of each type of value; what comes by name, as notes do, has its names for columns."""
+"""Columns for each type of value; values with names, such as notes, use their names as columns."""
 FILES = {"state": "states", "command": "commands", "note": "notes", "estimate": "estimates", "incident": "incidents"}
-"""By topic, where the name is another than the topic's."""
+"""File names by topic, where they differ from the topic's."""
 RADIO, FRAMES = "radio", "radio/frame"
 OPTIONS = arrow_csv.WriteOptions(quoting_style="needed")
 
 
 def write_csv(source: Source, folder: Path) -> None:
-    """Write the files into ``folder``, which is there and empty."""
+    """Write the files into ``folder``, which exists and is empty."""
     headers, count, until = _headers(source)
     with ExitStack() as stack:
         writers = {}
@@ -56,7 +56,7 @@ def write_csv(source: Source, folder: Path) -> None:
             stream = stack.enter_context((folder / f"{name}.csv").open("w", encoding="utf-8", newline=""))
             writers[name] = csv.writer(stream)
             writers[name].writerow(("time_s", "vehicle", *header))
-        for said, value in islice(_read(source), count):  # of a run that goes on there may be more by now
+        for said, value in islice(_read(source), count):  # a current run may have grown since the first pass
             if (row := _row(value)) is not None:
                 vehicle, name = _place(said.topic)
                 writers[name].writerow((said.time_ns / SECOND_NS, vehicle, *(row.get(each) for each in headers[name])))
@@ -70,7 +70,7 @@ def _read(source: Source) -> Iterator[tuple[Recorded, Any]]:
 
 
 def _headers(source: Source) -> tuple[dict[str, list[str]], int, tuple[int, int]]:
-    """The columns of each file, those of all values that are to stand in it; how many messages, frames and ns there are."""
+    """The columns of each file, from all values to be written; numbers of messages and frames, and the last time, ns."""
     found: dict[str, dict[str, None]] = {}
     count = frames = end_ns = 0
     for said, value in _read(source):
@@ -89,7 +89,7 @@ def _place(topic: str) -> tuple[str, str]:
 
 
 def _row(value: object) -> Mapping[str, Any] | None:
-    """The cells of a row by their columns; None: of a kind that has none."""
+    """The cells of a row by column; None for types without a row."""
     names = getattr(value, "values", None)
     if isinstance(names, dict):
         return names
@@ -131,13 +131,13 @@ def _cells(value: Tabular) -> Sequence[object]:
 
 
 def _write_radio(source: Source, path: Path, count: int, end_ns: int) -> None:
-    """The run's own table; of a run that was killed before it had written that, what the recording has of it."""
+    """Write the run's radio table or, if it is missing, the frames in the recording."""
     own = source.folder / f"{RADIO}.parquet"
     try:
         _write_parts(parts_of_table(own), path)
     except FileNotFoundError:
         _write_recorded(source, path, count, end_ns, f"no {own.name} here")
-    except (OSError, ValueError):  # the run was killed while it wrote
+    except (OSError, ValueError):  # the run was killed during the write
         _write_recorded(source, path, count, end_ns, f"{own.name} cannot be read")
 
 

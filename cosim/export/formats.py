@@ -1,4 +1,4 @@
-"""A run's recording in the formats of others: `export`. Each output is there as a whole or not at all."""
+"""Exports a run's recording to other formats: `export`. Each output is written completely or not at all."""
 
 import contextlib
 import functools
@@ -11,9 +11,9 @@ from vcmvsp.cosim.util.files import replacing
 
 FOLDERS = ("rosbag2", "csv")
 NAMES = {"rosbag2": "rosbag2", "csv": "csv", "mp4": "run.mp4", "layout": "layout.json"}
-"""What the outputs are called unless somebody says otherwise."""
+"""Default names of the outputs."""
 Progress = Callable[[str, float], None]
-"""Takes what is being written, and how far that is, 0 to 1; the recording is read more than once, and it begins anew then."""
+"""Receives the current output and its progress, 0 to 1; restarts at 0 for each pass over the recording."""
 
 
 def export(
@@ -27,23 +27,23 @@ def export(
     tell: Callable[[str], None] = lambda _: None,
     progress: Progress = lambda *_: None,
 ) -> list[Path]:
-    """Write what is asked for; of a recording that was cut, what is there.
+    """Write the requested outputs; of a damaged recording, the readable part.
 
     Args:
         run_dir: the folder of a run.
         rosbag2: folder for a ROS 2 bag, see `cosim.export.rosbag`.
         csv: folder for tables, see `cosim.export.csv_files`.
-        mp4: file for a film from above.
-        layout: file for a layout of Foxglove and Lichtblick.
-        force: write over what is there; other files in a folder are left alone.
-        tell: takes a line for the user: that the recording is damaged, and how far it goes.
+        mp4: file for a video seen from above.
+        layout: file for a Foxglove and Lichtblick layout.
+        force: overwrite existing outputs; other files in a folder are kept.
+        tell: receives a line for the user if the recording is damaged: how far it is readable.
         progress: see `Progress`.
 
     Returns:
-        The files and folders, in this order.
+        The written files and folders, in this order.
 
     Raises:
-        UsageError: nothing is asked for, there is no recording, or an output cannot be written.
+        UsageError: no output is requested, there is no recording, or an output cannot be written.
     """
     wanted = {"rosbag2": rosbag2, "csv": csv, "mp4": mp4, "layout": layout}
     paths = {name: Path(path) for name, path in wanted.items() if path is not None}
@@ -64,7 +64,7 @@ def export(
 
 
 def _write(name: str, source: Source, place: Path, progress: Callable[[float], None]) -> None:
-    """Write one output; what that takes is loaded here, so that the others do without."""
+    """Write one output; its libraries are imported here, so that the other outputs do not need them."""
     match name:
         case "rosbag2":
             from vcmvsp.cosim.export.rosbag import write_bag
@@ -86,7 +86,7 @@ def _write(name: str, source: Source, place: Path, progress: Callable[[float], N
 
 
 def _check(name: str, path: Path, run_dir: Path, *, force: bool) -> None:
-    """Refuse what cannot be written, or is there already, before anything takes its time."""
+    """Reject an existing or unwritable output before any work starts."""
     is_folder = name in FOLDERS
     if name == "mp4" and path.suffix.lower() != ".mp4":
         raise UsageError(f"{path}: the name must end in .mp4")
@@ -110,7 +110,7 @@ def _check(name: str, path: Path, run_dir: Path, *, force: bool) -> None:
 
 @contextlib.contextmanager
 def _whole(path: Path) -> Iterator[Path]:
-    """As `replacing`, in a folder that need not be there yet."""
+    """Context like `replacing` that also creates the folder."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as place:

@@ -1,6 +1,6 @@
-"""A layout for Foxglove and Lichtblick that fits one recording: what moves, what is seen, how fast, how far off, how strong.
+"""Foxglove and Lichtblick layout for one recording: scene, pictures, speeds, errors, signal levels.
 
-It is made from the topics that the recording has, so that each panel shows something from the start.
+The layout is built from the topics of the recording, so that every panel shows data from the start.
 """
 
 import math
@@ -16,11 +16,11 @@ from vcmvsp.cosim.types import VehicleState
 from vcmvsp.cosim.util.files import to_json
 from vcmvsp.cosim.util.palette import color_of
 
-ERRORS = ("error_m", "z1", "z2")  # what followers note of how far they are from their places, m
-WORDS = ("commander", "mode", "status")  # what agents note of what they are doing; the first that there is counts
+ERRORS = ("error_m", "z1", "z2")  # names under which followers note their errors, m
+WORDS = ("commander", "mode", "status")  # names under which agents note their activity; the first that exists counts
 DRAWN = ("foxglove.SceneUpdate", "foxglove.LaserScan", "foxglove.PoseInFrame")
 PICTURES = ("foxglove.RawImage", "foxglove.CompressedImage")
-Panels = str | dict[str, Any]  # the name of a panel, or two parts and how they share the space
+Panels = str | dict[str, Any]  # name of a panel, or two parts and the division of the space
 MOST_CURVES, MOST_PICTURES = 24, 4
 LEAST_VIEW_M = 4.0
 
@@ -31,7 +31,7 @@ def write_layout(source: Source, path: Path) -> None:
 
 
 def layout_of(source: Source) -> dict[str, Any]:
-    """The layout: its panels, and how they lie beside and above one another."""
+    """The layout: its panels and their arrangement."""
     seen = _Seen(source)
     panels: dict[str, dict[str, Any]] = {"3D!scene": _scene(seen)}
     pictures = [topic for topic, schema in seen.topics.items() if schema in PICTURES][:MOST_PICTURES]
@@ -77,7 +77,7 @@ class _Seen:
         self.words = [(vehicle, name) for name in told for vehicle in self.vehicles if name in noted.get(vehicle, {})]
 
     def curves(self, paths: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
-        """Curves of vehicles: who, and the path of the number behind its name."""
+        """Curves of vehicles, given vehicle and path of the number after its name."""
         numbers = {name: number for number, name in enumerate(self.vehicles)}
         look = {"enabled": True, "timestampMethod": "receiveTime", "lineSize": 1.5, "showLine": True}
         named = [(vehicle, path, f"{vehicle} {path.rpartition('.')[2]}") for vehicle, path in paths[:MOST_CURVES]]
@@ -87,7 +87,7 @@ class _Seen:
         ]
 
     def of(self, schema: str) -> list[tuple[str, str]]:
-        """The topics with this schema: vehicle, and the rest of the name. Only one of each vehicle."""
+        """The topics with this schema, one per vehicle: vehicle, and the rest of the name."""
         found: dict[str, str] = {}
         for topic, each in self.topics.items():
             vehicle, _, what = topic.partition("/")
@@ -115,7 +115,7 @@ def _plots(seen: _Seen) -> dict[str, tuple[str, list[dict[str, Any]]]]:
 
 
 def _scene(seen: _Seen) -> dict[str, Any]:
-    """The three-dimensional panel, which looks at all ways from above and aside."""
+    """The 3D panel, with an oblique view of all tracks from above."""
     topics: dict[str, Any] = {topic: {"visible": True} for topic, schema in seen.topics.items() if schema in DRAWN}
     for topic, schema in seen.topics.items():
         if schema == "foxglove.LaserScan":
@@ -172,7 +172,7 @@ def _plot(title: str, curves: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _stacked(parts: Sequence[Panels], direction: str, first_percent: float | None = None) -> Panels:
-    """Panels, or what consists of panels, beside or above one another, each with its share."""
+    """Panels or groups of panels beside or above one another, each with its share."""
     if len(parts) == 1:
         return parts[0]
     share = 100.0 / len(parts) if first_percent is None else first_percent

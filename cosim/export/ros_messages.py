@@ -1,7 +1,7 @@
-"""Messages and scenes of a recording as ROS 2 messages (the definitions are those of Jazzy, which have not changed since Foxy).
+"""Conversion of recorded messages and scenes to ROS 2 messages (definitions of Jazzy, unchanged since Foxy).
 
-Frames and units are the same on both sides: ``world`` is east, north, up, a vehicle's own frame forward, left, up; SI units,
-radians. Time is that of the run, which begins at 0. The functions are quick to call and hold no state.
+Frames and units are the same in both: ``world`` is east, north, up, a vehicle's own frame forward, left, up; SI units, radians.
+Time is simulated, from 0. The functions are fast and stateless.
 """
 
 import math
@@ -20,23 +20,23 @@ from vcmvsp.cosim.types import Imu, Odometry, Vec3, VehicleState, Velocity, Wayp
 
 WORLD = "world"
 LOG_LEVELS = {1: 10, 2: 20, 3: 30, 4: 40, 5: 50}  # foxglove.LogLevel -> rcl_interfaces/Log
-ANY_HEADING = math.pi**2 / 3.0  # rad2, variance of one that may be any: ROS would take 0 for certainty
-UNKNOWN = -1.0  # first element of a covariance: this part of the message says nothing
+ANY_HEADING = math.pi**2 / 3.0  # rad2, variance of an unknown heading: ROS would take 0 for certainty
+UNKNOWN = -1.0  # first element of a covariance: no data in this part of the message
 ARROW, CUBE, CYLINDER, LINE_STRIP, LINE_LIST, TEXT, TRIANGLES = 0, 1, 3, 4, 5, 9, 11  # visualization_msgs/Marker
-DELETE_ALL = 3  # an action
-LINE_M = 0.03  # width of lines that have no width in metres
-TEXT_M = 0.3  # height of letters, likewise
+DELETE_ALL = 3  # a marker action
+LINE_M = 0.03  # width of lines without a width in metres
+TEXT_M = 0.3  # height of letters without a height in metres
 
 
 class RosMessage(Protocol):
-    """A message; rosbags makes the classes at run time, from their definitions."""
+    """A ROS message; rosbags creates the classes at run time, from their definitions."""
 
     __msgtype__: ClassVar[str]
 
 
 @cache
 def store() -> Typestore:
-    """The definitions of the messages."""
+    """The message definitions."""
     return get_typestore(Stores.ROS2_JAZZY)  # 0.1 s
 
 
@@ -48,17 +48,17 @@ def _kind(name: str) -> Callable[..., RosMessage]:
 
 
 def make(name: str, /, *fields: object, **more: object) -> RosMessage:
-    """A message: ``package/Name``, and its fields in the order of the definition, or by name."""
+    """Create a message: ``package/Name``, with its fields in the order of the definition, or by name."""
     return _kind(name)(*fields, **more)
 
 
 def stamp(time_ns: int) -> RosMessage:
-    """A time."""
+    """builtin_interfaces/Time."""
     return make("builtin_interfaces/Time", *divmod(time_ns, 1_000_000_000))
 
 
 def header(time_ns: int, frame: str) -> RosMessage:
-    """Time and frame."""
+    """std_msgs/Header: time and frame."""
     return make("std_msgs/Header", stamp(time_ns), frame)
 
 
@@ -73,37 +73,37 @@ def transforms(said: messages.FrameTransforms, time_ns: int) -> RosMessage:
 
 
 def state(said: VehicleState, vehicle: str, time_ns: int) -> RosMessage:
-    """nav_msgs/Odometry: the pose in the world; velocities in the vehicle's frame, as ROS wants them."""
+    """nav_msgs/Odometry: pose in the world; velocities in the vehicle's frame, as ROS requires."""
     linear = _into_body(said.attitude, said.velocity)
     return _odometry(time_ns, vehicle, said.position, said.attitude, linear, said.angular_velocity)
 
 
 def odometry(said: Odometry, vehicle: str, time_ns: int) -> RosMessage:
-    """nav_msgs/Odometry: what the wheels say."""
+    """nav_msgs/Odometry: wheel odometry."""
     x, y, yaw = said.pose
     turn = quaternion_from_yaw(yaw)
     return _odometry(time_ns, vehicle, (x, y, 0.0), turn, (said.v, 0.0, 0.0), (0.0, 0.0, said.w))
 
 
 def path(places: Sequence[tuple[int, VehicleState]]) -> RosMessage:
-    """nav_msgs/Path: the whole way of a vehicle."""
+    """nav_msgs/Path: the complete track of a vehicle."""
     poses = [_posed(time_ns, each.position, each.attitude) for time_ns, each in places]
     return make("nav_msgs/Path", header(0, WORLD), poses)
 
 
 def velocity(said: Velocity, vehicle: str, time_ns: int) -> RosMessage:
-    """geometry_msgs/TwistStamped: a command; along whose axes, `cosim.export.rosbag` says."""
+    """geometry_msgs/TwistStamped: a command; for its axes see `cosim.export.rosbag`."""
     twist = make("geometry_msgs/Twist", vector(*said.linear), vector(0.0, 0.0, said.yaw_rate))
     return make("geometry_msgs/TwistStamped", header(time_ns, vehicle), twist)
 
 
 def waypoint(said: Waypoint, time_ns: int) -> RosMessage:
-    """geometry_msgs/PoseStamped: where a vehicle is sent; a heading that it may choose is 0."""
+    """geometry_msgs/PoseStamped: a way-point; a free heading is 0."""
     return _posed(time_ns, said.position, quaternion_from_yaw(said.yaw or 0.0))
 
 
 def fix(said: messages.PoseInFrame) -> RosMessage:
-    """geometry_msgs/PoseWithCovarianceStamped, at the time at which it was measured; a heading that was not told may be any."""
+    """geometry_msgs/PoseWithCovarianceStamped, at the time of measurement; variance of an unmeasured heading: `ANY_HEADING`."""
     covariance = np.zeros(36)
     covariance[[0, 7, 14]], covariance[35] = said.sigma_m**2, ANY_HEADING if said.yaw is None else said.sigma_rad**2
     there = make("geometry_msgs/PoseWithCovariance", _pose_of(said.pose), covariance)
@@ -111,7 +111,7 @@ def fix(said: messages.PoseInFrame) -> RosMessage:
 
 
 def imu(said: Imu, vehicle: str, time_ns: int) -> RosMessage:
-    """sensor_msgs/Imu without an orientation, which it says, at the time at which it was measured, where it says that."""
+    """sensor_msgs/Imu, marked as without orientation, at the time of measurement if known."""
     unknown = np.array([UNKNOWN, *[0.0] * 8])
     turning, force = (vector(*said.angular_velocity), np.zeros(9)), (vector(*said.acceleration), np.zeros(9))
     head = header(said.time_ns or time_ns, vehicle)
@@ -119,7 +119,7 @@ def imu(said: Imu, vehicle: str, time_ns: int) -> RosMessage:
 
 
 def scan(said: messages.LaserScan) -> RosMessage:
-    """sensor_msgs/LaserScan, at the time at which it was measured; a beam without return is infinite (REP 117)."""
+    """sensor_msgs/LaserScan, at the time of measurement; a beam without return is infinite (REP 117)."""
     ranges = np.array([math.inf if each is None else each for each in said.ranges], np.float32)
     finite = ranges[np.isfinite(ranges)]
     return make(
@@ -138,25 +138,25 @@ def scan(said: messages.LaserScan) -> RosMessage:
 
 
 def image(said: messages.RawImage, frame: str) -> RosMessage:
-    """sensor_msgs/Image, at the time at which it was taken."""
+    """sensor_msgs/Image, at the time of exposure."""
     look = {"encoding": said.encoding, "is_bigendian": 0, "step": said.step, "data": np.frombuffer(said.data, np.uint8)}
     return make("sensor_msgs/Image", header(said.timestamp.ns, frame), said.height, said.width, **look)
 
 
 def compressed_image(said: CompressedImage, frame: str) -> RosMessage:
-    """sensor_msgs/CompressedImage, likewise."""
+    """sensor_msgs/CompressedImage, at the time of exposure."""
     return _jpeg(header(said.timestamp.ns, frame), said.format, said.data)
 
 
 def camera_info(said: messages.CameraCalibration, time_ns: int, frame: str) -> RosMessage:
-    """sensor_msgs/CameraInfo of a sensor_msgs/Image, with time and frame of its header."""
+    """sensor_msgs/CameraInfo for a sensor_msgs/Image, with the same time and frame."""
     whole = make("sensor_msgs/RegionOfInterest", 0, 0, 0, 0, False)
     lens = said.distortion_model, *map(np.array, (said.D, said.K, said.R, said.P))
     return make("sensor_msgs/CameraInfo", header(time_ns, frame), said.height, said.width, *lens, 0, 0, whole)
 
 
 def grid(said: Grid, time_ns: int) -> RosMessage:
-    """nav_msgs/OccupancyGrid of a map's probabilities, in percent; cells that the vehicle has not seen itself count, too."""
+    """nav_msgs/OccupancyGrid of a map's probabilities, in percent; includes cells that the vehicle has not seen itself."""
     cells = said.cells[..., 0]
     rows, columns = cells.shape
     corner = pose(_xyz(said.pose.position), (1.0, 0.0, 0.0, 0.0))
@@ -223,7 +223,7 @@ def _odometry(time_ns: int, vehicle: str, position: Vec3, attitude: Sequence[flo
 
 
 def _into_body(attitude: Quaternion, vector: Vec3) -> Vec3:
-    """A vector of the world in the frame of a body."""
+    """Rotate a vector from the world into the frame of a body."""
     w, x, y, z = attitude
     _, *turned = product(product((w, -x, -y, -z), (0.0, *vector)), attitude)
     return turned[0], turned[1], turned[2]
@@ -234,7 +234,7 @@ def _jpeg(head: RosMessage, name: str, data: bytes) -> RosMessage:
 
 
 def markers(said: messages.SceneUpdate, time_ns: int) -> RosMessage:
-    """visualization_msgs/MarkerArray: a marker for each primitive; first, one that deletes those of the scene before."""
+    """visualization_msgs/MarkerArray: a marker for each primitive, after one that deletes the markers of the previous scene."""
     nothing = _drawn(ARROW, messages.Pose(), (0.0, 0.0, 0.0), messages.Color(0.0, 0.0, 0.0, 0.0))
     listed: list[RosMessage] = [_marker(header(time_ns, WORLD), "", 0, action=DELETE_ALL, **nothing) for _ in said.deletions]
     for entity in said.entities:

@@ -1,4 +1,4 @@
-"""A recording as a ROS 2 bag (rosbag2, MCAP storage), for RViz, PlotJuggler, Foxglove and one's own nodes.
+"""Exports a recording as a ROS 2 bag (rosbag2, MCAP storage), for RViz, PlotJuggler, Foxglove and user nodes.
 
 =============================  ================================  ====================================================
 topic of the recording         topic of the bag                  type
@@ -19,10 +19,10 @@ mosaics                        none
 all others, ``radio/frame``    the same                          std_msgs/String: the JSON of the recording
 =============================  ================================  ====================================================
 
-Names of topics are those of the recording with ``_`` for what ROS does not allow. The recording does not say how a camera is
-mounted: frames of pictures, ``<vehicle>/<sensor>``, are not in ``/tf``. Nor does it say what flies: the header of a commanded
-velocity names the vehicle's frame, though of one that flies its axes are those of the world. Messages are stamped with when
-they were measured, and stand in the bag at when they arrived.
+Topic names are those of the recording, with ``_`` for characters that ROS does not allow. The recording does not contain the
+mounting of cameras: frames of pictures, ``<vehicle>/<sensor>``, are not in ``/tf``. It does not mark flying vehicles: the
+header of a commanded velocity names the vehicle's frame, although the axes of a flying vehicle's command are the world's.
+Messages carry their time of measurement, and their log time in the bag is the time of arrival.
 """
 
 import re
@@ -42,7 +42,7 @@ from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.recording.run_mcap import CALIBRATION
 from vcmvsp.cosim.types import Imu, Odometry, VehicleState, Velocity, Waypoint
 
-LATCHED = ("world/solids", "world/scene")  # whoever comes later gets the newest one
+LATCHED = ("world/solids", "world/scene")  # latched: late subscribers receive the newest message
 _FOREVER = QosTime(2147483647, 4294967295)
 
 
@@ -72,11 +72,11 @@ class Bag:
         }
 
     def path(self, vehicle: str, places: list[tuple[int, VehicleState]]) -> None:
-        """Put the whole way of a vehicle at the beginning."""
+        """Write the complete track of a vehicle at the beginning."""
         self._write(f"{vehicle}/state/path", ros.path(places), 0, latched=True)
 
     def take(self, said: Recorded) -> None:
-        """Put a message."""
+        """Convert and write a message."""
         value = self._values.of(said)
         taker = self._takers.get(type(value))
         if taker is None:
@@ -123,7 +123,7 @@ def write_bag(source: Source, folder: Path) -> None:
     """Write a bag into ``folder``, which must not exist.
 
     Raises:
-        UsageError: two names become the same in ROS.
+        UsageError: two topics would have the same name in ROS.
     """
     values = Values()
     ways: dict[str, list[tuple[int, VehicleState]]] = {name: [] for name in source.vehicles}
@@ -142,7 +142,7 @@ def write_bag(source: Source, folder: Path) -> None:
 
 
 def ros_name(topic: str) -> str:
-    """A topic's name in ROS: letters, digits and ``_``, no digit first."""
+    """Valid ROS name for a topic: letters, digits and ``_``, no digit first."""
     parts = (re.sub(r"\W", "_", part, flags=re.ASCII) for part in topic.strip("/").split("/"))
     return "".join(f"/_{part}" if part[:1].isdigit() else f"/{part}" for part in parts)
 

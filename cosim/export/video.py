@@ -1,7 +1,7 @@
-"""A run as a film: the world from above with vehicles, their trails, and the links on which frames were lost.
+"""Video of a run: the world from above with vehicles, their trails, and the links with lost frames.
 
-It is drawn from the recording alone. Short runs take as long as they took; of long ones there are `MOST_FRAMES` pictures, and
-the film says how much quicker it is.
+The recording is the only input. Short runs play in real time; long ones have `MOST_FRAMES` frames, and the video shows the
+speed-up.
 """
 
 import math
@@ -24,15 +24,15 @@ from vcmvsp.cosim.util.pictures import write_film
 FPS = 20
 MOST_FRAMES = 1800
 LONGER_PX, MARGIN_PX, CAPTION_PX = 960, 40, 28
-LEAST_M = 2.0  # of the world along each side
+LEAST_M = 2.0  # least extent of the world along each side
 TRAIL_NS = 20 * SECOND_NS
-LOST_NS = SECOND_NS // 2  # for so long a lost frame is shown
-MOST_LINKS = 150  # at a time; of more the newest
-NAMED = 30  # vehicles at most that have their names beside them
-SHOWN = ("radio/frame", "world/moving", "world/solids")  # topics, beside the states
-PAPER, DARK, FAINT = (245, 245, 245), (45, 45, 45), (200, 200, 200)  # blue, green, red, as OpenCV has it
+LOST_NS = SECOND_NS // 2  # display time of a lost frame
+MOST_LINKS = 150  # links displayed at once, the newest ones
+NAMED = 30  # vehicles with names beside them, at most
+SHOWN = ("radio/frame", "world/moving", "world/solids")  # topics, besides the states
+PAPER, DARK, FAINT = (245, 245, 245), (45, 45, 45), (200, 200, 200)  # blue, green, red (OpenCV order)
 LOST = (31, 18, 193)
-PALE = 0.5  # how far the world's colours are on the way to the paper's: what moves is to stand out
+PALE = 0.5  # blend of the world's colours with the paper's, so that movement stands out
 FONT = 0  # cv2.FONT_HERSHEY_SIMPLEX
 
 
@@ -40,7 +40,7 @@ def write_video(source: Source, path: Path, progress: Callable[[float], None]) -
     """Write an MP4 file (`cosim.util.pictures`).
 
     Raises:
-        UsageError: the recording shows no vehicle.
+        UsageError: the recording contains no vehicle.
         OSError: the file cannot be written.
     """
     film = _Film(source)
@@ -57,7 +57,7 @@ class _Film:
     def __init__(self, source: Source) -> None:
         self._vehicles = source.vehicles
         self._ways: dict[str, list[tuple[int, tuple[float, float, float]]]] = {}  # ns; x, y m, yaw rad
-        self._lost: list[tuple[int, str, str]] = []  # when, sender, receiver
+        self._lost: list[tuple[int, str, str]] = []  # time, sender, receiver
         self._obstacles: list[tuple[int, FrameTransforms]] = []
         self._outlines: dict[str, Array] = {}  # of obstacles in their own frames, (k, 2) m
         self._corners: Array = np.empty((0, 3, 3))  # of triangles, (t, 3, 3) m
@@ -73,7 +73,7 @@ class _Film:
         self._base = self._ground()
 
     def frames(self) -> Iterator[Array]:
-        """The pictures, one after another: (height, width, 3) uint8, blue, green, red."""
+        """The video frames, (height, width, 3) uint8, blue, green, red."""
         for number in range(self.count):
             yield self._at(number * self.step_ns)
 
@@ -99,7 +99,7 @@ class _Film:
                 self._lost.append((report.sent_ns, report.sender, receiver))
 
     def _take_solids(self, scene: SceneUpdate) -> None:
-        """What stands still, the lowest first, so that what is above is drawn later; and the outlines of obstacles."""
+        """Store the static triangles sorted by height, so that higher ones are drawn later, and the outlines of obstacles."""
         self._outlines = {entity.frame_id: _outline(entity) for entity in scene.entities if entity.cubes or entity.cylinders}
         parts = [part for entity in scene.entities for part in entity.triangles]
         if parts:
@@ -108,7 +108,7 @@ class _Film:
             self._corners, self._colors = corners[order], colors[order]
 
     def _lay_out(self) -> None:
-        """The scale of the pictures, in which all ways and the world have room."""
+        """Choose the scale of the pictures so that all tracks and the world fit."""
         room = max((float(np.hypot(*outline.T).max()) for outline in self._outlines.values()), default=0.0)
         there = [(each.translation.x, each.translation.y) for _, said in self._obstacles for each in said.transforms]
         met = [(x + side * room, y + side * room) for x, y in there for side in (-1.0, 1.0)]
@@ -119,11 +119,11 @@ class _Film:
         middle, extent = 0.5 * (low + high), np.maximum(high - low, LEAST_M)
         self._scale = (LONGER_PX - 2 * MARGIN_PX) / float(extent.max())  # px/m
         width, height = (extent * self._scale + 2 * MARGIN_PX).tolist()
-        self._width, self._height = 2 * round(0.5 * width), 2 * round(0.5 * height) + CAPTION_PX  # even, as films want it
+        self._width, self._height = 2 * round(0.5 * width), 2 * round(0.5 * height) + CAPTION_PX  # even, for video codecs
         self._middle = middle
 
     def _px(self, places: Array) -> Array:
-        """Where places (..., 2) m lie in the picture, px."""
+        """Convert positions (..., 2) m to picture coordinates, px."""
         along = (places - self._middle) * self._scale * (1.0, -1.0)  # rows count downwards
         along += (0.5 * self._width, 0.5 * (self._height + CAPTION_PX))
         rounded: Array = np.nan_to_num(along, nan=-1e4).clip(-1e4, 1e4).round().astype(np.int32)
@@ -161,7 +161,7 @@ class _Film:
         return picture
 
     def _lost_at(self, now_ns: int) -> dict[tuple[str, str], float]:
-        """The links on which a frame was lost a moment ago, the newest last, and how fresh that is, 0 to 1."""
+        """The links with a recently lost frame, the newest last, and its freshness, 0 to 1."""
         span_ns, found = max(LOST_NS, self.step_ns), dict[tuple[str, str], float]()
         for number in range(bisect_right(self._lost, now_ns, key=lambda each: each[0]) - 1, -1, -1):
             sent_ns, sender, receiver = self._lost[number]
@@ -213,7 +213,7 @@ class _Film:
 
 
 def _outline(entity: SceneEntity) -> Array:
-    """A box or a cylinder from above, (k, 2) m."""
+    """Outline of a box or a cylinder from above, (k, 2) m."""
     if entity.cubes:
         size = entity.cubes[0].size
         return 0.5 * np.array([(size.x, size.y), (-size.x, size.y), (-size.x, -size.y), (size.x, -size.y)])
@@ -233,7 +233,7 @@ def _colors(part: TriangleListPrimitive) -> Array:
 
 
 def _round(length: float) -> float:
-    """The next smaller of 1, 2, 5, 10, ..."""
+    """The largest of 1, 2, 5, 10, ... that does not exceed a length."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(max(step for step in (1, 2, 5) if step * power <= length) * power)
 

@@ -1,4 +1,4 @@
-"""The vehicles of a run as lines of text, with the newest values only: what stands below the bar while the run goes on."""
+"""Table of vehicles with their newest values, shown below the progress bar during a run."""
 
 import math
 from collections import Counter
@@ -16,9 +16,9 @@ from vcmvsp.cosim.tables.schema import Placement
 from vcmvsp.cosim.types import States
 from vcmvsp.cosim.util.text import plain
 
-MOST = 20  # vehicles that are shown
+MOST = 20  # vehicles shown
 CELL = 24  # characters
-FLIES_M = 0.5  # from this height on heights are shown
+FLIES_M = 0.5  # heights are shown from this height on
 GAP = "  "
 STATES = {"lost": "lost", "removed": "gone", "back": ""}  # of agents
 
@@ -29,7 +29,7 @@ class _Vehicle:
     state: str
     halted: bool
     heard_ns: int | None
-    sent: int  # frames that it could have heard
+    sent: int  # frames that it could have received
     received: int
     position: Sequence[float] = ()
     speed: float = math.nan
@@ -37,7 +37,7 @@ class _Vehicle:
 
 
 class TableLine(NamedTuple):
-    """A line, and what it is: ``head``, ``bad``, ``halted``, ``more`` or nothing of these."""
+    """A line of the table and its style: ``head``, ``bad``, ``halted``, ``more`` or none."""
 
     text: str
     kind: str = ""
@@ -45,27 +45,27 @@ class TableLine(NamedTuple):
 
 class _Column(NamedTuple):
     title: str
-    importance: int  # where there is no room, the columns of the least go first
+    importance: int  # columns of low importance are dropped first if space is short
     cell: Callable[[_Vehicle, int], str]
     left: bool = False
 
 
 class LiveTable:
-    """Keeps the newest of each vehicle.
+    """Keeps the newest values of each vehicle and formats them as a table.
 
     Args:
-        agents: the kind of agent of each vehicle, where it is known: shown until the agent notes who commands.
+        agents: the kind of agent of each vehicle, if known: shown until the agent notes a commander.
     """
 
     def __init__(self, agents: Mapping[str, str]) -> None:
         self._agents = agents
         self._run = RunState()
-        self.on = self._run.on  # takes an event
+        self.on = self._run.on  # updates from an event
         self._flies = False
-        self._widths: dict[str, int] = {}  # the largest so far: columns that move about are hard to read
+        self._widths: dict[str, int] = {}  # the largest so far: columns that move are hard to read
 
     def lines(self, now_ns: int, width: int, height: int) -> list[TableLine]:
-        """The table, at most so many characters wide and lines high; of too many vehicles those that are worst off."""
+        """The table, within ``width`` characters and ``height`` lines; of too many vehicles, the ones in the worst state."""
         every, most = self._vehicles(), max(1, min(MOST, height - 2))
         names = list(every)
         if not names or width < 1 or height < 3:
@@ -85,7 +85,7 @@ class LiveTable:
         return [*table, TableLine(f"... and {rest} more"[:width], "more")] if rest else table
 
     def _vehicles(self) -> dict[str, _Vehicle]:
-        """All vehicles that were heard of, in the order of the run."""
+        """All known vehicles, in the order of the run."""
         run, sent, received = self._run, Counter[str](), Counter[str]()
         for (_, receivers), tally in run.tallies.items():
             frames, *arrived = tally.tolist()
@@ -132,7 +132,7 @@ class LiveTable:
         )
 
     def _fitting(self, rows: Mapping[str, Sequence[str]], width: int) -> list[tuple[str, bool]]:
-        """Titles of the columns that have anything to say and for which there is room, and whether they begin at the left."""
+        """Titles of the columns that contain values and fit, and whether they are left-aligned."""
         for title, cells in rows.items():
             widest = max(map(len, cells))
             if widest:
@@ -145,7 +145,7 @@ class LiveTable:
 
 
 def _rank(vehicle: _Vehicle, now_ns: int) -> tuple[Any, ...]:
-    """The worst first: lost, then halted, then who has heard nothing for most seconds, then who loses most."""
+    """Sort key, worst first: lost, then halted, then longest without a reception, then highest loss."""
     silent_s = (now_ns - (vehicle.heard_ns or 0)) // SECOND_NS
     return not vehicle.state, not vehicle.halted, -silent_s, vehicle.received / vehicle.sent if vehicle.sent else 1.0
 

@@ -1,4 +1,4 @@
-"""Progress of runs and studies, a bar on a terminal or a line every few seconds in a log, and the summary of a finished run."""
+"""Progress display of runs and studies (a bar on a terminal, periodic lines in a log), and the summary of a finished run."""
 
 import contextlib
 import os
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
 
 LOG_EVERY_S = 5.0
 DRAW_EVERY_S = 0.25
-SHARE = 100.0  # drawing takes at most one part in so many of the time
+SHARE = 100.0  # drawing takes at most 1 / SHARE of the time
 MIN_BAR = 8  # columns
 STYLES = {"head": "bold", "bad": "red", "halted": "yellow", "more": "dim"}
 
 
 class StatusDisplay:
-    """Something that takes its time, on stderr; drawing is rare.
+    """Progress display of a long task on stderr, drawn rarely.
 
     Args:
         quiet: show nothing.
     """
 
-    _bar: "RichProgress"  # once there is a screen
+    _bar: "RichProgress"  # created with the screen
 
     def __init__(self, *, quiet: bool) -> None:
         self._quiet = quiet
         self._screen: Live | None = None
-        # One that can go back and draw anew; all others are written to like a log file.
+        # A terminal with cursor control can be redrawn; all other outputs are written like a log file.
         self._terminal = not quiet and sys.stderr.isatty() and os.environ.get("TERM", "") not in ("", "dumb", "unknown")
         self._every_s = DRAW_EVERY_S if self._terminal else LOG_EVERY_S
         self._last = time.monotonic()
@@ -51,7 +51,7 @@ class StatusDisplay:
                 self._screen.stop()
 
     def tell(self, text: str) -> None:
-        """Show a line."""
+        """Show a line of text."""
         if not self._quiet:
             sys.stderr.write(f"{text}\n")
             sys.stderr.flush()
@@ -69,7 +69,7 @@ class StatusDisplay:
             begin = time.monotonic()
             self._draw_on(screen, completed, total, words)
             self._every_s = min(max(DRAW_EVERY_S, SHARE * (time.monotonic() - begin)), LOG_EVERY_S)
-        except OSError:  # the terminal has gone; what it shows is no part of the work
+        except OSError:  # the terminal was closed; the task continues without it
             self._quiet = True
 
     def _draw_on(self, screen: "Live", completed: float, total: float, words: str) -> None:
@@ -84,7 +84,7 @@ class StatusDisplay:
         screen.update(Group(self._bar.get_renderable(), *below), refresh=True)
 
     def _below(self, width: int, height: int) -> "Sequence[TableLine]":
-        """What stands below the bar, at most so wide and so high."""
+        """Lines below the bar, at most ``width`` by ``height`` characters."""
         return ()
 
     def _open_screen(self) -> "Live":
@@ -102,17 +102,17 @@ class StatusDisplay:
 
 
 class Progress(StatusDisplay):
-    """How far a run is, and on a terminal how its vehicles fare. The clock is looked at once an instant."""
+    """Progress of a run and, on a terminal, a table of its vehicles. Reads the wall clock once an instant."""
 
     _table: "LiveTable | None" = None
     _begin: float | None = None
     _now_ns = 0
 
     def observer(self, kinds: Callable[[], Mapping[str, str]]) -> "Callable[[Event], None] | None":
-        """What has to see the run's events, so that its vehicles can be shown; None where they are not.
+        """Observer of the run's events for the vehicle table; None if it is not shown.
 
         Args:
-            kinds: says the kind of agent of each vehicle.
+            kinds: returns the kind of agent of each vehicle.
         """
         if not self._terminal:
             return None
@@ -122,10 +122,10 @@ class Progress(StatusDisplay):
         return self._table.on
 
     def on_instant(self, now_ns: int, end_ns: int) -> None:
-        """Note how far the run is."""
+        """Update the progress of the run."""
         if self._begin is None:
             self._begin = time.monotonic()
-        over = now_ns >= end_ns and self._screen is not None  # then the files are written, which takes its time, too
+        over = now_ns >= end_ns and self._screen is not None  # the files are written then, which also takes time
         if not self._is_due() and not over:
             return
         self._now_ns = now_ns
@@ -143,37 +143,37 @@ class Progress(StatusDisplay):
 
 
 class StudyProgress(StatusDisplay):
-    """How far a study is, and within which bounds its first metric lies so far.
+    """Progress of a study, with the current bounds of its first metric.
 
     Args:
         quiet: show nothing.
-        what: it consists of.
+        what: name of the units that are counted.
     """
 
     def __init__(self, *, quiet: bool, what: str = "runs") -> None:
         super().__init__(quiet=quiet)
         self._what = what
 
-    _first: int | None = None  # how many runs were done before
+    _first: int | None = None  # number of runs done before this one started
     _begin = 0.0
     _bounds: tuple[str, float, float] | None = None  # of the first metric
 
     def on_check(self, done: int, total: int) -> None:
-        """Note how many points are checked before the first run."""
+        """Update the number of points checked before the first run."""
         self._show(f"checking: {done} of {total} points", done, total)
 
     def on_value(self, name: str, value: float) -> None:
-        """Note the value of a metric in a run."""
+        """Record the value of a metric in a run."""
         _, least, most = self._bounds or (name, value, value)
         self._bounds = name, min(least, value), max(most, value)
 
     def on_run(self, done: int, failed: int, total: int) -> None:
-        """Note how many runs are done; the first call, with those that were done before, starts the clock."""
+        """Update the number of finished runs; the first call, with the runs finished earlier, starts the clock."""
         now = time.monotonic()
         if self._first is None or done <= self._first:
             self._begin, self._first = now, done
         words = f"{done} of {total} {self._what} done" + (f", {failed} failed" if failed else "")
-        if done > self._first:  # time left: as long for each as for those that are done
+        if done > self._first:  # estimate of the time left: as long per run as so far
             words += f", {clock((now - self._begin) / (done - self._first) * (total - done))} left"
         if self._bounds is not None:
             name, least, most = self._bounds
@@ -190,7 +190,7 @@ def _times(speed: float) -> str:
 
 
 def clock(seconds: float) -> str:
-    """A duration as one reads it: ``40 s``, ``3 min 20 s``, ``2 h 5 min``."""
+    """A duration as text: ``40 s``, ``3 min 20 s``, ``2 h 5 min``."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
@@ -200,7 +200,7 @@ def clock(seconds: float) -> str:
 
 
 def summary(result: "Result") -> str:
-    """A finished run in a few lines, what they are about in a column of its own."""
+    """Summary of a finished run as a few lines, with titles in a column of their own."""
     metrics, about = result.metrics, result.about
     places = ", ".join(sorted(set(about["agents"].values())))
     agents = f"{len(about['agents'])} agents" + (f" ({places})" if places else "")
@@ -226,7 +226,7 @@ def summary(result: "Result") -> str:
 
 
 def lateness(late: Mapping[str, Any]) -> str:
-    """How late a run was on the wall clock."""
+    """Text on the lateness of a run relative to the wall clock."""
     words = (
         f"{1000 * late['p50_s']:.2f} ms median, {1000 * late['max_s']:.2f} ms at most, "
         f"{late['over_one_period']} of {late['instants']} ticks late by more than a period"
@@ -271,7 +271,7 @@ def _of_formation(formation: Mapping[str, Any]) -> str:
     if formation["rms_m"] is None:
         return ""
     settled = "not settled" if formation["settling_s"] is None else f"settled after {formation['settling_s']:.1f} s"
-    chain = formation["hop_gain"] is not None  # errors of links add up
+    chain = formation["hop_gain"] is not None  # the errors of links add up
     shape = f", shape {formation['shape']['rms_m']:.4f} m" if chain else ""
     return f"error {formation['rms_m']:.4f} m RMS, {formation['max_m']:.4f} m at most{shape}, {settled}"
 

@@ -1,7 +1,7 @@
 """Messages between a run, or a recording, and the control station.
 
-`Scenery` is sent once and holds what does not change; `PageUpdate` follows at most thirty times a second; `Order` is the answer
-of the station with the user's input. A recording uses the same three messages.
+`Scenery` is sent once and holds constant data; `PageUpdate` follows at most thirty times a second; `Order` carries user input
+from the station. A recording uses the same three messages.
 """
 
 from collections.abc import Mapping
@@ -30,50 +30,50 @@ Pose = tuple[float, float, float, float]
 
 
 class Craft(Value, frozen=True, kw_only=True):
-    """A vehicle."""
+    """A vehicle as the page shows it."""
 
     name: str
-    kind: str  # as the scenario has it
+    kind: str  # as in the scenario
     size: Vec3  # of its body, m: along, across, up
-    offset: Vec3 = (0.0, 0.0, 0.0)  # of the middle of its body from its reference point, m, in its own frame
+    offset: Vec3 = (0.0, 0.0, 0.0)  # of the centre of its body from its reference point, m, in its own frame
     flies: bool = False
     real: bool = False
-    agent: str = ""  # kind of its agent; empty: it has none
+    agent: str = ""  # kind of its agent; empty: no agent
     period_s: float | None = None  # between its agent's ticks
-    sensors: Mapping[str, str] = {}  # name -> kind: what can be asked for with `Order.sensors`
+    sensors: Mapping[str, str] = {}  # name -> kind; can be requested with a `Sensors` order
 
 
 class Obstacle(Value, frozen=True, kw_only=True):
-    """A solid that can be moved about, or moves by itself."""
+    """A solid that can be moved or moves by itself."""
 
     name: str
     shape: Literal["box", "cylinder"]
     size: Vec3  # m; of a cylinder: its diameter twice, and its height
     pose: Pose  # of its centre, at the start
     color: tuple[int, int, int]
-    may_be_moved: bool = False  # by the one who looks
+    may_be_moved: bool = False  # by the user
 
 
 class Scenery(Value, frozen=True, kw_only=True):
-    """What does not change during a run."""
+    """Constant data of a run."""
 
     scenario: str
     seed: int
     duration_ns: int
     vehicles: tuple[Craft, ...]
-    vertices: Array  # (v, 3) float32 m, of all that stands still
+    vertices: Array  # (v, 3) float32 m, of all static solids
     triangles: Array  # (t, 3) uint32, counter-clockwise seen from outside
     colors: Array  # (t, 3) uint8
     obstacles: tuple[Obstacle, ...] = ()
     targets: tuple[tuple[str, float, float], ...] = ()  # name, x m, y m, at the start
     bounds: tuple[float, float, float, float] | None = None  # west, south, east, north, m
-    live: bool = False  # a run that goes on; else the recording of one
-    may: tuple[str, ...] = ()  # which orders are obeyed: names of the `Order` classes' tags
-    keys: Mapping[str, float] = {}  # keys of the scenario that may be changed at run time, and their present values
+    live: bool = False  # a current run; else a recording
+    may: tuple[str, ...] = ()  # allowed orders: names of the `Order` classes' tags
+    keys: Mapping[str, float] = {}  # scenario keys that may change at run time, and their present values
 
 
 class LinkStatus(Value, frozen=True, kw_only=True):
-    """The newest frame of a sender: what became of it at each receiver."""
+    """The newest frame of a sender, with its outcome at each receiver."""
 
     sender: str
     sent_ns: int
@@ -84,55 +84,55 @@ class LinkStatus(Value, frozen=True, kw_only=True):
 
 
 class Pace(Value, frozen=True, kw_only=True):
-    """How a run goes on."""
+    """Pace of a run."""
 
     paused: bool = False
-    speed: float | None = None  # simulated seconds per second that are wanted; None: as fast as it can
+    speed: float | None = None  # target, simulated seconds per second; None: as fast as possible
     achieved: float | None = None  # over the last second
-    over: str = ""  # why the run has ended; empty: it goes on
+    over: str = ""  # why the run has ended; empty: it continues
 
 
 class PageUpdate(Value, frozen=True, kw_only=True):
-    """How things stand at an instant. Mappings hold the newest of each key so far; what has not changed may be left out.
+    """State of a run at an instant. Mappings hold the newest value of each key; unchanged values may be omitted.
 
-    One that is earlier than the one before it begins anew: nothing is left out.
+    An update with an earlier time than the previous one is complete: nothing is omitted.
     """
 
     time_ns: int
     states: States | None = None
     obstacles: Mapping[str, Pose] = {}
     targets: Mapping[str, tuple[float, float]] = {}
-    places: Mapping[str, Follows] = {}  # who means to keep which place
-    notes: Mapping[str, dict[str, float | str | bool]] = {}  # what each agent noted last, by vehicle: "mode" says who commands
+    places: Mapping[str, Follows] = {}  # slots of followers
+    notes: Mapping[str, dict[str, float | str | bool]] = {}  # newest notes of each agent, by vehicle: "mode" is its commander
     fixes: Mapping[str, Fix] = {}
     scans: Mapping[str, Scan] = {}  # by vehicle/sensor
-    images: Mapping[str, Image] = {}  # likewise
+    images: Mapping[str, Image] = {}  # by vehicle/sensor
     sightings: Mapping[str, Sightings] = {}  # by vehicle
     maps: Mapping[str, ProbabilityMap] = {}
     mosaics: Mapping[str, Mosaic] = {}
-    links: tuple[LinkStatus, ...] = ()  # of senders with a frame since the last time
-    sent: Array | None = None  # (n, n) int64: frames of the row's vehicle for the column's, as in `Scenery`
-    received: Array | None = None  # (n, n) int64: of those
-    heard_ns: Mapping[str, int] = {}  # when each vehicle received last
+    links: tuple[LinkStatus, ...] = ()  # of senders with a frame since the last update
+    sent: Array | None = None  # (n, n) int64: frames from the row's vehicle for the column's, as in `Scenery`
+    received: Array | None = None  # (n, n) int64: received ones among them
+    heard_ns: Mapping[str, int] = {}  # time of each vehicle's last reception
     presence: Mapping[str, Presence] = {}  # of agents that were lost, or are back
     real: Mapping[str, RealStatus] = {}
-    halted: tuple[str, ...] = ()  # vehicles that the operator has stopped
-    lines: tuple[LogLine, ...] = ()  # since the last time
+    halted: tuple[str, ...] = ()  # vehicles stopped by the operator
+    lines: tuple[LogLine, ...] = ()  # since the last update
     pace: Pace = Pace()
 
 
 class Sensors(Value, frozen=True, kw_only=True, tag_field="kind", tag="sensors"):
-    """Show these readings, and no others: they cost the run time."""
+    """Show these readings and no others: each costs the run computing time."""
 
     names: tuple[str, ...]  # vehicle/sensor
 
 
 class Go(Value, frozen=True, kw_only=True, tag_field="kind", tag="pace"):
-    """Go on at this pace."""
+    """Continue at this pace."""
 
     paused: bool = False
-    speed: float | None = None  # None: as fast as it can
-    step_ns: int = 0  # paused: go on for so long, then stand again
+    speed: float | None = None  # None: as fast as possible
+    step_ns: int = 0  # paused: run for this long, then pause again
 
 
 class Seek(Value, frozen=True, kw_only=True, tag_field="kind", tag="seek"):
@@ -146,4 +146,4 @@ class End(Value, frozen=True, kw_only=True, tag_field="kind", tag="end"):
 
 
 Order = Sensors | Go | Seek | End | InterventionTable
-"""What the station asks for; the time of an intervention is that of the instant at which it is done."""
+"""Order from the station; the time of an intervention is the instant of its execution."""

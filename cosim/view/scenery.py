@@ -1,4 +1,4 @@
-"""What the control station is told once, of a run or of a recording: its vehicles, and what stands around them."""
+"""Constant data for the control station, for a run or a recording: vehicles and their surroundings."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,8 +21,8 @@ from vcmvsp.cosim.util.documents import read_json
 from vcmvsp.cosim.view.messages import Craft, Obstacle, Scenery
 
 RECORDED = ("pace", "seek", "sensors")
-"""Orders that a recording obeys."""
-DEFAULT_WIDTH_M = 0.5  # of a vehicle that is not drawn in the recording
+"""Orders that a recording executes."""
+DEFAULT_WIDTH_M = 0.5  # of a vehicle not drawn in the recording
 VehicleKinds = dict[str, type[Vehicle]]  # by their names in the scenario
 
 
@@ -37,26 +37,26 @@ def scenery_of(
     keys: Mapping[str, float] | None = None,
     drawn: Mapping[str, Craft] | None = None,
 ) -> Scenery:
-    """What does not change during a run of a scenario. No agent, radio or engine is built for it.
+    """Scenery of a scenario. Builds no agent, radio or engine.
 
     Args:
-        scenario: of the run, or of the recording.
-        source: where it was read from.
-        world: that of the run, if it has been built already.
-        infos: what agents said of themselves; else the scenario says it.
-        live: it is a run that goes on.
-        may: tags of the orders that it obeys.
-        keys: of the scenario, that may be changed, and their values.
-        drawn: vehicles as a recording draws them, for those whose classes may not be imported (`registry.may_import`).
+        scenario: scenario of the run or of the recording.
+        source: origin of the scenario.
+        world: the world of the run, if it has been built already.
+        infos: properties that agents reported; default: those in the scenario.
+        live: whether the run is current.
+        may: tags of the allowed orders.
+        keys: scenario keys that may change at run time, and their values.
+        drawn: vehicles as drawn in the recording, for vehicles whose classes may not be imported (`registry.may_import`).
 
     Raises:
-        ScenarioError: the world, or the kind of a vehicle, cannot be built.
+        ScenarioError: the world, or a kind of vehicle, cannot be built.
     """
     if world is None:
         world, _ = worlds.build(scenario.world, source, seed=scenario.seed)
     vertices, triangles = world.mesh()
     agents = {info.vehicle: info for info in infos}
-    kinds: VehicleKinds = {}  # a file is executed once, not for each vehicle
+    kinds: VehicleKinds = {}  # cached: a user's file is executed once, not once per vehicle
     return Scenery(
         scenario=scenario.name,
         seed=scenario.seed,
@@ -99,7 +99,7 @@ def _craft(
 
 
 def _model(vehicle: VehicleTable, source: Source, kinds: VehicleKinds) -> Vehicle:
-    """What a vehicle is; parameters that its kind does not take do not count here: the run has refused them."""
+    """Build the vehicle model; unknown parameters are ignored, because the run has rejected them."""
     key = f"vehicle.{vehicle.name}"
     if vehicle.kind not in kinds:
         kinds[vehicle.kind] = registry.find("vehicle", vehicle.kind, folder=source.folder, key=f"{key}.kind", origin=source)
@@ -109,7 +109,7 @@ def _model(vehicle: VehicleTable, source: Source, kinds: VehicleKinds) -> Vehicl
 
 
 def _agent(vehicle: VehicleTable, scenario: Scenario, info: AgentInfo | None) -> tuple[str, float | None]:
-    """The kind of a vehicle's agent, empty if it has none, and its period, s, as far as it is known."""
+    """Kind of a vehicle's agent, empty without one, and its period, s, if known."""
     if info is not None:
         return info.agent, float(info.ticks.period) / SECOND_NS
     if vehicle.agent is None:
@@ -119,7 +119,7 @@ def _agent(vehicle: VehicleTable, scenario: Scenario, info: AgentInfo | None) ->
 
 
 def _obstacles(world: "worlds.World", may_be_moved: bool) -> tuple[Obstacle, ...]:
-    """Bodies that can be pushed, which the one who looks may move, and those that keep to a time-table."""
+    """Pushable bodies, which the user may move if allowed, and obstacles with a time-table."""
     obstacles = []
     for bodies, movable in ((world.movables, may_be_moved), (world.moving, False)):
         for each in bodies:
@@ -132,11 +132,11 @@ def _obstacles(world: "worlds.World", may_be_moved: bool) -> tuple[Obstacle, ...
 def recorded_stage(
     path: Path, vehicles: Sequence[str], drawing: bytes | None, *, trust: bool = False
 ) -> tuple[Scenery, "worlds.World"]:
-    """The scenery and the world that a run's resolved scenario describes; what is not built in, as the recording draws it.
+    """Scenery and world of a run's resolved scenario; classes that are not built in are replaced by the recording's drawing.
 
     Raises:
-        ScenarioError, UsageError: it cannot be built any more.
-        ValueError: it has other vehicles than the recording.
+        ScenarioError, UsageError: scenery or world can no longer be built.
+        ValueError: its vehicles differ from those of the recording.
     """
     scenario, source = scenarios.load(path)
     if tuple(each.name for each in scenario.vehicle) != tuple(vehicles):
@@ -147,10 +147,10 @@ def recorded_stage(
 
 
 def bare_scenery(about: Mapping[str, str], vehicles: Sequence[str], drawing: bytes | None) -> Scenery:
-    """The vehicles alone, as big as they are drawn in the recording.
+    """Scenery with the vehicles alone, in the sizes drawn in the recording.
 
     Raises:
-        ValueError: it is no such message.
+        ValueError: the drawing is no valid message.
     """
     seed = about.get("seed", "")
     return Scenery(

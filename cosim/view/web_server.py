@@ -1,13 +1,13 @@
-"""Access to the page: every request and every connection must bring the token that was printed with the URL.
+"""Access control of the page: every request and every connection must carry the token from the printed URL.
 
-The web server is viser's, which lets everybody in. While it is made, what it serves with is put behind a gate: the token comes
-with each request; the name that the page was dialled by must be ours (else a foreign name may have been bound to this machine),
-and a page from elsewhere may not connect. Afterwards the gate is tried, lest a new viser goes round it.
-It is plain HTTP: for other machines, put an SSH tunnel or a proxy with TLS before it.
+The web server is viser's, which admits all clients. This module wraps its request handler in a gate: each request must carry
+the token; the page's host name must be one of ours (against DNS rebinding); connections from other origins are rejected. After
+the start the gate is tested, in case a new viser version bypasses it. The page is plain HTTP: for other machines, put an
+SSH tunnel or a TLS proxy in front of it.
 
-A browser loads ``entry.html``, which anybody may have, with status 403 if the URL has no token. It keeps the token in
-``sessionStorage``, which each tab and port has to itself, loads viser's page with it, and offers it as a sub-protocol when that
-page connects. Nothing is kept in a cookie: browsers send it to every other port of this machine.
+A browser loads ``entry.html``, which is public, with status 403 if the URL has no token. It keeps the token in
+``sessionStorage``, which is separate for each tab and port, loads viser's page with it, and offers it as a sub-protocol when
+that page connects. No cookie is used: browsers send cookies to all ports of a host.
 """
 
 import asyncio
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from websockets.http11 import Request, Response
 
 ENTRY = (Path(__file__).parent / "entry.html").read_text("utf-8")
-PAGE = "/page"  # of viser
+PAGE = "/page"  # path of viser's page
 NO_TOKEN = "Open the URL that was printed, with its token.\n"  # noqa: S105  a sentence
-MOST_PAGES = 32  # that are connected at a time
+MOST_PAGES = 32  # maximum number of connected pages
 ANYWHERE = ("0.0.0.0", "::")  # noqa: S104  a word of the user's
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 ALLOWED = {
@@ -48,7 +48,7 @@ ALLOWED = {
     *(f"Scene{what}Message" for what in ("NodeClick", "NodeDrag", "Pointer")),
     *(f"TransformControls{what}Message" for what in ("DragEnd", "DragStart", "Update")),
 }
-"""Messages that a page may send: those of viser's page that the control station uses. Not uploads, nor a public tunnel."""
+"""Messages that a page may send: the part of viser's that the control station uses. No uploads, no public tunnel."""
 HEADERS = {
     "Cache-Control": "no-store",
     "X-Content-Type-Options": "nosniff",
@@ -56,33 +56,33 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-MOST_SOCKETS = 128  # that are open at a time: connections of pages, requests, and half-open ones
+MOST_SOCKETS = 128  # maximum number of open sockets: connections of pages, requests, and half-open ones
 LARGEST = 1 << 20  # bytes of a message from a page
 CHECK_S = 10.0
 
 _logger = logging.getLogger(__name__)
 _logger.addHandler(logging.NullHandler())
-_logger.propagate = False  # what strangers send is no matter for the terminal
+_logger.propagate = False  # errors of unknown clients do not belong on the terminal
 
 
 def caution(host: str) -> str:
-    """A line for those who let other machines see the page; empty: no other can."""
+    """Warning for a page that is visible to other machines; empty if it is not."""
     return "" if host in LOOPBACK else f"{host}: whoever reads along on the network can see the page: it is plain HTTP\n"
 
 
 def new_token() -> str:
-    """A secret for a URL."""
+    """Create an access token for a URL."""
     return secrets.token_urlsafe(24)
 
 
 def url_of(host: str, port: int, token: str) -> str:
-    """What a browser is given."""
+    """URL of the page, for a browser."""
     name = "localhost" if host in ANYWHERE else f"[{host}]" if ":" in host else host
     return f"http://{name}:{port}/?token={token}"
 
 
 def is_fit(message: object) -> bool:
-    """Whether a message of the page may be handed on."""
+    """Whether a message from the page may be passed on."""
     if not isinstance(message, bytes):
         return False
     try:
@@ -91,14 +91,14 @@ def is_fit(message: object) -> bool:
         return False
     if not isinstance(content, dict) or not isinstance(kind := content.get("type"), str) or kind not in ALLOWED:
         return False
-    if kind == "GuiUpdateMessage":  # anything else of a control would be set as well
+    if kind == "GuiUpdateMessage":  # other fields of a control would be set as well
         updates = content.get("updates")
         return isinstance(updates, dict) and updates.keys() == {"value"}
     return True
 
 
 class Gate:
-    """Decides who is let in."""
+    """Admission of requests and connections."""
 
     def __init__(self, host: str, port: int, token: str, protocol: str, page: str) -> None:
         self.port, self._token, self._protocol, self._page = port, token.encode(), protocol, page
@@ -108,7 +108,7 @@ class Gate:
             self._names.add(socket.gethostname().lower())
 
     def answer(self, connection: "ServerConnection", request: "Request") -> "Response | None":
-        """What a request gets; None: it may open a connection."""
+        """Response to a request; None: it may open a connection."""
         nonce = secrets.token_urlsafe(16)
         response = self._answer(connection, request, nonce)
         if response is not None:
@@ -147,15 +147,15 @@ class Gate:
         return None
 
     def _is_ours(self, host: str) -> bool:
-        """Whether a page that was dialled by this name, and port, is this one."""
+        """Whether a Host header (name and port) belongs to this page."""
         try:
             parts = urllib.parse.urlsplit(f"//{host}")
             name, port = parts.hostname or "", parts.port or 80
         except ValueError:
             return False
-        if parts.netloc != host or parts.username is not None or port != self.port:  # a name and a port, and nothing else
+        if parts.netloc != host or parts.username is not None or port != self.port:  # name and port only
             return False
-        return name in self._names or (self._anywhere and _is_address(name))  # no name can be bound to where it is none
+        return name in self._names or (self._anywhere and _is_address(name))  # DNS cannot rebind an address
 
     def _has_token(self, scheme: str, *given: str) -> bool:
         tokens = (each.removeprefix(scheme) for each in given if each.startswith(scheme))
@@ -202,10 +202,10 @@ def _is_address(name: str) -> bool:
 
 
 def open_server(host: str, port: int, token: str) -> "viser.ViserServer":
-    """A web server that lets in those who bring the token.
+    """Start a web server that admits clients with the token.
 
     Raises:
-        UsageError: it cannot listen there, or the gate does not hold.
+        UsageError: the address cannot be used, or the gate does not work.
     """
     import viser
     from websockets.asyncio import server as served
@@ -237,14 +237,14 @@ def open_server(host: str, port: int, token: str) -> "viser.ViserServer":
 
 
 def close_server(server: "viser.ViserServer") -> None:
-    """Let it listen no more."""
+    """Stop listening."""
     with quiet():
         server.stop()
 
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keep viser from talking to the terminal."""
+    """Suppress viser's output on the terminal."""
     import rich
 
     said = rich.print
@@ -256,7 +256,7 @@ def quiet() -> Iterator[None]:
 
 
 def _bound(host: str, port: int) -> socket.socket:
-    """A socket that listens; viser would look for another port, and not say so."""
+    """A listening socket; viser would silently choose another port."""
     if not 0 <= port < 1 << 16:
         raise UsageError(f"the view cannot listen on port {port}: ports go from 0, any that is free, to 65535")
     try:
@@ -268,7 +268,7 @@ def _bound(host: str, port: int) -> socket.socket:
 
 
 def _connection() -> type["ServerConnection"]:
-    """Connections of which there are not too many, and that take only what a page may send."""
+    """Connection class that limits the number of connections and the types of messages from a page."""
     from websockets.asyncio.server import ServerConnection
     from websockets.protocol import State
 
@@ -277,7 +277,7 @@ def _connection() -> type["ServerConnection"]:
             super().connection_made(transport)
             brief = [each for each in self.server.handlers if each.state is not State.OPEN and not each.transport.is_closing()]
             if len(brief) > MOST_SOCKETS - MOST_PAGES:
-                brief[0].transport.abort()  # the oldest: a request that is meant is answered long before its turn
+                brief[0].transport.abort()  # the oldest: a genuine request is answered long before its turn
 
         async def recv(self, decode: bool | None = None) -> Any:
             while True:
@@ -290,7 +290,7 @@ def _connection() -> type["ServerConnection"]:
 
 
 def _calm(handler: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:
-    """The handler of a connection, which ends with it whatever it brings."""
+    """Wrap a connection handler so that errors end only the connection."""
 
     async def handle(connection: "ServerConnection") -> None:
         try:

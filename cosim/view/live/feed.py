@@ -1,6 +1,6 @@
-"""The run's side of a view: an observer that hands on the newest of everything, when the other side can take it.
+"""The run's side of the live view: an observer that sends the newest values when the viewer process can receive them.
 
-Nothing here waits for the other side, grows while it does not read, or changes the run.
+Nothing here waits for the viewer, grows while it does not read, or changes the run.
 """
 
 import time
@@ -19,11 +19,11 @@ from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.messages import LinkStatus, Order, Pace, PageUpdate, Pose, Scenery, Sensors
 
-PERIOD_S = 1.0 / 30.0  # of the wall clock, between two messages at least
-AGAIN_S = 0.002  # between two tries to finish one
-READING_S = 0.2  # between two readings that are worked out only to be shown
-FAREWELL_S = 1.0  # for the other side to take the last message
-MOST_ORDERS = 200  # that nobody has taken; older ones give way
+PERIOD_S = 1.0 / 30.0  # wall clock, minimum time between two messages
+AGAIN_S = 0.002  # between two attempts to finish a message
+READING_S = 0.2  # between two readings computed for display only
+FAREWELL_S = 1.0  # time for the viewer to receive the last message
+MOST_ORDERS = 200  # pending orders; older ones are dropped
 READINGS: Mapping[type, str] = {Scan: "scans", Image: "images"}
 
 Poses = Mapping[str, Callable[[float], Pose]]
@@ -31,13 +31,13 @@ Places = Mapping[str, Callable[[float], tuple[float, float]]]
 
 
 class Feed:
-    """Shows a run at the other end of a pipe.
+    """Sends the state of a run through a pipe to the viewer process.
 
     Args:
-        pipe: to the process that shows it.
-        scenery: what that has been told.
-        moving: where obstacles are that keep to a time-table, x, y, z m and yaw rad, by name; of the time, s.
-        targets: where targets lie, x, y m; likewise.
+        pipe: connection to the viewer process.
+        scenery: scenery that the viewer process has received.
+        moving: function of time, s: poses of obstacles with a time-table, x, y, z m and yaw rad, by name.
+        targets: function of time, s: positions of targets, x, y m.
         clock: the wall clock, s.
     """
 
@@ -54,19 +54,19 @@ class Feed:
         self._moving, self._targets = moving or {}, targets or {}
         self._rows = {craft.name: row for row, craft in enumerate(scenery.vehicles)}
         self._state = RunState()
-        self._state.newest |= {name: {} for name in READINGS.values()}  # of sensors that are asked for: vehicle/sensor
+        self._state.newest |= {name: {} for name in READINGS.values()}  # requested sensors: vehicle/sensor
         self._asked: frozenset[str] = frozenset()
         self._later: dict[str, Later] = {}
-        self._now_ns, self._fresh = 0, True  # something has happened that has not been shown
+        self._now_ns, self._fresh = 0, True  # changes have occurred that were not sent
         self._due_s = self._read_s = -1e9
-        self._pace, self._paces = Pace(), deque[tuple[float, int]]()  # where the run was within the last second
+        self._pace, self._paces = Pace(), deque[tuple[float, int]]()  # times of the run within the last second
         self._orders: deque[Order] = deque(maxlen=MOST_ORDERS)
-        self.problem = ""  # why there is nobody at the other end any more, if it has said so
+        self.problem = ""  # reason for the end of the viewer process, if it gave one
 
     def on(self, event: Event) -> None:
-        """Take an event at its own time; times never decrease."""
+        """Update from an event at its own time; times never decrease."""
         if event.time_ns != self._now_ns:
-            self._write_if_due()  # the instant that is over, whole
+            self._write_if_due()  # the finished instant, complete
             self._now_ns, self._fresh = event.time_ns, True
         if not isinstance(event.value, Later | Scan | Image):
             self._state.on(event)
@@ -74,18 +74,18 @@ class Feed:
             self._take_reading(event.key, event.value)
 
     def pace(self, pace: Pace) -> None:
-        """Say how the run goes on; ``achieved`` is measured here. Call it while the run stands still, too: then it listens."""
+        """Set the pace of the run; ``achieved`` is measured here. Also call it during a pause: it reads orders."""
         self._fresh = self._fresh or pace != self._pace
         self._pace = pace
         self._write_if_due()
 
     def say(self, level: str, text: str) -> None:
-        """Add a line to the log that is shown."""
+        """Add a line to the displayed log."""
         self._state.say(self._now_ns, level, text)
         self._fresh = True
 
     def orders(self) -> list[Order]:
-        """Orders since the last call, oldest first. `Sensors` have been obeyed already."""
+        """Orders since the last call, oldest first. `Sensors` orders have been applied already."""
         self._listen()
         orders = list(self._orders)
         self._orders.clear()
@@ -93,11 +93,11 @@ class Feed:
 
     @property
     def open(self) -> bool:
-        """Whether there still is somebody at the other end, as far as is known."""
+        """Whether the viewer process is connected, as far as known."""
         return self._pipe.open
 
     def close(self, why: str) -> None:
-        """Show how the run ended, if the other end takes it within a second; the pipe stays open."""
+        """Show how the run ended, if the viewer receives it within a second; the pipe stays open."""
         self._pace = msgspec.structs.replace(self._pace, over=why)
         self._pipe.offer_within(self._encoded(self._clock()), FAREWELL_S)
         self._forget()
@@ -115,13 +115,13 @@ class Feed:
         self._later = {key: later for key, later in self._later.items() if key in self._asked}
 
     def _work_out(self) -> bool:
-        """Work out one of the readings that nobody has looked at, in turn; whether there was one."""
+        """Compute one of the pending readings in turn; returns whether there was one."""
         if not self._later:
             return False
         key = next(iter(self._later))
         try:
             self._take_reading(key, self._later.pop(key).get())
-        except Exception as error:  # it fails again where the run itself looks at it, or nowhere
+        except Exception as error:  # the error recurs where the run itself uses the reading
             self.say("error", f"{key} could not be worked out: {type(error).__name__}: {error}")
         return True
 
@@ -147,7 +147,7 @@ class Feed:
         pace = msgspec.structs.replace(self._pace, achieved=self._achieved(now_s))
         try:
             return protocol.fitting(codec.encode(self._update(pace)))
-        except ValueError as error:  # of a part of the user's own, or a vast mosaic
+        except ValueError as error:  # from a user's own class, or for a vast mosaic
             self._forget()
             self.say("error", f"what has happened cannot be shown: {error}")
             return codec.encode(PageUpdate(time_ns=self._now_ns, lines=tuple(self._state.lines), pace=pace))
@@ -182,7 +182,7 @@ class Feed:
         return {"sent": sent, "received": received}
 
     def _achieved(self, now_s: float) -> float | None:
-        """Simulated seconds per second, over the last one."""
+        """Simulated seconds per second, over the last second."""
         paces = self._paces
         paces.append((now_s, self._now_ns))
         while now_s - paces[0][0] > 1.0 and len(paces) > 2:

@@ -1,6 +1,6 @@
-"""Messages between a run and the process of its page: with their lengths, over a pair of sockets; the run never waits.
+"""Messages between a run and its viewer process, length-prefixed, over a socket pair; the run never waits.
 
-The run sends `Start` and then `PageUpdate`s; the page process answers with `Up` or `Down`, and then with orders.
+The run sends `Start` and then `PageUpdate`s; the viewer process answers with `Up` or `Down`, and then with orders.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ _length = struct.Struct("<I")
 
 
 class Start(Value, frozen=True, kw_only=True):
-    """What the viewer's process is told first."""
+    """First message to the viewer process."""
 
     scenery: Scenery
     host: str
@@ -29,13 +29,13 @@ class Start(Value, frozen=True, kw_only=True):
 
 
 class Up(Value, frozen=True, kw_only=True, tag_field="kind", tag="up"):
-    """The page is there."""
+    """The page is served."""
 
     port: int
 
 
 class Down(Value, frozen=True, kw_only=True, tag_field="kind", tag="down"):
-    """It is not, or not any more."""
+    """The page is not served, or no longer."""
 
     problem: str
 
@@ -46,18 +46,18 @@ answers: codec.Decoder[Up | Down | Order] = codec.Decoder(Up | Down | Order)
 
 
 class Pipe:
-    """One end of the pair. A message goes whole, but not always at once: what has begun is finished before the next."""
+    """One end of the socket pair. Messages may be sent in pieces; each one is finished before the next begins."""
 
     def __init__(self, sock: socket.socket) -> None:
         sock.setblocking(False)
         self._sock, self._poll = sock, select.poll()
         self._poll.register(sock, select.POLLOUT)
-        self._left = memoryview(b"")  # of the message that has begun
+        self._left = memoryview(b"")  # rest of the current message
         self._got = bytearray()
-        self.open = True  # as far as is known: the other end has not gone
+        self.open = True  # as far as known: the other end is connected
 
     def push(self) -> bool:
-        """Write on; whether another message can begin now."""
+        """Continue to send; returns whether another message can begin."""
         while self._left and self.open:
             try:
                 self._left = self._left[self._sock.send(self._left) :]
@@ -68,7 +68,7 @@ class Pipe:
         return self.open and bool(self._poll.poll(0))
 
     def offer(self, payload: bytes) -> bool:
-        """Begin a message, if there is room and no other has begun; whether it has, and will therefore be whole."""
+        """Begin a message if there is room and no other one is in progress; returns whether it has begun."""
         if not self.push():
             return False
         self._left = memoryview(_length.pack(len(payload)) + fitting(payload))
@@ -76,7 +76,7 @@ class Pipe:
         return True
 
     def offer_within(self, payload: bytes, wait_s: float) -> bool:
-        """Write all that has begun, and this message; whether that was done in so much time."""
+        """Send all pending bytes and this message; returns whether that succeeded within ``wait_s``."""
         until_s = time.monotonic() + wait_s
         begun = False
         while self.open:
@@ -86,18 +86,18 @@ class Pipe:
             left_s = until_s - time.monotonic()
             if left_s <= 0.0:
                 break
-            self._poll.poll(1e3 * min(left_s, 0.05))  # it tells of some room, not of enough
+            self._poll.poll(1e3 * min(left_s, 0.05))  # poll reports some room, not enough room
             self.push()
         return False
 
     def take(self, wait_s: float | None = 0.0) -> list[bytes]:
-        """The messages that have come, oldest first.
+        """The received messages, oldest first.
 
         Args:
-            wait_s: for so long, if there is nothing to be read at once; None: until there is, or the other end has gone.
+            wait_s: maximum wait for the first bytes; None: until there are some or the other end has closed.
 
         Raises:
-            ValueError: what comes is not made of messages.
+            ValueError: the bytes are not valid messages.
         """
         poll = select.poll()
         poll.register(self._sock, select.POLLIN)
@@ -106,12 +106,12 @@ class Pipe:
         return list(self._messages())
 
     def close(self) -> None:
-        """Let the other end know that there is no more."""
+        """Close this end; the other end sees the end of the stream."""
         self.open = False
         self._sock.close()
 
     def _read(self) -> None:
-        """All that is there, as far as it makes no more than one of the largest messages."""
+        """Read all available bytes, up to the size of the largest message."""
         while len(self._got) < LARGEST:
             try:
                 data = self._sock.recv(_CHUNK)
@@ -141,14 +141,14 @@ class Pipe:
 
 
 def fitting(payload: bytes) -> bytes:
-    """The same; what is too long for a message raises a `ValueError`."""
+    """The payload unchanged; one that is too long raises a `ValueError`."""
     if len(payload) > LARGEST:
         raise ValueError(f"{len(payload)} bytes are too many for the control station")
     return payload
 
 
 def pair() -> tuple[Pipe, socket.socket]:
-    """Two ends that are connected; the second is for another process."""
+    """Create two connected ends; the second is for another process."""
     ours, theirs = socket.socketpair()
     for each in (ours, theirs):
         with contextlib.suppress(OSError):

@@ -1,7 +1,6 @@
-"""The viewer's own process: a guarded web server, and the station on it, fed through a pipe by the run that started it.
+"""The viewer process: a guarded web server with the control station, fed through a pipe by its run.
 
-Whatever it costs to draw costs the run nothing but the other core. It ends when the pipe does: with the run's process, however
-that ends.
+Drawing uses another core than the run. The process ends with the pipe, and so with the run's process, also if that is killed.
 """
 
 import os
@@ -20,9 +19,9 @@ from vcmvsp.cosim.view import web_server
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.messages import Order
 
-GIVES_WAY = 5  # to the run, where cores are few: the niceness of a process
-LAST_S = 0.2  # for pages to be sent how it ended
-ORDER_S = 1.0  # for the run to take an order, before it is given up
+GIVES_WAY = 5  # niceness of the process: the run has priority where cores are few
+LAST_S = 0.2  # time to send the end of the run to pages
+ORDER_S = 1.0  # time for the run to take an order before it is dropped
 
 
 def main() -> NoReturn:
@@ -44,7 +43,7 @@ def main() -> NoReturn:
 
 
 def pump(pipe: protocol.Pipe, show: Callable[..., None]) -> None:
-    """Show what comes, all at once that has come meanwhile, until nothing comes any more."""
+    """Show incoming updates, all available ones at once, until the pipe closes."""
     while pipe.open:
         if messages := pipe.take(wait_s=None):
             show(*map(protocol.shows.decode, messages))
@@ -59,7 +58,7 @@ def _serve(pipe: protocol.Pipe) -> None:
     server = web_server.open_server(start.host, start.port, start.token)
     lock = threading.Lock()
 
-    def order(wanted: Order | protocol.Up) -> None:  # from the threads of the web server
+    def order(wanted: Order | protocol.Up) -> None:  # called by threads of the web server
         with lock:
             pipe.offer_within(codec.encode(wanted), ORDER_S)
 
@@ -70,7 +69,7 @@ def _serve(pipe: protocol.Pipe) -> None:
 
 
 def _start(pipe: protocol.Pipe) -> protocol.Start | None:
-    """What is to be shown; None: the run is over already."""
+    """The scenery to show; None: the run is over already."""
     while pipe.open:
         if messages := pipe.take(wait_s=None):
             return protocol.starts.decode(messages[0])

@@ -1,6 +1,6 @@
-"""The control station of a run that goes on: its process, the feed to it, and what its orders do.
+"""Live control station of a run: its process, its feed, and execution of its orders.
 
-Orders are obeyed in the run's own thread, between two of its instants or while it waits: nothing here can disturb a step.
+Orders are executed in the run's own thread, between two instants or during a pause, and never disturb a step.
 """
 
 import contextlib
@@ -23,18 +23,18 @@ from vcmvsp.cosim.view.messages import End, Go, Order, Pace, Scenery
 from vcmvsp.cosim.view.scenery import scenery_of
 from vcmvsp.cosim.view.web_server import new_token, url_of
 
-START_S = 60.0  # for the page to be there
-LEAVE_S = 3.0  # for the process to leave by itself
+START_S = 60.0  # time for the page to start
+LEAVE_S = 3.0  # time for the process to exit by itself
 MODULE = "vcmvsp.cosim.view.live.server"
 
 
 class Viewing(contextlib.AbstractContextManager["Viewing"]):
-    """The control station of one run, opened by the run once it knows what there is to show; leaving it closes the page.
+    """The control station of one run, opened by the run once its scenery is known; leaving the context closes the page.
 
     Args:
-        host: what the page is served on; another than loopback lets other machines see it, unencrypted.
-        port: likewise; 0: any that is free.
-        opened: told the address of the page, with the token that lets one in.
+        host: address of the page; any other than loopback exposes the page to other machines, unencrypted.
+        port: port of the page; 0: any free one.
+        opened: receives the URL of the page, with its access token.
     """
 
     def __init__(self, host: str, port: int, opened: Callable[[str], None]) -> None:
@@ -65,18 +65,18 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
         return Live(self._viewer.feed, run.operator, clock=clock, stop=stop, tell=tell)
 
     def stay(self) -> None:
-        """Leave the page open until Ctrl-C is pressed."""
+        """Keep the page open until Ctrl-C is pressed."""
         if self._viewer is not None:
             self._viewer.stay()
 
     def close(self) -> None:
-        """Close the page. May be called again."""
+        """Close the page. Repeated calls are allowed."""
         if self._viewer is not None:
             self._viewer.close()
 
 
 class Live:
-    """What stands between a run and its feed; a clock that is no `LiveClock` cannot be held up."""
+    """Connects a run with its feed; only a `LiveClock` can be paused."""
 
     def __init__(
         self,
@@ -93,12 +93,12 @@ class Live:
         self._listened_ns, self._alone = 0, False
 
     def on_instant(self, now_ns: int) -> None:
-        """Listen if nobody has for a while: a clock that cannot be held up does not."""
+        """Read orders if that is due: a clock other than `LiveClock` does not."""
         if time.monotonic_ns() - self._listened_ns >= LISTEN_NS:
             self.listen()
 
     def listen(self) -> None:
-        """Do what the one who looks has asked for."""
+        """Execute the pending orders."""
         self._listened_ns = time.monotonic_ns()
         for order in self._feed.orders():
             try:
@@ -110,7 +110,7 @@ class Live:
         if not self._feed.open and not self._alone:
             self._alone = True
             self._tell(f"the control station has gone{self._feed.problem and f': {self._feed.problem}'}; the run goes on")
-            if isinstance(self.clock, LiveClock) and self.clock.paused:  # nobody is left who could let it
+            if isinstance(self.clock, LiveClock) and self.clock.paused:  # no viewer is left to resume the run
                 self.clock.go(paused=False, speed=self.clock.speed)
 
     def _obey(self, order: Order) -> None:
@@ -131,7 +131,7 @@ def _checked(speed: float | None) -> float | None:
 
 
 class Viewer(contextlib.AbstractContextManager["Viewer"]):
-    """The process that serves the page of a run; leaving it ends the process."""
+    """The process that serves the page of a run; leaving the context ends the process."""
 
     def __init__(self, process: ChildProcess, pipe: protocol.Pipe, url: str, feed: Feed) -> None:
         self._process, self._pipe, self.url, self.feed = process, pipe, url, feed
@@ -146,10 +146,10 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         moving: Poses | None = None,
         targets: Places | None = None,
     ) -> Self:
-        """Start the process, and wait for the page; arguments as of `Viewing` and `Feed`.
+        """Start the process and wait for the page; arguments as of `Viewing` and `Feed`.
 
         Raises:
-            UsageError: the page cannot be served there, or its process does not start.
+            UsageError: the page cannot be served at this address, or its process does not start.
         """
         token = new_token()
         pipe, theirs = protocol.pair()
@@ -167,12 +167,12 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         self.close()
 
     def stay(self) -> None:
-        """Wait until the process ends or Ctrl-C is pressed: the page can be looked at although the run is over."""
+        """Wait until the process ends or Ctrl-C is pressed: the page stays usable after the run."""
         with contextlib.suppress(KeyboardInterrupt):
             self._process.wait()
 
     def close(self) -> None:
-        """End the process. May be called again."""
+        """End the process. Repeated calls are allowed."""
         self._pipe.close()
         self._process.close(LEAVE_S)
 

@@ -1,4 +1,4 @@
-"""Curves of the last minutes: speeds, formation errors, and how much of what was sent to each vehicle it received."""
+"""Charts of the last minutes: speeds, formation errors, and delivery ratio at each vehicle."""
 
 import math
 from collections import deque
@@ -16,14 +16,14 @@ from vcmvsp.cosim.view.page.vehicles import places_of
 
 POINTS = 300  # of each curve
 PERIOD_S = 0.5
-CURVES = 7  # as many as there are colours; of more vehicles, the first ones and the chosen one
-WINDOW_NS = 5 * SECOND_NS  # of the delivery
+CURVES = 7  # limited by the number of colours; of more vehicles, the first ones and the chosen one
+WINDOW_NS = 5 * SECOND_NS  # of the delivery ratio
 TITLES = "Speed [m/s]", "Formation error [m]", "Received of the last 5 s [%]"
 HEIGHT_PX = 190
 
 
 class History:
-    """The numbers behind the curves: one row per vehicle and quantity, the newest `POINTS` instants."""
+    """Data of the charts: one row per vehicle and quantity, the newest `POINTS` instants."""
 
     def __init__(self, scenery: Scenery) -> None:
         self._count = len(scenery.vehicles)
@@ -33,7 +33,7 @@ class History:
         self._counts: deque[tuple[int, Array, Array]] = deque(maxlen=POINTS)
 
     def sample(self, known: Known) -> bool:
-        """Take in how things stand; whether anything is new: time must have gone on, and where it went back all is new."""
+        """Add the present values; returns whether time has advanced. A step back in time clears the history."""
         if known.times_back != self._times_back:
             self._times_back = known.times_back
             self.time_s.clear()
@@ -52,7 +52,7 @@ class History:
         return True
 
     def _delivery(self, known: Known) -> Array:
-        """Per vehicle, how much of what was sent to it in the last 5 s it received, in per cent; not a number: nothing was."""
+        """Delivery ratio at each vehicle over the last 5 s, in percent; NaN without frames."""
         if known.now.sent is None or known.now.received is None:
             return np.full(self._count, np.nan)
         sent, received = known.now.sent.sum(axis=0), known.now.received.sum(axis=0)
@@ -65,7 +65,7 @@ class History:
 
 
 class Chart:
-    """One chart. It is made anew where its frame is another one: a page would carry the old one's axes over to the new data."""
+    """One chart. A new frame needs a new chart, because a page would keep the old axes."""
 
     def __init__(self, server: viser.ViserServer, title: str) -> None:
         self._gui, self._title = server.gui, title
@@ -74,7 +74,7 @@ class Chart:
         self._frame: tuple[object, ...] = ()
 
     def draw(self, time_s: Array, curves: Array, names: list[str], strokes: list[str]) -> None:
-        """Draw curves, (k, n), of these names and colours over times, (k,) s; what is not a number is left out."""
+        """Draw curves, (k, n), with these names and colours over times, (k,) s; NaN values are omitted."""
         seen = curves[np.isfinite(curves)]
         top = round_above(float(seen.max())) if len(seen) else 0.0
         frame = top, tuple(names), tuple(strokes)
@@ -99,7 +99,7 @@ class Chart:
             data=data,
             series=(uplot.Series(label="time [s]"), *curves),
             title=self._title,
-            # The axis of numbers has ends of its own: the page cannot find those of curves that begin with a gap.
+            # The value axis has explicit limits: the page cannot find the limits of curves that begin with a gap.
             scales={"x": {"time": False}, "y": {"range": (0.0, top)}},
             axes=({"label": "time [s]", "labelSize": 18, "size": 32}, {"size": 44}),
             legend={"show": len(names) > 1},
@@ -109,7 +109,7 @@ class Chart:
 
 
 class Charts:
-    """Three charts, told anew twice a second at most. They must be made in the context of their container."""
+    """Three charts, updated at most twice a second. Create them in the context of their container."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         self._names = [each.name for each in scenery.vehicles]
@@ -120,12 +120,12 @@ class Charts:
         self._rows: list[int] = []
 
     def sample(self, known: Known, now_s: float) -> None:
-        """Take in how things stand, twice a second."""
+        """Add the present values, twice a second."""
         if self._names and self._often.due(now_s):
             self._new |= self._history.sample(known)
 
     def draw(self, chosen: int) -> None:
-        """Draw what is new."""
+        """Draw charts with new data."""
         rows = self._shown_rows(chosen)
         if not (self._new or (self._history.time_s and rows != self._rows)):
             return
@@ -136,7 +136,7 @@ class Charts:
             chart.draw(time_s, np.array(numbers)[:, rows], names, strokes)
 
     def darken(self, dark: bool) -> None:
-        """Curves for a light or a dark page."""
+        """Set the colours for a light or a dark page."""
         self._dark, self._new = dark, bool(self._history.time_s)
 
     def _shown_rows(self, chosen: int) -> list[int]:
@@ -146,7 +146,7 @@ class Charts:
 
 
 def round_above(number: float) -> float:
-    """The least of 1, 2, 5, 10, ... times a power of ten that is not below a number: the end of an axis, which seldom moves."""
+    """The least of 1, 2, 5, 10, ... not below a number: an axis limit that seldom changes."""
     number = max(number, 0.01)
     power = 10.0 ** math.floor(math.log10(number))
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= number * (1.0 - 1e-9))

@@ -1,6 +1,6 @@
-"""The control station: a page that shows a run, live or recorded, and takes orders. Everyone who has it open sees the same.
+"""The control station: a web page that shows a live or recorded run and takes orders. All open pages show the same.
 
-What changes all the time is told as a few arrays, and only to pages that are open; nothing is fetched from anywhere else.
+Frequent changes are sent as a few arrays, and only to open pages; the page loads nothing from other servers.
 """
 
 import threading
@@ -20,8 +20,8 @@ from vcmvsp.cosim.view.page.state import Known
 from vcmvsp.cosim.view.page.vehicles import WHICH, Fixes, Ghosts, Links, Trails, Vehicles, legend
 
 LEFT_PX, RIGHT_PX = 300.0, 360.0
-WORDS_S = 0.2  # between two tellings of words
-IDLE_S = 0.1  # after which it is drawn again, though nothing was shown
+WORDS_S = 0.2  # between two updates of texts
+IDLE_S = 0.1  # redraw interval without updates
 
 
 class Station:
@@ -51,7 +51,7 @@ class Station:
         threading.Thread(target=self._keep, name="station", daemon=True).start()
 
     def show(self, *updates: PageUpdate) -> None:
-        """Show how things stand. To be called from one thread, some thirty times a second at most."""
+        """Show updates. Call from one thread, at most some thirty times a second."""
         known, now_s = self._known, self._clock()
         with self._drawing:
             for update in updates:
@@ -64,7 +64,7 @@ class Station:
                 self.draw()
 
     def draw(self) -> None:
-        """Tell the pages what they do not know yet."""
+        """Send changes to the pages."""
         self._drawn.set()
         known, choice, now_s = self._known, self._choice, self._clock()
         with self._drawing:
@@ -90,7 +90,7 @@ class Station:
             self._follower.release()
 
     def _keep(self) -> None:
-        """Draw while nothing is shown, too: what was chosen, and for whom has just come."""
+        """Redraw without updates, too, for new choices and newly opened pages."""
         loop = self._server.get_event_loop()
         while loop.is_running():
             if not self._drawn.wait(IDLE_S) and self._server.get_clients():
@@ -117,7 +117,7 @@ class Station:
                 self._order(order)
 
     def _build(self, server: viser.ViserServer, scenery: Scenery) -> None:
-        """On the left what is ordered, on the right what is told."""
+        """Build the page: controls on the left, information on the right."""
         gui = server.gui
         gui.set_panel_label(f"VCMVSP: {scenery.scenario}")
         gui.main_panel.dock_left()

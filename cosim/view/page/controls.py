@@ -1,6 +1,6 @@
-"""What the one who looks may order of a run, or of the player of a recording; only what is obeyed has a control.
+"""Controls for a run or the player of a recording; only allowed orders have a control.
 
-A control gives an order and shows nothing of its own: that it was obeyed is seen in what the run shows next.
+A control sends an order and does not change by itself: the next update of the run shows the effect.
 """
 
 import math
@@ -20,34 +20,34 @@ from vcmvsp.cosim.view.page.state import Known
 T = TypeVar("T")
 Give = Callable[[Order], None]
 Draw = Callable[[Known], None]
-"""Says what can be ordered now."""
+"""Updates which controls are enabled."""
 
 ALL = "all vehicles"
 STEP_NS = SECOND_NS // 10
 SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 FASTEST = "as fast as it can"
-HAND_S = 0.7  # after the hand has left the slider, the player moves it again
+HAND_S = 0.7  # delay after the user's last slider input before the player moves it again
 
 
 def picked(dropdown: viser.GuiDropdownHandle[str]) -> str:
-    """What is chosen of a list; the first, if a page has said what is not on it."""
+    """The chosen entry of a list; the first if the page sent an unknown one."""
     return dropdown.value if dropdown.value in dropdown.options else dropdown.options[0]
 
 
 def write(part: viser.GuiInputHandle[T], value: T) -> None:
-    """Let an element of the page have this value."""
+    """Set the value of an element of the page."""
     part.value = value  # type: ignore[misc]  # viser has a method between the property and its setter, so mypy misses the setter
 
 
 def is_finite(order: Order) -> bool:
-    """Whether all numbers of an order are such as can be meant."""
+    """Whether all numbers of an order are finite."""
     values: list[Any] = [getattr(order, field) for field in order.__struct_fields__]
     flat = [part for value in values for part in (value if isinstance(value, tuple) else (value,))]
     return all(math.isfinite(part) for part in flat if isinstance(part, float))
 
 
 def controls(server: viser.ViserServer, scenery: Scenery, give: Give, clock: Callable[[], float]) -> list[Draw]:
-    """The controls of all that is obeyed, made in the present container of the page."""
+    """Create controls for all allowed orders in the present container of the page."""
     gui, may, parts = server.gui, scenery.may, list[Draw]()
     if "halt" in may:
         parts.append(_stops(gui, give))
@@ -70,7 +70,7 @@ def controls(server: viser.ViserServer, scenery: Scenery, give: Give, clock: Cal
 
 
 def _until_over(*buttons: viser.GuiButtonHandle) -> Draw:
-    """What these buttons order is possible for as long as the run goes on."""
+    """Enable these buttons until the run ends."""
 
     def draw(known: Known) -> None:
         for button in buttons:
@@ -80,7 +80,7 @@ def _until_over(*buttons: viser.GuiButtonHandle) -> Draw:
 
 
 def _stops(gui: viser.GuiApi, give: Give) -> Draw:
-    """Stop all vehicles, or let them go, if any is stopped."""
+    """Button that stops all vehicles, or releases them if any is stopped."""
     stop = gui.add_button("STOP ALL", color="red", icon=viser.Icon.HAND_STOP)
     go = gui.add_button("Let all go", color="gray")
     stop.on_click(lambda _: give(HaltTable(at_s=0.0, halted=True)))
@@ -122,7 +122,7 @@ def _changes(gui: viser.GuiApi, scenery: Scenery, give: Give) -> Draw:
 
 
 def _ends(gui: viser.GuiApi, give: Give) -> Draw:
-    """End the run, when it was said twice."""
+    """Button that ends the run after a confirmation."""
     end = gui.add_button("End the run", color="gray")
     yes = gui.add_button("Yes, end it now", color="red", visible=False)
     no = gui.add_button("No, let it go on", color="gray", visible=False)
@@ -141,7 +141,7 @@ def _ends(gui: viser.GuiApi, give: Give) -> Draw:
 
 
 class Pacing:
-    """Pause, go on, one step, and speed."""
+    """Pause, continue, single step, and speed."""
 
     def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Give) -> None:
         self._give, self._live = give, scenery.live
@@ -158,7 +158,7 @@ class Pacing:
             self._step.on_click(lambda _: self._order(paused=True, step_ns=STEP_NS))
 
     def draw(self, known: Known) -> None:
-        """Say what can be ordered now, and which speed is wanted if that has changed."""
+        """Update the enabled controls, and the target speed if it has changed."""
         pace = known.now.pace
         over = bool(pace.over) and self._live
         self._go.disabled, self._pause.disabled = over or not pace.paused, over or pace.paused
@@ -173,7 +173,7 @@ class Pacing:
         self._told = pace
 
     def _chosen(self, event: viser.GuiEvent[viser.GuiDropdownHandle[str]]) -> None:
-        if event.client_id is not None:  # else it is what `draw` has set
+        if event.client_id is not None:  # else `draw` has set it
             self._order(paused=self._told is not None and self._told.paused)
 
     def _order(self, *, paused: bool, step_ns: int = 0) -> None:
@@ -186,7 +186,7 @@ def _word(speed: float | None) -> str:
 
 
 class Timeline:
-    """Which instant of a recording is shown."""
+    """Time slider of a recording."""
 
     def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Give, clock: Callable[[], float]) -> None:
         self._give, self._clock = give, clock
@@ -197,20 +197,20 @@ class Timeline:
         self._slider.on_update(self._moved)
 
     def draw(self, known: Known) -> None:
-        """Let the slider follow the recording, unless a hand is on it."""
+        """Move the slider with the recording, unless the user drags it."""
         now_s = self._clock()
         if now_s - self._hand_s > HAND_S and self._often.due(now_s):
             write(self._slider, min(round(known.now.time_ns / SECOND_NS, 2), self._end_s))
 
     def _moved(self, event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
-        if event.client_id is not None:  # else it is what `draw` has set
+        if event.client_id is not None:  # else `draw` has set it
             self._hand_s = self._clock()
             time_s = self._slider.value if math.isfinite(self._slider.value) else 0.0
             self._give(Seek(time_ns=seconds_to_ns(min(max(time_s, 0.0), self._end_s))))
 
 
 class Mover:
-    """Put an obstacle somewhere else: by numbers, or by dragging it; at least one must be movable."""
+    """Moves an obstacle, by numbers or by dragging; at least one obstacle must be movable."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery, give: Give) -> None:
         self._give = give
@@ -232,7 +232,7 @@ class Mover:
         self._begin()
 
     def draw(self, known: Known) -> None:
-        """Learn where the obstacles are, and whether the run is over."""
+        """Update the poses of obstacles and whether the run is over."""
         for name, pose in known.now.obstacles.items():
             if name in self._pose:
                 self._pose[name] = pose
@@ -264,17 +264,17 @@ class Mover:
 
 
 class Choice:
-    """The chosen vehicle; to be made in the context of its container.
+    """The chosen vehicle. Create it in the context of its container.
 
-    What a sensor shows costs the run time: it is asked for by a `Sensors` order, of the chosen vehicle alone, and only while
-    somebody looks.
+    Readings for display cost the run computing time: a `Sensors` order requests them for the chosen vehicle only, while a page
+    is open.
     """
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery, give: Give) -> None:
         self._server, self._scenery, self._give = server, scenery, give
         self._row = {each.name: row for row, each in enumerate(scenery.vehicles)}
         gui, may = server.gui, scenery.may
-        self._ticked: set[str] = set()  # names of sensors, of whichever vehicle
+        self._ticked: set[str] = set()  # names of sensors, of any vehicle
         self._boxes: list[viser.GuiCheckboxHandle] = []
         self._asked: tuple[str, ...] = ()
         self._which = gui.add_dropdown("Vehicle", list(self._row) or ["none"])
@@ -290,38 +290,38 @@ class Choice:
 
     @property
     def name(self) -> str:
-        """Of the chosen vehicle; empty if there are none."""
+        """Name of the chosen vehicle; empty without vehicles."""
         return picked(self._which) if self._row else ""
 
     @property
     def row(self) -> int:
-        """Its place among the scenery's."""
+        """Index of the chosen vehicle in the scenery."""
         return self._row.get(self.name, 0)
 
     @property
     def follows(self) -> bool:
-        """Whether the camera goes along with it."""
+        """Whether the camera follows the chosen vehicle."""
         return self._follows.value
 
     @property
     def readings(self) -> tuple[str, ...]:
-        """What is to be shown of it: vehicle/sensor."""
+        """Readings to show of the chosen vehicle: vehicle/sensor."""
         if not self._row:
             return ()
         sensors = self._scenery.vehicles[self.row].sensors
         return tuple(f"{self.name}/{sensor}" for sensor in sensors if sensor in self._ticked)
 
     def choose(self, row: int) -> None:
-        """Choose another one."""
+        """Choose another vehicle."""
         write(self._which, self._scenery.vehicles[row].name)
 
     def draw(self, known: Known) -> None:
-        """Say what can be ordered now."""
+        """Update the enabled controls."""
         for button, stops in zip(self._stops, (True, False), strict=False):
             button.disabled = bool(known.now.pace.over) or (self.name in known.now.halted) is stops
 
     def _changed(self) -> None:
-        """Offer the sensors of the vehicle that is chosen now; those of the same names stay ticked."""
+        """Offer the sensors of the chosen vehicle; equal names stay ticked."""
         for box in self._boxes:
             box.remove()
         self._boxes = []

@@ -1,6 +1,6 @@
-"""How the control station draws: colours, shapes of unit size, and nodes that draw many of them at once.
+"""Drawing helpers of the control station: colours, shapes of unit size, and nodes that draw many shapes at once.
 
-A hundred vehicles then cost the browser as few messages as three.
+A hundred vehicles cost the browser as few messages as three.
 """
 
 import math
@@ -15,10 +15,10 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.palette import OKABE_ITO, rgb
 
 Mesh = tuple[Array, Array]  # vertices (v, 3) float32 and triangles (t, 3) uint32, counter-clockwise seen from outside
-TINY = 1e-6  # the scale of what is not to be seen
+TINY = 1e-6  # scale of an invisible shape
 WEAKEST_DBM, STRONGEST_DBM = -95.0, -40.0
-"""Between these the colours of links lie."""
-LIGHTEST = 200  # of the 255 steps of viridis: what comes after, yellow, is lost on a light floor
+"""Range of the colours of links."""
+LIGHTEST = 200  # of the 255 steps of viridis: the yellow beyond is invisible on a light floor
 WHITE = (255, 255, 255)
 FLOOR, FLOOR_DARK, SKY_DARK = (236, 238, 240), (150, 154, 160), (84, 88, 94)
 TARGET_RGB, EDGE_RGB, LOST_RGB, STOPPED_RGB = (240, 228, 66), (38, 38, 38), (220, 30, 30), (220, 30, 30)
@@ -31,13 +31,13 @@ _LIGHT = (255.0 * _LIGHT).round().astype(np.uint8)
 
 
 class Every:
-    """Says yes at most once in a period."""
+    """Limits an action to once per period."""
 
     def __init__(self, period_s: float) -> None:
         self._period_s, self._next_s = period_s, -math.inf
 
     def due(self, now_s: float) -> bool:
-        """Whether it is time again."""
+        """Whether the period has passed."""
         if now_s < self._next_s:
             return False
         self._next_s = now_s + self._period_s
@@ -45,30 +45,30 @@ class Every:
 
 
 def colors_of(count: int) -> Array:
-    """The colours of so many vehicles, as in the figures: (count, 3) uint8."""
+    """Colours of the vehicles, as in the figures: (count, 3) uint8."""
     palette = np.array([[round(255 * part) for part in rgb(code)] for code in OKABE_ITO], np.uint8)
     return palette[np.arange(count) % len(palette)]
 
 
 def css_of(row: int, *, dark: bool = False) -> str:
-    """The colour of a vehicle's curve; what is black on paper is white on black."""
+    """CSS colour of a vehicle's curve; black becomes white on a dark page."""
     code = OKABE_ITO[row % len(OKABE_ITO)]
     return "#ffffff" if dark and code == "#000000" else code
 
 
 def rssi_colors(rssi_dbm: Array) -> Array:
-    """Colours of received powers, from weak and dark to strong and light: (n,) dBm -> (n, 3) uint8."""
+    """Colours of received powers, weak is dark and strong is light: (n,) dBm -> (n, 3) uint8."""
     share = (rssi_dbm - WEAKEST_DBM) / (STRONGEST_DBM - WEAKEST_DBM)
     return _viridis()[np.clip(np.nan_to_num(share) * LIGHTEST, 0, LIGHTEST).astype(np.uint8)]
 
 
 def linear(colors: Array) -> Array:
-    """Colours as the browser wants those of many things in one node: as amounts of light, uint8, not as sRGB."""
+    """Convert sRGB colours to linear light, uint8, as the browser needs them in batched nodes."""
     return _LIGHT[colors]
 
 
 def rotated(attitude: Array, vectors: Array) -> Array:
-    """Vectors turned by quaternions (w, x, y, z): (n, 4), (n, 3) -> (n, 3)."""
+    """Rotate vectors by quaternions (w, x, y, z): (n, 4), (n, 3) -> (n, 3)."""
     w, axis = attitude[:, :1], attitude[:, 1:]
     twice = 2.0 * np.cross(axis, vectors)
     return np.asarray(vectors + w * twice + np.cross(axis, twice))
@@ -88,7 +88,7 @@ def box(low: tuple[float, float, float] = (-0.5, -0.5, -0.5), high: tuple[float,
 
 
 def prism(outline: Array, bottom: float, top: float) -> Mesh:
-    """A convex outline, (k, 2), counter-clockwise, that is extruded."""
+    """An extruded convex outline, (k, 2), counter-clockwise."""
     k = len(outline)
     vertices = np.concatenate([np.column_stack([outline, np.full(k, z)]) for z in (bottom, top)])
     sides = [face for i in range(k) for face in ((i, (i + 1) % k, k + (i + 1) % k), (i, k + (i + 1) % k, k + i))]
@@ -97,7 +97,7 @@ def prism(outline: Array, bottom: float, top: float) -> Mesh:
 
 
 def nose() -> Mesh:
-    """An arrowhead on top of a body of unit size, that points ahead."""
+    """An arrowhead on top of a body of unit size, pointing ahead."""
     return prism(np.array([(0.46, 0.0), (-0.12, 0.36), (-0.12, -0.36)]), 0.5, 0.58)
 
 
@@ -116,7 +116,7 @@ def ring(corners: int = 48, width: float = 0.12) -> Mesh:
 
 
 def quadrotor() -> Mesh:
-    """Two crossed arms, a hub, and four rotors, in a cube of unit size."""
+    """A quadrotor of unit size: two crossed arms, a hub, and four rotors."""
     hub = box((-0.16, -0.12, -0.4), (0.16, 0.12, 0.4))
     across = box((-0.5, -0.025, -0.1), (0.5, 0.025, 0.1))
     arms = [_moved(across, angle, (0.0, 0.0)) for angle in (0.25 * math.pi, 0.75 * math.pi)]
@@ -126,7 +126,7 @@ def quadrotor() -> Mesh:
 
 
 def joined(meshes: list[Mesh]) -> Mesh:
-    """Several meshes as one."""
+    """Merge meshes into one."""
     first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
     faces = [triangles + np.uint32(start) for (_, triangles), start in zip(meshes, first, strict=False)]
     return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(faces)
@@ -145,7 +145,7 @@ def _moved(mesh: Mesh, angle: float, by: tuple[float, float]) -> Mesh:
 
 @cache
 def _viridis() -> Array:
-    """The colours of the map of that name, (256, 3) uint8."""
+    """The viridis colour map, (256, 3) uint8."""
     import cv2
 
     levels = np.arange(256, dtype=np.uint8).reshape(-1, 1)
@@ -153,7 +153,7 @@ def _viridis() -> Array:
 
 
 class Batch:
-    """One shape, drawn ``count`` times in colours of their own, (count, 3) uint8; ``clicked`` takes the number of one."""
+    """One shape drawn ``count`` times with individual colours, (count, 3) uint8; ``clicked`` receives an index."""
 
     def __init__(
         self,
@@ -193,13 +193,13 @@ class Batch:
                     take(event.instance_index)
 
     def put(self, position: Array, wxyz: Array, scale: Array) -> None:
-        """Where each is, (count, 3) m, how it is turned, (count, 4), and its size, (count, 3); `TINY`: it is not seen."""
+        """Set positions, (count, 3) m, rotations, (count, 4), and sizes, (count, 3), of all instances; `TINY`: invisible."""
         for node in self.nodes:
             node.batched_positions, node.batched_wxyzs, node.batched_scales = position, wxyz, scale
 
 
 class Segments:
-    """So many straight lines; those that are not wanted begin and end at one place; colours (count, 2, 3) uint8."""
+    """A fixed number of line segments; unused ones have zero length; colours (count, 2, 3) uint8."""
 
     def __init__(self, server: viser.ViserServer, name: str, colors: Array, width_px: float) -> None:
         self.nodes: list[viser.LineSegmentsHandle] = []
@@ -208,7 +208,7 @@ class Segments:
             self.nodes.append(server.scene.add_line_segments(name, np.zeros((len(colors), 2, 3)), linear(colors), **look))
 
     def put(self, points: Array, colors: Array | None = None) -> None:
-        """Where each begins and ends, (count, 2, 3) m, and its colours if they are other ones."""
+        """Set the ends of all segments, (count, 2, 3) m, and new colours if given."""
         for node in self.nodes:
             node.points = points
             if colors is not None:

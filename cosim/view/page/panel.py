@@ -1,6 +1,6 @@
-"""What is said of the chosen vehicle, and of the run, in words: small pages of HTML, made of `Known` alone.
+"""Text panels on the chosen vehicle and on the run: HTML made from `Known` alone.
 
-Texts that agents and hosts wrote are escaped: nothing that they say becomes part of a page.
+Texts from agents and hosts are escaped: they cannot add markup to a page.
 """
 
 import math
@@ -11,16 +11,16 @@ from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.view.page.drawing import css_of
 from vcmvsp.cosim.view.page.state import Known
 
-LINKS, LINES, NOTES = 12, 60, 12  # rows that are shown; of more, the number is told
-COMMANDING = "commander", "mode", "task"  # notes that say who commands a vehicle
-LONGEST = 160  # characters of a text from elsewhere
+LINKS, LINES, NOTES = 12, 60, 12  # rows shown; of more, the count is shown
+COMMANDING = "commander", "mode", "task"  # names of the notes that name a commander
+LONGEST = 160  # maximum characters of an external text
 LEVELS = {"warning": "#b8860b", "error": "#c92a2a", "fatal": "#c92a2a", "debug": "#868e96"}
 BOX = "padding: 0.1em 0.75em 0.4em; font-size: 0.82em; line-height: 1.45"
 Rows = list[tuple[str, str]]
 
 
 def vehicle_page(known: Known, row: int) -> str:
-    """All that is known of a vehicle, but the curves and the pictures."""
+    """All data on a vehicle except curves and pictures."""
     if not known.names:
         return _boxed("There are no vehicles.")
     name = known.names[row]
@@ -34,7 +34,7 @@ def vehicle_page(known: Known, row: int) -> str:
 
 
 def run_page(known: Known) -> str:
-    """Which run it is, when it is, and how fast it goes on."""
+    """Name, time and speed of the run."""
     scenery, pace = known.scenery, known.now.pace
     now, end = known.now.time_ns / SECOND_NS, scenery.duration_ns / SECOND_NS
     if pace.over:

@@ -1,4 +1,4 @@
-"""What stands around the vehicles, in the browser, and the camera."""
+"""The surroundings of the vehicles in the browser, and the camera."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,21 +12,21 @@ from vcmvsp.cosim.view.messages import Obstacle, Scenery
 from vcmvsp.cosim.view.page.drawing import EDGE_RGB, FLOOR, FLOOR_DARK, SKY_DARK, TARGET_RGB, WHITE, Every, disc
 from vcmvsp.cosim.view.page.state import Known
 
-MOST_COLORS = 48  # of the solids; of more, similar ones become one
+MOST_COLORS = 48  # of the solids; with more, similar colours are merged
 MARGIN_M, WIDE_M = 5.0, 40.0
-FLOOR_Z_M = -0.01  # of what is drawn, so that what lies on it is seen
+FLOOR_Z_M = -0.01  # of the drawn floor, so that objects on it are visible
 SUN = (0.4, -0.7, 1.0)
-TARGET_M = 0.4  # radius of a target's mark
-VIEW, NEAREST_M = 0.8, 7.0  # how far off the camera begins: of the diagonal of what it is to see, and at least
+TARGET_M = 0.4  # radius of a target's marker
+VIEW, NEAREST_M = 0.8, 7.0  # initial camera distance: share of the visible diagonal, and minimum
 
 
 class Scene:
-    """The surroundings; only what moves is told again."""
+    """The surroundings of the vehicles; only movable objects are updated."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         self._server = server
         server.scene.set_up_direction("+z")
-        server.scene.configure_environment_map(None)  # light of all colours from everywhere would bleach the vehicles' own
+        server.scene.configure_environment_map(None)  # uniform ambient light would bleach the vehicles' colours
         server.scene.configure_default_lights(enabled=False)
         server.scene.add_light_ambient("/light/sky", intensity=1.6)
         server.scene.add_light_directional("/light/sun", intensity=2.2, position=SUN, cast_shadow=False)
@@ -54,7 +54,7 @@ class Scene:
         self._targets = {name: _add_target(server, name, x, y) for name, x, y in scenery.targets}
 
     def draw(self, known: Known) -> None:
-        """Put obstacles and targets where they are, and floor under all vehicles."""
+        """Update obstacles and targets, and extend the floor under all vehicles."""
         seen = known.position[np.isfinite(known.position).all(axis=1), :2]
         if len(seen):
             self._widen(*seen.min(axis=0).tolist(), *seen.max(axis=0).tolist())
@@ -66,7 +66,7 @@ class Scene:
                 handle.position = (x, y, 0.0)
 
     def _widen(self, west: float, south: float, east: float, north: float) -> None:
-        """Let the floor reach this far, and far enough beyond it that it need not grow again soon."""
+        """Extend the floor to these limits, with a margin so that it need not grow again soon."""
         low, high = self._extent[:2], self._extent[2:]
         if low[0] <= west and low[1] <= south and east <= high[0] and north <= high[1]:
             return
@@ -78,16 +78,16 @@ class Scene:
         self.floor.position = (0.5 * (west + east), 0.5 * (south + north), FLOOR_Z_M)
 
     def darken(self, dark: bool) -> None:
-        """Floor and sky, for a light or a dark page: never so dark that a black vehicle is lost in it."""
+        """Set floor and sky for a light or a dark page: never so dark that a black vehicle is invisible."""
         floor, sky = (FLOOR_DARK, SKY_DARK) if dark else (FLOOR, WHITE)
         self.floor.plane_color = floor
         self._server.scene.set_background_image(np.full((1, 1, 3), sky, np.uint8), format="png")
 
     def aim(self, known: Known) -> bool:
-        """Let the camera begin where it sees all vehicles and what stands about them, also on pages that are open already.
+        """Set the initial camera to show all vehicles and their surroundings, also on open pages.
 
         Returns:
-            Whether it is known by now where the vehicles are.
+            Whether the positions of the vehicles are known yet.
         """
         seen = known.position[np.isfinite(known.position).all(axis=1)]
         found = len(seen) > 0 or not known.names
@@ -100,12 +100,12 @@ class Scene:
         cameras: list[Any] = [self._server.initial_camera, *(each.camera for each in self._server.get_clients().values())]
         for camera in cameras:
             camera.position = middle + distance * np.array([-0.25, -0.6, 0.6])
-            camera.look_at = middle  # after the position, which takes it along
+            camera.look_at = middle  # after the position, which moves it
         return found
 
 
 def extent_of(scenery: Scenery) -> tuple[float, float, float, float]:
-    """West, south, east and north edge of the floor that is drawn, m."""
+    """West, south, east and north edge of the drawn floor, m."""
     places = [np.asarray(scenery.vertices)[:, :2]] if len(scenery.vertices) else []
     places += [np.array([each.pose[:2]]) for each in scenery.obstacles]
     places += [np.array([(x, y)]) for _, x, y in scenery.targets]
@@ -120,7 +120,7 @@ def extent_of(scenery: Scenery) -> tuple[float, float, float, float]:
 
 
 def by_color(colors: Array) -> tuple[Array, Array]:
-    """Few colours, (k, 3) uint8, and which of them each of (t, 3) has, (t,): those of the triangles, or near to them."""
+    """A palette, (k, 3) uint8, with colours equal or near to those of the triangles, (t, 3), and its indices, (t,)."""
     step = 1
     while True:
         coarse = np.minimum(colors.astype(np.int64) // step * step + step // 2, 255).astype(np.uint8)
@@ -131,7 +131,7 @@ def by_color(colors: Array) -> tuple[Array, Array]:
 
 
 def _add_solids(server: viser.ViserServer, scenery: Scenery) -> None:
-    """All that stands still: a mesh per colour, for a mesh in the browser has but one."""
+    """Add the static solids: one mesh per colour, because a browser mesh has a single colour."""
     if not len(scenery.triangles):
         return
     kinds, which = by_color(np.asarray(scenery.colors))
@@ -175,16 +175,16 @@ def _add_target(server: viser.ViserServer, name: str, x: float, y: float) -> vis
 
 
 PERIOD_S = 0.06
-NEAR_M, FAR_M = 2.0, 12.0  # between which the camera begins
-HAND_S = 0.4  # after a hand has left the camera, it goes along again
-SETTLES_S = 0.5  # until a page says where its camera is by now
-TURNED = 0.02  # of the distance: a hand was on it
-LEAST_M = 0.005  # a vehicle that goes less far takes no camera along
+NEAR_M, FAR_M = 2.0, 12.0  # limits of the initial camera distance
+HAND_S = 0.4  # time after the user's last camera input before following resumes
+SETTLES_S = 0.5  # time until a page reports its camera
+TURNED = 0.02  # of the distance: a larger change is user input
+LEAST_M = 0.005  # smaller movements of a vehicle do not move a camera
 
 
 @dataclass
 class _Page:
-    """The camera of a page: where it is as seen from the vehicle, m, and when it may be looked at and moved, s."""
+    """Camera of a page: position relative to the vehicle, m, and earliest times to read and move it, s."""
 
     offset: Array
     looked_at_s: float
@@ -192,7 +192,7 @@ class _Page:
 
 
 class Follower:
-    """Keeps each page's camera where it is as seen from the vehicle, except where a hand turns it."""
+    """Keeps each page's camera at a constant position relative to the vehicle, unless the user turns it."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
@@ -200,7 +200,7 @@ class Follower:
         self._often = Every(PERIOD_S)
 
     def draw(self, place: Array, now_s: float) -> None:
-        """Go along with a vehicle that is here, m."""
+        """Move the cameras with a vehicle at this position, m."""
         if not np.isfinite(place).all() or not self._often.due(now_s):
             return
         clients = self._server.get_clients()
@@ -220,5 +220,5 @@ class Follower:
                     client.camera.look_at = place
 
     def release(self) -> None:
-        """Let all cameras be."""
+        """Stop following."""
         self._pages.clear()

@@ -1,4 +1,4 @@
-"""What vehicles sense and know, in the browser: scans as points, pictures, and maps and mosaics on the floor."""
+"""Sensor data and maps in the browser: scans as points, pictures, and maps and mosaics on the floor."""
 
 import math
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ MAP_ALPHA = 200  # of 255
 
 
 class Scans:
-    """The newest scan of each scanner, where it was taken, as points."""
+    """The newest scan of each scanner as points, at the pose of its measurement."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         self._server = server
@@ -30,7 +30,7 @@ class Scans:
         self._drawn: dict[str, Scan] = {}
 
     def draw(self, known: Known, wanted: tuple[str, ...]) -> None:
-        """Draw the new ones of those that are wanted, vehicle/sensor, and put the others away."""
+        """Draw new scans of the wanted sensors (vehicle/sensor) and hide the others."""
         for key, node in self._nodes.items():
             node.visible = key in wanted and key in known.now.scans
         for key in wanted:
@@ -49,9 +49,9 @@ class Scans:
 
 
 class Pictures:
-    """The newest pictures of the cameras that are wanted, and the newest that was looked at for targets, in the panel.
+    """The newest pictures of the wanted cameras, and the newest picture searched for targets, in the panel.
 
-    It must be made where they belong: in the context of their container.
+    Create it in the context of its container.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -62,7 +62,7 @@ class Pictures:
         self._often = Every(0.15)
 
     def draw(self, known: Known, chosen: str, wanted: tuple[str, ...], now_s: float) -> None:
-        """Show the new ones of the chosen vehicle."""
+        """Show new pictures of the chosen vehicle."""
         if not self._often.due(now_s):
             return
         pictures: dict[str, Image | Sightings] = {key: known.now.images[key] for key in wanted if key in known.now.images}
@@ -85,7 +85,7 @@ class Pictures:
 
 
 class Ground:
-    """A vehicle's map of targets, or the ground as it has seen it, as a picture on the floor."""
+    """A vehicle's map of targets or its mosaic, as a picture on the floor."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
@@ -96,7 +96,7 @@ class Ground:
         self._often = Every(0.5)
 
     def draw(self, known: Known, chosen: str, now_s: float) -> None:
-        """Draw that of the chosen vehicle, if it is new."""
+        """Draw the map or mosaic of the chosen vehicle if it is new."""
         told: dict[str, Mapping[str, ProbabilityMap | Mosaic]] = {MAP: known.now.maps, MOSAIC: known.now.mosaics}
         ground = told.get(self.kind, {}).get(chosen)
         if self._node is not None:
@@ -111,7 +111,7 @@ class Ground:
             self._node.image = pixels
             return
         left, bottom, width, height = self._frame = frame
-        # A picture lies with its rows along -y of the node and is seen from -z: half a turn about x puts it on the floor.
+        # A picture has its rows along -y of the node and is visible from -z: half a turn about x puts it on the floor.
         self._node = self._server.scene.add_image(
             "/ground",
             pixels,
@@ -126,7 +126,7 @@ class Ground:
 
 
 def points_of(scan: Scan, position: Array, attitude: Array) -> Array:
-    """Where the beams of a scan ended that came back, (k, 3) m, world, seen from a body there."""
+    """End points of the beams with a return, (k, 3) m, world, for a scanner at this pose."""
     (beams,) = np.nonzero(np.isfinite(scan.ranges))
     ranges, angles = np.asarray(scan.ranges, float)[beams], scan.angle_min + scan.angle_step * beams
     ends = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(beams))])
@@ -134,7 +134,7 @@ def points_of(scan: Scan, position: Array, attitude: Array) -> Array:
 
 
 def painted(ground: ProbabilityMap | Mosaic) -> Array:
-    """A map or a mosaic as (rows, columns, 4) uint8, RGBA; what was never seen of a mosaic is left out."""
+    """A map or a mosaic as (rows, columns, 4) uint8, RGBA; unseen cells of a mosaic are transparent."""
     if isinstance(ground, Mosaic):
         return np.dstack([ground.pixels, np.uint8(255) * ground.pixels.any(axis=2)])
     stops = np.array([rgb(code) for code in PROBABILITY]) * 255.0
@@ -145,7 +145,7 @@ def painted(ground: ProbabilityMap | Mosaic) -> Array:
 
 
 def _pixels(picture: Image | Sightings) -> Array | None:
-    """A picture for the panel, no wider than it needs to be; None: it cannot be read."""
+    """A picture for the panel, at most `WIDEST_PX` wide; None if unreadable."""
     import cv2
 
     if isinstance(picture, Image):

@@ -1,4 +1,4 @@
-"""What the control station knows: the newest of all that it was shown, in rows as the scenery has its vehicles."""
+"""State of the control station: the newest values of all updates, with vehicles in the order of the scenery."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -12,22 +12,22 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import PageUpdate, Scenery
 
 NEVER_NS = -(2**62)
-LINES = 200  # of the log are kept
+LINES = 200  # log lines kept
 MAPPINGS = tuple(each.name for each in msgspec.structs.fields(PageUpdate) if get_origin(each.type) is Mapping)
-"""Fields of `PageUpdate` of which the newest of each key counts."""
+"""Fields of `PageUpdate` that keep the newest value of each key."""
 
 
 class Known:
-    """The newest of each thing. Where time goes back, in a recording, all is forgotten but what is shown then.
+    """The newest values of a run. A step back in time, in a recording, clears all but the values of that update.
 
-    Rows are vehicles in the order of the scenery; a vehicle that was never shown is somewhere that is not a number.
+    Rows are vehicles in the order of the scenery; the position of a vehicle that was never shown is NaN.
 
     Attributes:
-        now: all updates as one; its states, links and lines are those of the last one.
-        lines: of the log, and ``told``, how many there were so far.
-        times_back: how often time went back.
+        now: all updates merged; states, links and lines are from the last one.
+        lines: log lines; ``told``: their total number so far.
+        times_back: number of steps back in time.
         position, velocity, attitude: (n, 3) m and m/s, world; (n, 4) w, x, y, z, world_from_body.
-        link_sent_ns, link_rssi_dbm, link_received: (n, n), of the newest frame of the row's vehicle for the column's.
+        link_sent_ns, link_rssi_dbm, link_received: (n, n), of the newest frame from the row's vehicle for the column's.
     """
 
     now: PageUpdate
@@ -46,14 +46,14 @@ class Known:
         self._forget(0)
 
     def take(self, update: PageUpdate) -> None:
-        """Learn how things stand."""
+        """Update from a message."""
         if update.time_ns < self.now.time_ns:
             self.times_back += 1
             kept = [line for line in self.lines if line.time_ns <= update.time_ns]
             self._forget(update.time_ns)
             self.lines.extend(kept)
         for line in update.lines:
-            if line not in self.lines:  # a recording may tell those again that stand there still
+            if line not in self.lines:  # a recording may repeat lines that are still listed
                 self.lines.append(line)
                 self.told += 1
         merged: dict[str, Any] = {name: {**getattr(self.now, name), **getattr(update, name)} for name in MAPPINGS}
@@ -65,7 +65,7 @@ class Known:
 
     @property
     def yaw(self) -> Array:
-        """Of each vehicle, rad, counter-clockwise from east: (n,)."""
+        """Heading of each vehicle, rad, counter-clockwise from east: (n,)."""
         w, x, y, z = self.attitude.T
         return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 

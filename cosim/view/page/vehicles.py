@@ -1,4 +1,4 @@
-"""The vehicles in the browser: bodies and names, where they came from, the places that they mean to keep, and their links."""
+"""The vehicles in the browser: bodies, names, trails, slots of followers, and links."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -32,33 +32,33 @@ from vcmvsp.cosim.view.page.drawing import (
 )
 from vcmvsp.cosim.view.page.state import Known
 
-LABELS = 200  # vehicles; of more, the others' names are not written beside them
-LABELS_AT_ONCE = 16  # are moved: each costs a message
-ABOVE_M = 0.12  # a name over its body
+LABELS = 200  # vehicles with a name beside them
+LABELS_AT_ONCE = 16  # labels moved per update: each costs a message
+ABOVE_M = 0.12  # height of a name over its body
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 SEGMENTS, LONGEST, SHORTEST = 4000, 150, 20
-"""Of all trails together, and of each of them."""
-TRAIL_NS = 30 * SECOND_NS  # which a trail reaches back, unless the run is so fast that it is more
-LEAST_M = 0.03  # radius of the mark of an exact position
-OVER_M = 0.02  # above the floor, so that it is seen
-FRESH_NS = SECOND_NS  # how long a frame is shown
+"""Limit for all trails together, and for each."""
+TRAIL_NS = 30 * SECOND_NS  # length of a trail; longer in very fast runs
+LEAST_M = 0.03  # radius of the marker of an exact position
+OVER_M = 0.02  # above the floor, for visibility
+FRESH_NS = SECOND_NS  # display time of a frame
 MOST = 600  # half lines; of more, the newest are drawn
 BLINK_S = 0.25
-FEW = 12  # vehicles of which all links are drawn at first
+FEW = 12  # up to this many vehicles, all links are drawn at first
 WHICH = ALL, OWN, NONE = "all", "of the chosen vehicle", "none"
 
 
 class Places(NamedTuple):
-    """The places of the k vehicles that follow one another."""
+    """The slots of the k followers."""
 
-    row: Array  # (k,) of each follower
-    place: Array  # (k, 3) m, world: where it belongs as it is turned now, at its own height
-    yaw: Array  # (k,) rad, its own
+    row: Array  # (k,) index of each follower
+    place: Array  # (k, 3) m, world: slot for its present heading, at its own height
+    yaw: Array  # (k,) rad, its own heading
     error_m: Array  # (k,), the formation error: see `cosim.types.Follows`
 
 
 def places_of(known: Known) -> Places:
-    """The places that are kept at present, of vehicles that are known to be somewhere."""
+    """The present slots of followers whose positions are known."""
     kept = [
         (known.row[name], known.row[each.leader], *each.slot, each.handle_m)
         for name, each in known.now.places.items()
@@ -74,7 +74,7 @@ def places_of(known: Known) -> Places:
     here = known.position[row]
     off = here[:, :2] + handle[:, None] * own_ahead - (centre + handle[:, None] * ahead)
     known_both = np.isfinite(off).all(axis=1)
-    place = np.column_stack([here[:, :2] - off, here[:, 2]])  # on a curve it is the handles that have to meet
+    place = np.column_stack([here[:, :2] - off, here[:, 2]])  # on a curve the handles coincide
     return Places(*(part[known_both] for part in (row, place, own, np.hypot(off[:, 0], off[:, 1]))))
 
 
@@ -83,7 +83,7 @@ def _unit(yaw: Array) -> Array:
 
 
 class Vehicles:
-    """All vehicles of a run, a few nodes together."""
+    """All vehicles of a run, drawn in a few nodes."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery, choose: Callable[[int], None]) -> None:
         crafts = scenery.vehicles
@@ -114,7 +114,7 @@ class Vehicles:
         self._slow = Every(0.1)
 
     def draw(self, known: Known, chosen: int, now_s: float) -> None:
-        """Put all of them where they are."""
+        """Update all vehicles."""
         if not len(self._size):
             return
         seen = np.isfinite(known.position).all(axis=1)
@@ -141,7 +141,7 @@ class Vehicles:
         self._stopped.put(floor, upright, np.column_stack([radius, radius, np.ones(len(reach))]))
 
     def _draw_labels(self, centre: Array) -> None:
-        """Move names along; of many vehicles some at a time, in turn."""
+        """Move labels; of many vehicles some at a time, in turn."""
         for _ in range(min(LABELS_AT_ONCE, len(self.labels))):
             row = self._label = (self._label + 1) % len(self.labels)
             self.labels[row].position = centre[row] + (0.0, 0.0, 0.5 * float(self._size[row, 2]) + ABOVE_M)
@@ -152,12 +152,12 @@ def _clicked(rows: Array, choose: Callable[[int], None]) -> Callable[[int], None
 
 
 class Trails:
-    """Where the vehicles were lately."""
+    """Recent tracks of the vehicles."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         count = len(scenery.vehicles)
         self._steps = min(max(SEGMENTS // max(count, 1), SHORTEST), LONGEST)
-        # A slow fade to the floor's colour says which end is old.
+        # A slow fade to the floor's colour marks the old end.
         share = np.linspace(0.25, 1.0, self._steps + 1)[None, :, None]
         shades = (235.0 + share * (colors_of(count)[:, None] - 235.0)).astype(np.uint8)
         self._lines = Segments(server, "/trails", _pairs(shades), 2.0)
@@ -168,7 +168,7 @@ class Trails:
         self._new = False
 
     def sample(self, known: Known) -> None:
-        """Take in where the vehicles are, if it is time."""
+        """Add the present positions, if due."""
         if known.times_back != self._times_back:
             self._times_back, self._next_ns = known.times_back, 0
             self._places = self._places[:, :0]
@@ -179,7 +179,7 @@ class Trails:
         self._new = True
 
     def draw(self, now_s: float) -> None:
-        """Draw them, if they are longer than they were."""
+        """Draw the trails if they have grown."""
         if self._new and self._often.due(now_s):
             self._new = False
             missing = self._steps + 1 - self._places.shape[1]
@@ -191,7 +191,7 @@ class Trails:
 
 
 class Ghosts:
-    """The places that followers mean to keep: bodies that can be seen through, and lines to them."""
+    """Slots of followers: transparent bodies, and lines to them."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         self._size = np.array([each.size for each in scenery.vehicles], float).reshape(-1, 3)
@@ -201,7 +201,7 @@ class Ghosts:
         self.nodes = [*self._bodies.nodes, *self._lines.nodes]
 
     def draw(self, known: Known) -> None:
-        """Put them where they are."""
+        """Update the slots."""
         places = places_of(known)
         position, yaw = np.zeros_like(self._size), np.zeros(len(self._size))
         scale = np.full_like(self._size, TINY)
@@ -214,7 +214,7 @@ class Ghosts:
 
 
 class Fixes:
-    """Where positioning systems say that vehicles are: a disc of one standard deviation on each, and what is seen of it."""
+    """Position fixes of vehicles: a disc with a radius of one standard deviation for each."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         colors = colors_of(len(scenery.vehicles))
@@ -224,7 +224,7 @@ class Fixes:
         self._often, self._any = Every(0.1), False
 
     def draw(self, known: Known, now_s: float) -> None:
-        """Put them where they are."""
+        """Update the fixes."""
         if not (known.now.fixes or self._any) or not self._often.due(now_s):
             return
         self._any = bool(known.now.fixes)
@@ -233,19 +233,19 @@ class Fixes:
         for name, fix in known.now.fixes.items():
             if (row := known.row.get(name)) is not None:
                 position[row] = fix.position
-                if not self._flies[row]:  # on the floor, whatever its height was measured to be
+                if not self._flies[row]:  # on the floor, for any measured height
                     position[row, 2] = known.position[row, 2] + OVER_M
                 scale[row] = (max(fix.sigma_m, LEAST_M), max(fix.sigma_m, LEAST_M), 1.0)
         self._discs.put(position, turned(np.zeros(count)), scale)
 
 
 def _pairs(points: Array) -> Array:
-    """Chains of points, (n, k + 1, 3), as the pieces between them, (n * k, 2, 3)."""
+    """Split chains of points, (n, k + 1, 3), into segments, (n * k, 2, 3)."""
     return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3)
 
 
 class Links:
-    """The links that had a frame in the last second: coloured by received power, blinking red where it was lost."""
+    """Links with a frame in the last second: coloured by received power, blinking red where it was lost."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         count = len(scenery.vehicles)
@@ -255,18 +255,18 @@ class Links:
         self.which = ALL if count <= FEW else OWN
 
     def draw(self, known: Known, chosen: int, now_s: float) -> None:
-        """Draw those that are fresh now."""
+        """Draw the links with fresh frames."""
         if not self._room:
             return
         of = {ALL: None, OWN: chosen, NONE: -1}[self.which]
         sender, receiver = fresh_links(known, self._room, of)
-        tops = known.position + self._up  # else they would run through the bodies
+        tops = known.position + self._up  # avoids lines through the bodies
         here, there = tops[sender], tops[receiver]
         points = np.zeros((self._room, 2, 3))
         colors = np.zeros((self._room, 2, 3), np.uint8)
         got = known.link_received[sender, receiver]
         shade = np.where(got[:, None], rssi_colors(known.link_rssi_dbm[sender, receiver]), np.array(LOST_RGB, np.uint8))
-        blinks = ~got & bool(int(now_s / BLINK_S) % 2)  # away every other moment
+        blinks = ~got & bool(int(now_s / BLINK_S) % 2)  # hidden every other moment
         points[: len(sender), 0] = here
         points[: len(sender), 1] = np.where(blinks[:, None], here, 0.5 * (here + there))
         colors[: len(sender)] = shade[:, None]
@@ -274,7 +274,7 @@ class Links:
 
 
 def fresh_links(known: Known, most: int, of: int | None = None) -> tuple[Array, Array]:
-    """Rows of senders and receivers with a frame in the last second, the newest ``most``, in steady order; ``of`` one row."""
+    """Senders and receivers (rows) with a frame in the last second, newest ``most``, in steady order; ``of``: a vehicle."""
     age = known.now.time_ns - known.link_sent_ns
     placed = np.isfinite(known.position).all(axis=1)
     fresh = (age >= 0) & (age <= FRESH_NS) & placed[:, None] & placed[None, :]
@@ -289,7 +289,7 @@ def fresh_links(known: Known, most: int, of: int | None = None) -> tuple[Array, 
 
 
 def legend() -> str:
-    """What the colours mean, as HTML."""
+    """Legend of the colours, as HTML."""
     stops = ", ".join(f"rgb({r}, {g}, {b})" for r, g, b in rssi_colors(np.linspace(WEAKEST_DBM, STRONGEST_DBM, 6)).tolist())
     red = "rgb({}, {}, {})".format(*LOST_RGB)
     bar = f"height: 0.6em; margin: 0.2em 0; background: linear-gradient(90deg, {stops})"

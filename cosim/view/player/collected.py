@@ -1,4 +1,4 @@
-"""What only all messages of a topic tell, at any time of a recording: frames, lines of the log, notes, stopped vehicles."""
+"""Values at any time of a recording that depend on all messages of a topic: frames, log lines, notes, stopped vehicles."""
 
 from array import array
 from bisect import bisect_right
@@ -16,8 +16,8 @@ from vcmvsp.cosim.view.player.mcap_index import Taker
 
 FRAMES, LOG, HALTED = "radio/frame", "log", "operator/halted"
 NOTE = "note"  # of each vehicle
-LINES = 200  # of the log, at once
-ROWS_BETWEEN = 1 << 17  # of frame and receiver, between two sums that are kept: counting so many takes a third of a millisecond
+LINES = 200  # log lines shown at once
+ROWS_BETWEEN = 1 << 17  # rows of frame and receiver between two stored sums: counting so many takes a third of a millisecond
 _LEVEL = {number: word for word, number in LEVELS.items()}
 
 
@@ -38,7 +38,7 @@ _read_note = json_reader(_Names)
 
 
 class Collected:
-    """What is collected while the messages of a file are noted."""
+    """Collects such values while a file is indexed."""
 
     def __init__(self, about: Mapping[str, str]) -> None:
         self.vehicles = tuple(about.get("vehicles", "").split())
@@ -48,18 +48,18 @@ class Collected:
         self._halted: list[tuple[int, tuple[str, ...]]] = []
 
     def taker(self, topic: str) -> Taker | None:
-        """What takes all messages of a topic, if they are needed."""
+        """Function that receives all messages of a topic; None if they are not needed."""
         if topic.partition("/")[2] == NOTE:
             self.notes[topic] = Notes()
             return self.notes[topic].take
         return {FRAMES: self.counts.take, LOG: self._take_line, HALTED: self._take_halted}.get(topic)
 
     def halted(self, time_ns: int) -> tuple[str, ...]:
-        """Vehicles that the operator has stopped."""
+        """Vehicles stopped by the operator at a time."""
         return next((names for when_ns, names in reversed(self._halted) if when_ns <= time_ns), ())
 
     def said(self, time_ns: int, since_ns: int | None) -> tuple[LogLine, ...]:
-        """The newest lines of the log; ``since_ns``: those that were later."""
+        """The newest log lines; with ``since_ns``, the later ones only."""
         from_ns = -1 if since_ns is None else since_ns
         return tuple(line for line in self.lines if from_ns < line.time_ns <= time_ns)[-LINES:]
 
@@ -75,37 +75,37 @@ class Collected:
 
 
 class Notes:
-    """The notes of one vehicle. They are told apart by what they name, and of each sort only the newest is read."""
+    """The notes of one vehicle. Notes with the same names form a sort, and only the newest of each sort is read."""
 
     def __init__(self) -> None:
-        self._sorts: dict[tuple[str, ...], array[int]] = {}  # names -> numbers of the notes that have them
+        self._sorts: dict[tuple[str, ...], array[int]] = {}  # names -> numbers of the notes with these names
         self._count = 0
 
     def take(self, _: int, data: bytes) -> None:
-        """The next note."""
+        """Add the next note."""
         self._sorts.setdefault(tuple(_read_note(data).values), array("q")).append(self._count)
         self._count += 1
 
     def at(self, number: int, get: Callable[[int], Mapping[str, Any]]) -> dict[str, Any]:
-        """All that was noted up to the note of this number; ``get`` gives a note by its number."""
+        """Merged notes up to the note of this number; ``get`` returns a note by its number."""
         newest = [numbers[place - 1] for numbers in self._sorts.values() if (place := bisect_right(numbers, number))]
         return {name: value for each in sorted(newest) for name, value in get(each).items()}
 
 
 class Counts:
-    """How many frames each vehicle had sent to each other one, and how many of them arrived, at any time."""
+    """Counts of frames sent from vehicle to vehicle, and of those received, at any time."""
 
     def __init__(self, vehicles: Sequence[str]) -> None:
         self._row = {name: i for i, name in enumerate(vehicles)}
-        self._times, self._ends = array("q"), array("q")  # of each frame: when it was reported, and rows up to and with it
-        self._senders = array("q")  # of each frame
-        self._rows: list[Array] = []  # of each frame: a code per receiver
-        self._codes = np.zeros(0, np.int32)  # of all: (sender, receiver) as one number, once more if it arrived
+        self._times, self._ends = array("q"), array("q")  # per frame: time of report, and number of rows including its own
+        self._senders = array("q")  # per frame
+        self._rows: list[Array] = []  # per frame: a code per receiver
+        self._codes = np.zeros(0, np.int32)  # of all frames: (sender, receiver) as one number, repeated if received
         self._sums = np.zeros((1, 0), np.int64)
         self._of: dict[tuple[str, ...], Array] = {}
 
     def take(self, time_ns: int, data: bytes) -> None:
-        """Count a frame that was reported then; times do not decrease."""
+        """Count a frame reported at this time; times do not decrease."""
         frame = _read_frame(data)
         receivers = self._of.get(frame.receivers)
         if receivers is None:
@@ -119,7 +119,7 @@ class Counts:
         self._ends.append(len(codes) + (self._ends[-1] if self._ends else 0))
 
     def close(self) -> None:
-        """There are no more: sum up."""
+        """Finish counting: compute the stored sums."""
         self._codes = np.concatenate([np.zeros(0, np.int32), *self._rows])
         self._rows.clear()
         between = self._between
@@ -127,17 +127,17 @@ class Counts:
         self._sums = np.cumsum([self._count(self._codes[:0]), *parts], axis=0)
 
     def frames(self, time_ns: int) -> int:
-        """How many frames were reported by then."""
+        """Number of frames reported up to a time."""
         return bisect_right(self._times, time_ns)
 
     def newest(self, first: int, last: int) -> list[int]:
-        """Of the frames from number ``first`` up to ``last``, which is not one of them, the newest of each sender."""
+        """Newest frame of each sender among the frames ``first`` to ``last`` - 1."""
         numbers = np.full(len(self._row), -1)
-        numbers[np.array(self._senders[first:last], np.int64)] = np.arange(first, last)  # of equal ones the last counts
+        numbers[np.array(self._senders[first:last], np.int64)] = np.arange(first, last)  # the last of equal indices counts
         return sorted(numbers[numbers >= 0].tolist())
 
     def at(self, time_ns: int) -> tuple[Array, Array]:
-        """Frames sent and received by then, (n, n) int64 each, a row per sender."""
+        """Frames sent and received up to a time, (n, n) int64 each, one row per sender."""
         frames = self.frames(time_ns)
         rows = self._ends[frames - 1] if frames else 0
         known = rows // self._between
@@ -147,7 +147,7 @@ class Counts:
 
     @property
     def _between(self) -> int:
-        """Rows between two sums, which need no more memory than the rows."""
+        """Rows between two stored sums, chosen so that the sums need no more memory than the rows."""
         return max(ROWS_BETWEEN, 4 * len(self._row) ** 2)
 
     def _count(self, codes: Array) -> Array:

@@ -1,6 +1,6 @@
-"""What a recording says, as the values that it was made from (the inverse of `cosim.recording.foxglove`).
+"""Decodes recorded messages to the original values (the inverse of `cosim.recording.foxglove`).
 
-What a message has no place for is not to be had any more, such as the depth of a picture.
+Data without a field in the message, such as the depth of a picture, are lost.
 """
 
 import math
@@ -36,16 +36,16 @@ ALSO: Mapping[str, Any] = {
     **{f"vcmvsp.{kind.__name__}": kind for kind in (Follows, Halted, Presence)},
     "foxglove.ImageAnnotations": ImageAnnotations,
 }
-"""Schemas that exports do not look into, and their types."""
+"""Types of the schemas that exports do not decode."""
 
 
 def image_of(said: RawImage, calibration: CameraCalibration | None) -> Image:
-    """A picture, and the focal length of its camera, where it was told."""
+    """A picture, with the focal length of its camera if recorded."""
     return Image(pixels=said.pixels, time_ns=said.timestamp.ns, focal_px=0.0 if calibration is None else calibration.K[0])
 
 
 def _numbers_of(said: Noted) -> dict[str, Any]:
-    """A number that JSON cannot say is null there, and NaN here."""
+    """Values of a note, with null (a number that JSON cannot express) as NaN."""
     return {name: math.nan if value is None else value for name, value in said.values.items()}
 
 
@@ -65,7 +65,7 @@ def _poses_of(said: FrameTransforms) -> dict[str, Pose]:
 
 
 def _scan_of(said: LaserScan) -> Scan:
-    """A sweep; null stands for infinity, of a beam without return."""
+    """A sweep; null becomes infinity, for a beam without return."""
     ranges = np.array(said.ranges, np.float32)
     ranges[np.isnan(ranges)] = np.inf
     return Scan(
@@ -96,4 +96,4 @@ SHOWN_AS: Mapping[type, Callable[[Any], Any]] = {
     Grid: lambda said: said.shown,
     FrameReport: _link_of,
 }
-"""What the page shows of a message of this type; others are shown as they are."""
+"""Decoders for messages to the page, by type; other messages are used unchanged."""

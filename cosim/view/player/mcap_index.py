@@ -1,7 +1,7 @@
-"""A recording's messages by topic and time, also of a file that a killed process left: up to its last whole chunk.
+"""Index of a recording's messages by topic and time; reads files of killed processes up to the last complete chunk.
 
-A file is read through once, chunk by chunk, and checked. What stays in memory is where each message lies (16 bytes) and the
-last few chunks; the messages themselves, pictures say, are read when they are asked for. The layout is that of the MCAP
+A file is read once, chunk by chunk, and checked. Memory holds the position of each message (16 bytes) and the last few chunks;
+messages themselves, such as pictures, are read on demand. The layout is that of the MCAP
 specification (https://mcap.dev/spec), as `cosim.recording.mcap_writer` writes it.
 """
 
@@ -20,22 +20,22 @@ from vcmvsp.cosim.recording import mcap_reader
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
-KEPT_BYTES = 32 << 20  # of chunks, for the next look
+KEPT_BYTES = 32 << 20  # chunks kept for repeated access
 TOO_SOON = "it ends too soon: its run goes on, or was killed"
 _RECORD = struct.Struct("<BQ")  # opcode, length of the rest
-_CHUNK = struct.Struct("<QQQII")  # first and last time; size and checksum of what is in it; length of the codec's name
+_CHUNK = struct.Struct("<QQQII")  # first and last time; size and checksum of the content; length of the codec's name
 _MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
 _START = _RECORD.size
-_HEAD_BYTES = _START + _MESSAGE.size + 8  # of a message, up to its content
+_HEAD_BYTES = _START + _MESSAGE.size + 8  # of a message, before its content
 _DAMAGE = (ValueError, KeyError, struct.error, MemoryError, OverflowError, OSError, pa.ArrowException)
-_OFFSET_BITS = 40  # of a message in its chunk, once unpacked
+_OFFSET_BITS = 40  # bits for the offset of a message in its unpacked chunk
 
 Taker = Callable[[int, bytes], None]
-"""Takes time (ns) and content of a message."""
+"""Receives time (ns) and content of a message."""
 
 
 class _Part(NamedTuple):
-    """A chunk: where its bytes lie, and what they are."""
+    """Position and format of a chunk in the file."""
 
     start: int
     length: int
@@ -45,7 +45,7 @@ class _Part(NamedTuple):
 
 
 class Topic:
-    """The messages of one topic: when each is in effect, and where it lies."""
+    """The messages of one topic: their times and positions."""
 
     def __init__(self, name: str, schema: str) -> None:
         self.name, self.schema = name, schema
@@ -53,36 +53,36 @@ class Topic:
         self.add_time, self.add_place = self._times.append, self._places.append
 
     def newest(self, time_ns: int, since_ns: int | None = None) -> int:
-        """The number of the newest message at a time; -1: there is none, or none that is later than ``since_ns``."""
+        """Number of the newest message at a time; -1 without one, or without one later than ``since_ns``."""
         number = bisect_right(self._times, time_ns) - 1
         return -1 if number >= 0 and since_ns is not None and self._times[number] <= since_ns else number
 
     def time_ns(self, number: int) -> int:
-        """When that message is in effect."""
+        """Time of a message."""
         return self._times[number]
 
     def place(self, number: int) -> tuple[int, int]:
-        """Its chunk, and where it begins in it."""
+        """Chunk of a message and its offset in it."""
         return divmod(self._places[number], 1 << _OFFSET_BITS)
 
 
 class Messages:
-    """An open file, for one thread. `read` it before anything else.
+    """An open file, for one thread. Call `read` first.
 
     Attributes:
-        topics: those that are wanted and have a message, by name.
-        about: what the file says of its run.
+        topics: wanted topics with messages, by name.
+        about: metadata of the run in the file.
         end_ns: time of the last message of any topic.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the file is unreadable.
     """
 
     def __init__(self, path: Path) -> None:
         self.topics: dict[str, Topic] = {}
         self.end_ns = 0
         self._schemas: dict[int, str] = {}
-        self._channels: dict[int, tuple[Topic, Taker | None] | None] = {}  # None: passed over
+        self._channels: dict[int, tuple[Topic, Taker | None] | None] = {}  # None: skipped
         self._parts: list[_Part] = []
         self._kept: OrderedDict[int, bytes] = OrderedDict()  # chunks, the newest last
         self._kept_bytes = 0
@@ -90,15 +90,15 @@ class Messages:
         self.about = mcap_reader.about(self._stream)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._stream.close()
 
     def read(self, wanted: Callable[[str, str], bool], taker: Callable[[str], Taker | None]) -> str:
-        """Note where every message is; what is wrong with the file from where on nothing of it counts, if anything is.
+        """Index all messages; returns the description of damage, beyond which the file is ignored, or an empty text.
 
         Args:
-            wanted: takes topic and name of the schema: whether messages of this topic will be asked for.
-            taker: takes a wanted topic: what takes all of its messages at once, if anything does.
+            wanted: takes topic and schema name; whether messages of this topic are wanted.
+            taker: takes a wanted topic; the function that receives all its messages during indexing, or None.
         """
         self._wanted, self._taker = wanted, taker
         stream, size = self._stream, os.fstat(self._stream.fileno()).st_size
@@ -129,7 +129,7 @@ class Messages:
         """The content of a message.
 
         Raises:
-            OSError, ValueError: the file is not what it was when it was opened.
+            OSError, ValueError: the file has changed since it was opened.
         """
         chunk, start = topic.place(number)
         raw = self._chunk(chunk)
@@ -157,13 +157,13 @@ class Messages:
         _, _, size, crc, letters = _CHUNK.unpack_from(head)
         name_end = _CHUNK.size + letters
         compression = head[_CHUNK.size : name_end].decode()
-        part = _Part(start + name_end + 8, length - name_end - 8, compression, size, crc)  # 8: the length, once more
+        part = _Part(start + name_end + 8, length - name_end - 8, compression, size, crc)  # 8: the length, repeated
         raw = self._unpacked(part)
         self._parts.append(part)
         self._walk(raw, len(self._parts) - 1 << _OFFSET_BITS, sum(next(self._counts, {}).values()) or part.size)
 
     def _walk(self, raw: bytes, base: int, left: int) -> None:
-        """Note the messages of a chunk, ``left`` at most; ``base`` stands for the chunk in what is noted."""
+        """Index the messages of a chunk, at most ``left``; ``base`` identifies the chunk in the index."""
         place, size, channels = 0, len(raw), self._channels
         record, head, time_ns = _RECORD.unpack_from, _MESSAGE.unpack_from, self.end_ns
         while place < size:
@@ -192,5 +192,5 @@ class Messages:
         name, schema = record.topic, self._schemas[record.schema_id]
         self._channels[record.id] = None
         if self._wanted(name, schema):
-            topic = self.topics.setdefault(name, Topic(name, schema))  # a channel for each type of message
+            topic = self.topics.setdefault(name, Topic(name, schema))  # one channel for each type of message
             self._channels[record.id] = topic, self._taker(name)

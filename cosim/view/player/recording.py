@@ -1,4 +1,4 @@
-"""A recorded run: how things stood at any time of it, and the player that shows it at the pace that is ordered."""
+"""Playback of a recorded run: its state at any time, and a player that shows it at a chosen pace."""
 
 import queue
 import time
@@ -27,30 +27,30 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 SCAN, IMAGE, FIX = "foxglove.LaserScan", "foxglove.RawImage", "foxglove.PoseInFrame"  # schemas
-STATE, HEARD, SIGHTINGS = "state", "heard", "sightings"  # of each vehicle
+STATE, HEARD, SIGHTINGS = "state", "heard", "sightings"  # topics of each vehicle
 NEWEST = {"follows": "places", "host": "presence", "real": "real", "map": "maps", "mosaic": "mosaics"}
-"""Of each vehicle: a topic, and the field of `PageUpdate` in which its newest message stands as it is."""
+"""Topics of vehicles, with the field of `PageUpdate` that holds the newest message unchanged."""
 FASTEST, SLOWEST = 100.0, 0.01  # simulated seconds per second
 
 
 class Recording:
-    """A run's folder, for one thread.
+    """The recording in a run's folder, for one thread.
 
-    That of a run which goes on, or was killed, shows what there is. Only the index is in memory, and what is looked at is read:
-    to jump to another time costs about as much as to go on.
+    The recording of a current or killed run shows its available part. Memory holds only the index; messages are read on demand,
+    so a jump costs about as much as continued playback.
 
     Args:
         run_dir: the folder.
-        trust: import classes that its scenario names and that are not built in, for exact shapes.
+        trust: import classes of the scenario that are not built in, for exact shapes.
 
     Attributes:
-        vehicles: of the run, in its order.
-        end_ns: how far the recording goes.
-        ending: why it goes no further.
-        troubles: what cannot be shown, and why.
+        vehicles: vehicles of the run, in its order.
+        end_ns: end of the recording.
+        ending: reason for the end of the recording.
+        troubles: parts that cannot be shown, with reasons.
 
     Raises:
-        UsageError: there is no such folder, or nothing of a recording in it.
+        UsageError: the folder does not exist or contains no readable recording.
     """
 
     def __init__(self, run_dir: str | Path, trust: bool = False) -> None:
@@ -58,7 +58,7 @@ class Recording:
         self._file = _opened(self._folder)
         self._values = Values(decoding.ALSO)
         self._collected = Collected(self._file.about)
-        self._world: worlds.World | None = None  # if it is to be had
+        self._world: worlds.World | None = None  # if it can be built
         try:
             self._read()
         except BaseException:
@@ -80,19 +80,19 @@ class Recording:
         self.scenery = msgspec.structs.replace(known, vehicles=tuple(crafts), duration_ns=self.end_ns)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
     def at(self, time_ns: int, since_ns: int | None = None, sensors: Sequence[str] = ()) -> PageUpdate:
-        """How things stood at a time: the newest of everything that was recorded by then.
+        """State at a time: the newest recorded values up to it.
 
         Args:
-            time_ns: that time.
-            since_ns: an earlier time: what has not been recorded anew since then is left out. None: nothing is.
-            sensors: whose readings are wanted, by vehicle/sensor.
+            time_ns: time of the state.
+            since_ns: an earlier time: values not recorded since then are omitted. None: all are included.
+            sensors: sensors with wanted readings, as vehicle/sensor.
 
         Raises:
-            UsageError: the file is not what it was, or another version wrote it.
+            UsageError: the file has changed, or another version wrote it.
         """
         counts, span = self._collected.counts, (time_ns, since_ns)
         first, last = 0 if since_ns is None else counts.frames(since_ns), counts.frames(time_ns)
@@ -131,7 +131,7 @@ class Recording:
         return found
 
     def _staged(self) -> Scenery:
-        """Where the run took place; without its scenario, or its world, the vehicles are shown alone."""
+        """The scenery of the run; without its scenario or its world, only the vehicles."""
         path, why = self._folder / "scenario.toml", "there is no scenario.toml (yet)"
         topic = self._file.topics.get(SCENE)
         drawing = None if topic is None else self._content(topic, 0)
@@ -170,13 +170,13 @@ class Recording:
         return None if topic is None else self._value(topic, 0)
 
     def _each(self, what: str, read: Callable[[Topic, int], T], time_ns: int, since_ns: int | None) -> dict[str, T]:
-        """Each vehicle's newest message of such a topic, if there is one, read by topic and number."""
+        """Each vehicle's newest message of a topic, if any, read by topic and number."""
         topics = {vehicle: self._file.topics.get(f"{vehicle}/{what}") for vehicle in self.vehicles}
         found = [(vehicle, topic, topic.newest(time_ns, since_ns)) for vehicle, topic in topics.items() if topic is not None]
         return {vehicle: read(topic, number) for vehicle, topic, number in found if number >= 0}
 
     def _states(self, time_ns: int, since_ns: int | None) -> States | None:
-        """The newest that are whole: where a file was cut, the last ones may be of some vehicles only."""
+        """The newest complete states: at the end of a cut file, states may cover some vehicles only."""
         found = [topic for name in self.vehicles if (topic := self._file.topics.get(f"{name}/{STATE}")) is not None]
         numbers = [topic.newest(time_ns) for topic in found]
         if len(found) < len(self.vehicles) or min(numbers) < 0:
@@ -191,14 +191,14 @@ class Recording:
         return self._collected.notes[topic.name].at(number, lambda each: self._value(topic, each))
 
     def _fixes(self, time_ns: int, since_ns: int | None) -> dict[str, Fix]:
-        """The newest of each vehicle, whichever of its sensors it came from."""
+        """The newest fix of each vehicle, from any of its sensors."""
         topics = [topic for topic in self._file.topics.values() if topic.schema == FIX]
         newest = [(topic.time_ns(k), topic, k) for topic in topics if (k := topic.newest(time_ns, since_ns)) >= 0]
         by_vehicle = {topic.name.partition("/")[0]: (topic, k) for _, topic, k in sorted(newest, key=lambda each: each[0])}
         return {name: self._value(topic, number) for name, (topic, number) in by_vehicle.items()}
 
     def _sightings(self, topic: Topic, number: int) -> Sightings:
-        """With the picture of the same time, where there is one."""
+        """Sightings with the picture of the same time, if any."""
         pictures, when_ns, picture = self._file.topics.get(f"{topic.name}/{PICTURE}"), topic.time_ns(number), None
         if pictures is not None and (of_then := pictures.newest(when_ns)) >= 0 and pictures.time_ns(of_then) == when_ns:
             picture = self._value(pictures, of_then)
@@ -240,29 +240,29 @@ def _is_wanted(topic: str, schema: str) -> bool:
 
 
 def _changed(of: Callable[[int], dict[str, T]], time_ns: int, since_ns: int | None) -> dict[str, T]:
-    """Of a mapping that depends on the time, what has changed since another time."""
+    """Entries of a time-dependent mapping that have changed since another time."""
     before = {} if since_ns is None else of(since_ns)
     return {name: value for name, value in of(time_ns).items() if name not in before or before[name] != value}
 
 
 class Player:
-    """Shows a recording, from its start on once it is told to go; at its end it stands."""
+    """Plays a recording from its start after the first order; pauses at the end."""
 
     def __init__(self, recording: Recording, clock: Callable[[], float] = time.monotonic) -> None:
         self._recording, self._clock = recording, clock
         self._orders: queue.SimpleQueue[Order] = queue.SimpleQueue()
         self._paused, self._speed = True, 1.0
-        self._from_s, self._from_ns = clock(), 0  # when it was told how to go on, and where it was then
-        self._until_ns = recording.end_ns  # where it will stand
+        self._from_s, self._from_ns = clock(), 0  # wall-clock time of the last order, and position at that time
+        self._until_ns = recording.end_ns  # position of the next pause
         self._sensors: tuple[str, ...] = ()
-        self._last_ns: int | None = None  # that was shown
+        self._last_ns: int | None = None  # position shown last
 
     def order(self, order: Order) -> None:
-        """Obey at the next `show`; what a recording cannot obey is passed over. For any thread."""
+        """Queue an order for the next `show`; orders that a recording cannot execute are ignored. For any thread."""
         self._orders.put(order)
 
     def show(self) -> PageUpdate:
-        """How things stand now, without what has not changed since the last time. For one thread.
+        """State at the present position, without values unchanged since the last call. For one thread.
 
         Raises:
             UsageError: see `Recording.at`.
@@ -276,7 +276,7 @@ class Player:
         since_ns = None if self._last_ns is None or now_ns < self._last_ns else self._last_ns
         self._last_ns = now_ns
         shown = self._recording.at(now_ns, since_ns, self._sensors)
-        if asked := [name for name in self._sensors if name not in before]:  # the newest, however old
+        if asked := [name for name in self._sensors if name not in before]:  # the newest, of any age
             readings = self._recording.readings(now_ns, None, asked)
             shown = msgspec.structs.replace(shown, **{name: getattr(shown, name) | new for name, new in readings.items()})
         return msgspec.structs.replace(shown, pace=self._pace(now_ns))
