@@ -1,6 +1,6 @@
 """The federate `hardware`: real vehicles replace simulated ones, under the same names and keys.
 
-Events of a real vehicle, at the instants at which physics publishes those of simulated ones:
+Events of a real vehicle, at the instants at which physics publishes the events of simulated vehicles:
 
 ========================  ============  ===================================================================================
 ``<vehicle>/estimate``    VehicleState  estimated state
@@ -45,7 +45,7 @@ MOST = 500  # other vehicles in an order
 
 
 class Hardware:
-    """All real vehicles of a run, which ``clock`` paces; its times are those of the robots.
+    """All real vehicles of a run that ``clock`` paces, with the times of the robots.
 
     Args:
         radius_m: of a circle around the body of each vehicle of the run, by name.

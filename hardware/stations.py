@@ -53,7 +53,7 @@ class Station:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Process id."""
         return self._process.pid
 
     def wait_ready(self, until: float | None = None) -> None:
@@ -133,7 +133,7 @@ COMMAND_S = 0.5  # command time-out
 
 
 class Connections:
-    """Opens and closes all stations together; periods are those of the agents, by vehicle."""
+    """Opens and closes all stations together; ``periods_s``: period of each vehicle's agent."""
 
     def __init__(
         self, vehicles: Sequence[RealVehicle], run: str, tell: Callable[[str], None], periods_s: Mapping[str, float]

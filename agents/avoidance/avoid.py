@@ -14,7 +14,7 @@ SAME = 1e-9  # m/s: rounding of a rotation into the body frame and back
 
 
 class GetAround(Agent):
-    """Leads commands around obstacles.
+    """Leads commands of another agent around obstacles.
 
     Velocities pass through the avoidance: in the body frame on wheels, in the world frame in the air (x and y only, not the
     height). A way-point is left to the autopilot while nothing is near; otherwise velocities lead there.

@@ -16,10 +16,10 @@ from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.frames import arc, rotate2, wrap
 from vcmvsp.cosim.types import Array, NonNegative, Positive
 
-STRAIGHTEST = 1e-9  # 1/m: curvatures below it are as good as none
-STILL = 1e-6  # m/s: as good as on the spot
-LEAST_SPEED = 0.01  # m/s: slower than that, it makes no way
-SPARE_M = 0.05  # left when it has stopped: nearer, where it may only creep, it turns
+STRAIGHTEST = 1e-9  # 1/m: smaller curvatures count as straight
+STILL = 1e-6  # m/s: slower counts as on the spot
+LEAST_SPEED = 0.01  # m/s: a slower vehicle makes no progress
+SPARE_M = 0.05  # distance left after stopping; nearer, where it could only creep, the vehicle turns
 
 Grid = Annotated[int, msgspec.Meta(ge=2, le=101)]
 
@@ -51,21 +51,21 @@ class DynamicWindow(Settings, frozen=True, kw_only=True, tag="dynamic_window"):
     turn_rate: Positive = 0.6  # rad/s, where there is no way ahead
 
     def method(self, body: Body, period_s: float) -> Method:
-        """On wheels; a ValueError refuses a vehicle that flies, whose speeds are not those of arcs."""
+        """Method for a vehicle on wheels; `ValueError`: the vehicle flies, so it does not move along arcs."""
         if body.flies:
             raise ValueError('avoidance.kind = "dynamic_window": for vehicles on wheels; one that flies takes another method')
         return _DynamicWindow(self, self.kept_m(body), period_s)
 
 
 def clearances(points: Array, curvatures: Array, keep: float) -> Array:
-    """How far a disc goes on each arc before it touches a point, (m,) m along the arc of its centre; inf: it never does.
+    """Free distance of a disc on each arc until it touches a point, (m,) m along the arc of its centre; inf: no contact.
 
-    The disc of radius ``keep`` is at the origin and moves off along x, on circles of these ``curvatures``, (m,) 1/m, positive
-    to the left; ``points`` are (n, 2) m. Points inside of it are touched at once by going on if they lie ahead of its centre;
-    those behind are left behind.
+    The disc of radius ``keep`` starts at the origin along x, on circles of these ``curvatures``, (m,) 1/m, positive to the
+    left; ``points`` are (n, 2) m. Points inside the disc count as touched at once if they lie ahead of its centre; points
+    behind the centre do not count.
 
-    With the point at the distance q from the centre of a circle of radius R, the disc touches it within the angle D of where it
-    is nearest to it, ``4 R q sin(D/2)^2 = keep^2 - (q - R)^2``, all written so that it holds for R of any size.
+    For a point at the distance q from the centre of a circle of radius R, the disc touches it within the angle D of the nearest
+    approach, ``4 R q sin(D/2)^2 = keep^2 - (q - R)^2``; the computation holds for R of any size.
     """
     curvatures = np.where(np.abs(curvatures) < STRAIGHTEST, STRAIGHTEST, curvatures)
     away = np.hypot(points[:, 0], points[:, 1])
@@ -73,7 +73,7 @@ def clearances(points: Array, curvatures: Array, keep: float) -> Array:
     away, (x, y) = away[order], points[order].T
     excess = 0.5 * (away * away - keep * keep)
     blocks = (excess < 0.0) & (x >= 0.0)
-    single = np.float32  # exact enough to tell which are touched, and twice as quick
+    single = np.float32  # exact enough to find the touched points, and twice as fast
     apart = np.multiply.outer(curvatures.astype(single), excess.astype(single))
     np.subtract(y.astype(single), apart, out=apart)
     touched = np.abs(apart, out=apart) < keep  # |R - keep| < q < R + keep, multiplied out
@@ -90,7 +90,7 @@ def clearances(points: Array, curvatures: Array, keep: float) -> Array:
     rows = np.flatnonzero(touched.any(axis=1))
     nearest = touched[rows].argmax(axis=1)
     free_m[rows] = until(rows, nearest)
-    # No way to touch a point is shorter than the chord: only those nearer than what is found already can be touched earlier.
+    # An arc to a point is no shorter than its chord: only points nearer than the result so far can be touched earlier.
     within = np.searchsorted(away, free_m + keep)
     columns = int(within.max(initial=0, where=np.isfinite(free_m)))
     earlier = touched[:, :columns] & (np.arange(columns) < within[:, None])
@@ -141,7 +141,7 @@ class _DynamicWindow:
         points = self._points(view, max(top, v, self._now[0]))
         if self._may_resume(view, task):
             if self._leads_on(points, task):
-                if v:  # on the spot it may but turn back to what is in its way
+                if v:  # on the spot it could only turn back to the obstacle
                     self._side, self._detour = 0, None
                 if not v or clearances(points, np.array([w / v]), self._keep)[0] >= self._stopping_m(v):
                     return Decision(task.velocity, w, "task")
@@ -170,7 +170,7 @@ class _DynamicWindow:
     def _points(self, view: View, fastest: float) -> Array:
         within = max(self._set.lookahead_m, self._stopping_m(fastest + self._set.acceleration * self._period_s)) + self._keep
         near = view.ranges < within
-        points: Array = view.units[near] * np.maximum(view.ranges[near], 1e-6)[:, None]  # a touch, too, has a direction
+        points: Array = view.units[near] * np.maximum(view.ranges[near], 1e-6)[:, None]  # contacts have a direction, too
         return points
 
     def _stopping_m(self, v: Any) -> Any:

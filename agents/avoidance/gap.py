@@ -1,13 +1,13 @@
 """Logic-based avoidance: go through the gap that leads on (Toh 2012, chapter 4).
 
-Gaps lie between what a range scanner sees: runs of beams that meet nothing as far as one looks ahead. Toh 2012, 4.1, with
+A gap is a run of beams without a return within the look-ahead distance. Toh 2012, 4.1, with
 half-open crossings, so that each edge of a gap is met once: beams ``P`` to ``N - 1`` are a gap where ``D(P-1) <= L < D(P)`` and
 ``D(N-1) > L >= D(N)``. (The printed (4-2) also marks beams between which nothing changes, and both of its cases count D = L.)
 The width is the distance between the returns on both sides (law of cosines; (4-3) loses the root)::
 
     width = sqrt(a^2 + b^2 - 2 a b cos(delta)),   a = D(P-1),  b = D(N),  delta = (N - P + 1) step
 
-As those beams have passed the edges, it is never less than the true one, and too large by less than a beam's spacing on
+These beams have passed the edges: the result is never less than the true width, and too large by less than a beam's spacing on
 either side. With both sides taken at the look-ahead distance instead, doors look wider by 0.7 m on average. A gap at the border
 of the field of view is closed there, at the look-ahead distance.
 """
@@ -38,17 +38,18 @@ class Gaps(NamedTuple):
 def gaps(ranges: Array, lookahead_m: float, first: float, step: float, cyclic: bool = False) -> Gaps:
     """The gaps in a scan.
 
-    All free: one gap of the whole field of view. Seen under half a turn or more, a gap is as wide as both sides are away.
+    If all beams are free, the whole field of view is one gap. A gap of half a turn or more is as wide as the sum of the
+    distances of both sides.
 
     Args:
         ranges: (n,) m, from 0 to inf; inf: no return.
         lookahead_m: L; a beam is free that gets further.
         first: bearing of the first beam, rad.
         step: angle between beams, rad.
-        cyclic: they go all the way round: the last is beside the first.
+        cyclic: whether the beams cover a full turn: the last is beside the first.
     """
     count, free = len(ranges), ranges > lookahead_m
-    # In a full turn one begins at a beam that is not free: no gap reaches over that.
+    # A full turn is searched from a beam that is not free: no gap reaches over it.
     start = int(free.argmin()) if cyclic else 0
     fenced = np.zeros(count + 2, bool)
     fenced[1 : count + 1 - start], fenced[count + 1 - start : count + 1] = free[start:], free[:start]
@@ -63,7 +64,7 @@ def gaps(ranges: Array, lookahead_m: float, first: float, step: float, cyclic: b
         b = np.where(end < count, ranges[end % count], lookahead_m)
         beams = np.minimum(end, count - 1) - np.maximum(begin - 1, 0)
     delta = beams * step
-    # The law of cosines, written so that rounding makes nothing negative.
+    # The law of cosines in a form that rounding cannot make negative.
     width = np.where(delta >= math.pi, a + b, np.sqrt((a - b) ** 2 + 4.0 * a * b * np.sin(0.5 * delta) ** 2))
     bearing = first + step * 0.5 * (begin + end - 1)
     if cyclic:
@@ -73,11 +74,11 @@ def gaps(ranges: Array, lookahead_m: float, first: float, step: float, cyclic: b
 
 
 def gaps_ahead(view: View, bearing: float, lookahead_m: float) -> tuple[Gaps, Array]:
-    """The gaps within a quarter turn of a bearing that is in view, rad, and where they are to be thought to be.
+    """Gaps within a quarter turn of a visible bearing, rad, and their assumed middles, (k,) rad.
 
-    That is their middles, (k,) rad; but what lies beyond the border of the field of view counts as free. Otherwise a gap
-    there grows while one turns towards it, its middle moves away, and the gap on the other side comes nearer. A gap that
-    reaches beyond the quarter turn is as wide as it is in all of the view.
+    Everything beyond the border of the field of view counts as free. Otherwise a gap at the border grows while the vehicle
+    turns towards it, its middle moves away, and the gap on the other side comes nearer. A gap that reaches beyond the quarter
+    turn has its width in the whole view.
     """
     first, bearing = float(view.bearings[0]), view.near_middle(bearing)
     begin = math.ceil((bearing - first - QUARTER) / view.step)
@@ -112,9 +113,9 @@ def _whole_widths(view: View, candidates: Gaps, begin: int, count: int, lookahea
     return width
 
 
-STILL, PATIENCE_S = 0.02, 3.0  # m/s; s: slower than that for so long, longer than half a turn takes, it makes no way
+STILL, PATIENCE_S = 0.02, 3.0  # m/s; s: slower for this time, longer than half a turn takes, it makes no progress
 TIE = 1e-6  # rad per rad: less than that is rounding
-CREEP = 0.2  # of the speed: as slow as it gets while it turns towards a gap
+CREEP = 0.2  # lowest share of the speed while it turns towards a gap
 
 
 class Gap(Settings, frozen=True, kw_only=True, tag="gap"):
@@ -130,11 +131,11 @@ class Gap(Settings, frozen=True, kw_only=True, tag="gap"):
     turn_rate: Positive = 0.6  # of turning on the spot where there is no gap, rad/s
 
     def default_keep_m(self, body: Body) -> float:
-        """Half of a lane, and as much as it takes to turn on the spot."""
+        """Default of ``keep_m``: half of a lane, and enough to turn on the spot."""
         return max(0.5 * body.width_m + self.margin_m, body.radius_m)
 
     def method(self, body: Body, period_s: float) -> Method:
-        """A `GapMethod`."""
+        """Method of this kind for one vehicle."""
         return GapMethod(self, body, period_s)
 
 
@@ -151,23 +152,23 @@ class GapMethod:
     half a turn around the goal's direction, because the middle of one gap around everything but a pillar leads straight back.
 
     Direction: the middle of the gap if a disc as wide as the lane passes there, else the nearest direction in the gap in which
-    it passes. If it passes nowhere in the gap, the vehicle still approaches the middle to see better, until it makes no way for
-    three seconds; then it takes the nearest free direction anywhere, for the look-ahead distance.
+    it passes. If it passes nowhere in the gap, the vehicle still approaches the middle to see better, until it makes no
+    progress for three seconds; then it takes the nearest free direction anywhere, for the look-ahead distance.
 
     Without a gap or a direction the vehicle turns towards its leader or aim, or to the roomier side. It keeps that side
-    until it has driven the look-ahead distance or nothing is near; otherwise it would turn to and fro for ever.
+    until it has driven the look-ahead distance or nothing is near; otherwise it would turn back and forth forever.
     """
 
     def __init__(self, settings: Gap, body: Body, period_s: float) -> None:
         self._settings, self._flies, self._period_s = settings, body.flies, period_s
-        # Half a lane is no less than the vehicle keeps away from everything: at level 2 it would get stuck.
+        # Half a lane is at least the distance to keep: otherwise the vehicle gets stuck at level 2.
         self._half_m = max(0.5 * body.width_m + settings.margin_m, settings.kept_m(body))
         self._speed = 0.0  # of the task, when it last had one
         self._away = False  # from the task
-        self._side = 0  # to which it turns on the spot: 1 left, -1 right, 0 not
+        self._side = 0  # side of the turn on the spot: 1 left, -1 right, 0 none
         self._gone_m = 0.0  # since it last turned
-        self._elsewhere = False  # it goes wherever it gets through, for it got through nowhere in the gap that it had chosen
-        self._waited_s = 0.0  # for so long it has made no way on its way around something
+        self._elsewhere = False  # it takes any free direction, after it found none in the chosen gap
+        self._waited_s = 0.0  # time without progress on the way around an obstacle
 
     def decide(self, view: View, task: Task) -> Decision:
         """The decision of a tick."""
@@ -246,7 +247,7 @@ class GapMethod:
             return bearing
         if not len(free):
             return None
-        best = float(turn[int((np.abs(aside) + TIE * np.abs(turn)).argmin())])  # of equals, the one it has to turn less for
+        best = float(turn[int((np.abs(aside) + TIE * np.abs(turn)).argmin())])  # of equal ones, the smaller turn
         return best if abs(best) < math.pi - TIE else math.copysign(best, bearing)
 
     def _towards(self, bearing: float, view: View, task: Task) -> Decision:

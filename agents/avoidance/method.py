@@ -2,7 +2,7 @@
 
 A method has no access to scenario, radio and clock. Speed limits near obstacles (`agents.avoidance.steering`) and invalid scans
 are handled outside. All values are in the body frame, x forward, y left. Ground vehicles move along x only: their velocities
-have y = 0. A method of one's own::
+have y = 0. A user-defined method::
 
     class Stop:
         def __init__(self, body, distance: float = 0.5):
@@ -32,33 +32,33 @@ Mode = Literal["task", "avoid", "turn", "blind"]
 
 
 class Task(NamedTuple):
-    """What the vehicle would do if nothing stood in its way."""
+    """Intended motion of the vehicle without obstacles."""
 
     velocity: Point  # m/s
     yaw_rate: float = 0.0  # rad/s
-    aim: Point | None = None  # m: where it is to get; None: nowhere in particular, it roams
+    aim: Point | None = None  # m: destination; None: none, it roams
     leader: Point | None = None  # m: estimated position of the leader
-    max_speed: float = 0.6  # m/s: as fast as it may go on its way around something
+    max_speed: float = 0.6  # m/s: limit on the way around an obstacle
     now: tuple[float, float] = (0.0, 0.0)  # m/s ahead, rad/s: last command, after all limits
 
 
 class Decision(NamedTuple):
-    """What it is to do."""
+    """Motion that a method has decided on."""
 
     velocity: Point  # m/s
     yaw_rate: float  # rad/s
-    mode: Mode  # "task": as the task says; "avoid": another way; "turn": on the spot, for want of a way; "blind": stand
+    mode: Mode  # "task": as the task says; "avoid": another way; "turn": on the spot, without a free way; "blind": stand
 
 
 class Method(Protocol):
     """A method of avoidance: one object per vehicle, called once a tick, with its own state."""
 
     def decide(self, view: View, task: Task) -> Decision:
-        """What to do at a tick."""
+        """Decide on the motion of a tick."""
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):
-    """What all methods have in common."""
+    """Parameters of all methods."""
 
     REACH: ClassVar[str] = "reach"  # the key of the distance from which on things matter to the method
 
@@ -71,16 +71,16 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     stale_s: Positive = 0.5  # a scan older than that is none: more than the period of the scanner
 
     def kept_m(self, body: Body) -> float:
-        """What it keeps away from everything, m from its reference point."""
+        """Distance to keep from all obstacles, m from the reference point."""
         return self.keep_m if self.keep_m is not None else self.default_keep_m(body)
 
     def default_keep_m(self, body: Body) -> float:
-        """The body, and 5 cm."""
+        """Default of ``keep_m``: the body and 5 cm."""
         return body.radius_m + 0.05
 
     @property
     def reach_m(self) -> float:
-        """From how near on things matter to the method, m: level 1."""
+        """Distance at which the method first considers obstacles, m: level 1."""
         return float(getattr(self, self.REACH))
 
     def method(self, body: Body, period_s: float) -> Method:
@@ -93,14 +93,14 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Own(Settings, frozen=True, kw_only=True, tag="own"):
-    """A method of one's own."""
+    """A user-defined method."""
 
     algorithm: str  # module:Class or file.py:Class with a method decide(view, task)
     params: dict[str, Any] = msgspec.field(default_factory=dict)  # of its constructor; body and period_s come by themselves
     reach: Positive = 1.2  # m: what is nearer counts as an obstacle, in what is recorded
 
     def maker(self) -> Callable[[Body, float], Method]:
-        """Looks the class up at once, while it is known where its file is looked for."""
+        """Look up the class at once, while the folder of its file is known."""
         factory = find("avoidance", self.algorithm, key="avoidance.algorithm")
 
         def make(body: Body, period_s: float) -> Method:
@@ -113,13 +113,13 @@ class Own(Settings, frozen=True, kw_only=True, tag="own"):
 
 
 def saturated(velocity: Point, max_speed: float) -> Point:
-    """The same direction, no faster than that, m/s."""
+    """Velocity limited to ``max_speed``, m/s, in the same direction."""
     speed = math.hypot(*velocity)
     return velocity if speed <= max_speed else (velocity[0] * max_speed / speed, velocity[1] * max_speed / speed)
 
 
 def body_of(info: VehicleInfo) -> Body:
-    """The space that a vehicle takes up; a ValueError says that it is unknown."""
+    """Body of a vehicle; `ValueError`: it is unknown."""
     if info.body is None:
         raise ValueError(f"avoidance needs to know how much room {info.name} takes, and nobody says: there is no body")
     return info.body

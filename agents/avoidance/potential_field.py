@@ -4,30 +4,31 @@ A return at x metres along a beam repels with (Toh 2012, section 3.2; R the reac
 
     F(x) = (R - x) / (x - r)    for x < R, and not at all beyond
 
-which has no bound at the core and pulls inside it. From 5 cm before the core on inwards it therefore counts as there: with
-R = 1.2 and r = 0.6 m it is never more than 11, and always away. With n beams i in a full turn, of directions u_i::
+which is unbounded at the core and attracts inside it. From 5 cm before the core inwards it is therefore constant: with R = 1.2
+and r = 0.6 m it is at most 11, and always repels. With n beams i in a full turn, of directions u_i::
 
     F = -(32 / n) sum F(x_i) u_i,        command = saturated(task + g F + tang side h rot90(g F))
 
-32 beams are those of the thesis; the factor makes the push that of the angle which something fills, not of the scanner's
-resolution. So with less than a full turn it is 32 times the angle from beam to beam as a part of the turn: what is seen pushes
-as it does in a full turn, what is not seen does not push.
+The thesis has 32 beams; with the factor the repulsion depends on the angle that an obstacle fills, not on the scanner's
+resolution. With less than a full turn the factor is 32 times the angle from beam to beam as a part of the turn: visible
+obstacles repel as they do in a full turn.
 
-As printed, without the last term, a field stops whatever runs straight into it, for ever. With h = max(0, -cos(F, task)) and
-the sign of rot90(F) . task as its side (1 in a tie) that term leads past what pushes on the nearer side. The side is chosen on
-entering the field and kept until nothing is in reach any more: a vehicle that chooses anew at every tick trembles on the spot.
+As printed, without the last term, a field permanently stops a vehicle that drives straight at an obstacle. With h = max(0,
+-cos(F, task)) and the sign of rot90(F) . task as the side (1 in a tie), that term leads past the obstacle on the nearer side.
+The side is chosen on entering the field and kept until nothing is in reach: a vehicle that chooses at every tick oscillates on
+the spot.
 
-* In the air the sum is the velocity, and the yaw rate is the task's. A vehicle that hovers is pushed as well, to the edge of
-  the reach, where nothing pushes it, or to where pushes balance.
-* On wheels the sum is the velocity of a hand point as far ahead of the axle as the body reaches, for an axle cannot go sideways
-  and its hand can (Toh 2012, (3-4)); of the task, that is (v, w times that distance). It goes no faster back than its task
-  does, and ahead than its task has had it go since something is near: what is behind does not drive it on. Where the sum points
-  backwards it turns on the spot, to one side, until that leads ahead, less than 60 degrees aside. It goes slower rather than
-  elsewhere where it cannot turn so fast. A standing vehicle, v = w = 0, remains standing.
+* In the air the sum is the velocity, and the yaw rate is the task's. A hovering vehicle is repelled, too: to the edge of the
+  reach, or to where repulsions balance.
+* On wheels the sum is the velocity of a hand point as far ahead of the axle as the body reaches, since an axle cannot move
+  sideways (Toh 2012, (3-4)); the velocity of the task there is (v, w times that distance). The vehicle reverses no faster than
+  its task, and drives ahead no faster than its task did since an obstacle is near: obstacles behind do not accelerate it. Where
+  the sum points backwards, the vehicle turns on the spot, to one side, until the sum points less than 60 degrees aside. Where
+  it cannot turn fast enough, it drives more slowly on the same arc. A standing vehicle, v = w = 0, remains standing.
 
-Nothing in reach leaves the task as it is. Two things a field does not do: enter a passage that is hardly wider than the reach
-(with these defaults 1.2 m is closed and 1.6 m open), whose jambs push back together; and keep its core free when it is driven
-into fast: at 3 m/s with a lag of 0.5 s a vehicle comes nearer than 0.2 m. Limits of the speed are for that.
+Without obstacles in reach the task is unchanged. Limits of the method: a vehicle does not enter a passage hardly wider than the
+reach (with these defaults 1.2 m is closed and 1.6 m open), and a fast vehicle enters the core: at 3 m/s with a lag of 0.5 s it
+comes nearer than 0.2 m. Speed limits prevent that.
 """
 
 import math
@@ -38,13 +39,13 @@ from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.types import Array, NonNegative, Positive
 
 BEAMS = 32  # in a full turn, of the scanner that the gain was tuned with (Toh 2012)
-EDGE_M = 0.05  # from the core to where the push grows no further
-LEADS_ON = 0.5  # cosine of how far aside the sum may point for a turn on the spot to end
+EDGE_M = 0.05  # distance from the core below which the repulsion is constant
+LEADS_ON = 0.5  # cosine of the bearing of the sum that ends a turn on the spot
 TIE = 1e-9  # of the greatest that it could be: less to one side than that is rounding
 
 
 class PotentialField(Settings, frozen=True, kw_only=True, tag="potential_field"):
-    """What is near pushes, the nearer the harder."""
+    """Potential field: obstacles within reach repel the vehicle, nearer ones more strongly."""
 
     reach: Positive = 1.2  # m: what is farther away does not push
     core: NonNegative = 0.6  # m: so near the push would be without bound; at least 5 cm less than the reach
@@ -58,16 +59,16 @@ class PotentialField(Settings, frozen=True, kw_only=True, tag="potential_field")
             raise ValueError(f"reach must be greater than core + {EDGE_M:g} m = {self.core + EDGE_M:g} m, not {self.reach:g} m")
 
     def default_keep_m(self, body: Body) -> float:
-        """The core, or the body and 5 cm where that is more."""
+        """Default of ``keep_m``: the core, or the body and 5 cm if that is more."""
         return max(self.core, super().default_keep_m(body))
 
     def method(self, body: Body, period_s: float) -> Method:
-        """The field of a vehicle."""
+        """Method of this kind for one vehicle."""
         return _Field(self, body)
 
 
 def repulsion(view: View, reach_m: float, core_m: float) -> tuple[float, float, float]:
-    """The push of all that is seen: x forward, y left, and if all pushed the same way (0: nothing in reach)."""
+    """Sum of all repulsions, x forward and y left, and of their magnitudes (0: nothing in reach)."""
     pushing = view.ranges < reach_m
     ranges = view.ranges[pushing]
     if not len(ranges):
@@ -80,17 +81,17 @@ def repulsion(view: View, reach_m: float, core_m: float) -> tuple[float, float, 
 
 
 class _Field:
-    """One vehicle in the field."""
+    """State of one vehicle in the field."""
 
     def __init__(self, settings: PotentialField, body: Body) -> None:
         self._settings = settings
         self._flies, self._hand_m = body.flies, body.radius_m
-        self._side = 0  # on which it goes around what pushes: 1 keeps that on its left, -1 on its right; 0: in no field
+        self._side = 0  # side of obstacles that it passes: 1 on its left, -1 on its right; 0: in no field
         self._cruise = 0.0  # m/s ahead: the greatest speed of the task since it is in the field
-        self._turn = 0  # which way it turns on the spot: 1 left, -1 right; 0: it does not
+        self._turn = 0  # direction of a turn on the spot: 1 left, -1 right; 0: none
 
     def decide(self, view: View, task: Task) -> Decision:
-        """The task's way and all pushes, added up."""
+        """Motion from the task and all repulsions."""
         settings, (vx, vy), w = self._settings, task.velocity, task.yaw_rate
         x, y, most = repulsion(view, settings.reach, settings.core)
         if most == 0.0:

@@ -1,4 +1,4 @@
-"""Avoidance of one vehicle: a method, two levels of nearness, and no trust in bad scans.
+"""Avoidance of one vehicle: a method, two levels of nearness, and checks of scans.
 
 Level 1 begins where a method first considers obstacles, level 2 where a vehicle must brake for them: from there on its
 approach speed is at most proportional to the remaining distance. Along one beam the distance then decays to ``keep_m``, and a
@@ -20,22 +20,22 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import rotate2, wrap
 from vcmvsp.cosim.types import Array, Vec3, Velocity, Waypoint
 
-SPARE_M = 0.03  # it comes to rest so much before it is as near as it may be
+SPARE_M = 0.03  # margin at rest before the distance to keep
 AROUND_M = 0.3  # beyond the distance to keep: latest begin of level 2
-RELEASE_M, RELEASE_S = 0.15, 0.5  # so much further away, and for so long, before level 2 ends
-BESIDE_M = 0.05  # on wheels: what passes the body at so much does not count
+RELEASE_M, RELEASE_S = 0.15, 0.5  # additional distance, and its duration, that end level 2
+BESIDE_M = 0.05  # on wheels: obstacles that the body passes at this distance do not count
 REVERSE = 0.1  # m/s: on wheels, the fastest way back at level 2
 EXACT = 1e-9  # m/s, of limits
-ROUNDS = 64  # of the search for the nearest velocity, which takes a handful
-ARRIVAL = 0.8  # 1/s: towards a way-point no faster than this times the way that is left
+ROUNDS = 64  # limit of the search for the nearest velocity, which takes a few
+ARRIVAL = 0.8  # 1/s: greatest speed towards a way-point per remaining distance
 TURN_GAIN, TURN = 1.0, 1.0  # 1/s, rad/s: towards the heading of a way-point
-VANISHED_S = 0.5  # all that was near is gone at once: so long that is not believed
-UNSEEN = 0.1  # m/s: on wheels, to where the scanner does not look
+VANISHED_S = 0.5  # duration of doubt after all near returns vanished at once
+UNSEEN = 0.1  # m/s: on wheels, greatest speed outside the field of view
 BLIND = Decision((0.0, 0.0), 0.0, "blind")
 
 
 class ObstacleLevels:
-    """How near things are to a vehicle, which keeps ``keep_m`` away from them: ``level`` 0, 1 or 2, updated once a tick."""
+    """Level of nearness, 0, 1 or 2, of obstacles to a vehicle that keeps ``keep_m`` from them; updated once a tick."""
 
     def __init__(self, settings: Settings, body: Body, latency_s: float = 0.0) -> None:
         self.level, self.keep_m = 0, settings.kept_m(body)
@@ -44,12 +44,12 @@ class ObstacleLevels:
         self._clear_ns: int | None = None  # since when it is far enough from everything to leave level 2
 
     def update(self, now_ns: int, nearest_m: float, speed: float) -> int:
-        """The level, where the nearest thing is ``nearest_m`` away, m, of one that moves or is to move at ``speed``, m/s."""
+        """Level for the nearest obstacle at ``nearest_m``, m, and a present or commanded ``speed``, m/s."""
         self.level = 2 if self._is_second(now_ns, nearest_m, speed) else int(nearest_m < self._settings.reach_m)
         return self.level
 
     def limited(self, view: View, velocity: Point) -> Point:
-        """The velocity that is left of one, m/s, body frame: all of it below level 2."""
+        """Velocity within the limit of the level, m/s, body frame; unchanged below level 2."""
         if self.level < 2:
             return velocity
         if self._flies:
@@ -78,7 +78,7 @@ def second_m(speed: float, keep_m: float, braking: float, latency_s: float = 0.0
 
 
 def limited_flight(velocity: Point, view: View, keep_m: float, approach: float) -> Point:
-    """The velocity nearest to the given one that comes towards no return too fast; both in m/s, body frame.
+    """Velocity nearest to the given one that approaches no return too fast; both in m/s, body frame.
 
     Beam i with a return D_i allows ``v . u_i <= approach max(0, D_i - keep_m - 0.03)``. What all beams allow is convex and
     holds 0; so the nearest point of it is never longer than the given velocity and never against it, and motion along a wall
@@ -123,10 +123,11 @@ def _nearest(velocity: Point, units: Array, most: Array, beams: list[int]) -> tu
 
 
 def limited_drive(v: float, view: View, keep_m: float, lane_m: float, approach: float) -> float:
-    """The speed that is left of ``v``, m/s, for a vehicle on wheels; it never changes its sign.
+    """Limited forward speed of a vehicle on wheels, m/s; it has the sign of ``v``.
 
-    It cannot move sideways: what counts lies less than ``lane_m`` beside the line straight ahead (behind, where v is negative),
-    and the way that is left is that until a disc of radius ``keep_m``, no smaller, touches it. So walls beside it do not count.
+    The vehicle cannot move sideways: returns count if they lie less than ``lane_m`` beside the line straight ahead (behind, for
+    a negative v). The remaining distance ends where a disc of radius ``keep_m`` touches one. Walls beside the vehicle do not
+    count.
     """
     if v == 0.0:
         return v
@@ -163,33 +164,33 @@ class AvoidanceSteering:
         body = body_of(info)
         try:
             self._method = self._make(body, info.period_s)
-        except ScenarioError as error:  # of a method of one's own, which is built only here
+        except ScenarioError as error:  # of a user-defined method, which is built only here
             raise ValueError(str(error)) from error
         self._levels, self._flies = ObstacleLevels(self.settings, body, info.latency_s), body.flies
-        self._was_near = False  # something, in the last scan that was good and not empty
-        self._empty_ns: int | None = None  # since when all of that is gone
+        self._was_near = False  # whether the last valid scan with returns had something near
+        self._empty_ns: int | None = None  # since when all returns are gone
         self._speed, self._now = 0.0, (0.0, 0.0)  # m/s; m/s ahead and rad/s: as last commanded
         self._told: dict[str, float | str | bool] = {}
         self.notes, self.level = {}, 0
 
     def steer(self, obs: Observation, task: Task) -> Decision:
-        """What to do at a tick instead of what the task would do."""
+        """Decision of a tick in place of the task's motion."""
         return self._steered(obs, task, lambda view: self._method.decide(view, task._replace(now=self._now)))
 
     def drive(
         self, obs: Observation, speeds: tuple[float, float], aim: Point | None = None, leader: Point | None = None
     ) -> Decision:
-        """The same for a vehicle on wheels: speeds in m/s and rad/s; ``aim`` and ``leader`` are m, world."""
+        """Steered speeds of a vehicle on wheels, m/s and rad/s; ``aim`` and ``leader`` are m, world."""
         v, w = speeds
         return self.steer(obs, Task((v, 0.0), w, _seen(obs, aim), _seen(obs, leader), self.settings.max_speed))
 
     def limit(self, obs: Observation, speeds: tuple[float, float]) -> Decision:
-        """For a vehicle on wheels that is to go nowhere, but has not come to rest: only its speed is limited."""
+        """Limited speed of a vehicle on wheels without a destination that is not yet at rest."""
         task = Task((speeds[0], 0.0), speeds[1])
         return self._steered(obs, task, lambda _: Decision(task.velocity, task.yaw_rate, "task"))
 
     def _steered(self, obs: Observation, task: Task, decide: Callable[[View], Decision]) -> Decision:
-        """What is left of a decision, whose changes are noted; a blind vehicle stands."""
+        """Limited decision, with changes noted; a blind vehicle stands."""
         view = self._looking.look(obs)
         decision = BLIND
         if view is not None and view.ranges.any():

@@ -1,8 +1,8 @@
-"""VFH+: the way with the least cost among the openings of a polar histogram of what stands around.
+"""VFH+: the cheapest direction among the openings of a polar histogram of obstacles.
 
 I. Ulrich, J. Borenstein, VFH+: reliable obstacle avoidance for fast mobile robots, IEEE ICRA 1998, directly on a scan. There is
-no grid: a return counts for certain, and of those in a sector the nearest counts, not their sum, so that the number of beams
-plays no role. A threshold of the magnitude ``a - b d^2`` is then a distance, which is how it is set here.
+no grid: each return is certain, and the nearest one in a sector counts, not a sum: the number of beams has no effect. A
+threshold of the magnitude ``a - b d^2`` is then a distance, which is how it is set here.
 """
 
 import math
@@ -21,19 +21,19 @@ from vcmvsp.cosim.types import Array, NonNegative, Positive, frozen
 
 Angle = Annotated[float, msgspec.Meta(gt=0, le=360)]
 
-CATCH_UP = 0.8  # 1/s: in the air, to a place that it follows no faster than this times the way that is left
-LEAST_M = 1e-3  # an aim nearer than that has no bearing
+CATCH_UP = 0.8  # 1/s: in the air, greatest speed towards a followed place per remaining distance
+LEAST_M = 1e-3  # a nearer aim has no bearing
 
 
 class Vfh(Settings, frozen=True, kw_only=True, tag="vfh"):
     """VFH+ (Ulrich, Borenstein 1998): a polar histogram, its openings, and the cheapest direction into one of them.
 
-    The task is left as it is while the direction in which it goes is the cheapest: that of its aim, or straight ahead where it
-    has none; in the air that of its velocity. On wheels, directions count that can be reached on circles of the present speed
-    and the greatest rate of turning, and the vehicle must not be headed at something near. What lies outside the field of view
-    is not gone to; an aim there counts as being at its border. What stands further away than the aim does not count; where
-    a vehicle is followed, which takes the aim along, than that and the way from which on one is slowed near obstacles. What
-    hovers goes on hovering. Where no direction is free it turns on the spot.
+    The task is unchanged while its direction is the cheapest: towards its aim, or straight ahead without one; in the air along
+    its velocity. On wheels, a direction must be reachable on circles of the present speed and the greatest yaw rate, and the
+    vehicle must not head for a near obstacle. Directions outside the field of view are excluded; an aim there counts as being
+    at its border. Obstacles beyond the aim do not count. For a follower, whose aim moves, that limit is larger by the distance
+    at which vehicles slow down near obstacles. A hovering vehicle continues to hover. Without a free direction the vehicle
+    turns on the spot.
     """
 
     REACH = "freed_m"
@@ -50,7 +50,7 @@ class Vfh(Settings, frozen=True, kw_only=True, tag="vfh"):
     turn_rate: Positive = 0.6  # rad/s, where no direction is free
 
     def method(self, body: Body, period_s: float) -> Method:
-        """On wheels with speeds, in the air with a velocity; a ValueError says that the distances contradict each other."""
+        """Method of this kind for a vehicle on wheels or in the air; `ValueError`: the distances contradict each other."""
         keep = self.kept_m(body)
         if self.freed_m < self.blocked_m:
             raise ValueError(f"freed_m = {self.freed_m:g}: must not be less than blocked_m = {self.blocked_m:g}")
@@ -60,11 +60,11 @@ class Vfh(Settings, frozen=True, kw_only=True, tag="vfh"):
 
 
 def histogram(view: View, keep: float, sectors: int, within: float = math.inf) -> Array:
-    """How near a return is in each direction, (sectors,) m, inf where there is none.
+    """Distance of the nearest return in each direction, (sectors,) m; inf: none.
 
-    Sector k points ``k`` times a turn over ``sectors`` to the left. A return at the distance d and the bearing b stands in all
-    directions within ``asin(keep / d)`` of b, a quarter turn where d is less than ``keep``: a disc of that radius going there
-    would touch it. Those beyond ``within`` metres do not count.
+    Sector k points ``k / sectors`` of a turn to the left. A return at the distance d and the bearing b counts in all directions
+    within ``asin(keep / d)`` of b, a quarter turn if d is less than ``keep``: a disc of that radius would touch it there.
+    Returns beyond ``within`` metres do not count.
     """
     near = np.flatnonzero(view.ranges < within)
     if not len(near):
@@ -91,7 +91,7 @@ def openings(free: Array) -> Iterator[tuple[int, int]]:
 
 
 class _Vfh:
-    """What one vehicle remembers: its blocked sectors, where it was going, how fast, and where it is turning to."""
+    """State of one vehicle: blocked sectors, former direction and speed, and direction of a turn on the spot."""
 
     def __init__(self, settings: Vfh, keep: float, period_s: float, *, flies: bool) -> None:
         self._set, self._keep, self._period_s, self._flies = settings, keep, period_s, flies
@@ -121,7 +121,7 @@ class _Vfh:
     def _update(self, view: View, task: Task) -> Array:
         """Update the histogram; blocked sectors have hysteresis."""
         within = self._set.freed_m
-        if task.aim is not None:  # what stands behind a place does not keep it from getting there; one in a formation moves on
+        if task.aim is not None:  # obstacles behind a destination do not matter; a place in a formation moves on
             moving_m = math.hypot(*task.velocity) / self._set.approach if task.leader is not None else 0.0
             within = min(within, math.hypot(*task.aim) + moving_m + self._keep)
         near = histogram(view, self._keep, self._set.sectors, within)
@@ -137,7 +137,7 @@ class _Vfh:
             self._cruise = v
         visible = _seen(len(view.ranges), float(view.bearings[0]), view.step, self._set.sectors, cyclic=view.cyclic)
         free, target = visible & ~self._blocked, self._target(task)
-        if free.sum() == visible.sum():  # also where the aim is not among what is seen
+        if free.sum() == visible.sum():  # also with the aim out of view
             self._previous = target
             return Decision(task.velocity, task.yaw_rate, "task")
         radius = 0.0 if self._flies else max(0.0, task.now[0]) / self._set.max_yaw_rate
@@ -215,7 +215,7 @@ class _Vfh:
         return max(-self._set.max_yaw_rate, min(self._set.gain * bearing, self._set.max_yaw_rate))
 
     def _slowed(self, ahead: float, bearing: float) -> float:
-        """Share of the speed: less the nearer what stands ahead, 0 where it is touched, and less the faster it turns.
+        """Share of the speed: less with nearer obstacles ahead (0 at contact), and less with faster turning.
 
         J. Borenstein, Y. Koren, The vector field histogram, IEEE Transactions on Robotics and Automation 7 (3), 1991; without
         their least speed.

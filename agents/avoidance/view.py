@@ -1,4 +1,4 @@
-"""What one sweep of a range scanner says, fit to decide by, and the lanes that it leaves free. Nonsense counts as touched."""
+"""Checked view of one scan of a range scanner, and its free lanes. Invalid ranges count as contacts."""
 
 import math
 from functools import lru_cache
@@ -14,13 +14,13 @@ from vcmvsp.cosim.types import Array, Scan
 Geometry = tuple[int, float, float]  # beams, rad of the first, rad from one to the next
 Point = tuple[float, float]
 
-FEWEST = 2  # beams: with one, nothing is known of the ways beside it
+FEWEST = 2  # beams: one alone shows nothing beside it
 FINEST = 1e-5  # rad between beams, and FURTHEST rad from ahead: beyond that a scanner is out of order
 FURTHEST = 100.0
-EVEN = 1e-9  # less than that is rounding: of directions, beams, and the sum of all ranges on a side, m
+EVEN = 1e-9  # tolerance of rounding: of directions, beams, and the sum of all ranges on a side, m
 ASIDE = -1e-8  # cosine of a beam that points exactly aside, and is rounded
-ADOPTED_S = 0.5  # beams that lie otherwise than before: from then on that is believed
-FULL = 1.0 - 1e-6  # of the range: where nothing came back, some scanners say that
+ADOPTED_S = 0.5  # after this time a changed geometry of beams is accepted
+FULL = 1.0 - 1e-6  # share of the range: some scanners report it without a return
 
 
 class View(NamedTuple):
@@ -30,11 +30,11 @@ class View(NamedTuple):
     bearings: Array  # (n,) rad, from ahead to the left
     units: Array  # (n, 2): the direction of each beam, x forward, y left
     step: float  # rad between beams
-    cyclic: bool  # they go all the way round: the last is beside the first
+    cyclic: bool  # they cover a full turn: the last is beside the first
 
     @property
     def nearest_m(self) -> float:
-        """The least range, m; inf: no return at all."""
+        """Smallest range, m; inf: no return at all."""
         return float(self.ranges.min())
 
     def sees(self, bearing: float) -> bool:
@@ -47,11 +47,11 @@ class View(NamedTuple):
         return 0.5 * float(self.bearings[0] + self.bearings[-1])
 
     def near_middle(self, bearing: float) -> float:
-        """The same bearing, rad, within half a turn of the middle of the field of view, as those of the beams are."""
+        """The bearing, rad, wrapped to half a turn around the middle of the field of view, like bearings of beams."""
         return self.middle + wrap(bearing - self.middle)
 
     def roomier_side(self, within_m: float) -> int:
-        """Where there is more room, counted to ``within_m`` metres: 1, to the left, or -1; 1 in a tie."""
+        """Side with more room within ``within_m`` metres: 1 left (also in a tie), -1 right."""
         room, aside = np.minimum(self.ranges, within_m), self.units[:, 1]
         return 1 if room[aside > EVEN].sum() >= room[aside < -EVEN].sum() - EVEN else -1
 
@@ -63,11 +63,10 @@ class View(NamedTuple):
 
 
 def view_of(scan: Any) -> View | None:
-    """A sweep to decide by; None where nothing can be made of it.
+    """View of a scan; None: the scan is unusable.
 
-    NaN and all that is below zero count as 0 (-inf: nearer than the scanner can measure), the full range as no return. Nothing
-    can be made of what is no scan or holds what is no number, of fewer than two beams, and of beams that are not evenly spread
-    over at most a full turn.
+    NaN and negative ranges count as 0 (-inf: nearer than the scanner can measure), the full range as no return. Unusable are
+    values that are no scan or not numeric, fewer than two beams, and beams that are not evenly spread over at most a full turn.
     """
     try:
         geometry = _geometry(scan) if isinstance(scan, Scan) else None
@@ -83,7 +82,7 @@ def view_of(scan: Any) -> View | None:
 
 
 def _geometry(scan: Scan) -> Geometry | None:
-    """How the beams of a scan lie; None where that makes no sense."""
+    """Geometry of the beams of a scan; None: it is invalid."""
     ranges, first, step = np.asarray(scan.ranges), float(scan.angle_min), float(scan.angle_step)
     if ranges.ndim != 1 or ranges.dtype.kind not in "fiu" or len(ranges) < FEWEST or not scan.range_max > 0.0:
         return None
@@ -102,7 +101,7 @@ def _beams(count: int, first: float, step: float) -> tuple[Array, Array, bool]:
 
 
 class ScanReader:
-    """What a vehicle sees by the scanner of that name, tick by tick; a scan older than ``stale_s`` is none."""
+    """Reads the scanner of that name once a tick; a scan older than ``stale_s`` counts as missing."""
 
     def __init__(self, scanner: str, stale_s: float) -> None:
         self.scanner, self._stale_ns = scanner, seconds_to_ns(stale_s)
@@ -115,17 +114,17 @@ class ScanReader:
         self._since_ns: int | None = None  # and since when they do
 
     def start(self, info: VehicleInfo, key: str) -> None:
-        """Before the first tick; a ValueError says by ``key``, which names the scanner, that the vehicle has none."""
+        """Check the scanner before the first tick; `ValueError` with ``key``, which names the scanner: the vehicle has none."""
         check_carried(info, self.scanner, key)
         self._beside_m = info.beside_m.get(self.scanner, 0.0)
         self._forget()
 
     def look(self, obs: Observation) -> View | None:
-        """What there is to decide by: nothing without a scan, with a stale one, one of the future, and one of other beams.
+        """View of the present scan; None: the scan is missing, stale, from the future, or has other beams.
 
-        Ranges count from the reference point; those of a scanner that sits beside it are shortened by how far, so that nothing
-        is nearer than it seems. Beams lie as in the first scan; if they lie otherwise for half a second, and always the same,
-        so they do from then on.
+        Ranges count from the reference point: ranges of a scanner beside it are shortened by that distance, so that no obstacle
+        is nearer than it seems. The first scan gives the geometry of the beams; another one is accepted if it holds for half a
+        second.
         """
         scan: Any = obs.readings.get(self.scanner)
         view = view_of(scan)
@@ -154,16 +153,16 @@ def check_carried(info: VehicleInfo, sensor: str, key: str) -> None:
 
 
 def wrapped(angles: Array) -> Array:
-    """The same angles, rad, in [-pi, pi)."""
+    """Angles wrapped to [-pi, pi), rad."""
     result: Array = (angles + math.pi) % math.tau - math.pi
     return result
 
 
 def lane_free(view: View, bearing: float, half_width: float, length: float) -> bool:
-    """Whether no return lies in a rectangle that leads to a bearing, rad, as far as one sees.
+    """Whether no return lies in the lane towards a bearing, rad.
 
-    What just touches its side, ``half_width`` m from the middle, is beside it. A return at no distance at all lies where its
-    beam points: with a scanner touched from behind, the way ahead is free.
+    A return on its side, ``half_width`` m from the middle, lies outside. A return at distance 0 lies where its beam points:
+    with a contact behind the scanner, the way ahead is free.
     """
     ranges, along, across = view.along((math.cos(bearing), math.sin(bearing)), math.hypot(half_width, length))
     return not np.any((along >= ASIDE) & (ranges * along <= length) & (ranges * np.abs(across) < half_width))
@@ -172,13 +171,13 @@ def lane_free(view: View, bearing: float, half_width: float, length: float) -> b
 def ways(view: View, half_width: float, length: float) -> Array:
     """Which beams, (n,), a disc of radius ``half_width`` can follow for ``length`` m without touching a return.
 
-    A return at the distance d keeps it from all directions less than ``asin(half_width / d)`` beside its own, a quarter turn
-    where d is less than ``half_width``.
+    A return at the distance d blocks all directions less than ``asin(half_width / d)`` beside its own, a quarter turn if d is
+    less than ``half_width``.
     """
     count = len(view.ranges)
     near = np.flatnonzero(view.ranges <= length)
     beside = np.ceil(half_angles(view.ranges[near], half_width) / view.step - EVEN).astype(int) - 1
-    # What begins and ends to be blocked at each beam, also beyond both borders: in a full turn that is the other side.
+    # Starts and ends of blocked sectors by beam, also beyond both borders: in a full turn that is the other side.
     rows = 3 if view.cyclic else 1
     first, last = near - beside + (rows // 2) * count, near + beside + 1 + (rows // 2) * count
     size = rows * count
@@ -188,7 +187,7 @@ def ways(view: View, half_width: float, length: float) -> Array:
 
 
 def free_m(view: View, direction: Point, radius: float, within_m: float, half_width: float | None = None) -> float:
-    """How far a disc can go in a direction, until it touches a return, m; inf: it passes all of those within ``within_m``.
+    """Free distance of a disc in a direction until it touches a return, m; inf: no contact within ``within_m``.
 
     Returns that lie no less than ``half_width`` m beside its way do not count; default: its radius, less rounding.
     """

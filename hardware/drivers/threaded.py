@@ -92,8 +92,8 @@ class CommandRepeater(Generic[V]):
 class ThreadedDriver:
     """Caller side of a thread that communicates with a robot; a subclass defines the thread's work (`_work`).
 
-    `write` is that of a ground robot; it uses the `_repeater` that the subclass makes, while it is `_connected`. The deadlines
-    are those of the protocol; that of `close` may change while the driver is open.
+    `write` takes commands of a ground robot; it uses the subclass's `_repeater` while the robot is `_connected`. Deadlines are
+    defined by `hardware.drivers.base.Driver`; the deadline of `close` may change while the driver is open.
     """
 
     _who = "robot"

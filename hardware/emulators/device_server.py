@@ -20,7 +20,7 @@ from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
 from vcmvsp.cosim.util.polling import readable
 
 LOOPBACK = "127.0.0.1"
-"""What is served there reaches nobody but this machine."""
+"""Address that only this machine can reach."""
 
 Ready = Callable[[Mapping[str, Any]], object]
 """Called when a device can be connected to, with its addresses."""
@@ -107,7 +107,7 @@ class UdpPort:
         self.url = f"{scheme or 'udpin:'}{bracketed(to[0])}:{to[1]}" if to else f"udpout:{LOOPBACK}:{here}"
 
     def waits_on(self) -> int:
-        """The socket."""
+        """Socket that becomes readable."""
         return self._socket.fileno()
 
     def read(self) -> bytes:
@@ -120,7 +120,7 @@ class UdpPort:
         return b""
 
     def write(self, data: bytes) -> int:
-        """Send one datagram; 0: nobody is there, or no network, which may come back."""
+        """Send one datagram; 0: no receiver, or no network, which may come back."""
         with contextlib.suppress(OSError):
             return self._socket.sendto(data, self._to) if self._to is not None else 0
         return 0
@@ -155,7 +155,7 @@ class Pty:
         self.url, self._link = str(link), link
 
     def waits_on(self) -> int:
-        """Our end."""
+        """Descriptor of this end."""
         return self._here
 
     def read(self) -> bytes:
@@ -177,7 +177,7 @@ class Pty:
         return next((rate for rate in rates if getattr(termios, f"B{rate}") == speed), 0)
 
     def close(self) -> None:
-        """Close it, and remove the link."""
+        """Close the terminal, and remove the link."""
         if self._link is not None:
             self._link.unlink(missing_ok=True)
         os.close(self._there)

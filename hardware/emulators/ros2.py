@@ -22,9 +22,9 @@ AHEAD_NS = 1_700_000_000 * SECOND_NS  # its clock, against this machine's monoto
 
 
 class Ros2Robot:
-    """A differential drive that obeys within its acceleration, and stops without commands; a context manager.
+    """A differential drive that follows commands within its acceleration, and stops without commands; a context manager.
 
-    Parameters are those of `hardware.drivers.ros2.driver.Ros2Driver`; the pose is x m, y m, yaw rad, in the frame of odometry.
+    Parameters as of `hardware.drivers.ros2.driver.Ros2Driver`; the pose is x m, y m, yaw rad, in the frame of odometry.
     ``heard``: received commands, with arrival times, ns; ``silent``: it publishes no odometry.
     """
 

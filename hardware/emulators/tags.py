@@ -65,7 +65,7 @@ class Tag:
         return due
 
     def measure(self, true: Vec3, now_ns: int) -> Located:
-        """One answer."""
+        """Draw one answer of the positioning system."""
         errors = self.errors
         missed, astray, far, direction = self._draws.random(4).tolist()
         x, y, z = (a + errors.sigma_m * b for a, b in zip(true, self._draws.standard_normal(3).tolist(), strict=True))

@@ -1,7 +1,7 @@
 """GPS receivers: NMEA 0183 sentences GGA (position), RMC (date, velocity) and VTG (velocity) from a serial port.
 
-Positions are those of a `TangentPlane`. A receiver sends RMC and GGA for the same measurement: after a first GGA, positions of
-RMC are ignored, since they would count twice.
+Positions are in the frame of a `TangentPlane`. A receiver sends RMC and GGA for the same measurement: after a first GGA,
+positions of RMC are ignored, since they would count twice.
 """
 
 import datetime as dt

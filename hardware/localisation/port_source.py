@@ -47,7 +47,7 @@ class Datagrams:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Nothing is sent."""
+        """No effect: nothing is sent."""
 
     def close(self) -> None:
         """Free the port."""

@@ -214,7 +214,7 @@ class PositionSource:
         self._begin()
 
     def read(self, now_ns: int) -> list[Fix]:
-        """See `Localisation`."""
+        """New readings, see `Localisation.read`."""
         with self._lock:
             if self._failure is not None:
                 raise self._failure
@@ -247,18 +247,18 @@ class PositionSource:
             return bool(answers)
 
     def lost(self, cause: str) -> None:
-        """The port is lost."""
+        """Report that the port is lost."""
         with self._lock:
             self._notice("lost", cause)
             self._gone = self._silent = True
 
     def back(self) -> None:
-        """The port is open again."""
+        """Report that the port is open again."""
         with self._lock:
             self._expect(time.monotonic_ns())
 
     def failed(self, error: Exception) -> None:
-        """No reading will come any more."""
+        """Report that no further reading will come."""
         failure = DriverError(self.device, f"its reader raised {words_of(error)}", "please report this")
         with self._lock:
             self._failure = error if isinstance(error, DriverError) else failure

@@ -1,9 +1,9 @@
 """Safety supervisor of a vehicle that flies and takes velocities in the three axes of the world.
 
-The vehicle stays inside the fence, between floor and ceiling and away from others, if it brakes as specified. Assumptions:
-from one command to the next its velocity goes straight to the new one, at no less than ``decel``, horizontally and
-vertically each, and it brakes straight. While its horizontal velocity goes from u to v and then to zero, all headings lie
-between those of u and v, and since the norm is convex it moves no farther than ::
+The vehicle stays inside the fence, between floor and ceiling and away from others, if it brakes as specified. Assumptions: from
+one command to the next its velocity goes straight to the new one, at no less than ``decel``, horizontally and vertically each,
+and it brakes straight. While its horizontal velocity goes from u to v and then to zero, all headings lie between the headings
+of u and v, and since the norm is convex it moves no farther than ::
 
     |v| hold + |v|**2 / (2 decel) + |v - u| max(0, |u| - |v|) / (2 decel)
 

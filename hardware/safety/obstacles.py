@@ -149,7 +149,7 @@ class Outside:
         self._back = fence.way_back(x, y)
 
     def free(self, lo: float, hi: float) -> Floats:
-        """As of `Stadiums`; inf if every heading leads back."""
+        """Free distances as of `Stadiums.free`; inf if every heading leads back."""
         half = 0.5 * (hi - lo)
         # the least cosine between "back" and the cone is minus the greatest one between "away" and the cone
         least = -toward(self._back + math.pi - 0.5 * (lo + hi), half) if half < math.pi else -1.0

@@ -306,7 +306,7 @@ def _pack(codes: Mapping[str, str], values: Mapping[str, Any]) -> bytes:
 
 
 def _unpack(codes: Mapping[str, str], data: bytes) -> dict[str, Any]:
-    """The fields as far as they are whole."""
+    """Decode the fields that are complete."""
     fields: dict[str, Any] = {}
     for name, code in codes.items():
         size = data.find(b"\0") + 1 if code == "z" else struct.calcsize(code)
@@ -323,7 +323,7 @@ def is_sip(data: bytes) -> bool:
 
 
 def decode_sip(data: bytes) -> Sip:
-    """The fields of a SIP's data part, without unknown last ones; `ValueError`: it is no SIP, or ends before its ports do."""
+    """Fields of a SIP's data part, without unknown last ones; `ValueError`: it is no SIP, or ends before its ports do."""
     if not is_sip(data):
         raise ValueError(f"not an information packet: {data[:1].hex() or 'empty'}")
     ports = _HEAD_BYTES + (3 * data[_HEAD_BYTES - 1] if len(data) >= _HEAD_BYTES else 0)
@@ -336,7 +336,7 @@ def decode_sip(data: bytes) -> Sip:
 
 
 def encode_sip(sip: Sip) -> bytes:
-    """The data part; `ValueError`: a value does not fit into its field."""
+    """Data part of a SIP; `ValueError`: a value does not fit into its field."""
     values = msgspec.structs.asdict(sip)
     values |= {"x": sip.x & COUNT_MASK, "y": sip.y & COUNT_MASK}
     head = _pack({**_HEAD, "sonars": "B"}, {**values, "sonars": len(sip.sonars)})
@@ -345,14 +345,14 @@ def encode_sip(sip: Sip) -> bytes:
 
 
 def encode_config(config: Config) -> bytes:
-    """The data part; `ValueError`: a value does not fit into its field."""
+    """Data part of a configuration packet; `ValueError`: a value does not fit into its field."""
     return bytes((CONFIG_PACKET,)) + _pack(_CONFIG, msgspec.structs.asdict(config))
 
 
 def decode_config(data: bytes) -> Config:
-    """The fields as far as they are whole, the others at their defaults; `ValueError`: it is no configuration packet.
+    """Fields of a configuration packet, incomplete ones at their defaults; `ValueError`: it is no configuration packet.
 
-    Packets of older firmware are shorter, those of newer firmware have more fields behind the version.
+    Packets of older firmware are shorter; packets of newer firmware have more fields behind the version.
     """
     if data[:1] != bytes((CONFIG_PACKET,)):
         raise ValueError(f"not a configuration packet: {data[:1].hex() or 'empty'}")

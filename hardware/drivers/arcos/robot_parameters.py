@@ -1,7 +1,7 @@
 """Parameters of the robots that speak the protocol. Lengths in metres, as the vehicle's; factors are of the line's counts.
 
-Sources: robot parameter files p2dx.p, amigo.p, amigo-sh.p of ARIA and robot parameters of Player, which agree; speeds and
-accelerations that the firmware starts with are those of MobileSim, angular accelerations are assumed.
+Sources: robot parameter files p2dx.p, amigo.p, amigo-sh.p of ARIA and robot parameters of Player, which agree; initial speeds
+and accelerations of the firmware are from MobileSim; angular accelerations are assumed.
 """
 
 import math
@@ -13,7 +13,7 @@ Kind = Literal["p2dx", "amigo", "amigo-sh"]
 
 
 class Sonar(msgspec.Struct, frozen=True):
-    """Where a sonar sits and looks, in the robot's frame (x forward, y left)."""
+    """Place and direction of a sonar in the robot's frame (x forward, y left)."""
 
     x: float  # m
     y: float  # m
@@ -23,16 +23,16 @@ class Sonar(msgspec.Struct, frozen=True):
 class Robot(msgspec.Struct, frozen=True, kw_only=True):
     """A kind of robot.
 
-    Factors make mm, mm/s of the counts of information packets; commands are in mm/s and deg/s already. ``diff_factor`` is
+    Factors convert counts of information packets to mm and mm/s; commands are in mm/s and deg/s. ``diff_factor`` is
     2 / effective track in mm: a turn on the spot makes the wheels of a skidding robot go further than the true track says.
     """
 
     name: str
-    kind: Kind  # subclass that the robot tells when it is connected; clients choose parameters by it
+    kind: Kind  # subclass that the robot reports on connection; clients choose parameters by it
     radius_m: float
     max_speed: float  # m/s, more is never done
     max_yaw_rate: float  # rad/s
-    speed: float  # m/s, that the firmware allows itself until SETV
+    speed: float  # m/s, limit of the firmware until SETV
     yaw_rate: float  # rad/s, until SETRV
     accel: float  # m/s2, until SETA
     decel: float  # m/s2
@@ -46,7 +46,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     watchdog_s: float = 2.0  # without a command, the robot stops
     period_s: float = 0.1  # from information packet to information packet
     baud: int = 9600  # 8N1
-    sonar_max_m: float = 5.0  # what a sonar says that hears no echo
+    sonar_max_m: float = 5.0  # reading of a sonar without an echo
     sonars: tuple[Sonar, ...]
 
     @property
@@ -56,7 +56,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _ring(*places: tuple[int, int, int], mirrored: bool = True) -> tuple[Sonar, ...]:
-    """Sonars by x mm, y mm, degrees; mirrored: then those of the other side, backwards, as numbers go round the robot."""
+    """Sonars at (x mm, y mm, degrees); ``mirrored``: then their mirror images in reverse order, as numbered on the robot."""
     other_side = tuple((x, -y, -degrees) for x, y, degrees in reversed(places)) if mirrored else ()
     return tuple(Sonar(x / 1000, y / 1000, math.radians(degrees)) for x, y, degrees in (*places, *other_side))
 
@@ -111,7 +111,7 @@ ROBOTS: dict[str, Robot] = {each.kind: each for each in (_P2DX, _AMIGO, _AMIGO_S
 
 
 def robot_of(subclass: str) -> Robot:
-    """Parameters by the subclass that a robot tells, whatever its case; `ValueError`: there is no such robot."""
+    """Parameters of the subclass that a robot reports, in upper or lower case; `ValueError`: there is no such robot."""
     robot = ROBOTS.get(subclass.lower())
     if robot is None:
         raise ValueError(f"unknown kind of robot {subclass!r}: known are {', '.join(ROBOTS)}")

@@ -1,6 +1,6 @@
 """Link to a vehicle: UDP, TCP or a serial port, by the addresses of pymavlink and MAVSDK.
 
-Anybody may send to an open UDP port: bytes come with their source, and answers go to one source.
+An open UDP port accepts bytes from any sender: bytes come with their source, and answers go to one source.
 """
 
 import contextlib
@@ -36,7 +36,7 @@ class StreamLink:
         return [("", self._line.read())]
 
     def answer(self, source: str) -> None:
-        """There is one source only."""
+        """No effect: there is one source only."""
 
 
 class UdpLink:
@@ -129,7 +129,7 @@ READERS = 32  # maximum number of sources
 
 
 class Peer(Value, frozen=True, kw_only=True):
-    """The vehicle."""
+    """The vehicle at the other end of a link."""
 
     sender: Sender
     source: str
@@ -139,12 +139,12 @@ class Peer(Value, frozen=True, kw_only=True):
 
     @property
     def on_ground(self) -> bool:
-        """It drives or swims: velocities are in its body frame."""
+        """Whether it is a ground vehicle or a boat: velocities are in its body frame."""
         return self.vehicle_type in protocol.GROUND
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """Name of the vehicle in messages."""
         return f"system {self.sender.system}: {type_name(self.vehicle_type)} with {self.autopilot.name}"
 
 

@@ -50,7 +50,7 @@ class Encoder:
         self._mav = mavlink.MAVLink(None, srcSystem=sender.system, srcComponent=sender.component)
 
     def __call__(self, *messages: Message) -> bytes:
-        """Their bytes."""
+        """Encoded bytes of the messages."""
         data = b""
         for each in messages:
             data += each.pack(self._mav)

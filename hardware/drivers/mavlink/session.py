@@ -1,7 +1,7 @@
 """Session with a vehicle: telemetry, modes, arming, set-points, and command authority.
 
-It has no clock and no link: messages and times are arguments and results. Requests and acknowledgements prove nothing: mode
-and arming are those of the vehicle's heartbeats.
+It has no clock and no link: messages and times are arguments and results. Requests and acknowledgements prove nothing: mode and
+arming come from the vehicle's heartbeats.
 """
 
 import math
@@ -29,8 +29,8 @@ MS = 1_000_000  # ns
 class MavlinkSampler:
     """Converts telemetry to samples, over reconnections.
 
-    Odometry begins at ``start`` in the run (x m, y m, yaw rad); ``origin`` (m, world) is that of the autopilot's local frame,
-    or of ``plane``, if positions are global.
+    Odometry begins at ``start`` in the run (x m, y m, yaw rad); ``origin`` (m, world) is the origin of the autopilot's local
+    frame, or of ``plane`` if positions are global.
     """
 
     def __init__(self, start: Vec3, origin: Vec3, plane: TangentPlane | None) -> None:
@@ -51,7 +51,7 @@ class MavlinkSampler:
         self._clock = ForeignClock()  # stamps count from power-up, which may be recent
 
     def attitude(self, message: Message, now_ns: int) -> None:
-        """An ATTITUDE has arrived."""
+        """Process an ATTITUDE message."""
         fields = (message.roll, message.pitch, message.yaw, message.rollspeed, message.pitchspeed, message.yawspeed)
         if all(map(math.isfinite, fields)):
             self._attitude, self._attitude_ns = message, now_ns
@@ -83,7 +83,7 @@ class MavlinkSampler:
         )
 
     def status(self, message: Message) -> None:
-        """A SYS_STATUS has arrived."""
+        """Process a SYS_STATUS message."""
         self.battery_v = None if message.voltage_battery in (0, 0xFFFF) else 1e-3 * message.voltage_battery
 
     def _odometry(self, state: VehicleState) -> Odometry:
@@ -170,7 +170,7 @@ class MavlinkSession:
 
     @property
     def ready(self) -> bool:
-        """All requests are fulfilled; after `leave`: the vehicle may be left."""
+        """Whether all requests are fulfilled; after `leave`: whether the vehicle may be left."""
         return not self._steps
 
     @property
@@ -222,7 +222,7 @@ class MavlinkSession:
                 self._steps.append(_Step("it to disarm", lambda: not (self._armed and self._stands), lambda: [disarm]))
 
     def farewell(self) -> list[Message]:
-        """Last messages."""
+        """Last messages of the session."""
         self._climb_to = None
         return self._points(STILL, 0.0)
 

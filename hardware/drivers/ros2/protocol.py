@@ -1,7 +1,7 @@
 """ROS 2 messages as CDR bytes, and their names as Zenoh keys, in two mappings, with attachments of messages.
 
 CDR as rmw implementations send it: the header ``00 01 00 00`` (little-endian; ``00 00``, big-endian, is read, too), then the
-fields aligned from behind it. The definitions are those of ROS 2 Jazzy, unchanged since Foxy.
+fields aligned from behind it. The definitions are from ROS 2 Jazzy, unchanged since Foxy.
 
 ``rmw_zenoh`` (the middleware of ROS 2 itself; its ``docs/design.md`` and ``liveliness_utils.cpp``)::
 
@@ -73,7 +73,7 @@ def type_hash(name: str) -> str:
 
 
 def encode_twist(twist: Twist, *, stamped: bool) -> bytes:
-    """Twist, or TwistStamped."""
+    """CDR bytes of a Twist or TwistStamped."""
     message = _make(TWIST, linear=_vector(twist.linear), angular=_vector(twist.angular))
     if not stamped:
         return _encoded(TWIST, message)
@@ -92,7 +92,7 @@ def decode_twist(data: bytes, *, stamped: bool) -> Twist:
 
 
 def encode_odometry(odometry: OdometryMessage) -> bytes:
-    """Odometry."""
+    """CDR bytes of an Odometry message."""
     w, x, y, z = odometry.attitude
     pose = _make(
         "geometry_msgs/msg/Pose",
@@ -224,7 +224,7 @@ class RmwZenoh:
         return None if "*" in key or len(parts) < 4 else _ros_type(parts[-2])
 
     def tokens(self, session: str, endpoints: tuple[Endpoint, ...]) -> list[str]:
-        """Tokens of a node: one for each endpoint, in their order, then those of the node.
+        """Tokens of a node: one for each endpoint, in their order, then the tokens of the node itself.
 
         It is node 0 in the enclave and namespace ``/``; the quality of service is the default with a queue of `DEPTH`.
         """
@@ -256,32 +256,32 @@ class Ros2Dds:
     graph = "@/*/@ros2_lv/**"
 
     def publishes(self, topic: str, name: str) -> str:
-        """The topic."""
+        """Key of a topic: the topic itself."""
         return topic
 
     def hears(self, topic: str) -> str:
-        """The topic."""
+        """Key expression of a topic: the topic itself."""
         return topic
 
     def type_of(self, key: str) -> str | None:
-        """Unknown."""
+        """Type of messages under a key: unknown."""
         return None if "*" in key else ""
 
     def tokens(self, session: str, endpoints: tuple[Endpoint, ...]) -> list[str]:
-        """Reliable (1), with a queue (0) of `DEPTH`; a slash becomes a section sign."""
+        """Tokens of endpoints: reliable (1), with a queue (0) of `DEPTH`; a slash becomes a section sign."""
         lead = f"@/{session}/@ros2_lv"
         names = [(kind, topic.replace("/", "§"), name.replace("/", "§")) for kind, topic, name in endpoints]
         return [f"{lead}/{kind}/{topic}/{name}/:1::0,{DEPTH}" for kind, topic, name in names] + [lead]
 
     def endpoint(self, token: str) -> Endpoint | None:
-        """Of parts 3, 4 and 5."""
+        """Endpoint of a token, from its parts 3, 4 and 5."""
         parts = token.split("/")
         if len(parts) != 7 or parts[3] not in _KINDS:
             return None
         return Endpoint(parts[3], parts[4].replace("§", "/"), parts[5].replace("§", "/"))
 
     def attachment(self, origin: Origin) -> bytes | None:
-        """None."""
+        """Attachment of a message: none."""
         return None
 
 
@@ -323,5 +323,5 @@ def _dds_type(name: str) -> str:
 
 
 def _ros_type(name: str) -> str:
-    """The reverse; a name of another form comes out as it is, slashes for colons."""
+    """Reverse of `_dds_type`; a name of another form is unchanged, with slashes for colons."""
     return name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")

@@ -88,7 +88,7 @@ class SetPoints:
                 self.yaw_decel = math.radians(-value)
 
     def travelled(self, forward_m: float) -> None:
-        """The robot moved this far: for MOVE."""
+        """Count the distance travelled, for MOVE."""
         if self._left_m is not None:
             self._left_m -= forward_m
             if abs(self._left_m) <= _ARRIVED_M:
@@ -112,7 +112,7 @@ class Wheels:
         self.pose, self.v, self.w = pose, 0.0, 0.0
 
     def step(self, wanted: tuple[float, float], motion: SetPoints, dt: float) -> None:
-        """Go on for ``dt`` seconds."""
+        """Advance by ``dt`` seconds."""
         if motion.emergency:
             self.v = self.w = 0.0
         else:

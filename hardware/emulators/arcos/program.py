@@ -1,4 +1,4 @@
-"""Emulated robot at a port until it is interrupted, optionally with tags of positioning systems, as a command line says."""
+"""Emulated robot at a port, optionally with tags of positioning systems, from command-line options."""
 
 import contextlib
 import math
@@ -26,7 +26,7 @@ class PtyPort(NamedTuple):
 
 
 class HostPort(NamedTuple):
-    """A TCP port of this machine, 0: any that is free; or where datagrams go."""
+    """A TCP port of this machine (0: any free port), or the destination of datagrams."""
 
     host: str
     port: int
@@ -43,7 +43,7 @@ class Tags(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RobotOptions(msgspec.Struct, frozen=True, kw_only=True):
-    """How a robot is served."""
+    """Options of an emulated robot at a port."""
 
     port: PtyPort | HostPort = PtyPort()
     rate_hz: Positive = 10.0  # of its information packets
@@ -57,7 +57,7 @@ class RobotOptions(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def port_of(text: str) -> PtyPort | HostPort:
-    """``PTY``, ``tcp://HOST:PORT`` (no host: this machine alone; no port: 8101) or the path of a link that is to be made."""
+    """Port from ``PTY``, ``tcp://HOST:PORT`` (no host: this machine only; no port: 8101) or the path of a link to create."""
     if with_slash(text).startswith(("tcp/", "socket/")):
         endpoint = endpoint_of(text)
         if endpoint is None:
@@ -70,14 +70,14 @@ def port_of(text: str) -> PtyPort | HostPort:
 
 
 def pty_of(text: str) -> PtyPort | None:
-    """``PTY`` or the path of a link; None: neither."""
+    """Pseudo-terminal from ``PTY`` or the path of a link; None: neither."""
     if text.lower() == "pty":
         return PtyPort()
     return PtyPort(Path(text)) if "/" in text and "://" not in text else None
 
 
 def udp_of(text: str, option: str) -> HostPort:
-    """``udp://HOST:PORT``."""
+    """Destination of datagrams from ``udp://HOST:PORT``."""
     protocol, host, port = endpoint_of(text) or ("", "", None)
     if protocol != "udp" or not host or not port:
         raise UsageError(f"{option} {text}: write udp://HOST:PORT, e.g. udp://{LOOPBACK}:5000")
@@ -85,7 +85,7 @@ def udp_of(text: str, option: str) -> HostPort:
 
 
 def faults_of(text: str, seed: int) -> Faults:
-    """``drop=0.01,flip=0.001,split=0.2``, each a probability for each byte; ``gap_ms=30`` is how long a split lasts."""
+    """Faults from ``drop=0.01,flip=0.001,split=0.2`` (probabilities per byte) and ``gap_ms=30`` (duration of a split)."""
     values: dict[str, float] = {}
     for part in filter(None, text.split(",")):
         name, equals, value = part.partition("=")
@@ -102,7 +102,7 @@ def faults_of(text: str, seed: int) -> Faults:
 
 
 def circle_of(text: str) -> tuple[float, float]:
-    """``R,SPEED``: m, positive to the left; m/s."""
+    """Circle from ``R,SPEED``: radius in m, positive to the left, and speed in m/s."""
     numbers = [_number(each, f"--circle {text}") for each in text.split(",")]
     if len(numbers) != 2 or numbers[0] == 0.0:
         raise UsageError(f"--circle {text}: write RADIUS,SPEED (m, m/s), e.g. 2,0.3; a negative radius turns right")
@@ -126,7 +126,7 @@ def tags_of(
     option: str | None = None,
     **errors: float,
 ) -> Tags:
-    """Tags as a command line says them: ports, `Errors`, and the option that gave a port, if not one of its own name."""
+    """Tags from a command line: ports, `Errors`, and the option that gave a port, if its name differs."""
     serial = None if dwm1001 is None else pty_of(dwm1001)
     if dwm1001 is not None and serial is None:
         raise UsageError(f"{option or '--dwm1001'} {dwm1001}: write PTY, or a path such as /tmp/tag")

@@ -48,7 +48,7 @@ class DeviceAgent(Agent):
         self._blocked_s = 0.0
 
     def start(self, info: VehicleInfo) -> None:
-        """All is built, and time is about to begin."""
+        """Called before time 0, when everything is built."""
         self._started({})
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
@@ -65,7 +65,7 @@ class DeviceAgent(Agent):
         return Velocity(linear=(self._ramp.v, 0.0, 0.0), yaw_rate=self._ramp.w)
 
     def _odometry(self, obs: Observation) -> tuple[Vec3, float, float]:
-        """Pose and speeds by the wheels; of a vehicle without any, the truth."""
+        """Pose and speeds from wheel odometry; true values for a vehicle without wheels."""
         reading = obs.readings.get(self._senses.odometer)
         if isinstance(reading, Odometry):
             return reading.pose, reading.v, reading.w
@@ -86,7 +86,7 @@ def forward(state: VehicleState) -> float:
 
 
 class VehicleSensors:
-    """Sensors of a vehicle as those of the robot."""
+    """Sensors of a vehicle in the role of the robot's sensors."""
 
     def __init__(self, robot: Robot, fitted: Mapping[str, Mapping[str, Any]]) -> None:
         self._sonars = [SONAR.format(number) for number in range(len(robot.sonars))]

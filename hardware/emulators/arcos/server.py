@@ -33,7 +33,7 @@ class Faults(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Wire:
-    """Bytes go in and come out later, in order, fewer or changed; at ``baud`` bits a second, None: without delay."""
+    """A line with faults: bytes arrive later, in order, some lost or changed; at ``baud`` bits/s, None: without delay."""
 
     def __init__(self, faults: Faults, draws: np.random.Generator, baud: int | None = None) -> None:
         self.faults, self.baud = faults, baud
@@ -43,7 +43,7 @@ class Wire:
         self._last_ns = 0
 
     def push(self, data: bytes, now_ns: int) -> None:
-        """Bytes go in."""
+        """Put bytes on the line."""
         if not data:
             return
         faults = self.faults
@@ -59,7 +59,7 @@ class Wire:
             self._queue.append((self._last_ns, byte ^ (1 << int(8 * bit)) if changed else byte))
 
     def pop(self, now_ns: int) -> bytes:
-        """The bytes that are there by now."""
+        """Bytes that have arrived by now."""
         out = bytearray()
         while self._queue and self._queue[0][0] <= now_ns:
             out.append(self._queue.popleft()[1])
@@ -67,7 +67,7 @@ class Wire:
 
     @property
     def due_ns(self) -> int | None:
-        """When the next byte is there; None: nothing is on its way."""
+        """Arrival time of the next byte; None: no byte is on its way."""
         return self._queue[0][0] if self._queue else None
 
 
@@ -133,5 +133,5 @@ def serve_pty(device: Device, *, link: Path | None = None, faults: Faults | None
 def serve_tcp(
     device: Device, *, host: str = LOOPBACK, port: int = 0, faults: Faults | None = None, paced: bool = False
 ) -> ArcosServer:
-    """Serve it at a TCP port; 0: any that is free, see `ArcosServer.url`. `TCP_PORT` is where clients look first."""
+    """Serve a robot at a TCP port; 0: any free port, see `ArcosServer.url`. Clients try `TCP_PORT` first."""
     return ArcosServer(device, TcpListener("socket://", host, port), faults or Faults(), paced=paced)

@@ -298,7 +298,7 @@ class Vehicle:
 
     @property
     def landed(self) -> bool:
-        """It stands on the ground."""
+        """Whether it stands on the ground."""
         return not self._flies or self.state.position[2] <= 0.02
 
     def _tick(self) -> None:
