@@ -27,7 +27,7 @@ class Kinds:
 
 
 def check_acts(kind: Any, name: str, key: str, source: str = "") -> None:
-    """Reject a class that is no agent, or has no `act` of its own."""
+    """Reject a class that is no agent, or does not define `act`."""
     if not (isinstance(kind, type) and issubclass(kind, Agent)):
         raise ScenarioError(
             f"'{name}' is not derived from vcmvsp.Agent: write class {kind.__name__}(Agent)", key=key, source=source
@@ -37,7 +37,7 @@ def check_acts(kind: Any, name: str, key: str, source: str = "") -> None:
 
 
 def files_of(kind: Any, params: Mapping[str, Any]) -> tuple[str, ...]:
-    """The files that parameters of an agent name, as they are written."""
+    """Files that the parameters of an agent name, unresolved."""
     names: dict[str, None] = {}
     binding.with_files(kind, params, lambda name: str(names.setdefault(name)))
     return tuple(names)
@@ -62,7 +62,7 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
             agent: Agent = binding.call(kind, located, key=key, origin=origin, also=binding.parameters(AgentTable))
     except ScenarioError as error:
         name = error.key.removeprefix(f"{key}.")
-        shared = name.partition(".")[0] in defaults_used  # the first chunk: what is wrong may be inside a table
+        shared = name.partition(".")[0] in defaults_used  # the first part: the error may be inside a table
         raise (ScenarioError(error.problem, key=f"agents.{name}", source=spec.source) if shared else error) from error
     return agent, binding.complete(kind, params), defaults_used
 

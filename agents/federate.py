@@ -86,12 +86,12 @@ class AgentRunner:
         )
         try:
             self.guarded(self.agent.start, about, passes=ValueError)
-        except ValueError as error:  # a name or number of the scenario that this agent cannot work with
+        except ValueError as error:  # a name or number of the scenario is unsuitable for this agent
             key = f"vehicle.{self.vehicle}.agent"
             raise ScenarioError(str(error), key=key, source=self.spec.source) from error
 
     def close(self) -> AgentError | None:
-        """Close the agent; what goes wrong is the answer."""
+        """Close the agent; returns its error, if any."""
         try:
             if self._started:
                 self.guarded(self.agent.close)
@@ -223,7 +223,7 @@ class AgentRunner:
 
 
 def _plain(command: Velocity | Waypoint) -> tuple[Velocity | Waypoint, float]:
-    """The command in plain floats, and their sum, which is finite only if all are."""
+    """The command as plain floats, and their sum, which is finite only if all of them are."""
     if isinstance(command, Velocity):
         x, y, z = command.linear
         rate = command.yaw_rate
@@ -238,7 +238,7 @@ def _plain(command: Velocity | Waypoint) -> tuple[Velocity | Waypoint, float]:
 
 
 def _own_copy(reception: Reception) -> Reception:
-    """The reception with its own body: an agent that changes a body changes no other agent's, as over a wire."""
+    """The message with its own copy of the body: an agent that changes a body does not affect other receivers."""
     message = reception.message
     assert isinstance(message.body, dict)  # noqa: S101  bytes need no copy
     flat = MUTABLE.isdisjoint(map(type, message.body.values()))
@@ -249,7 +249,7 @@ def _own_copy(reception: Reception) -> Reception:
 class AgentHost:
     """A federate with agents, one per vehicle.
 
-    The specification of one of the existing agents, ``objects`` by vehicle, applies but for what its constructor was given.
+    For existing agents, ``objects`` by vehicle, the specification applies except for the constructor arguments.
     """
 
     slot = wake_slot = Slot.AGENT

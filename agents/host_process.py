@@ -64,7 +64,7 @@ def host(
         raise UsageError(f"--set {strange[0]}: that is for the scenario to say; a host sets parameters of its agent")
     named = registry.classes_in([*allow, kind, params])
     may_load = registry.only(None if token else registry.OwnCode(named, code_folder, on_state))
-    if kind is not None:  # errors of the class are reported here: the run goes on waiting
+    if kind is not None:  # errors of the class are reported here: the run continues to wait
         with registry.only(registry.OwnCode(named, code_folder)):
             check_acts(registry.find("agent", kind, key="", origin=Source("vcmvsp agent")), kind, "")
     bundle = None
@@ -89,7 +89,7 @@ def host(
 def _end_with_parent(pipe: io.FileIO) -> None:
     """Exit when the pipe closes, which it does however the run's process ends."""
     pipe.read()
-    time.sleep(GRACE_S)  # to end by itself, as it does after a run that went well
+    time.sleep(GRACE_S)  # to end by itself, as after a successful run
     os._exit(1)
 
 

@@ -74,7 +74,7 @@ def check_flies(info: VehicleInfo) -> None:
 
 
 def told(obs: Observation, velocity: Vec3) -> dict[str, float]:
-    """Additional keys of a report for a vehicle that moves at ``velocity`` m/s, world."""
+    """Additional keys of a report of a vehicle that moves at ``velocity`` m/s, world."""
     return dict(zip(KEYS, (*velocity, obs.state.position[2]), strict=True))
 
 
@@ -103,9 +103,9 @@ Heading = Literal["keep", "course"]
 class AerialRoute(Leader):
     """Fly from point to point, each in a straight line, slow down towards the last one, and stay there.
 
-    Towards a point at a distance d: ``min(speed, 0.8 d)``. With no way it flies on in one direction at its first height.
+    Speed towards a point at a distance d: ``min(speed, 0.8 d)``. Without a way it flies in one direction at its start height.
 
-    The course is that of the line from point to point; where that leads up or down, it is that of before.
+    The course is the direction of the line from point to point; on a vertical line the former course holds.
 
     Noted: ``point``, the number of the next one, whenever it changes, and ``status`` ``arrived``.
 
@@ -155,7 +155,7 @@ class AerialRoute(Leader):
         self._kept: tuple[float, float] | None = None  # height of the start, m, and the heading to keep, rad
 
     def start(self, info: VehicleInfo) -> None:
-        """Reject wheels; find the team."""
+        """Reject a ground vehicle; find the team."""
         check_flies(info)
         super().start(info)
 
@@ -215,7 +215,7 @@ class AerialFollower(FormationFollower):
     it, so the error decays with ``exp(-gain t)`` for any motion of the leader. A leader on wheels has height 0. The estimators
     ``acc`` and ``plan`` act as ``dr``.
 
-    Notes, besides those of every `FormationFollower`, the estimated error ``error_m`` at every tick.
+    Notes the estimated error ``error_m`` at every tick, besides the notes of every `FormationFollower`.
 
     Args:
         slot: place in the leader's frame, x forward, y left, z up, m; needed with ``leader``.
@@ -261,12 +261,12 @@ class AerialFollower(FormationFollower):
         super()._keep(leader, slot)
 
     def start(self, info: VehicleInfo) -> None:
-        """Refuse wheels; find the leader or the place in the team."""
+        """Refuse a ground vehicle; find the leader or the place in the team."""
         check_flies(info)
         super().start(info)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """Follow the newest report, around what stands in the way."""
+        """Follow the newest report, around obstacles."""
         newest, velocity = self._hear(obs), obs.state.velocity
         speed, yaw_rate = along(velocity, obs.state.yaw), obs.state.angular_velocity[2]
         self._tell(obs, radio, speed, yaw_rate, **told(obs, velocity))
@@ -280,7 +280,7 @@ class AerialFollower(FormationFollower):
             self.note(error_m=math.hypot(*off))
             vx, vy, vz = (v + self.gain * error for v, error in zip(velocity, off, strict=True))
             decision = around(self._steering, obs, (vx, vy, vz), self._turning(obs, lead), place[:2], lead.position[:2])
-        # Limited last, as a field adds up its pushes and the way to go: in that sum, what is far off its place hurries more.
+        # Limited last: a potential field adds repulsions to this velocity, which must grow with the distance to the place.
         velocity = limited(decision.velocity, self.max_speed)
         if lead is not None:
             self._last, self._fading_ns = velocity, None

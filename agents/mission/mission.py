@@ -8,7 +8,7 @@ An algorithm is any agent. Optional members besides ``act``:
 ``end(obs)``             it is no longer the task
 ``claim``                the target that it tracks (`agents.reconnaissance.roster.Claim`), or None
 ``goal``                 its destination, x and y, m, world, or None: for avoidance
-``roster``, ``watch``    None in the class: set to those of the vehicle before ``start``
+``roster``, ``watch``    None in the class: set to the vehicle's objects before ``start``
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,8 +32,8 @@ from vcmvsp.cosim.types import NonNegative, Positive, Velocity, Waypoint
 class SearchMission(Agent):
     """Search, formation and track by a state table (`state_table`), with avoidance and a speed limit near obstacles.
 
-    Notes, besides those of the algorithms, ``commander``, ``since_s`` and ``why`` at every switch, ``task`` and
-    ``task_why`` when the task changes.
+    Notes ``commander``, ``since_s`` and ``why`` at every switch, ``task`` and ``task_why`` when the task changes, besides the
+    notes of the algorithms.
 
     Args:
         algorithms: by task: ``search``, ``formation`` (for wingmen in a shared sector), ``track``; each a table with the
@@ -73,7 +73,7 @@ class SearchMission(Agent):
         self._hearing = {"alive_s": alive_s, "claim_s": claim_s, "report_s": report_s, "clock_bound_s": clock_bound_s}
         if sectors and any(len(sector) > 1 for sector in sectors) and "formation" not in algorithms:
             raise ScenarioError("sectors are shared, so there must be an algorithm for it: formation", key="algorithms")
-        self._flies_along = {  # by sector: files that an agent names are looked for in the scenario's folder only now
+        self._flies_along = {  # by sector: files of agents are found in the scenario's folder only now
             tuple(sector): build_nested(_of_sector(algorithms["formation"], sector), "algorithms.formation")
             for sector in sectors
             if len(sector) > 1
@@ -90,7 +90,7 @@ class SearchMission(Agent):
         name, members = info.name, members_of(info, self.members)
         self._roster = Roster(name, members, sectors=self.sectors, **self._hearing)
         sector = tuple(next((each for each in self.sectors if name in each), (name,)))
-        self._leads = name != sector[-1]  # somebody flies along
+        self._leads = name != sector[-1]  # others fly along
         self._tasks = {
             task: algorithm if task != "formation" else self._flies_along[sector]
             for task, algorithm in self._algorithms.items()
@@ -133,7 +133,7 @@ class SearchMission(Agent):
         return command
 
     def close(self) -> None:
-        """All end."""
+        """Close all algorithms."""
         self._runner.close()
 
     def _made_runner(self) -> AlgorithmRunner:

@@ -21,9 +21,9 @@ STANDING = Velocity()
 
 
 class Guard:
-    """Lets a vehicle come no faster towards anything than in proportion to the way that is left; blind, it has it stand.
+    """Limits the approach speed to obstacles in proportion to the remaining distance; a blind vehicle stands.
 
-    It knows nothing of states, take-overs and reasons, and comes after them all: what it lets through is what the vehicle does.
+    It is independent of states and take-overs and applied last: its result is the vehicle's command.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -32,7 +32,7 @@ class Guard:
         self.nearest_m, self.second_m, self.closing = math.inf, 0.0, False
 
     def start(self, info: VehicleInfo) -> None:
-        """Take the scanner and the body of the vehicle; a ValueError says which of them is missing."""
+        """Take the scanner and the body of the vehicle; `ValueError`: one of them is missing."""
         self._looking.start(info, "avoidance.scanner")
         body = body_of(info)
         self._levels = ObstacleLevels(self.settings, body, info.latency_s)
@@ -40,7 +40,7 @@ class Guard:
         self._flies, self._latency_s = body.flies, info.latency_s
 
     def look(self, obs: Observation) -> None:
-        """Take in what is around at a tick: once, and before `limited`."""
+        """Update obstacles at a tick: once, and before `limited`."""
         self._view = view = self._looking.look(obs)
         x, y, _ = obs.state.velocity
         self._speed = math.hypot(x, y)
@@ -108,7 +108,7 @@ class AlgorithmRunner:
         each = {id(agent): agent for agent in self.algorithms.values()}.values()
         self._agents = sorted(each, key=lambda agent: isinstance(agent, Avoidance))  # tasks first, in their order
         self.notes: dict[str, float | str | bool] = {}
-        self.said: dict[str, dict[str, float | str | bool]] = {}  # what the agents noted at the last tick, by their first names
+        self.said: dict[str, dict[str, float | str | bool]] = {}  # notes of the agents at the last tick, by their first names
         self.shown: list[Shown] = []  # what they showed
 
     @property
@@ -124,11 +124,11 @@ class AlgorithmRunner:
     def start(self, info: VehicleInfo) -> None:
         """Start all algorithms."""
         self._period_s, self._flies = info.period_s, info.body is not None and info.body.flies
-        self._wants: dict[int, Command | None] = {}  # by agent: its last command, which it may leave in force
+        self._wants: dict[int, Command | None] = {}  # by agent: its last command, which may stay in force
         self._commander: str | None = None
         self._obeyed: Agent | None = None
         self._command: Command | None = None  # of the last tick
-        self._runs_up = False  # since a take-over, until the command is what the commander wants
+        self._runs_up = False  # from a take-over until the command equals the commander's
         if self.guard is not None:
             self.guard.start(info)
         for agent in self._agents:

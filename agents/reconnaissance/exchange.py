@@ -1,7 +1,7 @@
-"""Four protocols for sharing the map of a team; lost messages lose evidence in all but the ledger.
+"""Four protocols for sharing the map of a team; message losses lose evidence in all but the ledger.
 
 ``none``        no messages: each member searches on its own.
-``delta``       the increments since the last message (what is lost is lost).
+``delta``       the increments since the last message (lost increments are not repeated).
 ``consensus``   after its own update each moves its map towards the received ones, ``l <- (1 - n / N) l + sum of l_j / N``,
                 n received of N members (Hu, Xie, Lum and Xu 2013): in the end all have the N-th part of all evidence.
 ``ledger``      cumulative counts by contributor.
@@ -26,7 +26,7 @@ Body = dict[str, Any]
 SIDES = (16, 8, 4, 2, 1)  # cells, of a tile
 OVERHEAD = 36  # bytes at most: "ms" with its number, the key, contributor, tile and age, and the lengths of all of it
 MOST = 65535  # that two bytes count
-LATEST_MS = 2**53  # of the clock; more is no time
+LATEST_MS = 2**53  # of the clock; larger values are invalid
 OLDEST_MS = 2**32 - 1  # 49 days, to which the room for ages in messages is cut
 STEPS = 1600  # of a number in a message for 1 of l: 20 is 32000, which two bytes hold, and half a step is 0.0003
 NEVER = -1
@@ -66,7 +66,7 @@ class Tiling:
         return tiles
 
     def counts_of(self, tile: Any, raw: bytes) -> Array | None:
-        """Hits and misses in bytes of a message, (2, cells of a tile) uint16; None where they are not such."""
+        """Hits and misses in bytes of a message, (2, cells of a tile) uint16; None: they are invalid."""
         width = {2 * self.per_tile: "<u1", 4 * self.per_tile: "<u2"}.get(len(raw))
         if not _is_number(tile, self.tiles) or width is None:
             return None
@@ -74,7 +74,7 @@ class Tiling:
         return None if counts[:, self.beyond[tile]].any() else counts
 
     def bodies(self, key: str, ms: int, entries: Iterable[list[Any]], most: int) -> tuple[list[Body], int]:
-        """Up to ``most`` messages with as many of the entries as fit, in their order; how many these were."""
+        """Up to ``most`` messages with as many of the entries as fit, in their order; and the number of these entries."""
         empty = len(msgspec.msgpack.encode({"ms": ms, key: []})) + 2  # a list of more than 15 needs two bytes to say so
         bodies: list[Body] = []
         used, left = 0, 0
@@ -92,7 +92,7 @@ class Tiling:
 
 
 def _packed(counts: Array) -> bytes:
-    """Hits and misses, (2, n), as bytes: one for each count where that is enough."""
+    """Hits and misses, (2, n), as bytes: one byte for each count if that is enough."""
     return counts.astype("<u1" if counts.max(initial=0) < 256 else "<u2").tobytes()
 
 
@@ -162,11 +162,11 @@ class MapExchange:
         return True
 
     def _checked(self, ms: int, latest_ms: int, *entry: Any) -> tuple[Any, ...] | None:
-        """An entry of a message as `_merge` takes it; None: it makes no sense."""
+        """An entry of a message as `_merge` takes it; None: it is invalid."""
         raise NotImplementedError
 
     def _fit(self, entries: list[tuple[Any, ...]]) -> bool:
-        """Whether the entries of a message go together."""
+        """Whether the entries of a message are consistent."""
         return True
 
     def _merge(self, place: int, ms: int, *entry: Any) -> None:
@@ -193,7 +193,7 @@ class Delta(MapExchange):
         self._since[self.tiling.count(self._untold, cells, hits)] = now_ns // 1_000_000
 
     def messages(self, now_ns: int, most: int) -> list[Body]:
-        """Up to ``most`` messages, newest tiles first; what has no room waits."""
+        """Up to ``most`` messages, newest tiles first; tiles without room wait."""
         changed = np.nonzero(self._untold.any(axis=(1, 2)))[0]
         changed = changed[np.lexsort((changed, -self._since[changed]))]
         entries = ([tile, _packed(self._untold[tile])] for tile in changed.tolist())
@@ -389,7 +389,7 @@ def exchange(
 ) -> MapExchange:
     """One member's end of an exchange; all arguments but ``me`` must be equal for all members (`search.Search` explains them).
 
-    A ValueError says that ``me`` is not among the members, the prior is 0 or 1, or no cell fits into a message.
+    `ValueError`: ``me`` is not among the members, the prior is 0 or 1, or no cell fits into a message.
     """
     if me not in members:
         raise ValueError(f"members: they must include {me!r}; they are {', '.join(members)}")

@@ -12,8 +12,8 @@ Pixels are (column, row) as OpenCV counts them: the middle of the first pixel is
 ((width - 1) / 2, (height - 1) / 2).
 
 Between two ticks a cubic (Hermite) leads from pose to pose, with the speeds at both: exact where position and attitude change
-with a constant acceleration, about one axis. Along a straight line, and by an even turn, a quadrotor that begins to dart would
-be off by a degree and more half-way between ticks of 0.1 s, and so would be what it sees by half a metre at 20 m.
+with a constant acceleration, about one axis. With linear interpolation, the pose of an accelerating quadrotor would be off by a
+degree and more half-way between ticks of 0.1 s, and places in its picture by half a metre at 20 m.
 """
 
 import math
@@ -34,7 +34,7 @@ LEVEL = 1e-6  # how far the ray of a pixel that sees the ground points down, at 
 
 
 class Nadir(NamedTuple):
-    """Where a picture was taken from, and how. Use the pose of the instant in which it was taken, not of a later one."""
+    """Pose and optics of a downward camera, at the instant of the picture, not a later one."""
 
     position: Vec3  # of the pinhole, m, world
     attitude: Quaternion  # of the vehicle; w, x, y, z; world_from_body
@@ -45,32 +45,32 @@ class Nadir(NamedTuple):
 
     @property
     def height_m(self) -> float:
-        """Of the camera over the ground, m."""
+        """Height of the camera above the ground, m."""
         return self.position[2] - self.ground_m
 
     @property
     def upright(self) -> float:
-        """The cosine of its tilt."""
+        """Cosine of the camera's tilt."""
         _, i, j, _ = self.attitude
         return 1.0 - 2.0 * (i * i + j * j)
 
     @property
     def middle(self) -> Pixel:
-        """The principal point."""
+        """Principal point of the picture, px."""
         return 0.5 * (self.width - 1), 0.5 * (self.height - 1)
 
     def ground_point(self, pixel: Pixel) -> Point | None:
-        """The place that a pixel shows; None where it shows none: the horizon and above, or a camera in the ground."""
+        """Place on the ground that a pixel shows; None: none (the horizon and above, or a camera in the ground)."""
         (u, v), (u0, v0) = pixel, self.middle
         x, y, z = turned(self.attitude, (v0 - v, u0 - u, -self.focal_px))
-        if not (z < -LEVEL * self.focal_px and self.height_m > 0.0):  # not a number is no place either
+        if not (z < -LEVEL * self.focal_px and self.height_m > 0.0):  # NaN gives no place either
             return None
         share = self.height_m / -z
         place = self.position[0] + share * x, self.position[1] + share * y
         return place if math.isfinite(place[0]) and math.isfinite(place[1]) else None
 
     def pixel(self, place: Point) -> Pixel | None:
-        """Where a place on the ground appears, maybe beyond the edges; None: not in front of the camera."""
+        """Pixel of a place on the ground, maybe beyond the edges; None: it is not in front of the camera."""
         x0, y0, _ = self.position
         w, i, j, k = self.attitude
         forward, left, up = turned((w, -i, -j, -k), (place[0] - x0, place[1] - y0, -self.height_m))
@@ -102,7 +102,7 @@ class Nadir(NamedTuple):
 
 
 def nadir_of(image: Image, state: VehicleState, *, mount: Vec3 = MOUNT, ground_m: float = 0.0) -> Nadir:
-    """How a picture was taken by a vehicle that was in this state then; ``mount``: the pinhole, m, body frame."""
+    """View of a picture taken by a vehicle in this state; ``mount``: the pinhole, m, body frame."""
     x, y, z = turned(state.attitude, mount)
     height, width = image.pixels.shape[:2]
     x0, y0, z0 = state.position
@@ -122,14 +122,14 @@ GAP = 1.5  # periods between poses; longer gaps are not interpolated
 
 
 class Poses:
-    """Of one vehicle; ``period_s``: from tick to tick."""
+    """Recent poses of one vehicle; ``period_s``: from tick to tick."""
 
     def __init__(self, period_s: float) -> None:
         self._gap_ns = seconds_to_ns(GAP * period_s)
         self._states: deque[tuple[int, VehicleState]] = deque()
 
     def add(self, obs: Observation) -> None:
-        """Take in the pose at a tick; one that is not later than the last is that one."""
+        """Add the pose at a tick; a pose that is not later than the last one is ignored."""
         if self._states and obs.time_ns <= self._states[-1][0]:
             return
         self._states.append((obs.time_ns, obs.state))
@@ -137,7 +137,7 @@ class Poses:
             self._states.popleft()
 
     def at(self, time_ns: int) -> VehicleState | None:
-        """Position and attitude then; None: not known."""
+        """Position and attitude at a time; None: unknown."""
         after: tuple[int, VehicleState] | None = None
         for before in reversed(self._states):
             if before[0] <= time_ns:

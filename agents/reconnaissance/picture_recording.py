@@ -1,4 +1,4 @@
-"""What is recorded of a camera: pictures with a target, now and then their pixels, and the ground as it was seen."""
+"""Recording of a camera: detections, sometimes pictures with their pixels, and a mosaic of the ground."""
 
 from typing import Annotated
 
@@ -25,7 +25,7 @@ class PictureRecording:
         self._kept_ns: int | None = None  # time of the last recorded picture
 
     def of(self, frame: WatchFrame) -> Sightings | None:
-        """What is recorded of a picture; None: nothing."""
+        """Record of a picture; None: it is not recorded."""
         wait_ns = self._every_ns if frame.sightings else max(self._every_ns, NOTHING_NS)
         keep = self._kept_ns is None or frame.time_ns - self._kept_ns >= wait_ns
         if not (keep or frame.sightings):
@@ -45,11 +45,11 @@ class PictureRecording:
 
 
 MOST_CELLS = 4_000_000  # 12 MB
-EVERY_NS = seconds_to_ns(1.0)  # a picture is laid so often
+EVERY_NS = seconds_to_ns(1.0)  # period of pictures in the mosaic
 
 
 class Mosaicking(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which ground is put together, and how."""
+    """Area and resolution of a mosaic of the ground."""
 
     area: Rectangle  # left, bottom, right, top, m, world
     cell_m: Positive = 0.25  # edge of a pixel of it
@@ -57,7 +57,7 @@ class Mosaicking(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class Sheet:
-    """A mosaic in the making; a ScenarioError says that the area has no cells, or too many."""
+    """A growing mosaic of the ground; `ScenarioError`: the area has no cells, or too many."""
 
     def __init__(self, settings: Mosaicking) -> None:
         (left, bottom, right, top), cell = settings.area, settings.cell_m
@@ -70,11 +70,11 @@ class Sheet:
         self._left, self._bottom, self._cell_m = left, bottom, cell
         self._every_ns = seconds_to_ns(settings.every_s)
         self._pixels = np.zeros((rows, columns, 3), np.uint8)
-        self._laid_ns: int | None = None  # when the newest picture was taken that lies there
+        self._laid_ns: int | None = None  # time of the newest picture in the mosaic
         self._shown_ns: int | None = None
 
     def lay(self, frame: WatchFrame) -> None:
-        """Take in a picture, if it is time for another one and it shows no horizon."""
+        """Add a picture if one is due and it shows no horizon."""
         if self._laid_ns is not None and frame.time_ns - self._laid_ns < EVERY_NS:
             return
         corners = frame.nadir.footprint()
@@ -84,7 +84,7 @@ class Sheet:
         self._warp(frame.image.pixels, frame.nadir, np.array(corners))
 
     def shown(self, now_ns: int) -> Mosaic | None:
-        """As it is now; None: it is not due, or there is nothing on it yet."""
+        """The present mosaic; None: it is not due, or still empty."""
         if self._laid_ns is None or (self._shown_ns is not None and now_ns - self._shown_ns < self._every_ns):
             return None
         self._shown_ns = now_ns

@@ -17,7 +17,7 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array
 
-LIMIT = 20.0  # of |l|: a cell that is surer than 1 - 2e-9 could hardly be talked out of it
+LIMIT = 20.0  # of |l|: beyond a probability of 1 - 2e-9 new looks would hardly change a cell
 TARGET, EMPTY = 0.99, 0.01  # P above and below which a cell is decided
 
 
@@ -32,7 +32,7 @@ class Rectangle(NamedTuple):
 
 @dataclass(frozen=True)
 class Sensor:
-    """How far looks are to be trusted: 0 < q < p < 1, as with p = q they tell nothing, and with 0 or 1 one would be final."""
+    """Error rates of looks: 0 < q < p < 1 (with p = q a look has no information, with 0 or 1 one look would be final)."""
 
     p: float  # probability that a look at a target says so
     q: float  # probability that a look at none says that there is one
@@ -43,12 +43,12 @@ class Sensor:
 
     @property
     def hit(self) -> float:
-        """What a look that says 1 adds to the log-odds."""
+        """Increment of the log-odds by a look that says 1."""
         return math.log(self.p / self.q)
 
     @property
     def miss(self) -> float:
-        """What a look that says 0 adds to the log-odds (< 0)."""
+        """Increment of the log-odds by a look that says 0 (< 0)."""
         return math.log((1.0 - self.p) / (1.0 - self.q))
 
     def evidence(self, hits: Array, misses: Array) -> Array:
@@ -75,22 +75,22 @@ class Grid:
 
     @cached_property
     def columns(self) -> int:
-        """How many cells there are along x; with a tolerance for rounding."""
+        """Number of cells along x; with a tolerance for rounding."""
         return max(1, math.ceil((self.area.right - self.area.left) / self.cell - 1e-9))
 
     @cached_property
     def rows(self) -> int:
-        """How many cells there are along y."""
+        """Number of cells along y."""
         return max(1, math.ceil((self.area.top - self.area.bottom) / self.cell - 1e-9))
 
     @cached_property
     def xs(self) -> Array:
-        """Where the columns have their middles, (columns,) m."""
+        """Middles of the columns, (columns,) m."""
         return self.area.left + (np.arange(self.columns) + 0.5) * self.cell
 
     @cached_property
     def ys(self) -> Array:
-        """Where the rows have their middles, (rows,) m."""
+        """Middles of the rows, (rows,) m."""
         return self.area.bottom + (np.arange(self.rows) + 0.5) * self.cell
 
     def centres(self, cells: Array) -> Array:
@@ -141,7 +141,7 @@ def log_odds(probability: float) -> float:
 
 
 def probability(odds: Array) -> Array:
-    """P from log-odds."""
+    """Probabilities from log-odds."""
     result: Array = 1.0 / (1.0 + np.exp(-odds))
     return result
 

@@ -25,11 +25,11 @@ from vcmvsp.cosim.config.binding import unknown
 
 Point = tuple[float, float]
 
-SAME_M = 3.0  # targets without a name that lie so near to one another are one
-APART_M = 20.0  # so far from one another even those of one name are two
-GIVEN_UP_NS = seconds_to_ns(60.0)  # so long a place that was given up is left alone
-FARTHEST_M = 1e9  # no place on Earth lies further from an origin
-LATEST_MS = 2**53  # of the clock; more is no time
+SAME_M = 3.0  # targets without a name within this distance are one
+APART_M = 20.0  # targets of one name beyond this distance are two
+GIVEN_UP_NS = seconds_to_ns(60.0)  # time for which a place that was given up is ignored
+FARTHEST_M = 1e9  # larger coordinates are invalid
+LATEST_MS = 2**53  # of the clock; larger values are invalid
 LONGEST_NAME = 100  # characters
 
 
@@ -41,7 +41,7 @@ class Claim(NamedTuple):
     since_ns: int
 
     def same(self, other: "Claim") -> bool:
-        """Whether both are about one target."""
+        """Whether two claims are for one target."""
         if self.target and other.target:
             return self.target == other.target and math.dist(self.place, other.place) <= APART_M
         return math.dist(self.place, other.place) <= SAME_M
@@ -61,7 +61,7 @@ class Roster:
     Each of ``sectors`` is searched together, led by its first; other members have a sector of their own. ``sector`` is that of
     this vehicle, named after its first. After ``alive_s`` of silence a member counts as lost; its claim stands for ``claim_s``,
     as most are only out of reach. Reports come every ``report_s``, and at once when task or target change. Other clocks lead by
-    ``clock_bound_s`` at most. A ValueError says that members or sectors do not fit one another.
+    ``clock_bound_s`` at most. `ValueError`: members and sectors contradict each other.
     """
 
     def __init__(
@@ -88,13 +88,13 @@ class Roster:
         self._claim_ns = max(self._alive_ns, seconds_to_ns(claim_s))
         self.clock_bound_s, self._clock_bound_ns = clock_bound_s, seconds_to_ns(clock_bound_s)
         self._heard: dict[str, MemberStatus] = {}
-        self._there_ns: dict[str, int] = {}  # when anything came from its agent
+        self._there_ns: dict[str, int] = {}  # time of the newest message of its agent
         self._start_ns: int | None = None
         self._told: tuple[Task, str | None] | None = None
         self._told_ns = 0
 
     def hear(self, obs: Observation) -> None:
-        """Once a tick: take in received statuses. Any message of a member is a sign of life, except one of bytes."""
+        """Process received statuses, once a tick. Any message of a member is a sign of life, except one of bytes."""
         self._start_ns = obs.time_ns if self._start_ns is None else self._start_ns
         for sender, body in bodies(obs, self._sector_of):
             if sender == self.me:
@@ -106,7 +106,7 @@ class Roster:
                 self._heard[sender] = status
 
     def tell(self, obs: Observation, radio: Radio, task: Task, claim: Claim | None) -> None:
-        """Once a tick: say what this vehicle does, when it is due."""
+        """Send the own status if it is due, once a tick."""
         now = task, None if claim is None else claim.target
         if now == self._told and obs.time_ns - self._told_ns < self._report_ns:
             return
@@ -117,7 +117,7 @@ class Roster:
         radio.send(body)
 
     def alive(self, now_ns: int) -> tuple[str, ...]:
-        """Living members with this one, in the order of their names."""
+        """Living members, including this one, in the order of their names."""
         return tuple(name for name in self.members if name == self.me or self._silent_ns(name, now_ns) < self._alive_ns)
 
     def searchers(self, now_ns: int) -> tuple[str, ...]:
@@ -126,16 +126,16 @@ class Roster:
         return tuple(name for name in self.alive(now_ns) if name == self.me or name not in tracking)
 
     def shared(self, now_ns: int) -> bool:
-        """Whether somebody before this one searches its sector, so that this one only flies along."""
+        """Whether a member before this one searches its sector, so that this one flies in formation."""
         before = self._rank.get(self.me, 0)
         return any(self._sector_of[name] == self.sector and self._rank.get(name, 0) < before for name in self.searchers(now_ns))
 
     def sectors(self, now_ns: int) -> tuple[str, ...]:
-        """The sectors in which somebody searches, this one's own among them, in the order of their names."""
+        """Sectors with a searching member, including this vehicle's, in the order of their names."""
         return tuple(sorted({self._sector_of[name] for name in self.searchers(now_ns)}))
 
     def claims(self, now_ns: int) -> Mapping[str, Claim]:
-        """What others track, by vehicle."""
+        """Claims of other members, by vehicle."""
         return {
             name: each.claim
             for name, each in sorted(self._heard.items())
@@ -151,11 +151,11 @@ class Roster:
         return any(claim.same(other) and _right(name, other) < mine for name, other in self.claims(now_ns).items())
 
     def give_up(self, place: Point, now_ns: int) -> None:
-        """Leave alone for a while what is there, m, world: it was tracked in vain, or is another's."""
+        """Ignore a place, m, world, for a while: its target was lost, or another member tracks it."""
         self._given_up.append((now_ns, place))
 
     def given_up(self, now_ns: int) -> list[Point]:
-        """Such places of the last minute."""
+        """Places given up in the last minute."""
         self._given_up = [each for each in self._given_up if now_ns - each[0] < GIVEN_UP_NS]
         return [place for _, place in self._given_up]
 
@@ -165,7 +165,7 @@ class Roster:
 
 
 def members_of(info: VehicleInfo, named: Sequence[str]) -> tuple[str, ...]:
-    """The given members; without any, all vehicles of the run. A ValueError names one that is no vehicle of it."""
+    """The given members; without any, all vehicles of the run. `ValueError`: a member is no vehicle of the run."""
     for name in named:
         if name not in info.vehicles:
             raise ValueError(f"members: {unknown('vehicle', name, info.vehicles)}")

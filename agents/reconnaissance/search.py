@@ -1,4 +1,4 @@
-"""Searching an area together: comb a part of it, keep a map of where targets may be, and share it with the others."""
+"""Search of an area by a team: lanes over the own strip, and a map of target probabilities that is shared."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -25,9 +25,9 @@ Some = Annotated[int, msgspec.Meta(ge=1)]
 
 CAMERA = "camera"
 MOST_CELLS = 1_000_000  # of a map; each contributor has one
-CLIMB_M = 2.0  # further below or above its height it goes straight up or down
+CLIMB_M = 2.0  # at a larger deviation from its height it climbs or descends vertically
 YAW_RATE = 1.0  # rad/s, at most, to hold the heading
-SHOW_NS = seconds_to_ns(1.0)  # the map is recorded so often
+SHOW_NS = seconds_to_ns(1.0)  # period of recorded maps
 NOTHING: tuple[Array, Array] = (np.empty(0, np.intp), np.empty(0, bool))
 
 
@@ -72,7 +72,7 @@ class Search(Agent):
 
     roster: Roster | None = None
     watch: Watch | None = None
-    _own_roster = False  # whether the roster is its own
+    _own_roster = False  # whether it created the roster itself
 
     def __init__(
         self,
@@ -133,7 +133,7 @@ class Search(Agent):
 
     @property
     def goal(self) -> Point | None:
-        """The way-point that it flies to, m, world; None: it flies to none."""
+        """Present way-point, m, world; None: none."""
         return None if self._way is None else self._way.goal
 
     def start(self, info: VehicleInfo) -> None:
@@ -151,7 +151,7 @@ class Search(Agent):
         self._way: LaneFollower | None = None
         self._kept: tuple[float, float] | None = None  # height and heading to fly at, m and rad
         self._now_ns: int | None = None  # of the last tick
-        self._looked_ns: int | None = None  # when what was counted as a look last was taken
+        self._looked_ns: int | None = None  # time of the last picture that counted as a look
         self._agreed = False  # whether there was a look since the last messages
         self._share_at_ns = self._show_at_ns = 0
         self._bytes = 0
@@ -231,7 +231,7 @@ class Search(Agent):
         if obs.time_ns < self._share_at_ns:
             return
         self._share_at_ns = obs.time_ns + self._share_ns
-        if not self._agreed:  # a consensus takes a step at each look, and the messages say what came of it
+        if not self._agreed:  # a consensus takes a step at each look; messages hold its result
             self.map.look(*NOTHING, obs.time_ns)
         self._agreed = False
         frames_sent = sum(radio.send(body) for body in self.map.messages(obs.time_ns, self.most))

@@ -14,12 +14,12 @@ from vcmvsp.cosim.types import Array, Looks, ProbabilityMap, frozen
 
 Point = tuple[float, float]
 
-OPEN = 0.1  # of the cells along a lane: as few as that are open after one pass, too
-SAME_M, SAME_CELLS = 3.0, 2.0  # what is no further from a place than the greater of both is of the target there
+OPEN = 0.1  # of the cells along a lane: at most this share is open after one pass
+SAME_M, SAME_CELLS = 3.0, 2.0  # cells within the greater of both distances of a place belong to the target there
 
 
 class Blob(NamedTuple):
-    """Cells side by side, or corner to corner, that are held to be targets: one target, as far as is known."""
+    """Adjacent cells (by edge or corner) that count as targets: assumed to be one target."""
 
     cells: Array  # (n,) ascending
     middle: Point  # their centroid, m, world
@@ -37,7 +37,7 @@ class SearchMap:
         self._blobs: Sequence[Blob] | None = None
 
     def hear(self, obs: Observation) -> None:
-        """Take in what others tell; messages that are not of the map are somebody else's."""
+        """Merge maps from messages; other messages are ignored."""
         accepted = [self._mind.take(each.message.sender, each.message.body, obs.time_ns) for each in obs.heard]
         if any(accepted):
             self._changed()
@@ -49,7 +49,7 @@ class SearchMap:
         self._changed()
 
     def messages(self, now_ns: int, most: int) -> list[Body]:
-        """What to tell others now."""
+        """Messages of the map to send now."""
         return self._mind.messages(now_ns, most)
 
     @property
@@ -61,13 +61,13 @@ class SearchMap:
 
     @property
     def blobs(self) -> Sequence[Blob]:
-        """All that is held to be a target, the surest first."""
+        """All probable targets, the surest first."""
         if self._blobs is None:
             self._blobs = _blobs(self.grid, self.odds)
         return self._blobs
 
     def surest(self, apart: Iterable[Point]) -> tuple[float, Point | None]:
-        """Probability of the surest cell that has nothing to do with certain places, and where that target is, if it is one."""
+        """Probability of the surest cell away from some places, and the place of its target, if it counts as one."""
         places = tuple(apart)
         for blob in self.blobs:
             if not self.concerns(blob, places):
@@ -78,14 +78,14 @@ class SearchMap:
         return float(probability(open_ones.max())), None
 
     def concerns(self, blob: Blob, places: Sequence[Point]) -> bool:
-        """Whether one of these places is that of the target which a blob stands for: it is near to one of the cells."""
+        """Whether one of these places is the target of a blob: it is near one of the cells."""
         if not places:
             return False
         away = self.grid.centres(blob.cells)[:, None] - np.array(places, float)
         return bool((np.hypot(away[..., 0], away[..., 1]) <= self._same_m).any())
 
     def is_open(self, start: Point, end: Point, swath: float) -> bool:
-        """Whether much of what lies no further than that from a line, m, is not decided yet."""
+        """Whether many cells within a distance of a line, m, are undecided."""
         (x0, y0), (x1, y1) = start, end
         length = math.dist(start, end)
         along = (1.0, 0.0) if length == 0.0 else ((x1 - x0) / length, (y1 - y0) / length)
@@ -95,7 +95,7 @@ class SearchMap:
         return len(cells) > 0 and bool(np.mean(decisions(self.odds).ravel()[cells] == 0) > OPEN)
 
     def shown(self) -> ProbabilityMap:
-        """For the recording."""
+        """The map as it is recorded."""
         area, shape = self.grid.area, (self.grid.rows, self.grid.columns)
         return ProbabilityMap(
             left=area.left,
@@ -110,7 +110,7 @@ class SearchMap:
 
 
 def of_reading(grid: Grid, looks: Looks) -> tuple[Array, Array]:
-    """Cells of a detector's reading, (n,), and the results, (n,) bool; its cells must have the size of those of the map."""
+    """Cells of a detector's reading, (n,), and the results, (n,) bool; its cells must have the size of the map's cells."""
     if not math.isclose(looks.cell_m, grid.cell):
         raise ValueError(f"cell_m = {grid.cell:g}: the sensor looks at cells of {looks.cell_m:g} m, so it must be that")
     # Cell (0, 0) of the sensor has its middle in this column and row, which is the same step for all: no two become one.
@@ -121,16 +121,16 @@ def of_reading(grid: Grid, looks: Looks) -> tuple[Array, Array]:
 
 
 def of_picture(grid: Grid, frame: WatchFrame) -> tuple[Array, Array]:
-    """Cells that a picture shows, (n,), and in which of them something was recognised, (n,) bool."""
+    """Cells that a picture shows, (n,), and whether a target was recognised in each, (n,) bool."""
     cells = grid.inside(np.array(frame.footprint or (), float))
     target_cells = [cell for each in frame.sightings if (cell := grid.at(*each.place)) is not None]
     return cells, np.isin(cells, target_cells)
 
 
 def swaths_m(frame: WatchFrame, height_m: float) -> Point | None:
-    """How far a camera sees along x and along y, to both sides, from a height, m, world.
+    """Visible distance of a camera to both sides, along x and along y, from a height, m, world.
 
-    Another picture, from another height, says so; None: it shows nothing, or not what is below.
+    Computed from a picture at another height; None: it shows no ground, or not the place below.
     """
     corners, nadir = frame.footprint, frame.nadir
     if corners is None:

@@ -5,7 +5,7 @@ the set of living members determines all strips, without a message. When a membe
 
 Towards a way-point at a distance d a vehicle flies at ``min(speed, sqrt(2 a d))``, the speed from which it can still stop there
 with an acceleration a; as a way-point counts as reached before that, it turns at a speed that it can turn at. Beside a lane
-(after it has got around something, or was busy elsewhere) it makes for a point of the lane that lies a second ahead.
+(after an avoidance or another task) it flies to a point of the lane that lies a second ahead.
 """
 
 import math
@@ -39,8 +39,8 @@ def lanes(area: Rectangle, radius: float, overlap: float = 0.2, start: Point | N
 
     Lanes run along y and end ``radius / 2`` short of the border, in the middle of an area that is no longer than that.
 
-    ``radius`` is how far is seen from the vehicle, m, ``overlap`` the part of that width that is seen from the next lane, too.
-    They begin at the end that is nearest to ``start``; default: bottom left.
+    ``radius`` is the visible distance from the vehicle, m, ``overlap`` the share of that width that is visible from the next
+    lane, too. Lanes begin at the end that is nearest to ``start``; default: bottom left.
     """
     if not (radius > 0.0 and 0.0 <= overlap < 1.0):
         raise ValueError(f"radius = {radius} m must be > 0 and overlap = {overlap} >= 0 and < 1")
@@ -129,13 +129,13 @@ def _pairs(points: Sequence[Point]) -> list[tuple[Point, Point]]:
 
 @dataclass
 class _Way:
-    """Lanes side by side, each flown from the end that is nearer, and how far along them somebody is."""
+    """Parallel lanes, each flown from the nearer end, and the progress along them."""
 
     lanes: list[tuple[Point, Point]]
     across: list[tuple[Point, Point]] = field(default_factory=list)  # after the last lane, from the nearer side
     number: int = 0
     step: int = 1
-    along: bool = False  # it is on its way along the lane, not to where it begins
+    along: bool = False  # whether it flies along the lane, not to its start
 
     @property
     def lane(self) -> tuple[Point, Point]:
@@ -146,14 +146,14 @@ class _Way:
         return self.lane[1 if self.along else 0]
 
     def go_on(self, is_open: Callable[[Point, Point], bool]) -> None:
-        """The point is reached."""
+        """Advance after a way-point was reached."""
         if self.along:
             self.turn(is_open, self.goal)
         else:
             self.along = True
 
     def turn(self, is_open: Callable[[Point, Point], bool], position: Point) -> None:
-        """To the next lane that is open, there, and back or across; where none is, to the next one.
+        """Select the next open lane, in the order there, back or across; without an open one, the next lane.
 
         The last one is flown back at once, where there are none across.
         """
@@ -182,8 +182,8 @@ class _Way:
             self.step = -self.step
 
 
-AHEAD_S = 1.0  # how far ahead it looks along a lane
-PROGRESS_M = 1.0  # nearer to the way-point by less than that is no progress
+AHEAD_S = 1.0  # look-ahead time along a lane
+PROGRESS_M = 1.0  # a smaller approach to the way-point is no progress
 
 
 class LaneFollower:
@@ -197,10 +197,10 @@ class LaneFollower:
         self.goal: Point | None = None
         self._stuck_ns = seconds_to_ns(stuck_s)
         self._progress_m = min(PROGRESS_M, 0.25 * speed * stuck_s)
-        self._nearest_m, self._since_ns = math.inf, 0  # how near it has come, by steps of progress, and since when
+        self._nearest_m, self._since_ns = math.inf, 0  # least distance so far, in steps of progress, and its time
 
     def pause(self) -> None:
-        """The vehicle does something else: it is not to blame for making no progress."""
+        """Suspend the check of progress while another algorithm commands the vehicle."""
         self.goal = None
 
     def velocity(self, now_ns: int, position: Point, living: Iterable[str]) -> Point:

@@ -14,17 +14,16 @@ avoid2     something nearer than d2            nothing nearer than d2 + 0.15 m f
                                                to avoid1
 =========  ==================================  ============================================  ===============================
 
-avoid2 goes before avoid1, avoid1 before track, track before search. Search, formation and track are the tasks; what avoidance
-interrupts stays the task, and has the command back afterwards. A task may still change meanwhile: pictures are processed and
-maps are exchanged in every state, so a target that is confirmed on the way around something is tracked after that. The 10 s of
-a spiral count with any commander, as avoidance only modifies the tracker's command: otherwise a vehicle that cannot get to
-the reported place of a target (on a roof, in a narrow street), and so never leaves avoidance, would stay there for ever.
+avoid2 goes before avoid1, avoid1 before track, track before search. Search, formation and track are the tasks; a task that
+avoidance interrupts stays the task, and commands again afterwards. A task may still change meanwhile: pictures are processed
+and maps are exchanged in every state, so a target that is confirmed during avoidance is tracked after it. The 10 s of a spiral
+count with any commander, as avoidance only modifies the tracker's command: otherwise a vehicle that cannot reach the reported
+place of a target (on a roof, in a narrow street) would stay in avoidance forever.
 
-There is no switch within 0.5 s of another, whatever happens. So avoid2 may begin half a second late, if something else began
-just before. That costs no safety, because no safety rests on it: the limit of the speed near obstacles holds for the command of
-any commander (`agents.mission.runner`, `agents.avoidance.steering`), from the first tick at which something is nearer
-than d2. What is late is only the way around, and that of a vehicle which comes no nearer than it may. At the end of the half
-second the facts of then decide, and avoid2 goes before all: nothing stands in line before it.
+There is never a switch within 0.5 s of another, so avoid2 may begin half a second late. Safety does not depend on it: the speed
+limit near obstacles applies to the command of any commander (`agents.mission.runner`, `agents.avoidance.steering`), from the
+first tick at which something is nearer than d2. Only the way around is late. At the end of the half second the present facts
+decide, and avoid2 has priority over all other states.
 """
 
 import math
@@ -37,25 +36,25 @@ Name = Literal["search", "formation", "track", "avoid1", "avoid2"]
 TASKS: tuple[Task, ...] = get_args(Task)
 
 DWELL_NS = seconds_to_ns(0.5)  # from switch to switch, at least
-CLEAR_NS = seconds_to_ns(0.5)  # so long nothing may be near before a level is left
-CLEAR_M = {"avoid1": 0.2, "avoid2": 0.15}  # and so much further away than where it began
+CLEAR_NS = seconds_to_ns(0.5)  # time without near obstacles before a level ends
+CLEAR_M = {"avoid1": 0.2, "avoid2": 0.15}  # hysteresis of the distances
 SURE = 0.99  # probability of a target in a cell of the map
 LOST_NS = seconds_to_ns(3.0)  # without a detection: lost
-SPIRAL_NS = seconds_to_ns(10.0)  # so long it is searched for then
+SPIRAL_NS = seconds_to_ns(10.0)  # duration of the search for it after that
 
 
 class MissionFacts(NamedTuple):
-    """What is known at a tick."""
+    """Facts of a tick for the state table."""
 
     now_ns: int
     nearest_m: float = math.inf  # distance of the nearest obstacle, m; NaN (unknown) counts as near
     closing: bool = False  # whether it comes nearer
-    first_m: float = 1.2  # d1: from how near on avoidance looks at things
-    second_m: float = 0.9  # d2: from how near on the vehicle must be slow; depends on its speed
+    first_m: float = 1.2  # d1: distance at which avoidance first considers obstacles
+    second_m: float = 0.9  # d2: distance at which the vehicle must be slow; depends on its speed
     shared: bool = False  # whether others search the same sector
     recognised: bool = False  # a target, by detections in several frames
     probability: float = 0.0  # of the surest cell with an unclaimed target that was not given up since
-    seen_ns: int | None = None  # when the target that is tracked was detected last
+    seen_ns: int | None = None  # last detection of the tracked target
     taken: bool = False  # another vehicle tracks that target, the confirmed or the tracked one
     place: tuple[float, float] | None = None  # m, world: of the recognised or probable target
 
@@ -64,16 +63,16 @@ class MissionState(NamedTuple):
     """The commander, since when and why; the task; the timers of the table."""
 
     name: Name = "search"
-    task: Task = "search"  # the same, or what has the command back after avoidance
+    task: Task = "search"  # the commander, or the algorithm that commands again after avoidance
     since_ns: int = 0  # of the last switch
     why: str = "start"
     task_why: str = "start"  # why the task is that
     switches: int = 0  # so far
     now_ns: int | None = None  # of the last facts
-    clear_ns: int | None = None  # since when things are far enough away to leave a level of avoidance
-    found_ns: int = 0  # when the task became to track
+    clear_ns: int | None = None  # since when obstacles are far enough away to leave a level of avoidance
+    found_ns: int = 0  # start of tracking
     lost: bool = False  # the target has not been seen for 3 s
-    spiral_ns: int = 0  # how long it has been searched for since
+    spiral_ns: int = 0  # duration of the search since then
 
     @property
     def avoids(self) -> bool:
@@ -82,7 +81,7 @@ class MissionState(NamedTuple):
 
 
 def step(state: MissionState, facts: MissionFacts) -> MissionState:
-    """The state at a tick, from that of the tick before. Times that go back count as no time."""
+    """The state at a tick, from the state at the previous tick. A time before the previous one counts as no time."""
     before = facts.now_ns if state.now_ns is None else state.now_ns
     facts = facts._replace(now_ns=max(facts.now_ns, before))
     if state.now_ns is None:

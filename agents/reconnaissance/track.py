@@ -1,4 +1,4 @@
-"""A vehicle that recognises targets with its camera, and keeps over one of them."""
+"""Agent that recognises targets with its camera, and tracks one of them from above."""
 
 import math
 from collections.abc import Mapping
@@ -20,12 +20,12 @@ from vcmvsp.cosim.types import Positive, Probability, Velocity, Waypoint
 AT_LEAST_ONE = Annotated[int, msgspec.Meta(ge=1, le=1000)]
 
 CLIMB = 1.0  # m/s, at most
-WHOLE_NS = seconds_to_ns(1.0)  # so often all of a picture is looked at, whatever is tracked
+WHOLE_NS = seconds_to_ns(1.0)  # period of pictures that are examined entirely, also while tracking
 DETOUR = 2.0  # times the straight way: longest time to the reported place of a target
 
 
 class TrackTarget(Agent):
-    """Look for targets, and stay over one that was recognised.
+    """Search for targets, and stay above a recognised one.
 
     On its own it hovers until an unclaimed target is confirmed, tracks it, and hovers again after losing it or after
     another vehicle claims it. In a mission `begin` and `end` start and stop tracking.
@@ -59,7 +59,7 @@ class TrackTarget(Agent):
 
     roster: Roster | None = None
     watch: Watch | None = None
-    _alone = False  # whether the roster is its own
+    _alone = False  # whether it created the roster itself
 
     def __init__(
         self,
@@ -94,7 +94,7 @@ class TrackTarget(Agent):
             _sheet(mosaic)
 
     def start(self, info: VehicleInfo) -> None:
-        """Begin without a target; a ValueError says what the vehicle lacks, or that the gain is too large."""
+        """Begin without a target; `ValueError`: the vehicle lacks equipment, or the gain is too large."""
         check_flies(info)
         self._alone = self._alone or self.roster is None
         if self._alone:
@@ -113,7 +113,7 @@ class TrackTarget(Agent):
         self._sheet = None if self._mosaic is None else _sheet(self._mosaic)
         self._candidate: Claim | None = None  # confirmed by the newest picture, and unclaimed
         self._found: set[str] = set()
-        self._told = ""  # the target, as it was noted last
+        self._told = ""  # the target in the last note
         self._asked_ns: int | None = None
         self._forget()
         self._home: Waypoint | None = None
@@ -121,24 +121,24 @@ class TrackTarget(Agent):
     def _forget(self) -> None:
         self._target = ""
         self._since_ns: int | None = None  # it tracks since then; None: it does not
-        self._there_ns = 0  # until then it may take to get to a target that has not been seen yet
-        self._whole_ns = 0  # when the newest picture was taken all of which was looked at
+        self._there_ns = 0  # deadline to reach a target that was not seen yet
+        self._whole_ns = 0  # time of the newest picture that was examined entirely
         self._height = 0.0
 
     @property
     def claim(self) -> Claim | None:
-        """The target that it tracks, where that is now, and since when."""
+        """The tracked target, its present place, and the start of tracking."""
         if self._since_ns is None or self._asked_ns is None:
             return None
         return Claim(self._target, self._tracker.predicted(self._asked_ns), self._since_ns)
 
     @property
     def goal(self) -> Point | None:
-        """Where the target is now."""
+        """Present place of the target."""
         return None if self.claim is None else self.claim.place
 
     def facts(self, obs: Observation) -> Mapping[str, Any]:
-        """Look at the newest picture: what is confirmed by it or, while it tracks, how that goes."""
+        """Facts from the newest picture: confirmed targets or, while tracking, the state of tracking."""
         watch, roster = self._ready()
         self._asked_ns = obs.time_ns
         frame = watch.look(obs)
@@ -154,7 +154,7 @@ class TrackTarget(Agent):
         return {} if self._candidate is None else {"recognised": True, "place": self._candidate.place}
 
     def begin(self, obs: Observation, place: Point | None) -> None:
-        """Track what is at this place, m; None: what is below."""
+        """Track the target at this place, m; None: below the vehicle."""
         place = obs.state.position[:2] if place is None else place
         candidate = self._candidate
         way_m = math.dist(place, obs.state.position[:2])
@@ -168,7 +168,7 @@ class TrackTarget(Agent):
         self._note_target()
 
     def end(self, obs: Observation) -> None:
-        """Track it no more; where it was last is given up, if it was lost there or is another's."""
+        """End tracking; its last place is given up if the target was lost or another vehicle tracks it."""
         watch, roster = self._ready()
         claim = self.claim
         lost = self._tracker.phase(obs.time_ns) in ("spiral", "lost")
@@ -180,7 +180,7 @@ class TrackTarget(Agent):
         self._note_target()
 
     def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint:
-        """Keep over the target; by itself, find one first."""
+        """Stay above the target; on its own, find one first."""
         if self._alone:
             self._decide(obs, radio)
         elif self._asked_ns != obs.time_ns:
@@ -194,7 +194,7 @@ class TrackTarget(Agent):
         return Velocity(linear=(vx, vy, climb))
 
     def stand_by(self, obs: Observation, radio: Radio) -> None:
-        """Go on looking."""
+        """Continue to examine pictures."""
         if self._asked_ns != obs.time_ns:
             self.facts(obs)
 

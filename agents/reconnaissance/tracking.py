@@ -6,7 +6,7 @@ Everything is in the plane, in the world frame: a picture says where the target 
 Properties of the loop (T the period, k the gain; a vehicle that follows commands exactly):
 
 - the offset of a target at rest shrinks by 1 - kT a tick, at any heading;
-- behind a target at speed v the vehicle lags by v/k, with ``smoothing`` 0: the estimated speed of the target takes that away;
+- behind a target at speed v the vehicle lags by v/k, with ``smoothing`` 0: the estimated speed of the target removes this lag;
 - where both the picture and the own position are n ticks old when the command takes effect, the offset follows
   ``e[i+1] = e[i] - kT e[i-n]``, which decays if and only if kT < 2 sin(pi / (2 (2n + 1))) (S. A. Kuruklis, The asymptotic
   stability of x(n+1) - a x(n) + b x(n-k) = 0, Journal of Mathematical Analysis and Applications 188, 1994). A picture that is
@@ -25,18 +25,18 @@ Point = tuple[float, float]
 Phase = Literal["none", "seen", "predicted", "spiral", "lost"]
 
 GAIN = 0.8  # 1/s: speed towards the target for each metre
-SMOOTHING = 0.2  # share of what is new in the estimated velocity, a tick
-WITHIN_M = 2.0  # detections of one target lie so near to one another
-LOST_S, SPIRAL_S = 3.0, 10.0  # without a detection: lost; then searched for so long
+SMOOTHING = 0.2  # share of a new measurement in the estimated velocity, a tick
+WITHIN_M = 2.0  # largest distance between detections of one target
+LOST_S, SPIRAL_S = 3.0, 10.0  # time without a detection until a target is lost; duration of the search after that
 
 
 def largest_gain(latency_ticks: int, period_s: float) -> float:
-    """The gain, 1/s, from which on a loop with a delay of so many ticks is unstable."""
+    """Limit of stability: the gain, 1/s, at which a loop with a delay of so many ticks becomes unstable."""
     return 2.0 * math.sin(math.pi / (2 * (2 * latency_ticks + 1))) / period_s
 
 
 def spiral(elapsed_s: float, speed: float, pitch_m: float, heading: float = 0.0) -> Point:
-    """Where to be on an Archimedean spiral from (0, 0), m, begun ``elapsed_s`` ago in the direction ``heading``, rad.
+    """Point on an Archimedean spiral from (0, 0), m, begun ``elapsed_s`` ago in the direction ``heading``, rad.
 
     With a = pitch / 2 pi it is r = a phi, phi = sqrt(1 + 2 s/a) - 1 at s = ``speed`` times ``elapsed_s``: never faster than
     ``speed``, never slower than 0.7 of it, and its turns are ``pitch_m`` apart.
@@ -47,14 +47,14 @@ def spiral(elapsed_s: float, speed: float, pitch_m: float, heading: float = 0.0)
 
 
 class Confirmation:
-    """Tells a target from a false alarm: detections in some of the last frames, near one another."""
+    """Confirms a target by detections near one another in some of the last frames."""
 
     def __init__(self, needed: int = 3, frames: int = 5, within_m: float = WITHIN_M) -> None:
         self.needed, self.within_m = needed, within_m
         self._frames: deque[tuple[Point, ...]] = deque(maxlen=frames)
 
     def frame(self, places: Iterable[Point]) -> Point | None:
-        """Take in what one frame shows; the place of a target that is confirmed by it and the frames before."""
+        """Add the detections of a frame; the place of a target that they and the previous frames confirm."""
         self._frames.append(tuple(place for place in places if _is_place(place)))
         for place in self._frames[-1]:
             near = sum(any(math.dist(place, other) <= self.within_m for other in frame) for frame in self._frames)
@@ -64,11 +64,11 @@ class Confirmation:
 
 
 class Tracker:
-    """One target: where it is, as far as is known, and how to stay over it.
+    """Estimate of one target's place, and velocities to stay above it.
 
     A detection further than ``within_m``, and ``target_speed`` times the time out of sight, from where the target is expected
-    is not it. The search is reckoned in commands: a vehicle that is busy otherwise does not search. A ValueError says that with
-    this period and latency the gain is too large. `agents.reconnaissance.track.TrackTarget` explains the other arguments.
+    is not it. The search time counts commands: it stops while another algorithm commands. `ValueError`: the gain is too large
+    for this period and latency. `agents.reconnaissance.track.TrackTarget` explains the other arguments.
     """
 
     def __init__(
@@ -96,11 +96,11 @@ class Tracker:
         self._lost_ns = seconds_to_ns(lost_s)
         self._place: Point | None = None
         self.velocity: Point = (0.0, 0.0)  # m/s, of the target, as estimated
-        self.seen_ns = 0  # when the newest picture was taken that shows it
+        self.seen_ns = 0  # time of the newest picture that shows it
         self._searched = 0  # ticks, since it was lost
 
     def begin(self, image_ns: int, place: Point) -> None:
-        """Track what is at this place, m, at rest as far as is known, and forget what was tracked before."""
+        """Track a target at this place, m, assumed at rest, in place of the former one."""
         if not _is_place(place):
             raise ValueError(f"a target is at a place, not at {place}")
         self._place, self.velocity, self.seen_ns, self._searched = place, (0.0, 0.0), image_ns, 0
@@ -110,10 +110,10 @@ class Tracker:
         self._place = None
 
     def see(self, image_ns: int, places: Iterable[Point]) -> bool:
-        """Take in what a picture shows that was taken then; whether the target is among it.
+        """Add the detections of a picture; returns whether the target is among them.
 
-        The nearest to where it is expected is it, if that is near enough. A picture not newer than the last one that showed
-        it changes nothing.
+        The target is the detection nearest to the expected place, if it is near enough. Pictures that are not newer than the
+        last one that showed it are ignored.
         """
         if self._place is None or image_ns <= self.seen_ns:
             return False
@@ -130,7 +130,7 @@ class Tracker:
         return True
 
     def phase(self, now_ns: int) -> Phase:
-        """Whether the target is in sight, predicted, searched for where it was last, or given up; or there is none."""
+        """Phase of tracking: target in sight, predicted, searched, given up, or none."""
         if self._place is None:
             return "none"
         if now_ns - self.seen_ns < self._lost_ns:
@@ -138,7 +138,7 @@ class Tracker:
         return "spiral" if self._searched * self.period_s < self.spiral_s - 1e-9 else "lost"
 
     def predicted(self, now_ns: int) -> Point:
-        """Where it is expected, m; of one that is lost: where it was seen last."""
+        """Expected place of the target, m; of a lost target, its last seen place."""
         if self._place is None:
             raise ValueError("nothing is tracked")
         age_ns = now_ns - self.seen_ns
@@ -146,11 +146,11 @@ class Tracker:
         return self._place[0] + age_s * self.velocity[0], self._place[1] + age_s * self.velocity[1]
 
     def reach_m(self, now_ns: int) -> float:
-        """How far from there it may be, m: the radius of the region of interest."""
+        """Radius of the region of interest around the expected place, m."""
         return self.within_m + self.target_speed * max(0.0, (now_ns - self.seen_ns) / 1e9)
 
     def command(self, now_ns: int, position: Vec3) -> Point:
-        """The velocity, m/s, world, for a vehicle at ``position``; (0, 0) where there is nothing to track any more.
+        """Velocity, m/s, world, for a vehicle at ``position``; (0, 0) without a target.
 
         ``k offset + v_target``, and on the search ``k offset`` from a point that moves on the spiral, at most ``max_speed``.
         """
@@ -159,7 +159,7 @@ class Tracker:
             return 0.0, 0.0
         (x, y), (vx, vy) = self.predicted(now_ns), self.velocity
         if phase == "spiral":
-            heading = math.atan2(vy, vx)  # it went that way when it was seen last
+            heading = math.atan2(vy, vx)  # its direction when it was last seen
             times_s = (ticks * self.period_s for ticks in (self._searched, self._searched + 1))
             now, then = (spiral(time_s, self.spiral_speed, self.spiral_pitch_m, heading) for time_s in times_s)
             x, y = x + now[0], y + now[1]

@@ -1,4 +1,4 @@
-"""Targets in the pictures of a vehicle's camera: recognition in each new picture, and the places on the ground."""
+"""Recognition of targets in each new picture of a vehicle's camera, and their places on the ground."""
 
 import math
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import FileName, Image, Positive, Sighting, Vec3
 
-STEEPEST = math.cos(math.radians(30.0))  # tilted further, a camera does not show targets as they look from above
-RELIABLE = math.cos(math.radians(20.0))  # tilted further, more than a few of them are missed
+STEEPEST = math.cos(math.radians(30.0))  # at a larger tilt, pictures do not show targets from above
+RELIABLE = math.cos(math.radians(20.0))  # at a larger tilt, more than a few targets are missed
 INSIDE = 0.5  # sides of a target between its middle and the edge of a picture that shows enough of it
 
 
@@ -38,7 +38,7 @@ class Watching(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class GroundDisc(NamedTuple):
-    """The ground within a distance of a place."""
+    """Disc of ground around a place."""
 
     place: Point  # m, world
     reach_m: float
@@ -64,8 +64,8 @@ class WatchFrame:
 class Watch:
     """Examines each picture of one camera once; ``region`` is the part of the ground to examine next, None: all of it.
 
-    Must be constructed in the constructor of an agent: only then are files of targets found in the scenario's folder. A
-    ScenarioError says under ``key`` that a picture of a target is unreadable or unfit for recognition.
+    Must be constructed in the constructor of an agent: only then are files of targets found in the scenario's folder.
+    `ScenarioError` with ``key``: a picture of a target is unreadable or unsuitable for recognition.
     """
 
     region: GroundDisc | None = None
@@ -82,19 +82,19 @@ class Watch:
         self._smallest_m, self._largest_m = min(sizes_m), max(sizes_m)
 
     def start(self, info: VehicleInfo) -> None:
-        """Check the camera; a ValueError says that the vehicle has none."""
+        """Check the camera; `ValueError`: the vehicle has none."""
         check_carried(info, self.settings.camera, f"{self._key}.camera")
         self._poses = Poses(info.period_s)
         self._asked_ns: int | None = None
         self._frame: WatchFrame | None = None
-        self._taken_ns: int | None = None  # when the newest picture was taken
+        self._taken_ns: int | None = None  # time of the newest picture
         self.region = None
 
     def look(self, obs: Observation) -> WatchFrame | None:
         """Content of a picture that arrived since the last tick; None: there is none, or its pose is unknown.
 
-        Must be called at least once a tick, to record the poses; further calls of a tick return the same. A TypeError says
-        that the sensor is no camera.
+        Must be called at least once a tick, to record the poses; further calls of a tick return the same. `TypeError`: the
+        sensor is no camera.
         """
         if obs.time_ns == self._asked_ns:
             return self._frame
@@ -138,7 +138,7 @@ class Watch:
         )
         edge = math.ceil(INSIDE * self._largest_m * image.focal_px / distance_m)
         inner = _common((edge, edge, nadir.width - edge, nadir.height - edge), part)
-        large_enough = self._smallest_m * image.focal_px >= SMALLEST_PX * distance_m  # else they may be there, unseen
+        large_enough = self._smallest_m * image.focal_px >= SMALLEST_PX * distance_m  # else targets may be missed
         looked = inner if nadir.upright >= RELIABLE and large_enough else None
         return WatchFrame(image.time_ns, nadir, sightings, image, looked, self.region is None)
 

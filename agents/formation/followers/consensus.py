@@ -36,7 +36,7 @@ Vec2 = tuple[float, float]
 
 
 class NeighbourPoint(NamedTuple):
-    """Where a member's point was."""
+    """A member's point at a time."""
 
     t_ns: int
     x: float  # m, world
@@ -44,7 +44,7 @@ class NeighbourPoint(NamedTuple):
 
 
 class Consensus(Agent):
-    """Agree with the neighbours on where the formation is, and move along with it at ``velocity``.
+    """Agree with the neighbours on the place of the formation, and move along with it at ``velocity``.
 
     At every tick it broadcasts ``t_ns``, ``x`` and ``y`` of its point; a member of another kind that reports
     these (a `Trajectory` does) is a neighbour like any other. A member without neighbours moves at ``velocity``.
@@ -92,7 +92,7 @@ class Consensus(Agent):
         self.timeout_s = timeout_s
         self._clock_bound_ns, self._timeout_ns = seconds_to_ns(clock_bound_s), seconds_to_ns(timeout_s)
         self._newest: dict[str, NeighbourPoint] = {}
-        self._past: list[NeighbourPoint] = []  # the own point, tick by tick, as far back as a report may be
+        self._past: list[NeighbourPoint] = []  # the own point at past ticks, up to the oldest usable report
         self._times: list[int] = []  # the same, when only
         self._refused = 0
         self._places: dict[str, Vec2] = {}  # delta_j - delta_i of every neighbour
@@ -115,7 +115,7 @@ class Consensus(Agent):
         self._take(self.formation.shape if self.formation else None)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """Move towards agreement with the neighbours that reported lately."""
+        """Move towards agreement with the neighbours that reported recently."""
         here = self._own_point(obs)
         radio.send(t_ns=here.t_ns, x=here.x, y=here.y)
         self._listen(obs)

@@ -1,4 +1,4 @@
-"""What followers on the ground and in the air share: parent and place, received reports and own ones."""
+"""Common part of followers on the ground and in the air: parent and place, received and own reports."""
 
 import math
 from typing import Any, ClassVar
@@ -18,7 +18,7 @@ from vcmvsp.cosim.types import Follows, NonNegative, Positive
 
 
 class FormationFollower(Agent):
-    """A vehicle with a place beside a single leader, or in a team; subclasses say how it keeps that place.
+    """A vehicle with a place beside a single leader, or in a team; subclasses define how it keeps that place.
 
     Notes at every tick ``status`` (``waiting``, ``following``, ``leader lost``; ``leading`` in a team without a living
     ancestor), ``age_s`` of the report in use and, from the first one on, the number of unusable messages, ``refused``. In a
@@ -97,7 +97,7 @@ class FormationFollower(Agent):
         self.follows = None if leader is None else Follows(leader=leader, slot=slot, handle_m=handle_m)
 
     def start(self, info: VehicleInfo) -> None:
-        """Refuse a leader that does not take part, and a formation that does not fit; find the place in it."""
+        """Refuse a leader that is not in the run, and an unsuitable formation; find the place in the team."""
         if self.formation is not None:
             self._join(self.formation, info)
         elif self.leader not in (others := [name for name in info.vehicles if name != info.name]):

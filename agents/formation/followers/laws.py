@@ -1,6 +1,6 @@
 """The hand point of a ground robot, and the control law of a follower.
 
-A hand point is a point of the body that, unlike the axle, can be sent in any direction. With the axle at ``(x, y)``, heading
+A hand point is a point of the body that, unlike the axle, can move in any direction. With the axle at ``(x, y)``, heading
 ``yaw``, and the hand a signed ``distance`` d ahead (d < 0: behind, a castor), its velocity ``(ux, uy)`` in the world frame and
 the robot's speeds are related by (Toh 2012, (3-1) to (3-4); the determinant is d, so the hand must not lie on the axle)::
 
@@ -19,7 +19,7 @@ Error in the follower's frame (3-31, 3-34) and law (3-33, 3-35), with ``thb = th
     v_f = u1 + k1 z1                                 w_f = (u2 + k2 z2) / ell
 
 so that ``z1' = -k1 z1 + w_f z2``, ``z2' = -k2 z2 - w_f z1`` and, with ``V = |z|^2 / 2``, ``V' = -k1 z1^2 - k2 z2^2``: the
-error decays exponentially whatever the leader does. Where the printed equations differ, ``agents/README.md`` says how and why.
+error decays exponentially for any motion of the leader. ``agents/README.md`` explains differences to the printed equations.
 """
 
 import math
@@ -30,7 +30,7 @@ from vcmvsp.cosim.frames import rotate2
 
 
 def hand_point(x: float, y: float, yaw: float, distance: float) -> tuple[float, float]:
-    """Where the hand is, m (3-1, 3-2)."""
+    """Position of the hand point, m (3-1, 3-2)."""
     return x + distance * math.cos(yaw), y + distance * math.sin(yaw)
 
 
@@ -51,7 +51,7 @@ def axle_velocity(ux: float, uy: float, yaw: float, distance: float) -> tuple[fl
 
 
 class FollowerPlace(NamedTuple):
-    """What a follower means to keep: its handle on a point of the leader's frame."""
+    """Place of a follower: its handle on a point of the leader's frame."""
 
     c_x: float  # m, leader's frame, forward
     c_y: float  # m, leader's frame, left
@@ -59,7 +59,7 @@ class FollowerPlace(NamedTuple):
 
 
 class Demand(NamedTuple):
-    """The law's answer, and the error that led to it."""
+    """Speeds from the law, and the error that they correct."""
 
     v: float  # m/s
     w: float  # rad/s
@@ -68,7 +68,7 @@ class Demand(NamedTuple):
 
 
 def point_of(leader: LeaderState, place: FollowerPlace) -> tuple[float, float]:
-    """The point r that the follower's handle is to be on, m, world."""
+    """Target point r of the follower's handle, m, world."""
     x, y = rotate2(place.c_x, place.c_y, leader.th)
     return leader.x + x, leader.y + y
 

@@ -1,4 +1,4 @@
-"""Ground follower: keeps a place beside a leader that it knows from radio reports only (the law: `followers.laws`)."""
+"""Ground follower: keeps a place beside a leader known from radio reports only (the law: `followers.laws`)."""
 
 import math
 from typing import Any, Literal
@@ -16,14 +16,14 @@ from vcmvsp.cosim.types import NonNegative, Positive, Velocity
 
 Feed = Literal["parent", "leader", "none"]
 
-SHORTEST_HANDLE_M = 0.01  # 1/ell amplifies every error of the heading; below this a robot only dithers
+SHORTEST_HANDLE_M = 0.01  # 1/ell amplifies every error of the heading; below this a robot oscillates
 TEAM_HANDLE_M = 0.4  # serves slots on all sides of a parent
 
 
 class LeaderFollower(FormationFollower):
     """Keep a place beside ``leader``, or in a ``formation``; stand still before the first report, stop after the last.
 
-    Notes, besides those of every `FormationFollower`, the estimated error ``z1``, ``z2`` (m) at every tick.
+    Notes the estimated error ``z1``, ``z2`` (m) at every tick, besides the notes of every `FormationFollower`.
 
     Args:
         distance: rho_d, m.
@@ -89,13 +89,13 @@ class LeaderFollower(FormationFollower):
         super()._keep(leader, slot, self._handle)
 
     def start(self, info: VehicleInfo) -> None:
-        """Find the leader or the place in the team, and what the scanner must not take for an obstacle."""
+        """Find the leader or the place in the team, and the members that are no obstacles in the scan."""
         super().start(info)
         if self._steering is not None:
             self._visible = self._lookout or VisibleMembers(body_of(info), Passage())
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """Follow the newest report, around what stands in the way."""
+        """Follow the newest report, around obstacles."""
         v, w, leader = self._wanted(obs, radio)
         if self._steering is not None:
             settings, mates = self._steering.settings, (self._listening, self.estimator)

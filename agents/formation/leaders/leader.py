@@ -70,18 +70,18 @@ class Leader(Agent):
         self._last: tuple[float, float] | None = None  # the speeds of the tick before
 
     def speeds(self, obs: Observation) -> tuple[float, float]:
-        """How fast to move from now on: forward, m/s, and turning, rad/s."""
+        """Speeds from now on: forward, m/s, and yaw rate, rad/s."""
         raise NotImplementedError
 
     def aim(self, obs: Observation) -> tuple[float, float] | None:
-        """Where it is to get, m, world, for one that has to find another way there; None: nowhere in particular."""
+        """Destination of a leader that may be led around obstacles, m, world; None: none."""
         return None
 
     def led_astray(self, obs: Observation) -> None:
         """Called at every tick at which avoidance replaces the command of `speeds`."""
 
     def ahead(self, count: int) -> Sequence[tuple[float, float]] | None:
-        """The speeds of the ``count`` ticks to come, those of now not among them; None where it makes no plans."""
+        """Speeds of the next ``count`` ticks, without the present one; None: the leader makes no plans."""
         return None
 
     def start(self, info: VehicleInfo) -> None:
@@ -104,7 +104,7 @@ class Leader(Agent):
         self.note(shape=team.shape)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """Move, and tell all how this vehicle moves from now on."""
+        """Move, and report the motion from now on."""
         v, w = self.speeds(obs)
         if self._steering is not None:
             decision = self._steering.drive(obs, (v, w), self.aim(obs))

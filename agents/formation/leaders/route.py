@@ -1,4 +1,4 @@
-"""A leader that goes along a way: from point to point, steered from its own pose."""
+"""A leader that drives from point to point, steered from its own pose."""
 
 import math
 from collections.abc import Sequence
@@ -11,12 +11,12 @@ from vcmvsp.cosim.types import Positive
 
 Point = tuple[float, float]
 
-TURN_ON_THE_SPOT = 0.8  # rad: with the way aside by more than that, it turns before it goes on
+TURN_ON_THE_SPOT = 0.8  # rad: at larger bearings it turns before it drives on
 TURN_GAIN = 1.5  # 1/s, of turning on the spot
 
 
 class RouteStage(NamedTuple):
-    """Where along the way it is: on the line between two points."""
+    """Progress along the route: the line between two points."""
 
     start: Point  # m
     number: int  # of the point that is next
@@ -88,7 +88,7 @@ class Route(Leader):
             self._stage = RouteStage(obs.state.position[:2], self._stage.number)
 
     def ahead(self, count: int) -> Sequence[tuple[float, float]]:
-        """What it would command from where these speeds lead."""
+        """Speeds that it would command after these."""
         if self._stage is None:
             return ()
         stage, v, w = self._steered(self._pose, self._stage)

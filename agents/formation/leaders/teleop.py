@@ -52,7 +52,7 @@ class DeviceLostError(Exception):
 
 
 class Device(Protocol):
-    """Something that tells how a vehicle is to move."""
+    """Source of speeds for a vehicle."""
 
     def read(self, time_s: float) -> Speeds:
         """Requested speed, m/s, and yaw rate, rad/s."""
@@ -62,7 +62,7 @@ class Device(Protocol):
 
 
 def open_device(name: str, *, limits: Speeds, axes: tuple[int, int], deadband: float) -> Device:
-    """The device of that name.
+    """Open an input device by its name.
 
     Args:
         name: ``keyboard``, or a path: of a joystick such as ``/dev/input/js0``, a terminal, or a table ``*.csv``.
@@ -102,8 +102,8 @@ def _device(name: str, file: int, limits: Speeds, axes: tuple[int, int], deadban
 class Keyboard:
     """Keys of a terminal: W, S or up, down for the speed, A, D or left, right for the yaw rate; space stops.
 
-    Each press takes one up or down by a quarter of its limit: terminals tell of no key that is let go. The terminal hands over
-    each key at once while this is open, and is set back when it is closed or the process ends.
+    Each press changes a speed by a quarter of its limit: terminals do not report released keys. The terminal delivers each key
+    at once while this is open, and is reset when it is closed or the process ends.
     """
 
     def __init__(self, file: int, limits: Speeds) -> None:
@@ -116,7 +116,7 @@ class Keyboard:
         atexit.register(self.close)
 
     def read(self, time_s: float) -> Speeds:
-        """What the presses so far come to."""
+        """Speeds from the presses so far."""
         keys = self._rest + _new(self._file)
         while keys:
             length = 1
@@ -138,7 +138,7 @@ class Keyboard:
         self._left = max(-STEPS, min(self._left + left, STEPS))
 
     def close(self) -> None:
-        """Set the terminal back."""
+        """Reset the terminal."""
         if self._file is None:
             return
         file, self._file = self._file, None
@@ -152,7 +152,7 @@ class Keyboard:
 
 
 class Joystick:
-    """Two axes of a gamepad or joystick, as the Linux joystick API tells them."""
+    """Two axes of a gamepad or joystick, by the Linux joystick API."""
 
     def __init__(self, file: int, limits: Speeds, axes: tuple[int, int], deadband: float) -> None:
         self._file: int | None = file
@@ -161,7 +161,7 @@ class Joystick:
         self._values = dict.fromkeys(axes, 0.0)
 
     def read(self, time_s: float) -> Speeds:
-        """Where the axes are."""
+        """Speeds from the positions of the axes."""
         came = self._rest + _new(self._file)
         whole = len(came) - len(came) % EVENT.size
         for _, value, kind, number in EVENT.iter_unpack(came[:whole]):
@@ -195,7 +195,7 @@ class Table:
         self._next = 0
 
     def read(self, time_s: float) -> Speeds:
-        """The values of the current row."""
+        """Speeds of the current row."""
         while self._next < len(self._rows) and self._rows[self._next][0] <= time_s:
             self._next += 1
         if self._next == 0:
@@ -204,7 +204,7 @@ class Table:
         return v, w
 
     def close(self) -> None:
-        """Nothing is open."""
+        """No effect: no device is open."""
 
 
 def _rows(path: Path) -> Sequence[tuple[float, float, float]]:

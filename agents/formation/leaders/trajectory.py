@@ -1,6 +1,6 @@
-"""The leader: drives a given path open loop and tells everybody where it is.
+"""A leader that drives a given path open loop and reports its pose.
 
-"Open loop" means that the commands depend on time alone, never on where the leader is: noise in its pose changes what it
+"Open loop" means that the commands depend on time alone, not on the pose of the leader: noise in its pose changes what it
 reports, not how it drives, and all followers of a study face the same leader.
 """
 
@@ -20,8 +20,8 @@ Path = Literal["straight", "circle", "slalom", "stopgo", "random"]
 # Yaw rate of each path where the scenario gives none, rad/s: of a circle, or the amplitude, or the largest that is drawn.
 STANDARD_YAW_RATE = {"straight": 0.0, "circle": 0.15, "slalom": 0.4, "stopgo": 0.3, "random": 0.35}
 
-REDRAW_S = 2.0  # a random path has new speeds in mind this often
-ACCELERATION, YAW_ACCELERATION = 0.3, 0.6  # m/s2, rad/s2: how a random path gets there
+REDRAW_S = 2.0  # period of new target speeds of a random path
+ACCELERATION, YAW_ACCELERATION = 0.3, 0.6  # m/s2, rad/s2: limits of a random path
 
 
 class Trajectory(Leader):
@@ -70,12 +70,12 @@ class Trajectory(Leader):
             )
         self.path, self.speed, self.sway_s, self.surge_s = path, speed, sway_s, surge_s
         self.yaw_rate = STANDARD_YAW_RATE[path] if yaw_rate is None else yaw_rate
-        # The very sequence of numpy's default_rng(path_seed), named so that a later default cannot change it.
+        # The sequence of numpy's default_rng(path_seed); the generator is named so that a later default cannot change it.
         self._draws = np.random.Generator(np.random.PCG64(path_seed))
         self._v, self._w, self._target_v, self._target_w, self._next_draw_ns = speed, 0.0, speed, 0.0, 0
         self._coming: deque[tuple[float, float]] = deque()  # speeds of the plan that was reported
         self._ticks = Ticks.every(self.period)
-        self._known_ns = 0  # up to when speeds were worked out
+        self._known_ns = 0  # speeds are computed up to this time
 
     def start(self, info: VehicleInfo) -> None:
         """Note the ticks to come, too."""
@@ -83,14 +83,14 @@ class Trajectory(Leader):
         self._ticks = Ticks.every(info.period_s)
 
     def speeds(self, obs: Observation) -> tuple[float, float]:
-        """Those of the path at this time."""
+        """Speeds of the path at this time."""
         if self._coming:
             return self._coming.popleft()
         self._known_ns = obs.time_ns
         return self._speeds(obs.time_ns)
 
     def ahead(self, count: int) -> list[tuple[float, float]]:
-        """Those of the ticks to come; a random path is drawn as far as that, and is the same path for it."""
+        """Speeds of the next ticks; a random path is drawn up to there, which does not change it."""
         while len(self._coming) < count:
             self._known_ns = self._ticks.after(self._known_ns)
             self._coming.append(self._speeds(self._known_ns))

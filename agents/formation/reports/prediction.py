@@ -1,8 +1,7 @@
-"""Where the leader is now, given where it was: estimators behind one verb, `Estimator.predict`.
+"""Estimators of a leader's present state from its newest report; all implement `Estimator.predict`.
 
-A report is always old: by the air time and the period at least, by every loss and delay on top. What an estimator wants to
-find in reports besides pose and speeds it says in ``needs``, a tuple of ``"a"`` (accelerations) and ``"plan"``; leaders then
-send it.
+A report is always old: by the air time and the period at least, and by losses and delays. The attribute ``needs`` of an
+estimator lists content of reports besides pose and speeds, ``"a"`` (accelerations) and ``"plan"``; leaders then send it.
 """
 
 import math
@@ -18,9 +17,9 @@ from vcmvsp.cosim.types import Positive
 
 
 class Estimator(Protocol):
-    """From the newest report and its age to the leader's present state.
+    """Predicts the leader's present state from its newest report and the report's age.
 
-    A pure function: a vehicle asks one estimator about what it hears, and about what it sends.
+    A pure function: a vehicle uses one estimator for received and for sent reports.
     """
 
     def predict(self, report: Report, age_s: float) -> LeaderState:
@@ -31,7 +30,7 @@ class Hold:
     """The report as it is (Toh 2012): wrong by the leader's speed times the age."""
 
     def predict(self, report: Report, age_s: float) -> LeaderState:
-        """The reported state, whatever its age."""
+        """The reported state, at any age."""
         return report.state
 
 
@@ -50,11 +49,11 @@ class DeadReckoning:
 
 
 class Acceleration(DeadReckoning):
-    """The leader goes on to change its speeds as it did last, less and less: the change fades with ``decay_s``.
+    """The leader continues its last acceleration, which fades with ``decay_s``.
 
     After s seconds it has changed by ``tau (1 - e^(-s/tau))`` times the acceleration, tau being ``decay_s``. The pose moves
-    along the arc of the mean of the reported and the predicted speeds. Better than `DeadReckoning` where motion is smooth,
-    worse where it is not and reports are old. Beyond the horizon, speeds fade as there.
+    along the arc of the mean of the reported and the predicted speeds. Better than `DeadReckoning` for smooth motion, worse for
+    old reports of other motion. Beyond the horizon, speeds fade as there.
 
     Args:
         horizon_s: as of `DeadReckoning`.
@@ -103,9 +102,9 @@ class PlanPrediction(Acceleration):
 
     needs = ("plan",)
 
-    _report: Report | None = None  # which the last prediction was made from
+    _report: Report | None = None  # of the last prediction
     _plan: tuple[float, list[tuple[float, float]]] | None  # of that report
-    _poses: list[tuple[float, float, float]]  # at the start of each of its speeds, as far as they were needed
+    _poses: list[tuple[float, float, float]]  # at the start of each of its speeds, computed on demand
 
     def predict(self, report: Report, age_s: float) -> LeaderState:
         """The reported pose moved along the arcs of the plan."""
@@ -114,7 +113,7 @@ class PlanPrediction(Acceleration):
         if self._plan is None:
             return super().predict(report, age_s)
         dt, speeds = self._plan
-        step = min(int(age_s / dt + 1e-6), len(speeds) - 1)  # which of the speeds are those of now
+        step = min(int(age_s / dt + 1e-6), len(speeds) - 1)  # index of the present speeds
         while len(self._poses) <= step:
             self._poses.append(arc(self._poses[-1], *speeds[len(self._poses) - 1], dt))
         (x, y, th), (v, w), rest_s = self._poses[step], speeds[step], age_s - step * dt
@@ -125,7 +124,7 @@ ESTIMATORS: Mapping[str, type[Estimator]] = {"hold": Hold, "dr": DeadReckoning, 
 
 
 def estimator_of(kind: Any, *, horizon_s: float, fade_s: float) -> Estimator:
-    """The estimator that a scenario or a caller names.
+    """Build the estimator that a scenario or a caller names.
 
     Args:
         kind: one of `ESTIMATORS`, ``"module:Class"``, ``"file.py:Class"``, a table with such a ``kind`` and other parameters
@@ -156,10 +155,10 @@ def estimator_of(kind: Any, *, horizon_s: float, fade_s: float) -> Estimator:
 
 
 def moved(state: LeaderState, age_s: float, horizon_s: float, fade_s: float) -> LeaderState:
-    """Where constant speeds lead in ``age_s``, which fade to zero from ``horizon_s`` on, within ``fade_s``.
+    """Motion in ``age_s`` at constant speeds that fade to zero within ``fade_s`` after ``horizon_s``.
 
-    The speeds are ``(v, w) (1 - s/F)`` at s seconds after the horizon. Since they fade in proportion, it stays on its arc, and
-    the way it goes has a closed form: that of ``s - s^2 / (2 F)`` seconds at full speed.
+    The speeds are ``(v, w) (1 - s/F)`` at s seconds after the horizon. Since they fade in proportion, the vehicle stays on its
+    arc, and the distance has a closed form: that of ``s - s^2 / (2 F)`` seconds at full speed.
     """
     x, y, th, v, w = state
     left = 1.0

@@ -1,4 +1,4 @@
-"""Reports of a vehicle to its followers, their validation, and the newest that a follower has received.
+"""Reports of a vehicle to its followers, their validation, and the newest received ones.
 
 ========= ====== ===================================================================================
 key       type   meaning
@@ -34,7 +34,7 @@ from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.frames import yaw_of
 
-# No pose on Earth and no speed of a vehicle is larger; greater values, infinities and NaN are all refused by one comparison.
+# No pose on Earth and no speed of a vehicle is larger; one comparison refuses greater values, infinities and NaN.
 PLAUSIBLE = 1e9
 SHORTEST_PERIOD_S = 1e-6  # of agents, as a scenario allows it
 STATE_KEYS = ("t_ns", "x", "y", "th", "v", "w")
@@ -51,15 +51,15 @@ class LeaderState(NamedTuple):
 
 
 class Report(NamedTuple):
-    """A message that was accepted."""
+    """A valid report of a vehicle."""
 
     t_ns: int
     state: LeaderState
-    body: Mapping[str, Any]  # all that was sent: estimators of your own may find more in it
+    body: Mapping[str, Any]  # the whole message: user-defined estimators may use more of it
 
 
 def bodies(obs: Observation, senders: Collection[str] | None = None) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Sender and body of all messages of agents, among ``senders``, that came in since the last tick.
+    """Sender and body of all messages of agents in ``senders`` since the last tick.
 
     Messages of bytes come from other programs on the same radio; they are no sign of life of the agent there.
     """
@@ -76,13 +76,13 @@ def send_report(radio: Radio, seq: int, obs: Observation, v: float, w: float, **
 
 
 def measured_speeds(obs: Observation) -> tuple[float, float]:
-    """The vehicle's own forward speed, m/s, and yaw rate, rad/s, as its pose source tells them."""
+    """Forward speed, m/s, and yaw rate, rad/s, of the own vehicle by its pose source."""
     (vx, vy, _), yaw = obs.state.velocity, yaw_of(obs.state.attitude)
     return vx * math.cos(yaw) + vy * math.sin(yaw), obs.state.angular_velocity[2]
 
 
 def accelerations(report: Report) -> tuple[float, float]:
-    """How fast the speeds change, m/s2 and rad/s2; zero where the report does not say, or says nonsense."""
+    """Accelerations in a report, m/s2 and rad/s2; zero if they are missing or invalid."""
     a, al = report.body.get("a", 0.0), report.body.get("al", 0.0)
     try:
         return (a, al) if abs(a) + abs(al) < PLAUSIBLE else (0.0, 0.0)
@@ -91,7 +91,7 @@ def accelerations(report: Report) -> tuple[float, float]:
 
 
 def height_of(report: Report) -> float | None:
-    """The height in a report, m, world; None where it does not say, as on wheels, or says nonsense."""
+    """Height in a report, m, world; None: missing, as for ground vehicles, or invalid."""
     z = report.body.get("z")
     try:
         return z if abs(z) < PLAUSIBLE else None  # type: ignore[arg-type]
@@ -100,7 +100,7 @@ def height_of(report: Report) -> float | None:
 
 
 def plan_of(report: Report) -> tuple[float, list[tuple[float, float]]] | None:
-    """The seconds between the speeds of a plan, and the speeds (v, w) themselves, first those of now; None: it has no plan."""
+    """Period of a plan, s, and its speeds (v, w), the present ones first; None: the report has no plan."""
     dt, flat = report.body.get("dt"), report.body.get("plan")
     if not isinstance(dt, float) or not isinstance(flat, list) or not flat or len(flat) % 2:
         return None
@@ -113,13 +113,13 @@ def plan_of(report: Report) -> tuple[float, list[tuple[float, float]]] | None:
 
 
 def lead_of(report: Report, latest_ns: int) -> Report | None:
-    """The report of the team's leader that this one relays; None where there is none that `parse` would believe."""
+    """Relayed report of the team's leader; None: missing, or `parse` would refuse it."""
     lead = report.body.get("lead")
     return parse(dict(zip(STATE_KEYS, lead, strict=False)), latest_ns) if isinstance(lead, list) else None
 
 
 def parse(body: Mapping[str, Any], latest_ns: int) -> Report | None:
-    """The report in a message body; None where it is not one that can be followed.
+    """The report in a message body; None: it is invalid.
 
     Refused are missing keys, values that are not numbers, not finite or beyond `PLAUSIBLE`, and a ``t_ns`` later than
     ``latest_ns``.
@@ -137,18 +137,18 @@ LEAST_HEARTBEAT_S = 1.0
 
 
 class ReportReceiver:
-    """Keeps the newest valid report by sender: late ones and copies change nothing, nonsense is counted (``refused``)."""
+    """Keeps the newest valid report by sender; ignores late reports and copies, counts invalid messages (``refused``)."""
 
     def __init__(self, senders: Iterable[str], clock_bound_s: float) -> None:
         self._senders = frozenset(senders)
         self._clock_bound_ns = seconds_to_ns(clock_bound_s)
         self.newest: dict[str, Report] = {}
         self.refused = 0
-        self._heard_ns: dict[str, int] = {}  # when a report came that can be used
-        self._there_ns: dict[str, int] = {}  # when anything of an agent came
+        self._heard_ns: dict[str, int] = {}  # time of the newest usable report
+        self._there_ns: dict[str, int] = {}  # time of the newest message of an agent
 
     def take(self, obs: Observation) -> list[Report]:
-        """Go through what came in since the last tick; the reports of it, oldest first."""
+        """Process the messages since the last tick; returns their reports, oldest first."""
         reports = []
         for sender, body in bodies(obs, self._senders):
             self._there_ns[sender] = obs.time_ns
@@ -173,7 +173,7 @@ class ReportReceiver:
 
 
 def heartbeat_for(loss: float, period_s: float, false_alarms_per_s: float) -> float:
-    """After how much silence to give a parent up, s, so that losses alone raise about so many false alarms a second.
+    """Silence, s, after which a parent counts as lost, for a given rate of false alarms by packet losses alone.
 
     Of independent losses p at period T, a silence of t comes about by chance (1 - p) / T p^(t / T) times a second. Solved for t
     (without the factor 1 - p, which errs on the safe side), and one second at least: ``max(1 s, T ln(eps T) / ln p)``.

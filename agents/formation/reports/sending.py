@@ -18,7 +18,7 @@ from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.frames import wrap, yaw_of
 from vcmvsp.cosim.types import NonNegative, Positive
 
-METRES_PER_RADIAN = 0.5  # what an error of the heading counts
+METRES_PER_RADIAN = 0.5  # weight of an error of the heading
 GIVEN_UP = 5.0  # times silence_s: wait for a missing answer
 REMEMBERED = 64  # unconfirmed reports in memory; answers to older ones are ignored
 
@@ -40,17 +40,17 @@ def acknowledge(radio: Radio, report: Report, to: str) -> None:
 
 
 class Reporter:
-    """Sends the reports of one vehicle; ``estimator`` is what the followers make of a report, `DeadReckoning` by default."""
+    """Sends the reports of one vehicle; ``estimator`` is the followers' estimator, `DeadReckoning` by default."""
 
     def __init__(self, sending: Sending | None = None, estimator: Estimator | None = None) -> None:
         self.sending = sending or Sending()
         self.estimator = estimator or DeadReckoning()
-        self._flight = getattr(self.estimator, "flight", None)  # of one that reckons with heights
+        self._flight = getattr(self.estimator, "flight", None)  # of an estimator with heights
         self._seq = 0
         self._always = self.sending.when == "always"
-        self._sent: dict[int, Report] = {}  # by number: what a follower may have as its newest, the last one last
-        self._has: dict[str, int] = {}  # the number that each follower has confirmed last; -1: none
-        self._answered_ns: dict[str, float] = {}  # when; inf: it has only just been announced
+        self._sent: dict[int, Report] = {}  # by number: possible newest reports of followers, the latest last
+        self._has: dict[str, int] = {}  # last number that each follower confirmed; -1: none
+        self._answered_ns: dict[str, float] = {}  # time of that; inf: newly announced
 
     def start(self, listeners: Iterable[str]) -> None:
         """Set the followers, whose answers are awaited; before the first tick and whenever they change.
@@ -63,7 +63,7 @@ class Reporter:
         self._answered_ns = dict.fromkeys(names, math.inf)
 
     def tell(self, radio: Radio, obs: Observation, v: float, w: float, **more: Any) -> None:
-        """At every tick: speeds from now on, m/s and rad/s, and what else belongs into the report; sent if it is due."""
+        """Send a report if it is due; called at every tick with the speeds from now on, m/s and rad/s, and further content."""
         if self._always:
             send_report(radio, self._seq, obs, v, w, **more)
             self._seq += 1

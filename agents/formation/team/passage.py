@@ -1,9 +1,9 @@
-"""When a team makes itself narrow, as ``[agents.formation.passage]`` says, and what its members see of the lane that it needs.
+"""Passages of a team (``[agents.formation.passage]``): when its shape becomes narrow or wide, and its members' view of lanes.
 
-The team needs a lane as wide as its wide shape, bodies included, and a margin on either side. Its leader calls the narrow shape
-as soon as its own scan shows anything in that lane, and the wide one when a policy says so. A lane is free up to a greater
-distance than that at which the narrow shape is called, so that noise does not switch to and fro. Where the leader itself is
-lost, the team stays as it is: a member that leads in its place drives nowhere, and calls no shapes.
+The team needs a lane as wide as its wide shape, bodies included, and a margin on either side. The leader orders the narrow
+shape as soon as its own scan shows anything in that lane, and the wide one by a policy. A lane is free up to a greater distance
+than that at which the narrow shape is ordered, so that noise does not toggle the shape. If the leader is lost, the shape stays:
+a member that leads in its place stands still and orders no shapes.
 
 Widening is harder to time than narrowing: the last members are in the passage when the leader is out of it, and Toh 2012 (7.2)
 leaves the question open:
@@ -46,16 +46,16 @@ from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.frames import rotate2
 from vcmvsp.cosim.types import Array, Readings, Scan
 
-BESIDE_M = 0.05  # between bodies side by side that are not in each other's way
-NAMED = 3  # most names in the note ``waits_for``
+BESIDE_M = 0.05  # least gap between bodies side by side
+NAMED = 3  # maximum number of names in the note ``waits_for``
 
 
 class Mate(NamedTuple):
-    """Where another member is now, as far as its report tells."""
+    """Estimated motion of another member, from its report."""
 
     x: float  # m ahead
     y: float  # m to the left
-    away: float  # m/s, its speed in the direction in which this vehicle heads
+    away: float  # m/s, its speed along this vehicle's heading
 
 
 class VisibleMembers:
@@ -109,8 +109,8 @@ class VisibleMembers:
     def _of_members(self, view: View, obs: Observation, listening: ReportReceiver, estimator: Estimator) -> Array:
         """Indices of the beams that end at a member, or near enough to its estimated place.
 
-        Only returns near the place of a member's own fresh report, at its height. This is safe: an obstacle that near to a
-        member stands beside one with a scanner of its own, which reports its lane as not clear; larger obstacles are seen
+        Only returns near the place of a member's own fresh report, at its height, count. This is safe: an obstacle that near to
+        a member stands beside one with a scanner of its own, which reports its lane as not clear; larger obstacles are seen
         beside the circle; a lost or old report hides nothing. Returns below the measuring range, and NaN, belong to no member.
         """
         mates = self._mates(obs, listening, estimator)
@@ -123,12 +123,12 @@ class VisibleMembers:
 
 
 def moved_to(obs: Observation, report: Report, estimator: Estimator) -> LeaderState:
-    """The sender of a report as it is estimated to be now."""
+    """Estimated present state of the sender of a report."""
     return estimator.predict(report, max(0, obs.time_ns - report.t_ns) / 1e9)
 
 
 class Widening:
-    """When a narrow team becomes wide again, as the policy of its table says; one object per leader.
+    """Policy that makes a narrow team wide again; one object per leader.
 
     Attributes:
         waits_for: members that prevented widening at the last tick.
@@ -144,7 +144,7 @@ class Widening:
     def widens(self, now_ns: int, free: bool, names: Iterable[str], listening: ReportReceiver) -> bool:
         """Whether to widen; called at every tick at which the team is narrow.
 
-        ``free`` tells of the leader's own lane; ``names`` are the members behind it, and ``listening`` has their reports.
+        ``free``: whether the leader's own lane is free; ``names``: the members behind it; ``listening``: their reports.
         """
         if self._for_all:
             self.waits_for = [name for name in names if not self._is_clear(now_ns, name, listening)]
@@ -164,7 +164,7 @@ class Widening:
 
 
 class Lookout(VisibleMembers):
-    """The part of the team's lane that one vehicle sees; a ValueError says that its scanner is missing, or its size unknown."""
+    """One vehicle's view of the team's lane; `ValueError`: its scanner is missing, or its size unknown."""
 
     def __init__(self, passage: Passage, team: Team, info: VehicleInfo) -> None:
         self._looking = ScanReader(passage.scanner, passage.stale_s)
@@ -175,7 +175,7 @@ class Lookout(VisibleMembers):
         self.passage, self.team = passage, team
 
     def is_free(self, obs: Observation, listening: ReportReceiver, estimator: Estimator, ahead_m: float) -> bool:
-        """Whether nothing but members stands in the lane up to ``ahead_m``; a bad scan, or none, means that something may."""
+        """Whether only members stand in the lane up to ``ahead_m``; False without a valid scan."""
         view = self._looking.look(obs)
         if view is None:
             return False
@@ -223,6 +223,6 @@ def places_of(obs: Observation, reports: Mapping[str, Report], estimator: Estima
 
 
 def scanners(avoidance: Settings | None, formation: Formation | None) -> tuple[str, ...]:
-    """The names of the scanners that these look at."""
+    """Names of the scanners that these passages use."""
     passage = None if formation is None else formation.passage
     return tuple(dict.fromkeys(each.scanner for each in (avoidance, passage) if each is not None))

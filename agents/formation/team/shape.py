@@ -103,9 +103,9 @@ Slots = tuple[Slot, ...]
 
 
 def slots(shape: ShapeName, count: int, spacing: float, offsets: Sequence[Slot] = ()) -> Slots:
-    """Where ``count`` members belong, m in the leader's frame; the first is the leader's own place, (0, 0).
+    """Slots of ``count`` members, m in the leader's frame; the first is the leader's own place, (0, 0).
 
-    A ValueError names ``offsets`` of the shape ``own`` that are too few, do not begin with [0, 0], or name a place twice.
+    `ValueError`: ``offsets`` of the shape ``own`` are too few, do not begin with [0, 0], or contain a place twice.
     """
     if shape == "own":
         return _own(count, offsets)
@@ -149,7 +149,7 @@ ROOT = -1  # the parent of the place that leads
 
 
 def parents(topology: TopologyName, count: int, branching: int = 2) -> tuple[int, ...]:
-    """The place that each of ``count`` places follows; ``ROOT`` for the first."""
+    """Parent of each of ``count`` places; ``ROOT`` for the first."""
     if topology == "graph":
         raise ValueError("the topology 'graph' follows names, not places: see named_parents")
     follow = {"star": count, "chain": 1, "k-tree": branching}[topology]
@@ -159,7 +159,7 @@ def parents(topology: TopologyName, count: int, branching: int = 2) -> tuple[int
 def named_parents(parents: Mapping[str, str], members: Sequence[str]) -> tuple[int, ...]:
     """Number of the parent of each member, from the names in a formation's ``parents``.
 
-    A ValueError says that a name is unknown, a second member has no parent, or some follow in a circle.
+    `ValueError`: a name is unknown, a second member has no parent, or the parents form a cycle.
     """
     for name in (*parents, *parents.values()):
         if name not in members:
@@ -192,7 +192,7 @@ def ancestors(tree: Sequence[int], place: int) -> tuple[int, ...]:
     return tuple(path)
 
 
-@functools.lru_cache(maxsize=16)  # all members of a run ask for the same
+@functools.lru_cache(maxsize=16)  # all members of a run use the same
 def ranks(tree: tuple[int, ...]) -> tuple[int, ...]:
     """All places, those nearest to the root first: each comes after all its ancestors."""
     return tuple(sorted(range(len(tree)), key=lambda place: (len(ancestors(tree, place)), place)))

@@ -33,8 +33,8 @@ class Team:
 
     The first of all ``members`` leads. ``shape`` is the present one, ``wide`` that outside of passages, ``changed`` the number
     of changes. ``place`` is the number of this member's place, 0 the leader's, and ``slot`` where that is, m in the leader's
-    frame. ``parent`` is whom to follow (None: it leads), ``ancestors`` go on up to the leader, and ``ranks`` has all, the
-    nearest to the leader first. A ValueError names the key of what does not fit these vehicles.
+    frame. ``parent`` is the vehicle to follow (None: it leads), ``ancestors`` continue up to the leader, and ``ranks`` has all
+    places, the nearest to the leader first. `ValueError` with the key: the formation does not fit these vehicles.
     """
 
     def __init__(self, formation: Formation, vehicles: Sequence[str], name: str) -> None:
@@ -67,11 +67,11 @@ class Team:
         return self._slots[shape]
 
     def slot_of(self, name: str) -> Slot:
-        """The place of a member, m in the leader's frame."""
+        """Slot of a member, m in the leader's frame."""
         return self._slots[self.shape][self._order.index(self.members.index(name))]
 
     def beside(self, parent: str) -> Slot:
-        """Where this member belongs in the frame of another one, m: x forward, y left, as if all had one heading."""
+        """Slot of this member in the frame of another one, m: x forward, y left, as if all had one heading."""
         x, y = self.slot_of(parent)
         return self.slot[0] - x, self.slot[1] - y
 
@@ -82,10 +82,10 @@ class Team:
         return due
 
     def take(self, body: Mapping[str, Any]) -> bool:
-        """Adopt the shape that a report tells of, where it is newer than the own; whether it was.
+        """Adopt the shape in a report if it is newer than the own; returns whether it was.
 
-        What makes no sense is ignored: a shape that this formation does not have, an order that is not one of its members, or
-        one in which the leader leaves its place, and what would be newer by more than `JUMP` changes.
+        Invalid content is ignored: a shape that this formation does not have, an order that is no permutation of its members or
+        moves the leader, and a number that is newer by more than `JUMP` changes.
         """
         changed = body.get("sn", 0)
         if type(changed) is not int or not self.changed < changed <= self.changed + JUMP:
@@ -100,9 +100,9 @@ class Team:
         return True
 
     def change(self, shape: str, positions: Mapping[str, Slot]) -> None:
-        """As the leader: give the team another shape, and everybody the place that makes the ways shortest and crosses none.
+        """As the leader: change the team's shape, and assign the places with the shortest ways, which do not cross.
 
-        ``positions`` of members are m in the leader's frame; those that are not known are taken to be in their places.
+        ``positions`` of members are m in the leader's frame; members without a position count as in their places.
         """
         if shape not in self._slots:
             raise ValueError(f"shape = {shape!r}: {unknown('shape', shape, self._slots)}")
@@ -110,7 +110,7 @@ class Team:
         self._adopt(shape, self.changed + 1, assign(now, self._slots[shape]))
 
     def whom(self, alive: Callable[[str], bool]) -> str | None:
-        """The nearest living ancestor; None: this member leads now.
+        """Vehicle to follow: the nearest living ancestor; None: this member leads now.
 
         Without a living ancestor, the living member nearest to the leader leads, and the others keep the shape around it. A
         member never follows one that comes later in ``ranks``, so there are no circles.
@@ -160,7 +160,7 @@ def _check_narrower(narrow: str, places: Slots, wide: str, wide_places: Slots) -
 
 
 def members_of(formation: Formation, vehicles: Sequence[str], name: str) -> tuple[str, ...]:
-    """The formation's members: as listed, or else all vehicles; a ValueError names what is unknown, twice or missing."""
+    """The formation's members: as listed, else all vehicles; `ValueError`: a name is unknown, repeated or missing."""
     members = formation.members or tuple(vehicles)
     names, used = frozenset(vehicles), set()
     for member in members:

@@ -1,4 +1,4 @@
-"""Recognition in three stages: each is more exact and dearer than the one before, and sees only what that one let pass."""
+"""Recognition in three stages: each is more exact and slower than the one before, and examines only what that one passed."""
 
 import math
 from collections.abc import Sequence
@@ -28,15 +28,15 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
 
-SMALLEST_PX = 12  # of a target's side in the picture: what is smaller is not recognised
+SMALLEST_PX = 12  # of a target's side in the picture: smaller targets are not recognised
 RINGS = 0.88  # cosine of the second stage
 HOPEFUL, PROMISING = 0.60, 0.80  # the same with few samples, on a coarse and a finer grid: what is below is looked at no closer
 MATCH = 0.75  # correlation of the third stage
-FINEST = 1.2  # a picture in which the target is larger than this many patches is reduced
-MOVES = 0.3  # sides that a middle may still move after the first stage
-AROUND = 0.72 + MOVES  # sides around a region that are looked at too: half a diagonal more
+FINEST = 1.2  # pictures are reduced if the target is larger than this many patches
+MOVES = 0.3  # sides by which a middle may still move after the first stage
+AROUND = 0.72 + MOVES  # sides around a region that are examined too: half a diagonal more
 
-# where a patch is tried: to the right and down, in sides, and how large
+# tried patches: to the right and down, in sides, and scale
 AROUND_IT = np.array([(0.12 * i, 0.12 * j, 1.0) for j in range(-1, 2) for i in range(-1, 2)])
 NEAR_IT = np.array([(0.06 * i, 0.06 * j, 1.0) for j in range(-1, 2) for i in range(-1, 2)])
 CLOSE_TO_IT = np.array([(0.045 * i, 0.045 * j, 1.0) for j in range(-1, 2) for i in range(-1, 2)])
@@ -47,7 +47,7 @@ Region = tuple[float, float, float, float]  # left, top, right, bottom, px
 
 @dataclass(frozen=True)
 class Detection:
-    """A target, recognised in a picture."""
+    """A target recognised in a picture."""
 
     target: str
     centre_px: tuple[float, float]  # u to the right, v down; middles of pixels are whole numbers
@@ -60,7 +60,7 @@ class Detection:
 
 @dataclass(frozen=True)
 class _Search:
-    """A part of a picture, maybe reduced."""
+    """A part of a picture, possibly reduced."""
 
     image: Array
     left: int
@@ -70,11 +70,11 @@ class _Search:
     exact: tuple[float, float] = (1.0, 1.0)  # to the right and down: it has whole pixels
 
     def reduced(self, scale: float) -> "_Search":
-        """The same part with fewer pixels."""
+        """The part with fewer pixels."""
         if scale > 1.0 / FINEST:
             return self
         image, whole, rest = self.image, 1, scale
-        while rest < 0.5 and min(image.shape[:2]) > 1:  # halving whole pixels is many times faster than any other average
+        while rest < 0.5 and min(image.shape[:2]) > 1:  # halving whole pixels is much faster than other averages
             height, width = image.shape[0] // 2, image.shape[1] // 2
             image = cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
             whole, rest = 2 * whole, 2.0 * rest
@@ -94,7 +94,7 @@ class _Search:
 class Detector:
     """Recognises targets in pictures taken straight down from a known height.
 
-    ``stages`` may leave out later ones, to see what each is good for.
+    ``stages`` may leave out later ones, to compare their effects.
     """
 
     def __init__(self, targets: Sequence[TargetPicture], *, stages: int = 3) -> None:
@@ -106,14 +106,14 @@ class Detector:
         self._stages = stages
 
     def detect(self, image_rgb: Array, height_m: float, focal_px: float, region: Region | None = None) -> list[Detection]:
-        """All targets with their middle in the region (none: in the picture, (h, w, 3) uint8), the surest first.
+        """All targets with their middle in the region (None: in the picture, (h, w, 3) uint8), the surest first.
 
         ``height_m``: of the camera above the targets.
         """
         if not (height_m > 0.0 and focal_px > 0.0 and math.isfinite(height_m + focal_px)):
             return []
         detections: list[Detection] = []
-        for size_m in sorted({target.size_m for target in self.targets}):  # what targets of one size need is made once
+        for size_m in sorted({target.size_m for target in self.targets}):  # once for all targets of one size
             side = size_m * focal_px / height_m
             if SMALLEST_PX <= side <= min(image_rgb.shape[:2]) and (part := _part(image_rgb, side, region)) is not None:
                 detections += self._of_size(size_m, side, part)

@@ -1,4 +1,4 @@
-"""Pictures of the ground from above: targets and what looks like them, roofs, roads, light, noise; all of it known."""
+"""Synthetic pictures of the ground from above with known content: targets and likenesses, roofs, roads, light, noise."""
 
 import math
 from collections.abc import Sequence
@@ -22,11 +22,11 @@ RED, BLUE, YELLOW, WHITE = (
 )
 Point = tuple[float, float]
 
-DISTRACTORS = ("mirrored", "scrambled", "solid", "recoloured", "other")  # of a target: what it is not
+DISTRACTORS = ("mirrored", "scrambled", "solid", "recoloured", "other")  # likenesses of a target
 
 
 def glyph() -> Array:
-    """A target, (128, 128, 3): two bars like an S, a disc and a strip; neither a turn nor a mirror leaves it as it is."""
+    """A target, (128, 128, 3): two bars like an S, a disc and a strip; without rotational or mirror symmetry."""
     picture = np.full((128, 128, 3), RED, np.uint8)
     picture[12:116, 44:66] = BLUE
     picture[12:38, 44:116] = BLUE
@@ -47,12 +47,12 @@ def other_glyph() -> Array:
 
 
 def mirrored(picture: Array) -> Array:
-    """Seen in a mirror."""
+    """Mirror image of a picture."""
     return np.ascontiguousarray(picture[:, ::-1])
 
 
 def scrambled(picture: Array, rng: np.random.Generator) -> Array:
-    """Cut into 4 x 4 pieces, put together at random."""
+    """Picture cut into 4 x 4 pieces in random order."""
     n = picture.shape[0] // 4
     pieces = picture.reshape(4, n, 4, n, 3).swapaxes(1, 2).reshape(16, n, n, 3)[rng.permutation(16)]
     joined: Array = pieces.reshape(4, 4, n, n, 3).swapaxes(1, 2).reshape(picture.shape)
@@ -60,32 +60,32 @@ def scrambled(picture: Array, rng: np.random.Generator) -> Array:
 
 
 def solid(picture: Array) -> Array:
-    """Its most frequent colour all over."""
+    """Picture in the most frequent colour of another one."""
     codes, counts = np.unique(picture.astype(np.int32) @ np.array([65536, 256, 1]), return_counts=True)
     code = int(codes[counts.argmax()])
     return np.full_like(picture, (code >> 16, code >> 8 & 255, code & 255))
 
 
 def recoloured(picture: Array, rng: np.random.Generator) -> Array:
-    """The same shapes in other hues."""
+    """Picture with the same shapes in other hues."""
     hsv = cv2.cvtColor(picture, cv2.COLOR_RGB2HSV)
     hsv[:, :, 0] = (hsv[:, :, 0].astype(int) + rng.integers(35, 145)) % 180
     return np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB))
 
 
 def likenesses(picture: Array, rng: np.random.Generator) -> list[Array]:
-    """What looks like a target, in the order of `DISTRACTORS`."""
+    """Likenesses of a target, in the order of `DISTRACTORS`."""
     return [mirrored(picture), scrambled(picture, rng), solid(picture), recoloured(picture, rng), other_glyph()]
 
 
 def save(picture: Array, path: Path) -> None:
-    """Write a picture into a PNG file."""
+    """Write a picture to a PNG file."""
     path.write_bytes(cv2.imencode(".png", picture[:, :, ::-1])[1].tobytes())
 
 
 @dataclass(frozen=True)
 class Truth:
-    """A target that is in a picture."""
+    """True place of a target in a picture."""
 
     name: str
     u: float  # px, of its middle
@@ -105,7 +105,7 @@ class SyntheticPicture:
 
 @dataclass(frozen=True)
 class SyntheticFrame:
-    """A picture and what is in it."""
+    """A picture and its content."""
 
     seen: SyntheticPicture
     likenesses: tuple[tuple[str, float, float], ...]  # what it is, u, v: px
@@ -117,7 +117,7 @@ class SyntheticFrame:
 
     @property
     def side_px(self) -> float:
-        """Of a target of 2 m."""
+        """Side of a target of 2 m in the picture, px."""
         return 2.0 * FOCAL_PX / self.seen.height_m
 
 
@@ -149,7 +149,7 @@ def frame(
     small = cv2.resize(canvas, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).astype(np.float32)
     small = small * (rng.uniform(0.75, 1.2) if light is None else light) + noise * rng.standard_normal(small.shape, np.float32)
     image = np.clip(np.rint(small), 0, 255).astype(np.uint8)
-    image.flags.writeable = False  # as those of cameras
+    image.flags.writeable = False  # like pictures of cameras
     truths = tuple(Truth(name, *middles[i], turns[i]) for i, (name, _) in enumerate(targets))
     alike = tuple((name, *middles[len(targets) + i]) for i, name in enumerate(DISTRACTORS[: len(decoys)]))
     return SyntheticFrame(SyntheticPicture(image, height_m, FOCAL_PX, truths), alike)

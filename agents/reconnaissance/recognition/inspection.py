@@ -29,20 +29,20 @@ TRIES = np.array([(0.045 * i, 0.045 * j) for j in range(-3, 4) for i in range(-3
 
 
 class Scores(NamedTuple):
-    """Of a place."""
+    """Scores of one place in a picture."""
 
     colour: float  # in [0, 1]
     rings: float  # cosine of the second stage
     angle: float  # rad, that it estimates
     match: float  # correlation of the third stage after turning back by that angle
-    upright: float  # correlation without turning back, wherever the middle is within a few pixels
+    upright: float  # best correlation without turning back, for middles within a few pixels
     fixed: float  # correlation after turning back, at exactly the given place
 
 
 class ColourMap(NamedTuple):
-    """What the first stage says of a picture."""
+    """Result of the first stage for a picture."""
 
-    score: Array  # (h, w) uint8, 255: all of the target's colours are there
+    score: Array  # (h, w) uint8, 255: all of the target's colours are present
     scale: float  # so many of its pixels per pixel of the picture, about
     peaks: Array  # (n, 3): u, v px of the picture and score in [0, 1], best first
 
@@ -63,7 +63,7 @@ def colour_map(target: TargetPicture, image: Array, height_m: float, focal_px: f
 
 
 def inspect(target: TargetPicture, image: Array, height_m: float, focal_px: float, place: tuple[float, float]) -> Scores:
-    """What all stages say of what is about a place, px of a picture (h, w, 3): the middle is looked for nearby."""
+    """Scores of all stages at a place, px of a picture (h, w, 3); the middle is searched nearby."""
     side = target.size_m * focal_px / height_m
     template, scale = target.template(round(side)), min(1.0, PATCH / side)
     sharp = _resized(image, scale)

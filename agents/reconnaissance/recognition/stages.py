@@ -1,4 +1,4 @@
-"""The three stages of recognition, and what is looked for: a picture of a target, and how it looks from some height.
+"""The three stages of recognition, and pictures of targets at the scale of a height.
 
 1. Where the target's colours are, in about its shares (Toh 2012, 5.3: the most frequent first, then the next). A
    back-projection with one colour ranks any large roof of that colour first; here a place scores for each of the target's
@@ -24,16 +24,16 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.pictures import decoded
 
-SATURATION = 70  # of 255: paler pixels have no hue
+SATURATION = 70  # of 255: pixels below it have no hue
 BIN = 5  # of OpenCV's 180 hues
 BESIDE = 2  # bins to either side count as the same hue
 MOST_HUES = 4
-LEAST_SHARE = 0.03  # of the target's pixels: what is rarer is not looked for
+LEAST_SHARE = 0.03  # of the target's pixels: rarer hues are ignored
 SIDE_PX = 15  # of the target in the picture searched; odd: it has a middle
 THRESHOLD = 0.55
 MOST_PEAKS = 16
 APART = 0.6  # sides between two peaks
-PART = 0.85  # of a peak: what is above it around it has the peak's place in its middle
+PART = 0.85  # of a peak: its place is the middle of the scores above this share
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +45,12 @@ class Hues:
 
     @cached_property
     def tables(self) -> list[Array]:
-        """For each hue a table (256,) uint8: 255 where a pixel has it, by OpenCV's hue."""
+        """Table for each hue, (256,) uint8: 255 where a pixel has it, by OpenCV's hue."""
         return [np.where(self.label == i + 1, 255, 0).astype(np.uint8) for i in range(len(self.shares))]
 
 
 def hues(picture: Array) -> Hues:
-    """Of an RGB picture (n, m, 3); no shares where all of it is pale."""
+    """Most frequent hues of an RGB picture (n, m, 3); no shares if all pixels are pale."""
     hsv = cv2.cvtColor(picture, cv2.COLOR_RGB2HSV)
     hue = hsv[:, :, 0][hsv[:, :, 1] >= SATURATION].astype(int)
     bins = 180 // BIN
@@ -62,7 +62,7 @@ def hues(picture: Array) -> Hues:
         chosen.append(int(left.argmax()))
         left[near[chosen[-1]]] = 0.0
     of_bin = np.zeros(bins, np.uint8)
-    for number, one in reversed(list(enumerate(chosen, start=1))):  # the more frequent one keeps what lies between two
+    for number, one in reversed(list(enumerate(chosen, start=1))):  # the more frequent one gets the bins between two
         of_bin[near[one]] = number
     label = np.zeros(256, np.uint8)
     label[:180] = of_bin[np.arange(180) // BIN]
@@ -71,7 +71,7 @@ def hues(picture: Array) -> Hues:
 
 
 def colour_scores(hsv: Array, hues: Hues, side_px: int) -> Array:
-    """How well the colours around each pixel are the target's, (h, w) uint8, 255: all of them; beyond the border is nothing."""
+    """Score of the target's colours around each pixel, (h, w) uint8, 255: all of them; beyond the border there are none."""
     total = np.zeros(hsv.shape[:2], np.uint8)
     _, pale = cv2.threshold(cv2.extractChannel(hsv, 1), SATURATION - 1, 255, cv2.THRESH_BINARY_INV)
     hue = cv2.bitwise_or(cv2.extractChannel(hsv, 0), pale)  # 255 is no hue
@@ -106,12 +106,12 @@ def _middle(score: Array, u: int, v: int, least: float, reach: int) -> tuple[flo
 
 
 HARMONICS = 9  # 0 to 8
-TURNS = 72  # a rotation is looked for in steps of 5 deg
+TURNS = 72  # rotations are searched in steps of 5 deg
 
 
 @dataclass(frozen=True, eq=False)
 class Signature:
-    """Of n patches."""
+    """Rotation-invariant signatures of n patches."""
 
     spectra: Array  # (9, n, m) complex64, m: radii x channels; weighted by the square root of the radius
     unit: Array  # (n, 9 m) float32: the magnitudes, a row of length 1 for a patch
@@ -131,7 +131,7 @@ class Rings:
         self._angles, self._radii = angles, radii
 
     def spectra(self, image: Array, u: Array, v: Array, side_px: Array) -> Array:
-        """Of patches with their middles at u, v (n,) px of an RGB picture, of sides (n,) px: (9, n, 3 radii) complex64."""
+        """Spectra of patches with middles at u, v (n,) px of an RGB picture, of sides (n,) px: (9, n, 3 radii) complex64."""
         n = len(u)
         u, v, side = (values.astype(np.float32)[None, :, None] for values in (u, v, side_px))
         across, down = (u + side * self._u).reshape(self._angles, -1), (v + side * self._v).reshape(self._angles, -1)
@@ -143,7 +143,7 @@ class Rings:
         return transform
 
     def signatures(self, spectra: Array) -> Signature:
-        """The magnitudes that belong to them."""
+        """Signatures of patches from their spectra."""
         size = np.abs(spectra)
         size[0] = spectra[0].real
         rows = np.ascontiguousarray(size.swapaxes(0, 1)).reshape(size.shape[1], -1)
@@ -152,7 +152,7 @@ class Rings:
 
 
 def product(a: Array, b: Array) -> Array:
-    """Of two matrices, by one thread: the sums come out the same on any number of cores."""
+    """Product of two matrices by one thread: the same sums on any number of cores."""
     product: Array = np.einsum("ij,jk->ik", a, b)
     return product
 
@@ -164,9 +164,9 @@ _BACK = np.exp(1j * np.outer(math.tau / TURNS * np.arange(TURNS), np.arange(HARM
 
 
 def rotation(spectrum: Array, template: Array) -> float:
-    """By how much a patch is turned, rad in [-pi, pi), counter-clockwise: where the circular cross-correlation is greatest.
+    """Rotation of a patch, rad in [-pi, pi), counter-clockwise: the maximum of the circular cross-correlation.
 
-    Both are spectra (9, m); between the steps of 5 deg a parabola tells.
+    Both are spectra (9, m); a parabola interpolates between the steps of 5 deg.
     """
     curve = product(_BACK, np.einsum("km,km->k", spectrum, template.conj())[:, None])[:, 0].real
     best = int(curve.argmax())
@@ -177,8 +177,8 @@ def rotation(spectrum: Array, template: Array) -> float:
 
 
 PATCH = 48  # px: pictures are compared at this size
-CAMERA_BLUR_PX = 0.8  # standard deviation of what a pixel of the camera averages, px of its picture
-SMALLEST_PX = 16  # a picture of a target has at least so many pixels a side
+CAMERA_BLUR_PX = 0.8  # standard deviation of the area that a pixel of the camera averages, px of its picture
+SMALLEST_PX = 16  # least side of a picture of a target
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +208,7 @@ class TargetPicture:
 
     @classmethod
     def load(cls, name: str, path: Path | str, size_m: float) -> "TargetPicture":
-        """Reads the picture from a file (PNG, JPEG, ...)."""
+        """Read the picture from a file (PNG, JPEG, ...)."""
         try:
             read = decoded(limits.read_bytes(Path(path), limits.FILE_BYTES), cv2.IMREAD_COLOR_RGB)
         except (OSError, ValueError) as error:
@@ -260,14 +260,14 @@ def unit(patches: Array) -> Array:
 
 SHIFT = 4  # px of the patch, to all sides
 STEP_RAD = 0.045
-TRIED_TURNS = STEP_RAD * np.arange(-2, 3)  # about the rotation that the second stage tells
+TRIED_TURNS = STEP_RAD * np.arange(-2, 3)  # around the rotation from the second stage
 SCALES = np.array([0.92, 0.96, 1.0, 1.04, 1.08])  # of the side
 HOPELESS = 0.45  # correlation before turn and scale are refined: no refinement brings it to the threshold
 
 
 @dataclass(frozen=True)
 class MatchedPose:
-    """Where a patch is and how it is turned."""
+    """Place, rotation and scale of a patch."""
 
     u: float  # px
     v: float  # px
@@ -275,14 +275,14 @@ class MatchedPose:
     side_px: float
 
     def shifted(self, across: float, down: float) -> "MatchedPose":
-        """By so many px of the patch, along its own edges."""
+        """The pose shifted by px of the patch, along its own edges."""
         px = self.side_px / PATCH
         c, s = px * math.cos(self.angle), px * math.sin(self.angle)
         return MatchedPose(self.u + c * across + s * down, self.v - s * across + c * down, self.angle, self.side_px)
 
 
 def match(image: Array, template: Template, pose: MatchedPose) -> tuple[float, MatchedPose]:
-    """The correlation in [-1, 1] and where it is found: first the best shift, then turn and scale, then the shift again."""
+    """The correlation in [-1, 1] and its pose: first the best shift, then rotation and scale, then the shift again."""
     score, pose = _shift(image, template, pose)
     if score < HOPELESS:
         return score, pose
@@ -316,7 +316,7 @@ def _correlations(image: Array, template: Template, pose: MatchedPose, turns: Ar
 
 
 def vertex(values: Array, at: int) -> float:
-    """Where between the neighbours of its greatest value a curve is greatest, in steps from it; 0 at its ends."""
+    """Vertex of a curve next to its greatest value, in steps from it; 0 at its ends."""
     if not 0 < at < len(values) - 1:
         return 0.0
     before, here, after = values[at - 1 : at + 2].tolist()
