@@ -160,7 +160,7 @@ class AgentRunner:
         if agent.follows is not self._follows and agent.follows != self._follows:
             self._follows = agent.follows
             events.append(Event(f"{self.vehicle}/follows", when, self._place(self._follows)))
-        if agent._notes or agent._shown or radio._outbox:  # noqa: SLF001  looked at here, as it is at every tick of every agent
+        if agent._notes or agent._shown or radio._outbox:  # noqa: SLF001  checked here: runs at every tick of every agent
             self._tell(when, events)
 
     def _tell(self, when: int, events: list[Event]) -> None:

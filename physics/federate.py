@@ -228,7 +228,7 @@ class Physics:
         return None
 
     def _bodiless(self, numbers: Sequence[int]) -> list[tuple[Engine, list[int]]]:
-        """Up to two engines without bodies, on the ground and in the air, for those of the numbered vehicles that they move."""
+        """Up to two engines without bodies, on the ground and in the air, each with the numbered vehicles that it moves."""
         engines: list[tuple[Engine, list[int]]] = []
         starts = {n: (self.vehicles[n].start, self.vehicles[n].heading) for n in numbers}
         ground = {n: model for n in numbers if isinstance(model := self.vehicles[n].model, GroundVehicle)}

@@ -22,7 +22,7 @@ class SceneBuilder:
         self._vehicles = tuple(spec.name for spec in vehicles)
         self._hulls = (*(spec.model.hull for spec in vehicles), *(each.solid.hull for each in things))
         self.names = (*self._vehicles, *[each.name for each in things])
-        self._standing = start_of(world.movables)  # where no engine can push movables
+        self._standing = start_of(world.movables)  # if no engine can push movables
         self._published = self._standing.position, self._standing.attitude
 
     def put(self, number: int, place: Vec3, yaw: float) -> None:
@@ -55,7 +55,7 @@ class SceneBuilder:
 
 TOUCHES_M = 1e-9  # bodies that only touch do not overlap
 
-_SIDES = 16  # of the polygon that stands for a circle where outlines are compared
+_SIDES = 16  # of the polygon in place of a circle when outlines are compared
 
 
 def start_of(movables: Sequence[Movable]) -> BodyMotion:

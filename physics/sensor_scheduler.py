@@ -42,7 +42,7 @@ class FittedSensor:
 
 
 class SensorScheduler:
-    """All sensors of all vehicles: ``fitted`` holds those of each vehicle by name.
+    """All sensors of all vehicles: ``fitted`` has the sensors of each vehicle by name.
 
     They are copied, so that every run begins with fresh ones. ``requested`` are keys ``<vehicle>/<sensor>`` of readings on
     demand that are certainly used: they are computed together.
@@ -87,7 +87,7 @@ class SensorScheduler:
         now_ns = scene.now_ns
         due = [number for (ticks, phase), own in self._trains.items() if ticks.hits(now_ns - phase) for number in own]
         sensors = [self._sensors[number] for number in sorted(due)]
-        # Sensors that drop out are read, too: their errors go on.
+        # Sensors that drop out are read, too: their errors continue.
         readings: dict[str, Any] = {}
         for own in _families(each for each in sensors if not each.sensor.on_demand):
             readings |= zip([each.key for each in own], _measure(scene, own, [each.rng for each in own]), strict=True)
@@ -123,7 +123,7 @@ class ReadingBatch:
 
 
 def _families(sensors: Iterable[FittedSensor]) -> list[list[FittedSensor]]:
-    """Sensors that can be read together: of one class, or of the class that defines a quicker way."""
+    """Groups of sensors that can be read together: of one class, or of the class that defines a faster way."""
     families: dict[type[Sensor], list[FittedSensor]] = {}
     for each in sensors:
         kind = type(each.sensor)
@@ -138,7 +138,7 @@ def _measure(scene: Scene, fitted: Sequence[FittedSensor], rngs: Sequence[np.ran
         readings = kind.measure_all(sensors, scene, [scene.row_of[each.vehicle] for each in fitted], rngs)
     except (VcmvspError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # of a sensor of a user's own
+    except BaseException as error:  # of a user-defined sensor
         raise FederateError("physics", f"{_named(fitted)}: {words_of(error)}{place_of(error)}") from error
     if wrong := [each for each in readings if not isinstance(each, Reading)]:
         raise FederateError("physics", f"{_named(fitted)}: measure must return a reading, not {show(wrong[0])}")

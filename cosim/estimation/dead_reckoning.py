@@ -33,7 +33,7 @@ def ahead(state: VehicleState, time_ns: int, *, flies: bool) -> VehicleState:
 
 
 def planar(pose: Vec3, v: float, w: float, height_m: float) -> VehicleState:
-    """State of a robot on the ground."""
+    """State of a robot on the ground from its planar pose and speeds."""
     x, y, yaw = pose
     return VehicleState(
         position=(x, y, height_m),

@@ -162,7 +162,7 @@ def extended(items: Items, motion: OdometryMotion) -> Items:
 
 
 def count(items: Items) -> int:
-    """Number of positions."""
+    """Number of positions in the items."""
     return sum(isinstance(item, MeasuredPosition) for item in items)
 
 

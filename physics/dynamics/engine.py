@@ -48,7 +48,7 @@ class Touch(NamedTuple):
 
 
 class Engine:
-    """Moves vehicles and the movables that they push. By itself it has no bodies: nothing collides, no movable is pushed."""
+    """Moves vehicles and the movables that they push. The base class has no bodies: no collisions, no pushed movables."""
 
     stepped = False  # whether it has steps of its own: many short advances give the same bits as one long one
 

@@ -56,7 +56,7 @@ class GroundEngine(Engine):
         # From 0.0 on, never -0.0: then sums of one arc and of many have the same bits.
         self._x, self._y, self._yaw = at[:, 0] + 0.0, at[:, 1] + 0.0, np.array(headings, float)
         self._driven = np.zeros((2, n))  # since the start, m and rad
-        # Wheels as they would turn: half the track and the radius, where there are any.
+        # Simulated turns of wheels: half the track and the radius, for vehicles with wheels.
         self._half_track = 0.5 * np.array([getattr(model, "track_m", np.nan) for model in models])
         self._radius = np.array([getattr(model, "wheel_radius_m", np.nan) for model in models])
         self._now_ns = 0
@@ -151,7 +151,7 @@ class GroundEngine(Engine):
 
 def wrapped(angle: Floats) -> Floats:
     """Angles in [-pi, pi), as `cosim.frames.wrap`."""
-    turned: Floats = (angle + np.pi) % (2.0 * np.pi) % (2.0 * np.pi)  # of a tiny negative angle the first is 2 pi, rounded
+    turned: Floats = (angle + np.pi) % (2.0 * np.pi) % (2.0 * np.pi)  # the first gives 2 pi, rounded, for a tiny negative angle
     return turned - np.pi
 
 
@@ -167,8 +167,8 @@ class AerialEngine(Engine):
 
         v(t) = u + (v(0) - u) exp(-t/T)        p(t) = p(0) + u t + (v(0) - u) T (1 - exp(-t/T))
 
-    The lag keeps p + T v - q constant: if q starts from ``p + T v``, where the vehicle comes to rest by itself, and stops at
-    the way-point, then the vehicle stops there, too.
+    The lag keeps p + T v - q constant: if q starts from ``p + T v``, where the vehicle would come to rest, and stops at the
+    way-point, the vehicle stops there, too.
     """
 
     def __init__(self, models: Sequence[Point | Quadrotor], positions: Sequence[Vec3], headings: Sequence[float]) -> None:
@@ -234,8 +234,8 @@ _UNIT = 1e-3  # tolerance of the norm of a quaternion
 class ExternalEngine(Engine):
     """External vehicles: their motion comes from outside (`cosim.federate.ExternalMotion`).
 
-    Their states are requested once at every instant of a publication. In between they move on straight at their last velocities
-    and turn about the vertical; nothing in the simulation changes that. ``vehicles`` are in the order of ``source.names``, with
+    Their states are requested once at every instant of a publication. In between they move straight at their last velocities
+    and turn about the vertical, without effects of the simulation. ``vehicles`` are in the order of ``source.names``, with
     their poses before the first update.
     """
 

@@ -74,11 +74,11 @@ class QuadrotorFleet:
         self.rate, self.rotor = self._rate.T, self._rotor.T
 
     def set_velocity(self, row: int, linear: Sequence[float], yaw_rate: float) -> None:
-        """See `Autopilot.set_velocity`."""
+        """Set a velocity and a yaw rate, see `Autopilot.set_velocity`."""
         self._pilot.set_velocity(row, linear, yaw_rate)
 
     def set_waypoint(self, row: int, position: Sequence[float], yaw: float | None = None, speed: float | None = None) -> None:
-        """See `Autopilot.set_waypoint`."""
+        """Set a way-point, see `Autopilot.set_waypoint`."""
         self._pilot.set_waypoint(row, position, yaw, speed)
 
     def wrench(self, dt: float, wind: Any) -> tuple[Floats, Floats]:
@@ -174,10 +174,10 @@ class Autopilot:
         self._limits = list(zip(*(each.tolist() for each in limits), strict=True))
         self._position_gain, self._braking = column(models, "position_gain"), column(models, "braking")
         self._gain_squared = self._position_gain**2
-        self._knee = self._braking / self._gain_squared  # m, where braking begins to be the law
+        self._knee = self._braking / self._gain_squared  # m, distance at which the braking law begins
         self._velocity_gain, self._integral = column(models, "velocity_gain"), column(models, "velocity_integral")
         self._tan_tilt = np.tan(column(models, "max_tilt_rad"))
-        self._sideways = gravity * self._tan_tilt  # m/s2, when hovering at the greatest tilt
+        self._sideways = gravity * self._tan_tilt  # m/s2, at the greatest tilt with constant height
         self._most = np.array([model.max_rotor_thrust for model in models])  # N
         self._most_up = column(models, "max_thrust") * 4.0 * self._most / self._mass  # m/s2, with gravity
         self._most_up_squared, self._least_up = self._most_up**2, np.full(n, _LEAST_LIFT * gravity)
@@ -267,7 +267,7 @@ class Autopilot:
     def _approach(self, position: Floats) -> Floats:
         way = self._place - position
         distance = length(way)
-        # Both laws have the same value and slope at the knee, and this is the lower one everywhere else.
+        # Both laws have the same value and slope at the knee; elsewhere this one is lower.
         near, beyond = np.minimum(distance, self._knee), np.maximum(distance - self._knee, 0.0)
         speed = np.sqrt(self._gain_squared * near * near + self._braking * (beyond + beyond))
         want: Floats = way * (np.minimum(speed, self._speed) / np.maximum(distance, _TINY))
@@ -275,7 +275,7 @@ class Autopilot:
         return want
 
     def _face(self, yaw: Floats, elapsed_s: float) -> None:
-        """Turn the desired heading: at the commanded rate, or towards that of the way-point."""
+        """Turn the desired heading: at the commanded rate, or towards the heading of the way-point."""
         turn = self._turn + elapsed_s * self._yaw_gain * (self._yaw_rate - self._turn)
         if self._any_place:
             rest = self._yaw_gain * wrapped(self._yaw - self._heading)

@@ -1,4 +1,4 @@
-"""Air around vehicles that fly: wind with gusts, more lift above the floor, wind below rotors."""
+"""Air around aerial vehicles: wind with gusts, ground effect, downwash of rotors."""
 
 import math
 from collections.abc import Sequence
@@ -13,13 +13,13 @@ from vcmvsp.physics.dynamics.rigid_body import Floats, column
 from vcmvsp.physics.vehicles.models import Quadrotor
 from vcmvsp.physics.world.world import Wind
 
-GUST_HZ = 60  # new values a second; in between the wind is steady
+GUST_HZ = 60  # new values a second; in between the wind is constant
 
-_BLOCK = 256  # values drawn at once, of which a run uses the same whatever this is
+_BLOCK = 256  # values drawn at once; a run has the same values for any block size
 
 
 class Gusts:
-    """Wind at n vehicles from time 0 on: the mean wind, and gusts that depend on nothing but the seed and a vehicle's name.
+    """Wind at n vehicles from time 0 on: the mean wind, and gusts that depend only on the seed and a vehicle's name.
 
     A gust is a first-order Gauss-Markov (Ornstein-Uhlenbeck) process in each component: with correlation time T and standard
     deviation s, its values a time h apart obey exactly
@@ -64,7 +64,7 @@ class Gusts:
 
 AIR_KG_M3 = 1.225  # at sea level, 15 degrees (ISO 2533)
 
-_CORE = 6.0  # diameters that the middle of a jet keeps its speed for
+_CORE = 6.0  # diameters along which the middle of a jet keeps its speed
 _SPREAD = 0.094  # half width of a jet for each metre
 _NEAREST = 0.5  # rotor radii
 

@@ -66,7 +66,7 @@ class File:
         require_file(self.path)
 
     def files(self) -> tuple[Path, ...]:
-        """The pictures that it names."""
+        """Picture files that the world names."""
         listed, _ = self._read()
         pictures = [mark.picture for mark in listed.ground.marks] + [target.picture for target in listed.targets]
         return tuple(Path(each) for each in (listed.ground.picture, *pictures) if each)
@@ -83,7 +83,7 @@ class File:
         return beside(path.parent, listed), source
 
     def build(self) -> World:
-        """The world itself.
+        """Build the world from the file.
 
         Raises:
             ScenarioError: with the file, the line and the key that is wrong.
@@ -98,10 +98,10 @@ class File:
 
 
 def beside(folder: Path, listed: Empty) -> Empty:
-    """The world with its pictures found in a folder."""
+    """The world with picture files in a folder."""
 
     def found(name: str) -> str:
-        """Where a picture is; a run keeps it under its last name, beside the file."""
+        """Path of a picture; a run keeps it under its file name, beside the world's file."""
         places = [registry.located(each, folder) for each in (name, Path(name).name)]
         return str(next((path for path in places if path.is_file()), places[0])) if name else ""
 
@@ -128,7 +128,7 @@ class MeshFile(Surroundings):
         require_file(self.path)
 
     def build(self) -> World:
-        """The world itself.
+        """Build the world from the mesh.
 
         Raises:
             ScenarioError: with the file, and the triangle that is wrong.
@@ -137,7 +137,7 @@ class MeshFile(Surroundings):
         try:
             limits.check_archive(Path(self.path))
             corners = np.array(trimesh.load_mesh(self.path, process=False).triangles, np.float64)
-        except Exception as error:  # whatever a reader of some format trips over
+        except Exception as error:  # any error of a reader of some format
             problem = f"trimesh cannot read it: {type(error).__name__}: {error}; "
             problem += "OBJ, STL and PLY are read without further packages"
             raise ScenarioError(problem, source=self.path) from error

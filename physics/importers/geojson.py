@@ -48,7 +48,7 @@ class GeoJson(Surroundings):
             raise ScenarioError(problem, key="origin")
 
     def build(self) -> World:
-        """The world itself.
+        """Build the world from the file.
 
         Raises:
             ScenarioError: with the file, and the building that is wrong.
@@ -132,7 +132,7 @@ def _footprints(content: Any, path: Path) -> Iterator[tuple[str, Mapping[str, An
             polygons: Any = [coordinates] if geometry["type"] == "Polygon" else coordinates
             try:
                 for polygon in polygons:
-                    if polygon != []:  # without coordinates (RFC 7946, 3.1)
+                    if polygon != []:  # empty coordinates are valid (RFC 7946, 3.1)
                         yield words, properties, [_ring(ring) for ring in polygon]
             except (TypeError, ValueError, IndexError, OverflowError) as error:
                 problem = f"its coordinates are no rings of [x, y]: {error}"

@@ -18,7 +18,7 @@ from vcmvsp.physics.world.solids import Box, Color
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Bounds, Surroundings
 
-_MOST_M = 1e9  # no map is further away, nor a cell of it larger
+_MOST_M = 1e9  # limit of coordinates of a map, and of the size of its cells
 
 Block = tuple[int, int, int, int]  # first row, end row, first column, end column
 
@@ -45,7 +45,7 @@ class Map(Surroundings):
         return (_read_yaml(Path(self.path))["image"],)
 
     def build(self) -> World:
-        """The world itself.
+        """Build the world from the map.
 
         Raises:
             ScenarioError: with the file that is wrong.
@@ -57,7 +57,7 @@ class Map(Surroundings):
         rows, columns = cells.shape
 
         def place(east: float, north: float) -> tuple[float, float]:
-            """From the picture's lower left corner to the world."""
+            """Transform from the picture's lower left corner to the world."""
             u, v = rotate2(east, north, yaw)
             return x + u, y + v
 
@@ -77,7 +77,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         text = text_of(path)
         _check_yaml(text, yaml)
         content = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError) as error:  # the latter for a date that there is none of
+    except (yaml.YAMLError, ValueError) as error:  # the latter for impossible dates
         raise ScenarioError(f"is not YAML: {error}", source=str(path)) from error
     if not isinstance(content, dict):
         raise ScenarioError("is no map: it needs image, resolution and origin", source=str(path))
@@ -109,7 +109,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 
 
 def _check_yaml(text: str, yaml: Any) -> None:
-    """Refuse, by a `ValueError`, YAML that is slow to parse, and aliases, which may stand for gigabytes."""
+    """Refuse (`ValueError`) YAML that is slow to parse, and aliases, which may expand to gigabytes."""
     limits.within(len(text), limits.YAML_BYTES, "characters of YAML")
     depth = 0
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
@@ -119,7 +119,7 @@ def _check_yaml(text: str, yaml: Any) -> None:
 
 
 def occupied_cells(about: dict[str, Any], path: Path) -> Array:
-    """Which cells are walls, (rows, columns) bool; row 0 is at the top of the picture.
+    """Whether each cell is a wall, (rows, columns) bool; row 0 is at the top of the picture.
 
     Raises:
         ScenarioError: the picture cannot be read.
@@ -129,14 +129,14 @@ def occupied_cells(about: dict[str, Any], path: Path) -> Array:
     except ValueError as error:
         raise ScenarioError(str(error), key="image", source=str(path)) from error
     cells: Array = np.empty(picture.shape[:2], bool)
-    for row, found in zip(cells, picture, strict=True):  # numbers of a large picture at once would fill the memory
+    for row, found in zip(cells, picture, strict=True):  # row by row: all floats of a large picture would fill the memory
         grey = found.mean(axis=1)
         row[:] = (grey if about["negate"] else 255.0 - grey) / 255.0 > about["occupied_thresh"]
     return cells
 
 
 def blocks_of(cells: Array) -> list[Block]:
-    """Few rectangles that hold each true cell once and no other: equal runs of consecutive rows, or of columns."""
+    """Cover of all true cells by few disjoint rectangles: equal runs of consecutive rows, or of columns."""
     by_rows, by_columns = list(_runs(cells)), list(_runs(cells.T))
     turned = [(top, bottom, left, right) for left, right, top, bottom in by_columns]
     return by_rows if len(by_rows) <= len(by_columns) else turned

@@ -11,7 +11,7 @@ from vcmvsp.physics.world.solids import Shapes
 from vcmvsp.physics.world.world import World, made_once
 
 _CELLS_PER_REACH = 4.0
-_MOST = 4_000_000  # numbers of pieces in the index; then it is begun anew
+_MOST = 4_000_000  # limit of piece numbers in the index; then it is cleared
 
 
 class NearbyPieces(NamedTuple):
@@ -25,8 +25,8 @@ class NearbyPieces(NamedTuple):
 class PieceIndex:
     """Upright convex prisms with their edges, and triangles.
 
-    ``triangles`` (t, 3, 3) m and ``triangle_solid`` (t,) are the world's; no result depends on the size of the cells ``cell_m``
-    (None: a quarter of the reach).
+    ``triangles`` (t, 3, 3) m and ``triangle_solid`` (t,) belong to the world; results do not depend on the size of the cells
+    ``cell_m`` (None: a quarter of the reach).
 
     Attributes:
         edges: (6, e) m: x where an edge begins and ends (counter-clockwise), y where it does, bottom and top of its prism.
@@ -118,7 +118,7 @@ class Reached(NamedTuple):
     """First hit of each beam."""
 
     distance: Array  # (r,) m; inf: nothing
-    which: Array  # (r,) int64, the number of the thing; -1: nothing
+    which: Array  # (r,) int64, number of the object; -1: none
 
 
 class Nearest:
@@ -128,7 +128,7 @@ class Nearest:
         self._distance, self._which = np.full(beams, np.inf), np.full(beams, _LAST)
 
     def meet(self, beam: Array, distance: Array, which: Array) -> None:
-        """Add hits: beams (q,), distances (q,) m, inf: none, and numbers of the things hit (q,)."""
+        """Add hits: beams (q,), distances (q,) m, inf: none, and numbers of the objects hit (q,)."""
         nearest = np.full(len(self._distance), np.inf)
         np.minimum.at(nearest, beam, distance)
         nearer = nearest < self._distance

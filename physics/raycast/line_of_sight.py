@@ -14,10 +14,10 @@ from vcmvsp.physics.world.world import World, made_once
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-_NEVER_ZERO = 1e-300  # added to what is divided by: changes nothing but a zero
+_NEVER_ZERO = 1e-300  # added to divisors: changes only zeros
 _TINY = 1e-200  # m
 _FEW = 2048  # lines x boxes: with fewer, all lines are tested with all boxes
-_ROOM_M = 1e-6  # round a box, so that rounding keeps no line away from it
+_ROOM_M = 1e-6  # margin around a box against rounding
 _INSIDE = 1.0 - 1e-12  # boxes are smaller by this, so that a line along a face, or through an edge, does not count
 
 
@@ -60,7 +60,7 @@ class Sightline:
         """
         inside = np.zeros((len(rx), len(self.materials)))
         middle, run = 0.5 * (tx + rx), rx - tx
-        run[np.abs(run) < _TINY] = 0.0  # so that nothing makes a zero of what is never zero
+        run[np.abs(run) < _TINY] = 0.0  # so that adding `_NEVER_ZERO` gives no zero
         lines, length = np.concatenate([middle.T, run.T]), np.sqrt((run * run).sum(axis=1))
         if len(rx) * len(self._centre) <= _FEW:
             inside[:, self._box_columns] = _box_shares(lines[:, :, None], self._boxes[:, None]) * length[:, None]
@@ -110,7 +110,7 @@ def _box_shares(lines: Floats, boxes: Floats) -> Floats:
 
 
 _SKIN_M = 1e-9  # solids are smaller by this all round, so that a line along a face does not count
-_SHORT_M = 1e-9  # what is left of a touch after rounding
+_SHORT_M = 1e-9  # length of a touch after rounding
 _PAIRS = 1 << 15  # lines x solids, and pairs x edges, at a time
 
 
@@ -192,7 +192,7 @@ class PrismObstacles:
         a, b = self._start[edge] - middle[pair, :2], self._end[edge] - middle[pair, :2]
         dx, dy = run[pair, 0], run[pair, 1]
         side_a, side_b = dx * a[:, 1] - dy * a[:, 0], dx * b[:, 1] - dy * b[:, 0]
-        out = (side_a < 0.0) & (side_b >= 0.0)  # from the right of the line to its left: it goes out
+        out = (side_a < 0.0) & (side_b >= 0.0)  # from the right of the line to its left: an exit
         into = (side_a >= 0.0) & (side_b < 0.0)
         crossed = np.flatnonzero(out | into)
         along_a, along_b = (dx * p[:, 0] + dy * p[:, 1] for p in (a, b))
@@ -204,7 +204,7 @@ class PrismObstacles:
         signed = np.where(out[crossed], 1.0, -1.0) * np.clip(place, low[at], high[at])
         share: Floats = np.maximum(np.bincount(at, signed, len(of)), 0.0)
         upright = np.flatnonzero((run[:, 0] == 0.0) & (run[:, 1] == 0.0))
-        if len(upright):  # nothing is crossed: the whole line has one place in the outline
+        if len(upright):  # no edge is crossed: the whole line is at one place in the outline
             share[upright] = np.where(self._holds(a, b, pair, len(of))[upright], (high - low)[upright], 0.0)
         return share
 
@@ -249,10 +249,10 @@ def _shrunk(ring: Array) -> Array:
     return np.asarray(ring + 2.0 * _SKIN_M * total / scale[:, None])
 
 
-SHEET_M = 0.01  # thickness of what has no inside: a mesh that is not closed, assumed
-_STEP_M = 1e-7  # aside, for a line through a corner
+SHEET_M = 0.01  # thickness of a mesh that is not closed, assumed
+_STEP_M = 1e-7  # displacement of a line through a corner
 _MESH_PAIRS = 1 << 16  # lines x triangles at a time
-_ASIDE = np.array([0.5377, 0.7241, 0.4319])  # where a line exactly through an edge is moved to: no mesh has this direction
+_ASIDE = np.array([0.5377, 0.7241, 0.4319])  # displacement of a line exactly through an edge: no mesh has this direction
 
 
 class MeshObstacles:
@@ -293,7 +293,7 @@ class MeshObstacles:
         return result
 
     def _inside(self, tx: Floats, rx: Floats) -> tuple[Floats, Array]:
-        """These lengths, and the lines with unequal numbers of entries and exits of closed meshes."""
+        """Lengths inside each mesh, and the lines with unequal numbers of entries and exits of closed meshes."""
         result, balance = np.zeros((2, len(rx), len(self.columns)))
         rows = max(1, _MESH_PAIRS // max(1, len(self._of)))
         for first in range(0, len(rx), rows):

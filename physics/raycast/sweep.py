@@ -27,7 +27,7 @@ class Fan(NamedTuple):
     sin: Array
     spread: Array  # (5, s), in beams: a full turn, middle of the beams from ahead, last beam; 1 / step, 1/rad; first among all
     reach: Array  # (s,) m, finite
-    own: Array  # (s,) row of the body that it does not see
+    own: Array  # (s,) row of its own body, which it does not see
     level: bool  # whether all planes are
 
     @property
@@ -36,7 +36,7 @@ class Fan(NamedTuple):
         return len(self.reach) == 1
 
     def of(self, values: Array, scanner: Array) -> Array:
-        """A parameter of each scanner, (..., s), repeated for things of these scanners."""
+        """A parameter of each scanner, (..., s), repeated for elements of these scanners."""
         return values if len(self.reach) == 1 else values.take(scanner, axis=-1)
 
 
@@ -48,7 +48,7 @@ class Segments(NamedTuple):
     y: Array  # (2, k) m, left
 
 
-_NEVER_ZERO = 1e-300  # added to what is divided by: changes nothing but a zero
+_NEVER_ZERO = 1e-300  # added to divisors: changes only zeros
 _STEEP = 0.02  # of the normal's z component: planes nearly upright are not cut; their beams are cast one by one
 _SEAM = 1e-9  # beams: segments reach this far beyond their ends, so that nothing passes between two that touch
 
@@ -84,7 +84,7 @@ def _floor(fan: Fan) -> Array:
     height = fan.origin[2]
     fall = fan.frame[:2, 2] / -np.where(height > 0.0, height, np.inf)
     ahead, left = fall if fan.single else np.repeat(fall, fan.beams, axis=1)
-    return np.asarray(np.maximum(ahead * fan.cos + left * fan.sin, 0.0) + 0.0)  # what is added makes 0 of -0
+    return np.asarray(np.maximum(ahead * fan.cos + left * fan.sin, 0.0) + 0.0)  # the sum turns -0 into 0
 
 
 def _draw(fan: Fan, segments: Segments, inverse: Array) -> None:
@@ -150,14 +150,14 @@ def _bodies(hulls: Hulls, fan: Fan, distance: Array) -> None:
     np.minimum.at(distance, beam, meet(hulls, body[pair], start.take(pair, axis=1), toward))
 
 
-_THIN = 1e-9  # m2: twice the area between scanner and segment; less is a view from the edge, without effect
+_THIN = 1e-9  # m2: twice the area between scanner and segment; a smaller area is an edge-on view, without effect
 _COORDINATES = [0, 0, 1, 1, 2, 2]  # of the rows of `PieceIndex.edges`
 
 
 def cut(pieces: PieceIndex, fan: Fan, scanners: Sequence[int]) -> Iterator[Segments]:
     """Sections of the solids within reach by the planes of some scanners: line segments from prisms and triangles.
 
-    The plane of a level scanner cuts everything at one height: whole sides, and neither roofs nor undersides.
+    The plane of a level scanner cuts all solids at one height: whole sides, and neither roofs nor undersides.
     """
     if not scanners:
         return
@@ -251,7 +251,7 @@ def _facets(pieces: PieceIndex, fan: Fan, triangles: Array, scanner: Array) -> S
 
 
 def _in_plane(fan: Fan, scanner: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Coordinates ahead and left of the scanner, in its plane, of points above or below (x, y) from it, world."""
+    """Coordinates (ahead, left) in the scanner's plane of the points above or below (x, y) from it, world."""
     (ax, ay, _), (bx, by, _) = fan.frame[:2]
     a, b, c, d = fan.of(np.array([by, bx, ax, ay]) / fan.frame[2, 2], scanner)
     return x * a - y * b, y * c - x * d

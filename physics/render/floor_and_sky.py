@@ -163,11 +163,11 @@ def lay(picture: Array, texture: Texture, corners: Array, pixels: Array, floor_f
         floor_from_pixel: (3, 3), see `View`.
     """
     low, high = pixels.min(axis=0), pixels.max(axis=0)
-    size = math.sqrt(max(cv2.contourArea(cv2.convexHull(pixels.astype(np.float32))), 1.0))  # of it in the picture, px
+    size = math.sqrt(max(cv2.contourArea(cv2.convexHull(pixels.astype(np.float32))), 1.0))  # of the target in the picture, px
     level = round(math.log2(max(texture[0].shape[0] / size, 1.0)))
     pixel_of = texture[min(level, len(texture) - 1)]
     edge = pixel_of.shape[0]
-    room = 1.0 + (high - low).max() / edge  # it fades out half a pixel of its own beyond its edges
+    room = 1.0 + (high - low).max() / edge  # it fades out half of its own pixel beyond its edges
     left, top = np.maximum(np.floor(low - room), 0).astype(int).tolist()
     right, bottom = np.minimum(np.ceil(high + room) + 1, picture.shape[1::-1]).astype(int).tolist()
     if left >= right or top >= bottom:

@@ -11,7 +11,7 @@ from vcmvsp.physics.render.floor_and_sky import ground, inverse_depth, levels_of
 from vcmvsp.physics.render.triangles import ScenePieces, Triangles, View, bodies, clipped, pieces_of, shown
 from vcmvsp.physics.world.world import Scene, World
 
-LARGE_PX = 6000  # a triangle in a rectangle of so many pixels is drawn here: about where both ways take as long
+LARGE_PX = 6000  # a triangle in a rectangle of so many pixels is drawn here: about where both ways take equally long
 
 
 class Buffers(NamedTuple):
@@ -24,9 +24,9 @@ class Buffers(NamedTuple):
     far: float
 
 
-NEAREST_M = 0.005  # along the optical axis: what is nearer is cut off
+NEAREST_M = 0.005  # along the optical axis: nearer parts are cut off
 
-_GUARD = 16.0  # triangles are cut off where they reach so many half pictures beyond the middle: float32 needs small numbers
+_GUARD = 16.0  # triangles are clipped at so many half pictures from the middle: float32 needs small numbers
 
 
 class Picture(NamedTuple):
@@ -42,9 +42,9 @@ def render(
     """Render a world and the bodies in it.
 
     Args:
-        world: all that stands still.
+        world: all static objects.
         view: of the camera.
-        scene: all that moves; None: nothing.
+        scene: all moving objects; None: none.
         without: row of the camera's own body, which is omitted; -1: none.
         depth: whether to compute the depth.
         time_s: time of the targets' places without a scene.
@@ -156,13 +156,13 @@ def _settings() -> cv2.TriangleRasterizeSettings:
 
 _SETTINGS = _settings()
 
-# The C library gives freed memory back to the system, to get it again page by page, as long as nothing large has been freed: a
-# picture of 640 x 480 would take twice as long. So something large is freed, of which no page was ever touched.
+# Until a large block has been freed, the C library returns freed memory to the system and gets it again page by page: a
+# picture of 640 x 480 would take twice as long. So a large block is freed here, of which no page was ever touched.
 np.empty(24 << 20, np.uint8)
 
 
 def _depth(view: View, triangles: Triangles, number: Array) -> Array:
-    """Depths from the planes of what was drawn: one over the depth is linear in the picture."""
+    """Depths from the planes of drawn triangles: one over the depth is linear in the picture."""
     inverse = inverse_depth(view)
     rows, columns = np.nonzero(number)
     normal = triangles.plane[:, :3]

@@ -11,7 +11,7 @@ from vcmvsp.physics.world.polygons import outward
 from vcmvsp.physics.world.solids import Shapes, color_of, prism_triangles
 from vcmvsp.physics.world.world import Light, Scene, World, made_once
 
-_CHUNK = 64  # triangles of a mesh that are looked up together
+_CHUNK = 64  # triangles of a mesh that form one piece
 _SIDES = 32  # of cylinders that move
 
 
@@ -49,13 +49,13 @@ class View(NamedTuple):
 class Triangles(NamedTuple):
     """Flat faces, seen from one side each."""
 
-    corner: Array  # (t, 3, 3) m, counter-clockwise seen from where they are visible
+    corner: Array  # (t, 3, 3) m, counter-clockwise seen from the visible side
     plane: Array  # (t, 4): unit normal n, and n . p of its points, m
     color: Array  # (t,) float32, see `packed`
-    face: Array  # (t,) int64, which convex face of its solid or body it belongs to: one number for each of all faces
+    face: Array  # (t,) int64, number of its convex face, unique among all solids and bodies
 
     def take(self, numbers: Array) -> "Triangles":
-        """Some of them."""
+        """Subset of the triangles."""
         return Triangles(*(each[numbers] for each in self))
 
 
@@ -67,7 +67,7 @@ class ScenePieces(NamedTuple):
     center: Array  # (m, 3) m, of a sphere around it
     radius: Array  # (m,) m
     block: Array  # (m,) bool, whether it is a prism with four walls that stands on the floor
-    walls: Array  # (m, 4, 3): their normals x, y to the outside, and n . p of their points, m
+    walls: Array  # (m, 4, 3): their outward normals x, y, and n . p of their points, m
     first: Array  # (m + 1,) int64, number of its first triangle
     triangles: Triangles
 
@@ -198,7 +198,7 @@ def _bodies(scene: Scene, rows: Array, kind: str) -> Triangles:
     count = len(rows) * len(unit)
     local = (unit * size[:, None, None]).reshape(len(rows), 3 * len(unit), 3)
     corner = (local @ turn.swapaxes(1, 2) + hulls.centre[rows, None]).reshape(count, 3, 3)
-    normal = normals / size[:, None]  # as normals of a scaled shape are
+    normal = normals / size[:, None]  # normals of a scaled shape
     normal = (normal @ turn.swapaxes(1, 2)).reshape(count, 3)
     normal /= np.sqrt((normal * normal).sum(axis=1))[:, None]
     colors = np.array([scene.hulls[row].color for row in rows.tolist()], float).repeat(len(unit), axis=0)
@@ -207,7 +207,7 @@ def _bodies(scene: Scene, rows: Array, kind: str) -> Triangles:
     return Triangles(corner, plane, color, -1 - (rows[:, None] * (_SIDES + 2) + face).reshape(count))
 
 
-_FEWEST = 48  # pieces: of fewer it is quicker to draw all
+_FEWEST = 48  # pieces: with fewer it is faster to draw all
 _BLOCKS = 8  # buildings tested as occluders
 _GAP_M = 0.05  # a nearer building is no occluder: part of it may be clipped
 _MARGIN_M = 0.001
@@ -227,9 +227,9 @@ def shown(pieces: ScenePieces, near: Array, view: View) -> Array:
         return near
     (low, high), eye = (pieces.low[near], pieces.high[near]), view.eye
     corners = np.concatenate([[low[:, 0], high[:, 0], high[:, 0], low[:, 0]], [low[:, 1], low[:, 1], high[:, 1], high[:, 1]]])
-    plan = corners.reshape(2, -1).T - eye[:2]  # (4 n, 2): the four corners of each behind those of all
+    plan = corners.reshape(2, -1).T - eye[:2]  # (4 n, 2): the first corners of all, then the second corners, and so on
     speed = np.einsum("pc,kec->ekp", plan, pieces.walls[number, :, :2])  # to the outside of each wall, along each line
-    speed[speed == 0.0] = -1e-300  # a line along a wall: it is outside all the way, or never
+    speed[speed == 0.0] = -1e-300  # a line along a wall is entirely outside or inside
     when = where.T[:, :, None] / speed
     enter = np.where(speed < 0.0, when, 0.0).max(axis=0)
     leave = np.where(speed > 0.0, when, 1.0).min(axis=0)

@@ -19,8 +19,8 @@ from vcmvsp.physics.world.world import Moving, World
 _FOV = 0.7  # rad
 _FROM = (0.5, -0.87)  # direction of the viewer: south-east, as sides to the east and south differ in brightness
 _ELEVATION = 0.72  # rad
-_AROUND_M = 3.0  # so much around the origin is drawn where a world has neither bounds nor a ground picture
-_FINER = 2  # a picture is taken so many times larger and then averaged: smooth edges
+_AROUND_M = 3.0  # drawn area around the origin for a world without bounds and ground picture
+_FINER = 2  # pictures are rendered larger by this factor and then averaged: smooth edges
 
 
 class Drawing(NamedTuple):
@@ -256,13 +256,13 @@ def _ticks(first: float, length: float, step: float) -> list[float]:
 
 
 def round_step(metres: float) -> float:
-    """The next larger of ..., 0.5, 1, 2, 5, 10, ..."""
+    """Round up to one of ..., 0.5, 1, 2, 5, 10, ..."""
     power: float = 10.0 ** math.floor(math.log10(metres))
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= 0.999 * metres)
 
 
 def text(picture: Array, words: str, column: int, row: int, size: float, *, middle: bool = False, end: bool = False) -> None:
-    """Write into a picture: dark with a light edge, for any background."""
+    """Write text into a picture: dark with a light edge, for any background."""
     (width, _), _ = cv2.getTextSize(words, _FONT, size, 1)
     column -= width // 2 if middle else width if end else 0
     for right, down in ((-1, 0), (1, 0), (0, -1), (0, 1)):

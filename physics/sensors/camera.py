@@ -18,7 +18,7 @@ from vcmvsp.physics.world.world import Scene
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=8192)]
 Angle = Annotated[float, msgspec.Meta(gt=0, lt=math.pi)]
 
-LOWEST_M = 0.005  # the floor is solid: a camera that is held into it, or tipped over, lies on it
+LOWEST_M = 0.005  # minimum height: a camera pressed into the solid floor, or tipped over, lies on it
 
 _BODY_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along the body x axis, upright
 
@@ -65,7 +65,7 @@ class Camera(Sensor):
         return np.asarray(about_z @ about_y @ about_x @ _BODY_FROM_CAMERA)
 
     def view(self, scene: Scene, row: int) -> View:
-        """Its view from a vehicle."""
+        """View of the camera on a vehicle."""
         eye = scene.point(row, self.mount).copy()
         eye[2] = max(eye[2], LOWEST_M)
         turned = scene.rotation(row) @ self.body_from_camera

@@ -14,7 +14,7 @@ from vcmvsp.physics.raycast.line_of_sight import sightline_of
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.world.world import Scene, World
 
-_FLOOR_M = 0.01  # what touches the world below this height touches the floor
+_FLOOR_M = 0.01  # contacts with the world below this height are contacts with the floor
 
 
 @dataclass(kw_only=True)
@@ -91,7 +91,7 @@ class NeighbourRange(Sensor):
         return np.asarray(self._draws[:, self._next - 1])
 
 
-MOST_ACROSS = 2_000  # cells of one look: it takes half a second
+MOST_ACROSS = 2_000  # cells of one look, which takes half a second
 
 
 @dataclass(kw_only=True)

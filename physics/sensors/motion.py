@@ -88,7 +88,7 @@ class InertialUnit(Sensor):
         self._limits = np.repeat([self.accelerometer_limit, self.gyroscope_limit], 3)
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Imu:
-        """Readings of all six."""
+        """Readings of all six channels."""
         x, y, z = scene.acceleration[row].tolist()
         force = (x, y, z + scene.gravity) @ scene.rotation(row)
         read = self._errors.read(np.concatenate([force, scene.angular_velocity[row]]), scene.now_ns, rng)
@@ -126,7 +126,7 @@ class WheelOdometry(Sensor):
         self._last: tuple[int, float, float] | None = None  # ns; encoder readings, rad
 
     def misfit(self, model: object) -> str:
-        """Without wheels."""
+        """Reason to refuse a vehicle: it has no wheels."""
         return "" if hasattr(model, "wheel_radius_m") and hasattr(model, "track_m") else _NO_WHEELS
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Odometry:

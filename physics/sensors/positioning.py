@@ -17,7 +17,7 @@ from vcmvsp.physics.world.world import Scene, World
 class Positioning:
     """Independent Gaussian errors of x, y and yaw at every fix, and rare outliers.
 
-    The defaults are those of an ultra-wideband system indoors such as the one of Toh 2012: about 0.15 m.
+    The defaults suit an ultra-wideband system indoors, such as that of Toh 2012: about 0.15 m.
     """
 
     rate_hz: Rate = 10.0  # fixes a second
@@ -64,9 +64,9 @@ class Gps(Sensor):
     """Position of an antenna, without heading.
 
     Each coordinate errs by a Gauss-Markov process (satellite geometry, ionosphere, slow multipath) and by white noise (see
-    `Noise`). The defaults are those of a low-cost receiver without correction: 2.5 m within which half of the
-    fixes lie (u-blox NEO-M8 data sheet) is 2.1 m in each horizontal coordinate, nearly all of it slow; heights err about 1.5
-    times as much. A fix contains the standard deviation of both errors together.
+    `Noise`). The defaults describe a low-cost receiver without correction: half of the fixes lie within 2.5 m (u-blox NEO-M8
+    data sheet), which is 2.1 m in each horizontal coordinate, nearly all of it slow; heights err about 1.5 times as much. A fix
+    contains the standard deviation of both errors together.
     """
 
     rate_hz: Rate = 5.0  # readings a second; receivers give 1 to 10
@@ -93,23 +93,23 @@ class Gps(Sensor):
         return Fix(time_ns=scene.now_ns, position=(x + dx, y + dy, z), sigma_m=sigma_m, sigma_z_m=sigma_z_m)
 
 
-_TINY_M = 1e-6  # stands for no error at all where errors are compared
+_TINY_M = 1e-6  # replaces an error of zero when errors are compared
 
 
 @dataclass(kw_only=True)
 class Uwb(Sensor):
     """Position of a tag, without heading.
 
-    Reflections from solids nearby, and what the direct path passes through, make ranges too long, never too short (D. Dardari
+    Reflections from solids nearby, and obstacles on the direct path, make ranges too long, never too short (D. Dardari
     et al., Ranging with ultrawide bandwidth signals in multipath environments, Proceedings of the IEEE 97, 2009).
 
     Without ``anchors`` the error is the same everywhere except near solids: there the fix is pushed away from the nearest one,
     by ``wall_bias_m`` at its face and linearly less up to ``wall_reach_m`` from it.
 
     With ``anchors`` the range to each of them errs by ``sigma_m``, by that bias, and by ``blocked_bias_m`` where a solid stands
-    between; the fix errs by what a least-squares solution, linear about the truth, makes of these and of a height that is known
-    to ``sigma_z_m`` beforehand. So geometry dilutes the precision, outside of the anchors most of all, and the standard
-    deviations that a fix tells are the diluted ones (R. B. Langley, Dilution of precision, GPS World 10(5), 1999).
+    between; the error of the fix follows from a least-squares solution, linear about the truth, with these ranges and a prior
+    height of standard deviation ``sigma_z_m``. So geometry dilutes the precision, most of all outside of the anchors; a fix
+    contains the diluted standard deviations (R. B. Langley, Dilution of precision, GPS World 10(5), 1999).
     """
 
     sigma_m: NonNegative = 0.15  # standard deviation of x and of y, or of a range, m; 0.1 to 0.3 are usual indoors

@@ -19,8 +19,8 @@ Beams = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 Opening = Annotated[float, msgspec.Meta(gt=0, le=6.2832)]
 Tilt = Annotated[float, msgspec.Meta(ge=-1.5708, le=1.5708)]
 
-_FULL = math.tau - 1e-4  # as good as a full turn: 6.2832 is what people write
-_AT_ONCE = 16384  # beams: more in one call save no more time
+_FULL = math.tau - 1e-4  # larger angles count as a full turn: scenarios contain 6.2832
+_AT_ONCE = 16384  # beams: larger calls save no more time
 
 
 @dataclass(kw_only=True)
@@ -99,7 +99,7 @@ class RangeScanner(Sensor):
     def measure_all(
         cls, sensors: Sequence[Self], scene: Scene, rows: Sequence[int], rngs: Sequence[np.random.Generator]
     ) -> list[Reading]:
-        """Equal scans to the last bit in less time."""
+        """Scans of several scanners, equal to the last bit, in less time."""
         ranges = true_ranges(sensors, scene, rows)
         return [sensor.scan(each, scene.now_ns, rng) for sensor, each, rng in zip(sensors, ranges, rngs, strict=True)]
 

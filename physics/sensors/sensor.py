@@ -1,6 +1,6 @@
 """Base of all sensors: timing and readings.
 
-An own sensor:
+Example of a user-defined sensor:
 
 ::
 
@@ -92,7 +92,7 @@ class Errors:
         self._wanders, self._strays, self._steps = self._drift_sd.any(), self._probability.any(), self._quantum.any()
         self._drift = np.zeros(len(channels))
         self._last_ns: int | None = None
-        self._dt_ns = -1  # for which the next two hold
+        self._dt_ns = -1  # for which the next two are valid
         self._decay = self._kick = np.zeros(len(channels))
 
     def read(self, truth: Array, now_ns: int, rng: np.random.Generator) -> Array:

@@ -1,12 +1,12 @@
-"""The vehicles that a scenario can name, as sets of parameters; the engines know how each set moves.
+"""Vehicle models that a scenario can name, as sets of parameters; the engines implement their motion.
 
-Where a vehicle is means its reference point: the middle of the wheel axle, projected onto the floor; the centre of mass of one
-that flies. Rotors of a quadrotor are in plus configuration: in front (+x), left (+y), behind, right; front and back turn
-counter-clockwise seen from above, so that their drag turns the body clockwise. Vehicles from a user's own files are in
-`physics.vehicles.urdf`. Sources:
+The position of a vehicle is that of its reference point: the middle of the wheel axle, projected onto the floor; the centre of
+mass of an aerial vehicle. Rotors of a quadrotor are in plus configuration: in front (+x), left (+y), behind, right; front and
+back turn counter-clockwise seen from above, so that their drag turns the body clockwise. Vehicles from a user's own files are
+in `physics.vehicles.urdf`. Sources:
 
 * p2dx.p, amigo.p: robot parameter files of ARIA (ActivMedia/MobileRobots), where the effective track is 2 / DiffConvFactor.
-* Stage: the vehicle definitions of the Player/Stage simulator. Gazebo: those of the Gazebo simulator.
+* Stage, Gazebo: vehicle definitions of the Player/Stage and of the Gazebo simulator.
 * AMRISim: vehicle definitions of the USARSim family. MobileSim: simulator of the makers of both robots.
 * Manuals: masses and wheel radii of the makers' manuals as commonly quoted; not verified on a robot.
 * Duffy: measurements of an F330 frame with 8 inch propellers on owenduffy.net: 0.86 kg ready to fly; 190 g of thrust from
@@ -50,7 +50,7 @@ class GroundVehicle:
 
     @property
     def hull(self) -> Hull:
-        """A cylinder on the floor."""
+        """Hull: a cylinder on the floor."""
         return Hull((2.0 * self.radius_m, 2.0 * self.radius_m, self.height_m), (0.0, 0.0, 0.5 * self.height_m), "cylinder")
 
 
@@ -68,15 +68,15 @@ class Lag(GroundVehicle):
 
     @property
     def servo(self) -> Servo:
-        """Lags without limits."""
+        """Motion as a point with lags, without limits."""
         return Servo(self.tau_v_s, self.tau_w_s)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inertial(Lag):
-    """`Lag` with the limits of a small robot: those of an AmigoBot in MobileSim (0.75 m/s, 0.3 and 0.75 m/s2).
+    """`Lag` with the limits of a small robot, an AmigoBot in MobileSim (0.75 m/s, 0.3 and 0.75 m/s2).
 
-    ``accel`` limits a growing and ``decel`` a falling forward speed; these vehicles are not for driving backwards.
+    ``accel`` limits a growing and ``decel`` a falling forward speed; these vehicles are not meant to drive backwards.
     """
 
     accel: Positive = 0.3  # m/s2, of a growing forward speed
@@ -87,7 +87,7 @@ class Inertial(Lag):
 
     @property
     def servo(self) -> Servo:
-        """Lags within limits."""
+        """Motion as a point with lags, within limits."""
         limits = (self.accel, self.decel, self.yaw_accel, self.max_speed, self.max_yaw_rate)
         return Servo(self.tau_v_s, self.tau_w_s, *limits)
 
@@ -130,7 +130,7 @@ class DifferentialDrive(GroundVehicle):
 
     @property
     def hull(self) -> Hull:
-        """A box on the floor, with the wheels in it."""
+        """Hull: a box on the floor that contains the wheels."""
         return Hull((self.length_m, self.width_m, self.height_m), (-self.axle_ahead_m, 0.0, 0.5 * self.height_m))
 
 
@@ -201,7 +201,7 @@ class Point:
 
     @property
     def hull(self) -> Hull:
-        """A cylinder around its position."""
+        """Hull: a cylinder around its position."""
         return Hull((2.0 * self.radius_m, 2.0 * self.radius_m, self.height_m), kind="cylinder")
 
 
@@ -245,7 +245,7 @@ class Quadrotor:
 
     @property
     def hull(self) -> Hull:
-        """The cylinder around it."""
+        """Hull: a cylinder around its centre of mass."""
         return Hull((2.0 * self.radius_m, 2.0 * self.radius_m, self.height_m), kind="cylinder")
 
     @property

@@ -21,24 +21,24 @@ class Vehicle(Protocol):
 
     @property
     def radius_m(self) -> float:
-        """Of the circle that stands for it in drawings, m."""
+        """Radius of its circle in drawings, m."""
 
     @property
     def height_m(self) -> float:
-        """From its lowest to its highest point, m."""
+        """Height from its lowest to its highest point, m."""
 
     @property
     def hull(self) -> Hull:
-        """Its outer shape, for sensors and contacts of other vehicles."""
+        """Outer shape, for sensors and contacts of other vehicles."""
 
 
 def flies(model: Vehicle | type[Vehicle]) -> bool:
-    """Whether a model, or all of a class, takes commands of vehicles in the air."""
+    """Whether a model, or a class of models, takes commands of aerial vehicles."""
     return issubclass(model if isinstance(model, type) else type(model), Point | Quadrotor)
 
 
 def body_of(model: Vehicle) -> Body:
-    """Room of a vehicle, for its agent."""
+    """Size of a vehicle's body, for its agent."""
     (length, width, _), (dx, dy, _), kind = model.hull[:3]
     aside, round_m = 0.5 * width + abs(dy), 0.5 * length + math.hypot(dx, dy)
     if kind != "cylinder":

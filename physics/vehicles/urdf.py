@@ -90,7 +90,7 @@ class UrdfDrive(GroundVehicle):
 class UrdfQuadrotor(Quadrotor):
     """A quadrotor with the mass and inertia of a URDF file, in which all joints count as fixed; the rest are parameters.
 
-    ``mass_kg`` and ``inertia`` come from the file. The hull is a cylinder all the same.
+    ``mass_kg`` and ``inertia`` come from the file. The hull is a cylinder as for `Quadrotor`.
     """
 
     file: FileName  # of the URDF, in a scenario relative to its folder

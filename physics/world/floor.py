@@ -1,4 +1,4 @@
-"""Floor of a world as it looks (a colour, a picture, marks), and targets of searches that lie on it."""
+"""Appearance of the floor of a world (a colour, a picture, marks), and targets of searches on it."""
 
 import math
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ class Mark(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             raise ValueError("a mark needs one of: outline (three points or more), line (two or more), radius (> 0), picture")
 
     def points(self) -> Array:
-        """Corners of its outline, (k, 2) m; of a picture counter-clockwise from its upper right."""
+        """Corners of the mark's outline, (k, 2) m; of a picture counter-clockwise from its upper right."""
         if self.outline or self.line:
             return np.array(self.outline or self.line, float)
         half_length, half_width = (self.radius, self.radius) if self.radius else (0.5 * self.size[0], 0.5 * self.size[1])
@@ -153,7 +153,7 @@ def _stick(pixels: Array, picture: Array, corners: Array) -> None:
         return
     height, width = picture.shape[:2]
     shrink = max(width / max(math.dist(corners[0], corners[1]), 1.0), height / max(math.dist(corners[1], corners[2]), 1.0))
-    if shrink > 1.0:  # pixels that fall together are averaged first
+    if shrink > 1.0:  # coinciding pixels are averaged first
         less = max(1, round(width / shrink)), max(1, round(height / shrink))
         picture = cv2.resize(picture, less, interpolation=cv2.INTER_AREA)
         height, width = picture.shape[:2]
@@ -216,7 +216,7 @@ class PlacedTarget:
     loop: bool = False  # it goes round
 
     def place(self, time_s: float) -> Point2:
-        """Its middle at a time, x, y, m."""
+        """Middle of the target at a time, x, y, m."""
         if len(self.way) == 1:
             return self.way[0]
         corners, run = self._corners, self.speed * max(time_s, 0.0)
@@ -226,7 +226,7 @@ class PlacedTarget:
         return x, y
 
     def yaw(self, time_s: float) -> float:
-        """Its yaw at a time, rad."""
+        """Yaw of the target at a time, rad."""
         return self.yaw_rad
 
     @cached_property

@@ -34,7 +34,7 @@ def overlap_m(a: Array, b: Array) -> float:
 
 def area_m2(outline: Array) -> float:
     """Area of a polygon, (k, 2) m; negative if it runs clockwise."""
-    x, y = (outline - outline[0]).T  # far from the origin, too, without loss
+    x, y = (outline - outline[0]).T  # without loss of precision far from the origin
     return float(0.5 * (x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
 
 
@@ -96,7 +96,7 @@ class _Edges:
         return one, other
 
     def inside(self, point: Array, without: int) -> bool:
-        """Whether an odd number of edges, without one ring, lies east of a point."""
+        """Whether a point is inside, ignoring one ring: an odd number of edges lies east of it."""
         a, b = self.start[self._ring != without] - point, self.end[self._ring != without] - point
         above = (a[:, 1] > 0.0) != (b[:, 1] > 0.0)
         a, b = a[above], b[above]

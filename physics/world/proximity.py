@@ -10,7 +10,7 @@ from vcmvsp.physics.world.polygons import overlap_m
 from vcmvsp.physics.world.solids import Group, Shapes
 
 _STRETCH = 32  # places of a way that share a bounding box
-_AT_ONCE = 256  # stretches that are looked at place by place in one go
+_AT_ONCE = 256  # stretches that are measured place by place at once
 _GAPS_AT_ONCE = 1 << 20  # of boxes, which bounds the memory that they take
 
 
@@ -66,7 +66,7 @@ class Clearance:
         """`least_m` of stretches (b, k, 3) m and some pieces."""
         low, high = stretches.min(axis=1)[:, :, None], stretches.max(axis=1)[:, :, None]
         gaps = _gaps(low, high, self._low[:, pieces], self._high[:, pieces])
-        below_m = self._measured(pieces[gaps.argmin(axis=1)], stretches[:, 0], below_m)  # nearly all others drop out
+        below_m = self._measured(pieces[gaps.argmin(axis=1)], stretches[:, 0], below_m)  # excludes nearly all others
         stretch, piece = np.nonzero(gaps < below_m * below_m)
         gap = gaps[stretch, piece]
         order = np.argsort(gap)

@@ -20,7 +20,7 @@ _Level = Annotated[int, msgspec.Meta(ge=0, le=255)]
 Color = tuple[_Level, _Level, _Level]  # red, green, blue
 Point2 = tuple[float, float]
 
-_SAGITTA_M = 0.002  # a cylinder's polygon is nowhere further inside the circle than this, as long as 64 corners do
+_SAGITTA_M = 0.002  # greatest distance of a cylinder's polygon inside its circle, if 64 corners are enough
 _FEWEST, _MOST = 16, 64
 
 MATERIAL_COLORS: dict[str, Color] = {
@@ -34,8 +34,8 @@ MATERIAL_COLORS: dict[str, Color] = {
 }
 """What solids look like that name no colour of their own."""
 
-_PLAIN: Color = (176, 176, 176)  # of a material that is not among them
-_BROWN: Color = (120, 100, 80)  # of bodies that name no colour
+_PLAIN: Color = (176, 176, 176)  # of an unlisted material
+_BROWN: Color = (120, 100, 80)  # of bodies without a colour
 
 
 class Upright(NamedTuple):
@@ -75,7 +75,7 @@ class Box(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_fiel
 
     @property
     def words(self) -> str:
-        """Its kind and place, for messages."""
+        """Kind and place of the box, for messages."""
         return f"the box at {self.center}, size {self.size}"
 
     @property
@@ -84,7 +84,7 @@ class Box(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_fiel
         return Hull(self.size, color=self.color or _BROWN)
 
     def uprights(self) -> list[Upright]:
-        """Itself."""
+        """The box as one prism."""
         (x, y, z), (length, width, height) = self.center, self.size
         corners = rectangle(x, y, 0.5 * length, 0.5 * width, self.yaw_rad)
         return [Upright(corners, z - 0.5 * height, z + 0.5 * height)]
@@ -104,7 +104,7 @@ class Cylinder(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag
 
     @property
     def words(self) -> str:
-        """Its kind and place, for messages."""
+        """Kind and place of the cylinder, for messages."""
         return f"the cylinder at {self.center}, radius {self.radius:g}, height {self.height:g}"
 
     @property
@@ -113,7 +113,7 @@ class Cylinder(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag
         return Hull((2.0 * self.radius, 2.0 * self.radius, self.height), kind="cylinder", color=self.color or _BROWN)
 
     def uprights(self) -> list[Upright]:
-        """A regular polygon inside the circle."""
+        """Prism over a regular polygon inside the circle."""
         x, y, z = self.center
         sides = max(_FEWEST, min(math.ceil(math.pi / math.acos(1.0 - min(_SAGITTA_M / self.radius, 0.5))), _MOST))
         angles = math.tau * np.arange(sides) / sides
@@ -137,11 +137,11 @@ class Prism(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     @property
     def words(self) -> str:
-        """Its kind and place, for messages."""
+        """Kind and place of the prism, for messages."""
         return f"the prism of {len(self.outline)} corners, the first at {self.outline[0]}"
 
     def uprights(self) -> list[Upright]:
-        """Its convex parts."""
+        """Convex parts of the prism."""
         return [Upright(part, self.bottom, self.bottom + self.height) for part in convex_parts(self.outline, self.holes)]
 
 
@@ -162,7 +162,7 @@ class Mesh:
 
     @property
     def words(self) -> str:
-        """Its kind and size, for messages."""
+        """Kind and size of the mesh, for messages."""
         return f"the mesh of {len(self.triangles)} triangles"
 
     def uprights(self) -> list[Upright]:

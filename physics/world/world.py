@@ -139,7 +139,7 @@ class World:
 
     @cached_property
     def shapes(self) -> Shapes:
-        """Its solids in pieces."""
+        """Solids of the world in pieces."""
         return shapes_of(self.solids)
 
     def mesh(self) -> tuple[Array, Array]:
@@ -154,7 +154,7 @@ class World:
 
     @cached_property
     def clearance(self) -> Clearance:
-        """Distances to its solids."""
+        """Distances to the solids of the world."""
         return Clearance(self.shapes)
 
     @cached_property
@@ -184,7 +184,7 @@ class World:
     def blocking(self, corners: Array, bottom: float, top: float) -> tuple[AnySolid, float] | None:
         """The solid that a body overlaps most, and the way out of it, m; None: no overlap.
 
-        ``corners`` (k, 2) m are those of its convex outline from above, counter-clockwise; ``bottom`` and ``top`` m.
+        ``corners`` (k, 2) m of its convex outline from above, counter-clockwise; ``bottom`` and ``top`` m.
         """
         deepest = self._blocking.deepest(corners, bottom, top)
         return None if deepest is None else (self.solids[deepest[0]], deepest[1])
@@ -196,7 +196,7 @@ def made_once(make: Callable[[World], T]) -> Callable[[World], T]:
 
     @wraps(make)
     def cached(world: World) -> T:
-        cache: dict[str, Any] = vars(world)  # as a cached property does
+        cache: dict[str, Any] = vars(world)  # like a cached property
         if name not in cache:
             cache[name] = make(world)
         result: T = cache[name]
@@ -256,7 +256,7 @@ class Scene:
 
     @cached_property
     def placed_hulls(self) -> Hulls:
-        """The hulls in the world."""
+        """Hulls of all bodies, in the world frame."""
         half, offset, around, radius = _sizes(self.hulls)
         rotation = rotation_columns(self.attitude.T)
         centre = self.position + (rotation * offset).sum(axis=1).T
@@ -265,7 +265,7 @@ class Scene:
 
 @lru_cache(maxsize=1)
 def _sizes(hulls: tuple[Hull, ...]) -> tuple[Array, Array, Array, Array]:
-    """Half sizes and offsets (3, b) m, cylinders (b,) bool and radii (b,) m: the bodies of a run stay the same."""
+    """Half sizes and offsets (3, b) m, cylinders (b,) bool, radii (b,) m; cached: the bodies of a run stay the same."""
     size = np.array([hull.size for hull in hulls]).reshape(-1, 3).T
     offset = np.array([hull.offset for hull in hulls]).reshape(-1, 3).T
     around = np.array([hull.kind == "cylinder" for hull in hulls], bool)

@@ -46,7 +46,7 @@ class Laboratory(Surroundings):
             raise ScenarioError(f"must be at least {_LEAST_TILE_M:g} m, not {self.tile:g}: joints are 1 cm wide", key="tile")
 
     def build(self) -> World:
-        """The world itself."""
+        """Build the world."""
         solids = [*_walls(), *(part for x in _COLUMNS for y in _ROWS for part in _place(x, y))]
         half_length, half_width = 0.5 * LENGTH, 0.5 * WIDTH
         bounds = (-half_length, -half_width, half_length, half_width)

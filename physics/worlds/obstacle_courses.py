@@ -1,4 +1,4 @@
-"""Small worlds with something in the way: gates, a pillar, a corridor."""
+"""Small worlds with obstacles: gates, a pillar, a corridor."""
 
 import math
 from dataclasses import dataclass
@@ -42,11 +42,11 @@ class Gates(Surroundings):
             raise ScenarioError("says where all gaps are, so that offset says nothing; leave one of them out", key="offsets")
 
     def middles(self) -> tuple[float, ...]:
-        """Of the gaps, y m."""
+        """Middles of the gaps, y m."""
         return self.offsets or tuple(self.offset * (-1.0) ** gate for gate in range(self.number))
 
     def build(self) -> World:
-        """The world itself."""
+        """Build the world."""
         solids = []
         for gate, middle in enumerate(self.middles()):
             x = self.spacing * (gate + 1)
@@ -74,7 +74,7 @@ class Pillar(Surroundings):
     height: Positive = 3.0  # of the pillar, m
 
     def build(self) -> World:
-        """The world itself."""
+        """Build the world."""
         center, edge = (*self.position, 0.5 * self.height), 2.0 * self.radius
         pillar: AnySolid = Cylinder(center=center, radius=self.radius, height=self.height)
         if self.square:
@@ -114,7 +114,7 @@ class Corridor(Surroundings):
         return np.cumsum(np.concatenate([[[self.start, 0.0]], steps]), axis=0)
 
     def build(self) -> World:
-        """The world itself.
+        """Build the world.
 
         Raises:
             ScenarioError: the corridor would run into itself.
@@ -141,6 +141,6 @@ class Corridor(Surroundings):
         """A line at a distance to the left of the middle line, m, mitred at the bends."""
         headings = np.concatenate([[0.0], np.cumsum(self.bends)])
         before, after = np.append(headings, headings[-1]), np.concatenate([headings[:1], headings])
-        half = 0.5 * (after - before)  # at each corner, what is still to turn from the one to the other
+        half = 0.5 * (after - before)  # at each corner, half of the turn
         across = 0.5 * (before + after) + 0.5 * math.pi
         return np.asarray(self.middle() + (left / np.cos(half))[:, None] * np.column_stack([np.cos(across), np.sin(across)]))

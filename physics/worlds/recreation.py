@@ -51,7 +51,7 @@ class RecreationCentre(Surroundings):
     seed: Seed = 0  # of the trees' sizes and places
 
     def build(self) -> World:
-        """The world itself."""
+        """Build the world."""
         halls = [Box(center=center, size=size, material=material, color=color) for center, size, material, color in _HALLS]
         bounds = (-0.5 * LENGTH, -0.5 * WIDTH, 0.5 * LENGTH, 0.5 * WIDTH)
         solids: list[AnySolid] = [*halls, *_trees(self.trees, self.seed)]

@@ -95,7 +95,7 @@ class Empty(Surroundings):
     bounds: Bounds | None = None  # west, south, east, north end, m: vehicles start inside; None: no end
 
     def build(self) -> World:
-        """The world itself."""
+        """Build the world."""
         return self.complete("empty", ground=self.ground, bounds=self.bounds)
 
 
@@ -106,5 +106,5 @@ class Boxes(Empty):
     boxes: tuple[Box, ...] = field()  # required here
 
     def build(self) -> World:
-        """The world itself."""
+        """Build the world."""
         return self.complete("boxes", ground=self.ground, bounds=self.bounds)

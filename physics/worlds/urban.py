@@ -28,7 +28,7 @@ _ROOFS: tuple[Color, ...] = (
 )
 _ROOF_M = 0.5  # thickness of a roof
 _STEPPED = 0.35  # of the higher buildings have a narrower upper part
-MOST_LOTS = 20_000  # they take some seconds to build
+MOST_LOTS = 20_000  # building them takes some seconds
 MOST_M = 100_000.0  # along an edge: the lines of its streets are marks of 3 m each
 _TRIES = 1000  # to find a free place for a target
 
@@ -75,7 +75,7 @@ class Urban(Surroundings):
         return [pitch * (k - 0.5 * (number - 1)) for k in range(number)]
 
     def build(self) -> World:
-        """The world itself."""
+        """Build the world."""
         rng = stream(self.seed or 0, "urban")
         solids: list[Box] = []
         blocks, parks = [], []

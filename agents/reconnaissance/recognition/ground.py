@@ -133,7 +133,7 @@ def frame(
     places: Sequence[Point] | None = None,
     angles: Sequence[float] | None = None,
 ) -> SyntheticFrame:
-    """One picture: targets (and five likenesses of the first) anywhere, any way round, wholly inside unless places are given.
+    """One picture with targets and five likenesses of the first, placed and rotated at random, wholly inside unless given.
 
     Places are px of the picture; angles rad, counter-clockwise.
     """

@@ -77,7 +77,7 @@ def differential_drive(client: int, m: DifferentialDrive, position: Vec3, headin
         linkJointAxis=[(0.0, 1.0, 0.0)] * 2,
         physicsClientId=client,
     )
-    # Inertia: the body as a solid box about its middle, a wheel as a disc. Bullet's defaults are those of the shapes.
+    # Inertia: the body as a solid box about its middle, a wheel as a disc. Bullet's defaults come from the shapes.
     sides = ((m.width_m, hull_height), (m.length_m, hull_height), (m.length_m, m.width_m))
     box = tuple(base_mass / 12.0 * (u * u + v * v) for u, v in sides)
     across, axle = 0.25 * m.wheel_mass_kg * m.wheel_radius_m**2, 0.5 * m.wheel_mass_kg * m.wheel_radius_m**2
@@ -96,7 +96,7 @@ def finish(client: int, body: int, *, wheels: Sequence[int], wheel_friction: flo
         p.setCollisionFilterGroupMask(body, link, group, mask, physicsClientId=client)
 
 
-HEAVY_KG = 1e6  # of a body that follows a path: nothing stops it, and unlike a body without mass it wakes the bodies it meets
+HEAVY_KG = 1e6  # of a body on a path: nothing stops it, and unlike a body without mass it wakes the bodies that it meets
 _LEAST_FRICTION = 1e-6  # as good as none
 _FALLS_ASLEEP = 0.01  # m2/s2: a movable slower than this for 2 s is left out of the steps until something touches it
 

@@ -32,8 +32,8 @@ class BulletEngine(Engine):
         rate_hz: Bullet steps a second; ``advance`` goes to the nearest step.
         iterations: of the constraint solver in each step.
         gravity: m/s2, downwards.
-        accelerations: whether to compute those of ground robots; else they are zero.
-        external: the external vehicles among all, of any model.
+        accelerations: whether to compute accelerations of ground robots; else they are zero.
+        external: the external vehicles among ``vehicles``, of any model.
     """
 
     stepped = True
@@ -190,7 +190,7 @@ _FLOOR = 0  # the first body of all
 
 
 class ContactFinder:
-    """Finds contacts of vehicles: ``bodies`` of the vehicles by row, ``others`` in the rows behind them.
+    """Finds contacts of vehicles: ``bodies`` of the vehicles by row, ``others`` in the rows after them.
 
     Bodies in ``jointed`` count with all links, others with the base alone.
     """

@@ -216,7 +216,7 @@ class SolidsMap:
         return np.asarray((i[:, None] * self._shape[1] + j)[beyond <= reach])
 
     def near(self, position: Array, margin: Array) -> Array:
-        """Whether a solid may lie within ``margin`` (n,) m of places (n, 3) m; margins beyond `REACH_M` always say so."""
+        """Whether a solid may lie within ``margin`` (n,) m of places (n, 3) m; always True for margins beyond `REACH_M`."""
         if self._empty:
             return np.zeros(len(position), bool)
         cell = np.floor((position[:, :2] - self._origin) / self._size).astype(int)
@@ -224,7 +224,7 @@ class SolidsMap:
         place = np.where(inside, cell[:, 0] * self._shape[1] + cell[:, 1], 0)
         count = np.where(inside, self._count[place], 0)
         result = margin > REACH_M
-        rows = np.repeat(np.arange(len(position)), count)  # one for each piece to be looked at
+        rows = np.repeat(np.arange(len(position)), count)  # one for each piece to check
         if len(rows):
             nth = np.arange(len(rows)) - np.repeat(np.cumsum(count) - count, count)
             piece = self._pieces[self._first[place[rows]] + nth]
