@@ -168,7 +168,7 @@ def _summary(errors: Array, inside: Array) -> dict[str, float | None]:
 
 
 def _settling_s(time_ns: Array, errors: Array) -> float | None:
-    """The first recorded instant after which no error exceeds `SETTLED_M`; an error that ends keeps its last value."""
+    """The first recorded instant from which no error exceeds `SETTLED_M`; an error that ends keeps its last value."""
     measured = np.any(np.isfinite(errors), axis=0)
     instants = np.arange(errors.shape[1])
     last = np.maximum.accumulate(np.where(np.isfinite(errors), instants, 0), axis=1)  # the newest measured instant
@@ -303,7 +303,7 @@ def reformed_s(noted: Noted, settled: Mapping[str, float | None]) -> float | Non
     """Longest time (s) from the leader's lane becoming free until its whole team had settled.
 
     None if no lane was ever narrow, or if a team has not formed again: its lane stays narrow, a member has not settled
-    (``settled``, s, by leader), or the team kept its narrow shape to the end.
+    (``settled``, s, by leader), or the team kept the shape of the narrow lane to the end.
     """
     taken = []
     for leader, settled_s in settled.items():

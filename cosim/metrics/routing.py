@@ -81,7 +81,7 @@ class Routing:
         known, frames = np.array(self._frames, np.int64).reshape(-1, 2), numbers(radio, "frame")
         place = np.full(1 + max(known[:, 0].max(initial=-1), frames.max(initial=-1)), -1)
         place[known[:, 0]] = known[:, 1]
-        of = place[frames]  # -1: an aborted run reports some messages never
+        of = place[frames]  # -1: an aborted run never reports some messages
         origin, to, fate = (messages[row][of].astype(np.int32) for row in (0, 1, 4))
         columns = (
             name_column(self._names, origin),

@@ -172,7 +172,7 @@ def _age(run: MeasuredRun) -> Iterator[Expected]:
 
 
 def _renewal(p: float) -> tuple[float, float, float]:
-    """For gaps G in periods: mean; roots of n times the variance of the mean of n gaps, and of the mean age."""
+    """For gaps G in periods: mean; roots of n times the variance, over n gaps, of the mean age and of the mean gap."""
     g = np.arange(1.0, min(_LONGEST, 2.0 + (40.0 / -math.log(p) if p > 0.0 else 0.0)))
     share = (1.0 - p) * p ** (g - 1.0)
     mean, square = float(share @ g), float(share @ g**2)

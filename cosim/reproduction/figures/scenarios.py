@@ -127,7 +127,7 @@ def lossy(probability: float = 0.0, delay_s: float = 0.0) -> dict[str, Any]:
 
 
 def place_of(agent: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Where a follower's parameters put it in its leader's frame, x and y in m, and the length of its handle, m.
+    """Slot of a follower in its leader's frame, x and y in m, and the length of its handle, m.
 
     For a follower with a step, the slot after the step.
     """

@@ -93,7 +93,7 @@ class Live:
         self._listened_ns, self._alone = 0, False
 
     def on_instant(self, now_ns: int) -> None:
-        """Read orders if that is due: a clock other than `LiveClock` does not."""
+        """Read orders if `LISTEN_NS` have passed: a clock other than `LiveClock` does not read them."""
         if time.monotonic_ns() - self._listened_ns >= LISTEN_NS:
             self.listen()
 
