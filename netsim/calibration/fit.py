@@ -1,7 +1,6 @@
 """Calibration: path loss, shadowing, walls and fading from a measured log (``vcmvsp calibrate LINKS.csv``).
 
-Start reading here: `read_links` gives the log, `fit` the numbers; `netsim.calibration.likelihood` has the model and
-`netsim.calibration.likelihood` says how it is fitted.
+`read_links` reads the log, `fit` estimates the parameters; the statistical model is in `netsim.calibration.likelihood`.
 """
 
 import math
@@ -34,10 +33,10 @@ from vcmvsp.netsim.calibration.result import Calibration, ParameterEstimate
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.walls import Sightline
 
-MOST_ROWS = 1000  # that are fitted: the work grows with the third power
+MOST_ROWS = 1000  # fitted rows: the cost grows with the third power of their number
 MODELS = {INDEPENDENT: "independent", CORRELATED: "correlated", WITH_FADING: "correlated, fading"}
-_WEAKER = 0.05  # share of the received rows that may be weaker than the sensitivity, which is no sharp edge in any radio
-_SCOUTS = 300  # rows that the search for a start looks at
+_WEAKER = 0.05  # largest share of received rows below the sensitivity: real radios have no sharp threshold
+_SCOUTS = 300  # rows in the search for starting values
 
 
 def fit(
@@ -48,22 +47,22 @@ def fit(
     sensitivity_dbm: float | None = None,
     sightline: Sightline | None = None,
 ) -> Calibration:
-    """The mean model that makes a log most likely, with standard errors.
+    """Fit the mean model to a log by maximum likelihood, with standard errors.
 
-    Three models of the variation are fitted: rows independent; a shadowing field; a field, and fading that is independent in
-    every row. Standard errors come from the observed information of the joint likelihood of all rows: that many rows near
-    each other tell less than as many apart is in it. Intervals of level, exponent and walls are those of Student's t
-    with Satterthwaite's degrees of freedom (F. Satterthwaite, Biometrics Bulletin 2, 1946).
+    Three models of the variation are fitted: independent rows; a shadowing field; a shadowing field and independent fading.
+    Standard errors come from the observed information of the joint likelihood of all rows, so they account for correlation of
+    neighbouring rows. Intervals of level, exponent and walls use Student's t with Satterthwaite's degrees of freedom
+    (F. Satterthwaite, Biometrics Bulletin 2, 1946).
 
     Args:
-        links: the log; of more than `MOST_ROWS` rows a sample is fitted.
-        tx_power_dbm: what was sent, antenna gains included.
-        reference_distance_m: where the level is stated; nearer than that it stays the same.
-        sensitivity_dbm: the level below which a frame is lost; by default the least level that was received.
-        sightline: the walls; the loss of each material that is crossed is fitted.
+        links: the log; a sample of it if it has more than `MOST_ROWS` rows.
+        tx_power_dbm: transmitted power, antenna gains included.
+        reference_distance_m: distance of the reference level; the level is constant below it.
+        sensitivity_dbm: the level below which a frame is lost; None: the lowest received level.
+        sightline: the walls; the loss of each crossed material is fitted.
 
     Raises:
-        UsageError: the rows do not tell these numbers.
+        UsageError: the rows do not determine the parameters.
     """
     if links.lost.all():
         raise UsageError("no row was received: there is no level to fit")
@@ -87,7 +86,7 @@ def fit(
         return Survey.between(some.a, some.b, sensitivity_dbm=sensitivity_dbm, **levels)
 
     survey = survey_of(np.arange(len(used.lost)))
-    with threadpool_limits(1):  # threads that share small matrices on a busy machine wait for each other most of the time
+    with threadpool_limits(1):  # small matrices: threads would mostly wait for each other
         models = _models(survey, scouts=survey_of(sample(used, _SCOUTS)))
         order = _choose(models, survey.nearest_m)
         best, naive = models[order], models[INDEPENDENT]
@@ -125,7 +124,7 @@ def fit(
 
 
 def calibrate_file(path: Path, **options: Any) -> tuple[MeasuredLinks, Calibration]:
-    """The rows of a log file and their `fit` with these options; errors name the file."""
+    """Read a log file and `fit` it with these options; errors name the file."""
     links = read_links(path)
     try:
         return links, fit(links, **options)
@@ -134,7 +133,7 @@ def calibrate_file(path: Path, **options: Any) -> tuple[MeasuredLinks, Calibrati
 
 
 def _models(survey: Survey, scouts: Survey) -> dict[int, FittedModel]:
-    """The models of the variation, by their number of parameters; where to begin is sought with few rows, the scouts."""
+    """Fitted models of the variation, by number of parameters; ``scouts``: few rows, to search for starting values."""
     independent = maximise(survey, np.array([np.mean(survey.limits[0])]))
     scale = independent.parameters[0]
     starts = [np.array([scale, reach, share]) for reach in np.linspace(*survey.limits[1], 7)[:-1] for share in (-2.0, 0.0)]
@@ -145,10 +144,10 @@ def _models(survey: Survey, scouts: Survey) -> dict[int, FittedModel]:
 
 
 def _choose(models: dict[int, FittedModel], nearest_m: Floats) -> int:
-    """Which model: correlated if that has the less AIC; with fading, if the rows allow telling it, whether much or little.
+    """Select a model: correlated if its AIC is lower; with fading if the rows can separate it from shadowing.
 
-    They do if a quarter of them have a neighbour within the correlation distance. A test whether there is any would give
-    weak fading away as a short correlation distance.
+    They can if a quarter of them have a neighbour within the correlation distance. A significance test of the fading would
+    turn weak fading into a short correlation distance.
     """
     told = np.quantile(nearest_m, 0.25) < math.exp(models[WITH_FADING].parameters[1])
     order = WITH_FADING if told else CORRELATED
@@ -166,11 +165,11 @@ def _without(survey: Survey, columns: Sequence[int], best: FittedModel) -> float
 def _variation(
     best: FittedModel, spacing_m: float
 ) -> tuple[ParameterEstimate | None, ParameterEstimate | None, ParameterEstimate | None]:
-    """Shadowing, its correlation distance, and fading."""
+    """Estimates of shadowing, correlation distance and fading; None: not part of the model."""
     logs, slopes = spreads(best.parameters)
     errors = [_error(slope, best.parameters_spread) for slope in slopes]
     spread = [ParameterEstimate.positive(math.exp(log), error) for log, error in zip(logs.tolist(), errors, strict=True)]
-    if len(best.parameters) == INDEPENDENT:  # which is it? At one place, what differs is not the place
+    if len(best.parameters) == INDEPENDENT:  # variation at one place is fading
         return (None, None, spread[0]) if spacing_m == 0.0 else (spread[0], None, None)
     reach = ParameterEstimate.positive(
         math.exp(best.parameters[1]), _error(np.eye(len(best.parameters))[1], best.parameters_spread)
@@ -183,9 +182,9 @@ def _error(slope: Floats, spread: Floats) -> float:
     return math.sqrt(slope[counts] @ spread[np.ix_(counts, counts)] @ slope[counts])
 
 
-_ROWS = 1500  # of which all pairs are looked at
+_ROWS = 1500  # largest number of rows whose pairs are all evaluated
 _PARTS = 24  # intervals of displacement
-_PAIRS = 30  # that an interval needs to be shown
+_PAIRS = 30  # least number in an interval of the figure
 
 
 def figure_data(links: MeasuredLinks, calibration: Calibration, sightline: Sightline | None) -> dict[str, Any]:
@@ -222,7 +221,7 @@ def figure_data(links: MeasuredLinks, calibration: Calibration, sightline: Sight
 
 
 def _correlogram(links: MeasuredLinks, residual: Floats, far_m: float) -> tuple[Floats, Floats]:
-    """Correlation of the residuals of received rows by how far the ends moved, both (k,)."""
+    """Displacements of both ends, and correlations of the residuals of received rows there, (k,) each."""
     rows = np.flatnonzero(~links.lost)
     received = links.only(rows)
     deviation = residual[rows] - residual[rows].mean()

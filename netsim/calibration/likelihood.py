@@ -1,21 +1,20 @@
-"""How likely measured levels are, and the parameters that make them most likely.
+"""Likelihood of measured levels, and its maximisation.
 
-Rows are not taken as independent. All of them have one joint likelihood: of the received ones a normal density, of the lost
-ones, given those, the probability of being below the sensitivity (J. Tobin, Econometrica 26, 1958; correlated: `below`).
-Pairwise composite likelihood would save the n^3 operations, but it wastes information, and its standard errors need
-independent replicates of the whole field, which no survey has.
+Rows are correlated and have one joint likelihood: the normal density of the received rows times the probability, given these,
+that the lost rows are below the sensitivity (J. Tobin, Econometrica 26, 1958; for correlated rows: `below`). Pairwise composite
+likelihood would avoid the n^3 operations, but wastes information, and its standard errors need independent replicates of the
+whole field, which surveys do not have.
 
-The covariance is fitted by restricted likelihood (H. Patterson, R. Thompson, Biometrika 58, 1971), where the coefficients beta
-of the mean are integrated out: otherwise sigma would be too small by what the mean has taken up.
+The covariance is fitted by restricted likelihood (H. Patterson, R. Thompson, Biometrika 58, 1971), which integrates out the
+coefficients beta of the mean: plain maximum likelihood would underestimate sigma.
 
-The covariance: the level of row i, between a and b at distance r, is::
+The level of row i, between points a and b at distance r, is::
 
     y_i = X_i beta + S_i + e_i,   S ~ N(0, sigma^2 R),   e_i ~ N(0, tau^2), independent
 
     R_ij = (exp(-(|a a'| + |b b'|) / d) + exp(-(|a b'| + |b a'|) / d)) / sqrt((1 + exp(-2 r / d)) (1 + exp(-2 r' / d)))
 
-R is the correlation of `netsim.propagation.shadowing.Shadowing`, the same in both directions; e is fading and the error of
-measurement.
+R is the correlation of `netsim.propagation.shadowing.Shadowing`, equal in both directions; e is fading and measurement error.
 """
 
 import math
@@ -27,11 +26,11 @@ import numpy as np
 
 from vcmvsp.netsim.interfaces.layers import Bools, Floats
 
-# The fading's share of the variance is weakly expected at 0.12, within 0.003 and 0.87: its logit is normal with these. Without,
-# the likelihood of short surveys often has its top at no fading at all, where nothing says how little is known of it.
+# Weak prior of the fading's share of the variance: a normal logit, median 0.12, 95 % within 0.003 and 0.87. Without it, short
+# surveys often have their maximum at zero fading, where the curvature does not show the uncertainty.
 _LOGIT, _LOGIT_SIGMA = -2.0, 2.0
 _STEP = 1e-3  # of finite differences in the parameters, which are logarithms
-_TOLD = 1e-2  # least curvature by which a parameter counts as told: a standard error of a factor e^10
+_TOLD = 1e-2  # least curvature of a determined parameter: a standard error of a factor e^10
 
 _TOLERANCE = 1e-7  # of the log probability of lost rows, between two sweeps
 _SWEEPS = 300
@@ -40,9 +39,9 @@ _FAINT = 1e-10  # least precision of a site, in units of the prior's
 
 @dataclass(frozen=True)
 class Survey:
-    """n measured rows, as the likelihood needs them."""
+    """Arrays of n measured rows for the likelihood."""
 
-    level_dbm: Floats  # (n,); whatever where lost
+    level_dbm: Floats  # (n,); any value where lost
     lost: Bools  # (n,)
     sensitivity_dbm: float
     design: Floats  # X, (n, p)
@@ -58,22 +57,22 @@ class Survey:
 
     @property
     def moved_m(self) -> Floats:
-        """How far both ends together moved between two rows, whichever way round, (n, n)."""
+        """Sum of both ends' displacements between two rows, in the orientation that makes it shorter, (n, n) m."""
         moved: Floats = np.minimum(self.straight_m, self.swapped_m)
         return moved
 
     @property
     def nearest_m(self) -> Floats:
-        """How far both ends together moved between each row and the one nearest to it, (n,)."""
+        """`moved_m` from each row to its nearest other row, (n,) m."""
         nearest: Floats = (self.moved_m + np.diag(np.full(len(self.lost), math.inf))).min(axis=1)
         return nearest
 
     @property
     def limits(self) -> list[tuple[float, float]]:
-        """Least and greatest of the three parameters that such rows can tell anything of."""
+        """Bounds of the three parameters within which the rows are informative."""
         moved = self.moved_m
         nearest = moved[moved > 1e-9].min(initial=math.inf)
-        least = nearest / 3.0 if math.isfinite(nearest) else 1.0  # two rows that are 0.05 alike are as good as independent
+        least = nearest / 3.0 if math.isfinite(nearest) else 1.0  # rows with a correlation of 0.05 are as good as independent
         received = self.level_dbm[~self.lost]
         spread = math.log(max(1e-6, float(received.var())))
         return [
@@ -111,7 +110,7 @@ def covariance(survey: Survey, parameters: Floats) -> tuple[Floats, list[Floats]
 
 
 def spreads(parameters: Floats) -> tuple[Floats, Floats]:
-    """Logarithms of sigma and tau (of one spread only, unless there is fading), (s,), and their derivatives, (s, k)."""
+    """Logarithms of sigma and tau (without fading: of one spread), (s,), and their derivatives, (s, k)."""
     if len(parameters) < WITH_FADING:
         return 0.5 * parameters[:1], 0.5 * np.eye(1, len(parameters))
     share = 1.0 / (1.0 + math.exp(-parameters[2]))
@@ -120,13 +119,13 @@ def spreads(parameters: Floats) -> tuple[Floats, Floats]:
 
 
 def moved_m(a: Floats, b: Floats) -> Floats:
-    """How far both ends together moved between two of n rows, whichever way round, (n, n)."""
+    """Sum of both ends' displacements between two of n rows, in the orientation that makes it shorter, (n, n) m."""
     moved: Floats = np.minimum(*_moves_m(a, b))
     return moved
 
 
 def _moves_m(a: Floats, b: Floats) -> tuple[Floats, Floats]:
-    """The same each way: |a a'| + |b b'|, and with the ends of one row swapped |a b'| + |b a'|, (n, n) each."""
+    """Displacements in both orientations: |a a'| + |b b'| and, with one row's ends swapped, |a b'| + |b a'|, (n, n) each."""
     cross = _apart(a, b)
     return _apart(a, a) + _apart(b, b), cross + cross.T
 
@@ -139,7 +138,7 @@ def _apart(a: Floats, b: Floats) -> Floats:
 
 
 class LikelihoodPoint(NamedTuple):
-    """The restricted likelihood at given parameters, and what follows for the mean."""
+    """Restricted likelihood at given parameters, and the resulting estimate of the mean."""
 
     log_likelihood: float
     gradient: Floats  # (k,) by the parameters
@@ -148,14 +147,14 @@ class LikelihoodPoint(NamedTuple):
 
 
 class FittedModel(NamedTuple):
-    """The most likely parameters. What the rows do not tell has an infinite variance."""
+    """Maximum-likelihood estimate; a parameter that the rows do not determine has infinite variance."""
 
     parameters: Floats  # (k,)
     parameters_spread: Floats  # covariance, (k, k): inverse of the observed information
     coefficients: Floats  # beta, (p,)
-    coefficients_spread: Floats  # covariance, (p, p): with what is not known of the parameters
+    coefficients_spread: Floats  # covariance, (p, p), uncertainty of the parameters included
     freedom: Floats  # degrees of freedom of each coefficient's standard error, (p,)
-    log_likelihood: float  # not restricted, at this point: comparable between means
+    log_likelihood: float  # unrestricted, at this point: comparable between models of the mean
 
     @property
     def aic(self) -> float:
@@ -164,12 +163,12 @@ class FittedModel(NamedTuple):
 
 
 def aic_of(numbers: int, log_likelihood: float) -> float:
-    """Akaike's information criterion of a model with so many fitted numbers (H. Akaike, 1974): less is better."""
+    """Akaike's information criterion of a model with ``numbers`` fitted parameters (H. Akaike, 1974): lower is better."""
     return 2.0 * (numbers - log_likelihood)
 
 
 def maximise(survey: Survey, start: Floats) -> FittedModel:
-    """The most likely parameters, sought from ``start``, (k,); their number says which model."""
+    """Maximise the restricted likelihood from ``start``, (k,); the number of parameters selects the model."""
     best = climb(survey, start)
     limits = np.array(survey.limits[: len(best)])
     inside = (best > limits[:, 0] + 1e-3) & (best < limits[:, 1] - 1e-3)
@@ -187,7 +186,7 @@ def maximise(survey: Survey, start: Floats) -> FittedModel:
     spread[np.ix_(told, told)] = axes / np.maximum(curvature, _TOLD) @ axes.T
 
     point = restricted(survey, best)
-    # R. Kackar, D. Harville, JASA 79, 1984: beta is fitted with parameters that are themselves fitted.
+    # R. Kackar, D. Harville, JASA 79, 1984: variance of beta due to estimated parameters.
     carried = drift[told].T @ spread[np.ix_(told, told)] @ drift[told]
     unsure = np.einsum("kp,kl,lp->p", swing[told], spread[np.ix_(told, told)], swing[told])  # variance of the variance
     freedom = 2.0 / np.maximum(unsure / np.diagonal(point.spread) ** 2, 2e-9)
@@ -196,7 +195,7 @@ def maximise(survey: Survey, start: Floats) -> FittedModel:
 
 
 def climb(survey: Survey, start: Floats) -> Floats:
-    """The most likely parameters, (k,), alone."""
+    """Maximum-likelihood parameters, (k,), without standard errors."""
     from scipy.optimize import minimize
 
     def descent(parameters: Floats) -> tuple[float, Floats]:
@@ -210,7 +209,7 @@ def climb(survey: Survey, start: Floats) -> Floats:
 
 
 def restricted(survey: Survey, parameters: Floats) -> LikelihoodPoint:
-    """The restricted likelihood at parameters (k,), with beta integrated out over all values."""
+    """Restricted likelihood at parameters (k,), with beta integrated out over all values."""
     from scipy.linalg.lapack import dpotri
 
     total, derivatives = covariance(survey, parameters)
@@ -219,7 +218,7 @@ def restricted(survey: Survey, parameters: Floats) -> LikelihoodPoint:
     likelihood = received.log_density - 0.5 * np.linalg.slogdet(received.precision)[1]
     likelihood += 0.5 * X.shape[1] * math.log(2.0 * math.pi)
     level, extra = survey.level_dbm.copy(), np.zeros(len(lost))
-    if lost.any():  # given the received rows; then they count as the measurements that say the same
+    if lost.any():  # conditional on the received rows; then replaced by equivalent measurements
         unknown = X[lost] - received.across.T @ received.design
         spread = received.left + unknown @ np.linalg.solve(received.precision, unknown.T)
         sites = below(received.expected, spread, survey.sensitivity_dbm)
@@ -242,7 +241,7 @@ def restricted(survey: Survey, parameters: Floats) -> LikelihoodPoint:
 
 
 def log_likelihood(survey: Survey, parameters: Floats, coefficients: Floats) -> float:
-    """The likelihood of the rows at parameters (k,), with these coefficients of the mean, (p,)."""
+    """Log likelihood of the rows at parameters (k,) and coefficients of the mean, (p,)."""
     received = _Received(survey, covariance(survey, parameters)[0], coefficients)
     likelihood = received.log_density
     if survey.lost.any():
@@ -251,7 +250,7 @@ def log_likelihood(survey: Survey, parameters: Floats, coefficients: Floats) -> 
 
 
 class _Received:
-    """The received rows, as independent ones of variance 1, and what they say of the lost ones."""
+    """Received rows, whitened to unit variance, and the conditional distribution of the lost rows."""
 
     def __init__(self, survey: Survey, total: Floats, coefficients: Floats | None = None) -> None:
         from scipy.linalg import solve_triangular
@@ -273,10 +272,10 @@ class _Received:
 
 
 class Censored(msgspec.Struct, frozen=True):
-    """What being below the bound says of m values.
+    """Information in the observation that m values are below a bound.
 
-    ``level`` and ``variance`` are the sites: the m measurements with noise that say the same about the values as being below
-    the bound does. Whoever takes them for measurements has the gradient of ``log_probability`` (Seeger 2005).
+    ``level`` and ``variance`` are the sites: m noisy measurements that are equivalent to the observation. The gradient of
+    ``log_probability`` is that of these measurements (Seeger 2005).
     """
 
     log_probability: float
@@ -289,18 +288,18 @@ def below(mean: Floats, covariance: Floats, bound: float) -> Censored:
 
     Expectation propagation (T. Minka, UAI 2001; for the form in cavities C. Rasmussen and C. Williams, Gaussian Processes for
     Machine Learning, 2006, section 3.6; for boxes J. Cunningham, P. Hennig, S. Lacoste-Julien, arXiv:1111.6832): each
-    one-sided bound is replaced by the normal factor that leaves mean and variance of its value right, given the other
-    factors. Exact for independent values. All factors are renewed at once; a step that would leave a factor without a proper
-    remainder is halved, and steps that go to and fro are shortened.
+    one-sided bound is replaced by the normal factor that gives its value the right mean and variance, given the other
+    factors. Exact for independent values. All factors are updated at once; a step that would leave an improper cavity is
+    halved, and oscillating steps are shortened.
 
     Args:
         mean: (m,).
         covariance: (m, m), positive definite.
-        bound: the same for all.
+        bound: common to all values.
     """
     from scipy.linalg import solve_triangular
 
-    mean = mean - bound  # counted from there, no digits are lost
+    mean = mean - bound  # relative to the bound: no cancellation
     count, prior = len(mean), np.diagonal(covariance)
     precision, shift = np.zeros(count), np.zeros(count)  # of the sites; shift = precision x level
     toward_precision, toward_shift, step, last = np.zeros(count), np.zeros(count), 1.0, -math.inf
@@ -325,7 +324,7 @@ def below(mean: Floats, covariance: Floats, bound: float) -> Censored:
         local = log_mass + _log_partition(cavity, cavity_variance) - _log_partition(posterior, variance)
         joint = 0.5 * ((shift - precision * posterior) @ mean + posterior @ shift) - np.log(np.diagonal(factor)).sum()
         total = float(local.sum() + joint)
-        if total - last < 0.0 < change:  # to and fro
+        if total - last < 0.0 < change:  # oscillation
             most *= 0.7
         change, last = total - last, total
         if abs(change) < _TOLERANCE:
@@ -337,25 +336,25 @@ def below(mean: Floats, covariance: Floats, bound: float) -> Censored:
 
 
 def _log_partition(mean: Floats, variance: Floats) -> Floats:
-    """Of a normal density in natural parameters, without constants."""
+    """Log partition function of a normal density in natural parameters, without constants."""
     partition: Floats = 0.5 * mean * mean / variance + 0.5 * np.log(variance)
     return partition
 
 
 def _truncated(mean: Floats, variance: Floats) -> tuple[Floats, Floats, Floats]:
-    """Log mass below 0, mean and variance of normal values there, each (m,)."""
+    """Log probability that normal values are below 0, and their mean and variance there, (m,) each."""
     from scipy.special import erfcx, log_ndtr
 
     sigma = np.sqrt(variance)
     h = -mean / sigma
     ratio = math.sqrt(2.0 / math.pi) / erfcx(-h / math.sqrt(2.0))  # density / mass at h (inverse Mills ratio)
-    far = h < -50.0  # where the difference would lose its digits
+    far = h < -50.0  # cancellation
     left = np.where(far, 1.0 / np.where(far, h, 1.0) ** 2, 1.0 - ratio * (ratio + h))
     log_mass: Floats = log_ndtr(h)
     return log_mass, mean - sigma * ratio, np.maximum(variance * left, 1e-12 * variance)
 
 
-_NUGGET = 1e-6  # share of the variance that is independent at least, so that rows at one place do not contradict each other
+_NUGGET = 1e-6  # least independent share of the variance: rows at one place stay consistent
 _SHARE = 7.0  # greatest |logit| of the independent share
 
 # Models, by the number of parameters: log(sigma^2 + tau^2), then log d, then logit(tau^2 / (sigma^2 + tau^2)).

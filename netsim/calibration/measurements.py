@@ -34,23 +34,23 @@ class MeasuredLinks(msgspec.Struct, frozen=True):
 
     @property
     def distance_m(self) -> Floats:
-        """From a to b, (n,)."""
+        """Distance from a to b, (n,) m."""
         distance: Floats = np.sqrt(((self.a - self.b) ** 2).sum(axis=1))
         return distance
 
     def only(self, rows: NDArray[np.intp]) -> "MeasuredLinks":
-        """Some of the rows, by their numbers (m,)."""
+        """The rows with these numbers, (m,)."""
         return MeasuredLinks(self.time_s[rows], self.a[rows], self.b[rows], self.level_dbm[rows])
 
 
 def read_links(path: Path) -> MeasuredLinks:
     """Read a CSV file with the columns time, ax, ay, az, bx, by, bz, rssi_dbm and perhaps received: s, m and dBm.
 
-    Others may stand beside them, in any order. A row is lost where ``received`` is 0 or false; without that column, where
-    ``rssi_dbm`` is empty or nan.
+    The order of columns is free; other columns are ignored. A row is lost if ``received`` is 0 or false; without that column,
+    if ``rssi_dbm`` is empty or nan.
 
     Raises:
-        UsageError: that names the file, the line and what is allowed.
+        UsageError: invalid file; the message names the file, the line and the allowed values.
     """
     lines = read_cells(path)
     _, header = next(lines, (0, []))
@@ -66,7 +66,7 @@ def read_links(path: Path) -> MeasuredLinks:
 
 
 def _rows(path: Path, header: list[str], lines: Iterable[tuple[int, list[str]]]) -> Iterator[list[float]]:
-    """Of each line, the values of `COLUMNS`."""
+    """The values of `COLUMNS` in each line."""
     for number, cells in lines:
         where = f"{path} line {number}"
         if len(cells) != len(header):
@@ -99,10 +99,10 @@ def _received(where: str, row: dict[str, str]) -> bool:
 
 
 def sample(links: MeasuredLinks, most: int) -> NDArray[np.intp]:
-    """Numbers of at most so many rows: half of them spread evenly over the log, and the nearest neighbour of each.
+    """Numbers of at most ``most`` rows: half of them spread evenly over the log, and the nearest neighbour of each.
 
-    Spread rows tell of the mean, near ones of correlation and fading (P. Diggle, S. Lophaven, Bayesian geostatistical design,
-    Scandinavian Journal of Statistics 33, 2006). What is left out adds little: it shares the shadowing of what is taken.
+    Spread rows determine the mean, near rows correlation and fading (P. Diggle, S. Lophaven, Bayesian geostatistical design,
+    Scandinavian Journal of Statistics 33, 2006). Other rows add little: they share the shadowing of the sample.
     """
     from scipy.spatial import cKDTree
 
@@ -111,14 +111,14 @@ def sample(links: MeasuredLinks, most: int) -> NDArray[np.intp]:
         return np.arange(count)
     parts = np.linspace(0.0, count, most // 2 + 1)
     spread = (parts[:-1] + np.diff(parts) * stream(0, "calibrate/sample").random(most // 2)).astype(int)  # one of each part
-    ends = np.concatenate([np.hstack([links.a, links.b]), np.hstack([links.b, links.a])])  # both ways round
+    ends = np.concatenate([np.hstack([links.a, links.b]), np.hstack([links.b, links.a])])  # both orientations
     near = np.asarray(cKDTree(ends).query(ends[spread], k=2)[1])
-    near %= count  # a row whose ends are at one point may find itself twice, and then stands alone
+    near %= count  # a row with both ends at one point may be its own neighbour
     return np.union1d(spread, np.where(near[:, 0] == spread, near[:, 1], near[:, 0]))
 
 
 def crossings(links: MeasuredLinks, sightline: Sightline) -> tuple[Floats, list[str]]:
-    """How many walls of each material each row crosses, (n, m), and the materials, of walls that are crossed at all."""
+    """Number of walls of each material on each row's path, (n, m), and these materials, without materials on no path."""
     crossed = np.zeros((len(links.a), len(sightline.materials)))
     start, group = np.unique(links.a, axis=0, return_inverse=True)
     for index, point in enumerate(start):
@@ -130,22 +130,22 @@ def crossings(links: MeasuredLinks, sightline: Sightline) -> tuple[Floats, list[
 
 
 def design_of(links: MeasuredLinks, reference_distance_m: float, sightline: Sightline | None) -> tuple[Floats, list[str]]:
-    """What the level at the reference distance, the exponent and each material's loss are multiplied with, (n, 2 + m)."""
+    """Design matrix of reference level, exponent and each material's loss, (n, 2 + m), and the materials."""
     ratio = np.maximum(links.distance_m, reference_distance_m) / reference_distance_m
     walls, materials = (np.zeros((len(ratio), 0)), []) if sightline is None else crossings(links, sightline)
     return np.column_stack([np.ones(len(ratio)), -10.0 * np.log10(ratio), -walls]), materials
 
 
 def require_told(links: MeasuredLinks, design: Floats, materials: Sequence[str]) -> None:
-    """Refuse rows that leave a coefficient of the mean open.
+    """Reject rows that do not determine a coefficient of the mean.
 
     Args:
         links: n rows.
-        design: as of `design_of`, (n, 2 + m).
-        materials: of its last m columns.
+        design: see `design_of`, (n, 2 + m).
+        materials: of the last m columns of ``design``.
 
     Raises:
-        UsageError: which coefficient it is, and what to measure.
+        UsageError: the message names the coefficient and what to measure.
     """
     received = design[~links.lost]
     if len(received) < design.shape[1] + 2:

@@ -1,4 +1,4 @@
-"""What a calibration found, as numbers, as a table of a scenario, and in words."""
+"""Result of a calibration: estimates, scenario table and text summary."""
 
 import math
 from typing import Any, Self
@@ -11,17 +11,17 @@ _NAKAGAMI = (0.1, 1000.0)  # shapes that `netsim.propagation.fading.Nakagami` ta
 
 
 class ParameterEstimate(msgspec.Struct, frozen=True):
-    """A number and how well it is known."""
+    """Estimate of a parameter, and its uncertainty."""
 
     value: float
-    standard_error: float  # infinite: the rows do not tell it
+    standard_error: float  # infinite: the rows do not determine it
     low: float  # 95 % interval
     high: float
-    naive_error: float | None = None  # the standard error as it would be if all rows were independent
+    naive_error: float | None = None  # standard error if all rows were independent
 
     @classmethod
     def of_mean(cls, value: float, standard_error: float, naive_error: float, freedom: float = math.inf) -> Self:
-        """Of a coefficient of the mean, whose standard error has so many degrees of freedom."""
+        """Estimate of a coefficient of the mean; ``freedom``: degrees of freedom of its standard error."""
         from scipy.special import stdtrit
 
         margin = _WITHIN if freedom > 1e6 else float(stdtrit(max(1.0, freedom), 0.975))
@@ -30,7 +30,7 @@ class ParameterEstimate(msgspec.Struct, frozen=True):
 
     @classmethod
     def positive(cls, value: float, relative_error: float) -> Self:
-        """Of a spread or a length, whose logarithm is nearer to normal."""
+        """Estimate of a spread or a length, whose logarithm is nearer to normal."""
         if not math.isfinite(relative_error):
             return cls(value, math.inf, 0.0, math.inf)
         factor = math.exp(min(_WITHIN * relative_error, 700.0))
@@ -38,7 +38,7 @@ class ParameterEstimate(msgspec.Struct, frozen=True):
 
 
 class Calibration(msgspec.Struct, frozen=True, kw_only=True):
-    """The radio's mean model that makes a measured log most likely.
+    """Maximum-likelihood mean model of a measured log.
 
     ``level = level_dbm - 10 exponent log10(max(d, reference_distance_m) / reference_distance_m) - walls - shadowing - fading``
     """
@@ -46,24 +46,22 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     level_dbm: ParameterEstimate  # Pd0, at the reference distance
     exponent: ParameterEstimate
     walls_db: dict[str, ParameterEstimate]  # per wall, by material
-    shadowing_db: (
-        ParameterEstimate | None
-    )  # standard deviation; None: the level varies, but as much at one place as between places
-    correlation_distance_m: ParameterEstimate | None  # None: rows are independent, as near as they are
+    shadowing_db: ParameterEstimate | None  # standard deviation; None: the level varies as much at one place as between places
+    correlation_distance_m: ParameterEstimate | None  # None: rows are independent at all measured distances
     fading_db: (
         ParameterEstimate | None
-    )  # standard deviation at one place, error of measurement included; None: not told from shadowing
+    )  # standard deviation at one place, measurement error included; None: not separated from shadowing
     tx_power_dbm: float
     reference_distance_m: float
     sensitivity_dbm: float | None  # None: no row was lost
     rows: int
-    used: int  # rows that were fitted: of a long log a sample
-    lost: int  # of those
+    used: int  # fitted rows: of a long log a sample
+    lost: int  # lost rows among the fitted ones
     spacing_m: float  # from a row to its nearest neighbour, both ends together; median
     log_likelihood: float
-    aic: dict[str, float]  # Akaike's information criterion of this model and others: less is better
+    aic: dict[str, float]  # Akaike's information criterion of this model and others: lower is better
     model: str  # which of them this is
-    unexplained: int  # lost rows whose mean level is more than 3 deviations above the sensitivity: lost to something else?
+    unexplained: int  # lost rows whose mean level is more than 3 deviations above the sensitivity: probably another cause
 
     @property
     def deviation_db(self) -> float:
@@ -71,10 +69,10 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
         return math.hypot(*(each.value for each in (self.shadowing_db, self.fading_db) if each is not None))
 
     def table(self) -> dict[str, Any]:
-        """The ``[radio]`` table of a scenario that has this radio: path_loss, shadowing, walls and fading, where found.
+        """The ``[radio]`` table of a scenario with this radio: path_loss, shadowing, walls and fading, as far as estimated.
 
         Fading is given as Nakagami's distribution with the same variance in dB, ``(10 / ln 10)^2 psi'(m)``. Its mean power is
-        1, so that its mean in dB, ``10 / ln 10 (psi(m) - ln m)``, is below 0; ``reference_loss_db`` makes up for that.
+        1, so its mean in dB, ``10 / ln 10 (psi(m) - ln m)``, is below 0; ``reference_loss_db`` compensates.
         """
         if round(self.exponent.value, 4) < 0.0:
             raise ValueError(f"the exponent is {self.exponent.value:.2f}: levels rise with distance, which no path loss does")
@@ -103,7 +101,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
         return table
 
     def toml(self) -> str:
-        """The table as TOML, with what it holds for as comments."""
+        """The table as TOML, with comments on its validity."""
         import tomli_w
 
         comments = [
@@ -150,7 +148,7 @@ def _line(name: str, unit: str, estimate: ParameterEstimate | None) -> str:
 
 
 def _nakagami(deviation_db: float) -> float | None:
-    """The shape m with this standard deviation in dB; None where it would be no fading to speak of."""
+    """The shape m with this standard deviation in dB; None: the fading is negligible."""
     from scipy.optimize import brentq
     from scipy.special import polygamma
 

@@ -60,7 +60,7 @@ class FrameTally:
                 self.losses[cause] = self.losses.get(cause, 0) + lost
 
     def add_many(self, delay_ns: Ints, received: Ints, receivers: int, losses: dict[str, int]) -> None:
-        """Count frames: delays and how many received them, (m,) each; of all together the receivers, and losses by cause."""
+        """Count frames: delays and numbers of receptions, (m,) each; in total: receivers, and losses by cause."""
         self.frames += len(delay_ns)
         self.receivers += receivers
         self.receptions += int(received.sum())
@@ -69,7 +69,7 @@ class FrameTally:
             self.losses[cause] = self.losses.get(cause, 0) + lost
 
     def summary(self) -> dict[str, Any]:
-        """``frames, receptions, delivery_ratio, delay_s`` (mean, p50, p95, p99), ``losses``; None where there is nothing."""
+        """``frames, receptions, delivery_ratio, delay_s`` (mean, p50, p95, p99), ``losses``; None: no value."""
         mean_s, (p50, p95, p99) = self.delays.mean_s(), self.delays.percentiles_s(50, 95, 99)
         return {
             "frames": self.frames,
@@ -87,22 +87,22 @@ class FrameTally:
 
 
 class Delays:
-    """Mean and percentiles of delays (whole ns) that need not be kept.
+    """Mean and percentiles of delays (whole ns) in bounded memory.
 
     Percentiles are exact, linear between ranks, as long as no more than half of ``kept`` values are distinct; beyond that every
-    delay counts as the middle of its bin, right within 2^-13 of itself.
+    delay counts as the middle of its bin, with a relative error of at most 2^-13.
     """
 
     def __init__(self, kept: int = KEPT) -> None:
         self._most = kept
         self._count, self._sum_ns = 0, 0.0
-        self._same: Counter[int] = Counter()  # how many of each, since they were last sorted
-        self._chunks: list[tuple[Ints, Ints]] = []  # distinct delays in order, how many of each
+        self._same: Counter[int] = Counter()  # number of each since the last sort
+        self._chunks: list[tuple[Ints, Ints]] = []  # distinct delays in order, number of each
         self._kept = 0
         self._bins: Ints = np.zeros(0, np.int64)  # empty as long as delays are kept one by one
 
     def add(self, delays_ns: Ints, counts: Ints | None = None) -> None:
-        """Add delays, (n,): each once, or so many times."""
+        """Add delays, (n,), each ``counts`` times, (n,); None: once."""
         if counts is None:
             self._same.update(delays_ns.tolist())
         else:
@@ -112,12 +112,12 @@ class Delays:
             self._sort()
 
     def mean_s(self) -> float | None:
-        """Their mean; None: there are none."""
+        """Mean delay; None: no delays."""
         self._sort()
         return self._sum_ns / self._count / SECOND_NS if self._count else None
 
     def percentiles_s(self, *percent: float) -> list[float | None]:
-        """Percentiles."""
+        """Percentiles of the delays; None: no delays."""
         self._sort()
         if not self._count:
             return [None] * len(percent)
@@ -135,7 +135,7 @@ class Delays:
         return found
 
     def _table(self) -> tuple[Ints | Floats, Ints]:
-        """Distinct delays in order, and how many of each."""
+        """Distinct delays in order, and the number of each."""
         if self._bins.size:
             used = np.flatnonzero(self._bins)
             middle = (((used + _ZERO) << _SHIFT) + (1 << (_SHIFT - 1))).view(np.float64)
@@ -163,10 +163,10 @@ class Delays:
                 self._put(*self._chunks.pop())
 
     def _merge(self) -> None:
-        """Put equal delays of all chunks together."""
+        """Merge equal delays of all chunks."""
         values = np.concatenate([chunk[0] for chunk in self._chunks])
         counts = np.concatenate([chunk[1] for chunk in self._chunks])
-        self._chunks = []  # and one after another: this is where a trial needs most memory
+        self._chunks = []  # released one by one: peak of a trial's memory
         order = np.argsort(values, kind="stable")
         values = values[order]
         counts = counts[order]
@@ -191,17 +191,17 @@ class Broadcasts(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The radios."""
+        """Names of the radios."""
         return tuple(f"v{i}" for i in range(len(self.position)))
 
     @property
     def end_ns(self) -> int:
-        """No frame is sent from here on."""
+        """End of sending: every frame is sent before this time."""
         return seconds_to_ns(self.duration_s)
 
     @property
     def frames(self) -> int:
-        """How many, about."""
+        """Approximate number of frames."""
         return int(len(self.position) * self.rate_hz * self.duration_s)
 
     def phases_ns(self) -> list[int]:

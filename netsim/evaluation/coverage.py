@@ -16,9 +16,9 @@ from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.channel.link_budget import MeanBudget
 from vcmvsp.netsim.interfaces.layers import Floats, Frame, SenderLinks
 
-_BLOCK = 2048  # places at a time: shadowing wants a few hundred numbers for each
+_BLOCK = 2048  # positions in a batch: shadowing needs a few hundred numbers for each
 _NODES, _TURN = 233, 144  # Fibonacci numbers: points of a lattice that fills the unit square evenly
-_FARTHEST_M = 1e4  # nothing is looked for beyond
+_FARTHEST_M = 1e4  # limit of the search for the range
 
 
 class Coverage(msgspec.Struct, frozen=True):
@@ -78,7 +78,7 @@ def _mean_at(channel: Channel, sender: str, position: Floats, antennas: Floats, 
     """Mean budgets at any positions: the receivers are vehicles without their own radio."""
     links = SenderLinks(
         seed, sender, tuple(f"{sender} at {number}" for number in range(len(antennas)))
-    )  # no vehicle is called so
+    )  # not valid as vehicle names
     return _mean(channel, links, (sender, *links.receivers), np.concatenate([position[None], antennas]), bodies=False), links
 
 

@@ -22,10 +22,10 @@ FARTHEST_M = 1e9
 
 
 def read_positions(path: Path) -> Floats:
-    """The points of a file, (n, 3) m; empty lines do not count.
+    """Read positions from a CSV file, (n, 3) m; empty lines are ignored.
 
     Raises:
-        UsageError: naming file, line and column.
+        UsageError: invalid file; the message names file, line and column.
     """
     points: list[tuple[float, ...]] = []
     for place, (number, cells) in enumerate(read_cells(path)):
@@ -38,7 +38,7 @@ def read_positions(path: Path) -> Floats:
 
 
 def _is_header(cells: list[str], where: str) -> bool:
-    """Whether a line holds names; then they have to be the right ones."""
+    """Whether a line is a header; wrong column names are an error."""
     if any(_number(cell) is not None for cell in cells):
         return False
     if tuple(cell.lower().removesuffix("_m") for cell in cells) != COLUMNS:
@@ -70,19 +70,18 @@ def _number(cell: str) -> float | None:
         return None
 
 
-ROWS = 1 << 18  # in a group, and those of one frame
+ROWS = 1 << 18  # in a row group, exceeded by at most one frame's rows
 
 
 class RowFile:
     """A Parquet file with a row per frame and receiver, in the order in which frames were sent.
 
-    It is written beside ``path`` and takes that name when all is well; otherwise nothing is left. The same reports give
-    the same bytes.
+    The file is written beside ``path`` and renamed on success; on failure it is deleted. Equal reports give equal bytes.
     """
 
     def __init__(self, path: Path, facts: RunFacts, rows: int = ROWS) -> None:
         self._path, self._facts, self._rows = path, facts, rows
-        self._early: dict[int, FrameReport] = {}  # by frame: what was decided before a frame that was sent earlier
+        self._early: dict[int, FrameReport] = {}  # by frame: decided before a frame that was sent earlier
         self._next = 0
         self._batch: list[FrameReport] = []
         self._held = 0
@@ -93,7 +92,7 @@ class RowFile:
         if not self._path.parent.is_dir():
             raise UsageError(f"cannot write {self._path}: there is no folder {self._path.parent}")
         schema = radio_table([], self._facts).schema
-        options: dict[str, Any] = {  # those of `cosim.tables.schema.write_table`
+        options: dict[str, Any] = {  # as in `cosim.tables.schema.write_table`
             "use_dictionary": [field.name for field in schema if pa.types.is_dictionary(field.type)],
             "use_byte_stream_split": [field.name for field in schema if pa.types.is_floating(field.type)],
         }
@@ -118,7 +117,7 @@ class RowFile:
             shutil.rmtree(self._beside, ignore_errors=True)
 
     def add(self, report: FrameReport) -> None:
-        """Take over one frame; every frame comes once, in any order."""
+        """Add the report of one frame: each frame once, in any order."""
         self._early[report.frame] = report
         while (following := self._early.pop(self._next, None)) is not None:
             self._next += 1

@@ -1,4 +1,4 @@
-"""What the models of the channel say, as curves: packet errors by SNR, mean levels by distance."""
+"""Curves of the channel's models: packet errors by SNR, mean levels by distance."""
 
 import dataclasses
 import math
@@ -19,9 +19,9 @@ from vcmvsp.netsim.phy.ofdm import OfdmErrors
 
 POINTS = 1_000_000  # of a curve, at most
 OFDM_MODELS = ("table", "yans", "nist")
-DSSS_MODELS = ("dsss", *OFDM_MODELS)  # all the same
+DSSS_MODELS = ("dsss", *OFDM_MODELS)  # all names of one model
 ZIGBEE_MODELS = ("oqpsk",)
-ANTENNA_HEIGHT_M = 0.5  # above the ground, where the law does not say
+ANTENNA_HEIGHT_M = 0.5  # above the ground, if the path loss has no height
 
 
 def grid(text: str, option: str) -> Floats:
@@ -43,7 +43,7 @@ def grid(text: str, option: str) -> Floats:
 
 
 def error_rate(phy: Phy, model: str) -> tuple[ErrorRate, str]:
-    """The packet errors of a phy by one of the models that there are for it, and its name; ``default`` is the phy's own."""
+    """Packet error model of a phy, and the model's name; ``default``: the phy's own."""
     errors: ErrorRate | None = getattr(phy, "errors", None)
     if isinstance(errors, OfdmErrors):
         name = _chosen(model, errors.model, OFDM_MODELS)
@@ -62,9 +62,9 @@ def _chosen(model: str, default: str, models: Sequence[str]) -> str:
 
 
 def packet_errors(errors: ErrorRate, snr_db: Floats, size_bytes: int) -> dict[str, list[float]]:
-    """Chance that a frame with this payload is received, ``success``, or not, ``per``, at a SNR that lasts, (n,).
+    """Probabilities of reception (``success``) and loss (``per``) of a frame with this payload at constant SNR, (n,).
 
-    Of the whole frame, its header included; ``payload_success`` is that of the bits behind the header alone.
+    They are of the whole frame, header included; ``payload_success`` is of the bits after the header only.
     """
     hazard = errors.frame_hazard(snr_db, size_bytes)
     payload, bits = errors.payload(size_bytes)
@@ -79,7 +79,7 @@ def packet_errors(errors: ErrorRate, snr_db: Floats, size_bytes: int) -> dict[st
 def mean_levels(path_loss: PathLoss, phy: Phy, distance_m: Floats) -> dict[str, list[float]]:
     """Loss, received level and SNR over distances (n,), by the path loss alone: no walls, shadowing or fading.
 
-    Both antennas have no gain, and are at ``path_loss.antenna_height_m`` where there is such a thing, else 0.5 m.
+    Antennas have no gain and the height ``path_loss.antenna_height_m`` if the path loss has one, else 0.5 m.
     """
     height = float(getattr(path_loss, "antenna_height_m", ANTENNA_HEIGHT_M))
     rx = np.stack([distance_m, np.zeros(len(distance_m)), np.full(len(distance_m), height)], axis=-1)
