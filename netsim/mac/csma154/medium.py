@@ -1,12 +1,12 @@
 """Unslotted CSMA/CA of IEEE 802.15.4 as state machines of the radios over one event queue.
 
-A frame waits ``U{0 .. 2^BE - 1}`` backoff units of 320 us, then its radio listens for 128 us. If the air is free, it turns
-round for 192 us, deaf meanwhile, and sends; else BE grows and it waits again, or gives up (IEEE 802.15.4-2006, 7.5.1.4;
-constants of 6.4.1 and 7.4.1 at 62500 symbols a second).
+A frame waits ``U{0 .. 2^BE - 1}`` backoff units of 320 us, then its radio assesses the channel for 128 us. If the channel is
+idle, the radio turns around for 192 us, deaf meanwhile, and sends; else BE is incremented and the frame waits again, or is
+given up (IEEE 802.15.4-2006, 7.5.1.4; constants of 6.4.1 and 7.4.1 at 62500 symbols a second).
 
-An acknowledgement goes out 192 us after its frame, without contention, and its radio forgets its own backoff or wait for an
-acknowledgement, to begin anew afterwards. After a frame, or its acknowledgement, its sender rests for an interframe space; not
-after one that it has given up. All this is what ns-3.44 does.
+An acknowledgement is sent 192 us after its frame, without contention; its radio cancels its own backoff or wait for an
+acknowledgement, and restarts it afterwards. After a frame, or its acknowledgement, the sender waits for an interframe space,
+but not after a frame that it gave up. All this is as in ns-3.44.
 """
 
 import heapq
@@ -31,11 +31,11 @@ from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 
 TURNAROUND_NS = 192 * US  # aTurnaroundTime, 12 symbols
-ACK_NS = 352 * US  # an acknowledgement on the air: 11 bytes
+ACK_NS = 352 * US  # air time of an acknowledgement: 11 bytes
 ACK_BITS = 88
 ACK_WAIT_NS = 864 * US  # macAckWaitDuration, 54 symbols
-SHORT_NS = 768 * US  # on the air: a PSDU of 18 bytes (aMaxSIFSFrameSize)
-SIFS_NS, LIFS_NS = 192 * US, 640 * US  # after a frame of at most that, and of more
+SHORT_NS = 768 * US  # air time of a PSDU of 18 bytes (aMaxSIFSFrameSize)
+SIFS_NS, LIFS_NS = 192 * US, 640 * US  # after a frame of at most `SHORT_NS`, and after a longer one
 UNIT_NS = 320_000  # aUnitBackoffPeriod, 20 symbols
 CCA_NS = 128_000  # 8 symbols
 
@@ -47,7 +47,7 @@ Many = Annotated[int, msgspec.Meta(ge=1)]
 
 
 class RadioState(Enum):
-    """What a radio is at."""
+    """State of a radio."""
 
     NOTHING = auto()
     CONTENDING = auto()  # backoff and assessment
@@ -58,7 +58,7 @@ class RadioState(Enum):
 
 
 class Csma154Radio:
-    """One sender: its queue, the frame it is at, and how far it has come with it."""
+    """State machine of one radio: its queue, its current frame, and the progress of that frame."""
 
     def __init__(self, row: int, key: Keys, rules: "Csma154") -> None:
         self.row = row
@@ -68,13 +68,13 @@ class Csma154Radio:
         self.ready_ns = 0  # end of the interframe space
         self.frame: Offered | None = None
         self.air_ns = 0  # of the frame
-        self.assessments_ns: list[int] = []  # ends of all that this contention may take
-        self.found_busy = 0  # of these
+        self.assessments_ns: list[int] = []  # ends of all assessments that this contention may need
+        self.found_busy = 0  # assessments that found the channel busy
         self.attempts = 0  # on the air
         self.flight: AirborneFrame | None = None  # on the air
         self.last: tuple[AirborneFrame, Codes] | None = None  # attempt, and its fate
-        self.received_ns = -1  # of a unicast frame: when it was received; of any other, when it was sent
-        self.answers: tuple[int, int] | None = None  # row and frame that it acknowledges now
+        self.received_ns = -1  # time of reception of a unicast frame, of sending of a broadcast
+        self.answers: tuple[int, int] | None = None  # row and frame that the radio acknowledges now
         self._key = key  # (1,)
         self._windows = 2.0 ** np.minimum(rules.min_be + np.arange(rules.max_backoffs + 1), rules.max_be)
         self._contentions = 0
@@ -82,10 +82,9 @@ class Csma154Radio:
         self._luck: list[list[float]] = []
 
     def plan(self) -> list[int]:
-        """Contend once more: when each assessment ends if those before it find the air busy, from now on, in ns.
+        """Plan a contention: end of each assessment if all before it find the channel busy, ns from now.
 
-        Draw k is a pure function of the radio's key and k. Contention c uses draws c m to c m + m - 1, m = max_backoffs + 1,
-        whether it needs them all or not.
+        Draw k is a pure function of the radio's key and k. Contention c owns draws c m to c m + m - 1, m = max_backoffs + 1.
         """
         place = self._contentions % _BLOCK
         if place == 0:
@@ -99,18 +98,18 @@ class Csma154Radio:
         return self._plans[place]
 
     def luck(self) -> float:
-        """The patience (`netsim.interfaces.medium.Offered`) with the acknowledgement of the last attempt."""
+        """Patience (`netsim.interfaces.medium.Offered`) of the acknowledgement of the last attempt."""
         return -math.log1p(-self._luck[(self._contentions - 1) % _BLOCK][0])
 
 
 class _Kind(IntEnum):
-    """What happens, in the order in which it does within one nanosecond: as if waves took a moment to arrive."""
+    """Kinds of events, in their order within one nanosecond: as if with a small propagation delay."""
 
     ASSESSED = 0  # end of a clear channel assessment
     LANDED = 1  # end of a frame
-    READY = 2  # end of an interframe space, or of the way back from sending an acknowledgement
-    UNANSWERED = 3  # no acknowledgement came
-    TOOK_OFF = 4  # begin of a frame
+    READY = 2  # end of an interframe space, or of the turnaround after an acknowledgement
+    UNANSWERED = 3  # acknowledgement timeout
+    TOOK_OFF = 4  # start of a frame
 
 
 class Csma154Medium:
@@ -130,16 +129,16 @@ class Csma154Medium:
         }
         self._running = 0
         self._waiting: dict[int, None] = {}  # numbers of frames, in the order in which they were offered
-        self._soonest: dict[int, int] = {}  # row: when its frame can be decided at the earliest
+        self._soonest: dict[int, int] = {}  # by row: earliest decision of its frame
         self._decided: list[Decided] = []
-        # Levels from radio to radio, (n, n), as far as frames have shown them: what third parties hear of acknowledgements.
+        # Levels between radios, (n, n), as far as known from frames: those of acknowledgements at third radios.
         self._levels = np.zeros((len(keys), len(keys)) if rules.acknowledge else (0, 0))
-        self.power_mw: Floats = np.ones(len(keys))  # of the radios; all alike, unless set
+        self.power_mw: Floats = np.ones(len(keys))  # of the radios; equal unless set
 
-    # What the world asks
+    # Interface
 
     def expect(self, frames: int) -> None:
-        """It makes no difference."""
+        """Ignored: nothing is compiled."""
 
     def offer(self, frame: Offered) -> None:
         """Hand over a frame."""
@@ -147,7 +146,7 @@ class Csma154Medium:
         self._waiting[frame.number] = None
 
     def advance(self, until_ns: int) -> Sequence[Decided]:
-        """Work off all events and offers up to then."""
+        """Process all events and offers up to ``until_ns``."""
         events, offers = self._events, self._offers
         while True:
             event_ns = events[0][0] if events else until_ns + 1
@@ -163,7 +162,7 @@ class Csma154Medium:
         return decided
 
     def next_ns(self) -> int | None:
-        """No frame is decided earlier; whether one is by then depends on who finds the air busy meanwhile."""
+        """Lower bound of the next decision; a busy channel may delay it. None: no frame waits."""
         if not self._waiting:
             return None
         soonest = min(self._soonest.values(), default=None)
@@ -172,7 +171,7 @@ class Csma154Medium:
             return offered_ns if soonest is None else min(soonest, offered_ns)
         return soonest
 
-    # What happens
+    # Events
 
     def _happen(self) -> None:
         now_ns, kind, _, radio, stamp = heapq.heappop(self._events)
@@ -197,7 +196,7 @@ class Csma154Medium:
         heapq.heappush(radio.queue, (-frame.priority, self._running, frame))
         if radio.doing is RadioState.NOTHING:
             self._next(now_ns, radio)
-        elif radio.frame is None:  # it is still resting
+        elif radio.frame is None:  # still in the interframe space
             self._soonest[radio.row] = max(radio.ready_ns, now_ns)
 
     def _next(self, now_ns: int, radio: Csma154Radio) -> None:
@@ -310,7 +309,7 @@ class Csma154Medium:
     # Acknowledgements
 
     def _acknowledge(self, now_ns: int, radio: Csma154Radio, sender: Csma154Radio) -> None:
-        """Drop whatever the radio is at, and answer; a frame that it wants to send or waits for begins anew afterwards."""
+        """Interrupt the radio's contention or wait, and acknowledge; its own frame starts over afterwards."""
         if radio.doing is RadioState.AWAITING and radio.attempts > self._rules.max_retries:
             self._give_up(now_ns, radio)
         assert sender.frame is not None  # noqa: S101 -- it has just been received
@@ -343,7 +342,7 @@ class Csma154Medium:
     # Decisions
 
     def _give_up(self, now_ns: int, radio: Csma154Radio) -> None:
-        """The radio is done with its frame: decide it, unless it has been received, by what its last attempt has come to."""
+        """End the radio's frame: decide it by the fate of its last attempt, unless it was received before."""
         frame, last = radio.frame, radio.last
         assert frame is not None  # noqa: S101 -- it is at one
         radio.frame = None
@@ -402,11 +401,11 @@ class Csma154:
 
     @property
     def needs_snr_db(self) -> float:
-        """What a frame needs to be noticed, whatever the phy's sensitivity."""
+        """Least SINR at which a frame is detected, dB, independent of the phy's sensitivity."""
         return self.preamble_snr_db
 
     def open(self, phy: Phy, count: int, keys: Keys, noise_mw: float) -> Medium:
-        """The air for ``count`` radios.
+        """The medium of ``count`` radios.
 
         Args:
             phy: `netsim.phy.ieee802154.Ieee802154`.

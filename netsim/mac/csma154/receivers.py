@@ -1,4 +1,4 @@
-"""The air between IEEE 802.15.4 receivers: which frame each is locked to, and what the others do to it."""
+"""Reception of IEEE 802.15.4: locks of receivers to frames, interference, clear channel assessment."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from vcmvsp.netsim.phy.error_rate import ErrorRate
 Rows = NDArray[np.intp]
 
 FREE = -1  # locked to no frame
-_UNNOTICED = 1e-9  # of the noise: what is weaker is no event at a receiver
+_UNNOTICED = 1e-9  # share of the noise: a weaker frame is no event at a receiver
 
 
 class AirborneFrame:
@@ -19,26 +19,26 @@ class AirborneFrame:
     def __init__(self, sender: int, start_ns: int, end_ns: int, power_mw: Floats, patience: Floats, bits: int) -> None:
         self.sender, self.start_ns, self.end_ns = sender, start_ns, end_ns
         self.power_mw = power_mw.copy()  # at every radio, (n,)
-        self.power_mw[sender] = 0.0  # its own frame does not disturb it: it is deaf
-        self.patience = patience  # survives while its hazard is less, (n,)
+        self.power_mw[sender] = 0.0  # no interference with itself: the sender is deaf
+        self.patience = patience  # the frame survives while its hazard is less, (n,)
         self.bits_per_ns = bits / (end_ns - start_ns)
         self.least_sinr: Floats = np.full(len(power_mw), np.inf)  # so far, (n,)
-        self.deaf: Bools = np.zeros(0, np.bool_)  # who was when it began, (n,)
-        self.rows: Rows = np.zeros(0, np.intp)  # who is locked to it, (m,)
+        self.deaf: Bools = np.zeros(0, np.bool_)  # radios that were deaf at its start, (n,)
+        self.rows: Rows = np.zeros(0, np.intp)  # receivers locked to it, (m,)
         self.hazard: Floats = np.zeros(0)  # so far, (m,)
-        self.settled_ns: Ints = np.zeros(0, np.int64)  # up to here, (m,)
+        self.settled_ns: Ints = np.zeros(0, np.int64)  # time up to which the hazard is counted, (m,)
 
 
 class Csma154Air:
-    """What n receivers make of the frames that are on the air.
+    """Frames on the air, and the states of n receivers.
 
-    A receiver that neither sends nor turns round nor is locked to a frame locks to one that begins, if its SINR exceeds
-    ``preamble_snr_db``: for the whole frame, whatever comes of it. Later frames only disturb. Of frames that begin in the same
-    nanosecond the strongest comes first, as the nearest would.
+    A free receiver (not sending, turning around or locked) locks to a starting frame if its SINR exceeds ``preamble_snr_db``,
+    until the frame ends, even if it is lost. Later frames are interference only. Of frames that start in the same nanosecond
+    the strongest comes first, as the nearest would.
 
-    The hazard ``-log(success per bit)`` of each piece of constant SINR adds up. With ``forgetful``, as in ns-3.44, a frame is
-    looked at only when another begins that is not far below the noise, and at its own end: a disturbance that is over by then
-    is forgotten.
+    The hazard ``-log(success per bit)`` is summed over pieces of constant SINR. With ``forgetful``, as in ns-3.44, a piece ends
+    only when another frame starts that is not far below the noise, and at the frame's own end: interference that has ended by
+    then is ignored.
     """
 
     def __init__(
@@ -55,24 +55,24 @@ class Csma154Air:
         self._errors, self._forgetful = errors, forgetful
         self._preamble_snr, self._busy_mw = 10.0 ** (preamble_snr_db / 10.0), 10.0 ** (busy_dbm / 10.0)
         self._flights: list[AirborneFrame] = []
-        self._power_mw: Floats = np.zeros(count)  # of them all, (n,)
-        self._locked: Rows = np.full(count, FREE, np.intp)  # to whose frame, (n,)
+        self._power_mw: Floats = np.zeros(count)  # of all frames on the air, (n,)
+        self._locked: Rows = np.full(count, FREE, np.intp)  # sender of the locked frame, (n,)
         self._deaf_until_ns: Ints = np.zeros(count, np.int64)
 
     def deafen(self, radio: int, until_ns: int) -> None:
-        """It sends, or turns round for it, and hears nothing that begins before ``until_ns``."""
+        """Make a radio that sends or turns around deaf to frames that start before ``until_ns``."""
         self._deaf_until_ns[radio] = until_ns
 
     def busy(self, radio: int) -> bool:
-        """The verdict of a clear channel assessment that ends now.
+        """Whether a clear channel assessment that ends now finds the channel busy.
 
-        Busy is who is locked to a frame, and who has the power of all frames above the threshold (mode 1 of IEEE 802.15.4-2006,
-        6.9.9). As in ns-3.44, a frame that ends during the assessment is not noticed; one that begins is: it outlasts it.
+        It is busy if the radio is locked to a frame or the power of all frames exceeds the threshold (mode 1 of
+        IEEE 802.15.4-2006, 6.9.9). As in ns-3.44, frames that end during the assessment do not count; frames that start do.
         """
         return bool(self._locked[radio] != FREE or self._power_mw[radio] >= self._busy_mw)
 
     def begin(self, now_ns: int, flights: list[AirborneFrame]) -> None:
-        """These frames, usually one, go on the air."""
+        """Start frames, usually one."""
         noticed = np.max([each.power_mw for each in flights], axis=0) > _UNNOTICED * self._noise_mw
         for each in self._flights:
             self._settle(each, now_ns, noticed[each.rows])
@@ -96,7 +96,7 @@ class Csma154Air:
             np.minimum(each.least_sinr, sinr, out=each.least_sinr)
 
     def end(self, now_ns: int, flight: AirborneFrame) -> Codes:
-        """A frame ends: its `Fate` at every radio, (n,)."""
+        """End a frame; returns its `Fate` at every radio, (n,)."""
         for each in [flight] if self._forgetful else self._flights:
             self._settle(each, now_ns, np.ones(len(each.rows), bool))
         self._flights.remove(flight)
@@ -116,7 +116,7 @@ class Csma154Air:
         return fate
 
     def _settle(self, flight: AirborneFrame, now_ns: int, where: Bools) -> None:
-        """Count the hazard since it was last counted, at the SINR that lasted since then, at some of its receivers."""
+        """Add the hazard since the last update, at the constant SINR since then, at some receivers of the frame."""
         bits = flight.bits_per_ns * (now_ns - flight.settled_ns) * where
         if bits.any():
             power_mw = flight.power_mw[flight.rows]
@@ -128,7 +128,7 @@ class Csma154Air:
         return self._errors.bit_hazard(power_mw / disturbance_mw)
 
     def _add_up(self) -> None:
-        """From scratch, so that nothing is left of what has ended."""
+        """Sum all powers from scratch: no rounding errors of ended frames remain."""
         self._power_mw = np.zeros(len(self._noise_mw))
         for each in self._flights:
             self._power_mw += each.power_mw

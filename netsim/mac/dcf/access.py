@@ -1,14 +1,14 @@
-"""The distributed coordination function (IEEE 802.11-2016, 10.3.4): who sends when, event by event.
+"""The distributed coordination function (IEEE 802.11-2016, 10.3.4): channel access, event by event.
 
-After ns-3.44 (``ChannelAccessManager``, ``Txop``, ``FrameExchangeManager``): a backoff counts whole slots from DIFS behind the
-end of the last busy time, stands still while the medium is busy, and is drawn anew after every transmission, whether another
-frame waits or not. A frame that finds the medium idle and no backoff left waits DIFS from then on.
+As in ns-3.44 (``ChannelAccessManager``, ``Txop``, ``FrameExchangeManager``), a backoff counts whole slots from DIFS after the
+end of the last busy time, freezes while the medium is busy, and is drawn after every transmission, even if no other frame
+waits. A frame that finds the medium idle and no backoff left waits for DIFS.
 
-A radio keeps how many slots were left when it last learnt of a longer busy time, and when the last of them is over if it learns
-of no other: nothing needs to be done while they pass. Behind a payload that could not be decoded it waits EIFS. The queues are
-lists that run through the arrays of the frames.
+A radio stores the slots left at the last extension of the busy time, and the time at which they end without another extension:
+slots are no events. After a payload that could not be decoded it waits for EIFS. The queues are linked lists in the arrays of
+the frames.
 
-Written for NumPy and for compilation alike, see `netsim.mac.dcf.machine_code`: what changes is in the arrays of a `DcfState`.
+The code runs with NumPy or compiled, see `netsim.mac.dcf.machine_code`; all state is in the arrays of a `DcfState`.
 """
 
 import numpy as np
@@ -41,15 +41,15 @@ from vcmvsp.netsim.mac.dcf.state import (
     DcfState,
 )
 
-# Why `run` comes back.
+# Reasons for `run` to return.
 DONE, LEVELS, DRAWS, OUTPUT = 0, 1, 2, 3
 
-# What else happens, behind `START`, `ANSWER` and `TIMEOUT`.
+# Further events, after `START`, `ANSWER` and `TIMEOUT`.
 DETECT, END, ARRIVE = 3, 4, 5
 
 
 def run(s: DcfState, rules: DcfRules, until: int) -> int:
-    """Everything that happens up to and including ``until``; or as far as it can, and why it cannot go on."""
+    """Process the events up to and including ``until``, as far as possible; returns the reason to stop."""
     while True:
         if s.counts[SCARCE]:
             return DRAWS
@@ -72,9 +72,9 @@ def run(s: DcfState, rules: DcfRules, until: int) -> int:
 
 
 def upcoming(s: DcfState, rules: DcfRules) -> tuple[int, int, int]:
-    """What happens next, to which radio (or frame, if it arrives), and when.
+    """The next event: kind, radio (of an arrival: frame), time.
 
-    Of what happens at the same time, ends come first, then starts, then detections, then arrivals.
+    At equal times ends come first, then starts, detections and arrivals.
     """
     what, who, when = ARRIVE, s.air[0], NEVER
     if s.counts[ARRIVED] < s.counts[OFFERED]:
@@ -97,7 +97,7 @@ def upcoming(s: DcfState, rules: DcfRules) -> tuple[int, int, int]:
 
 
 def release(s: DcfState, rules: DcfRules, i: int, now: int, counting_ns: int) -> None:
-    """Radio i has done with a frame, or with an attempt; its new backoff counts from a time on."""
+    """End a frame, or an attempt, of radio i; its new backoff counts from ``counting_ns``."""
     s.sending[i] = NOBODY
     s.due[i] = s.wake_ns[i] = NEVER
     back_off(s, rules, i, counting_ns)
@@ -106,7 +106,7 @@ def release(s: DcfState, rules: DcfRules, i: int, now: int, counting_ns: int) ->
 
 
 def arrive(s: DcfState, rules: DcfRules, f: int, now: int) -> None:
-    """A frame comes to its sender's queue; if one that waits there has expired, that one leaves it first."""
+    """Add frame f to its sender's queue; an expired frame leaves the queue first."""
     i = s.sender[f]
     if expire(s, rules, i, now):
         return
@@ -130,7 +130,7 @@ def arrive(s: DcfState, rules: DcfRules, f: int, now: int) -> None:
 
 
 def begin(s: DcfState, rules: DcfRules, what: int, i: int, now: int) -> bool:
-    """What was due of radio i; False: levels are needed first."""
+    """Process the due event of radio i; False: levels are needed first."""
     if what == START:
         return start(s, rules, i, now)
     if what == ANSWER:
@@ -141,7 +141,7 @@ def begin(s: DcfState, rules: DcfRules, what: int, i: int, now: int) -> bool:
 
 
 def start(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
-    """Radio i sends its first frame; False: its levels are needed."""
+    """Send the first frame in the queue of radio i; False: its levels are needed."""
     if expire(s, rules, i, now):
         if s.head[i] == NOBODY:
             release(s, rules, i, now, now)
@@ -171,7 +171,7 @@ def start(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
 
 
 def send(s: DcfState, rules: DcfRules, i: int, now: int, air_ns: int) -> None:
-    """Put a frame on the air, and know that it is busy."""
+    """Put a frame of radio i on the air, and update carrier sense."""
     count_down(s, rules, i, now)
     put_on_air(s, rules, i, now, air_ns)
     s.eifs_ns[i] = 0
@@ -180,7 +180,7 @@ def send(s: DcfState, rules: DcfRules, i: int, now: int, air_ns: int) -> None:
 
 
 def acknowledge(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """Radio i answers a unicast frame: over the way that it came, faded anew, and elsewhere as strong as what it sent last."""
+    """Radio i acknowledges a unicast frame: same path, new fading; at other radios with the level of its last frame."""
     f = s.acked[i]
     back = s.sender[f]
     answer = s.level[back, i] * (s.power_mw[i] / s.power_mw[back]) * s.answer[back]
@@ -196,10 +196,10 @@ def acknowledge(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
 
 
 def finish(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """What radio i sends ends."""
+    """End the transmission of radio i."""
     n = len(s.lock)
     doze(s, rules, now)
-    # Who received a unicast frame keeps silent for the acknowledgement.
+    # Receivers of a unicast frame reserve the medium for the acknowledgement.
     reserved_ns = now + rules.sifs_ns + rules.ack_air_ns if s.kind[i] == UNICAST else 0
     take_off_air(s, rules, i, now, reserved_ns)
     sense(s, rules, now)
@@ -227,7 +227,7 @@ def finish(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     if s.fate[i, to] == RECEIVED:
         s.acked[to] = f
         s.due[ANSWER * n + to] = now + rules.sifs_ns
-        if not s.told[f]:  # whether its sender will know or not
+        if not s.told[f]:  # independent of the acknowledgement
             decide(s, f, now, RECEIVED)
             s.out_done[s.counts[DECIDED] - 1] = False
             s.told[f] = True
@@ -235,7 +235,7 @@ def finish(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
 
 
 def give_up(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """No acknowledgement has come, unless it, or something else, is being received: then when that is over."""
+    """Acknowledgement timeout of radio i; postponed while it receives a frame."""
     timeout = TIMEOUT * len(s.lock) + i
     settle(s, rules, now)
     heard = s.lock[i]
@@ -246,7 +246,7 @@ def give_up(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     f = s.sending[i]
     s.window[i] = min(2 * s.window[i] + 1, rules.cw_max)
     s.failures[i] += 1
-    if s.failures[i] > rules.attempts:  # whatever frames they belong to: so ns-3.44
+    if s.failures[i] > rules.attempts:  # over all frames, as in ns-3.44
         s.failures[i] = 0
         s.window[i] = rules.cw_min
     if s.attempts[f] >= rules.attempts:
@@ -254,11 +254,11 @@ def give_up(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     else:
         insert(s, i, f, NOBODY, s.head[i])
     heard_until_now = s.idle_ns[i] == now - PAYLOAD_OVER_NS
-    release(s, rules, i, now, now if heard_until_now else now + rules.difs_ns)  # else the wait was a busy time
+    release(s, rules, i, now, now if heard_until_now else now + rules.difs_ns)  # else the wait counts as busy time
 
 
 def soonest(times: Ints) -> int:
-    """Where the least of some times is, the first of equal ones."""
+    """Index of the earliest time, the first of equal ones."""
     return int(times.argmin())
 
 
@@ -272,7 +272,7 @@ def soonest_loop(times: Ints) -> int:
 
 
 def copy(values: Floats | Codes, to: Floats | Codes) -> None:
-    """Put values in the place of others, (n,)."""
+    """Copy values into an array, (n,)."""
     to[:] = values
 
 
@@ -349,7 +349,7 @@ def expected_ns(s: DcfState, rules: DcfRules, i: int, now: int) -> int:
 
 
 def count_down(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """The slots of radio i that have passed; those that have begun have not."""
+    """Subtract the slots that have passed at radio i, without the current one."""
     s.slots[i] = min(max((s.over_ns[i] + (rules.slot_ns - 1 - now)) // rules.slot_ns, 0), s.slots[i])
 
 
@@ -360,7 +360,7 @@ def request(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
 
 
 def draw(s: DcfState, i: int) -> int:
-    """Place of the next draw of radio i in store."""
+    """Index of the next draw of radio i in its store."""
     place = int(s.drawn[i] - s.store[i])
     s.drawn[i] += 1
     if place + 1 == s.backoff.shape[1]:
@@ -369,19 +369,19 @@ def draw(s: DcfState, i: int) -> int:
 
 
 def back_off(s: DcfState, rules: DcfRules, i: int, counting_ns: int) -> None:
-    """Radio i draws a new backoff, which counts from a time on, if the medium is idle."""
+    """Draw a backoff of radio i; it counts from ``counting_ns`` if the medium is idle."""
     s.slots[i] = int(s.backoff[i, draw(s, i)] * (s.window[i] + 1))
     wait(s, rules, i, counting_ns)
 
 
 def wait(s: DcfState, rules: DcfRules, i: int, counting_ns: int) -> None:
-    """The slots that radio i has left count from a time on, if the medium is idle."""
+    """Count the remaining slots of radio i from ``counting_ns`` if the medium is idle."""
     begins = max(counting_ns, max(s.idle_ns[i], s.eifs_ns[i]) + rules.difs_ns)
     s.over_ns[i] = begins + s.slots[i] * rules.slot_ns
 
 
 def enqueue(s: DcfState, i: int, f: int) -> None:
-    """Behind all frames of at least its priority."""
+    """Insert a frame into the queue of radio i, after all frames of at least its priority."""
     before, after = s.tail[i], NOBODY
     if before != NOBODY and s.priority[before] < s.priority[f]:
         before, after = NOBODY, s.head[i]
@@ -391,7 +391,7 @@ def enqueue(s: DcfState, i: int, f: int) -> None:
 
 
 def insert(s: DcfState, i: int, f: int, before: int, after: int) -> None:
-    """Between two neighbours in the queue of radio i."""
+    """Insert a frame between two neighbours in the queue of radio i."""
     s.behind[f] = after
     if before == NOBODY:
         s.head[i] = f
@@ -403,7 +403,7 @@ def insert(s: DcfState, i: int, f: int, before: int, after: int) -> None:
 
 
 def leave(s: DcfState, i: int) -> int:
-    """Take the first frame out of the queue of radio i."""
+    """Remove the first frame from the queue of radio i."""
     f = int(s.head[i])
     s.head[i] = s.behind[f]
     if s.head[i] == NOBODY:
@@ -413,7 +413,7 @@ def leave(s: DcfState, i: int) -> int:
 
 
 def expire(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
-    """Whether the first frame that waits was too old, and is gone."""
+    """Drop the first frame in the queue of radio i if it has expired; returns whether it did."""
     f = s.head[i]
     if f == NOBODY or now - s.offered_ns[f] <= rules.lifetime_ns:
         return False
@@ -422,9 +422,9 @@ def expire(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
 
 
 def decide(s: DcfState, f: int, now: int, fate: int) -> None:
-    """The fate of a frame, at all radios the same; what became of a broadcast one that was sent follows.
+    """Output the decision of a frame, with one fate at all radios; the fates of a sent broadcast are set afterwards.
 
-    Of one that was received before, and told so, it says that its place is free.
+    If the reception of the frame was output before, this decision only frees its place.
     """
     k = s.counts[DECIDED]
     s.counts[DECIDED] = k + 1
@@ -438,13 +438,13 @@ def decide(s: DcfState, f: int, now: int, fate: int) -> None:
 
 
 def next_decision(s: DcfState, rules: DcfRules) -> int:
-    """When a frame may be decided next, if nothing else comes."""
+    """Earliest time of the next decision if no other frame is offered."""
     n = len(s.lock)
     soonest = int(s.due[n + s.due[n:].argmin()])
     for at in range(s.counts[ON_AIR]):
         soonest = min(soonest, int(s.end_ns[s.air[at]]))
     wanting = (s.due[:n] < NEVER).nonzero()[0]
-    if len(wanting) == 1:  # most often
+    if len(wanting) == 1:  # the usual case
         i = wanting[0]
         begin, f = s.due[i], s.head[i]
         late = f == NOBODY or begin > s.offered_ns[f] + rules.lifetime_ns

@@ -1,19 +1,19 @@
 """What radios receive: preamble detection, physical-layer capture, interference, carrier sense.
 
-After ns-3.44 (``PhyEntity``, ``InterferenceHelper``, ``ThresholdPreambleDetectionModel``):
+As in ns-3.44 (``PhyEntity``, ``InterferenceHelper``, ``ThresholdPreambleDetectionModel``):
 
-- A radio that is neither sending nor receiving notices a frame `detect_ns` after its start, if the frame is then the strongest
-  of those that it hears begin, strong enough, and by `preamble_snr` above noise and interference. It receives it to its end;
-  what else begins meanwhile is interference. Only a header that cannot be decoded sets it free earlier, or a stronger frame
-  that captures it (`captures`).
-- The medium is busy while the radio sends or receives, and while the sum of all powers is at least `busy_mw`, found out when
-  it fails to detect a frame, and at the end of one that it received. Of frames that began while it was sending and go on
-  behind it, it learns at its own end; of those that began before, only if the sum is `energy_mw`.
+- A free radio (neither sending nor receiving) detects a frame `detect_ns` after its start, if the frame is then the strongest
+  pending one, above the sensitivity, and by `preamble_snr` above noise and interference. It receives the frame to its end;
+  frames that start meanwhile are interference. It is free earlier only if the header cannot be decoded, or if a stronger frame
+  captures it (`captures`).
+- The medium is busy while the radio sends or receives, and while the sum of all powers is at least `busy_mw`. The sum is
+  evaluated when the radio fails to detect a frame, and at the end of a received frame. It is also evaluated at the end of its
+  own frame; if no other frame started during that one, the threshold is `energy_mw`.
 
-Powers are added in the order in which frames began: the same to the last bit at one radio or at all. What is done at all
-radios alike is written twice, with vectors for NumPy, and as loops, which are quicker when compiled: compiled code calls
-``f_loop`` for ``f`` (see `netsim.mac.dcf.machine_code`). Both do the same operations on the same numbers in the same order, and
-leave the same bits behind; but a loop leaves out what changes nothing at a radio.
+Powers are added in the order of the frames' starts: bit-identical for one radio or for all. Operations on all radios are
+written twice: with vectors for NumPy, and as loops, which are faster when compiled: compiled code calls ``f_loop`` for ``f``
+(see `netsim.mac.dcf.machine_code`). Both do the same operations in the same order, with bit-identical results; a loop skips
+operations without effect.
 """
 
 import numpy as np
@@ -80,7 +80,7 @@ def take_off_air(s: DcfState, rules: DcfRules, i: int, now: int, reserved_ns: in
     s.counts[ON_AIR] = count
     let_go(s, rules, i, now, reserved_ns)
     if count > 0:
-        began = s.start_ns[s.air[count - 1]] > s.start_ns[i]  # something, while it was sending
+        began = s.start_ns[s.air[count - 1]] > s.start_ns[i]  # another frame started during its own
         order_by_end(s)
         s.busy[i] = energy_end_at(s, rules.busy_mw if began else rules.energy_mw, i)
 
@@ -237,14 +237,14 @@ def suffer_loop(s: DcfState, rules: DcfRules, i: int, header_ns: int, payload_ns
 
 
 def judge(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """Say for each radio whether it received the frame of radio i, which ends now; and if not, why not."""
+    """Set the fate at each radio of the frame of radio i, which ends now."""
     fate, level, alone = s.fate[i], s.level[i], s.hazard[i] < s.patience[i]
     ok = (s.lock == i) & alone
-    if np.count_nonzero(ok) == len(ok) - 1:  # most often
+    if np.count_nonzero(ok) == len(ok) - 1:  # the usual case
         fate[:] = RECEIVED
         fate[i] = TRANSMITTING
         return
-    if s.shared[i]:  # what would have become of it with nothing else on the air?
+    if s.shared[i]:  # fate without interference
         step, part = places(level / rules.noise_mw)
         header = rules.header_bits_per_ns * (rules.header_end_ns - rules.preamble_ns) * between(s.tables[HEADER], step, part)
         payload_ns = now - s.start_ns[i] - rules.header_end_ns
@@ -335,13 +335,13 @@ def defer(s: DcfState, rules: DcfRules, who: Bools) -> None:
 
 
 def defer_one(s: DcfState, rules: DcfRules, i: int) -> None:
-    """The same for radio i."""
+    """`defer` for radio i."""
     s.over_ns[i] = max(s.idle_ns[i], s.eifs_ns[i]) + s.slots[i] * rules.slot_ns + rules.difs_ns
     s.due[i] = max(s.over_ns[i], s.wake_ns[i])
 
 
 def interference(s: DcfState, rules: DcfRules, i: int) -> Floats | float:
-    """Noise and the power of everything but the frame of radio i, (n,) mW; a number if there is nothing else."""
+    """Noise and the power of all frames but that of radio i, (n,) mW; a number if there are no others."""
     total: Floats | float = rules.noise_mw
     for at in range(s.counts[ON_AIR]):
         other = s.air[at]
@@ -351,7 +351,7 @@ def interference(s: DcfState, rules: DcfRules, i: int) -> Floats | float:
 
 
 def interference_at(s: DcfState, rules: DcfRules, i: int, j: int) -> float:
-    """The same at radio j."""
+    """`interference` at radio j."""
     total = rules.noise_mw
     for at in range(s.counts[ON_AIR]):
         other = s.air[at]
@@ -372,7 +372,7 @@ def order_by_end(s: DcfState) -> None:
 
 
 def energy_end(s: DcfState, threshold_mw: float) -> Ints:
-    """When the sum of the powers on the air, in `DcfState.order`, falls below the threshold, (n,) ns; 0 where it is below."""
+    """Time at which the power on the air, in `DcfState.order`, falls below the threshold, (n,) ns; 0: it is below."""
     until = np.zeros(len(s.lock), np.int64)
     total = np.zeros(len(s.lock))
     for i in s.order[: s.counts[ON_AIR]]:
@@ -382,7 +382,7 @@ def energy_end(s: DcfState, threshold_mw: float) -> Ints:
 
 
 def energy_end_at(s: DcfState, threshold_mw: float, j: int) -> int:
-    """The same at radio j."""
+    """`energy_end` at radio j."""
     total = 0.0
     for at in range(s.counts[ON_AIR]):
         i = s.order[at]

@@ -1,7 +1,7 @@
-"""The air that radios of IEEE 802.11 share, from outside: frames are offered, time goes on, frames are decided.
+"""Medium of IEEE 802.11: takes offered frames, and returns decisions.
 
-What happens in between is `netsim.mac.dcf.access`, which works on arrays; here frames get their places in them, and those that
-are decided are taken out again.
+The events are simulated by `netsim.mac.dcf.access`, on arrays; this module assigns frames to places in the arrays, and collects
+decided frames.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,25 +37,24 @@ from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.ofdm import Ofdm
 
-LOAD_AFTER = 400  # frames: what they take longer without compiled code, 0.1 ms each of 3 to 50 radios, is what it takes to load
-COMPILE_AFTER = 5000  # the same, where it must be compiled first: once for each computer
+LOAD_AFTER = 400  # frames for which loading compiled code pays: it saves 0.1 ms a frame of 3 to 50 radios
+COMPILE_AFTER = 5000  # frames for which compiling pays, once for each computer
 PER_FRAME = tuple(name for name, shape in SHAPES.items() if shape[0] == "c")
 CORE = error_rate, capture, access
 
 
 class DcfMedium:
-    """The air that n radios share, and their queues.
+    """The shared medium of n radios, and their queues.
 
     Args:
-        rules: how they contend.
+        rules: constants of the contention.
         phy: air times and bits of frames.
         keys: (n,) random keys of the radios.
-        curves: of headers and of acknowledgements.
-        sensitivity_mw: the weakest level that is noticed.
-        compile_core: whether compiled code works it off; None: for many frames, where it can be compiled.
+        curves: error rates of headers and of acknowledgements.
+        sensitivity_mw: the weakest level that is detected.
+        compile_core: whether to use compiled code; None: for many frames, if available.
 
-    ``levels`` (n, n) may be set from outside: at what level, mW, each radio (row) is heard by each other (column) when it
-    acknowledges. Otherwise it is as strong as what it sent last.
+    ``levels`` (n, n) may be set: levels of acknowledgements, mW, sender by row; default: the levels of the sender's last frame.
     """
 
     def __init__(
@@ -78,7 +77,7 @@ class DcfMedium:
         self._renew: dict[int, tuple[Renew, Answer | None]] = {}  # by their places
         self._undecided = 0
         self._sizes: dict[int, tuple[int, int, int]] = {}  # air time, bits and curve of frames
-        self._decided: list[DecidedFrames] = []  # and not yet handed out
+        self._decided: list[DecidedFrames] = []  # not returned yet
         self._draw()
         self._state.slots[:] = (self._state.backoff[:, 0] * (rules.cw_min + 1)).astype(np.int64)
         self._state.over_ns[:] = rules.difs_ns + self._state.slots * rules.slot_ns
@@ -94,26 +93,26 @@ class DcfMedium:
 
     @property
     def sensitivity_mw(self) -> Floats:
-        """The weakest level that each radio notices, (n,): as the phy says, unless set."""
+        """Weakest level that each radio detects, (n,) mW; default: the phy's."""
         return self._state.sensitivity_mw
 
     @property
     def power_mw(self) -> Floats:
-        """With which each radio sends, (n,) mW: an acknowledgement meets what the data met. All alike, unless set."""
+        """Transmitted power of each radio, (n,) mW, for the levels of acknowledgements; equal unless set."""
         return self._state.power_mw
 
     def expect(self, frames: int) -> None:
-        """About so many frames will be offered: for many the core is compiled at once, for fewer never."""
+        """Hint of the expected number of frames; decides now whether to compile."""
         if self._faster_at is not None:
             self._go_faster(frames)
         self._faster_at = None
 
     def foresee(self, frames: int) -> None:
-        """By the look of it so many more frames will be offered: for many, compiled code that is at hand is loaded."""
+        """Hint of the number of further frames; loads compiled code if that pays."""
         if self._faster_at is not None and frames >= LOAD_AFTER:
             self._go_faster(min(frames, COMPILE_AFTER - 1))
 
-    # --- frames come ---
+    # --- offers ---
 
     def offer(self, frame: Offered) -> None:
         """Hand over a frame; nothing happens yet."""
@@ -132,12 +131,12 @@ class DcfMedium:
         """Hand over k broadcast frames of one size.
 
         Args:
-            time_ns: (k,) when, never decreasing.
+            time_ns: (k,) times of the offers, never decreasing.
             sender: (k,) rows.
             size_bytes: payload.
             power_mw: (n, n) level of every sender (row) at every radio.
             patience: (k, n), see `Offered`.
-            numbers: (k,) name the frames.
+            numbers: (k,) of the frames in `Decided`.
         """
         if not len(sender):
             return
@@ -166,10 +165,10 @@ class DcfMedium:
         return self._curves.index(curve)
 
     def _arrive(self, places: Ints | int, count: int, time_ns: int) -> None:
-        """They will come to their queues, the first at some time."""
+        """Schedule arrivals of frames at their queues; ``time_ns``: of the first."""
         s = self._state
         arrived, offered = int(s.counts[ARRIVED]), int(s.counts[OFFERED])
-        if offered + count > len(s.arrivals):  # what has not come yet goes to the front; more room unless half is free then
+        if offered + count > len(s.arrivals):  # move pending arrivals to the front; grow unless half is free then
             coming = s.arrivals[arrived:offered].copy()
             arrived, offered = 0, len(coming)
             if 2 * (offered + count) > len(s.arrivals):
@@ -190,14 +189,14 @@ class DcfMedium:
         del self._free[-count:]
         return taken
 
-    # --- time goes on ---
+    # --- decisions ---
 
     def advance(self, until_ns: int) -> Sequence[Decided]:
-        """Everything that is decided up to ``until_ns``, in the order of its time."""
+        """All decisions up to ``until_ns``, in order of time."""
         return [each for batch in self.advance_many(until_ns) for each in batch.frames()]
 
     def advance_many(self, until_ns: int) -> Sequence[DecidedFrames]:
-        """The same, as arrays."""
+        """`advance`, as arrays."""
         self._work_off(until_ns)
         decided, self._decided = self._decided, []
         return decided
@@ -232,14 +231,14 @@ class DcfMedium:
         s.counts[SCARCE] = 0
 
     def _collect(self) -> None:
-        """Take out what is decided, and free the places of the frames that are done with."""
+        """Collect decisions, and free the places of finished frames."""
         s = self._state
         count = int(s.counts[DECIDED])
         if not count:
             return
         s.counts[DECIDED] = 0
         which: Any = slice(count)
-        if NEVER in s.out_end[:count].tolist():  # told before
+        if NEVER in s.out_end[:count].tolist():  # output before
             which = (s.out_end[:count] != NEVER).nonzero()[0]
         columns = (s.out_start, s.out_end, s.out_attempts, s.out_fate, s.out_least)
         batch = DecidedFrames(self._number[s.out_frame[which]], *(column[which].copy() for column in columns))
@@ -255,23 +254,22 @@ class DcfMedium:
             self._go_faster(self._done)
 
     def _go_faster(self, frames: int) -> None:
-        """The same state goes on at another speed, where that pays for so many frames; else later."""
+        """Switch to compiled code if that pays for this number of frames; else set the number for the next check."""
         core = CORE, self._state, self._rules
         if frames >= COMPILE_AFTER or (frames >= LOAD_AFTER and is_cached(*core)):
             self._run, self._faster_at = Compiled(*core), None
         else:
             self._faster_at = COMPILE_AFTER
 
-    # --- what is to come ---
+    # --- forecast ---
 
     def next_ns(self) -> int | None:
-        """When a frame will be decided next, if no other is offered; None: no frame waits or is on the air.
+        """Earliest time of the next decision if no other frame is offered; None: no frame waits or is on the air.
 
-        Never too late; too early where what would be sent next has to wait for what is just starting, and for a unicast frame
-        that will have to be sent again.
+        The decision is later if the next frame has to wait for one that is just starting, or if a unicast frame needs a retry.
         """
         s = self._state
-        if s.counts[ARRIVED] < s.counts[OFFERED]:  # what comes later is offered later
+        if s.counts[ARRIVED] < s.counts[OFFERED]:  # frames offered later arrive later
             self._work_off(int(s.offered_ns[s.arrivals[s.counts[OFFERED] - 1]]))
         if self._decided:
             return int(self._decided[0].end_ns[0])

@@ -16,11 +16,11 @@ from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import Ofdm
 
 DRAWS_IN_STORE = 64
-ACK_BYTES = 14 - 36  # its PSDU, as a payload that has the headers of data
+ACK_BYTES = 14 - 36  # PSDU of an acknowledgement, as a payload with the headers of data
 
 
 class Standard(NamedTuple):
-    """What a standard fixes (IEEE 802.11-2016, tables 15-5, 16-4, 17-21, 18-5)."""
+    """Constants of a standard (IEEE 802.11-2016, tables 15-5, 16-4, 17-21, 18-5)."""
 
     slot_us: float
     sifs_us: float
@@ -38,7 +38,7 @@ A = Standard(9.0, 16.0, 15, 16, 4, -101.0, (6e6, 12e6, 24e6), 44)
 
 
 Attempts = Annotated[int, msgspec.Meta(ge=1, le=28)]
-Micros = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]  # from a nanosecond, in which all is reckoned, to a second
+Micros = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]  # from a nanosecond, the unit of time, to a second
 Margin = Annotated[float, msgspec.Meta(ge=0.0, le=400.0)]  # dB
 
 
@@ -47,7 +47,7 @@ class Dcf:
     """Radios share the air as IEEE 802.11 says: they listen before they send, back off, and collide.
 
     The phy says which standard it is: `netsim.phy.dsss.Dsss` is 802.11b, `netsim.phy.ofdm.Ofdm` 802.11a at 5 GHz and g at
-    2.4 GHz (ad hoc, no protection, long slots). None takes the standard's value. All defaults are those of ns-3.44.
+    2.4 GHz (ad hoc, no protection, long slots). None: the standard's value. All defaults are as in ns-3.44.
     """
 
     slot_us: Micros | None = None  # unit of backoffs; None: the standard's
@@ -68,9 +68,9 @@ class Dcf:
             raise ScenarioError(f"must not be more than cw_max = {self.cw_max}, not {self.cw_min}", key="cw_min")
 
     def open(self, phy: Phy, count: int, keys: Keys, noise_mw: float, *, compile_core: bool | None = None) -> DcfMedium:
-        """The air for ``count`` radios whose random keys are (count,): backoff k of a radio depends on its key and k alone.
+        """The medium of ``count`` radios with random keys (count,): backoff k of a radio depends on its key and k alone.
 
-        ``compile_core``, which changes no result: whether compiled code does the work; None: for many frames, where it can be.
+        ``compile_core``: whether to use compiled code, which changes no result; None: for many frames, if available.
         """
         if not isinstance(phy, Dsss | Ofdm):
             name = type(phy).__name__
@@ -81,7 +81,7 @@ class Dcf:
         return DcfMedium(self.rules(phy, noise_mw), phy, keys[:count], curves, sensitivity_mw, compile_core=compile_core)
 
     def rules(self, phy: Dsss | Ofdm, noise_mw: float) -> DcfRules:
-        """Everything in nanoseconds, milliwatts and ratios."""
+        """All constants, in nanoseconds, milliwatts and ratios."""
         standard = standard_of(phy)
         cw_min = standard.cw_min if self.cw_min is None else self.cw_min
         if cw_min > self.cw_max:
@@ -120,7 +120,7 @@ class Dcf:
 
 
 def standard_of(phy: Dsss | Ofdm) -> Standard:
-    """802.11b, or a or g by the band."""
+    """Constants of 802.11b, or of a or g by the band."""
     if isinstance(phy, Dsss):
         return B
     return A if phy.band == "5GHz" else G
@@ -133,5 +133,5 @@ def ack_phy(phy: Dsss | Ofdm, standard: Standard) -> Dsss | Ofdm:
 
 
 def milliwatts(dbm: float) -> float:
-    """Of a power in dBm."""
+    """Convert a power from dBm to mW."""
     return float(10.0 ** (dbm / 10.0))

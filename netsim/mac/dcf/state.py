@@ -11,7 +11,7 @@ import numpy as np
 from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
-FEW = 5  # radios: for up to so many, plain numbers and loops are quicker than NumPy
+FEW = 5  # radios up to which loops over plain numbers are faster than NumPy
 NEVER = 1 << 62
 NOBODY = -1
 
@@ -25,15 +25,15 @@ BROADCAST, UNICAST, ACK = 0, 1, 2
 
 # Numbers in `DcfState.counts`.
 ON_AIR = 0  # senders in `DcfState.air`
-ARRIVED, OFFERED = 1, 2  # frames of `DcfState.arrivals` that have come to their queue, and all that have been offered
+ARRIVED, OFFERED = 1, 2  # frames of `DcfState.arrivals` that have reached their queue, and all offered frames
 DECIDED = 3  # rows in the `out` arrays
 SCARCE = 4  # 1: some radio has no draw left
-WANTED = 5  # frame whose levels are asked for
-SOONEST = 6  # when something happens next, as far as `run` has seen
-EIFS_OVER = 7  # when the last EIFS is over that any radio has begun
-DECISION = 8  # when a frame is decided next, as far as `run` has seen
+WANTED = 5  # frame whose levels are requested
+SOONEST = 6  # time of the next event, as known to `run`
+EIFS_OVER = 7  # end of the last EIFS of any radio
+DECISION = 8  # time of the next decision, as known to `run`
 
-# Rows of `DcfState.tables` that are always there; payloads have the others.
+# Fixed rows of `DcfState.tables`; the other rows are of payloads.
 HEADER, ACKNOWLEDGEMENT = 0, 1
 
 # Fates as plain numbers, for compiled code.
@@ -48,8 +48,8 @@ class DcfRules(NamedTuple):
     slot_ns: int
     sifs_ns: int
     difs_ns: int
-    eifs_ns: int  # that a receiver waits, before DIFS, behind a payload that it could not decode
-    detect_ns: int  # from the start of a frame until it is noticed
+    eifs_ns: int  # wait before DIFS after a payload that could not be decoded
+    detect_ns: int  # from the start of a frame to its detection
     preamble_ns: int
     header_end_ns: int  # from the start of a frame
     header_bits_per_ns: float
@@ -60,14 +60,14 @@ class DcfRules(NamedTuple):
     attempts: int
     ack_air_ns: int
     ack_bits_per_ns: float
-    timeout_ns: int  # from the end of a unicast frame until its sender gives the acknowledgement up
+    timeout_ns: int  # from the end of a unicast frame to the acknowledgement timeout
     noise_mw: float
     busy_mw: float  # sum of powers at which the medium is busy
-    energy_mw: float  # the same, of what a radio has not heard begin because it was sending
-    faintest_mw: float  # what is weaker does not even disturb
+    energy_mw: float  # the same, for frames whose starts the radio missed because it was sending
+    faintest_mw: float  # weaker frames are no interference
     preamble_snr: float
-    capture: float  # ratio of powers at which a later frame takes a receiver over, if it may
-    capture_ns: int  # how long after detection it may
+    capture: float  # ratio of powers at which a later frame captures a receiver
+    capture_ns: int  # time after detection in which capture is possible
     draws: int  # of each radio, in store
 
 
@@ -83,18 +83,18 @@ RadioInts = Annotated[Ints, "n"]
 
 
 class DcfState(NamedTuple):
-    """Everything that changes. n radios, c places for frames, k draws in store, o of output."""
+    """State of a medium: n radios, c places for frames, k draws in store, o rows of output."""
 
     # The radios' view of the medium, (n,)
     idle_ns: RadioInts  # busy until then, as far as known: sending, receiving, carrier sense, reservation
-    header_ns: RadioInts  # the same, while it receives no more than the header of what it is locked to
+    header_ns: RadioInts  # the same, while it receives no more than the header of its locked frame
     eifs_ns: RadioInts  # until then a frame that could not be decoded may be acknowledged
     sensitivity_mw: RadioFloats
-    power_mw: RadioFloats  # with which it sends
-    lock: RadioInts  # whose frame it is receiving, or NOBODY
+    power_mw: RadioFloats  # transmitted power
+    lock: RadioInts  # sender of the frame that it receives, or NOBODY
     # Their contention, (n,)
-    slots: RadioInts  # of its backoff that were left when it last learnt that the medium is busy for longer
-    over_ns: RadioInts  # when the last of them is over, for what it knows
+    slots: RadioInts  # of its backoff, left at the last extension of the busy time
+    over_ns: RadioInts  # end of these slots, by its carrier sense
     wake_ns: RadioInts  # access timer: next check whether it may send; NEVER: nothing to send
     window: RadioInts  # contention window: a backoff is one of 0..window
     failures: RadioInts  # attempts since the last acknowledgement
@@ -102,23 +102,23 @@ class DcfState(NamedTuple):
     store: RadioInts  # number of the first draw in store
     backoff: Annotated[Floats, "nk"]  # (n, k) uniform
     doubt: Annotated[Floats, "nk"]  # (n, k) exponential variates: patience of acknowledgements
-    due: Annotated[Ints, "t"]  # (3 n,) when it starts to send; sends an acknowledgement; gives one up
+    due: Annotated[Ints, "t"]  # (3 n,) times of its next start, acknowledgement, and acknowledgement timeout
     # Their queues, (n,)
-    head: RadioInts  # first frame that waits, or NOBODY
+    head: RadioInts  # first waiting frame, or NOBODY
     tail: RadioInts
     waiting: RadioInts  # frames in the queue
-    sending: RadioInts  # frame that is being sent, or whose acknowledgement is waited for, or NOBODY
+    sending: RadioInts  # frame on the air, or waiting for its acknowledgement, or NOBODY
     acked: RadioInts  # frame that it is about to acknowledge
-    # What they send, (n,)
+    # Their transmissions, (n,)
     kind: RadioInts
     start_ns: RadioInts
     end_ns: RadioInts
     payload_bits_per_ns: RadioFloats
     curve: RadioInts  # row of `tables` for its payload
-    settled_ns: RadioInts  # until then `hazard` has been added up
-    detected: RadioBools  # the time in which it may be noticed is over
-    shared: RadioBools  # something else was on the air at some time
-    air: RadioInts  # (n,) those who are sending, in the order of their starts; the first counts[ON_AIR] count
+    settled_ns: RadioInts  # time up to which `hazard` is counted
+    detected: RadioBools  # its time of detection has passed
+    shared: RadioBools  # another frame was on the air during it
+    air: RadioInts  # (n,) senders on the air, in the order of their starts; the first counts[ON_AIR] are valid
     # ... at each radio, (n, n)
     level: LinkFloats  # mW
     heard: LinkFloats  # mW, of acknowledgements
@@ -126,12 +126,12 @@ class DcfState(NamedTuple):
     patience: LinkFloats
     hazard: LinkFloats
     least: LinkFloats  # SINR
-    pending: LinkBools  # heard begin by a radio that is free, not yet detected
+    pending: LinkBools  # start heard by a free radio, not detected yet
     deaf: LinkBools  # the radio was sending itself
     spoiled: LinkBools  # the header is over, and could not be decoded
     fate: Annotated[Codes, "nn"]
     tables: Floats  # (k, 2^16 + 1) hazards of `HEADER`, `ACKNOWLEDGEMENT` and payloads
-    # Frames that wait or are being sent, (c,)
+    # Frames in the queues or on the air, (c,)
     behind: FrameInts  # the next in the queue, or NOBODY
     sender: FrameInts
     to: FrameInts
@@ -141,25 +141,25 @@ class DcfState(NamedTuple):
     frame_bits: FrameInts
     frame_curve: FrameInts  # row of `tables` for its payload
     attempts: FrameInts
-    known: FrameBools  # levels and patience of its first attempt; else they are asked for
+    known: FrameBools  # levels and patience of its first attempt are known; else they are requested
     began_ns: FrameInts  # last attempt; -1: none yet
-    told: FrameBools  # unicast and received; that is decided, whatever becomes of the acknowledgement
-    outcome: FrameInts  # fate of a unicast frame where it is meant for, at the last attempt
+    told: FrameBools  # unicast, and its reception was output: independent of the acknowledgement
+    outcome: FrameInts  # fate of a unicast frame at its destination, of the last attempt
     least_there: Annotated[Floats, "c"]  # SINR, of the last attempt
     patiences: Annotated[Floats, "cn"]  # (c, n)
     levels: Annotated[Floats, "cn"]  # (c, n) mW
-    placed: RadioInts  # (n,) frame whose levels have been put in the place of what this radio sends
-    arrivals: Annotated[Ints, "a"]  # frames that are offered, by time
+    placed: RadioInts  # (n,) frame whose levels are in `level` for the radio's transmission
+    arrivals: Annotated[Ints, "a"]  # offered frames, by time
     counts: Annotated[Ints, "e"]
-    # What functions leave for those who called them, (n,)
-    busy: RadioInts  # until when the medium is busy, for what each radio learns now
-    order: RadioInts  # those who are sending, by the ends of their frames; the first counts[ON_AIR] count
+    # Results of functions for their callers, (n,)
+    busy: RadioInts  # end of the busy time, as each radio knows now
+    order: RadioInts  # senders on the air, by the ends of their frames; the first counts[ON_AIR] are valid
     # Decided frames, (o,) and (o, n)
     out_frame: OutputInts
     out_start: OutputInts
-    out_end: OutputInts  # NEVER: was told before
+    out_end: OutputInts  # NEVER: output before
     out_attempts: OutputInts
-    out_done: Annotated[Bools, "o"]  # the frame needs its place no more
+    out_done: Annotated[Bools, "o"]  # the frame's place is free
     out_fate: Annotated[Codes, "on"]
     out_least: Annotated[Floats, "on"]
 
@@ -180,7 +180,7 @@ _INITIAL: dict[str, Any] = {
 
 
 def new_state(rules: DcfRules, count: int, sensitivity_mw: float, tables: Floats) -> DcfState:
-    """Nobody sends, nothing waits; the medium has been idle since time 0."""
+    """Initial state: no transmissions, empty queues, medium idle since time 0."""
     size = {"n": count, "t": 3 * count, "k": rules.draws, "c": 256, "a": 256, "o": 256, "e": 9}
     first = {**_INITIAL, "window": rules.cw_min, "sensitivity_mw": sensitivity_mw}
     arrays: dict[str, Any] = {"tables": tables}
