@@ -1,4 +1,4 @@
-"""Named channels: a table of layer parameters each, which a scenario takes whole or changes key by key."""
+"""Presets of the channel: named tables of layer parameters, which a scenario may change key by key."""
 
 from copy import deepcopy
 from typing import Any
@@ -22,14 +22,14 @@ LAYERS = (
 
 Tables = dict[str, dict[str, Any]]
 
-# What every preset leaves out, but can be set without naming a kind: ``radio.loss.probability = 0.2``.
+# Layers without effect in presets; numbers can be set without naming a kind: ``radio.loss.probability = 0.2``.
 _LEFT_OUT: Tables = {
     "shadowing": {"kind": "gudmundson", "sigma_db": 0.0, "correlation_distance_m": 10.0},
     **{layer: {"kind": "none"} for layer in ("fading", "script", "trace", "jammer", "delivery")},
     "loss": {"kind": "bernoulli", "probability": 0.0},
     "delay": {"kind": "fixed", "seconds": 0.0, "jitter_s": 0.0},
 }
-# No bandwidth: 1 us + 1 ns a bit on the air, and nobody waits for anybody else.
+# No bandwidth: 1 us + 1 ns a bit on the air, no contention.
 _INSTANT: Tables = {
     "phy": {"kind": "constant_rate", "rate_bps": 1e9, "overhead_s": 1e-6, "tx_power_dbm": 0.0, "sensitivity_dbm": -300.0},
     "mac": {"kind": "ideal"},
@@ -51,7 +51,7 @@ def _wifi(phy: dict[str, Any], frequency_hz: float, reference_loss_db: float) ->
 
 
 _PRESETS: dict[str, Tables] = {
-    # Everybody hears everything, 1 us + 1 ns a bit after it was sent.
+    # Every radio receives every frame, 1 us + 1 ns a bit after sending.
     "ideal": {"path_loss": {"kind": "none"}, "walls": {"kind": "none"}, **_INSTANT, **_LEFT_OUT},
     # The USARSim Wireless Simulation Server with its defaults: ePdo -49.67 dBm at eDo 2 m, eN 1 (range 43 km), eCutoff -93
     # dBm, eAttenFac 6.325 dB for every obstacle. It gives the received level at d0; sent at 0 dBm, the loss at d0 is its
@@ -75,7 +75,7 @@ _PRESETS: dict[str, Tables] = {
         for letter, band, frequency_hz, reference_loss_db in (("g", "2.4GHz", 2.4e9, 40.052), ("a", "5GHz", 5.15e9, 46.684))
         for name, rate in _OFDM_RATES.items()
     },
-    # 802.15.4 at 1 mW and the sensitivity that the standard asks for.
+    # 802.15.4 at 1 mW, with the sensitivity that the standard requires.
     "zigbee": {
         **_indoor(2.4e9, 40.052),
         "phy": {"kind": "ieee802154", "tx_power_dbm": 0.0, "sensitivity_dbm": -85.0},
@@ -88,7 +88,7 @@ PRESETS = tuple(_PRESETS)
 
 
 def preset(name: str) -> Tables:
-    """The layers of a preset: ``{"path_loss": {"kind": ..., parameters}, ...}`` for all `LAYERS`, to keep."""
+    """The layers of a preset: ``{"path_loss": {"kind": ..., parameters}, ...}`` for all `LAYERS`, as a copy."""
     if name not in _PRESETS:
         raise ScenarioError(f"no preset is called {name!r}; presets: {', '.join(PRESETS)}", key="preset")
     return {layer: deepcopy(_PRESETS[name][layer]) for layer in LAYERS}

@@ -73,7 +73,7 @@ class DatagramStore:
         return True
 
     def speak(self, sender: int, payload: bytes) -> int:
-        """Store an agent's payload until it is delivered; returns its number, below those of all datagrams of programs."""
+        """Store an agent's payload until it is delivered; returns its number, below all numbers of programs' datagrams."""
         number, self._spoken = self._spoken, self._spoken + 1
         datagram = self._datagrams[number] = StoredDatagram(None, sender, BROADCAST, payload, 0)
         datagram.waiting, datagram.settled = 1, True

@@ -1,4 +1,4 @@
-"""Deliveries to programs: how late they are on the wall clock, their table, and what of them comes back to the bridge."""
+"""Deliveries to programs: lateness on the wall clock, their table, and separation of agents' messages from datagrams."""
 
 from collections import Counter
 from typing import TYPE_CHECKING, Any

@@ -57,7 +57,7 @@ class AgentDatagram(Value, frozen=True, kw_only=True, tag="spoken"):
 
 
 class LevelRows(Value, frozen=True, kw_only=True, tag="levels"):
-    """Mean levels, `GatewayContext.level_dbm`: some rows of them."""
+    """Some rows of the mean levels of `GatewayContext.level_dbm`."""
 
     first: int  # row
     dbm: Array  # (k, n) float64: of the row's radio at the column's

@@ -48,9 +48,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     walls_db: dict[str, ParameterEstimate]  # per wall, by material
     shadowing_db: ParameterEstimate | None  # standard deviation; None: the level varies as much at one place as between places
     correlation_distance_m: ParameterEstimate | None  # None: rows are independent at all measured distances
-    fading_db: (
-        ParameterEstimate | None
-    )  # standard deviation at one place, measurement error included; None: not separated from shadowing
+    fading_db: ParameterEstimate | None  # the same at one place, with measurement error; None: not separated from shadowing
     tx_power_dbm: float
     reference_distance_m: float
     sensitivity_dbm: float | None  # None: no row was lost

@@ -67,7 +67,7 @@ class Outages:
 class RuntimeChanges:
     """The current layers, and the outages so far.
 
-    Numeric fields of layers that are dataclasses may change; their keys are those of the scenario: ``radio.loss.probability``.
+    Numeric fields of layers that are dataclasses may change; keys are as in the scenario: ``radio.loss.probability``.
     """
 
     def __init__(self, **layers: Any) -> None:
@@ -156,7 +156,7 @@ class Channel:
         self.fading, self._script, self._trace, self._jammer, self._delivery = fading, script, trace, jammer, delivery
         self._levels = RxPower(fading, script, trace)
         self.operated = RuntimeChanges(loss=loss, delay=delay)
-        self.recorded: RecordedFrames | None = None  # whose outcomes frames have again; the others are drawn
+        self.recorded: RecordedFrames | None = None  # source of the outcomes of recorded frames; all others are drawn
         self.start(seed=0)
 
     def start(self, seed: int) -> None:
@@ -181,7 +181,7 @@ class Channel:
     def expect(self, frames: int) -> None:
         """Hint of the number of frames; decides now whether to compile. Changes no result."""
         self._expected = frames
-        medium = self.mac.open(self.phy, 2, np.zeros(2, np.uint64), self.hearing.noise_mw)  # none of the run's
+        medium = self.mac.open(self.phy, 2, np.zeros(2, np.uint64), self.hearing.noise_mw)  # a temporary medium
         if medium is not None:
             medium.expect(frames)
 
@@ -292,7 +292,7 @@ class Channel:
         return levels
 
     def close(self) -> None:
-        """Tell how much was not in the recording."""
+        """Report the number of frames that were not in the recording."""
         if self.recorded is not None:
             self.recorded.close(self._frames)
 

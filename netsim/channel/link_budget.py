@@ -36,9 +36,9 @@ from vcmvsp.netsim.propagation.walls import Bodies, through
 BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
 """What made a signal too weak: distance alone, or that and what else was needed."""
 
-AT_ONCE = 1 << 16  # links: for more, what one call of NumPy costs does not count
+AT_ONCE = 1 << 16  # links in a batch: NumPy's overhead for each call is negligible for more
 _RECEIVED, _UNDETECTED = np.uint8(Fate.RECEIVED), np.uint8(Fate.UNDETECTED)
-_SURE = 2.0**-54  # a hazard that no draw is below, but for 0
+_SURE = 2.0**-54  # hazard that every frame survives: no draw is less, except 0
 
 
 class ReceivedSignal(msgspec.Struct, frozen=True, dict=True):
@@ -61,7 +61,7 @@ class ReceivedSignal(msgspec.Struct, frozen=True, dict=True):
         return (self.detected & (self.hazard > _SURE)).nonzero()
 
     def rows(self, which: Sequence[int]) -> "ReceivedSignal":
-        """Those of some frames."""
+        """The signals of some frames."""
         index = slice(which[0], which[0] + 1) if len(which) == 1 else which
         return ReceivedSignal(self.snr_db[index], self.detected[index], None if self.hazard is None else self.hazard[index])
 
@@ -97,7 +97,7 @@ class LinkBudget(msgspec.Struct, dict=True):
     wall_loss_db: Floats | None = None  # (k, n)
     shadowing_db: Floats | None = None  # (k, n)
     signals: dict[int, ReceivedSignal] = msgspec.field(default_factory=dict)  # by size: filled by `ReceiverModel`
-    weakness: Codes | None = None  # (k, n) cause of a signal that is too weak: the same
+    weakness: Codes | None = None  # (k, n) cause of a signal that is too weak: filled by `ReceiverModel`
 
     @cached_property
     def power_mw(self) -> Floats:
@@ -169,7 +169,7 @@ class Budgets:
         self._seed = 0
         self._names: tuple[str, ...] = ()
         self._position: Floats | None = None
-        self._position_bytes = b""  # to notice movement
+        self._position_bytes = b""  # to detect movement
         self._antennas = np.zeros((0, 3))
         self._raised = np.zeros((0, 3))  # antennas above their vehicles' positions, (n, 3) m
         self._fixed: dict[str, tuple[SenderLinks, Floats, Floats]] = {}  # by sender: power and sensitivity of its links
@@ -282,15 +282,15 @@ class Budgets:
         return self.mean(links, self._names, self._position)
 
     def tx_power_dbm(self, names: tuple[str, ...]) -> Floats:
-        """Of the radios of these vehicles, (n,)."""
+        """Transmitted power of the radios of these vehicles, (n,)."""
         return self._own(names, "tx_power_dbm", self._phy.tx_power_dbm)
 
     def sensitivity_dbm(self, names: tuple[str, ...]) -> Floats:
-        """Of the radios of these vehicles, (n,)."""
+        """Sensitivity of the radios of these vehicles, (n,)."""
         return self._own(names, "sensitivity_dbm", self.least_dbm)
 
     def gain_dbi(self, names: tuple[str, ...]) -> Floats:
-        """Of the antennas of these vehicles, (n,)."""
+        """Gain of the antennas of these vehicles, (n,)."""
         return self._own(names, "antenna_gain_dbi", 0.0)
 
     def _own(self, names: tuple[str, ...], field: str, default: float) -> Floats:
@@ -361,7 +361,7 @@ class ReceiverModel:
         return sealed(level_dbm - self.noise_dbm)
 
     def noticed(self, sinr_db: Floats) -> Bools:
-        """Where a preamble stands out enough."""
+        """Where a preamble exceeds the detection threshold."""
         stands_out: Bools = sinr_db >= self.preamble_db
         return stands_out
 

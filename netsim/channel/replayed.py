@@ -1,4 +1,4 @@
-"""Frames that fare as they did in a run that was recorded: what was lost there is lost again, at the same receivers."""
+"""Replay of recorded frames: each frame has its recorded outcome again, at the same receivers."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -17,15 +17,15 @@ _LAYERS = ("walls", "wall_loss_db", "shadowing_db", "fading_db", "snr_db", "path
 
 
 class RecordedFrames:
-    """The frames of a recorded run, by sender and number among those of the sender.
+    """Outcomes of the frames of a recorded run, by sender and the sender's frame number.
 
-    A frame is known by these and by its receivers, not by when it is sent or from where: what the recording says of it (delays,
-    levels, distance, cause) holds, counted from the moment at which it is sent now. It is reported at once and takes up no time
-    on the air of the frames that are drawn.
+    Sender, number and receivers identify a frame; the time and place of sending do not matter. Its recorded delays, levels,
+    distance and cause apply, relative to the new time of sending. The frame is reported at once and does not occupy the medium
+    of frames that are drawn.
 
     Args:
         path: ``radio.parquet`` of the run.
-        tell: takes a line for the user, at the end: how many frames were not in the recording.
+        tell: called at the end with a line for the user: the number of frames that were not in the recording.
     """
 
     def __init__(self, path: Path, tell: Callable[[str], None] = lambda _: None) -> None:
@@ -43,7 +43,7 @@ class RecordedFrames:
         self._columns = {name: frozen(numbers(table, name)) for name in ("distance_m", "rssi_dbm", "air_time_ns", "queue_ns")}
         self._columns["access_ns"] = frozen(numbers(table, "access_ns"))
         self._columns["sinr_db"] = frozen(numbers(table, "sinr_db", np.nan))
-        for name in _LAYERS:  # zeros stand for a layer that was not there
+        for name in _LAYERS:  # zeros: the run had no such layer
             values = numbers(table, name)
             if values.any():
                 self._columns[name] = frozen(values)
@@ -57,16 +57,16 @@ class RecordedFrames:
         self._rows = _rows(numbers(table, "frame"), *names_of(table, "sender"))
 
     def start(self) -> None:
-        """Count from 0 the frames that are not in the recording."""
+        """Reset the count of frames that are not in the recording."""
         self.unknown = 0
 
     def report(self, message: Message, names: tuple[str, ...], number: int, frame: int, sent_ns: int) -> FrameReport | None:
         """The recorded report of a frame as if it had been sent now; None: it is not in the recording.
 
         Args:
-            message: what is sent.
+            message: content of the frame.
             names: the vehicles, in the order of the receivers.
-            number: of the frame among those of its sender.
+            number: the sender's frame number.
             frame: its number in the channel now.
             sent_ns: now.
         """
@@ -94,7 +94,7 @@ class RecordedFrames:
         )
 
     def close(self, sent: int) -> None:
-        """Tell how many of the ``sent`` frames were not in the recording."""
+        """Report how many of the ``sent`` frames were not in the recording."""
         if self.unknown:
             self._tell(f"{self.unknown} of {sent} frames were not in the recording: the radio has drawn what became of them")
 
@@ -105,7 +105,7 @@ def _others(names: tuple[str, ...], sender: str) -> tuple[str, ...]:
 
 
 def _rows(frame: Array, names: tuple[str, ...], sender: Array) -> dict[tuple[str, int], slice]:
-    """Rows by sender and number; rows of one frame stand together, frames in the order in which they were sent."""
+    """Rows by sender and number; rows of one frame are adjacent, frames are in the order of sending."""
     if not len(frame):
         return {}
     first = np.flatnonzero(np.diff(frame, prepend=frame[0] - 1)).tolist()

@@ -1,6 +1,6 @@
-"""Layers of users' own: their answers are checked, and an error names the layer, its class and what it must return.
+"""Checks of user-defined layers: an error names the layer, its class and the required return value.
 
-A class of a user's is replaced by one derived from it when a scenario is assembled; built-in layers cost nothing more.
+Assembly of a scenario replaces a user-defined class by a subclass with checks; built-in layers are not checked.
 """
 
 import inspect
@@ -24,11 +24,11 @@ from vcmvsp.netsim.phy.error_rate import ErrorRate
 
 Array = NDArray[Any]
 
-_BOUND_NS = 2**62  # either way: sums of two fit into 64 bits
+_BOUND_NS = 2**62  # largest magnitude: sums of two fit into 64 bits
 
 
 class LayerError(FederateError):
-    """A layer of a user's own raised, or is not what it must be. ``layer`` is its name in the chain."""
+    """A user-defined layer is invalid or has raised an exception; ``layer``: its name in the chain."""
 
     def __init__(self, layer: str, kind: type, problem: str) -> None:
         self.layer = layer
@@ -36,17 +36,17 @@ class LayerError(FederateError):
 
 
 def is_own(kind: object) -> bool:
-    """Whether a kind of a layer is a class that is not built in."""
+    """Whether the kind of a layer is a user-defined class."""
     return isinstance(kind, type) and kind.__module__.partition(".")[0] != "vcmvsp"
 
 
 def guarded(layer: str, kind: Any) -> Any:
-    """The class, if it is a user's own derived from it: what its instances answer is checked. ``layer`` is for messages."""
+    """The class; if user-defined, a subclass that checks return values. ``layer``: its name in messages."""
     return _guarded(layer, kind, _CHECKS | {"open": _medium if layer == "mac" else _anything}) if is_own(kind) else kind
 
 
 def check_attributes(layer: str, built: Any) -> None:
-    """Refuse a layer of a user's own that lacks an attribute, or has one that is no good."""
+    """Reject a user-defined layer with a missing or invalid attribute."""
     if unless_nothing(built) is None or not is_own(kind := type(built)):
         return
     for name, (fits, must) in _ATTRIBUTES.get(layer, {}).items():
@@ -63,7 +63,7 @@ def check_attributes(layer: str, built: Any) -> None:
 
 
 def _defined_at(kind: type) -> str:
-    """Where a class is written, as part of a message."""
+    """Source location of a class, as part of a message."""
     try:
         lines, first = inspect.getsourcelines(kind)
         file = inspect.getfile(kind)
@@ -80,7 +80,7 @@ Check = Callable[..., Any]
 
 
 def _guarded(layer: str, kind: type, checks: dict[str, Check]) -> type:
-    """A class derived from ``kind`` whose methods are checked."""
+    """A subclass of ``kind`` whose methods check their return values."""
 
     def asked(verb: str, check: Check) -> Callable[..., Any]:
         def method(self: Any, *args: Any) -> Any:
@@ -88,7 +88,7 @@ def _guarded(layer: str, kind: type, checks: dict[str, Check]) -> type:
                 answer = getattr(super(derived, self), verb)(*args)
             except (VcmvspError, KeyboardInterrupt):
                 raise
-            except BaseException as error:  # whatever somebody's own layer raises
+            except BaseException as error:  # user code may raise anything
                 raise LayerError(layer, kind, f"{words_of(error)}{place_of(error)}") from error
             try:
                 return check(answer, *args)
@@ -208,7 +208,7 @@ def _are_names(value: Any) -> bool:
 
 
 def _medium(answer: Any, _: object, count: int, *__: object) -> Any:
-    """A medium of a user's own, guarded as its mac is."""
+    """A user-defined medium, checked as its mac is."""
     if answer is None:
         return None
     needed = ("expect(frames)", "offer(frame)", "advance(until_ns)", "next_ns()")

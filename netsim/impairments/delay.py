@@ -1,6 +1,6 @@
 """Delays beyond the time on the air: relays, gateways, operating systems.
 
-They count from the sending, and no frame arrives before its end. Each frame and receiver has a delay of its own: frames with
+Delays count from the time of sending; no frame arrives before its end. Each frame and receiver has its own delay: frames with
 random delays may overtake each other.
 """
 
@@ -56,7 +56,7 @@ class FixedDelay:
         return self.delay_ns_by(draw())
 
     def delay_ns_by(self, draws: Floats) -> Ints:
-        """The same of draws (..., n, 2), which is all it goes by."""
+        """`delay_ns` from draws (..., n, 2) alone."""
         jitter = (2.0 * draws[..., 0] - 1.0) * self._jitter_ns
         delay: Ints = self._fixed_ns + np.rint(jitter).astype(np.int64)
         return delay
@@ -96,7 +96,7 @@ class NormalDelay:
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
         """Earliest reception, counted from the sending, (n,) whole ns."""
         uniforms = draw()
-        # Box and Muller: two uniforms make a normal number.
+        # Box-Muller transform: two uniforms give a normal number.
         normal = np.sqrt(-2.0 * np.log1p(-uniforms[..., 0])) * np.cos(2.0 * math.pi * uniforms[..., 1])
         return _whole_ns(np.maximum(self.mean_s + self.sigma_s * normal, 0.0))
 
@@ -105,8 +105,8 @@ class NormalDelay:
 class GammaDelay:
     """A fixed part and a gamma distributed one: never early, sometimes very late, as behind queues.
 
-    Mean and standard deviation are those of the gamma distributed part, whose shape is ``(mean_s / sigma_s)^2``, from 0.1 to
-    1000; where they are equal it is exponential.
+    Mean and standard deviation are of the gamma distributed part. Its shape ``(mean_s / sigma_s)^2`` is from 0.1 to 1000; with
+    shape 1 it is exponential.
     """
 
     mean_s: Seconds  # mean of the random part

@@ -1,4 +1,4 @@
-"""Behind reception: the rate limit of a link, copies of frames, and their order."""
+"""Delivery after reception: rate limit of a link, duplicates, and order of frames."""
 
 import math
 
@@ -16,7 +16,7 @@ NEVER = -1  # instead of a time: lost, or no copy
 class Delivery:
     """What a link does with a frame that its receiver has received, from one sender to one receiver, in this order.
 
-    The only layer with a memory, a wireless bridge or a relay as network emulators describe it.
+    It is the only layer with memory, and models a wireless bridge or a relay as network emulators do.
 
     1. ``rate_bps``: a link passes one frame at a time, each in ``8 size / rate`` (payload, rounded up to 1 ns). Others wait,
        first come first served (D. V. Lindley, The theory of queues with a single server, 1952)::
@@ -56,26 +56,26 @@ class Delivery:
         self.open(0)
 
     def open(self, count: int) -> None:
-        """Be the links between ``count`` radios, over which nothing has gone yet."""
+        """Reset to unused links between ``count`` radios."""
         shape = (count, count)  # sender, receiver
-        self._departed = np.zeros(shape, np.int64)  # the link is free again
-        self._arrived = np.full(shape, NEVER, np.int64)  # last, copies included
+        self._departed = np.zeros(shape, np.int64)  # end of the link's last frame
+        self._arrived = np.full(shape, NEVER, np.int64)  # last arrival, copies included
 
     def deliver(
         self, sender_row: int, rows: NDArray[np.intp], received_ns: Ints, size_bytes: int, draw: Draw
     ) -> tuple[Ints, Ints]:
-        """Pass a frame on to those who received it.
+        """Deliver a received frame to its receivers.
 
         Args:
-            sender_row: who sent it.
-            rows: its receivers, (n,), each once.
-            received_ns: when each has received it, (n,) ns; -1: it has not.
+            sender_row: row of the sender.
+            rows: of the receivers, (n,), each once.
+            received_ns: time of reception at each receiver, (n,) ns; -1: not received.
             size_bytes: payload.
             draw: two uniforms for each receiver.
 
         Returns:
-            When it arrives, and when its copy does, (n,) ns each; -1: never. What was received and never arrives is lost to
-            the rate limit.
+            Times of arrival of the frame and of its copy, (n,) ns each; -1: never. A received frame that never arrives is lost
+            by the rate limit.
         """
         arrival = received_ns
         if self.rate_bps is not None:

@@ -1,4 +1,4 @@
-"""Jammers: transmitters that send no frames but disturb those of others."""
+"""Jammers: transmitters of interference, without frames."""
 
 from bisect import bisect_right
 from collections.abc import Callable
@@ -63,8 +63,8 @@ class Emitter(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 class Jammer:
     """A frame is disturbed by each source that is on at any time while the frame is on the air, with its whole power.
 
-    What reaches a receiver is ``power_dbm`` less the mean loss on the way; it is noise to the receiver, whatever it is made
-    of. A vehicle moves its source along; a source on the receiver's own vehicle is as near as the path loss allows.
+    The power at a receiver is ``power_dbm`` minus the mean loss on the path; it counts as noise. A source on a vehicle moves
+    with it; a source on the receiver's own vehicle is at the shortest distance of the path loss.
     """
 
     sources: tuple[Emitter, ...] = ()  # the jammers
@@ -74,15 +74,15 @@ class Jammer:
     ) -> Floats:
         """Power at each receiver from all sources that are on at any time of ``[start_ns, end_ns)``, (n,) mW.
 
-        It is the mean power while they are on: pauses between pulses do not lower it. Sources are taken to be where they are
-        at ``start_ns``.
+        It is the mean power during pulses: pauses between pulses do not reduce it. Positions of sources are those at
+        ``start_ns``.
 
         Args:
-            start_ns: the frame begins on the air.
-            end_ns: it ends.
+            start_ns: start of the frame on the air.
+            end_ns: its end.
             rx: receivers, (n, 3) m, world.
             loss_db: mean loss from a point to the receivers.
-            where: place of a vehicle, (3,) m, world.
+            where: position of a vehicle, (3,) m, world.
         """
         power = np.zeros(len(rx))
         for each in self._sources:
@@ -100,7 +100,7 @@ class Jammer:
 
 
 class _Ready:
-    """A source, in whole nanoseconds."""
+    """A source with times in whole nanoseconds."""
 
     def __init__(self, source: Emitter) -> None:
         self.source = source
@@ -113,17 +113,17 @@ class _Ready:
         self._points = np.array([point[1:] for point in source.path or ()])
 
     def on(self, start_ns: int, end_ns: int) -> bool:
-        """Whether it is on at any time of ``[start_ns, end_ns)``."""
+        """Whether the source is on at any time of ``[start_ns, end_ns)``."""
         begin = max(start_ns, self._from_ns)
         end = end_ns if self._to_ns is None else min(end_ns, self._to_ns)
         if begin >= end or self._pulses is None:
             return begin < end
-        # The last pulse that begins before the end is also the one that lasts longest.
+        # The last pulse that starts before the end also ends last.
         last = -(-(end - self._from_ns) * self._pulses.per // self._pulses.ns) - 1
         return self._pulses.at(last) + self._on_ns > begin - self._from_ns
 
     def place(self, time_ns: int, where: Callable[[str], Floats]) -> Floats:
-        """Its position, (3,) m, world."""
+        """Position of the source, (3,) m, world."""
         if self._place is not None:
             return self._place
         if self.source.vehicle is not None:

@@ -1,7 +1,4 @@
-"""Losses of frames that are strong enough to be received.
-
-They are independent, or come in bursts.
-"""
+"""Losses of frames that are strong enough to be received: independent, or in bursts."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -44,7 +41,7 @@ class Bernoulli:
         return self.lost_by(draw())
 
     def lost_by(self, draws: Floats) -> Bools:
-        """The same of draws (..., n, 2), which is all it goes by."""
+        """`lost` from draws (..., n, 2) alone."""
         lost: Bools = draws[..., 0] < self.probability
         return lost
 
@@ -63,7 +60,7 @@ class GilbertElliott:
 
     E. N. Gilbert, Capacity of a burst-noise channel, 1960; E. O. Elliott, Estimates of error rates for codes on burst-noise
     channels, 1963. Rates are per second, p from good to bad and r back, so that results do not depend on how often
-    frames are sent. The states last 1/p and 1/r s on average, exponentially distributed; what is lost in the long run is::
+    frames are sent. The states last 1/p and 1/r s on average, exponentially distributed; the long-term share of losses is::
 
         p / (p + r) bad_loss + r / (p + r) good_loss
 
@@ -80,15 +77,15 @@ class GilbertElliott:
     cause: ClassVar[str] = "burst"
 
     def lost(self, frame: Frame, draw: Draw) -> Bools:
-        """Which receivers lose the frame, (n,); the state counts in which it begins on the air."""
+        """Which receivers lose the frame, (n,), by the state of the link at the frame's start."""
         probability = np.where(self.bad(frame.keys, frame.start_ns), self.bad_loss, self.good_loss)
         lost: Bools = draw()[..., 0] < probability
         return lost
 
     def bad(self, keys: Keys, time_ns: int) -> Bools:
         """Which of the links (n,) are in the bad state at one instant."""
-        # A chain with two states is the same as one that at the rate p + r takes a new state, bad with probability
-        # p / (p + r), whatever it was. So its history needs not be followed from the start, and costs the same at any time.
+        # A chain with two states is equivalent to one that draws a new state at the rate p + r, bad with probability
+        # p / (p + r), independent of the old state. So no history from the start is needed, and the cost is constant in time.
         rate = self.to_bad_per_s + self.to_good_per_s
         cell_ns = max(1, round(_MEAN / rate * SECOND_NS))
         cell, inside_ns = divmod(time_ns, cell_ns)
@@ -106,8 +103,8 @@ class Bursts:
 
         r = 1 / mean_burst_s,    p = r probability / (1 - probability)
 
-    Its bad and good times last exponentially long. Of frames T s apart, the mean row of losses is
-    ``1 / ((1 - probability) (1 - exp(-(p + r) T)))`` frames: of very short bursts it is that of independent losses.
+    Its bad and good times are exponentially distributed. For frames T s apart, the mean run of losses is
+    ``1 / ((1 - probability) (1 - exp(-(p + r) T)))`` frames: for very short bursts as for independent losses.
     """
 
     probability: Share = 0.2  # share of the frames that are lost
@@ -126,14 +123,14 @@ class Bursts:
 
 @lru_cache(maxsize=256)
 def _cell(keys: bytes, cell: int, cell_ns: int, rate: float, chance: float) -> tuple[Floats, Bools]:
-    """What happens to n links in a cell of time.
+    """Renewals and states of n links in a cell of time.
 
     Returns:
-        When they are renewed, ns from the cell's start, (n, _MOST), increasing; and their states before the first, and after
-        each of these instants, (n, _MOST + 1), True for bad.
+        Times of renewals, ns from the cell's start, (n, _MOST), increasing; and the states before the first and after each of
+        them, (n, _MOST + 1), True for bad.
     """
     times, states = _renewals(keys, cell, rate, chance)
-    # It begins as the cell before ended. A cell without renewals (once in 1e7) has in its stead a state of its own.
+    # The cell starts with the last state of the cell before; if that has no renewals (once in 1e7), with its first drawn state.
     before, earlier = _renewals(keys, cell - 1, rate, chance)
     last = np.maximum((before < cell_ns).sum(axis=-1) - 1, 0)
     first = earlier[np.arange(len(last)), last]
@@ -142,7 +139,7 @@ def _cell(keys: bytes, cell: int, cell_ns: int, rate: float, chance: float) -> t
 
 def _renewals(keys: bytes, cell: int, rate: float, chance: float) -> tuple[Floats, Bools]:
     """Instants of a Poisson process, ns from the cell's start, and the states that begin there, (n, _MOST) each."""
-    # Cell -1, before the run, has the last numbers of 64 bits.
+    # Cell -1, before the run, uses the last 64-bit numbers.
     numbers = np.uint64(cell * _MOST % 2**64) + np.arange(_MOST, dtype=np.uint64)
     uniforms = link_uniform(np.frombuffer(keys, np.uint64)[:, None], numbers, BURST_SLOT)
     gaps = -np.log1p(-uniforms[..., 0]) * (SECOND_NS / rate)

@@ -1,4 +1,4 @@
-"""What the scenario changes at run time: outages, weaker signals, longer delays, by link and time."""
+"""Scripted changes of links at given times: outages, attenuation, delays."""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
@@ -43,26 +43,26 @@ class Change(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Effects(NamedTuple):
-    """What the changes that are present do to n links, together."""
+    """Combined effects of the active changes on n links."""
 
     passes: Floats  # (n,) probability that a frame is not lost
     gain_db: Floats  # (n,)
-    delay_ns: Ints  # (n,) behind the end of the frame
+    delay_ns: Ints  # (n,) after the end of the frame
 
 
 @dataclass(frozen=True)
 class Script:
     """Changes concern each frame that is on the air at any time of them, as a whole.
 
-    Where several meet on a link, each loses frames independently, and attenuations and delays add up. A name that no vehicle
-    has matches nothing (see `unmatched`).
+    Several changes of a link lose frames independently of each other; their attenuations and delays add up. A name without a
+    vehicle matches nothing (see `unmatched`).
     """
 
     changes: tuple[Change, ...] = ()  # what is different, when, on which links
     cause: ClassVar[str] = "scripted outage"
 
     def gain_db(self, frame: Frame, draw: Draw) -> Floats:
-        """To be added to the level at each receiver, (n,) dB."""
+        """Gain at each receiver, (n,) dB, to be added to the level."""
         return self._effects(frame).gain_db
 
     def lost(self, frame: Frame, draw: Draw) -> Bools:
@@ -74,27 +74,27 @@ class Script:
         return lost
 
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
-        """Earliest reception, counted from the sending, (n,) ns: the frame's end and the delays that are present."""
+        """Earliest reception, counted from the sending, (n,) ns: the frame's end plus the active delays."""
         return self._effects(frame).delay_ns + (frame.end_ns - frame.sent_ns)
 
     def unmatched(self, vehicles: Sequence[str]) -> list[str]:
-        """The key expressions that stand for no link between any two of the vehicles."""
+        """The key expressions that match no link between the vehicles."""
         links = [f"{sender}/{receiver}" for sender in vehicles for receiver in vehicles if sender != receiver]
         expressions = dict.fromkeys(expression for change in self.changes for expression in change.links)
         return [each for each in expressions if not any(matches(each, link) for link in links)]
 
     def _effects(self, frame: Frame) -> Effects:
-        """Of the changes that are present while the frame is on the air."""
+        """Effects of the changes that are active while the frame is on the air."""
         edges, present, of = self._timeline
         first, last = bisect_right(edges, frame.start_ns), bisect_left(edges, frame.end_ns)
         now = present[first]
-        if first < last:  # something begins or ends while it is on the air
+        if first < last:  # a change starts or ends while the frame is on the air
             now = tuple(sorted({change for stretch in present[first : last + 1] for change in stretch}))
         return of(now, frame.sender, frame.receivers)
 
     @cached_property
     def _timeline(self) -> tuple[list[int], list[tuple[int, ...]], Callable[[tuple[int, ...], str, tuple[str, ...]], Effects]]:
-        """When anything changes, ns; the changes present before the first and after each of these instants; their effects."""
+        """Times of all changes, ns; the active changes before the first and after each of these; their effects."""
         ends = [2**63 if each.to_s is None else seconds_to_ns(each.to_s) for each in self.changes]
         spans = [(seconds_to_ns(each.from_s), end) for each, end in zip(self.changes, ends, strict=True)]
         edges = sorted({edge for span in spans for edge in span})

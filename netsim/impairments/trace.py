@@ -1,4 +1,4 @@
-"""Trace-driven links: what was measured, or computed elsewhere, in place of the models."""
+"""Trace-driven links: measured values, or values computed elsewhere, replace the models."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ KEYS = ("time_s", "sender", "receiver")
 LEVELS = ("snr_db", "rssi_dbm")
 VALUES = (*LEVELS, "loss", "delay_s")
 
-_LONGEST_S = 1e9  # either way: nanoseconds fit into 64 bits
+_LONGEST_S = 1e9  # largest magnitude: nanoseconds fit into 64 bits
 
 
 class TraceRows(NamedTuple):
@@ -39,12 +39,12 @@ class TraceRows(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """Where n links are in their traces at one instant: between two rows each, or twice at the same row."""
+    """Rows of n links' traces at one instant: two neighbouring rows each, or one row twice."""
 
     traced: Bools  # (n,) whether the trace names the link
     before: NDArray[np.intp]  # (n,) row that counts
-    after: NDArray[np.intp]  # (n,) the next one; where there is none, or values are held: the same
-    weight: Floats  # (n,) of the latter, 0 to 1
+    after: NDArray[np.intp]  # (n,) the next row; without one, or without interpolation: the same
+    weight: Floats  # (n,) of `after`, 0 to 1
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,9 @@ class Trace:
     ``delay_s``                  from sending to reception, instead of the models'; but no frame arrives before its end
     ===========================  =======================================================================================
 
-    A row concerns one direction. Between rows the last one holds, or, with ``interpolate``, values go in straight lines over
-    time (levels in dB); before a link's first row that one holds, after its last row that one. Of rows with the same time the
-    last one counts. A frame has the values of the time at which it begins on the air. Links that the file does not name are
-    left to the models.
+    A row is for one direction. Between rows the earlier one holds, or, with ``interpolate``, values are linear in time (levels
+    in dB); a link's first row also holds before its time, the last row after it. Of rows with the same time the last one
+    counts. A frame has the values of its start on the air. The models apply to links without rows.
 
     Args:
         file: path of a CSV or Parquet file with the columns ``time_s``, ``sender``, ``receiver`` and any of ``snr_db`` or
@@ -82,7 +81,7 @@ class Trace:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Which quantities the file has: ``snr_db`` or ``rssi_dbm``, ``loss``, ``delay_s``."""
+        """The quantities in the file: ``snr_db`` or ``rssi_dbm``, ``loss``, ``delay_s``."""
         return tuple(self._rows.values)
 
     def names(self) -> tuple[str, ...]:
@@ -94,7 +93,7 @@ class Trace:
         return self._links(frame.sender, frame.receivers) >= 0
 
     def level_dbm(self, frame: Frame) -> Floats:
-        """Level at each receiver, (n,) dBm; NaN where the file does not say."""
+        """Level at each receiver, (n,) dBm; NaN: no value in the file."""
         column = next((name for name in LEVELS if name in self._rows.values), None)
         if column is None:
             return np.full(len(frame.receivers), np.nan)
@@ -102,14 +101,14 @@ class Trace:
         return level if column == "rssi_dbm" or self.noise_dbm is None else level + self.noise_dbm
 
     def lost(self, frame: Frame, draw: Draw) -> Bools:
-        """Which receivers lose the frame, (n,); none where the file does not say."""
+        """Which receivers lose the frame, (n,); none without a value in the file."""
         if "loss" not in self._rows.values:
             return np.zeros(len(frame.receivers), np.bool_)
         lost: Bools = draw()[..., 0] < self._at("loss", frame, untraced=0.0)
         return lost
 
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
-        """Earliest reception, counted from the sending, (n,) ns; 0 where the file does not say."""
+        """Earliest reception, counted from the sending, (n,) ns; 0: no value in the file."""
         if "delay_s" not in self._rows.values:
             return np.zeros(len(frame.receivers), np.int64)
         delay: Ints = np.rint(self._at("delay_s", frame, untraced=0.0) * SECOND_NS).astype(np.int64)
@@ -125,9 +124,9 @@ class Trace:
 
     def _find(self, time_ns: int, sender: str, receivers: tuple[str, ...]) -> Moment:
         rows, links = self._rows, self._links(sender, receivers)
-        traced, links = links >= 0, np.maximum(links, 0)  # what is not traced may find any row
+        traced, links = links >= 0, np.maximum(links, 0)  # untraced links may find any row
         first, last = rows.first[links], rows.first[links + 1] - 1
-        # Rows are sorted by link and time. One search finds all: for the number of the link, and how many times had passed.
+        # Rows are sorted by link and time: one search, by link number and number of past times, finds the rows of all links.
         passed = np.searchsorted(rows.times_ns, time_ns, side="right")
         before = np.maximum(np.searchsorted(rows.order, links * rows.stride + passed) - 1, first)
         if not self.interpolate:
@@ -141,14 +140,14 @@ class Trace:
     def _rows(self) -> TraceRows:
         return read_rows(self.file)
 
-    # The questions about one frame share an answer: all are asked before the next frame's.
+    # All queries about one frame share a result: they precede the queries about the next frame.
     @cached_property
     def _moment(self) -> Callable[[int, str, tuple[str, ...]], Moment]:
         return lru_cache(maxsize=64)(self._find)
 
     @cached_property
     def _links(self) -> Callable[[str, tuple[str, ...]], NDArray[np.intp]]:
-        """The number of each link in the file, (n,); -1: not there."""
+        """The number of each link in the file, (n,); -1: not in the file."""
         number = {link: k for k, link in enumerate(self._rows.links)}
 
         def links(sender: str, receivers: tuple[str, ...]) -> NDArray[np.intp]:
@@ -158,11 +157,11 @@ class Trace:
 
 
 def read_rows(file: str) -> TraceRows:
-    """The rows of a trace file.
+    """Read the rows of a trace file.
 
     Raises:
         ScenarioError: it cannot be read, a column is missing, unknown or given twice, a value is missing, not finite or out of
-            its range, or the time of a link goes back; with the first line (Parquet: row) for which that is so.
+            its range, or the time of a link goes back; the message names the first such line (Parquet: row).
     """
     table = _read(Path(file))
     _check_columns(Path(file), table.column_names)
@@ -240,7 +239,7 @@ def _numbers(file: str, table: pa.Table, name: str) -> Floats:
 
 
 def _names(file: str, table: pa.Table) -> tuple[list[str], tuple[Ints, Ints]]:
-    """All names, and the place of each row's sender and receiver among them, (N,) each."""
+    """All names, and the indices of each row's sender and receiver in them, (N,) each."""
     try:
         ends = [table[name].combine_chunks().cast(pa.string()) for name in ("sender", "receiver")]
     except pa.ArrowException as error:
@@ -261,7 +260,7 @@ def _refuse(file: str | Path, problem: str, row: int | None = None) -> NoReturn:
 
 
 def _line(path: Path, row: int) -> int:
-    """The line of a CSV file in which a row stands: header and empty lines count too."""
+    """Line number of a row in a CSV file; header and empty lines count."""
     with path.open(encoding="utf-8") as lines:
         filled = (number for number, line in enumerate(lines, start=1) if line.strip("\r\n"))
         return next(number for k, number in enumerate(filled) if k == row + 1)

@@ -83,15 +83,15 @@ class Paths(msgspec.Struct, frozen=True):
 
 
 def distances(tx: Floats, rx: Floats) -> Floats:
-    """Between points (..., 3), m."""
+    """Distances between points (..., 3), m."""
     squared = rx - tx
     squared *= squared
-    distance_m: Floats = np.sqrt(squared[..., 0] + squared[..., 2] + squared[..., 1])  # another order, other last bits
+    distance_m: Floats = np.sqrt(squared[..., 0] + squared[..., 2] + squared[..., 1])  # this order: the last bits depend on it
     return distance_m
 
 
 def distance_of(paths: Paths | ArrayLike) -> Floats:
-    """The distances of paths; or distances as they are, for a law that needs nothing else."""
+    """The distances of paths; given distances are returned unchanged."""
     return paths.distance_m if isinstance(paths, Paths) else np.asarray(paths, np.float64)
 
 
@@ -218,13 +218,13 @@ SCRIPT_SLOT = 4
 TRACE_SLOT = 5
 DELIVERY_SLOT = 6
 JAMMER_SLOT = 7
-ERROR_SLOT = 32  # and those behind it: one for each attempt to send the frame
-RETRY_FADING_SLOT = 64  # the same: fading of each attempt but the first
-ACK_FADING_SLOT = 96  # the same: fading of the acknowledgement of each attempt
+ERROR_SLOT = 32  # and following: one for each attempt to send the frame
+RETRY_FADING_SLOT = 64  # and following: fading of each attempt but the first
+ACK_FADING_SLOT = 96  # and following: fading of the acknowledgement of each attempt
 # Draws that do not go by frames.
 WAVE_SLOT = 16  # fading in time: the waves of a pair
-BURST_SLOT = 17  # bursts: what changes a link, and when
-BACKOFF_SLOT = 18  # of a radio: its backoffs
+BURST_SLOT = 17  # bursts: new states of a link, and their times
+BACKOFF_SLOT = 18  # backoffs of a radio
 
 Make = Callable[[Floats], NDArray[Any]]
 """Function of draws (..., n, 2) alone, (..., n)."""
@@ -269,7 +269,7 @@ class LinkDraws:
         return cached[1]
 
     def some(self, frame: int, slot: int, which: NDArray[np.intp]) -> Floats:
-        """The same for some receivers only, by their place: (len(which), 2)."""
+        """`uniform` for some receivers only, by their place: (len(which), 2)."""
         return link_uniform(self._links.keys[which], np.array(frame, np.uint64), slot)
 
 

@@ -44,7 +44,7 @@ class Fate(IntEnum):
 class Offered(msgspec.Struct, frozen=True):
     """One frame, handed to its sender's queue."""
 
-    number: int  # names the frame in `Decided`
+    number: int  # of the frame, for `Decided`
     time_ns: int  # of the offer
     sender: int  # row of the radio
     to: int  # row of the destination; -1: broadcast
@@ -82,7 +82,7 @@ class DecidedFrames(NamedTuple):
     least_sinr: Floats  # (m, n)
 
     def frames(self) -> Iterator[Decided]:
-        """One by one."""
+        """The decisions one by one."""
         columns = (column.tolist() for column in self[:4])
         for k, (number, start_ns, end_ns, attempts) in enumerate(zip(*columns, strict=True)):
             yield Decided(number, start_ns, end_ns, attempts, self.fate[k], self.least_sinr[k])

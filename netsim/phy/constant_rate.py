@@ -1,8 +1,8 @@
 """Radio standards: time on the air, transmitted power, noise, sensitivity, packet errors.
 
-Here are noise, messages in several frames, and the phy without a standard, a constant bit rate; the standards are in
-`netsim.phy.dsss`, `netsim.phy.ofdm` and `netsim.phy.ieee802154`. Payload is what the agent sends (``Message.size_bytes``); each
-standard adds its own headers. Air times are whole nanoseconds.
+This module has noise, messages of several frames, and a constant bit rate without a standard; the standards are in
+`netsim.phy.dsss`, `netsim.phy.ofdm` and `netsim.phy.ieee802154`. The payload is the agent's message (``Message.size_bytes``);
+each standard adds its own headers. Air times are whole nanoseconds.
 """
 
 import math
@@ -23,8 +23,8 @@ Overhead = Annotated[float, msgspec.Meta(ge=0.0, le=1e3)]  # s
 class ConstantRate:
     """A bit pipe: ``overhead_s`` and then the payload at ``rate_bps``; by default too quick to matter.
 
-    For channels that have no bandwidth (the Wireless Simulation Server has none), where the air time must only not be zero:
-    1 us + 1 ns a bit, 1.8 us for 100 bytes. The default sensitivity, 1e-33 W, hears everything.
+    For channels without bandwidth, like the Wireless Simulation Server, where the air time must only not be zero: 1 us + 1 ns a
+    bit, 1.8 us for 100 bytes. With the default sensitivity, 1e-33 W, every frame is received.
     """
 
     rate_bps: BitRate = 1e9  # of the payload
@@ -46,8 +46,8 @@ TEMPERATURE_K = 290.0  # of the standard definition of noise figure
 class ThermalNoise:
     """``N = k 290 K B F``: bandwidth B, noise figure F.
 
-    The defaults are those of ns-3.44 for IEEE 802.11, -93.965 dBm: 7 dB (``WifiPhy::RxNoiseFigure``) over 20 MHz, also for
-    DSSS, whose error formulas count on it.
+    The defaults, -93.965 dBm, are as in ns-3.44 for IEEE 802.11: 7 dB (``WifiPhy::RxNoiseFigure``) over 20 MHz, also for
+    DSSS, whose error formulas assume it.
     """
 
     bandwidth_hz: Positive = 20e6
@@ -64,7 +64,7 @@ class ThermalNoise:
 
     @property
     def dbm(self) -> float:
-        """Its power."""
+        """Noise power."""
         watts = BOLTZMANN * TEMPERATURE_K * self.bandwidth_hz
         return 10.0 * math.log10(watts) + 30.0 + self.noise_figure_db
 
@@ -82,8 +82,8 @@ def over_frames(size_bytes: int, largest_bytes: int, of_frame: Callable[[int], i
     Args:
         size_bytes: of the message.
         largest_bytes: payload of one frame.
-        of_frame: what a frame with this payload adds.
-        between: what the space from one frame to the next adds.
+        of_frame: value of a frame with this payload.
+        between: value of the space between two frames.
     """
     full = max(0, -(-size_bytes // largest_bytes) - 1)
     return full * (of_frame(largest_bytes) + between) + of_frame(size_bytes - full * largest_bytes)

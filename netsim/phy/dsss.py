@@ -21,9 +21,9 @@ class Dsss:
     payload and 36 bytes: MAC header 24, FCS 4, LLC and SNAP 8. An MSDU has 2304 bytes at most, 2296 of payload: a longer
     message crosses as several frames, SIFS (10 us) apart, and is received or lost as one.
 
-    Power, sensitivity and noise are those of ns-3.44: 16.0206 dBm (40 mW; ``WifiPhy::TxPowerStart``); a preamble is noticed
+    Power, sensitivity and noise are as in ns-3.44: 16.0206 dBm (40 mW; ``WifiPhy::TxPowerStart``); a preamble is detected
     from -82 dBm and 4 dB above noise and interference on (``ThresholdPreambleDetectionModel``), at every rate; the noise
-    figure is 7 dB. With these the gain of spreading is out of reach: at -82 dBm the SNR is 12 dB, and 1 Mbit/s needs -5.
+    figure is 7 dB. So the spreading gain is not used: at -82 dBm the SNR is 12 dB, and 1 Mbit/s needs -5.
     """
 
     rate_bps: BitRate = 1e6  # 1e6, 2e6, 5.5e6 or 11e6
@@ -38,7 +38,7 @@ class Dsss:
 
     @property
     def noise_dbm(self) -> float:
-        """Thermal noise in the 20 MHz with which its error rates reckon."""
+        """Thermal noise in 20 MHz, as assumed by the error rates."""
         return ThermalNoise(noise_figure_db=self.noise_figure_db).dbm
 
     @cached_property
@@ -51,7 +51,7 @@ class Dsss:
         return over_frames(size_bytes, LARGEST_MSDU_BYTES, lambda size: 192 + self._psdu_us(size), 10) * US
 
     def payload_bits(self, size_bytes: int) -> int:
-        """Rate x the time behind preamble and header of all its frames: these bits an error rate counts."""
+        """Bits for the error rate: rate x time after preamble and header, over all frames."""
         return round(self.rate_bps * over_frames(size_bytes, LARGEST_MSDU_BYTES, self._psdu_us) / 1e6)
 
     def _psdu_us(self, size_bytes: int) -> int:
@@ -80,7 +80,7 @@ class DsssErrors(ErrorRate):
     rate_bps: BitRate = 1e6
 
     def __post_init__(self) -> None:
-        Dsss(rate_bps=self.rate_bps)  # says which rates there are
+        Dsss(rate_bps=self.rate_bps)  # checks the rate
 
     def payload(self, size_bytes: int) -> tuple[ErrorRate, int]:
         """Rate x the time behind the preamble, whole microseconds."""
@@ -108,9 +108,9 @@ def biorthogonal_error(energy: Floats) -> Floats:
     """Symbol error of 8 biorthogonal signals in white noise, with e = symbol energy over noise density, (n,).
 
     ``1 - integral from -b to infinity of (2 Phi(t + b) - 1)^7 phi(t) dt``, b = sqrt(2 e) (Proakis, Digital Communications,
-    4th edition, 5.2-34). Written over u = t + b it is the integral of ``w(u) phi(u - b)`` with w = 1 below 0 and
-    ``1 - erf(u / sqrt 2)^7`` above: a sum of positive terms, exact in the tail. w has six derivatives at 0, therefore
-    the trapezoidal rule hardly sees the seam: with a step of 1/8 the error is right within 2e-11.
+    4th edition, 5.2-34). With u = t + b it is the integral of ``w(u) phi(u - b)`` with w = 1 below 0 and
+    ``1 - erf(u / sqrt 2)^7`` above: a sum of positive terms, exact in the tail. w has six derivatives at 0, so the
+    trapezoidal rule is accurate there: with a step of 1/8 the result is right within 2e-11.
     """
     step = 0.125
     u = np.arange(-10.0, 39.0, step)

@@ -3,8 +3,8 @@
 A frame, or any piece of it at a constant SINR, survives with ``(1 - pb)^bits``. The SINR changes when an interferer starts or
 ends: the success of the pieces multiplies, so that their ``bits * bit_hazard`` add up, interpolated from tables.
 
-A receiver has drawn, for a frame, how much hazard it survives: an exponential variate, its patience. The frame is received if
-the sum of its hazards stays below the patience: with the chance ``exp(-sum)``, whatever the pieces.
+For each frame a receiver draws the hazard that the frame survives: an exponential variate, its patience. The frame is received
+if the sum of its hazards stays below the patience: with the probability ``exp(-sum)``, independent of the division into pieces.
 
 A table holds the hazard of a bit at 2048 equal steps of every octave of the SINR (as a ratio of powers), from 2^-16 to 2^16
 (-48 to 48 dB), and is interpolated linearly. The step is read from the bits of the floating-point number itself, exponent and
@@ -21,14 +21,14 @@ import numpy as np
 from vcmvsp.cosim.types import frozen
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 
-ERROR_FLOOR = 1e-300  # every bit may fail, if only in theory: logarithms stay finite
-ERROR_CEILING = 1.0 - 2.0**-53  # and every bit may survive
+ERROR_FLOOR = 1e-300  # lower bound of bit errors: logarithms stay finite
+ERROR_CEILING = 1.0 - 2.0**-53  # upper bound, for the same reason
 
 
 class ErrorRate(ABC):
-    """One bit rate's curve. Hashable, as frozen dataclasses are: equal models share their table.
+    """Error curve of one bit rate. Hashable, as frozen dataclasses are: equal models share their table.
 
-    By the table success is that of the formula within 1e-5 for pieces of 4 bits to 2304 bytes, from -48 to 48 dB.
+    Success by the table is within 1e-5 of the formula for pieces of 4 bits to 2304 bytes, from -48 to 48 dB.
     """
 
     @abstractmethod
@@ -37,12 +37,12 @@ class ErrorRate(ABC):
 
     @abstractmethod
     def payload(self, size_bytes: int) -> tuple["ErrorRate", int]:
-        """By which curve, and how many, bits of a frame of this size have to survive: rate x their time, filling included."""
+        """Curve and number of the bits of a frame of this size that have to survive: rate x time, padding included."""
 
     @property
     @abstractmethod
     def header(self) -> tuple["ErrorRate", int]:
-        """By which curve, and how many, bits before the payload have to survive as well."""
+        """Curve and number of the bits before the payload, which have to survive, too."""
 
     @property
     def table(self) -> Floats:
@@ -59,14 +59,14 @@ class ErrorRate(ABC):
         return success
 
     def frame_hazard(self, sinr_db: Floats, size_bytes: int) -> Floats:
-        """``-log`` of a frame's chance to survive, header included, at a SINR that lasts; the shape of ``sinr_db``."""
+        """``-log`` of a frame's chance to survive, header included, at constant SINR; the shape of ``sinr_db``."""
         (payload, payload_bits), (header, header_bits) = _pieces(self, size_bytes)
         step, part = places(10.0 ** (sinr_db / 10.0))
         hazard = payload_bits * between(payload, step, part)
         return hazard + header_bits * between(header, step, part) if header_bits else hazard
 
     def frame_success(self, sinr_db: Floats, size_bytes: int) -> Floats:
-        """Chance that a frame with this payload survives, header included, at a SINR that lasts; the shape of ``sinr_db``."""
+        """Chance that a frame with this payload survives, header included, at constant SINR; the shape of ``sinr_db``."""
         success: Floats = np.exp(-self.frame_hazard(sinr_db, size_bytes))
         return success
 
@@ -93,7 +93,7 @@ def _pieces(errors: ErrorRate, size_bytes: int) -> tuple[tuple[Floats, int], tup
     return (payload.table, payload_bits), (header.table, header_bits)
 
 
-LOWEST, HIGHEST = -16, 16  # octaves; outside, the steps at the ends go on
+LOWEST, HIGHEST = -16, 16  # octaves; outside, the first or last step holds
 STEP_BITS = 11  # steps in an octave: 2^11
 FRACTION_BITS = 52 - STEP_BITS  # of a double's fraction: what is left within a step
 FIRST = (1023 + LOWEST) << STEP_BITS  # exponent and step of 2^LOWEST in a double, whose exponents are biased by 1023
@@ -114,7 +114,7 @@ def look_up(table: Floats, sinr: Floats) -> Floats:
 
 
 def places(sinr: Floats) -> tuple[Ints, Floats]:
-    """Where SINRs are in any table, (n,): at which step, and at what part of the way to the next."""
+    """Position of SINRs in any table, (n,): step, and fraction of the way to the next."""
     bits = sinr.view(np.int64)
     step: Ints = np.minimum(np.maximum((bits >> FRACTION_BITS) - FIRST, 0), LAST)
     return step, (bits & WITHIN).astype(np.float64) * STEP

@@ -32,7 +32,7 @@ class Ieee802154:
 
     @property
     def noise_dbm(self) -> float:
-        """As in ns-3.44, 0.4 dB below the sensitivity (`netsim.phy.constant_rate.ThermalNoise.ieee802154`)."""
+        """Thermal noise as in ns-3.44, 0.4 dB below the sensitivity (`netsim.phy.constant_rate.ThermalNoise.ieee802154`)."""
         return ThermalNoise.ieee802154(self.sensitivity_dbm).dbm
 
     @cached_property

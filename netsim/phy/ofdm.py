@@ -57,7 +57,7 @@ ONTO_TABLE_DB = {
     48e6: ((11.9, 11.31, 1.46, -0.21), (14.8, 14.81, 0.94, 0.35)),
     54e6: ((14.8, 15.58, 0.92, 0.10), (16.9, 17.57, 0.89, 0.25)),
 }
-LONG_BITS = 8 * 400  # rate x time behind the preamble, as ns-3.44 counts them: filling bits and signal extension too
+LONG_BITS = 8 * 400  # rate x time after the preamble, as in ns-3.44: padding and signal extension included
 
 # Information bit errors of all events of weight d0, d0 + step, ...: (d0, step, information bits k that they count for, errors).
 # P. Frenger, P. Orten, T. Ottosson, Multi-rate convolutional codes, Chalmers 1998.
@@ -77,9 +77,9 @@ class Ofdm:
     payload and 36 bytes: MAC header 24, FCS 4, LLC and SNAP 8. An MSDU has 2304 bytes at most, 2296 of payload: a longer
     message crosses as several frames, SIFS (10 us, at 5 GHz 16) apart, and is received or lost as one.
 
-    Power, sensitivity and noise are those of ns-3.44, as for `netsim.phy.dsss.Dsss`: 16.0206 dBm, and -82 dBm for every
-    rate. The standard asks for -82 dBm at 6 Mbit/s and -65 dBm at 54 (17.3.10.2); here the packet errors of ``error_model``
-    see to that (`OfdmErrors`, whose three models differ by up to 5 dB).
+    Power, sensitivity and noise are as in ns-3.44 and `netsim.phy.dsss.Dsss`: 16.0206 dBm, and -82 dBm for every rate. The
+    standard requires -82 dBm at 6 Mbit/s and -65 dBm at 54 (17.3.10.2); here this difference comes from the packet errors of
+    ``error_model`` (`OfdmErrors`, whose three models differ by up to 5 dB).
     """
 
     rate_bps: BitRate = 6e6  # 6e6, 9e6, 12e6, 18e6, 24e6, 36e6, 48e6 or 54e6
@@ -111,7 +111,7 @@ class Ofdm:
         return over_frames(size_bytes, LARGEST_MSDU_BYTES, lambda size: 20 + self._payload_us(size), sifs_us) * US
 
     def payload_bits(self, size_bytes: int) -> int:
-        """Rate x the time behind preamble and header: these bits an error rate counts, filling and extension included."""
+        """Bits for the error rate: rate x time after preamble and header, padding and extension included."""
         return int(self.rate_bps) // 1_000_000 * over_frames(size_bytes, LARGEST_MSDU_BYTES, self._payload_us)
 
     def _payload_us(self, size_bytes: int) -> int:
@@ -122,7 +122,7 @@ class Ofdm:
 
 @dataclass(frozen=True)
 class OfdmErrors(ErrorRate):
-    """IEEE 802.11a or g at one rate. ``band`` matters only for how many bits a frame has, ``long`` only for the model table."""
+    """IEEE 802.11a or g at one rate. ``band`` affects only the number of bits of a frame, ``long`` only the model table."""
 
     rate_bps: BitRate = 6e6
     band: Literal["2.4GHz", "5GHz"] = "2.4GHz"
@@ -130,7 +130,7 @@ class OfdmErrors(ErrorRate):
     long: bool = False  # the curve of frames of at least `LONG_BITS`
 
     def __post_init__(self) -> None:
-        Ofdm(rate_bps=self.rate_bps, band=self.band)  # says which rates there are
+        Ofdm(rate_bps=self.rate_bps, band=self.band)  # checks the rate
 
     def payload(self, size_bytes: int) -> tuple[ErrorRate, int]:
         """Rate x the time behind the preamble: 1620 bits for 100 bytes at 54 Mbit/s in 802.11g, whose PSDU has 1088."""
@@ -144,7 +144,7 @@ class OfdmErrors(ErrorRate):
         return OfdmErrors(6e6, self.band, self.model), 24
 
     def hazard(self, sinr: Floats) -> Floats:
-        """By the model, (n,); see `yans_bit_error` and `nist_bit_error`."""
+        """Hazard by the model, (n,); see `yans_bit_error` and `nist_bit_error`."""
         if self.model == "nist":
             return hazard_of(nist_bit_error(sinr, self.rate_bps))
         if self.model == "table" and self.rate_bps in ONTO_TABLE_DB:
@@ -153,17 +153,17 @@ class OfdmErrors(ErrorRate):
 
 
 def _onto_table(sinr: Floats, at_db: float, yans_db: float, slope: float, bend: float) -> Floats:
-    """At which SINR yans has the errors that the model table has at ``sinr``, see `ONTO_TABLE_DB`."""
+    """SINR at which yans has the errors of the model table at ``sinr``, see `ONTO_TABLE_DB`."""
     x = 10.0 * np.log10(sinr) - at_db
     moved: Floats = 10.0 ** ((yans_db + slope * x + bend * np.hypot(x, 1.0)) / 10.0)
     return moved
 
 
 def yans_bit_error(sinr: Floats, rate_bps: float) -> Floats:
-    """Bit errors behind the decoder, (n,): ``min(1, a P(d) + a' P(d + 1))``, the same as ns-3.44 ``YansErrorRateModel``.
+    """Bit error rate after the decoder, (n,): ``min(1, a P(d) + a' P(d + 1))``, the same as ns-3.44 ``YansErrorRateModel``.
 
-    ``P(d)``, the chance that a path d bits away is preferred, is that of more than d/2 of d bits wrong (half of it for d/2); as
-    in ns-3 all d wrong is left out, and the weight d + 1 of BPSK. The share of bits that are wrong before the decoder is
+    ``P(d)``, the chance that a path at distance d is preferred, is that of more than d/2 errors in d bits (half of it for d/2);
+    as in ns-3, d errors are left out, and the weight d + 1 of BPSK. The bit error rate before the decoder is
     ``b = erfc(sqrt E) / 2`` for BPSK, and ``b = (1 - (1 - z)^2) / log2 M`` for M points with
     ``z = (1 - 1 / sqrt M) erfc sqrt(1.5 E log2 M / (M - 1))``; E = x 20 MHz / coded bit rate (M. Lacage, T. Henderson, Yet
     another network simulator, WNS2 2006).
@@ -189,7 +189,7 @@ def _wrong_path(b: Floats, d: int) -> Floats:
 
 
 def nist_bit_error(sinr: Floats, rate_bps: float) -> Floats:
-    """Bit errors behind a decoder of hard decisions, (n,): the same as ns-3.44 ``NistErrorRateModel``, and as INET's.
+    """Bit error rate after a hard-decision decoder, (n,): the same as ns-3.44 ``NistErrorRateModel``, and as INET's.
 
     ``min(1, sum over the spectrum of errors D^d / (2 k))``, ``D = sqrt(4 b (1 - b))``, k information bits in a puncturing
     period; before the decoder b = erfc(sqrt x) / 2 (BPSK), erfc(sqrt(x / 2)) / 2 (QPSK), 3/8 erfc sqrt(x / 10) (16-QAM),

@@ -1,9 +1,9 @@
-"""Fading: quick variations of the level, where many paths of the same signal meet.
+"""Fading: fast variations of the level by multipath propagation.
 
 Each model is a distribution of the power gain g with mean 1, drawn for each link and frame. Without ``doppler_hz`` the
-draws are independent; with it, they are samples of a process in time. That is right once messages come quicker than the channel
-changes: at v m/s and f Hz the greatest Doppler shift is ``fd = v f / c``, 8 Hz at 1 m/s and 2.4 GHz, and the channel keeps
-its level for about 0.4 / fd, 50 ms.
+draws are independent; with it, they are samples of a process in time. Set it if messages come faster than the channel changes:
+at v m/s and f Hz the greatest Doppler shift is ``fd = v f / c``, 8 Hz at 1 m/s and 2.4 GHz, and the coherence time is about
+0.4 / fd, 50 ms.
 """
 
 import math
@@ -78,11 +78,10 @@ class Rician:
 
 
 def scattering(pair_keys: Keys, time_ns: int, doppler_hz: float) -> Complex:
-    """The complex amplitude of what arrives from all around, (n,), of the pairs (n,) at one instant.
+    """Complex amplitude of the scattered paths of pairs (n,) at one instant, (n,).
 
-    A function of pair and time alone, whatever was asked before. It is the sum of waves that come from evenly spread directions
-    alpha with random phases (R. H. Clarke, A statistical theory of mobile-radio reception, Bell System Technical Journal 47,
-    1968)::
+    It depends on pair and time alone. It is the sum of waves from evenly spread directions alpha with random phases
+    (R. H. Clarke, A statistical theory of mobile-radio reception, Bell System Technical Journal 47, 1968)::
 
         h(t) = sqrt(1 / M) sum_m exp(j (2 pi fd t cos(alpha_m) + phi_m))
 
@@ -90,7 +89,7 @@ def scattering(pair_keys: Keys, time_ns: int, doppler_hz: float) -> Complex:
     """
     cosines, phases = _waves(pair_keys.tobytes())
     turns = doppler_hz * (time_ns / SECOND_NS) * cosines + phases
-    # Single precision is enough for a fraction of a turn, and several times as quick.
+    # Single precision is enough for a fraction of a turn, and several times as fast.
     angle = (turns - np.rint(turns)).astype(np.float32) * np.float32(2.0 * math.pi)
     real, imaginary = (wave.sum(axis=-1, dtype=np.float64) for wave in (np.cos(angle), np.sin(angle)))
     h: Complex = (real + 1j * imaginary) / math.sqrt(_WAVES)
@@ -151,7 +150,7 @@ def _table(shape: float) -> tuple[Floats, Floats]:
     middle, offset = 0.5 * (t[1:] + t[:-1]), 0.5 * math.sqrt(0.6) * step
     areas = step / 18.0 * (5.0 * _density(shape, middle - offset) + 8.0 * _density(shape, middle))
     areas += step / 18.0 * 5.0 * _density(shape, middle + offset)
-    # What lies below the table: the density is exponential there, P = density / shape.
+    # Below the table the density is exponential: P = density / shape.
     below = np.cumsum(np.concatenate([_density(shape, t[:1]) / shape, areas]))
     above = np.cumsum(np.concatenate([[math.exp(-_TAIL)], areas[::-1]]))[::-1]
     inside = (below > 0.0) & (above > 0.0)

@@ -1,7 +1,4 @@
-"""Path loss: how a signal weakens on its way.
-
-Log-distance, free space (Friis) and flat ground (two-ray).
-"""
+"""Path loss: log-distance, free space (Friis) and flat ground (two-ray)."""
 
 import math
 from dataclasses import dataclass
@@ -17,7 +14,7 @@ from vcmvsp.netsim.interfaces.layers import Floats, Paths, distance_of
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 
 Exponent = Annotated[float, msgspec.Meta(ge=0, le=100)]
-Frequency = Annotated[float, msgspec.Meta(ge=1e6, le=1e12)]  # Hz: gigahertz are a slip that would pass for a number
+Frequency = Annotated[float, msgspec.Meta(ge=1e6, le=1e12)]  # Hz: the bounds reject values in GHz
 
 _TOUCHING_M = 1e-3  # least distance of two antennas, and least height above the ground
 

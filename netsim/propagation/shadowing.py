@@ -1,4 +1,4 @@
-"""Shadowing: slow variations of the level by whatever stands about, as a random field over pairs of positions."""
+"""Shadowing: slow variations of the level by obstacles, as a random field over pairs of positions."""
 
 import math
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ class Shadowing:
 
     When one end moves by delta the correlation is ``rho = exp(-delta / correlation_distance_m)``, when both move it is the
     product of both (M. Gudmundson, Correlation model for shadow fading in mobile radio systems, Electronics Letters 27, 1991;
-    3GPP TR 38.901, 7.4.4). It depends on the positions and the seed alone: the same in both directions, whatever the step,
-    the order of frames or the number of vehicles, and one that returns to a place finds its old level there.
+    3GPP TR 38.901, 7.4.4). It depends on the positions and the seed alone, not on step, order of frames or number of vehicles;
+    it is equal in both directions, and a vehicle that returns to a place has the same level there again.
 
     The field is a sum of M = ``waves`` cosines over both ends::
 
@@ -52,7 +52,7 @@ class Shadowing:
         # Sums have the same operands in the same order for both directions, so that they agree to the last bit.
         here, there, phase = _waves(paths.seed, self.correlation_distance_m, self.waves)
         both = np.empty(len(paths.rx))
-        for begin in range(0, len(both), _BLOCK):  # what is in between stays in the cache
+        for begin in range(0, len(both), _BLOCK):  # intermediate results stay in the cache
             block = slice(begin, begin + _BLOCK)
             tx, rx = paths.tx if paths.tx.ndim == 1 else paths.tx[block], paths.rx[block]
             forth = _cosines(_dot(tx, here) + phase, _dot(rx, there))
@@ -63,17 +63,17 @@ class Shadowing:
 
 
 def _dot(points: Floats, vectors: Floats) -> Floats:
-    """Scalar products of points (n, 3) or (3,) with vectors (3, m), not by BLAS, whose last bit goes by the shape."""
+    """Scalar products of points (n, 3) or (3,) with vectors (3, m), not by BLAS, whose last bit depends on the shape."""
     x, y, z = points[..., 0, None], points[..., 1, None], points[..., 2, None]
     products: Floats = x * vectors[0] + y * vectors[1] + z * vectors[2]
     return products
 
 
 def _cosines(a: Floats, b: Floats) -> Floats:
-    """Sum of ``cos(2 pi (a + b))`` over the last axis: (n, m) or (m,), whichever of a and b, to (n,)."""
+    """Sum of ``cos(2 pi (a + b))`` over the last axis, (n,); a and b: (n, m) or (m,)."""
     turns = a + b
     turns -= np.rint(turns)
-    # Single precision is enough for a fraction of a turn (5e-6 dB), and four times as quick.
+    # Single precision is enough for a fraction of a turn (5e-6 dB), and four times as fast.
     waves = np.cos(turns.astype(np.float32) * np.float32(2.0 * math.pi))
     sums: Floats = waves.sum(axis=-1, dtype=np.float64)
     return sums

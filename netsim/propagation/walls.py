@@ -26,7 +26,7 @@ ITU_MATERIALS: dict[str, tuple[float, float, float, float]] = {
 }
 """ITU-R P.2040-3, table 3: relative permittivity ``a f^b`` and conductivity ``c f^d`` S/m, f in GHz (1 to 40 GHz)."""
 
-_DARK_DB = 300.0  # a loss that nothing survives, finite
+_DARK_DB = 300.0  # finite loss that no frame survives
 
 
 class Sightline(Protocol):
@@ -34,7 +34,7 @@ class Sightline(Protocol):
 
     @property
     def materials(self) -> tuple[str, ...]:
-        """Of each obstacle, (m,)."""
+        """Material of each obstacle, (m,)."""
 
     @property
     def thickness_m(self) -> Floats:
@@ -94,7 +94,7 @@ class _Walls(ABC):
         crossed, _ = self.sightline.crossings(paths.tx, paths.rx)
         loss = np.minimum(np.where(crossed, self._walls_db, 0.0).sum(axis=-1), self.cap_db)
         kinds, of_kind = self._by_kind
-        each = (crossed.astype(np.float64) @ of_kind).astype(np.int64)  # products of integers take many times as long
+        each = (crossed.astype(np.float64) @ of_kind).astype(np.int64)  # integer products are many times slower
         texts = self._texts
         rows = [tuple(row) for row in each.tolist()]
         for row in rows:
@@ -143,8 +143,8 @@ class FixedWalls(_Walls):
 def slab_loss_db(material: str, thickness_m: float, frequency_hz: float) -> float:
     """Loss in dB of a slab of one of the `ITU_MATERIALS` at normal incidence.
 
-    The wave meets both faces again and again. How the echoes add up goes by millimetres that no map of a building has, so the
-    transmitted power is averaged over all phases between them: it is the sum of the powers of all echoes::
+    The wave is reflected repeatedly at both faces. The phases of the echoes depend on millimetres, which building maps do not
+    have, so the transmitted power is averaged over all phases: it is the sum of the powers of all echoes::
 
         eta = a f^b - j 17.98 c f^d / f,   n = sqrt(eta)         (ITU-R P.2040-3, 3.1; f in GHz)
         R = |(n - 1) / (n + 1)|^2                                power reflected at a face
@@ -169,7 +169,7 @@ def _require_known(material: str) -> None:
         raise ScenarioError(f"no loss is known for walls of {material!r}; known: {allowed}; or give kind = 'fixed'", key="kind")
 
 
-_NEVER_ZERO = 1e-300  # added to what is divided by: changes nothing but a zero
+_NEVER_ZERO = 1e-300  # added to divisors: changes only a zero
 
 
 class Bodies(NamedTuple):
@@ -202,8 +202,9 @@ def through(bodies: Bodies, sender: int, antennas: Floats) -> tuple[Floats, Ints
 def _crossed(bodies: Bodies, tx: Floats, rx: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """Which lines from ``tx`` to ``rx`` (n, 3) pass through which bodies, (n, m).
 
-    Seen from above a body is a disc: the line is inside it between two fractions of its length. It passes through the body if
-    it is at its height somewhere between. Counted from the middle of the line, so that there and back are the same.
+    Seen from above, a body is a disc, and the line is inside it between two fractions of its length. The line passes through
+    the body if it is at the body's height somewhere between. Fractions count from the middle of the line, so that both
+    directions agree.
     """
     middle, run = 0.5 * (tx + rx)[:, None], (rx - tx)[:, None]
     x, y = (middle - bodies.foot)[..., 0], (middle - bodies.foot)[..., 1]
