@@ -103,7 +103,7 @@ class Patrol(Agent):
 def _nearest(scan: Scan, bearing: float) -> float:
     """Distance of the nearest return in a lane around a bearing, m."""
     aside = scan.angle_min + scan.angle_step * np.arange(len(scan.ranges)) - bearing
-    valid = np.isfinite(scan.ranges) | (scan.ranges < 0.0)  # nearer than it can measure: -inf, as good as 0
+    valid = np.isfinite(scan.ranges) | (scan.ranges < 0.0)  # -inf: nearer than it can measure, counts as 0
     ranges = np.where(valid, np.maximum(scan.ranges, 0.0), 0.0)
     ahead, across = ranges * np.cos(aside), ranges * np.sin(aside)
     inside: Array = ahead[valid & (np.cos(aside) > 0.0) & (np.abs(across) < 0.5 * LANE_M)]

@@ -159,7 +159,7 @@ class AvoidanceSteering:
         self.level = 0
 
     def start(self, info: VehicleInfo) -> None:
-        """Take scanner and body of the vehicle; a ValueError says what is missing, or that the method does not suit it."""
+        """Take scanner and body of the vehicle; `ValueError`: one is missing, or the method does not suit the vehicle."""
         self._looking.start(info, "avoidance.scanner")
         body = body_of(info)
         try:

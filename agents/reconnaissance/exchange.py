@@ -353,7 +353,7 @@ class Ledger(MapExchange):
         counts = self.tiling.counts_of(tile, raw)
         if counts is None or not _is_number(who, len(self._places)) or type(age) is not int:
             return None
-        changed = ms - age  # where clocks differ, what is passed on may be from after it was sent
+        changed = ms - age  # with different clocks, a relayed change may be later than its message
         return (who, tile, changed, counts) if max(0, latest_ms - OLDEST_MS) <= changed <= latest_ms else None
 
     def _merge(self, place: int, ms: int, *entry: Any) -> None:

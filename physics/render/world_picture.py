@@ -115,7 +115,7 @@ def _oblique(world: World, low: Array, high: Array, width: int, height: int, tim
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     slopes = np.array([1.0, height / width]) * (0.94 * math.tan(0.5 * _FOV))  # of rays to the picture's edges
     aim, distance = 0.5 * (low + high), 0.0
-    for _ in range(4):  # near enough that all corners are inside; then to the middle of what is projected
+    for _ in range(4):  # from a distance that shows all corners, then centred on their projection
         places = (corners - aim) @ rotation
         distance = float(((np.abs(places[:, :2]) / slopes).max(axis=1) - places[:, 2]).max())
         projected = places[:, :2] / (places[:, 2:] + distance)

@@ -99,7 +99,7 @@ class Consensus(Agent):
         self._changes: list[tuple[int, ShapeName]] = []  # still to come, the next one last
 
     def start(self, info: VehicleInfo) -> None:
-        """Find the neighbours, and take the first shape; a ValueError says that a handle is missing or names do not fit."""
+        """Find the neighbours, and take the first shape; `ValueError`: a handle is missing, or names do not fit."""
         if self.handle is None and info.body is not None and not info.body.flies:
             raise ValueError("handle is missing: on wheels no vehicle moves sideways; give one, e.g. handle = 0.3 (m, > 0)")
         members = members_of(self.formation or Formation(), info.vehicles, info.name)

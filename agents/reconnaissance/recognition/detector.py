@@ -30,7 +30,7 @@ from vcmvsp.cosim.types import Array
 
 SMALLEST_PX = 12  # of a target's side in the picture: smaller targets are not recognised
 RINGS = 0.88  # cosine of the second stage
-HOPEFUL, PROMISING = 0.60, 0.80  # the same with few samples, on a coarse and a finer grid: what is below is looked at no closer
+HOPEFUL, PROMISING = 0.60, 0.80  # the same with few samples, on a coarse and a finer grid; patches below are dropped
 MATCH = 0.75  # correlation of the third stage
 FINEST = 1.2  # pictures are reduced if the target is larger than this many patches
 MOVES = 0.3  # sides by which a middle may still move after the first stage

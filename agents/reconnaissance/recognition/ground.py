@@ -156,7 +156,7 @@ def frame(
 
 
 def tilted(frame: SyntheticFrame, tilt: float, about: float) -> SyntheticFrame:
-    """The same scene from a camera tilted by so much (rad) about an axis of its picture that points ``about`` (rad)."""
+    """The scene from a camera tilted by an angle (rad) about an axis of its picture in the direction ``about`` (rad)."""
     K = np.array([[FOCAL_PX, 0.0, 0.5 * (WIDTH - 1)], [0.0, FOCAL_PX, 0.5 * (HEIGHT - 1)], [0.0, 0.0, 1.0]])
     turn, _ = cv2.Rodrigues(tilt * np.array([math.cos(about), math.sin(about), 0.0]))
     H = K @ turn @ np.linalg.inv(K)

@@ -25,7 +25,7 @@ _DEADMAN_NS = seconds_to_ns(DEADMAN_S)
 
 
 class DriverWatchdog:
-    """Drives the robot; its pose when a run begins is as the run says, if it is None.
+    """Drives the robot; without a given pose, the run defines the pose at its start.
 
     Attributes:
         run: name of the last run.

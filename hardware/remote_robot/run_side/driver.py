@@ -126,7 +126,7 @@ class ZenohDriver(ThreadedDriver):
         except UsageError as error:
             raise ScenarioError(str(error), key="listen") from None
         device = f"{listen} ({vehicle})" if vehicle else listen
-        # the robot says more of its closing when it comes
+        # the robot reports its own deadline of closing on connection
         super().__init__(device, open_deadline_s=START_S + open_deadline_s, close_deadline_s=GRACE_S)
         self._vehicle, self._reconnect_s, self._timeout_s = vehicle, reconnect_s, command_timeout_s
         self._listen, self._secure = listen, bool(keys)
