@@ -126,7 +126,7 @@ class BridgeProcess:
     # From programs to the run
 
     def offer(self, gateway: Gateway, sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
-        """Put it into the store, if there is room."""
+        """Store a datagram for the run, if there is room; returns whether there was."""
         rows = range(len(self.vehicles))
         if len(payload) > LARGEST or sender not in rows or to == sender or (to not in rows and to != BROADCAST):
             raise ValueError(f"{type(gateway).__name__} offers {len(payload)} bytes from row {sender} to {to}")
@@ -139,7 +139,7 @@ class BridgeProcess:
         return True
 
     def count(self, vehicle: int, what: str, by: int = 1) -> None:
-        """Count it."""
+        """Count datagrams of a vehicle under a reason."""
         name = self.vehicles[vehicle]
         self._counts.setdefault(name, Counter())[what] += by
         self._changed_counts[name] = None

@@ -29,7 +29,7 @@ AT_ONCE = 200  # deliveries, before others have their turn
 
 @dataclass(slots=True)
 class StoredDatagram:
-    """A datagram."""
+    """A datagram, from its reception until it is settled and all its deliveries are made."""
 
     gateway: Gateway | None
     sender: int

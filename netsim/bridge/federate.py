@@ -123,7 +123,7 @@ class Bridge:
         return self._late.summary({name: {**self._counts.get(name, {}), **self._own_counts.get(name, {})} for name in names})
 
     def table(self) -> "pa.Table":
-        """A row per delivery (`Lateness.table`); ``frame`` and ``receiver`` are those of the table of frames."""
+        """A row per delivery (`Lateness.table`); ``frame`` and ``receiver`` are as in the table of frames."""
         return self._late.table(tuple(each.name for each in self._opening.gateways))
 
     def start(self, run: RunInfo) -> int | None:

@@ -58,7 +58,7 @@ _ADVICE = {
 
 
 class Ports(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[bridge.udp.ports.VEHICLE]``: other ports than those of its block."""
+    """``[bridge.udp.ports.VEHICLE]``: ports of a vehicle that replace the defaults."""
 
     send: Port | None = None  # datagrams sent here are broadcast
     receive: str | None = None  # HOST:PORT or [HOST]:PORT: destination of the datagrams that the vehicle receives

@@ -154,7 +154,7 @@ class Wss:
                 relay.deliver(sender, place, payload[HEADER.size :])
 
     def lost(self, sender: int, receiver: int, payload: bytes) -> None:
-        """A chunk has been lost."""
+        """Report a lost chunk to its relay."""
         number, place = HEADER.unpack_from(payload)
         if relay := self._relay(number, sender, receiver):
             self._context.count(sender, "chunks of connections sent again")

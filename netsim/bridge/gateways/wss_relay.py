@@ -75,7 +75,7 @@ class RelayStream:
             self._over = True
 
     def deliver(self, number: int, chunk: bytes) -> None:
-        """A chunk has arrived."""
+        """Take a chunk that has arrived."""
         if self._under_way.pop(number, None) is None:
             return  # a copy
         self._arrived[number] = chunk
@@ -86,7 +86,7 @@ class RelayStream:
         self._moved.set()
 
     def lost(self, number: int) -> None:
-        """A chunk has been lost."""
+        """Schedule a lost chunk to be sent again."""
         if number in self._under_way:
             chunk, losses = self._under_way[number]
             self._under_way[number] = chunk, losses + 1
@@ -219,11 +219,11 @@ class Relay:
             pass
 
     def deliver(self, sender: int, number: int, chunk: bytes) -> None:
-        """A chunk has arrived."""
+        """Pass an arrived chunk to its stream."""
         self._streams[sender].deliver(number, chunk)
 
     def lost(self, sender: int, number: int) -> None:
-        """A chunk has been lost."""
+        """Report a lost chunk to its stream."""
         self._streams[sender].lost(number)
 
     def _offer(self, sender: int, to: int, number: int, chunk: bytes) -> bool:

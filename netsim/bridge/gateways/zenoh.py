@@ -160,7 +160,7 @@ class ZenohGateway:
         return str(endpoint)
 
     def _on_sample(self, row: int, sample: zenoh.Sample) -> None:
-        """Called in a thread of Zenoh."""
+        """Queue a publication for the radio; called in a thread of Zenoh."""
         key = str(sample.key_expr)
         if key.startswith(OWN):
             return

@@ -131,7 +131,7 @@ class Csma154Medium:
         self._waiting: dict[int, None] = {}  # numbers of frames, in the order in which they were offered
         self._soonest: dict[int, int] = {}  # by row: earliest decision of its frame
         self._decided: list[Decided] = []
-        # Levels between radios, (n, n), as far as known from frames: those of acknowledgements at third radios.
+        # Levels between radios, (n, n), as far as known from frames: for acknowledgements at third radios.
         self._levels = np.zeros((len(keys), len(keys)) if rules.acknowledge else (0, 0))
         self.power_mw: Floats = np.ones(len(keys))  # of the radios; equal unless set
 
