@@ -2,8 +2,8 @@
 
 Sequence numbers separate old routes from new ones, as in DSDV (Perkins and Bhagwat, SIGCOMM 1994). The feasibility condition
 of Babel (RFC 8966, section 2.4) prevents loops at every instant, even if updates are lost: for each destination a vehicle
-stores the best ``(number, hops)`` that it has advertised (newer number first, then fewer hops), and accepts a neighbour's route only
-if that is better still. So routes improve strictly along next hops.
+stores the best ``(number, hops)`` that it has advertised (newer number first, then fewer hops), and accepts a neighbour's route
+only if that is better still. So routes improve strictly along next hops.
 """
 
 from collections.abc import Sequence
