@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import requirements
 from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.processes
@@ -55,3 +56,7 @@ def test_what_is_left_out_is_named_and_fails_where_ci_is_set(ci: str, workers: s
     assert ("As root, .ci/debian-packages installs" in summary) == (not ci)
     assert "there is no sshd: install the Debian package openssh-server" in done.stdout
     assert "could not import 'no_such_library'" in done.stdout
+
+
+def test_make_quick_chooses_the_tests_in_which_nothing_may_be_started() -> None:
+    assert f'-m "{requirements.QUICK}"' in (ROOT / "Makefile").read_text("utf-8")
