@@ -76,5 +76,4 @@ def build_nested(described: Mapping[str, Any], key: str) -> Agent:
     agent_class = registry.find("agent", kind, key=where)
     check_acts(agent_class, kind, where)
     params = {name: value for name, value in described.items() if name != "kind"}
-    agent: Agent = binding.call(agent_class, params, key=key, also=("kind",))
-    return agent
+    return binding.call(agent_class, params, key=key, also=("kind",))

@@ -123,8 +123,7 @@ def _ranges() -> Array:
     boxes = np.array(ROOM).reshape(-1, 2, 2).transpose(1, 2, 0)[..., None]  # (corner, axis, box, beam)
     enters, leaves = np.sort(boxes / rays, axis=0)
     meets, ends = enters.max(axis=0), leaves.min(axis=0)
-    found: Array = np.where((meets <= ends) & (meets > 0.0), meets, math.inf).min(axis=0)
-    return found
+    return np.where((meets <= ends) & (meets > 0.0), meets, math.inf).min(axis=0)
 
 
 if __name__ == "__main__":

@@ -110,8 +110,7 @@ def _until_touch(x: Array, y: Array, excess: Array, curvature: Array, keep: floa
     chord = 4.0 * radius * np.maximum(from_centre, STRAIGHTEST)
     half = np.sqrt(np.clip((keep * keep - beyond * beyond) / chord, 0.0, 1.0))
     angle = np.arctan2(x, radius - aside) - 2.0 * np.arcsin(half)
-    way: Array = radius * np.where(angle < 0.0, angle + math.tau, angle)
-    return way
+    return radius * np.where(angle < 0.0, angle + math.tau, angle)
 
 
 class _DynamicWindow:
@@ -170,8 +169,7 @@ class _DynamicWindow:
     def _points(self, view: View, fastest: float) -> Array:
         within = max(self._set.lookahead_m, self._stopping_m(fastest + self._set.acceleration * self._period_s)) + self._keep
         near = view.ranges < within
-        points: Array = view.units[near] * np.maximum(view.ranges[near], 1e-6)[:, None]  # contacts have a direction, too
-        return points
+        return view.units[near] * np.maximum(view.ranges[near], 1e-6)[:, None]  # contacts have a direction, too
 
     def _stopping_m(self, v: Any) -> Any:
         """Distance to standstill from speeds v, m/s, after one more period, m."""

@@ -74,8 +74,7 @@ def histogram(view: View, keep: float, sectors: int, within: float = math.inf) -
     apart = _apart(len(view.ranges), float(view.bearings[0]), view.step, sectors)
     if len(near) < len(view.ranges):
         apart = apart[near]
-    least: Array = np.where(apart <= half[:, None], ranges[:, None], math.inf).min(axis=0)
-    return least
+    return np.where(apart <= half[:, None], ranges[:, None], math.inf).min(axis=0)
 
 
 def openings(free: Array) -> Iterator[tuple[int, int]]:
@@ -172,8 +171,7 @@ class _Vfh:
         left = bearings[(bearings >= 0.0) & (np.hypot(x, y - radius) < radius + self._keep)]
         right = bearings[(bearings <= 0.0) & (np.hypot(x, y + radius) < radius + self._keep)]
         directions = _directions(self._set.sectors)
-        turnable: Array = (directions <= left.min(initial=math.pi)) & (directions >= right.max(initial=-math.pi))
-        return turnable
+        return (directions <= left.min(initial=math.pi)) & (directions >= right.max(initial=-math.pi))
 
     def _way(self, free: Array, visible: Array, target: float) -> tuple[float, bool] | None:
         """The cheapest direction, rad, and whether the task goes there; else it is an edge of an opening, clear of obstacles.

@@ -154,8 +154,7 @@ def check_carried(info: VehicleInfo, sensor: str, key: str) -> None:
 
 def wrapped(angles: Array) -> Array:
     """Angles wrapped to [-pi, pi), rad."""
-    result: Array = (angles + math.pi) % math.tau - math.pi
-    return result
+    return (angles + math.pi) % math.tau - math.pi
 
 
 def lane_free(view: View, bearing: float, half_width: float, length: float) -> bool:
@@ -199,5 +198,4 @@ def free_m(view: View, direction: Point, radius: float, within_m: float, half_wi
 
 def half_angles(ranges: Array, half_width: float) -> Array:
     """Half of the angle, (n,) rad, that returns at these distances, m, block for a disc of radius ``half_width``, m."""
-    half_angles: Array = np.arcsin(np.minimum(1.0, half_width / np.maximum(ranges, half_width)))
-    return half_angles
+    return np.arcsin(np.minimum(1.0, half_width / np.maximum(ranges, half_width)))

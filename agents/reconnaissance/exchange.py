@@ -55,8 +55,7 @@ class Tiling:
     def of_grid(self, tiled: Array) -> Array:
         """Tiled arrays, (..., tiles, cells of a tile), as (..., rows, columns)."""
         flat = tiled.reshape(*tiled.shape[:-2], -1)[..., self.index]
-        result: Array = flat.reshape(*flat.shape[:-1], self.grid.rows, self.grid.columns)
-        return result
+        return flat.reshape(*flat.shape[:-1], self.grid.rows, self.grid.columns)
 
     def count(self, counts: Array, cells: Array, hits: Array) -> Array:
         """Add looks at cells, each at most once, to counts, (tiles, 2, cells of a tile) uint16; the tiles of these cells."""
@@ -370,8 +369,7 @@ class Ledger(MapExchange):
 
     def _newer(self) -> Array:
         """(members, tiles): whether relayed counts are newer than the contributor's own; of this vehicle itself never."""
-        newer: Array = self._others_changed > self._said
-        return newer
+        return self._others_changed > self._said
 
 
 def exchange(

@@ -53,8 +53,7 @@ class Sensor:
 
     def evidence(self, hits: Array, misses: Array) -> Array:
         """Log-odds of given numbers of looks with 1 and with 0."""
-        result: Array = hits * self.hit + misses * self.miss
-        return result
+        return hits * self.hit + misses * self.miss
 
 
 @dataclass(frozen=True)
@@ -142,8 +141,7 @@ def log_odds(probability: float) -> float:
 
 def probability(odds: Array) -> Array:
     """Probabilities from log-odds."""
-    result: Array = 1.0 / (1.0 + np.exp(-odds))
-    return result
+    return 1.0 / (1.0 + np.exp(-odds))
 
 
 def decisions(odds: Array, target: float = TARGET, empty: float = EMPTY) -> Array:

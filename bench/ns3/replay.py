@@ -127,8 +127,7 @@ def _ours(case: Case, judged: Judged, until_ns: int) -> dict[int, Decided]:
 
     def uniform(keys: Any, numbers: Any, _slot: int) -> Floats:
         radio, number = np.broadcast_arrays(keys, numbers)
-        drawn: Floats = store[radio.astype(int), np.minimum(number.astype(int), store.shape[1] - 1)]
-        return drawn
+        return store[radio.astype(int), np.minimum(number.astype(int), store.shape[1] - 1)]
 
     def luck(sender: int, tries: Sequence[Floats], attempt: int, _start_ns: int) -> tuple[Floats, Floats]:
         return air.mean_mw[sender], tries[attempt] if attempt < len(tries) else np.full(n, UNLUCKY)

@@ -138,8 +138,7 @@ class LinkFrames:
 
     def __getitem__(self, name: str) -> Array:
         """A column: numbers, or codes of names; received_ns and delay_ns are -1 and sinr_db is NaN without a value."""
-        values: Array = self._log.column(name)[self._rows]
-        return values
+        return self._log.column(name)[self._rows]
 
     def where(self, chosen: Array) -> "LinkFrames":
         """The rows for which ``chosen`` (n,) is true."""

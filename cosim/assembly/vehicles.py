@@ -78,8 +78,7 @@ class Fleet:
             {*binding.parameters(VehicleTable)} - {"params"},
         )
         self._resolution.vehicles[vehicle.name] = registry.kept(kind, binding.complete(kind, own), self._resolution.keep)
-        model: Vehicle = binding.call(kind, own, key=key, origin=self._source, also=also)
-        return model
+        return binding.call(kind, own, key=key, origin=self._source, also=also)
 
     def _fit(self, vehicle: VehicleTable) -> "dict[str, Sensor]":
         """The sensors of a vehicle, by name; sensors with a parameter for the wheels receive them."""
@@ -122,8 +121,7 @@ class Fleet:
             "fusion": fusion,
             "sensors": simulated,
         }
-        spec: VehicleSpec = binding.call(VehicleSpec, {}, key=key, origin=self._source, given=given)
-        return spec
+        return binding.call(VehicleSpec, {}, key=key, origin=self._source, given=given)
 
     def _check_defaults_taken(self) -> None:
         known = {key for each in self._scenario.vehicle for key in binding.parameters(self._class(each))}

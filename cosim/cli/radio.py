@@ -282,8 +282,7 @@ def _payload(size: int) -> int:
 
     from vcmvsp.cosim.config import binding
 
-    checked: int = binding.convert(size, Annotated[int, msgspec.Meta(ge=1, le=10_000_000)], key="--size")
-    return checked
+    return binding.convert(size, Annotated[int, msgspec.Meta(ge=1, le=10_000_000)], key="--size")
 
 
 def _rows(out: Path, preset: str, plan: "Broadcasts") -> "RowFile":

@@ -166,12 +166,10 @@ def _for_csv(table: pa.Table) -> pa.Table:
 
 
 def _in_seconds(column: "pa.ChunkedArray[Any]") -> "pa.ChunkedArray[Any]":
-    seconds: pa.ChunkedArray[Any] = pc.divide(column.cast(pa.float64()), float(SECOND_NS))
-    return seconds
+    return pc.divide(column.cast(pa.float64()), float(SECOND_NS))
 
 
 def _plain(column: "pa.ChunkedArray[Any]") -> "pa.ChunkedArray[Any]":
     if pa.types.is_floating(column.type):
-        known: pa.ChunkedArray[Any] = pc.if_else(pc.is_nan(column), None, column)
-        return known
+        return pc.if_else(pc.is_nan(column), None, column)
     return column.cast(pa.string()) if pa.types.is_dictionary(column.type) else column

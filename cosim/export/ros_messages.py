@@ -43,8 +43,7 @@ def store() -> Typestore:
 @cache
 def _kind(name: str) -> Callable[..., RosMessage]:
     package, _, kind = name.partition("/")
-    made: Callable[..., RosMessage] = store().types[f"{package}/msg/{kind}"]
-    return made
+    return store().types[f"{package}/msg/{kind}"]
 
 
 def make(name: str, /, *fields: object, **more: object) -> RosMessage:

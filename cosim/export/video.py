@@ -126,8 +126,7 @@ class _Film:
         """Convert positions (..., 2) m to picture coordinates, px."""
         along = (places - self._middle) * self._scale * (1.0, -1.0)  # rows count downwards
         along += (0.5 * self._width, 0.5 * (self._height + CAPTION_PX))
-        rounded: Array = np.nan_to_num(along, nan=-1e4).clip(-1e4, 1e4).round().astype(np.int32)
-        return rounded
+        return np.nan_to_num(along, nan=-1e4).clip(-1e4, 1e4).round().astype(np.int32)
 
     def _ground(self) -> Array:
         import cv2
@@ -172,8 +171,7 @@ class _Film:
 
     def _place(self, name: str, now_ns: int) -> Array:
         time_ns, poses = self._arrays[name]
-        place: Array = poses[max(0, bisect_right(time_ns, now_ns) - 1)]
-        return place
+        return poses[max(0, bisect_right(time_ns, now_ns) - 1)]
 
     def _draw_vehicle(self, picture: Array, name: str, now_ns: int) -> None:
         import cv2
@@ -223,8 +221,7 @@ def _outline(entity: SceneEntity) -> Array:
 
 def _corners(part: TriangleListPrimitive) -> Array:
     points = np.array([(point.x, point.y, point.z) for point in part.points])
-    corners: Array = points[np.array(part.indices)].reshape(-1, 3, 3)
-    return corners
+    return points[np.array(part.indices)].reshape(-1, 3, 3)
 
 
 def _colors(part: TriangleListPrimitive) -> Array:

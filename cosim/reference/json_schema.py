@@ -42,10 +42,7 @@ def scenario_schema() -> Schema:
 
 def _inside(schema: Schema, step: str) -> Schema:
     """The schema of a table inside a table; a step in capitals stands for any name."""
-    found: Schema = (
-        schema["items" if step == "NAME" else "additionalProperties"] if step.isupper() else schema["properties"][step]
-    )
-    return found
+    return schema["items" if step == "NAME" else "additionalProperties"] if step.isupper() else schema["properties"][step]
 
 
 def _put(schema: Schema, step: str, table: Schema) -> None:

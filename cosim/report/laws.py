@@ -58,8 +58,7 @@ class MeasuredRun:
     @property
     def radio(self) -> Mapping[str, Any]:
         """The layers of the channel."""
-        found: Mapping[str, Any] = self.scenario["radio"]
-        return found
+        return self.scenario["radio"]
 
     @property
     def window(self) -> Window:

@@ -170,8 +170,7 @@ class Cluster:
     def _answer(self, future: Any) -> bytes:
         error = self._ask(future.exception)
         if error is None:
-            answer: bytes = self._ask(future.result)
-            return answer
+            return self._ask(future.result)
         return DIED if isinstance(error, self._distributed.KilledWorker) else failed(f"{type(error).__name__}: {error}")
 
     def _ask(self, call: Callable[..., Any], *arguments: Any, **named: Any) -> Any:

@@ -65,8 +65,7 @@ class Stadiums:
         apart = np.where(delta <= half, self._gap, on_rays)
         leaves = np.cos(np.maximum(delta - half, 0.0)) <= _ROUNDING
         touching: Floats = np.where(leaves, math.inf, 0.0)
-        free: Floats = np.where(self._gap > _ROUNDING, apart, touching)
-        return free
+        return np.where(self._gap > _ROUNDING, apart, touching)
 
     def _ray(self, heading: float) -> Floats:
         """Distance along a ray to each stadium, m (n,); inf: no hit. Valid for stadiums that do not contain the place."""
@@ -79,8 +78,7 @@ class Stadiums:
         meets = (self._length2 > 0.0) & (np.abs(above) > self._radius) & (sinking > _ROUNDING)
         s = np.divide(np.abs(above) - self._radius, sinking, out=np.full_like(above, math.inf), where=meets)
         at = np.where(meets, (np.where(meets, s, 0.0) * (self._along @ u) - np.einsum("ij,ij->i", self._a, self._along)), -1.0)
-        nearest: Floats = np.where((at >= 0.0) & (at <= self._length2), np.minimum(hit, s), hit)
-        return nearest
+        return np.where((at >= 0.0) & (at <= self._length2), np.minimum(hit, s), hit)
 
 
 def _disc(u: Floats, centre: Floats, radius: Floats) -> Floats:
@@ -166,13 +164,11 @@ def _crosses(a: Floats, b: Floats) -> bool:
 
     def side(points: Floats) -> Floats:  # of side i's line, point j's: -1, 0 or 1
         to = points[None, :, :] - a[:, None, :]
-        turn: Floats = np.sign(along[:, None, 0] * to[:, :, 1] - along[:, None, 1] * to[:, :, 0])
-        return turn
+        return np.sign(along[:, None, 0] * to[:, :, 1] - along[:, None, 1] * to[:, :, 0])
 
     def on(points: Floats) -> NDArray[np.bool_]:  # whether point j lies on side i
         low, high = np.minimum(a, b)[:, None, :], np.maximum(a, b)[:, None, :]
-        within: NDArray[np.bool_] = ((low <= points) & (points <= high)).all(axis=2) & (side(points) == 0.0)
-        return within
+        return ((low <= points) & (points <= high)).all(axis=2) & (side(points) == 0.0)
 
     apart = side(a) * side(b) < 0.0
     meet = (apart & apart.T) | on(a) | on(b) | on(a).T | on(b).T

@@ -331,8 +331,7 @@ def slow_down(
     def room(around: Obstacles, rate: float) -> list[float]:
         left = swept(max(rate, 0.0), max(last_w, 0.0), hold, limits.yaw_decel)
         right = swept(max(-rate, 0.0), max(-last_w, 0.0), hold, limits.yaw_decel)
-        free: list[float] = around.free(facing - right, facing + left).tolist()
-        return free
+        return around.free(facing - right, facing + left).tolist()
 
     def fits(rate: float) -> bool:
         return all(

@@ -313,8 +313,7 @@ def _check(opening: messages.Opening) -> None:
 
 def _built(spec: messages.GatewaySpec, folder: Path) -> Gateway:
     kind = registry.find("door", spec.kind, folder=folder, key=f"bridge.{spec.name}.kind")
-    gateway: Gateway = binding.call(kind, spec.params, key=f"bridge.{spec.name}")
-    return gateway
+    return binding.call(kind, spec.params, key=f"bridge.{spec.name}")
 
 
 def _words(error: BaseException) -> str:

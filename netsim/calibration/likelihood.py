@@ -58,14 +58,12 @@ class Survey:
     @property
     def moved_m(self) -> Floats:
         """Sum of both ends' displacements between two rows, in the orientation that makes it shorter, (n, n) m."""
-        moved: Floats = np.minimum(self.straight_m, self.swapped_m)
-        return moved
+        return np.minimum(self.straight_m, self.swapped_m)
 
     @property
     def nearest_m(self) -> Floats:
         """`moved_m` from each row to its nearest other row, (n,) m."""
-        nearest: Floats = (self.moved_m + np.diag(np.full(len(self.lost), math.inf))).min(axis=1)
-        return nearest
+        return (self.moved_m + np.diag(np.full(len(self.lost), math.inf))).min(axis=1)
 
     @property
     def limits(self) -> list[tuple[float, float]]:
@@ -120,8 +118,7 @@ def spreads(parameters: Floats) -> tuple[Floats, Floats]:
 
 def moved_m(a: Floats, b: Floats) -> Floats:
     """Sum of both ends' displacements between two of n rows, in the orientation that makes it shorter, (n, n) m."""
-    moved: Floats = np.minimum(*_moves_m(a, b))
-    return moved
+    return np.minimum(*_moves_m(a, b))
 
 
 def _moves_m(a: Floats, b: Floats) -> tuple[Floats, Floats]:
@@ -204,8 +201,7 @@ def climb(survey: Survey, start: Floats) -> Floats:
 
     limits = survey.limits[: len(start)]
     found = minimize(descent, start, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 100})
-    best: Floats = found.x
-    return best
+    return found.x
 
 
 def restricted(survey: Survey, parameters: Floats) -> LikelihoodPoint:
@@ -337,8 +333,7 @@ def below(mean: Floats, covariance: Floats, bound: float) -> Censored:
 
 def _log_partition(mean: Floats, variance: Floats) -> Floats:
     """Log partition function of a normal density in natural parameters, without constants."""
-    partition: Floats = 0.5 * mean * mean / variance + 0.5 * np.log(variance)
-    return partition
+    return 0.5 * mean * mean / variance + 0.5 * np.log(variance)
 
 
 def _truncated(mean: Floats, variance: Floats) -> tuple[Floats, Floats, Floats]:

@@ -35,8 +35,7 @@ class MeasuredLinks(msgspec.Struct, frozen=True):
     @property
     def distance_m(self) -> Floats:
         """Distance from a to b, (n,) m."""
-        distance: Floats = np.sqrt(((self.a - self.b) ** 2).sum(axis=1))
-        return distance
+        return np.sqrt(((self.a - self.b) ** 2).sum(axis=1))
 
     def only(self, rows: NDArray[np.intp]) -> "MeasuredLinks":
         """The rows with these numbers, (m,)."""

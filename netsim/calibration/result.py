@@ -156,8 +156,7 @@ def _nakagami(deviation_db: float) -> float | None:
         return None
     if variance >= float(polygamma(1, least)):
         return least
-    shape: float = brentq(lambda m: float(polygamma(1, m)) - variance, least, most)
-    return shape
+    return brentq(lambda m: float(polygamma(1, m)) - variance, least, most)
 
 
 def _mean_db(shape: float) -> float:

@@ -58,8 +58,7 @@ class FixedDelay:
     def delay_ns_by(self, draws: Floats) -> Ints:
         """`delay_ns` from draws (..., n, 2) alone."""
         jitter = (2.0 * draws[..., 0] - 1.0) * self._jitter_ns
-        delay: Ints = self._fixed_ns + np.rint(jitter).astype(np.int64)
-        return delay
+        return self._fixed_ns + np.rint(jitter).astype(np.int64)
 
     @cached_property
     def _fixed_ns(self) -> int:
@@ -148,5 +147,4 @@ class EmpiricalDelay:
 
 
 def _whole_ns(seconds: Floats) -> Ints:
-    whole: Ints = np.rint(seconds * SECOND_NS).astype(np.int64)
-    return whole
+    return np.rint(seconds * SECOND_NS).astype(np.int64)

@@ -42,8 +42,7 @@ class Bernoulli:
 
     def lost_by(self, draws: Floats) -> Bools:
         """`lost` from draws (..., n, 2) alone."""
-        lost: Bools = draws[..., 0] < self.probability
-        return lost
+        return draws[..., 0] < self.probability
 
 
 PerSecond = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]
@@ -79,8 +78,7 @@ class GilbertElliott:
     def lost(self, frame: Frame, draw: Draw) -> Bools:
         """Which receivers lose the frame, (n,), by the state of the link at the frame's start."""
         probability = np.where(self.bad(frame.keys, frame.start_ns), self.bad_loss, self.good_loss)
-        lost: Bools = draw()[..., 0] < probability
-        return lost
+        return draw()[..., 0] < probability
 
     def bad(self, keys: Keys, time_ns: int) -> Bools:
         """Which of the links (n,) are in the bad state at one instant."""
@@ -91,8 +89,7 @@ class GilbertElliott:
         cell, inside_ns = divmod(time_ns, cell_ns)
         times, states = _cell(keys.tobytes(), cell, cell_ns, rate, self.to_bad_per_s / rate)
         passed = (times <= inside_ns).sum(axis=-1)
-        bad: Bools = states[np.arange(len(passed)), passed]
-        return bad
+        return states[np.arange(len(passed)), passed]
 
 
 @dataclass(frozen=True)

@@ -70,8 +70,7 @@ class Script:
         passes = self._effects(frame).passes
         if np.all(passes == 1.0):
             return np.zeros(len(passes), np.bool_)
-        lost: Bools = draw()[..., 0] >= passes
-        return lost
+        return draw()[..., 0] >= passes
 
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
         """Earliest reception, counted from the sending, (n,) ns: the frame's end plus the active delays."""

@@ -104,15 +104,13 @@ class Trace:
         """Which receivers lose the frame, (n,); none without a value in the file."""
         if "loss" not in self._rows.values:
             return np.zeros(len(frame.receivers), np.bool_)
-        lost: Bools = draw()[..., 0] < self._at("loss", frame, untraced=0.0)
-        return lost
+        return draw()[..., 0] < self._at("loss", frame, untraced=0.0)
 
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
         """Earliest reception, counted from the sending, (n,) ns; 0: no value in the file."""
         if "delay_s" not in self._rows.values:
             return np.zeros(len(frame.receivers), np.int64)
-        delay: Ints = np.rint(self._at("delay_s", frame, untraced=0.0) * SECOND_NS).astype(np.int64)
-        return delay
+        return np.rint(self._at("delay_s", frame, untraced=0.0) * SECOND_NS).astype(np.int64)
 
     def _at(self, column: str, frame: Frame, untraced: float) -> Floats:
         """A column at the frame's time, (n,)."""

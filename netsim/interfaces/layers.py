@@ -86,8 +86,7 @@ def distances(tx: Floats, rx: Floats) -> Floats:
     """Distances between points (..., 3), m."""
     squared = rx - tx
     squared *= squared
-    distance_m: Floats = np.sqrt(squared[..., 0] + squared[..., 2] + squared[..., 1])  # this order: the last bits depend on it
-    return distance_m
+    return np.sqrt(squared[..., 0] + squared[..., 2] + squared[..., 1])  # this order: the last bits depend on it
 
 
 def distance_of(paths: Paths | ArrayLike) -> Floats:
@@ -245,8 +244,7 @@ class LinkDraws:
     def uniform(self, frame: int, slot: int) -> Floats:
         """Two uniforms in [0, 1) for each receiver, (n, 2), of the sender's own frame number ``frame``."""
         number, index = divmod(frame, self._frames)
-        draws: Floats = self._block(number, slot)[index]
-        return draws
+        return self._block(number, slot)[index]
 
     def patience(self, frame: int, slot: int) -> Floats:
         """Exponential variates of mean 1 for each receiver, (n,), from the first of its uniforms."""
@@ -258,8 +256,7 @@ class LinkDraws:
         cached = self._made.get(slot)
         if cached is None or cached[0] != number or cached[1] != make:
             cached = self._made[slot] = (number, make, make(self._block(number, slot)))
-        row: NDArray[Any] = cached[2][index]
-        return row
+        return cached[2][index]
 
     def _block(self, number: int, slot: int) -> Floats:
         cached = self._blocks.get(slot)
@@ -274,8 +271,7 @@ class LinkDraws:
 
 
 def _exponential(draws: Floats) -> Floats:
-    variates: Floats = -np.log1p(-draws[..., 0])
-    return variates
+    return -np.log1p(-draws[..., 0])
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,7 @@ class ErrorRate(ABC):
 
     def success(self, sinr_db: Floats, bits: Floats | float) -> Floats:
         """Chance that all of ``bits`` survive, of the shape to which both arguments broadcast."""
-        success: Floats = np.exp(-bits * self.bit_hazard(10.0 ** (sinr_db / 10.0)))
-        return success
+        return np.exp(-bits * self.bit_hazard(10.0 ** (sinr_db / 10.0)))
 
     def frame_hazard(self, sinr_db: Floats, size_bytes: int) -> Floats:
         """``-log`` of a frame's chance to survive, header included, at constant SINR; the shape of ``sinr_db``."""
@@ -67,14 +66,12 @@ class ErrorRate(ABC):
 
     def frame_success(self, sinr_db: Floats, size_bytes: int) -> Floats:
         """Chance that a frame with this payload survives, header included, at constant SINR; the shape of ``sinr_db``."""
-        success: Floats = np.exp(-self.frame_hazard(sinr_db, size_bytes))
-        return success
+        return np.exp(-self.frame_hazard(sinr_db, size_bytes))
 
 
 def hazard_of(bit_error: Floats) -> Floats:
     """``-log(1 - pb)``, (n,): exact also where ``pb`` is far below the rounding of 1."""
-    hazard: Floats = -np.log1p(-np.clip(bit_error, ERROR_FLOOR, ERROR_CEILING))
-    return hazard
+    return -np.log1p(-np.clip(bit_error, ERROR_FLOOR, ERROR_CEILING))
 
 
 def erfc(x: Floats) -> Floats:
@@ -123,8 +120,7 @@ def places(sinr: Floats) -> tuple[Ints, Floats]:
 def between(table: Floats, step: Ints, part: Floats) -> Floats:
     """Hazards per bit at some `places`."""
     low = table[step]
-    hazard: Floats = low + part * (table[step + 1] - low)
-    return hazard
+    return low + part * (table[step + 1] - low)
 
 
 def look_up_one(table: Floats, sinr: float) -> float:

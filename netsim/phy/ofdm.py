@@ -155,8 +155,7 @@ class OfdmErrors(ErrorRate):
 def _onto_table(sinr: Floats, at_db: float, yans_db: float, slope: float, bend: float) -> Floats:
     """SINR at which yans has the errors of the model table at ``sinr``, see `ONTO_TABLE_DB`."""
     x = 10.0 * np.log10(sinr) - at_db
-    moved: Floats = 10.0 ** ((yans_db + slope * x + bend * np.hypot(x, 1.0)) / 10.0)
-    return moved
+    return 10.0 ** ((yans_db + slope * x + bend * np.hypot(x, 1.0)) / 10.0)
 
 
 def yans_bit_error(sinr: Floats, rate_bps: float) -> Floats:
@@ -184,8 +183,7 @@ def _wrong_path(b: Floats, d: int) -> Floats:
     terms = [math.comb(d, i) * b**i * (1.0 - b) ** (d - i) for i in range(d // 2 + 1, d)]
     if d % 2 == 0:
         terms.append(0.5 * math.comb(d, d // 2) * (b * (1.0 - b)) ** (d // 2))
-    total: Floats = np.sum(terms, axis=0)
-    return total
+    return np.sum(terms, axis=0)
 
 
 def nist_bit_error(sinr: Floats, rate_bps: float) -> Floats:

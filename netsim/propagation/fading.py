@@ -92,8 +92,7 @@ def scattering(pair_keys: Keys, time_ns: int, doppler_hz: float) -> Complex:
     # Single precision is enough for a fraction of a turn, and several times as fast.
     angle = (turns - np.rint(turns)).astype(np.float32) * np.float32(2.0 * math.pi)
     real, imaginary = (wave.sum(axis=-1, dtype=np.float64) for wave in (np.cos(angle), np.sin(angle)))
-    h: Complex = (real + 1j * imaginary) / math.sqrt(_WAVES)
-    return h
+    return (real + 1j * imaginary) / math.sqrt(_WAVES)
 
 
 @lru_cache(maxsize=256)
@@ -110,13 +109,11 @@ def _exponential(frame: Frame, draw: Draw, doppler_hz: float | None) -> Floats:
     """Exponential gains with mean 1, (n,)."""
     if doppler_hz is None:
         return -np.log1p(-draw()[..., 0])
-    gain: Floats = np.abs(scattering(frame.pair_keys, frame.start_ns, doppler_hz)) ** 2
-    return gain
+    return np.abs(scattering(frame.pair_keys, frame.start_ns, doppler_hz)) ** 2
 
 
 def _db(gain: Floats) -> Floats:
-    decibels: Floats = 10.0 * np.log10(np.maximum(gain, _FAINTEST))
-    return decibels
+    return 10.0 * np.log10(np.maximum(gain, _FAINTEST))
 
 
 _NODES = 8192
@@ -130,8 +127,7 @@ def gamma_quantile(shape: float, logit: Floats) -> Floats:
     relative error is below 4e-4 (0.002 dB) down to tails of 1e-16, and below 2e-5 between 5 and 95 % for shapes from 0.5.
     """
     nodes, logarithms = _table(shape)
-    quantiles: Floats = np.exp(np.interp(logit, nodes, logarithms))
-    return quantiles
+    return np.exp(np.interp(logit, nodes, logarithms))
 
 
 @lru_cache(maxsize=32)
@@ -158,5 +154,4 @@ def _table(shape: float) -> tuple[Floats, Floats]:
 
 
 def _density(shape: float, t: Floats) -> Floats:
-    density: Floats = np.exp(shape * (t - np.exp(t) + math.log(shape)) - math.lgamma(shape))
-    return density
+    return np.exp(shape * (t - np.exp(t) + math.log(shape)) - math.lgamma(shape))

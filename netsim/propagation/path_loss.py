@@ -52,8 +52,7 @@ class LogDistance:
         """Loss of each path, or over each distance in m, (n,) dB."""
         nearest = self.reference_distance_m if self.clamp else _TOUCHING_M
         ratio = np.maximum(distance_of(paths), nearest) / self.reference_distance_m
-        loss: Floats = self.reference_loss_db + 10.0 * self.exponent * np.log10(ratio)
-        return loss
+        return self.reference_loss_db + 10.0 * self.exponent * np.log10(ratio)
 
 
 @dataclass(frozen=True)
@@ -70,8 +69,7 @@ class Friis:
     def loss_db(self, paths: Paths | ArrayLike) -> Floats:
         """Loss of each path, or over each distance in m, (n,) dB."""
         factor = 4.0 * math.pi * self.frequency_hz / SPEED_OF_LIGHT
-        loss: Floats = 20.0 * np.log10(np.maximum(factor * distance_of(paths), 1.0))
-        return loss
+        return 20.0 * np.log10(np.maximum(factor * distance_of(paths), 1.0))
 
 
 @dataclass(frozen=True)
@@ -101,5 +99,4 @@ class TwoRayGround:
         distance = np.maximum(distance_of(paths), _TOUCHING_M)
         near = 20.0 * np.log10(np.maximum(wave * distance, 1.0))
         far = 40.0 * np.log10(distance) - 20.0 * np.log10(product)
-        loss: Floats = np.where(distance <= wave * product, near, far)
-        return loss
+        return np.where(distance <= wave * product, near, far)

@@ -58,15 +58,13 @@ class Shadowing:
             forth = _cosines(_dot(tx, here) + phase, _dot(rx, there))
             both[block] = forth + _cosines(_dot(rx, here) + phase, _dot(tx, there))
         alike = np.exp(-2.0 / self.correlation_distance_m * paths.distance_m)
-        loss: Floats = self.sigma_db / math.sqrt(self.waves) * both / np.sqrt(1.0 + alike)
-        return loss
+        return self.sigma_db / math.sqrt(self.waves) * both / np.sqrt(1.0 + alike)
 
 
 def _dot(points: Floats, vectors: Floats) -> Floats:
     """Scalar products of points (n, 3) or (3,) with vectors (3, m), not by BLAS, whose last bit depends on the shape."""
     x, y, z = points[..., 0, None], points[..., 1, None], points[..., 2, None]
-    products: Floats = x * vectors[0] + y * vectors[1] + z * vectors[2]
-    return products
+    return x * vectors[0] + y * vectors[1] + z * vectors[2]
 
 
 def _cosines(a: Floats, b: Floats) -> Floats:
@@ -75,8 +73,7 @@ def _cosines(a: Floats, b: Floats) -> Floats:
     turns -= np.rint(turns)
     # Single precision is enough for a fraction of a turn (5e-6 dB), and four times as fast.
     waves = np.cos(turns.astype(np.float32) * np.float32(2.0 * math.pi))
-    sums: Floats = waves.sum(axis=-1, dtype=np.float64)
-    return sums
+    return waves.sum(axis=-1, dtype=np.float64)
 
 
 @lru_cache(maxsize=16)

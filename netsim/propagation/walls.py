@@ -216,5 +216,4 @@ def _crossed(bodies: Bodies, tx: Floats, rx: Floats) -> np.ndarray[tuple[int, ..
     enter, leave = np.maximum(nearest - half, -0.5), np.minimum(nearest + half, 0.5)
     ends = np.stack([middle[..., 2] + enter * dz, middle[..., 2] + leave * dz]) - bodies.foot[:, 2]
     touches = (ends.max(axis=0) > 0.0) & (ends.min(axis=0) < bodies.height_m)
-    crossed: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] = (inside > 0.0) & (leave > enter) & touches
-    return crossed
+    return (inside > 0.0) & (leave > enter) & touches

@@ -309,8 +309,7 @@ class Autopilot:
         room = np.minimum(base, self._most - base) - reach
         yaw = np.minimum(np.maximum(share[2], -room), room)
         each = (base + _YAW_SIGN * yaw) + _PAIR_SIGN * pair.take(_PAIR, axis=0)
-        speeds: Floats = np.sqrt(np.maximum(each * self._per_newton, 0.0))
-        return speeds
+        return np.sqrt(np.maximum(each * self._per_newton, 0.0))
 
 
 def wrapped(angle: Floats) -> Floats:
@@ -321,5 +320,4 @@ def wrapped(angle: Floats) -> Floats:
 def length(vector: Floats) -> Floats:
     """Lengths of vectors, (n,)."""
     squares = vector * vector
-    lengths: Floats = np.sqrt(squares.sum(axis=0))
-    return lengths
+    return np.sqrt(squares.sum(axis=0))

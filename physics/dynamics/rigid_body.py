@@ -47,8 +47,7 @@ def rotations(attitude: Floats) -> Floats:
 def into_body(rotation: Floats, vector: Floats) -> Floats:
     """Vectors (3, n) of the world frame in the body frame."""
     terms = rotation * vector[:, None]
-    result: Floats = terms[0] + terms[1] + terms[2]
-    return result
+    return terms[0] + terms[1] + terms[2]
 
 
 def turned(attitude: Floats, rate: Floats, dt: float) -> Floats:

@@ -58,8 +58,7 @@ class Gusts:
         place = self._tick % _BLOCK
         if place == 0:
             self._block = np.array([each.standard_normal((_BLOCK, 3)) for each in self._streams])
-        draw: NDArray[np.float64] = self._block[:, place]
-        return draw
+        return self._block[:, place]
 
 
 AIR_KG_M3 = 1.225  # at sea level, 15 degrees (ISO 2533)
@@ -77,8 +76,7 @@ def ground_effect(height: Floats, rotor_radius: Floats) -> Floats:
     z = R/2 the factor is constant. Only the floor counts (z = 0), not roofs and tables.
     """
     quarter = 0.25 * rotor_radius / np.maximum(height, _NEAREST * rotor_radius)
-    factors: Floats = 1.0 / (1.0 - quarter * quarter)
-    return factors
+    return 1.0 / (1.0 - quarter * quarter)
 
 
 def downwash(position: Floats, thrust: Floats, rotor_radius: Floats) -> Floats:
@@ -100,8 +98,7 @@ def downwash(position: Floats, thrust: Floats, rotor_radius: Floats) -> Floats:
     under = below > 0.0
     half_width = np.maximum(0.5 * diameter[:, None], _SPREAD * below)
     middle = jet[:, None] * np.minimum(1.0, _CORE * diameter[:, None] / np.where(under, below, 1.0))
-    speeds: Floats = np.where(under, middle * np.exp2(-aside / half_width**2), 0.0).sum(axis=0)
-    return speeds
+    return np.where(under, middle * np.exp2(-aside / half_width**2), 0.0).sum(axis=0)
 
 
 class Rotorwash:

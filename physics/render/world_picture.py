@@ -88,8 +88,7 @@ def _outer(solid: AnySolid) -> list[Array]:
 def _placed(moving: Moving, time_s: float) -> AnySolid:
     x, y, z, yaw = moving.pose(time_s)
     turned = {"yaw_rad": yaw} if isinstance(moving.solid, Box) else {}
-    placed: AnySolid = msgspec.structs.replace(moving.solid, center=(x, y, z), **turned)
-    return placed
+    return msgspec.structs.replace(moving.solid, center=(x, y, z), **turned)
 
 
 def _grid(low: Array, high: Array, step: float, color: Color) -> GroundPicture:

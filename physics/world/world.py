@@ -199,8 +199,7 @@ def made_once(make: Callable[[World], T]) -> Callable[[World], T]:
         cache: dict[str, Any] = vars(world)  # like a cached property
         if name not in cache:
             cache[name] = make(world)
-        result: T = cache[name]
-        return result
+        return cache[name]
 
     return cached
 

@@ -248,8 +248,7 @@ def test_the_streams_of_agents_are_their_own() -> None:
         return VehicleInfo(name=name, vehicles=VEHICLES, period_s=0.1, latency_s=0.0, seed=seed)
 
     def head(generator: np.random.Generator) -> list[float]:
-        numbers: list[float] = generator.random(4).tolist()
-        return numbers
+        return generator.random(4).tolist()
 
     here = head(info("car1", 1).stream("explore"))
     assert head(info("car1", 1).stream("explore")) == here

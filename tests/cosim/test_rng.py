@@ -56,8 +56,7 @@ def test_a_draw_depends_on_its_own_link_and_frame_alone(pairs: list[tuple[int, i
 @given(U64, U64, st.integers(0, 2**32 - 1), st.integers(0, 63))
 def test_every_bit_of_link_frame_and_slot_counts(key: int, frame: int, slot: int, bit: int) -> None:
     def draw(key: int, frame: int, slot: int) -> list[float]:
-        drawn: list[float] = link_uniform(np.array([key], np.uint64), np.array([frame], np.uint64), slot)[0].tolist()
-        return drawn
+        return link_uniform(np.array([key], np.uint64), np.array([frame], np.uint64), slot)[0].tolist()
 
     here = draw(key, frame, slot)
     assert draw(key ^ (1 << bit), frame, slot) != here
@@ -103,8 +102,7 @@ def test_a_key_is_the_same_on_every_machine() -> None:
 
 def test_a_stream_is_fixed_by_seed_and_name() -> None:
     def head(seed: int, name: str) -> list[float]:
-        numbers: list[float] = stream(seed, name).random(8).tolist()
-        return numbers
+        return stream(seed, name).random(8).tolist()
 
     here = head(1, "car2/positioning")
     stream(1, "car3/positioning").random(1000)  # somebody else's draws move nothing

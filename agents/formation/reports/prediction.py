@@ -139,8 +139,7 @@ def estimator_of(kind: Any, *, horizon_s: float, fade_s: float) -> Estimator:
         if not hasattr(kind, "predict"):
             known = ", ".join(ESTIMATORS)
             raise ValueError(f"estimator {kind!r} has no method predict(report, age_s); allowed are {known} or such an object")
-        estimator: Estimator = kind
-        return estimator
+        return kind
     content = {"kind": kind} if isinstance(kind, str) else dict(kind)
     name = content.pop("kind", None)
     if not isinstance(name, str):

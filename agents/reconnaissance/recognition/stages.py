@@ -139,8 +139,7 @@ class Rings:
         parts = product(self._transform, samples.reshape(self._angles, -1).astype(np.float32))
         parts = parts.reshape(2, HARMONICS, n, self._radii, 3)
         parts[0, 0] -= parts[0, 0].mean(axis=1, keepdims=True)  # channel means
-        transform: Array = (parts[0] + 1j * parts[1]).reshape(HARMONICS, n, -1) * self._weight
-        return transform
+        return (parts[0] + 1j * parts[1]).reshape(HARMONICS, n, -1) * self._weight
 
     def signatures(self, spectra: Array) -> Signature:
         """Signatures of patches from their spectra."""
@@ -153,8 +152,7 @@ class Rings:
 
 def product(a: Array, b: Array) -> Array:
     """Product of two matrices by one thread: the same sums on any number of cores."""
-    product: Array = np.einsum("ij,jk->ik", a, b)
-    return product
+    return np.einsum("ij,jk->ik", a, b)
 
 
 COARSE = Rings(36, 12)  # to find the middle

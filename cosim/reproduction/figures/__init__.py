@@ -58,5 +58,4 @@ def find(name: str) -> "Callable[[Runner], Figure]":
     if name not in NAMES:
         raise UsageError(f"vcmvsp figure {name}: {unknown('figure', name, NAMES)}")
     module, _, function = NAMES[name][0].partition(":")
-    make: Callable[[Runner], Figure] = getattr(importlib.import_module(f"{__name__}.{module}"), function)
-    return make
+    return getattr(importlib.import_module(f"{__name__}.{module}"), function)

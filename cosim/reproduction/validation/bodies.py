@@ -86,8 +86,7 @@ def _fly(command: str, seconds: float, hz: float, settings: dict[str, Any] | Non
         "physics": {"kind": "bullet", "rate_hz": hz},
         "vehicle": [{"name": "uav", "kind": "quadrotor", "position": (0.0, 0.0, HEIGHT_M)}],
     }
-    series: dict[str, Any] = drive(scenario, "uav", command, seconds, settings)["series"]
-    return series
+    return drive(scenario, "uav", command, seconds, settings)["series"]
 
 
 def _off(series: Mapping[str, Sequence[float]], place: tuple[float, float, float]) -> float:

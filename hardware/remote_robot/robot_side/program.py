@@ -328,8 +328,7 @@ def built(text: str, params: dict[str, Any]) -> Driver:
         if where in params:
             raise ScenarioError(f"the address is there twice, as {where} and behind --driver {kind}:", source="--set")
         params = {where: address, **params}
-    driver: Driver = binding.call(driver_class, params, origin=origin)
-    return driver
+    return binding.call(driver_class, params, origin=origin)
 
 
 def kind_of(text: str) -> tuple[str, str]:

@@ -96,8 +96,7 @@ def linked(modules: Sequence[ModuleType], make: Callable[[FunctionType], Any]) -
 @cache
 def looped(modules: tuple[ModuleType, ...]) -> Callable[..., int]:
     """The loops of `Compiled` in plain Python, faster than NumPy for arrays of a few numbers."""
-    entry: Callable[..., int] = linked(modules, lambda source: source)
-    return entry
+    return linked(modules, lambda source: source)
 
 
 class MachineCode:

@@ -33,5 +33,4 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)  # x, y, z, w: Bullet's order, which stays inside
 
 def turned(heading: float) -> tuple[float, float, float, float]:
     """Bullet's quaternion of a heading, rad."""
-    quaternion: tuple[float, float, float, float] = p.getQuaternionFromEuler((0.0, 0.0, heading))
-    return quaternion
+    return p.getQuaternionFromEuler((0.0, 0.0, heading))

@@ -31,8 +31,7 @@ def hull_shape(client: int, kind: str, size: Vec3, **frame: Any) -> int:
     if kind == "cylinder":
         lengths = {"radius": 0.5 * size[0], "height": size[2]}
     geometry = p.GEOM_CYLINDER if kind == "cylinder" else p.GEOM_BOX
-    shape: int = p.createCollisionShape(geometry, physicsClientId=client, **lengths, **frame)
-    return shape
+    return p.createCollisionShape(geometry, physicsClientId=client, **lengths, **frame)
 
 
 def rigid_body(client: int, mass_kg: float, shape: int, friction: float, mask: int, **start: Any) -> int:

@@ -22,8 +22,7 @@ PERIOD_S, BRAKING = 0.1, 0.3
 
 def points_of(view: View) -> Array:
     seen = np.isfinite(view.ranges)
-    found: Array = view.units[seen] * view.ranges[seen, None]
-    return found
+    return view.units[seen] * view.ranges[seen, None]
 
 
 def along(curvature: float, length: float, step: float = 2e-4) -> Array:

@@ -103,8 +103,7 @@ def test_a_footprint_holds_the_cells_whose_middles_it_holds(
 ) -> None:
     def ahead_and_aside(points: Array) -> Array:
         turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-        result: Array = (points - (x, y)) @ turn.T
-        return result
+        return (points - (x, y)) @ turn.T
 
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (along / 2, across / 2)
     corners = corners @ np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]]) + (x, y)

@@ -330,8 +330,7 @@ class Flight:
 
     @property
     def looks(self) -> int:
-        counts: int = self.agent.map._mind.counts.sum(axis=(0, 1)).max()  # type: ignore[attr-defined]
-        return counts
+        return self.agent.map._mind.counts.sum(axis=(0, 1)).max()  # type: ignore[attr-defined]
 
 
 def test_pictures_count_once_a_second() -> None:

@@ -36,16 +36,14 @@ def channel(preset: str, *arguments: str) -> dict[str, Any]:
     """The counts of a trial."""
     done = vcmvsp_command(*TRIAL, "--preset", preset, "--json", *arguments)
     assert (done.code, done.err) == (0, "")
-    counts: dict[str, Any] = json.loads(done.out)
-    return counts
+    return json.loads(done.out)
 
 
 def columns(*arguments: str) -> dict[str, Any]:
     """What ``per`` or ``pathloss`` prints."""
     done = vcmvsp_command(*arguments, "--json")
     assert (done.code, done.err) == (0, "")
-    found: dict[str, Any] = json.loads(done.out)
-    return found
+    return json.loads(done.out)
 
 
 def refused(done: Outcome, *words: str) -> None:

@@ -53,8 +53,7 @@ class ByHand(Stage):
         return self.start("agent", *arguments, "--vehicle", vehicle, "--connect", self.endpoint)
 
     def resolved_agent(self) -> dict[str, object]:
-        agent: dict[str, object] = tomllib.loads((self.out / "scenario.toml").read_text())["vehicle"][1]["agent"]
-        return agent
+        return tomllib.loads((self.out / "scenario.toml").read_text())["vehicle"][1]["agent"]
 
 
 @pytest.fixture

@@ -46,8 +46,7 @@ def parsed(words: list[str]) -> dict[str, Any]:
     words = words[1:] if words[0] == "vcmvsp" else words
     while hasattr(command, "commands"):
         command, words = command.commands[words[0]], words[1:]
-    params: dict[str, Any] = command.make_context(command.name, [*words]).params
-    return params
+    return command.make_context(command.name, [*words]).params
 
 
 @pytest.mark.parametrize("words", [*SERVICES.values(), *ARGUMENTS.values(), *map(shlex.split, COMMANDS)], ids=" ".join)

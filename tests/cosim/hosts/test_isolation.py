@@ -130,8 +130,7 @@ def test_every_agent_is_closed_even_if_one_fails() -> None:
 
 def test_the_digest_tells_runs_apart_that_differ_in_commands_or_messages_alone() -> None:
     def digest(what: Callable[[Doing, Radio], object]) -> str:
-        text: str = vcmvsp.run(alone(), agents={"car1": Doing(what)}).metrics["digest"]
-        return text
+        return vcmvsp.run(alone(), agents={"car1": Doing(what)}).metrics["digest"]
 
     digests = [digest(lambda _, radio, x=x: radio.send(x=x)) for x in (1.0, 2.0)]  # type: ignore[misc]
     assert len({*digests, digest(lambda _, __: None)}) == 3

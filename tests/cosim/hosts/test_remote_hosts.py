@@ -50,12 +50,10 @@ class Place(Stage):
 
     def reference(self, latency_s: float = 0.0) -> str:
         settings = {"agents.latency_s": latency_s}
-        digest: str = vcmvsp.run(self.folder / "far.toml", set=settings, agents="inprocess", mcap=False).metrics["digest"]
-        return digest
+        return vcmvsp.run(self.folder / "far.toml", set=settings, agents="inprocess", mcap=False).metrics["digest"]
 
     def digest(self) -> str:
-        digest: str = json.loads((self.out / "metrics.json").read_text())["digest"]
-        return digest
+        return json.loads((self.out / "metrics.json").read_text())["digest"]
 
 
 @pytest.fixture

@@ -62,13 +62,11 @@ class Theatre(Stage):
         return [json.loads(each) for each in (self.folder / name).read_text().splitlines()]
 
     def digest(self) -> str:
-        digest: str = json.loads((self.out / "metrics.json").read_text())["digest"]
-        return digest
+        return json.loads((self.out / "metrics.json").read_text())["digest"]
 
     def alone(self) -> str:
         """The digest of the run when nobody watches."""
-        digest: str = vcmvsp.run(self.folder / "shown.toml", mcap=False).metrics["digest"]
-        return digest
+        return vcmvsp.run(self.folder / "shown.toml", mcap=False).metrics["digest"]
 
 
 @pytest.fixture

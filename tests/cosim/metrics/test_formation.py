@@ -27,8 +27,7 @@ def formation_of(names: str, events: Sequence[Event], window: tuple[float, float
     end_ns = max(event.time_ns for event in events)
     result = recorded(names, events, end_ns).metrics(window=window)
     json.dumps(result, allow_nan=False)
-    formation: dict[str, Any] = result["formation"]
-    return formation
+    return result["formation"]
 
 
 def at(places: dict[str, complex], yaw: float = 0.0) -> dict[str, tuple[float, float, float]]:

@@ -159,8 +159,7 @@ def heard(n: int, seconds: list[Edges]) -> list[Event]:
 def connectivity(n: int, seconds: list[Edges], window: tuple[float, float | None] = (0.0, None)) -> dict[str, Any]:
     names = [f"car{i}" for i in range(n)]
     recorder = recorded(names, heard(n, seconds), len(seconds) * SECOND_NS, Ticks.every(1.0))
-    result: dict[str, Any] = recorder.metrics(window=window)["connectivity"]
-    return result
+    return recorder.metrics(window=window)["connectivity"]
 
 
 def test_connectivity_is_of_each_second_in_the_window() -> None:

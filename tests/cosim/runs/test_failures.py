@@ -82,8 +82,7 @@ def assert_readable(out: Path, until_s: float, tick_s: float = 0.0) -> dict[str,
     assert states["time_ns"].to_numpy().max() == pytest.approx(until_s * 1e9, abs=1e3 + tick_s * 1e9)
     assert pq.read_table(out / "radio.parquet").num_rows > 0
     assert errors
-    about: dict[str, object] = json.loads((out / "about.json").read_text())
-    return about
+    return json.loads((out / "about.json").read_text())
 
 
 CAUSES = {

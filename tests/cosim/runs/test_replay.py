@@ -66,8 +66,7 @@ def then(recorded: Path) -> dict[tuple[str, int, str], str]:
 
 def digest(folder: Path) -> str:
     """Of all that a run recorded."""
-    value: str = json.loads((folder / "metrics.json").read_text())["digest"]
-    return value
+    return json.loads((folder / "metrics.json").read_text())["digest"]
 
 
 def test_unchanged_it_is_the_same_run(recorded: Path, tmp_path: Path) -> None:

@@ -85,8 +85,7 @@ def run(acts: Mapping[float, Sequence[Order]], scenario: dict[str, Any] = SCENAR
 
 def done(result: vcmvsp.Result) -> list[dict[str, Any]]:
     """What the resolved scenario says was done."""
-    found: list[dict[str, Any]] = tomllib.loads(result.scenario).get("intervention", [])
-    return found
+    return tomllib.loads(result.scenario).get("intervention", [])
 
 
 def test_a_run_that_stands_still_can_be_ended() -> None:

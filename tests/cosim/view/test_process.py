@@ -89,8 +89,7 @@ def told(page: Connection) -> list[dict[str, Any]]:
     assert isinstance(data, bytes)
     packed = int.from_bytes(data[8:16], "little")
     content = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(data[16 : 16 + packed]))
-    messages: list[dict[str, Any]] = content["messages"]
-    return messages
+    return content["messages"]
 
 
 def test_what_happens_is_on_the_page_and_what_is_pressed_comes_back(viewer: Viewer) -> None:

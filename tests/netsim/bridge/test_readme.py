@@ -50,7 +50,7 @@ def test_the_worked_example(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(HOME.parents[1])}
 
     def start(*arguments: str, **streams: int) -> "subprocess.Popen[str]":
-        return subprocess.Popen([sys.executable, *arguments], cwd=tmp_path, env=environment, encoding="utf-8", **streams)  # type: ignore[call-overload,no-any-return]
+        return subprocess.Popen([sys.executable, *arguments], cwd=tmp_path, env=environment, encoding="utf-8", **streams)  # type: ignore[call-overload]
 
     started = [start("echo.py"), run := start(*UNDRAWN, *shorter, stderr=subprocess.PIPE)]
     try:

@@ -151,8 +151,7 @@ class Tunnel:
     cause = "tunnel"
 
     def lost(self, frame: Frame, draw: Draw) -> Bools:
-        far: Bools = frame.paths.distance_m > 10.0
-        return far
+        return frame.paths.distance_m > 10.0
 
 
 class Nothing:

@@ -26,8 +26,7 @@ def loss_db(tx: Floats, rx: Floats) -> Floats:
 def heard(*sources: Emitter, at_ns: int = 0, air_ns: int = MS, cars: Mapping[str, Any] | None = None) -> list[float]:
     found = Jammer(sources).interference_mw(at_ns, at_ns + air_ns, RX, loss_db, lambda name: np.array((cars or {})[name]))
     assert found.shape == (3,)
-    powers: list[float] = found.tolist()
-    return powers
+    return found.tolist()
 
 
 def on(source: Emitter, at_ns: int, air_ns: int) -> bool:

@@ -40,8 +40,7 @@ def gains_db(layer: Fading, uniforms: Floats = EVEN) -> Floats:
 
 
 def ratio(decibels: Floats) -> Floats:
-    gain: Floats = 10.0 ** (decibels / 10.0)
-    return gain
+    return 10.0 ** (decibels / 10.0)
 
 
 def bessel_j0(x: float) -> float:

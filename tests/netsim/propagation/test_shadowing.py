@@ -20,8 +20,7 @@ point = st.tuples(coordinate, coordinate, coordinate)
 
 def in_a_city(rng: np.random.Generator, count: int) -> Floats:
     """Points all over 2 km x 2 km x 40 m."""
-    points: Floats = rng.uniform(-1000.0, 1000.0, (count, 3)) * (1.0, 1.0, 0.02)
-    return points
+    return rng.uniform(-1000.0, 1000.0, (count, 3)) * (1.0, 1.0, 0.02)
 
 
 def shadows(a: Floats, b: Floats, seed: int) -> Floats:

@@ -44,8 +44,7 @@ def transmitted(material: str, thickness_m: float, frequency_hz: float, extra_tu
     n = np.sqrt(a * f**b - 17.98j * c * f**d / f)
     r = (1.0 - n) / (1.0 + n)
     passage = np.exp(-2j * np.pi * frequency_hz / SPEED_OF_LIGHT * thickness_m * n - 1j * np.pi * extra_turns)
-    power: Floats = np.abs((1.0 - r**2) * passage / (1.0 - (r * passage) ** 2)) ** 2
-    return power
+    return np.abs((1.0 - r**2) * passage / (1.0 - (r * passage) ** 2)) ** 2
 
 
 @pytest.mark.parametrize("material", [name for name in ITU_MATERIALS if name != "metal"])
@@ -120,8 +119,7 @@ def bodies(foot: Floats, radius_m: float = 0.5, height_m: float = 1.0) -> Bodies
 
 
 def raised(foot: Floats, height_m: float) -> Floats:
-    higher: Floats = foot + np.array([0.0, 0.0, height_m])
-    return higher
+    return foot + np.array([0.0, 0.0, height_m])
 
 
 def test_who_stands_between_is_in_the_way_and_nobody_else() -> None:

@@ -31,8 +31,7 @@ class Handing:
         self._via = via
 
     def next_hop(self, row: int, to: int, now_ns: int) -> int | None:
-        found: int | None = self._via
-        return found
+        return self._via
 
     def relays(self, row: int, by: int) -> bool:
         return True

@@ -70,8 +70,7 @@ def enu(longitude: float, latitude: float, origin: tuple[float, float]) -> Array
     d = geocentric(lon, lat) - geocentric(lon0, lat0)
     east = [-math.sin(lon0), math.cos(lon0), 0.0]
     north = [-math.sin(lat0) * math.cos(lon0), -math.sin(lat0) * math.sin(lon0), math.cos(lat0)]
-    place: Array = np.array([east, north]) @ d
-    return place
+    return np.array([east, north]) @ d
 
 
 @pytest.mark.parametrize("latitude", [0.0, 31.2, 50.0, -45.0])

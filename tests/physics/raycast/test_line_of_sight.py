@@ -120,8 +120,7 @@ def along_a_face(tx: tuple[float, ...], rx: tuple[float, ...], box: Box) -> bool
 def lengths(tx: tuple[float, ...], *rx: tuple[float, ...], among: tuple[AnySolid, ...] = (WALL,)) -> list[list[float]]:
     crossed, inside_m = Sightline(among).crossings(np.array(tx), np.array(rx, float).reshape(-1, 3))
     assert (crossed == (inside_m > 0.0)).all()
-    result: list[list[float]] = inside_m.tolist()
-    return result
+    return inside_m.tolist()
 
 
 @given(tx=place, rx=place, box=boxes)

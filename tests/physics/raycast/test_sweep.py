@@ -34,8 +34,7 @@ def one_by_one(sensor: RangeScanner, among: Scene, row: int) -> Floats:
     toward = beams(ahead, left, sensor.first, sensor.angle_step, sensor.beams)
     origins = np.broadcast_to(origin + among.position[row], toward.shape)
     still = caster_of(among.world).cast(origins, toward, sensor.range_max)
-    found: Floats = np.minimum(still, cast_bodies(among, origins, toward, sensor.range_max, row).distance)
-    return found
+    return np.minimum(still, cast_bodies(among, origins, toward, sensor.range_max, row).distance)
 
 
 def random_scene(seed: int, tilt: float, vehicles: int = 12) -> tuple[Scene, np.random.Generator]:
@@ -204,8 +203,7 @@ def surface(hull: Hull, points: Floats) -> Floats:
     half = 0.5 * np.array(hull.size)
     if hull.kind == "cylinder":
         offset[:, 0], half[1] = np.hypot(offset[:, 0], offset[:, 1]), np.inf
-    found: Floats = (offset - half).max(axis=1)
-    return found
+    return (offset - half).max(axis=1)
 
 
 @pytest.mark.parametrize("kind", ["box", "cylinder"])
@@ -221,8 +219,7 @@ def test_beams_end_on_the_surface_and_meet_nothing_before(kind: str) -> None:
         distance = cast_bodies(body, origins, directions, INF).distance
 
         def local(along: Floats, body: Scene = body, origins: Floats = origins, directions: Floats = directions) -> Floats:
-            found: Floats = (origins + along[:, None] * directions - body.position[0]) @ body.rotation(0)
-            return found
+            return (origins + along[:, None] * directions - body.position[0]) @ body.rotation(0)
 
         hit = np.isfinite(distance)
         assert 4 < hit.sum() < 100

@@ -48,8 +48,7 @@ def of(*targets: GroundTarget, **more: Any) -> World:
 
 
 def is_red(pixels: Array) -> Array:
-    found: Array = (pixels[:, :, 0] > 200) & (pixels[:, :, 1] < 100)
-    return found
+    return (pixels[:, :, 0] > 200) & (pixels[:, :, 1] < 100)
 
 
 # --- where they are -----------------------------------------------------------------------------------------------------------
@@ -145,8 +144,7 @@ def test_every_kind_of_world_has_targets_and_a_file_too(tmp_path: Path) -> None:
 def seen_from(eye: Array, rotation: Array, points: Array, focal_px: float, size: tuple[int, int]) -> Array:
     """Where a pinhole shows places (k, 3), (k, 2) px; the middle of the first pixel is 0."""
     away = (points - eye) @ rotation
-    pixels: Array = focal_px * away[:, :2] / away[:, 2:] + 0.5 * np.array(size) - 0.5
-    return pixels
+    return focal_px * away[:, :2] / away[:, 2:] + 0.5 * np.array(size) - 0.5
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -75,8 +75,7 @@ def scattered(rng: np.random.Generator, count: int, *, meshed: bool) -> World:
 def wandering(rng: np.random.Generator, count: int) -> Array:
     heading = np.cumsum(rng.normal(0.0, 0.2, count))
     steps = 0.05 * np.column_stack([np.cos(heading), np.sin(heading), rng.normal(0.0, 0.3, count)])
-    way: Array = np.cumsum(steps, axis=0) + rng.uniform((-10.0, -10.0, 0.0), (10.0, 10.0, 4.0))
-    return way
+    return np.cumsum(steps, axis=0) + rng.uniform((-10.0, -10.0, 0.0), (10.0, 10.0, 4.0))
 
 
 @pytest.mark.parametrize("meshed", [False, True])

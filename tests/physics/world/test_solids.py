@@ -171,8 +171,7 @@ def at(ground: GroundPicture, x: float, y: float) -> list[int]:
     rows, columns = picture.shape[:2]
     column = (x - ground.center[0] + 0.5 * ground.size[0]) / ground.size[0] * columns
     row = (ground.center[1] + 0.5 * ground.size[1] - y) / ground.size[1] * rows
-    color: list[int] = picture[int(row), int(column)].tolist()
-    return color
+    return picture[int(row), int(column)].tolist()
 
 
 def test_marks_are_where_they_say_they_are() -> None:

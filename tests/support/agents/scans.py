@@ -49,8 +49,7 @@ def ranges_of(walls: Sequence[Wall], pose: Pose = (0.0, 0.0, 0.0), beams: int = 
         along = (ax * ey - ay * ex) / across  # of the beam, m
         part = (ax * uy - ay * ux) / across  # of the wall
         met = (along >= 0.0) & (part >= 0.0) & (part <= 1.0)
-    ranges: Array = np.where(met, along, math.inf).min(axis=1, initial=math.inf)
-    return ranges
+    return np.where(met, along, math.inf).min(axis=1, initial=math.inf)
 
 
 def box(x: float, y: float, side: float) -> list[Wall]:

@@ -73,8 +73,7 @@ def many_frame(count: int, at_ns: int = 0, seed: int = 1) -> Frame:
 
 
 def many_keys(count: int, seed: int = 1) -> Keys:
-    keys: Keys = np.random.default_rng(seed).integers(0, 2**63, count).astype(np.uint64)
-    return keys
+    return np.random.default_rng(seed).integers(0, 2**63, count).astype(np.uint64)
 
 
 def even_uniforms(count: int) -> NDArray[np.float64]:

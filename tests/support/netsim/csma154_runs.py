@@ -28,7 +28,7 @@ def backoffs(count: int, row: int) -> list[float]:
 
 
 def draws(count: int, row: int, seed: int = 1) -> list[float]:
-    return link_uniform(keys(row + 1, seed)[row:], np.arange(count, dtype=np.uint64), BACKOFF_SLOT)[:, 0].tolist()  # type: ignore[no-any-return]
+    return link_uniform(keys(row + 1, seed)[row:], np.arange(count, dtype=np.uint64), BACKOFF_SLOT)[:, 0].tolist()
 
 
 def levels(count: int, dbm: float = LOUD) -> Floats:

@@ -62,8 +62,7 @@ def square(count: int, side_m: float, exponent: float, seed: int) -> Floats:
     """Levels (n, n) mW in a square: 40 mW, 40.052 dB at 1 m."""
     place = np.random.default_rng(seed).uniform(0.0, side_m, (count, 2))
     distance = np.linalg.norm(place[:, None] - place, axis=-1) + np.eye(count)
-    levels: Floats = 10.0 ** ((16.0206 - 40.052) / 10.0 - exponent * np.log10(np.maximum(distance, 1.0)))
-    return levels
+    return 10.0 ** ((16.0206 - 40.052) / 10.0 - exponent * np.log10(np.maximum(distance, 1.0)))
 
 
 def periodic(levels: Floats, hz: float, until_ns: int, *, size: int = 100, seed: int = 1, after_ns: int = 0) -> list[Offered]:

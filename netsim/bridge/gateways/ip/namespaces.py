@@ -128,8 +128,7 @@ def cover(files: dict[Path, Path]) -> None:
 
 def _mount(source: Path | None, target: Path, flags: int) -> int:
     name = b"none" if source is None else os.fsencode(source)
-    status: int = _libc.mount(name, os.fsencode(target), b"none", flags, None)
-    return status
+    return _libc.mount(name, os.fsencode(target), b"none", flags, None)
 
 
 def _call(status: int, path: Path) -> None:

@@ -142,8 +142,7 @@ vector = st.tuples(*[st.floats(-1e6, 1e6)] * 3)
 
 
 def matrix(q: tuple[float, float, float, float]) -> Array:
-    result: Array = Rotation.from_quat(q, scalar_first=True).as_matrix()
-    return result
+    return Rotation.from_quat(q, scalar_first=True).as_matrix()
 
 
 @given(vector)

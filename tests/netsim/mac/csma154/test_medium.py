@@ -417,8 +417,7 @@ def test_a_radio_out_of_reach_changes_nothing(script: Script) -> None:
 
 def distances(places: Floats) -> Floats:
     offset = places[:, None] - places[None]
-    far: Floats = np.maximum(np.sqrt((offset**2).sum(axis=2)), 1.0)
-    return far
+    return np.maximum(np.sqrt((offset**2).sum(axis=2)), 1.0)
 
 
 def network(kind: str, count: int, rng: np.random.Generator) -> Floats:
