@@ -137,18 +137,17 @@ class Snapshots:
             try:
                 self._watch = recognition.Watch(settings, key=key)
             except ScenarioError as error:
-                raise ScenarioError(error.problem, key=error.key, source=self._source.of(error.key)) from error
+                raise self._source.error(error.problem, error.key) from error
         self._camera_name = settings.camera
         where = f"vehicle.{vehicle.name}.sensors"
         if settings.camera not in vehicle.sensors:
             problem = f"{binding.unknown('sensor', settings.camera, vehicle.sensors)} (of {vehicle.name})"
-            raise ScenarioError(problem, key=f"{key}.camera", source=self._source.of(f"{key}.camera"))
+            raise self._source.error(problem, f"{key}.camera")
         sensor = {**vehicle.sensors[settings.camera], "depth": True}  # for occlusion tests
         self._camera: recognition.Camera
         self._camera, _ = registry.build("sensor", sensor, key=f"{where}.{settings.camera}", source=self._source)
         if not hasattr(self._camera, "focal_px"):
-            kind = f"{where}.{settings.camera}.kind"
-            raise ScenarioError("must take pictures", key=kind, source=self._source.of(kind))
+            raise self._source.error("must take pictures", f"{where}.{settings.camera}.kind")
         self._watch.start(VehicleInfo(name=vehicle.name, vehicles=(vehicle.name,), period_s=1.0, latency_s=0.0, seed=0))
 
     def _said(self, search: Mapping[str, Any], name: str, annotation: object, default: object) -> Any:
@@ -176,7 +175,7 @@ class Snapshots:
         left, bottom, right, top = map(float, found)
         if not (left < right and bottom < top):
             key, problem = f"{self.table}.area", f"must be left, bottom, right, top, not {binding.show(list(found))}"
-            raise ScenarioError(problem, key=key, source=self._source.of(key))
+            raise self._source.error(problem, key)
         return left, bottom, right, top
 
     def _cells(self) -> Grid:
@@ -208,7 +207,7 @@ class Snapshots:
             if self.world.blocking(corners, self.height_m - ROOM_M, self.height_m + ROOM_M) is None:
                 return VehicleState(position=(x, y, self.height_m), attitude=attitude)
         problem = f"no place over the area at {self.height_m:g} m is free{' and shows a target' if with_target else ''}"
-        raise ScenarioError(problem, key="world", source=self._source.of("world"))
+        raise self._source.error(problem, "world")
 
     def _over(self, attitude: Quaternion) -> recognition.Nadir:
         camera = self._camera

@@ -7,7 +7,6 @@ from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.clock import WallClock
 from vcmvsp.cosim.config import binding, builtin_kinds
 from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Log
 from vcmvsp.cosim.recording.external_inputs import Input
 from vcmvsp.cosim.scenario.schema import Scenario
@@ -88,21 +87,20 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> "lis
         key = f"bridge.{name}"
         if not isinstance(content, dict):
             if name in builtin_kinds.KINDS["door"]:
-                raise ScenarioError(f"must be a table, not {binding.show(content)}", key=key, source=source.of(key))
+                raise source.error(f"must be a table, not {binding.show(content)}", key)
             allowed = [
                 *(each for each in binding.parameters(type(scenario.bridge)) if each != "doors"),
                 *builtin_kinds.KINDS["door"],
             ]
-            raise ScenarioError(binding.unknown("key", name, allowed), key=key, source=source.of(key))
+            raise source.error(binding.unknown("key", name, allowed), key)
         kind = kind_of(name, content)
         door, full = resolution.component("door", {**content, "kind": kind}, key)
         if getattr(door, "only_one", False) and (first := alone.setdefault(type(door), key)) != key:
-            problem = f"a run has one door of kind {kind} at most, and {first} is one: leave one of the two out"
-            raise ScenarioError(problem, key=key, source=source.of(key))
+            raise source.error(f"a run has one door of kind {kind} at most, and {first} is one: leave one of the two out", key)
         try:
             door.check(names)
         except ValueError as error:
-            raise ScenarioError(str(error), key=key, source=source.of(key)) from error
+            raise source.error(str(error), key) from error
         written = full.pop("kind")
         found.append(GatewaySpec(name=name, kind=kind, params=full))
         resolved[name] = full if written == name else {"kind": written, **full}
@@ -116,9 +114,9 @@ def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, t
     wanted, names, key = scenario.sockets, [each.name for each in scenario.vehicle], "sockets.vehicles"
     for name in wanted.vehicles:
         if name not in names:
-            raise ScenarioError(binding.unknown("vehicle", name, names), key=key, source=source.of(key))
+            raise source.error(binding.unknown("vehicle", name, names), key)
         if wanted.vehicles.count(name) > 1:
-            raise ScenarioError(f"names {name} twice; each has one program", key=key, source=source.of(key))
+            raise source.error(f"names {name} twice; each has one program", key)
     if not wanted.vehicles:
         return None
     from vcmvsp.netsim.sockets.federate import Programs
@@ -127,4 +125,4 @@ def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, t
     try:
         return Programs(wanted, names, tell=tell, connect=connect)
     except ValueError as error:
-        raise ScenarioError(str(error), key="sockets.listen", source=source.of("sockets.listen")) from error
+        raise source.error(str(error), "sockets.listen") from error

@@ -12,7 +12,6 @@ import msgspec
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.config.binding import problem_of, unfit_number, unknown
 from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.scenario.schema import HaltTable, InterventionTable, MoveTable, OutageTable, SetTable
 from vcmvsp.cosim.types import Changed, Halted, Moved, Outage
@@ -155,8 +154,7 @@ def check_planned(planned: Sequence[InterventionTable], check: Check, source: So
         try:
             check(planned[number], [planned[each] for each in order[:place]])
         except ValueError as error:
-            key = f"intervention[{number}]"
-            raise ScenarioError(str(error), key=key, source=source.of(key)) from error
+            raise source.error(str(error), f"intervention[{number}]") from error
 
 
 def _at(table: InterventionTable, now_ns: int) -> InterventionTable:

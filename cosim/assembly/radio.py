@@ -116,20 +116,18 @@ def build(
 
     for name in radio:
         if name not in ("preset", *LAYERS):
-            where = binding.join(key, name)
             problem = binding.unknown("key", name, ["preset", *also, *LAYERS])
-            raise ScenarioError(problem, key=where, source=source.of(where))
+            raise source.error(problem, binding.join(key, name))
     preset = radio.get("preset", "ideal")
     if preset not in PRESETS:
-        where = binding.join(key, "preset")
-        raise ScenarioError(binding.unknown("preset", str(preset), PRESETS), key=where, source=source.of(where))
+        raise source.error(binding.unknown("preset", str(preset), PRESETS), binding.join(key, "preset"))
     base, layers, resolved = preset_of(preset), {}, {"preset": preset}
     offered: dict[str, Any] = {"sightline": Sightline(solids)}
     try:
         for name in LAYERS:
             where, own = binding.join(key, name), radio.get(name, {})
             if not isinstance(own, dict):
-                raise ScenarioError(f"must be a table, not {binding.show(own)}", key=where, source=source.of(where))
+                raise source.error(f"must be a table, not {binding.show(own)}", where)
             content, guard = _merged(name, base[name], own), partial(user_layers.guarded, name)
             layers[name], resolved[name] = registry.build(
                 name, content, key=where, source=source, portable=portable, offered=offered, keep=keep, guard=guard
@@ -141,8 +139,7 @@ def build(
         _check_names(layers, vehicles, key, source)
         return Channel(**layers, radios=radios), resolved
     except user_layers.LayerError as error:
-        where = binding.join(key, error.layer)
-        raise ScenarioError(error.cause, key=where, source=source.of(where)) from error
+        raise source.error(error.cause, binding.join(key, error.layer)) from error
 
 
 def _merged(layer: str, base: Mapping[str, Any], own: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -169,9 +166,7 @@ def _check_names(layers: Mapping[str, Any], vehicles: Sequence[str], key: str, s
     for layer in ("trace", "jammer"):
         for name in getattr(layers[layer], "names", tuple)():  # a user class may lack it
             if name not in vehicles:
-                where = binding.join(key, layer)
-                raise ScenarioError(binding.unknown("vehicle", name, vehicles), key=where, source=source.of(where))
+                raise source.error(binding.unknown("vehicle", name, vehicles), binding.join(key, layer))
     for expression in getattr(layers["script"], "unmatched", lambda _: ())(vehicles):
         where = binding.join(key, "script.changes")
-        problem = f"links = {expression!r} stands for no link; vehicles: {', '.join(vehicles)}"
-        raise ScenarioError(problem, key=where, source=source.of(where))
+        raise source.error(f"links = {expression!r} stands for no link; vehicles: {', '.join(vehicles)}", where)

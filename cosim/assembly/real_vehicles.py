@@ -10,7 +10,6 @@ from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.endpoints import with_slash
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.recording.external_inputs import Input
 from vcmvsp.cosim.scenario.schema import SIMULATED, RealVehicle, SafetyTable, Scenario, VehicleTable
 from vcmvsp.cosim.util.text import Tell
@@ -88,8 +87,7 @@ def _described(
     try:
         check_safety(described)
     except ValueError as error:
-        at = f"{key}.safety" if "fence" in vehicle.safety else "safety"
-        raise ScenarioError(str(error), key=at, source=source.of(at)) from error
+        raise source.error(str(error), f"{key}.safety" if "fence" in vehicle.safety else "safety") from error
     return described
 
 
@@ -108,8 +106,7 @@ def _check_addresses(found: Sequence[RealVehicle], source: Source) -> None:
             for name in sorted(ADDRESSES & {*params}):
                 address, key = with_slash(str(params[name])), f"vehicle.{each.name}.{table_}.{name}"
                 if address in taken and address != "emulated" and not address.endswith(":0"):
-                    problem = f"'{address}' is that of {taken[address]}, too: each vehicle needs one of its own"
-                    raise ScenarioError(problem, key=key, source=source.of(key))
+                    raise source.error(f"'{address}' is that of {taken[address]}, too: each vehicle needs one of its own", key)
                 taken[address] = each.name
 
 
@@ -122,8 +119,7 @@ def _builder(
     def build(group: str, content: Mapping[str, Any], key: str) -> tuple[str, dict[str, Any]]:
         built, full = resolution.component(group, content, key, offered=offered)
         if flies and getattr(built, "ground_only", False):
-            problem = f"drives robots on the ground, and {vehicle} flies"
-            raise ScenarioError(problem, key=f"{key}.kind", source=source.of(f"{key}.kind"))
+            raise source.error(f"drives robots on the ground, and {vehicle} flies", f"{key}.kind")
         return full.pop("kind"), full
 
     return build
@@ -136,8 +132,7 @@ def _check_nothing_lost(vehicle: VehicleTable, source: Source) -> None:
             continue
         if getattr(vehicle, name):
             key = f"vehicle.{vehicle.name}.{name}"
-            problem = "counts for a real vehicle only: give it a driver, or leave this out"
-            raise ScenarioError(problem, key=key, source=source.of(key))
+            raise source.error("counts for a real vehicle only: give it a driver, or leave this out", key)
 
 
 def _safety(shared: SafetyTable, vehicle: VehicleTable, model: "Vehicle", source: Source) -> SafetyTable:

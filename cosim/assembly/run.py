@@ -258,7 +258,7 @@ def _located(scenario: Scenario, source: Source) -> Iterator[None]:
         key = error.key
         if key in {f"vehicle.{each.name}.position" for each in scenario.vehicle if each.pose is not None}:
             key = f"{key.removesuffix('position')}pose"  # the scenario's name of the key
-        raise ScenarioError(error.problem, key=key, source=source.of(key)) from error
+        raise source.error(error.problem, key) from error
 
 
 def _physics(scenario: Scenario, resolution: Resolution, **given: object) -> Federate:

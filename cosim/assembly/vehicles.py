@@ -89,7 +89,7 @@ class Fleet:
             where = f"vehicle.{vehicle.name}.sensors.{name}"
             if not name.replace("_", "").replace("-", "").isalnum() or name in TOPICS:
                 problem = f"a sensor cannot be called '{name}': letters, digits, _ and -, and none of {', '.join(TOPICS)}"
-                raise ScenarioError(problem, key=where, source=self._source.of(where))
+                raise self._source.error(problem, where)
             fitted[name], tables[name] = self._resolution.component("sensor", content, where, offered=wheels)
         self._resolution.sensors[vehicle.name] = tables
         return fitted
@@ -128,14 +128,13 @@ class Fleet:
         for name in self._scenario.vehicles:
             if name not in VehicleTable.__struct_fields__ and name not in known:
                 key, allowed = f"vehicles.{name}", {*known, *binding.parameters(VehicleTable)} - _NOT_SHARED
-                problem = f"no vehicle takes this default: {binding.unknown('key', name, allowed)}"
-                raise ScenarioError(problem, key=key, source=self._source.of(key))
+                raise self._source.error(f"no vehicle takes this default: {binding.unknown('key', name, allowed)}", key)
 
     def _check_recorded(self) -> None:
         fitted = {name for each in self.sensors.values() for name in each}
         if unfit := [name for name in self._scenario.record.sensors if name not in fitted | {"*"}]:
             problem = f"no vehicle carries it: {binding.unknown('sensor', unfit[0], fitted | {'*'})}"
-            raise ScenarioError(problem, key="record.sensors", source=self._source.of("record.sensors"))
+            raise self._source.error(problem, "record.sensors")
 
 
 class Placement:
@@ -187,8 +186,7 @@ class Placement:
                 if not infos:
                     why = "no vehicle has an agent (a vehicle gets one by an agent table, which may be empty: agent = {})"
                 allowed = {*known, *binding.parameters(AgentsTable), "kind"} - {"defaults"}
-                problem = f"no agent takes this default: {why or binding.unknown('key', name, allowed)}"
-                raise ScenarioError(problem, key=key, source=self._source.of(key))
+                raise self._source.error(f"no agent takes this default: {why or binding.unknown('key', name, allowed)}", key)
 
     def _place(self, vehicle: VehicleTable, runs: str | None) -> str | None:
         """Where a vehicle's agent runs; None: it has no agent, or with ``here`` no known class."""
@@ -220,7 +218,7 @@ class Placement:
                 own = None  # the scenario's table belongs to another class
         if not kind and where != "zenoh":
             key = f"vehicle.{vehicle.name}.agent.kind"
-            raise ScenarioError("is missing, and [agents] has no kind for all", key=key, source=self._source.of(key))
+            raise self._source.error("is missing, and [agents] has no kind for all", key)
         defaults = {name: value for name, value in agents.defaults.items() if name != "kind"}
         params = self._source.kept(own.params, f"vehicle.{vehicle.name}.agent", ()) if own else {}
         if own and len(params) < len(own.params):  # not the file's class: only parameters that it takes

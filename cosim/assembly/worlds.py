@@ -71,16 +71,15 @@ def build(
     except ScenarioError as error:
         if error.source:
             raise  # the error is in a file that the scenario names
-        where = binding.join("world", error.key)
-        raise ScenarioError(error.problem, key=where, source=source.of(where)) from error
+        raise source.error(error.problem, binding.join("world", error.key)) from error
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a user class may raise anything
         problem = f"{type(maker).__name__}.build raised {words_of(error)}{place_of(error)}"
-        raise ScenarioError(problem, key="world", source=source.of("world")) from error
+        raise source.error(problem, "world") from error
     if not isinstance(world, World):
         problem = f"{type(maker).__name__}.build must return a World, not {binding.show(world)}"
-        raise ScenarioError(problem, key="world", source=source.of("world"))
+        raise source.error(problem, "world")
     return world, resolved
 
 

@@ -259,14 +259,14 @@ def _channel(
         source.note_set(key, f"--set {argument}")
         layer, *inner = key.split(".")
         if layer not in LAYERS:
-            raise ScenarioError(binding.unknown("layer", layer, LAYERS), key=key, source=source.of(key))
+            raise source.error(binding.unknown("layer", layer, LAYERS), key)
         if not inner:
-            raise ScenarioError(f"write LAYER.KEY=VALUE, e.g. {layer}.kind=...", key=key, source=source.of(key))
+            raise source.error(f"write LAYER.KEY=VALUE, e.g. {layer}.kind=...", key)
         here = tables.setdefault(layer, {})
         for part in inner[:-1]:
             here = here.setdefault(part, {})
             if not isinstance(here, dict):
-                raise ScenarioError(f"'{part}' is a value, not a table", key=key, source=source.of(key))
+                raise source.error(f"'{part}' is a value, not a table", key)
         here[inner[-1]] = value_of(text)
     channel, resolved = radio.build(tables, source, key="", vehicles=vehicles)
     return channel, resolved, source

@@ -88,7 +88,7 @@ def call(
     for name in table:
         if name not in known:
             where = join(key, name)
-            raise ScenarioError(unknown("key", name, [*known, *also]), key=where, source=origin.of(where))
+            raise origin.error(unknown("key", name, [*known, *also]), where)
     values = dict(_values(known, table, key, origin))
     try:
         return target(**given, **values)
@@ -96,7 +96,7 @@ def call(
         if error.source:
             raise
         where = join(key, error.key)
-        raise ScenarioError(error.problem, key=where, source=origin.of(where)) from error
+        raise origin.error(error.problem, where) from error
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a user class may raise anything
@@ -105,7 +105,7 @@ def call(
             problem = f"{target.__name__} raised {words_of(error)}{place_of(error)}"
         mentioned = [name for name in values if re.search(rf"\b{name}\b", text)]  # parameters named in its message
         where = join(key, mentioned[0]) if len(mentioned) == 1 and _is_named(mentioned[0], text) else key
-        raise ScenarioError(problem, key=where, source=origin.of(where)) from error
+        raise origin.error(problem, where) from error
 
 
 def _values(known: Mapping[str, Parameter], table: Mapping[str, Any], key: str, origin: Source) -> Iterator[tuple[str, Any]]:
@@ -277,7 +277,7 @@ def structs(annotation: object) -> list[type[msgspec.Struct]]:
 
 
 def _refused(problem: str, key: str, origin: Source | None) -> ScenarioError:
-    return ScenarioError(problem, key=key, source=(origin or Source()).of(key))
+    return (origin or Source()).error(problem, key)
 
 
 def unfit_number(value: object) -> float | None:

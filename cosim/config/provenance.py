@@ -6,6 +6,7 @@ from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.util.documents import read_toml, toml_tokens
 
 _VEHICLE = re.compile(r"^vehicle\[\d+\]")
@@ -158,6 +159,10 @@ class Source:
             if place in self._lines:
                 return f"{self.name} line {self._lines[place]}"
         return self.name
+
+    def error(self, problem: str, key: str) -> ScenarioError:
+        """The error for a problem of a key's value, which names the origin of the value."""
+        return ScenarioError(problem, key=key, source=self.of(key))
 
     @functools.cached_property
     def _lines(self) -> dict[str, int]:

@@ -82,25 +82,25 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
     try:
         path = file_of(kind, folder) if is_own else None
     except ScenarioError as error:
-        raise ScenarioError(error.problem, key=key, source=origin.of(key)) from error
+        raise origin.error(error.problem, key) from error
     if path and not path.is_file():
-        raise ScenarioError(f"there is no file {path} on {platform.node()}", key=key, source=origin.of(key))
+        raise origin.error(f"there is no file {path} on {platform.node()}", key)
     try:
         module = load_file(path) if path else importlib.import_module(where)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a user module may raise anything
         problem = f"'{where}' cannot be imported: {words_of(error)}{place_of(error)}"
-        raise ScenarioError(problem, key=key, source=origin.of(key)) from error
+        raise origin.error(problem, key) from error
     if is_own and (code := allowed_code.get()):
         code.took(kind, module)
     found = getattr(module, name, None)
     if found is None:
-        raise ScenarioError(f"'{where}' has no class '{name}'", key=key, source=origin.of(key))
+        raise origin.error(f"'{where}' has no class '{name}'", key)
     lacking = [verb for verb in re.findall(r"\w+(?:\(.*?\))?", VERBS[group]) if not hasattr(found, verb.partition("(")[0])]
     if aim != NOTHING and (lacking or not callable(found)):
         problem = f"'{kind}' is no {group.replace('_', '-')}: it has no {', '.join(lacking) or VERBS[group]}"
-        raise ScenarioError(problem, key=key, source=origin.of(key))
+        raise origin.error(problem, key)
     return found
 
 
@@ -114,7 +114,7 @@ def target(group: str, kind: str, *, key: str = "kind", origin: Source | None = 
     if kind not in others:
         names = [*KINDS[group], *others]
         problem = unknown(f"{group.replace('_', '-')} kind", kind, names) + "; or give module:Class or file.py:Class"
-        raise ScenarioError(problem, key=key, source=(origin or Source()).of(key))
+        raise (origin or Source()).error(problem, key)
     return others[kind]
 
 
@@ -202,7 +202,7 @@ def build(
     kind = content.get("kind")
     if not isinstance(kind, str):
         allowed = ", ".join(builtin_kinds.KINDS[group])
-        raise ScenarioError(f"must be a string, one of {allowed}", key=f"{key}.kind", source=source.of(f"{key}.kind"))
+        raise source.error(f"must be a string, one of {allowed}", f"{key}.kind")
     maker = guard(find(group, kind, folder=source.folder, key=f"{key}.kind", origin=source))
     known = binding.parameters(maker)
     given = {**(given or {}), **{name: value for name, value in (offered or {}).items() if name in known}}
@@ -221,7 +221,7 @@ def found(target: Callable[..., Any], params: Mapping[str, Any], source: Source,
     try:
         return binding.with_files(target, params, lambda name: str(located(name, source.folder)))
     except ScenarioError as error:
-        raise ScenarioError(error.problem, key=key, source=source.of(key)) from error
+        raise source.error(error.problem, key) from error
 
 
 def kept(target: Callable[..., Any], params: Mapping[str, Any], keep: Keep) -> dict[str, Any]:

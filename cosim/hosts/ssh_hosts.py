@@ -124,8 +124,7 @@ def read(path: Path) -> HostsTable:
     hosted: dict[str, str] = {}
     for number, host in enumerate(listed.host):
         if fault := _fault(host, names, hosted):
-            key = f"host[{number}].{fault[0]}"
-            raise ScenarioError(fault[1], key=key, source=lines.of(key))
+            raise lines.error(fault[1], f"host[{number}].{fault[0]}")
         names[host.called] = number
         hosted |= dict.fromkeys(host.vehicles, host.called)
     return listed

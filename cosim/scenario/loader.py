@@ -48,8 +48,7 @@ def repeated(listed: Sequence[Any], source: Source) -> list[Any]:
     """The vehicles, with one copy per ``count`` of repeated ones."""
     counts = [one.get("count", 1) if isinstance(one, dict) else 1 for one in listed]
     if (total := sum(each for each in counts if isinstance(each, int))) > MOST:
-        problem = f"there may be {MOST} vehicles in all, not {total}: give fewer, or a smaller count"
-        raise ScenarioError(problem, key="vehicle", source=source.of("vehicle"))
+        raise source.error(f"there may be {MOST} vehicles in all, not {total}: give fewer, or a smaller count", "vehicle")
     return [each for one in listed for each in (_copies(one, source) if isinstance(one, dict) else [one])]
 
 
@@ -71,8 +70,7 @@ def _copies(one: dict[str, Any], source: Source) -> list[dict[str, Any]]:
     if not said:
         return [one]
     if "count" not in said:
-        where = f"{key}.{next(iter(said))}"
-        raise ScenarioError("means nothing without a count", key=where, source=source.of(where))
+        raise source.error("means nothing without a count", f"{key}.{next(iter(said))}")
     repeat = binding.call(Repeat, said, key=key, origin=source)
     rest = {name: value for name, value in one.items() if name not in KEYS}
     place = next((name for name in _PLACES if name in rest), "position")
@@ -128,17 +126,15 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
     """Check the content of a scenario file and convert it to tables."""
     _check_depth(raw, source.name)
     if (bad := binding.unfit_number(raw)) is not None:
-        key = _path_of(raw, bad)
-        raise ScenarioError(binding.problem_of(bad), key=key, source=source.of(key))
+        raise source.error(binding.problem_of(bad), _path_of(raw, bad))
     agents = _open_table(AgentsTable, raw.get("agents", {}), "defaults", "agents", source)
     bridge = _open_table(BridgeTable, raw.get("bridge", {}), "doors", "bridge", source)
     defaults = _mapping(raw.get("vehicles", {}), "vehicles", source)
     listed = raw.get("vehicle", [])
     if not isinstance(listed, list) or not listed:
-        raise ScenarioError("needs at least one [[vehicle]]", key="vehicle", source=source.of("vehicle"))
+        raise source.error("needs at least one [[vehicle]]", "vehicle")
     if own := {"name", "pose", "position", "agent", "driver", "localisation"} & {*defaults}:
-        problem = f"may not hold {' or '.join(sorted(own))}, which each vehicle has its own"
-        raise ScenarioError(problem, key="vehicles", source=source.of("vehicles"))
+        raise source.error(f"may not hold {' or '.join(sorted(own))}, which each vehicle has its own", "vehicles")
     for index, each in enumerate(listed):
         _check_named(each, index, source)
     listed = repeated(listed, source)
@@ -270,7 +266,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, source: Source) -> Non
     if key.startswith("vehicle") and (parents[:1] == ["vehicle"] or last == "vehicle"):
         listed = raw.get("vehicle")
         if len(parents) < 2 or not isinstance(listed, list):
-            raise ScenarioError("write vehicle.NAME.KEY for a key of one vehicle", key=key, source=source.of(key))
+            raise source.error("write vehicle.NAME.KEY for a key of one vehicle", key)
     here: Any = raw
     for depth, part in enumerate(parents):
         if depth == 0 and part == "vehicle":
@@ -278,19 +274,19 @@ def _assign(raw: dict[str, Any], key: str, value: object, source: Source) -> Non
                 raw["vehicle"] = repeated(raw["vehicle"], source)  # one copy gets its own value
             here = {str(each.get("name")): each for each in raw.get("vehicle", []) if isinstance(each, dict)}
         elif depth == 1 and parents[0] == "vehicle" and part not in here:
-            raise ScenarioError(binding.unknown("vehicle", part, here), key=key, source=source.of(key))
+            raise source.error(binding.unknown("vehicle", part, here), key)
         elif depth == 2 and parents[0] == "vehicle":  # one key of a table in [vehicles]
             here = here.setdefault(part, copy.deepcopy(raw.get("vehicles", {}).get(part, {})))
         else:
             here = here.setdefault(part, {})
         if not isinstance(here, dict):
-            raise ScenarioError(f"'{'.'.join(parents[: depth + 1])}' is a value, not a table", key=key, source=source.of(key))
+            raise source.error(f"'{'.'.join(parents[: depth + 1])}' is a value, not a table", key)
     here[last] = copy.deepcopy(value)  # the caller's mapping must not change
 
 
 def _mapping(value: object, key: str, source: Source) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ScenarioError(f"must be a table, not {binding.show(value)}", key=key, source=source.of(key))
+        raise source.error(f"must be a table, not {binding.show(value)}", key)
     return value
 
 
@@ -307,7 +303,7 @@ def _check_named(raw: object, index: int, source: Source) -> None:
     here = f"vehicle[{index}]"
     key, name = f"{here}.name", _mapping(raw, here, source).get("name")
     if name is None:
-        raise ScenarioError("is missing", key=key, source=source.of(key))
+        raise source.error("is missing", key)
     binding.convert(name, str, key=key, origin=source)
 
 
@@ -329,7 +325,7 @@ def _unique(vehicle_names: Sequence[str], source: Source) -> None:
         elif name in vehicle_names[:index]:
             problem = f"two vehicles are called '{name}'; every name may be used once"
         if problem:
-            raise ScenarioError(problem, key=key, source=source.of(key))
+            raise source.error(problem, key)
 
 
 def _used(defaults: Mapping[str, Any], listed: Sequence[Mapping[str, Any]], source: Source) -> None:
@@ -337,14 +333,13 @@ def _used(defaults: Mapping[str, Any], listed: Sequence[Mapping[str, Any]], sour
         if all(name in each for each in listed):
             key = f"vehicles.{name}"
             problem = f"no vehicle takes this default: every one sets its own '{name}' (change vehicle.NAME.{name} instead)"
-            raise ScenarioError(problem, key=key, source=source.of(key))
+            raise source.error(problem, key)
 
 
 def _check_window(parsed: Scenario, source: Source) -> None:
     window = parsed.metrics
     if window.to_s is not None and window.to_s < window.from_s:
-        problem = f"must not be earlier than metrics.from_s ({window.from_s:g}), not {window.to_s:g}"
-        raise ScenarioError(problem, key="metrics.to_s", source=source.of("metrics.to_s"))
+        raise source.error(f"must not be earlier than metrics.from_s ({window.from_s:g}), not {window.to_s:g}", "metrics.to_s")
 
 
 def _path_of(value: object, wanted: float, key: str = "") -> str:

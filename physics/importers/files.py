@@ -92,7 +92,7 @@ class File:
         try:
             world = listed.build()
         except ScenarioError as error:
-            raise ScenarioError(error.problem, key=error.key, source=source.of(error.key)) from error
+            raise source.error(error.problem, error.key) from error
         instead: dict[str, Any] = {"floor_friction": self.floor_friction, "wind": self.wind, "light": self.light}
         return replace(world, name=Path(self.path).stem, **{key: value for key, value in instead.items() if value is not None})
 
