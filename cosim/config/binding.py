@@ -18,7 +18,7 @@ from typing import Any, Literal, TypeVar
 
 import msgspec
 
-from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.config.provenance import NOWHERE, Source
 from vcmvsp.cosim.errors import ScenarioError, place_of, said_by, words_of
 
 T = TypeVar("T")
@@ -70,7 +70,7 @@ def call(
     table: Mapping[str, Any],
     *,
     key: str = "",
-    origin: Source | None = None,
+    origin: Source = NOWHERE,
     given: Mapping[str, Any] | None = None,
     also: Iterable[str] = (),
 ) -> T:
@@ -83,7 +83,7 @@ def call(
     Raises:
         ScenarioError: unknown or missing key, wrong type or range, or any error of ``target``.
     """
-    origin, given = origin or Source(), given or {}
+    given = given or {}
     known = {name: each for name, each in parameters(target).items() if name not in given}
     for name in table:
         if name not in known:
@@ -204,19 +204,19 @@ def _without_none(value: object) -> object:
     return value
 
 
-def convert(value: object, annotation: object, *, key: str = "", origin: Source | None = None) -> Any:
+def convert(value: object, annotation: object, *, key: str = "", origin: Source = NOWHERE) -> Any:
     """The value converted to its annotation; `ScenarioError` with the allowed values if it does not fit."""
     if (bad := unfit_number(value)) is not None:
-        raise _refused(problem_of(bad), key, origin)
+        raise origin.error(problem_of(bad), key)
     try:
         return msgspec.convert(value, annotation, dec_hook=_path if _holds_path(annotation) else None)
     except msgspec.ValidationError as error:
         words, _, inside = str(error).partition(" - at `$")
         if isinstance(error.__cause__, ValueError):  # raised by a table's own check
-            raise _refused(words, f"{key}{inside[:-1]}", origin) from error
+            raise origin.error(words, f"{key}{inside[:-1]}") from error
         if structs(annotation) and (inside or words.startswith("Object ")):
-            raise _refused(_inside(words, inside[:-1], value, annotation), f"{key}{inside[:-1]}", origin) from error
-        raise _refused(unlike(value, annotation), key, origin) from error
+            raise origin.error(_inside(words, inside[:-1], value, annotation), f"{key}{inside[:-1]}") from error
+        raise origin.error(unlike(value, annotation), key) from error
     except TypeError:
         return value  # an annotation for Python objects only; the target checks the value
 
@@ -274,10 +274,6 @@ def structs(annotation: object) -> list[type[msgspec.Struct]]:
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
         return [annotation]
     return [each for inner in typing.get_args(annotation) for each in structs(inner)]
-
-
-def _refused(problem: str, key: str, origin: Source | None) -> ScenarioError:
-    return (origin or Source()).error(problem, key)
 
 
 def unfit_number(value: object) -> float | None:

@@ -169,6 +169,10 @@ class Source:
         return lines_of(self._text)
 
 
+NOWHERE = Source()
+"""Origin of values that no scenario gives."""
+
+
 def _places(key: str) -> Iterator[str]:
     """Places where a key may be defined, likeliest first; a copied vehicle also has its template's and ``[vehicles]``."""
     for prefix in prefixes(key):

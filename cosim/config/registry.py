@@ -24,7 +24,7 @@ from typing import Any
 from vcmvsp.cosim.config import binding, builtin_kinds
 from vcmvsp.cosim.config.binding import show, unknown
 from vcmvsp.cosim.config.builtin_kinds import KINDS, NOTHING, VERBS
-from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.config.provenance import NOWHERE, Source
 from vcmvsp.cosim.errors import ScenarioError, place_of, words_of
 
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
@@ -65,7 +65,7 @@ def may_import(group: str, kind: object) -> bool:
     return allowed_code.get() is not NO_CODE or (isinstance(kind, str) and kind in KINDS[group])
 
 
-def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind", origin: Source | None = None) -> Any:
+def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind", origin: Source = NOWHERE) -> Any:
     """The class that ``kind`` names.
 
     Args:
@@ -75,7 +75,6 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
     Raises:
         ScenarioError: the kind is unknown, or its class cannot or must not be imported (`only`).
     """
-    origin = origin or Source()
     aim = target(group, kind, key=key, origin=origin)
     where, _, name = aim.rpartition(":")
     is_own = kind not in KINDS[group]
@@ -104,7 +103,7 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
     return found
 
 
-def target(group: str, kind: str, *, key: str = "kind", origin: Source | None = None) -> str:
+def target(group: str, kind: str, *, key: str = "kind", origin: Source = NOWHERE) -> str:
     """``module:Class`` or ``file.py:Class`` of a kind, also of a short name."""
     if ":" in kind:
         return kind
@@ -114,7 +113,7 @@ def target(group: str, kind: str, *, key: str = "kind", origin: Source | None = 
     if kind not in others:
         names = [*KINDS[group], *others]
         problem = unknown(f"{group.replace('_', '-')} kind", kind, names) + "; or give module:Class or file.py:Class"
-        raise (origin or Source()).error(problem, key)
+        raise origin.error(problem, key)
     return others[kind]
 
 
