@@ -1,5 +1,3 @@
 """The federate that runs agents in the process of the kernel."""
 
 from vcmvsp.agents.federate import AgentHost
-
-__all__ = ["AgentHost"]

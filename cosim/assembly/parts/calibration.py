@@ -6,8 +6,6 @@ from vcmvsp.netsim.calibration.fit import calibrate_file, figure_data
 from vcmvsp.netsim.calibration.result import Calibration
 from vcmvsp.physics.raycast.line_of_sight import Sightline
 
-__all__ = ["Calibration", "calibrate_file", "figure_data", "sightline_of"]
-
 
 def sightline_of(scenario: str) -> Sightline:
     """Line-of-sight test against the solids of a scenario's world."""

@@ -5,16 +5,3 @@ from vcmvsp.netsim.evaluation import coverage
 from vcmvsp.netsim.evaluation.broadcast_trial import Broadcasts, run
 from vcmvsp.netsim.evaluation.files import RowFile, read_positions
 from vcmvsp.netsim.evaluation.model_curves import error_rate, grid, mean_levels, packet_errors
-
-__all__ = [
-    "Broadcasts",
-    "Channel",
-    "RowFile",
-    "coverage",
-    "error_rate",
-    "grid",
-    "mean_levels",
-    "packet_errors",
-    "read_positions",
-    "run",
-]

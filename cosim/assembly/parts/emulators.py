@@ -8,19 +8,5 @@ from vcmvsp.hardware.emulators.arcos.scenario import emulate
 from vcmvsp.hardware.emulators.device_server import Ready, duration_of
 from vcmvsp.physics.vehicles.specification import flies
 
-__all__ = [
-    "Ready",
-    "RobotOptions",
-    "Tags",
-    "circle_of",
-    "duration_of",
-    "emulate_robot",
-    "emulate_tag",
-    "emulate_vehicle",
-    "faults_of",
-    "port_of",
-    "tags_of",
-]
-
 emulate_vehicle = partial(emulate, flies=flies)
 """Serves an emulated robot that drives in the world of a scenario (`hardware.emulators.arcos.scenario.emulate`)."""

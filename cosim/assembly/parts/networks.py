@@ -4,8 +4,6 @@ from vcmvsp.netsim.bridge.gateways.ip.namespaces import missing
 from vcmvsp.netsim.bridge.gateways.ip.run_networks import RunNetwork, become, caller, check_free, clear, networks, run_inside
 from vcmvsp.netsim.bridge.process_client import BridgeClient
 
-__all__ = ["RunNetwork", "check_free", "clear", "leave_root", "missing", "networks", "run_inside"]
-
 
 def leave_root() -> None:
     """Switch to the user who called sudo, if any; only the process that makes the interfaces keeps root's rights."""

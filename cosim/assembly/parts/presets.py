@@ -1,5 +1,3 @@
 """Named radio channels and the layers of a channel; light to import."""
 
 from vcmvsp.netsim.presets import LAYERS, PRESETS, preset
-
-__all__ = ["LAYERS", "PRESETS", "preset"]

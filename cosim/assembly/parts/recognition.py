@@ -11,25 +11,3 @@ from vcmvsp.physics.sensors.camera import Camera
 from vcmvsp.physics.world.floor import PlacedTarget
 from vcmvsp.physics.world.solids import Hull
 from vcmvsp.physics.world.world import Scene
-
-__all__ = [
-    "Camera",
-    "Detection",
-    "Detector",
-    "Grid",
-    "Hull",
-    "Nadir",
-    "PlacedTarget",
-    "Rectangle",
-    "Scene",
-    "Sensor",
-    "TargetPicture",
-    "Watch",
-    "WatchFrame",
-    "Watching",
-    "decisions",
-    "ground",
-    "inspection",
-    "of_picture",
-    "turned",
-]

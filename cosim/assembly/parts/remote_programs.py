@@ -2,5 +2,3 @@
 
 from vcmvsp.agents.host_process import host as host_agents
 from vcmvsp.hardware.remote_robot.robot_side.program import robot as serve_robot
-
-__all__ = ["host_agents", "serve_robot"]

@@ -2,5 +2,3 @@
 
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.vehicles.specification import Vehicle, flies
-
-__all__ = ["Positioning", "Vehicle", "flies"]
