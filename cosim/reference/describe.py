@@ -205,14 +205,6 @@ def unit_of(name: str) -> str:
     return next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
 
 
-def default_of(parameter: binding.Parameter, without: str) -> str:
-    """``required``, the default as TOML or, if None, its effect; of a table only values that differ from its own defaults."""
-    if parameter.required:
-        return "required"
-    value = changed(parameter.default)
-    return markdown(without or "none") if value is None else f"`{toml(binding.plain(value))}`"
-
-
 def changed(value: object) -> object:
     """A default; of a table only values that differ from its own defaults."""
     if isinstance(value, msgspec.Struct):

@@ -1,6 +1,6 @@
 """Generate pages from the reference of keys: ``python -m vcmvsp.cosim.reference.markdown --write`` updates them.
 
-``scenarios/README.md`` has tables of keys (`cosim.reference.describe`) between two comments. ``reference_keys.tsv`` lists the
+``scenarios/README.md`` has tables of keys (`cosim.reference.tree`) between two comments. ``reference_keys.tsv`` lists the
 keys of ``--set`` for fast completion: a line each, with path (NAME and SENSOR stand for any name) and values, separated by
 tabs.
 """
@@ -10,47 +10,23 @@ import functools
 import inspect
 import math
 import sys
-import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from vcmvsp.cosim.assembly.parts.presets import LAYERS, PRESETS, preset
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.metrics.catalogue import METRICS, unit_of
 from vcmvsp.cosim.reference import tree
-from vcmvsp.cosim.reference.describe import (
-    Described,
-    Key,
-    about,
-    common_of,
-    default_of,
-    first_meanings,
-    keys,
-    markdown,
-    said,
-    summary,
-    toml,
-    type_of,
-)
+from vcmvsp.cosim.reference.describe import Key, markdown, summary, toml
 from vcmvsp.cosim.reference.tree import NOT_SHARED, VEHICLE, Section, places, whole
 from vcmvsp.cosim.scenario.loader import BUILT_IN
-from vcmvsp.cosim.scenario.schema import ClockTable, SafetyTable, SocketsTable
 
 PAGE = BUILT_IN / "README.md"
 INDEX = Path(__file__).resolve().with_name("reference_keys.tsv")
 UPDATE = "python -m vcmvsp.cosim.reference.markdown --write"
-
-VEHICLES: Mapping[str, Sequence[Sequence[str]]] = {
-    "Vehicles that are points": [["kinematic", "lag", "inertial"]],
-    "Robots with two driven wheels and a caster": [["p2dx", "amigobot"]],
-    "Vehicles that fly": [["quadrotor"], ["point"]],
-    "Vehicles of your own, from URDF": [["urdf"], ["urdf-quadrotor"]],
-}
-"""Kinds of vehicles that share a table, by heading."""
 
 ABSENT = "–"  # this kind takes no such key
 RANGE_BYTES = 100  # size of the frames that define the range of a preset
@@ -82,63 +58,65 @@ def main(arguments: Sequence[str] | None = None, page: Path = PAGE, index: Path 
             sys.exit(f"{path} is not what the code says; update it: {UPDATE}")
 
 
-def physics() -> str:
-    """Parameters of both kinds of physics."""
-    return parameter_table({"bullet, kinematic": registry.find("physics", "bullet")})
+def tables(*paths: str, kinds: Collection[str] = ()) -> str:
+    """The sections at these paths and inside: what each is, and its keys; sections with similar keys share a table.
+
+    Args:
+        kinds: only the sections of these kinds.
+    """
+    chosen = [each for path in paths for each in whole().sections if f"{each.path}.".startswith(f"{path}.")]
+    if kinds:
+        chosen = [each for each in chosen if each.path in paths and each.kind in kinds]
+    groups: list[list[Section]] = []
+    for each in chosen:
+        group = next((group for group in groups if _are_alike(group[0], each)), None)
+        if group is None:
+            groups.append([each])
+        else:
+            group.append(each)
+    return "\n\n".join(map(_table, groups))
 
 
-def vehicles() -> str:
-    """Parameters of vehicles: tables under headings."""
-    parts = []
-    for heading, tables in VEHICLES.items():
-        parts.append(f"#### {heading}")
-        for names in tables:
-            classes = {kind: registry.find("vehicle", kind) for kind in names}
-            parts.append(kinds(classes, registry.find("vehicle", "quadrotor") if names == ["urdf-quadrotor"] else None))
-    return "\n\n".join(parts)
+def _are_alike(some: Section, other: Section) -> bool:
+    """Whether two sections are the same table at two places, or kinds of one table with half of all keys in common."""
+    ours, theirs = ({key.name for key in each.keys} for each in (some, other))
+    if some.path != other.path:
+        return (ours, some.kind, some.about) == (theirs, other.kind, other.about)
+    return 2 * len(ours & theirs) >= len(ours | theirs)
 
 
-def families(group: str) -> str:
-    """Common parameters of a group's kinds, then each kind and its bases, then the tables they hold."""
-    classes = {kind: registry.find(group, kind) for kind in builtin_kinds.KINDS[group]}
-    common = common_of(classes.values())
-    alike: dict[type, dict[str, type]] = {}
-    for kind, each in classes.items():
-        line = each.__mro__
-        alike.setdefault(line[line.index(common) - 1] if common in line else each, {})[kind] = each
-    parts = [parameter_table({"default": common}), *(kinds(each, common) for each in alike.values())]
-    return "\n\n".join([*parts, *lists([common, *classes.values()])])
+def _table(sections: Sequence[Section]) -> str:
+    """What these sections are, and their keys; a key with several meanings has several rows."""
+    rows: dict[tuple[str, str, str], dict[str, str]] = {}
+    for section in sections:
+        for key in section.keys:
+            is_value = not key.required and key.default is not None
+            default = f"`{tree.default_of(key)}`" if is_value else tree.default_of(key)
+            rows.setdefault((key.name, key.type, key.meaning), {})[section.kind or "default"] = default
+    lines = "\n".join(f"- {_name(each)}: {each.about}" for each in sections)
+    if not rows:
+        return lines
+    columns = dict.fromkeys(each.kind or "default" for each in sections)
+    cells = [
+        [f"`{name}`", kind, *(row.get(each, ABSENT) for each in columns), means] for (name, kind, means), row in rows.items()
+    ]
+    return f"{lines}\n\n{grid(['key', 'type, unit', *columns, 'meaning'], cells)}"
+
+
+def _name(section: Section) -> str:
+    """The kind alone, where a scenario has the table once; else the table too."""
+    kind, table = f"`{section.kind}`", f"`[[{section.path}]]`" if section.listed else f"`{section.path}`"
+    if not section.kind:
+        return table
+    return kind if section.path in {place.path for place in places()} else f"{table}, kind {kind}"
 
 
 def radio() -> str:
     """Radio: layers, presets, and a table of parameters for each layer."""
     parts = [_layers(), _presets()]
     for layer in LAYERS:
-        classes = {kind: registry.find(layer, kind) for kind in builtin_kinds.KINDS[layer]}
-        parts += [f"#### `[radio.{layer}]`", kinds(classes), *lists(classes.values())]
+        parts += [f"#### `[radio.{layer}]`", tables(f"radio.{layer}")]
     return "\n\n".join(parts)
-
-
-def agents(*names: str) -> str:
-    """The parameters of kinds of agents."""
-    return kinds({name: registry.find("agent", name) for name in names})
-
-
-def apart(group: str) -> str:
-    """Kinds of a group with little in common: a table each, and the tables they hold."""
-    classes = {kind: registry.find(group, kind) for kind in builtin_kinds.KINDS[group]}
-    return "\n\n".join([*(kinds({kind: each}) for kind, each in classes.items()), *lists(classes.values())])
-
-
-def only(classes: Sequence[type]) -> str:
-    """Parameters of the only class of a table, and the tables it holds."""
-    (target,) = classes
-    return "\n\n".join([parameter_table({"default": target}), *lists([target])])
-
-
-def team() -> str:
-    """Tables that agents of a team hold."""
-    return "\n\n".join(lists([registry.find("agent", "leader_follower")]))
 
 
 def metrics() -> str:
@@ -151,31 +129,31 @@ def metrics() -> str:
 
 
 BLOCKS: Mapping[str, Callable[[], str]] = {
-    "physics": physics,
-    "world": lambda: families("world"),
+    "physics": lambda: tables("physics"),
+    "world": lambda: tables("world"),
     "radio": radio,
-    "sensors": lambda: families("sensor"),
-    "vehicle radio": lambda: only(tree.vehicle_radio()),
-    "vehicle kinds": vehicles,
-    "leaders": lambda: agents("trajectory", "route", "teleop"),
-    "followers": lambda: agents("leader_follower"),
-    "consensus": lambda: agents("consensus"),
-    "team": team,
-    "patrol": lambda: agents("patrol"),
-    "aerial": lambda: agents("aerial_route", "aerial_follower"),
-    "avoid": lambda: agents("avoid"),
-    "mission": lambda: agents("mission"),
-    "search": lambda: agents("search"),
-    "track": lambda: agents("track"),
-    "watching": lambda: "\n\n".join(lists([registry.find("agent", "track")])),
-    "drivers": lambda: apart("driver"),
-    "localisation": lambda: apart("localisation"),
-    "fusion": lambda: only(tree.fusion()),
-    "safety": lambda: parameter_table({"default": SafetyTable}),
-    "clock": lambda: parameter_table({"default": ClockTable}),
-    "routing": lambda: apart("routing"),
-    "doors": lambda: apart("door"),
-    "sockets": lambda: parameter_table({"default": SocketsTable}),
+    "sensors": lambda: tables(f"{VEHICLE}.sensors"),
+    "vehicle radio": lambda: tables(f"{VEHICLE}.radio"),
+    "vehicle kinds": lambda: tables(VEHICLE, kinds=builtin_kinds.KINDS["vehicle"]),
+    "leaders": lambda: tables("agents", kinds=["trajectory", "route", "teleop"]),
+    "followers": lambda: tables("agents", kinds=["leader_follower"]),
+    "consensus": lambda: tables("agents", kinds=["consensus"]),
+    "team": lambda: tables("agents.formation", "agents.sending", "agents.avoidance"),
+    "patrol": lambda: tables("agents", kinds=["patrol"]),
+    "aerial": lambda: tables("agents", kinds=["aerial_route", "aerial_follower"]),
+    "avoid": lambda: tables("agents", kinds=["avoid"]),
+    "mission": lambda: tables("agents", kinds=["mission"]),
+    "search": lambda: tables("agents", kinds=["search"]),
+    "track": lambda: tables("agents", kinds=["track"]),
+    "watching": lambda: tables("agents.watching", "agents.mosaic"),
+    "drivers": lambda: tables(f"{VEHICLE}.driver"),
+    "localisation": lambda: tables(f"{VEHICLE}.localisation"),
+    "fusion": lambda: tables(f"{VEHICLE}.fusion"),
+    "safety": lambda: tables("safety"),
+    "clock": lambda: tables("clock"),
+    "routing": lambda: tables("routing"),
+    "doors": lambda: tables(*(f"bridge.{kind}" for kind in tree.DOORS)),
+    "sockets": lambda: tables("sockets"),
     "metrics": metrics,
 }
 
@@ -246,47 +224,6 @@ def _complete(layer: str, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, 
 def params(content: Mapping[str, Any]) -> dict[str, Any]:
     """The keys of a table except its kind."""
     return {name: value for name, value in content.items() if name != "kind"}
-
-
-def kinds(classes: Mapping[str, Described], common: type | None = None) -> str:
-    """Description of each kind, and the parameters of all, except those inherited unchanged from a common class."""
-    lines = [f"- `{kind}`: {about(each)}" for kind, each in classes.items()]
-    with_keys = {kind: each for kind, each in classes.items() if keys(each, common)}
-    return "\n".join(lines) + (f"\n\n{parameter_table(with_keys, common)}" if with_keys else "")
-
-
-def lists(classes: Iterable[Described]) -> list[str]:
-    """Keys of the tables that parameters hold, alone or in lists, nested tables included."""
-    holders: dict[type[msgspec.Struct], dict[str, str]] = {}  # table type -> names of the keys that hold it
-    for each in (waiting := list(classes)):
-        for name, parameter in keys(each).items():
-            for item in binding.structs(parameter.annotation):
-                waiting += [] if item in holders else [item]
-                listed = typing.get_origin(parameter.annotation) is tuple
-                holders.setdefault(item, {})[name] = f"each of the `{name}`" if listed else f"`{name}`"
-    columns: dict[str, dict[str, type]] = {}  # per table: its title, and its possible kinds
-    for item, spoken in holders.items():
-        config = item.__struct_config__
-        by, column = (f", by `{config.tag_field}`", str(config.tag)) if config.tag_field else ("", item.__name__.lower())
-        columns.setdefault(f"Of {', '.join(spoken.values())}{by}:", {})[column] = item
-    return [f"{of}\n\n{parameter_table(kinds)}" for of, kinds in columns.items()]
-
-
-def parameter_table(columns: Mapping[str, Described], common: type | None = None) -> str:
-    """Table of key, type, default in each class, and meaning; a key with several meanings has several rows."""
-    rows: dict[tuple[str, str, str], dict[str, str]] = {}
-    for column, target in columns.items():
-        means = first_meanings(target)
-        for name, parameter in keys(target, common).items():
-            if name not in means:
-                raise ValueError(f"{target.__name__}.{name}: say what it means, in a comment behind it or under Args")
-            words, without = said(parameter, means[name])
-            row = name, type_of(name, parameter.annotation), markdown(words)
-            rows.setdefault(row, {})[column] = default_of(parameter, without)
-    cells = [
-        [f"`{name}`", kind, *(row.get(each, ABSENT) for each in columns), means] for (name, kind, means), row in rows.items()
-    ]
-    return grid(["key", "type, unit", *columns, "meaning"], cells)
 
 
 def grid(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

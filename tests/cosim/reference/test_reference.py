@@ -22,9 +22,10 @@ from vcmvsp.cosim.assembly import radio
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.reference import describe
+from vcmvsp.cosim.reference import describe, tree
 from vcmvsp.cosim.reference import markdown as reference
 from vcmvsp.cosim.reference.markdown import reach_m
+from vcmvsp.cosim.reference.tree import Reference, Section
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.types import Message, NonNegative, Positive, Probability, Seconds, Seed, Vec3
 from vcmvsp.netsim.presets import LAYERS, PRESETS, preset
@@ -36,6 +37,8 @@ REQUIRED = {"probability": 0.1, "quantiles": [[0.0, 0.0], [1.0, 0.1]], "file": "
 
 
 class Drop(msgspec.Struct):
+    """It is wet."""
+
     size_m: float  # across
 
 
@@ -61,7 +64,7 @@ class Shower(msgspec.Struct, frozen=True):
     drops: tuple[Drop, ...] = ()  # of which it is
 
 
-SHOWER = Shower()
+SHOWER, HEAVY = Shower(), Shower(mm=2.0)
 
 
 @dataclass
@@ -210,76 +213,59 @@ def test_ranges_that_others_state() -> None:
 # --- how it is said -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_table_of_two_kinds() -> None:
-    assert reference.kinds({"rain": Rain, "snow": Snow}).splitlines() == [
-        "- `rain`: It rains: `water` falls.",
-        "- `snow`: It snows.",
+def section(kind: type, path: str = "weather", common: type | None = None) -> Section:
+    keys = tuple(key for key, _ in describe.keys_of(kind, common))
+    return Section(path=path, kind=kind.__name__.lower(), listed=False, about=describe.about(kind), keys=keys)
+
+
+@pytest.fixture
+def weather(monkeypatch: pytest.MonkeyPatch) -> None:
+    sections = [section(Rain), section(Drop, "weather.drops"), section(Snow), section(Drop, "weather.others")]
+    monkeypatch.setattr(reference, "whole", lambda: Reference(sections=tuple(sections)))
+
+
+@pytest.mark.usefixtures("weather")
+def test_kinds_with_similar_keys_share_a_table_and_a_table_at_two_places_stands_once() -> None:
+    assert reference.tables("weather").splitlines() == [
+        "- `weather`, kind `rain`: It rains: `water` falls.",
+        "- `weather`, kind `snow`: It snows.",
         "",
         "| key | type, unit | rain | snow | meaning |",
         "|---|---|---|---|---|",
         "| `db_per_km` | >= 0 | `2.0` | required | what it takes |",
         "| `tau_s` | s, 0 to 1e9 | for ever | – | how long |",
-        "| `drops` | list of tables: see below | `[]` | – | what falls |",
+        "| `drops` | list of tables | `[]` | – | what falls |",
         "| `tau_s` | s, > 0 | – | `60.0` | how long |",
+        "",
+        "- `weather.drops`, kind `drop`: It is wet.",
+        "- `weather.others`, kind `drop`: It is wet.",
+        "",
+        "| key | type, unit | drop | meaning |",
+        "|---|---|---|---|",
+        "| `size_m` | m | required | across |",
     ]
-    (item,) = reference.lists([Rain, Snow])
-    assert item.splitlines()[0] == "Of each of the `drops`:"
-    assert item.splitlines()[-1] == "| `size_m` | m | required | across |"
 
 
-def test_tables_within_tables_stand_once_with_all_the_keys_that_hold_them() -> None:
-    @dataclass
-    class Weather:
-        rain: Shower = SHOWER  # it falls
-        showers: tuple[Shower, ...] = ()  # others
-
-    falls, drop = reference.lists([Weather, Weather])
-    assert falls.splitlines()[0] == "Of `rain`, each of the `showers`:"
-    assert "| `drops` | list of tables: see below | `[]` | of which it is |" in falls
-    assert drop.splitlines()[0] == "Of each of the `drops`:"
+@pytest.mark.usefixtures("weather")
+def test_some_kinds_of_a_table_stand_without_what_is_inside_it() -> None:
+    assert [line for line in reference.tables("weather", kinds=["snow"]).splitlines() if line.startswith("- ")] == [
+        "- `weather`, kind `snow`: It snows."
+    ]
 
 
 def test_of_a_table_only_what_is_unlike_its_own_defaults_is_shown() -> None:
-    def default(value: Any) -> str:
-        return describe.default_of(binding.Parameter(Shower, value, required=False), "")
+    @dataclass
+    class Weather:
+        rain: Shower = SHOWER  # it falls
+        more: Shower = HEAVY  # later
 
-    assert default(Shower()) == "`{}`"
-    assert default(Shower(mm=2.0)) == "`{ mm = 2.0 }`"
+    assert [tree.default_of(key) for key, _ in describe.keys_of(Weather)] == ["{}", "{ mm = 2.0 }"]
 
 
 def test_the_first_who_speaks_of_a_key_says_what_it_means_the_others_where_their_value_is_from() -> None:
-    assert reference.kinds({"hail": Hail, "sleet": Sleet}, Storm).splitlines() == [
-        "- `hail`: Ice.",
-        "- `sleet`: Ice and water.",
-        "",
-        "| key | type, unit | hail | sleet | meaning |",
-        "|---|---|---|---|---|",
-        "| `wind` | number | `5.0` | – | m/s |",
-        "| `grain_m` | m | `0.01` | `0.001` | across |",
-    ]
-
-
-def test_what_kinds_have_in_common_stands_in_front_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    storms = {"storm": Storm, "hail": Hail, "sleet": Sleet, "rain": Rain}
-    monkeypatch.setitem(builtin_kinds.KINDS, "world", dict.fromkeys(storms, ""))
-    monkeypatch.setattr(registry, "find", lambda group, kind: storms[kind])
-    common, storm, alike, heads, *rest = reference.families("world").split("\n\n")
-    assert common.splitlines()[2:] == ["| `wind` | number | `3.0` | m/s |"]
-    assert [storm, alike, heads.splitlines()[0]] == [
-        "- `storm`: Wind.",
-        "- `hail`: Ice.\n- `sleet`: Ice and water.",
-        "| key | type, unit | hail | sleet | meaning |",
-    ]
-    assert rest[0] == "- `rain`: It rains: `water` falls."
-
-
-def test_a_parameter_that_means_nothing_is_refused() -> None:
-    @dataclass
-    class Fog:
-        density: float = 0.0
-
-    with pytest.raises(ValueError, match=r"Fog\.density: say what it means"):
-        reference.parameter_table({"fog": Fog})
+    hail, sleet = (section(kind, common=Storm) for kind in (Hail, Sleet))
+    assert [(key.name, key.default, key.meaning) for key in hail.keys] == [("wind", 5.0, "m/s"), ("grain_m", 0.01, "across")]
+    assert [(key.name, key.default, key.meaning) for key in sleet.keys] == [("grain_m", 0.001, "across")]
 
 
 @pytest.mark.parametrize(
