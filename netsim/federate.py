@@ -133,7 +133,7 @@ class RadioFederate:
     def _put(self, sent_ns: int, frame: Message, handover_ns: int) -> tuple[int, list[FrameReport]]:
         """Hand a frame to the channel; returns its number and the reports of decided frames."""
         if self._states is None:
-            raise ValueError(f"{frame.sender} sends before any position is known (world/states)")
+            raise ValueError(f"{frame.sender} sends before the first message of world/states: it has no position yet")
         self._frames += 1
         if self._frames == FORECAST_AT and sent_ns > 0:
             self._channel.foresee(FORECAST_AT * (self._end_ns - sent_ns) // sent_ns)

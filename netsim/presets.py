@@ -90,5 +90,5 @@ PRESETS = tuple(_PRESETS)
 def preset(name: str) -> Tables:
     """The layers of a preset: ``{"path_loss": {"kind": ..., parameters}, ...}`` for all `LAYERS`, as a copy."""
     if name not in _PRESETS:
-        raise ScenarioError(f"no preset is called {name!r}; presets: {', '.join(PRESETS)}", key="preset")
+        raise ScenarioError(f"unknown preset {name!r}; presets: {', '.join(PRESETS)}", key="preset")
     return {layer: deepcopy(_PRESETS[name][layer]) for layer in LAYERS}

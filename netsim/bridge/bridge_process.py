@@ -87,7 +87,7 @@ class BridgeProcess:
         self._link.wait(OPENING_S)
         received = self._link.receive()
         if not received or not isinstance(opening := messages.downs.decode(received[0]), messages.Opening):
-            raise GatewayError("the bridge process received no gateways to open: only a run can start it")
+            raise GatewayError("no gateways to open: this process is started by a run, not by hand")
         if self._wary:
             _check(opening)
         self._store = DatagramStore(len(opening.vehicles), payloads=opening.payloads)
@@ -304,11 +304,11 @@ def _check(opening: messages.Opening) -> None:
     for spec in opening.gateways:
         if ":" in spec.kind:
             raise GatewayError(
-                f"bridge.{spec.name}: {spec.kind} would have root's rights: with sudo, only built-in gateways are opened"
+                f"bridge.{spec.name}: {spec.kind} is user code and would run as root; with sudo, only built-in gateways open"
             )
     for name in (opening.run, *opening.vehicles):
         if "/" in name or name in (".", ".."):
-            raise GatewayError(f"'{name}': no network can have such a name")
+            raise GatewayError(f"'{name}' is not a valid network name")
 
 
 def _built(spec: messages.GatewaySpec, folder: Path) -> Gateway:

@@ -38,8 +38,8 @@ BEHIND_NS = 20_000_000  # a run that is later than this catches up before it tak
 PATIENCE_NS = 100_000_000  # but waits no longer than this
 
 TOO_LONG = f"sent by agents in more than {LARGEST} bytes"
-KILLED = "bridge: its process did not end by itself and was killed"
-_NETWORKS = ": 'vcmvsp net down' clears away what it leaves behind"
+KILLED = "bridge: its process did not end in time and was killed"
+_NETWORKS = ": 'vcmvsp net down' removes the networks that it left"
 
 
 class BridgePlayback:

@@ -74,7 +74,7 @@ class BridgeClient:
                 if isinstance(message, messages.Ready):
                     self._inbox = [each for each in received if each is not message]
                     return message.lines
-        raise FederateError("bridge", f"its gateways were not open after {READY_S:g} s; {ADVICE}")
+        raise FederateError("bridge", f"its gateways did not open within {READY_S:g} s; {ADVICE}")
 
     def send(self, message: messages.Down) -> None:
         """Send a message, in order, as soon as the process reads.
@@ -87,7 +87,7 @@ class BridgeClient:
         self._outbox_bytes += len(data)
         self.send_outbox()
         if self._outbox_bytes > MOST_OUTBOX:
-            raise FederateError("bridge", f"its process (pid {self.pid}) does not read any more; {ADVICE}")
+            raise FederateError("bridge", f"its process (pid {self.pid}) no longer reads its messages; {ADVICE}")
 
     def send_outbox(self) -> None:
         """Send waiting messages, as far as the process reads."""
@@ -99,7 +99,7 @@ class BridgeClient:
         self._inbox += [messages.ups.decode(message) for message in self._link.receive()]
         problem = next((each.problem for each in self._inbox if isinstance(each, messages.BridgeFailed)), "")
         if not problem and self._link.ended and not self._leaving:
-            problem = f"its process {self._process.why_ended(DYING_S) or 'has hung up'}: programs are cut off; {ADVICE}"
+            problem = f"its process {self._process.why_ended(DYING_S) or 'closed its link'}: programs are cut off; {ADVICE}"
         if problem:
             raise FederateError("bridge", problem)
         received, self._inbox = self._inbox, []

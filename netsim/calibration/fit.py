@@ -65,7 +65,7 @@ def fit(
         UsageError: the rows do not determine the parameters.
     """
     if links.lost.all():
-        raise UsageError("no row was received: there is no level to fit")
+        raise UsageError("no row has a received level: there is nothing to fit")
     if not reference_distance_m > 0.0:
         raise UsageError(f"the reference distance is {reference_distance_m:g} m; it must be > 0")
     least_dbm = float(np.nanmin(links.level_dbm))

@@ -55,12 +55,12 @@ def read_links(path: Path) -> MeasuredLinks:
     _, header = next(lines, (0, []))
     if missing := [name for name in COLUMNS if name not in header]:
         found = ", ".join(header) or "nothing"
-        raise UsageError(f"{path}: no column {', '.join(missing)}; wanted: {', '.join(COLUMNS)}[, received]; found: {found}")
+        raise UsageError(f"{path}: no column {', '.join(missing)}; required: {', '.join(COLUMNS)}[, received]; found: {found}")
     if twice := sorted({name for name in (*COLUMNS, "received") if header.count(name) > 1}):
-        raise UsageError(f"{path}: column {', '.join(twice)} stands there twice")
+        raise UsageError(f"{path}: column {', '.join(twice)} appears twice")
     table = np.fromiter(itertools.chain.from_iterable(_rows(path, header, lines)), np.float64).reshape(-1, len(COLUMNS))
     if not len(table):
-        raise UsageError(f"{path}: no rows under the header")
+        raise UsageError(f"{path}: no rows below the header")
     return MeasuredLinks(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7])
 
 
@@ -93,7 +93,7 @@ def _received(where: str, row: dict[str, str]) -> bool:
     if received is None:
         raise UsageError(f"{where}: received is {row['received']!r}; it must be 0, 1, true or false")
     if received and not measured:
-        raise UsageError(f"{where}: was received, but has no rssi_dbm; a lost one has received = 0")
+        raise UsageError(f"{where}: received = 1, but rssi_dbm is missing; lost frames need received = 0")
     return received
 
 
@@ -148,7 +148,7 @@ def require_told(links: MeasuredLinks, design: Floats, materials: Sequence[str])
     """
     received = design[~links.lost]
     if len(received) < design.shape[1] + 2:
-        raise UsageError(f"{len(received)} rows were received; {design.shape[1]} numbers need at least {design.shape[1] + 2}")
+        raise UsageError(f"{len(received)} received rows; {design.shape[1]} parameters need at least {design.shape[1] + 2}")
     if np.ptp(received[:, 1]) < 1e-6:
         distance = float(links.distance_m[~links.lost].mean())
         raise UsageError(
@@ -158,10 +158,10 @@ def require_told(links: MeasuredLinks, design: Floats, materials: Sequence[str])
     for material, column in zip(materials, received[:, 2:].T, strict=True):
         if not column.any():
             raise UsageError(
-                f"walls of {material} are crossed by lost rows only, which do not tell their loss: leave those rows out"
+                f"the loss of walls of {material} is not identifiable, because all rows through them are lost: leave those out"
             )
     if np.linalg.matrix_rank(received / np.linalg.norm(received, axis=0), tol=1e-6) < design.shape[1]:
         raise UsageError(
-            f"the losses of walls of {', '.join(materials)} cannot be told apart, or not from level and exponent: measure with "
-            "and without each in the way"
+            f"the losses of walls of {', '.join(materials)} cannot be separated from each other or from level and exponent: "
+            "measure paths with and without each material"
         )

@@ -73,7 +73,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
         1, so its mean in dB, ``10 / ln 10 (psi(m) - ln m)``, is below 0; ``reference_loss_db`` compensates.
         """
         if round(self.exponent.value, 4) < 0.0:
-            raise ValueError(f"the exponent is {self.exponent.value:.2f}: levels rise with distance, which no path loss does")
+            raise ValueError(f"the exponent is {self.exponent.value:.2f}: levels rise with distance; no path-loss model fits")
         shape = None if self.fading_db is None else _nakagami(self.fading_db.value)
         mean_db = 0.0 if shape is None else _mean_db(shape)
         table: dict[str, Any] = {
@@ -106,11 +106,11 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
             f"fitted to {self.used} of {self.rows} rows, {self.lost} of them lost, for tx_power_dbm = {self.tx_power_dbm:g}"
         ]
         if self.sensitivity_dbm is not None:
-            comments.append(f"and sensitivity_dbm = {self.sensitivity_dbm:g} (set both at [radio.phy])")
+            comments.append(f"and sensitivity_dbm = {self.sensitivity_dbm:g} (set both in [radio.phy])")
         if self.walls_db:
-            comments.append("walls of other materials take wall_db, 6.325 unless set")
+            comments.append("walls of other materials have wall_db, 6.325 dB by default")
         if self.shadowing_db is not None and self.correlation_distance_m is None:
-            comments.append("correlation_distance_m is the most that rows as near as these would not have shown")
+            comments.append("correlation_distance_m is an upper bound: rows this far apart show no correlation")
         return "".join(f"# {line}\n" for line in comments) + tomli_w.dumps({"radio": self.table()})
 
     def summary(self) -> str:
@@ -128,7 +128,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
         ]
         if self.unexplained:
             lines.append(
-                f"{self.unexplained} lost rows should have been strong enough: lost to something else? Better leave them out"
+                f"{self.unexplained} lost rows have an expected level far above the sensitivity: check them, or leave them out"
             )
         return "\n".join(lines)
 
@@ -138,10 +138,10 @@ def _line(name: str, unit: str, estimate: ParameterEstimate | None) -> str:
         return f"{name:<22}  none found"
     text = f"{name:<22} {estimate.value:8.2f} {unit:<3}  [{estimate.low:.2f}, {estimate.high:.2f}]"
     if not math.isfinite(estimate.standard_error):
-        return f"{name:<22} {estimate.value:8.2f} {unit:<3}  (these rows do not tell it)"
+        return f"{name:<22} {estimate.value:8.2f} {unit:<3}  (not determined by these rows)"
     text += f"  standard error {estimate.standard_error:.2f}"
     if estimate.naive_error is not None:
-        text += f" ({estimate.naive_error:.2f} if rows were independent)"
+        text += f" ({estimate.naive_error:.2f} for independent rows)"
     return text
 
 

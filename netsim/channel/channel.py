@@ -107,7 +107,7 @@ class RuntimeChanges:
             ValueError: unknown key, or invalid value.
         """
         if key not in self.numbers():
-            raise ValueError(f"{key} cannot change during a run; what can: {', '.join(self.numbers()) or 'nothing'}")
+            raise ValueError(f"{key} cannot change during a run; keys that can: {', '.join(self.numbers()) or 'none'}")
         _, name, parameter = key.split(".")
         layer = layers[name]
         rest = {name: value for name, value in _parameters(layer).items() if name != parameter}
@@ -258,7 +258,7 @@ class Channel:
     def bulk(self, names: tuple[str, ...], position: Floats) -> Bulk | None:
         """Batched broadcasts of vehicles at rest; None if a layer acts on single frames."""
         if self._frames:
-            raise ValueError("frames have been sent one by one: start anew")
+            raise ValueError("single frames were sent on this channel: use a new channel for a batch")
         self._meet(names)
         plain = not self._levels.vary and self._jammer is None and self._outcomes.plain
         medium = None if self._contention is None else self._contention.medium
@@ -322,7 +322,7 @@ class Channel:
 
     def _meet(self, names: tuple[str, ...]) -> None:
         if self._contention is not None and self._contention.waiting:
-            raise ValueError(f"the vehicles changed while frames were under way: {', '.join(names)}")
+            raise ValueError(f"the vehicles changed while frames were on the air; now: {', '.join(names)}")
         self._names = names
         medium = self.mac.open(self.phy, len(names), SenderLinks(self._seed, "", names).keys, self.hearing.noise_mw)
         if medium is not None and self._expected is not None:
@@ -339,7 +339,7 @@ class Channel:
             found = self._senders[name] = Transmitter()
         if found.names is not self._names:
             if name not in self._names:
-                raise ValueError(f"{name} sends, but its position is unknown; known: {', '.join(self._names) or 'none'}")
+                raise ValueError(f"sender {name} has no position; vehicles with a position: {', '.join(self._names) or 'none'}")
             found.meet(SenderLinks(self._seed, name, tuple(each for each in self._names if each != name)), self._names)
         return found
 

@@ -54,7 +54,7 @@ class Transmitter:
         if to is None:
             return slice(None)
         if to not in self.links.receivers:
-            raise ValueError(f"a message is addressed to {to!r}; possible: {', '.join(self.links.receivers) or 'none'}")
+            raise ValueError(f"unknown receiver {to!r}; receivers: {', '.join(self.links.receivers) or 'none'}")
         place = self.links.receivers.index(to)
         return slice(place, place + 1)
 

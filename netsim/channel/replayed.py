@@ -39,7 +39,7 @@ class RecordedFrames:
             raise UsageError(f"{path} cannot be read: {error}") from error
         kinds = dict(zip(table.schema.names, table.schema.types, strict=True))
         if wrong := [field.name for field in RADIO_SCHEMA if kinds.get(field.name) != field.type]:
-            raise UsageError(f"{path} is no recording of a radio: it has no column {', '.join(wrong)} of the right type")
+            raise UsageError(f"{path} is not a recording of a radio: no column {', '.join(wrong)} of the right type")
         self._columns = {name: frozen(numbers(table, name)) for name in ("distance_m", "rssi_dbm", "air_time_ns", "queue_ns")}
         self._columns["access_ns"] = frozen(numbers(table, "access_ns"))
         self._columns["sinr_db"] = frozen(numbers(table, "sinr_db", np.nan))
@@ -96,7 +96,7 @@ class RecordedFrames:
     def close(self, sent: int) -> None:
         """Report how many of the ``sent`` frames were not in the recording."""
         if self.unknown:
-            self._tell(f"{self.unknown} of {sent} frames were not in the recording: the radio has drawn what became of them")
+            self._tell(f"{self.unknown} of {sent} frames are not in the recording; the radio model decided their reception")
 
 
 @lru_cache(maxsize=4096)

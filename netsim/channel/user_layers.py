@@ -116,7 +116,7 @@ def _array(answer: object, shape: tuple[int, ...], must: str, kinds: str, fits: 
     elif array.size and array.dtype.kind not in kinds:
         problem = f"dtype {array.dtype}"
     elif not (good := fits(array)).all():
-        problem = f"an array with {array[~good][0]} in it"
+        problem = f"an array with the value {array[~good][0]}"
     else:
         return array
     raise ValueError(f"an array of {must}, shape {shape}, not {problem}")
@@ -159,7 +159,7 @@ def _through(answer: Any, paths: Any) -> tuple[Array, Array, tuple[str, ...]]:
 
 
 def _level_dbm(answer: object, frame: Any) -> Array:
-    return _floats(answer, _shape(frame), "numbers (dBm; NaN where it says nothing)", lambda array: ~np.isinf(array))
+    return _floats(answer, _shape(frame), "numbers (dBm; NaN = not in the trace)", lambda array: ~np.isinf(array))
 
 
 def _lost(answer: object, frame: Any, *_: object) -> Array:
@@ -181,9 +181,9 @@ def _deliver(answer: Any, _: int, __: object, received_ns: Array, *___: object) 
     arrival, copy = (_times(each, received_ns.shape) for each in answer)
     received = received_ns >= 0
     if (received & (arrival != -1) & (arrival < received_ns)).any() or (~received & (arrival != -1)).any():
-        raise ValueError(f"arrivals no earlier than received_ns, or -1: never (also what was not received), not {arrival}")
+        raise ValueError(f"arrivals (ns) at or after received_ns, or -1 for never and for frames not received, not {arrival}")
     if ((copy != -1) & ((arrival < 0) | (copy < arrival))).any():
-        raise ValueError(f"copies no earlier than arrivals, or -1: none (also of what never arrives), not {copy}")
+        raise ValueError(f"copies (ns) at or after arrivals, or -1 for no copy and for frames that never arrive, not {copy}")
     return arrival, copy
 
 
@@ -263,11 +263,11 @@ def _is_number(value: object) -> bool:
 _CAUSE = {
     "cause": (
         lambda value: isinstance(value, str) and value.strip() and value not in (RECEIVED, UNDER_WAY),
-        f"what recordings say of what it loses: a text other than '{RECEIVED}' and '{UNDER_WAY}'",
+        f"the cause of loss in recordings: a text other than '{RECEIVED}' and '{UNDER_WAY}'",
     )
 }
 _LEVEL = (lambda value: _is_number(value) and value < np.inf, "a number (dB, dBm)")
-_COLUMNS = (_are_names, "a tuple of the quantities that it has, of 'snr_db' or 'rssi_dbm', 'loss', 'delay_s'")
+_COLUMNS = (_are_names, "a tuple of the trace's quantities: 'snr_db' or 'rssi_dbm', 'loss', 'delay_s'")
 _OPTIONAL = ("noise_dbm", "preamble_snr_db", "errors")
 _ATTRIBUTES: dict[str, dict[str, tuple[Callable[[Any], Any], str]]] = {
     "phy": {

@@ -48,7 +48,7 @@ def _is_header(cells: list[str], where: str) -> bool:
 
 def _point(cells: list[str], where: str) -> tuple[float, ...]:
     if len(cells) != len(COLUMNS):
-        raise UsageError(f"{where}: must have 3 columns, x,y,z, not {len(cells)}: {','.join(cells)[:60]}")
+        raise UsageError(f"{where}: must have 3 columns (x,y,z), not {len(cells)}: {','.join(cells)[:60]}")
     return tuple(_coordinate(cell, f"{where}, column {name}") for cell, name in zip(cells, COLUMNS, strict=True))
 
 
@@ -88,9 +88,9 @@ class RowFile:
 
     def __enter__(self) -> Self:
         if self._path.is_dir():
-            raise UsageError(f"{self._path} is a folder; name a file")
+            raise UsageError(f"{self._path} is a folder; give a file name")
         if not self._path.parent.is_dir():
-            raise UsageError(f"cannot write {self._path}: there is no folder {self._path.parent}")
+            raise UsageError(f"cannot write {self._path}: the folder {self._path.parent} does not exist; create it first")
         schema = radio_table([], self._facts).schema
         options: dict[str, Any] = {  # as in `cosim.tables.schema.write_table`
             "use_dictionary": [field.name for field in schema if pa.types.is_dictionary(field.type)],

@@ -36,9 +36,9 @@ def grid(text: str, option: str) -> Floats:
         raise UsageError(f"{option} {text}: STEP must not be 0")
     steps = (stop - start) / step
     if steps < 0:
-        raise UsageError(f"{option} {text}: with steps of {step} nothing gets from {start} to {stop}")
+        raise UsageError(f"{option} {text}: steps of {step} do not lead from {start} to {stop}; change the sign of STEP")
     if steps >= POINTS:
-        raise UsageError(f"{option} {text}: asks for {float(steps):.3g} points; at most {POINTS} are possible")
+        raise UsageError(f"{option} {text}: {float(steps):.3g} points are too many (at most {POINTS}); use larger steps")
     return np.array([float(start + i * step) for i in range(int(steps + Decimal("1e-9")) + 1)])
 
 
@@ -52,12 +52,12 @@ def error_rate(phy: Phy, model: str) -> tuple[ErrorRate, str]:
         return errors, _chosen(model, "dsss", DSSS_MODELS)
     if isinstance(errors, OqpskErrors):
         return errors, _chosen(model, "oqpsk", ZIGBEE_MODELS)
-    raise UsageError(f"{type(phy).__name__} has no packet errors; take a preset of 802.11 (wifi-...) or zigbee")
+    raise UsageError(f"{type(phy).__name__} has no packet-error model; choose a preset of 802.11 (wifi-...) or zigbee")
 
 
 def _chosen(model: str, default: str, models: Sequence[str]) -> str:
     if model not in ("default", *models):
-        raise UsageError(f"--model {model}: for this preset it must be one of default, {', '.join(models)}")
+        raise UsageError(f"--model {model}: this preset allows default, {', '.join(models)}")
     return default if model == "default" else model
 
 

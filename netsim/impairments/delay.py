@@ -114,7 +114,7 @@ class GammaDelay:
 
     def __post_init__(self) -> None:
         if not 0.1 * self.sigma_s**2 <= self.mean_s**2 <= 1000.0 * self.sigma_s**2 or not self.sigma_s:
-            problem = f"must be between 1/32 and 3 times mean_s = {self.mean_s:g} and not zero, not {self.sigma_s:g}"
+            problem = f"must be between 1/32 and 3 times mean_s = {self.mean_s:g}, and above 0, not {self.sigma_s:g}"
             raise ScenarioError(problem, key="sigma_s")
 
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
@@ -137,7 +137,7 @@ class EmpiricalDelay:
         probabilities, seconds = ([pair[k] for pair in self.quantiles] for k in (0, 1))
         rising = all(a < b for a, b in pairwise(probabilities)) and seconds == sorted(seconds)
         if len(self.quantiles) < 2 or probabilities[0] != 0.0 or probabilities[-1] != 1.0 or not rising:
-            problem = "must be pairs (probability, seconds) that rise from probability 0 to probability 1"
+            problem = "must be pairs (probability, seconds) in increasing order, from probability 0 to probability 1"
             raise ScenarioError(problem, key="quantiles")
 
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:

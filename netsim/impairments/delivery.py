@@ -49,7 +49,7 @@ class Delivery:
         reorder: bool = True,
     ) -> None:
         if queue_s is not None and rate_bps is None:
-            raise ScenarioError("queue_s limits the wait for a rate: give rate_bps", key="queue_s")
+            raise ScenarioError("queue_s limits the wait in a rate-limited queue: set rate_bps too", key="queue_s")
         self.rate_bps, self.duplicate, self.reorder = rate_bps, duplicate, reorder
         self._queue_ns = None if queue_s is None else seconds_to_ns(queue_s)
         self._duplicate_ns = seconds_to_ns(duplicate_delay_s)

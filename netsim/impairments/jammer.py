@@ -48,13 +48,13 @@ class Emitter(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def __post_init__(self) -> None:
         problem = ""
         if sum(each is not None for each in (self.position, self.vehicle, self.path)) != 1:
-            problem = "a source needs one of position, vehicle and path"
+            problem = "a jammer needs exactly one of position, vehicle and path"
         elif self.path is not None and (not self.path or any(a[0] >= b[0] for a, b in pairwise(self.path))):
             problem = "path must have points [t, x, y, z], each later than the one before"
         elif self.to_s is not None and self.to_s <= self.from_s:
-            problem = f"to_s = {self.to_s:g}: a source from {self.from_s:g} s must end later than it begins"
+            problem = f"to_s = {self.to_s:g} must be greater than from_s = {self.from_s:g}"
         elif self.duty < 1.0 and self.period_s is None:
-            problem = f"duty = {self.duty:g}: a source that pulses needs period_s"
+            problem = f"duty = {self.duty:g} is a pulsed jammer, which needs period_s"
         if problem:
             raise ValueError(problem)
 

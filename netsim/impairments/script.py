@@ -37,9 +37,9 @@ class Change(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     def __post_init__(self) -> None:
         if self.to_s is not None and self.to_s <= self.from_s:
-            raise ValueError(f"to_s = {self.to_s:g}: a change from {self.from_s:g} s must end later than it begins")
+            raise ValueError(f"to_s = {self.to_s:g} must be greater than from_s = {self.from_s:g}")
         if self.loss is None and self.attenuation_db is None and self.delay_s is None:
-            raise ValueError(f"the change from {self.from_s:g} s changes nothing: give it loss, attenuation_db or delay_s")
+            raise ValueError(f"the entry from {self.from_s:g} s has no effect: set loss, attenuation_db or delay_s")
 
 
 class Effects(NamedTuple):

@@ -77,7 +77,7 @@ class Trace:
 
     def __post_init__(self) -> None:
         if "snr_db" in self._rows.values and self.noise_dbm is None:
-            raise ScenarioError("must be given: the file has snr_db, levels above it", key="noise_dbm")
+            raise ScenarioError("must be set: the file gives levels relative to it (snr_db)", key="noise_dbm")
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -217,9 +217,9 @@ def _check_columns(path: Path, columns: list[str]) -> None:
     if missing:
         _refuse(path, f"has no column {', '.join(missing)}")
     if not set(columns) & set(VALUES):
-        _refuse(path, f"says nothing about its links: it needs one or more of the columns {', '.join(VALUES)}")
+        _refuse(path, f"has no quantity of a link: add one or more of the columns {', '.join(VALUES)}")
     if set(LEVELS) <= set(columns):
-        _refuse(path, "has both snr_db and rssi_dbm, which are the same quantity")
+        _refuse(path, "has both snr_db and rssi_dbm; keep one of them")
 
 
 def _numbers(file: str, table: pa.Table, name: str) -> Floats:
@@ -227,7 +227,7 @@ def _numbers(file: str, table: pa.Table, name: str) -> Floats:
     try:
         column: Floats = table[name].cast(pa.float64()).to_numpy()
     except pa.ArrowException as error:
-        _refuse(file, f"column {name} holds no numbers: {error}")
+        _refuse(file, f"column {name} must hold numbers: {error}")
     low, high = {"loss": (0.0, 1.0), "delay_s": (0.0, _LONGEST_S), "time_s": (-_LONGEST_S, _LONGEST_S)}.get(name, (-1e9, 1e9))
     wrong = ~((column >= low) & (column <= high))
     if wrong.any():

@@ -34,7 +34,7 @@ class Dsss:
 
     def __post_init__(self) -> None:
         if self.rate_bps not in (1e6, 2e6, 5.5e6, 11e6):
-            raise ScenarioError(f"rate_bps = {self.rate_bps:g}: 802.11b sends at 1e6, 2e6, 5.5e6 or 11e6 bit/s", key="rate_bps")
+            raise ScenarioError(f"must be 1e6, 2e6, 5.5e6 or 11e6 bit/s (802.11b), not {self.rate_bps:g}", key="rate_bps")
 
     @property
     def noise_dbm(self) -> float:

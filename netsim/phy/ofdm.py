@@ -93,7 +93,7 @@ class Ofdm:
     def __post_init__(self) -> None:
         if self.rate_bps not in RATES_BPS:
             allowed = ", ".join(f"{rate / 1e6:g}e6" for rate in RATES_BPS)
-            raise ScenarioError(f"rate_bps = {self.rate_bps:g}: 802.11a and g send at {allowed} bit/s", key="rate_bps")
+            raise ScenarioError(f"must be {allowed} bit/s (802.11a/g), not {self.rate_bps:g}", key="rate_bps")
 
     @property
     def noise_dbm(self) -> float:

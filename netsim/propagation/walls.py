@@ -166,7 +166,7 @@ def slab_loss_db(material: str, thickness_m: float, frequency_hz: float) -> floa
 def _require_known(material: str) -> None:
     if material not in ITU_MATERIALS:
         allowed = ", ".join(ITU_MATERIALS)
-        raise ScenarioError(f"no loss is known for walls of {material!r}; known: {allowed}; or give kind = 'fixed'", key="kind")
+        raise ScenarioError(f"walls of {material!r} have no known loss; known: {allowed}; or set kind = 'fixed'", key="kind")
 
 
 _NEVER_ZERO = 1e-300  # added to divisors: changes only a zero

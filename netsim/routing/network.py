@@ -187,8 +187,8 @@ class RoutingNetwork:
 
     def _transmit(self, packet: Packet, by: int, via: int, hops: int, now_ns: int, handover_ns: int = 0) -> list[FrameReport]:
         if not isinstance(via, Integral) or via not in range(BROADCAST, len(self._names)) or via == by:
-            allowed = f"the row of another of {len(self._names)} vehicles, {BROADCAST} (a broadcast) or None"
-            problem = f"returned {via!r} as the next hop of {self._names[by]}, which is not {allowed}"
+            allowed = f"the row of another vehicle (of {len(self._names)}), {BROADCAST} (a broadcast) or None"
+            problem = f"returned {via!r} as the next hop of {self._names[by]}; allowed: {allowed}"
             raise FederateError(self._blame, problem)
         message = packet.message
         frame = Message(

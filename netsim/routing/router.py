@@ -122,7 +122,7 @@ class Static:
 
     def __post_init__(self) -> None:
         if not self.chain and not self.next_hop:
-            raise ValueError("static routing needs chain or next_hop")
+            raise ValueError("static routing needs chain or next_hop; set one of them")
         for source, hops in (self.next_hop or {}).items():
             convert(hops, Mapping[str, Any], key=f"next_hop.{source}")
             for to, via in hops.items():
@@ -156,7 +156,7 @@ class Static:
             if name not in row:
                 raise ScenarioError(unknown("vehicle", name, row), key="routing.chain")
             if name in self.chain[:place]:
-                raise ScenarioError(f"{name} is twice in it", key="routing.chain")
+                raise ScenarioError(f"contains {name} twice", key="routing.chain")
         if len(self.chain) == 1:
             raise ScenarioError("must have at least two vehicles", key="routing.chain")
         rows = [row[name] for name in self.chain]
@@ -179,7 +179,7 @@ class Static:
     def _leads_nowhere(self, vehicles: Sequence[str], path: Sequence[int], to: int) -> ScenarioError:
         source = vehicles[path[0]]
         words = " -> ".join(vehicles[place] for place in path)
-        why = "goes in a circle" if path[-1] in path[:-1] else f"has more hops than hop_limit = {self.hop_limit}: raise it"
+        why = "is a loop" if path[-1] in path[:-1] else f"has more hops than hop_limit = {self.hop_limit}: raise it"
         is_entry = vehicles[to] in (self.next_hop or {}).get(source, ())
         key = f"routing.next_hop.{source}.{vehicles[to]}" if is_entry else "routing.chain"
         return ScenarioError(f"the route from {source} to {vehicles[to]}, {words}, {why}", key=key)

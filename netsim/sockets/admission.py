@@ -25,9 +25,9 @@ def check_endpoint(endpoint: str) -> None:
     where = parsed(endpoint)
     if isinstance(where, tuple) and not is_loopback(where[0]):
         port = where[1]
-        problem = f"{endpoint}: programs bring no password, so none may come from other machines"
+        problem = f"{endpoint}: programs do not authenticate, so other machines cannot connect"
         tunnel = f"ssh -L {port}:127.0.0.1:{port} THIS_MACHINE"
-        raise ValueError(f"{problem}: listen on tcp/127.0.0.1:{port} or unix/PATH, and let them come through {tunnel}")
+        raise ValueError(f"{problem}: listen on tcp/127.0.0.1:{port} or unix/PATH, and connect remote programs by {tunnel}")
 
 
 class Listener:
@@ -50,8 +50,8 @@ class Listener:
                 self.socket = socket.create_server((host, port), family=family, backlog=MOST_STRANGERS)
                 self.endpoint = f"{endpoint.rpartition(':')[0]}:{self.socket.getsockname()[1]}"
         except OSError as error:
-            in_use = "another run may have it: " if error.errno == errno.EADDRINUSE else ""
-            problem = f"cannot listen on {endpoint}: {error.strerror or error}; {in_use}give another endpoint"
+            in_use = "another run may use it; " if error.errno == errno.EADDRINUSE else ""
+            problem = f"cannot listen on {endpoint}: {error.strerror or error}; {in_use}choose another endpoint"
             raise ScenarioError(problem, key="sockets.listen") from error
         self.socket.setblocking(False)
 
@@ -103,7 +103,7 @@ class ProgramAdmission:
             while missing := self._missing():
                 remaining_s = until - time.monotonic()
                 if remaining_s <= 0.0:
-                    late = f"no program has come for {missing} within {timeout_s:g} s (sockets.join_timeout_s)"
+                    late = f"no program connected for {missing} within {timeout_s:g} s (sockets.join_timeout_s)"
                     advice = f"start one for each: cosim.sockets.connect(VEHICLE, '{self._listener.endpoint}')"
                     raise FederateError("sockets", f"{late}; {advice}")
                 for key, _ in self._selector.select(min(remaining_s, GREETING_S)):
@@ -164,7 +164,7 @@ class ProgramAdmission:
         (vehicle,) = [name for name, each in self._there.items() if each is stream]
         del self._there[vehicle]
         self._dismiss(stream)
-        self._tell(f"the program of {vehicle} has left; waiting for another")
+        self._tell(f"the program of {vehicle} disconnected; waiting for another")
 
     def _answer(self, stream: Stream, word: Up) -> None:
         why = self._refusal(word)
@@ -175,17 +175,17 @@ class ProgramAdmission:
             return
         del self._strangers[stream]
         self._there[word.vehicle] = stream
-        self._tell(f"the program of {word.vehicle} has come; still waiting for: {self._missing() or 'none'}")
+        self._tell(f"the program of {word.vehicle} connected; still waiting for: {self._missing() or 'none'}")
 
     def _refusal(self, word: Up) -> str | None:
         if not isinstance(word, Hello):
-            return "it does not say who it is"
+            return "its first message does not name its vehicle"
         if word.version != VERSION:
-            return f"it speaks version {word.version} of the protocol, the run {VERSION}: install the same vcmvsp for both"
+            return f"it uses protocol version {word.version}, the run uses {VERSION}: install one vcmvsp version for both"
         if word.vehicle not in self._expected:
             why = unknown("vehicle", plain(word.vehicle, LONGEST_NAME), self._expected) + " (sockets.vehicles)"
         elif word.vehicle in self._there:
-            why = f"{word.vehicle} has a program already"
+            why = f"{word.vehicle} already has a program"
         else:
             return None
         if why not in self._told and len(self._told) < MOST_TOLD:

@@ -81,12 +81,12 @@ class Program:
                 messages.append(self._checked(word))
                 calls, size = calls + 1, size + len(messages[-1].body)
                 if calls > MOST_CALLS or size > MOST_BYTES:
-                    raise ProgramLeft("it sends without end and lets no time go on")
+                    raise ProgramLeft(f"it sent more than {MOST_CALLS} messages or {MOST_BYTES >> 20} MiB without waiting")
         except WireError as error:
-            raise ProgramLeft(f"it said what makes no sense: {plain(str(error))}") from None
+            raise ProgramLeft(f"it sent an invalid message: {plain(str(error))}") from None
         except TimeoutError:
-            late = f"has not gone on within {self._deadline_s:g} s (sockets.deadline_s)"
-            raise FederateError(f"the program of {self.vehicle}", f"{late}; it hangs, or needs more time") from None
+            late = f"did not wait or end within {self._deadline_s:g} s (sockets.deadline_s)"
+            raise FederateError(f"the program of {self.vehicle}", f"{late}: mend it, or raise the deadline") from None
         except OSError:
             pass  # the same as an orderly end
         raise ProgramLeft("it has ended")
@@ -95,7 +95,7 @@ class Program:
         """Reason to dismiss a program that is active out of turn."""
         try:
             self._stream.socket.settimeout(0.0)
-            return ProgramLeft("it spoke out of its turn" if self._stream.socket.recv(1) else "it has ended")
+            return ProgramLeft("it sent out of turn" if self._stream.socket.recv(1) else "it has ended")
         except OSError:
             return ProgramLeft("it has ended")
 
@@ -112,13 +112,13 @@ class Program:
 
     def _wait(self, now_ns: int, word: Wait) -> None:
         if self._stream.frames:
-            raise ProgramLeft("it spoke out of its turn")
+            raise ProgramLeft("it sent out of turn")
         self.wake_ns = None if word.for_ns is None else now_ns + word.for_ns
         self._wakes_on_reception, self._room = word.hears, ROOM - word.held
 
     def _checked(self, word: Up) -> Message:
         if not isinstance(word, Send):
-            raise WireError("it has come already")
+            raise WireError("a second greeting")
         if word.to is not None and word.to not in self._others:
             raise WireError(f"'{word.to}' is not another vehicle of this run")
         return Message(sender=self.vehicle, body=word.payload, size_bytes=len(word.payload), to=word.to)
@@ -229,14 +229,12 @@ class Programs:
 
     def _note_missed(self, program: Program, now_ns: int, events: list[Event]) -> None:
         if not program.noted:
-            self._tell(
-                f"the program of {program.vehicle} does not receive what it hears: more than {ROOM >> 20} MiB of it are lost"
-            )
+            self._tell(f"the program of {program.vehicle} reads too slowly: messages beyond {ROOM >> 20} MiB are lost")
         program.noted = program.missed
         events.append(Event(f"{program.vehicle}/note", now_ns, Note(values={MISSED: float(program.missed)})))
 
     def _part(self, program: Program, why: ProgramLeft, now_ns: int, events: list[Event]) -> None:
         program.close()
         del self._programs[program.vehicle]
-        self._tell(f"the program of {program.vehicle} has left at {now_ns / 1e9:.3f} s ({why}): it sends no more")
+        self._tell(f"the program of {program.vehicle} disconnected at {now_ns / 1e9:.3f} s ({why})")
         events.append(Event(f"{program.vehicle}/note", now_ns, Note(values={LEFT: f"left: {why}"})))

@@ -48,7 +48,7 @@ def test_each_place_takes_both(between: str, tmp_path: Path) -> None:
     assert udp_of(f"udp{between}127.0.0.1:5000", "--ubisense") == HostPort("127.0.0.1", 5000)
     assert address(f"udp{between}0.0.0.0:5010") == ("0.0.0.0", 5010)
     door = ZenohGateway(listen={"car1": f"tcp{between}127.0.0.1:7461", "car2": "tcp/127.0.0.1:7461"})
-    with pytest.raises(ValueError, match=r"tcp/127\.0\.0\.1:7461 is used by two vehicles"):
+    with pytest.raises(ValueError, match=r"tcp/127\.0\.0\.1:7461 is assigned to two vehicles"):
         door.check(["car1", "car2"])
 
 

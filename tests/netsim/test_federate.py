@@ -118,7 +118,7 @@ def test_a_new_start_repeats_the_run() -> None:
 
 
 def test_sending_before_any_position_is_known_is_an_error(radio: RadioFederate) -> None:
-    with pytest.raises(ValueError, match="a sends before any position is known"):
+    with pytest.raises(ValueError, match="a sends before the first message of world/states"):
         radio.step(0, [sends(0, "a")])
 
 

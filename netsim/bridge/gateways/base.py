@@ -102,5 +102,5 @@ def check_names(key: str, names: Iterable[str], vehicles: Sequence[str], what: s
 def check_listen(host: str, *, insecure: bool, instead: str) -> None:
     """Raise a `ValueError` for a ``listen`` address that other machines reach, unless ``insecure``; ``instead`` is advice."""
     if not insecure and not is_loopback(host):
-        problem = f"listen: {host} accepts connections from every machine that reaches this address"
+        problem = f"listen: {host} accepts connections from every machine in reach of this address"
         raise ValueError(f"{problem}: {instead}, or set insecure = true on a trusted network")

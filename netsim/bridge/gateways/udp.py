@@ -35,7 +35,7 @@ BLOCK = 100
 UNICAST, RECEIVE = 1, 99
 MOST_VEHICLES = RECEIVE - UNICAST
 
-_ELSEWHERE = "give this machine's address, and insecure = true"
+_ELSEWHERE = "set listen to this machine's address, and insecure = true"
 
 AT_ONCE = 64  # datagrams of a socket before the next socket
 PAUSE_S = 0.002  # without reading from a socket when the run has no room
@@ -50,10 +50,10 @@ _MEMINFO = struct.Struct("@9I")
 _DROPS = 8  # index of the datagrams dropped so far
 
 _ADVICE = {
-    errno.EADDRINUSE: "`ss -ulnp 'sport = :{port}'` shows its owner, perhaps another run: end that, or set first_port",
+    errno.EADDRINUSE: "`ss -ulnp 'sport = :{port}'` shows the program on it, perhaps another run: end that, or set first_port",
     errno.EADDRNOTAVAIL: "listen must be an address of this machine",
-    errno.EACCES: "ports below 1024 need rights: give others",
-    errno.EMFILE: "there is a socket for each pair of vehicles: allow more open files (ulimit -n), or name fewer vehicles",
+    errno.EACCES: "ports below 1024 need root: set first_port to 1024 or more",
+    errno.EMFILE: "each pair of vehicles needs a socket: allow more open files (ulimit -n), or list fewer vehicles",
 }
 
 
@@ -119,8 +119,8 @@ class PortPlan:
             others = [name for name in vehicles if name != vehicle]
             check_names(f"ports.{vehicle}.unicast", own.unicast, others, "other vehicle")
         if len(vehicles) > MOST_VEHICLES:
-            most = f"a run with UDP ports has {MOST_VEHICLES} at most"
-            raise ValueError(f"there are {len(vehicles)} vehicles; {most}: use [bridge.ip] or [bridge.zenoh]")
+            problem = f"{len(vehicles)} vehicles are too many for UDP ports (at most {MOST_VEHICLES})"
+            raise ValueError(f"{problem}: use [bridge.ip] or [bridge.zenoh]")
         sending = self._check_sending(vehicles)
         for row, place in self.receiving(vehicles).items():
             self._check_receiving(vehicles[row], place, sending)
@@ -129,22 +129,22 @@ class PortPlan:
         used: set[int] = set()
         for (row, _), port in self.sending(vehicles).items():
             if port > HIGHEST:
-                raise ValueError(f"first_port: {self._first_port} leads to port {port}; the last is {HIGHEST}")
+                raise ValueError(f"first_port: {self._first_port} leads to port {port}, above the maximum {HIGHEST}")
             if port in used:
-                raise ValueError(f"ports: {port} of {vehicles[row]} is used twice")
+                raise ValueError(f"ports: {port} of {vehicles[row]} is assigned twice")
             used.add(port)
         return used
 
     def _check_receiving(self, vehicle: str, place: ProgramAddress, sending: set[int]) -> None:
         here, there = ipaddress.ip_address(self.listen), ipaddress.ip_address(place.host)
         if here.version != there.version:
-            raise ValueError(f"listen: from {here} nothing can be sent to {there} of {vehicle}: give addresses of one kind")
+            raise ValueError(f"listen: {here} cannot send to {there} of {vehicle}: use IPv4 for both, or IPv6 for both")
         if here.is_loopback and not there.is_loopback:
-            raise ValueError(f"listen: from {here} nothing can be sent to {there} of {vehicle}: {_ELSEWHERE}")
+            raise ValueError(f"listen: {here} cannot send to {there} of {vehicle}, another machine: {_ELSEWHERE}")
         if place.port > HIGHEST:
-            raise ValueError(f"first_port: {self._first_port} leads to port {place.port}; the last is {HIGHEST}")
+            raise ValueError(f"first_port: {self._first_port} leads to port {place.port}, above the maximum {HIGHEST}")
         if place.port in sending and (here == there or here.is_unspecified):
-            raise ValueError(f"ports: {vehicle} would receive at port {place.port}, which is one to send to")
+            raise ValueError(f"ports: receive port {place.port} of {vehicle} is also a port to send to; choose another one")
 
 
 def _place(key: str, text: str) -> ProgramAddress:
@@ -303,7 +303,7 @@ def _bound(host: str, port: int) -> socket.socket:
     except OSError as error:
         if opened is not None:
             opened.close()
-        advice = _ADVICE.get(error.errno or 0, "give other ports").format(port=port)
+        advice = _ADVICE.get(error.errno or 0, "choose other ports").format(port=port)
         raise GatewayError(f"port {port} of {host} cannot be opened ({error.strerror}); {advice}") from error
     return opened
 

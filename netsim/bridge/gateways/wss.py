@@ -130,7 +130,7 @@ class Wss:
 
     def check(self, vehicles: Sequence[str]) -> None:
         """Check the address."""
-        tunnel = "ssh -L for port and those from first_port on, -R for a robot's own"
+        tunnel = "ssh -L (for port and for the ports from first_port on) and ssh -R (for ports of the robots)"
         check_listen(self._address, insecure=self._insecure, instead=f"listen at 127.0.0.1 and use {tunnel}")
 
     async def open(self, context: GatewayContext) -> Sequence[str]:
@@ -140,11 +140,11 @@ class Wss:
             server = await asyncio.start_server(self._on_control, self._address, self._port, limit=LONGEST_LINE)
         except OSError as problem:
             why = f"cannot serve robots at {self._address} port {self._port}: {problem.strerror}"
-            raise GatewayError(f"{why}; end what holds it, or set port") from problem
+            raise GatewayError(f"{why}; end the program that uses the port, or set another port") from problem
         self._server = server
         self._tasks.add(context.loop.create_task(self._look_on()))
         context.level_dbm(0, 0)  # first request, so that levels are known when the first robot needs them
-        return [f"robots dial {self._address} port {self._port}, as USARSim's WSS; no link below {self._cutoff_dbm:g} dBm"]
+        return [f"robots connect to {self._address} port {self._port} (USARSim WSS); no link below {self._cutoff_dbm:g} dBm"]
 
     def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
         """Pass a chunk to its relay; other payloads are not for robots."""

@@ -99,7 +99,7 @@ class ZenohGateway:
         """Check vehicles, endpoints and prefix."""
         self._endpoints(vehicles)
         if any(each in self._prefix for each in "*?#$") or "//" in self._prefix:
-            raise ValueError(f"unicast_prefix: {self._prefix!r} is no key: it must not contain *, ?, #, $ or empty parts")
+            raise ValueError(f"unicast_prefix: {self._prefix!r} is not a key: it must not contain *, ?, #, $ or empty parts")
 
     async def open(self, context: GatewayContext) -> Sequence[str]:
         """Listen for the programs of each vehicle."""
@@ -144,10 +144,10 @@ class ZenohGateway:
             if not self._vehicles or name in self._vehicles:
                 port = self._first_port + row
                 if name not in self._listen and port > HIGHEST:
-                    raise ValueError(f"first_port = {self._first_port}: there is no port left for '{name}'")
+                    raise ValueError(f"first_port = {self._first_port} is too high: no port is left for '{name}'")
                 endpoints[row] = self._checked(name, self._listen.get(name, f"tcp/127.0.0.1:{port}"))
         if doubled := [endpoint for endpoint, count in Counter(endpoints.values()).items() if count > 1]:
-            raise ValueError(f"listen: {doubled[0]} is used by two vehicles")
+            raise ValueError(f"listen: {doubled[0]} is assigned to two vehicles")
         return endpoints
 
     def _checked(self, name: str, text: str) -> str:
@@ -155,7 +155,7 @@ class ZenohGateway:
         if not endpoint or endpoint.protocol != "tcp" or not endpoint.host or not endpoint.port:
             raise ValueError(f"listen: '{text}' of {name} must be tcp/HOST:PORT")
         if not self._insecure and not is_loopback(endpoint.host):
-            problem = f"listen: {text} of {name} accepts connections from every machine that reaches this address"
+            problem = f"listen: {text} of {name} accepts connections from every machine in reach of this address"
             raise ValueError(f"{problem}: listen at 127.0.0.1 and use ssh -L, or set insecure = true")
         return str(endpoint)
 
@@ -234,4 +234,4 @@ def _listening(endpoint: str) -> zenoh.Session:
     try:
         return opened(config, access_control.LIMITS, f"cannot serve Zenoh clients at {endpoint}")
     except UsageError as problem:
-        raise GatewayError(f"{problem}; end what holds it, or set first_port or listen") from problem
+        raise GatewayError(f"{problem}; end the program that uses the port, or set first_port or listen") from problem

@@ -397,7 +397,7 @@ class Csma154:
 
     def __post_init__(self) -> None:
         if self.min_be > self.max_be:
-            raise ScenarioError(f"min_be = {self.min_be} is more than max_be = {self.max_be}", key="min_be")
+            raise ScenarioError(f"must not be more than max_be = {self.max_be}, not {self.min_be}", key="min_be")
 
     @property
     def needs_snr_db(self) -> float:
@@ -416,7 +416,7 @@ class Csma154:
         errors = getattr(phy, "errors", None)
         if not isinstance(errors, OqpskErrors):
             raise ScenarioError(
-                f"mac csma154 is that of IEEE 802.15.4: it needs phy ieee802154, not {type(phy).__name__}", key="kind"
+                f"csma154 is the medium access of IEEE 802.15.4 and needs phy ieee802154, not {type(phy).__name__}", key="kind"
             )
         air = Csma154Air(
             count,

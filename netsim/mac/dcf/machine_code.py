@@ -115,7 +115,7 @@ class MachineCode:
     def __call__(self, first: int, second: int, number: int) -> int:
         """Call it."""
         if self._function(*self._places, first, second, number):
-            raise RuntimeError("compiled code has failed")
+            raise RuntimeError("the compiled DCF code failed")
         return self._result.value
 
 

@@ -74,7 +74,7 @@ class Dcf:
         """
         if not isinstance(phy, Dsss | Ofdm):
             name = type(phy).__name__
-            raise ScenarioError(f"dcf is IEEE 802.11: it goes with the phys dsss and ofdm, not with {name}", key="mac")
+            raise ScenarioError(f"dcf is the medium access of IEEE 802.11 and needs phy dsss or ofdm, not {name}", key="mac")
         control = ack_phy(phy, standard_of(phy))
         curves = phy.errors.header[0], control.errors.payload(ACK_BYTES)[0]
         sensitivity_mw = milliwatts(phy.sensitivity_dbm)
@@ -85,7 +85,7 @@ class Dcf:
         standard = standard_of(phy)
         cw_min = standard.cw_min if self.cw_min is None else self.cw_min
         if cw_min > self.cw_max:
-            raise ScenarioError(f"cw_max = {self.cw_max} is less than the standard's cw_min, {cw_min}", key="mac.cw_max")
+            raise ScenarioError(f"must not be less than cw_min = {cw_min} of the standard, not {self.cw_max}", key="mac.cw_max")
         slot_ns = round((self.slot_us or standard.slot_us) * US)
         sifs_ns = round((self.sifs_us or standard.sifs_us) * US)
         header_end_ns = (standard.preamble_us + standard.header_us) * US

@@ -170,7 +170,7 @@ def test_a_second_run_of_the_same_name_is_refused_before_it_begins(network: str,
     scenario.write_text(SCENARIO.format(name=network))
     outcome = vcmvsp_command("net", "up", str(scenario), "--out", str(tmp_path / "out"))
     assert outcome.code == 2
-    assert f"a run named {network} has its network on this machine" in outcome.err
+    assert f"a run named {network} already has a network on this machine" in outcome.err
     assert not (tmp_path / "out").exists()
 
 
@@ -279,7 +279,7 @@ def test_who_lacks_the_rights_is_told_which(tmp_path: Path) -> None:
             [sys.executable, "-c", without, *net(*arguments)], capture_output=True, text=True, check=False, cwd=tmp_path
         )
         assert (done.returncode, done.stdout) == (2, "")
-        assert done.stderr.startswith("vcmvsp: networks of namespaces need CAP_NET_ADMIN: ")
+        assert done.stderr.startswith("vcmvsp: network namespaces need CAP_NET_ADMIN: ")
         assert done.stderr.count("\n") == 1
     assert not (tmp_path / "runs").exists()
 
@@ -333,7 +333,7 @@ def test_with_sudo_a_run_names_no_code_and_no_files_to_what_has_the_rights_of_ro
     canary = tmp_path / "canary"
     (tmp_path / "evil.py").write_text(f"open({str(canary)!r}, 'w')\nclass Door: pass\n")
     *_, problem = called_by_sudo(run, kind, tmp_path)
-    assert "only built-in gateways" in problem or "can have such a name" in problem
+    assert "only built-in gateways" in problem or "not a valid network name" in problem
     assert not canary.exists()
 
 

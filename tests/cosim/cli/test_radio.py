@@ -157,7 +157,7 @@ def test_a_value_and_a_table_of_the_same_name_are_told_apart() -> None:
         (("--duration", "inf"), ("--duration: must be finite",)),
         (("--seed", "-1"), ("--seed: ",)),
         (("--positions", "none.csv"), ("none.csv: there is no such file",)),
-        (("--out", "no/rows.parquet"), ("no/rows.parquet", "there is no folder")),
+        (("--out", "no/rows.parquet"), ("no/rows.parquet", "does not exist")),
         (("--out", "."), ("is a folder",)),
     ],
 )
@@ -230,7 +230,7 @@ def test_packet_errors_as_a_table() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--preset", "ideal", "--snr", "0:1:1"), ("no packet errors",)),
+        (("--preset", "ideal", "--snr", "0:1:1"), ("no packet-error model",)),
         (("--preset", "zigbee", "--snr", "0:1:1", "--model", "nist"), ("--model nist", "oqpsk")),
         (("--preset", "none", "--snr", "0:1:1"), ("--preset none",)),
         (("--preset", "wifi-b-1", "--snr", "0:1"), ("--snr 0:1: write START:STOP:STEP",)),

@@ -205,11 +205,11 @@ def test_what_an_agent_says_that_no_datagram_holds_is_counted() -> None:
     ("killed", "kind", "words"),
     [
         (False, "ip", []),
-        (True, "udp", ["bridge: its process did not end by itself and was killed"]),
+        (True, "udp", ["bridge: its process did not end in time and was killed"]),
         (
             True,
             "ip",
-            ["bridge: its process did not end by itself and was killed: 'vcmvsp net down' clears away what it leaves behind"],
+            ["bridge: its process did not end in time and was killed: 'vcmvsp net down' removes the networks that it left"],
         ),
     ],
 )

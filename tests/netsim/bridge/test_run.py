@@ -369,5 +369,5 @@ def test_that_the_process_had_to_be_killed_is_said(tmp_path: Path, monkeypatch: 
     run.join()
     process = run.bridge._process
     assert process is not None
-    assert run.told[-1] == "bridge: its process did not end by itself and was killed"
+    assert run.told[-1] == "bridge: its process did not end in time and was killed"
     assert process._process.returncode == -signal.SIGKILL

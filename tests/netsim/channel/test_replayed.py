@@ -145,7 +145,7 @@ def test_how_many_were_not_recorded_is_told_at_the_end(tmp_path: Path) -> None:
     reports(channel, SENDS)
     assert told == []
     channel.close()
-    assert told == ["3 of 80 frames were not in the recording: the radio has drawn what became of them"]
+    assert told == ["3 of 80 frames are not in the recording; the radio model decided their reception"]
     channel.start(1)
     reports(channel, SENDS[:77])
     channel.close()

@@ -272,15 +272,15 @@ def test_what_may_change_are_the_numbers_of_the_layers_that_there_are(made: Radi
         (
             "radio.delay.mean_s",
             10.0,
-            "radio.delay.sigma_s: must be between 1/32 and 3 times mean_s = 10 and not zero, not 0.02",
+            "radio.delay.sigma_s: must be between 1/32 and 3 times mean_s = 10, and above 0, not 0.02",
         ),
         (
             "radio.phy.rate_bps",
             1e6,
-            "radio.phy.rate_bps cannot change during a run; what can: "
+            "radio.phy.rate_bps cannot change during a run; keys that can: "
             "radio.loss.probability, radio.delay.mean_s, radio.delay.sigma_s, radio.delay.fixed_s",
         ),
-        ("loss", 0.1, "loss cannot change during a run; what can: radio.loss"),
+        ("loss", 0.1, "loss cannot change during a run; keys that can: radio.loss"),
     ],
 )
 def test_what_cannot_be_is_refused_and_changes_nothing(key: str, value: float, words: str) -> None:

@@ -126,7 +126,7 @@ def test_what_cannot_be_is_refused() -> None:
             GammaDelay(mean_s, sigma_s)
     falling = ((0.0, 0.2), (1.0, 0.1))
     for quantiles in ((), ((0.0, 0.1),), ((0.1, 0.1), (1.0, 0.2)), falling, ((0.0, 0.1), (0.0, 0.2), (1.0, 0.3))):
-        with pytest.raises(ScenarioError, match=r"quantiles.*rise from probability 0"):
+        with pytest.raises(ScenarioError, match=r"quantiles.*in increasing order"):
             EmpiricalDelay(quantiles)
 
 
@@ -264,7 +264,7 @@ def test_what_it_is_given_stays_as_it_is() -> None:
 @pytest.mark.parametrize(
     ("parameters", "key", "message"),
     [
-        ({"queue_s": 1.0}, "queue_s", "queue_s limits the wait for a rate: give rate_bps"),
+        ({"queue_s": 1.0}, "queue_s", "queue_s limits the wait in a rate-limited queue: set rate_bps"),
         ({"rate_bps": 0.0}, "rate_bps", "must be a number >= 1"),
         ({"duplicate": 1.1}, "duplicate", "must be a number >= 0 and <= 1, not 1.1"),
         ({"duplicate_delay_s": -1.0}, "duplicate_delay_s", ">= 0"),

@@ -115,12 +115,12 @@ HERE: dict[str, Any] = {"power_dbm": 20.0, "position": [0.0, 0.0, 0.0]}
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        ({"power_dbm": 20.0}, r"a source needs one of position, vehicle and path"),
-        (HERE | {"vehicle": "car1"}, r"a source needs one of position, vehicle and path"),
+        ({"power_dbm": 20.0}, r"a jammer needs exactly one of position, vehicle and path"),
+        (HERE | {"vehicle": "car1"}, r"a jammer needs exactly one of position, vehicle and path"),
         ({"power_dbm": 20.0, "path": []}, r"path must have points \[t, x, y, z\], each later than the one before"),
         ({"power_dbm": 20.0, "path": [[1, 0, 0, 0], [1, 2, 0, 0]]}, r"path must have points"),
-        (HERE | {"from_s": 3.0, "to_s": 3.0}, r"to_s = 3: a source from 3 s must end later than it begins"),
-        (HERE | {"duty": 0.3}, r"duty = 0.3: a source that pulses needs period_s"),
+        (HERE | {"from_s": 3.0, "to_s": 3.0}, r"to_s = 3 must be greater than from_s = 3"),
+        (HERE | {"duty": 0.3}, r"duty = 0.3 is a pulsed jammer, which needs period_s"),
         (HERE | {"duty": 0.0, "period_s": 1.0}, r"must be a number > 0 and <= 1, not 0.0"),
         (HERE | {"power_w": 1.0}, r"unknown key 'power_w'; did you mean 'power_dbm'\?"),
         ({"position": [0, 0, 0]}, r"power_dbm is missing"),

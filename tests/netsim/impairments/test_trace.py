@@ -191,7 +191,7 @@ HEAD = "time_s,sender,receiver,loss\n"
         ("time_s,sender,receiver,los\n0,a,b,1\n", r"unknown column 'los'; did you mean 'loss'\?"),
         (
             "time_s,sender,receiver\n0,a,b\n",
-            r"says nothing about its links: it needs one or more of the columns snr_db, rssi_dbm",
+            r"has no quantity of a link: add one or more of the columns snr_db, rssi_dbm",
         ),
         ("time_s,sender,receiver,snr_db,rssi_dbm\n0,a,b,1,1\n", r"has both snr_db and rssi_dbm"),
         ("time_s,sender,receiver,loss,loss\n0,a,b,1,1\n", r"has two columns loss"),
@@ -218,7 +218,7 @@ def test_errors_of_files(tmp_path: Path) -> None:
         Trace(written(tmp_path, name="links.txt"))
     with pytest.raises(ScenarioError, match=r"file: broken.parquet cannot be read"):
         Trace(written(tmp_path, name="broken.parquet"))
-    with pytest.raises(ScenarioError, match=r"noise_dbm: must be given: the file has snr_db"):
+    with pytest.raises(ScenarioError, match=r"noise_dbm: must be set: the file"):
         Trace(written(tmp_path))
     rows: dict[str, Any] = {"time_s": [0.0, 0.0], "sender": ["a", "a"], "receiver": ["b", "b"], "loss": [0.0, 0.0]}
     for missing in ("sender", "receiver"):
@@ -226,5 +226,5 @@ def test_errors_of_files(tmp_path: Path) -> None:
         with pytest.raises(ScenarioError, match=r"nobody.parquet row 2: sender and receiver must be names"):
             Trace(str(tmp_path / "nobody.parquet"))
     parquet.write_table(pa.table(rows | {"loss": ["x", "y"]}), tmp_path / "words.parquet")
-    with pytest.raises(ScenarioError, match=r"words.parquet column loss holds no numbers"):
+    with pytest.raises(ScenarioError, match=r"words.parquet column loss must hold numbers"):
         Trace(str(tmp_path / "words.parquet"))

@@ -46,7 +46,7 @@ def test_the_middle_of_a_chain_is_heard_at_both_ends() -> None:
     [
         ({}, "routing", "static routing needs chain or next_hop"),
         ({"chain": ["car1", "car5"]}, "routing.chain", "unknown vehicle 'car5'"),
-        ({"chain": ["car1", "car2", "car1"]}, "routing.chain", "car1 is twice in it"),
+        ({"chain": ["car1", "car2", "car1"]}, "routing.chain", "contains car1 twice"),
         ({"chain": ["car1"]}, "routing.chain", "must have at least two vehicles"),
         ({"next_hop": 3}, "routing.next_hop", "must be a table, not 3"),
         ({"next_hop": {"car1": 3}}, "routing.next_hop.car1", "must be a table, not 3"),
@@ -56,7 +56,7 @@ def test_the_middle_of_a_chain_is_heard_at_both_ends() -> None:
         (
             {"next_hop": {"car1": {"car4": "car2"}, "car2": {"car4": "car1"}}},
             "routing.next_hop.car1.car4",
-            "the route from car1 to car4, car1 -> car2 -> car1, goes in a circle",
+            "the route from car1 to car4, car1 -> car2 -> car1, is a loop",
         ),
         ({"chain": FOUR, "hop_limit": 2}, "routing.chain", "has more hops than hop_limit = 2: raise it"),
         ({"chain": FOUR, "hop_limit": 0}, "routing.hop_limit", "must be"),

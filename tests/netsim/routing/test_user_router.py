@@ -47,8 +47,8 @@ def test_a_router_that_tells_nothing_needs_two_answers(via: Any) -> None:
 def test_an_answer_that_makes_no_sense_is_an_error_with_the_name_of_the_kind(via: Any) -> None:
     with pytest.raises(FederateError) as caught:
         run(Mine(via), line(3), says("car1", 0, to="car3"))
-    wanted = "which is not the row of another of 3 vehicles, -1 (a broadcast) or None"
-    assert str(caught.value) == f"routing Mine: returned {via!r} as the next hop of car1, {wanted}"
+    wanted = "allowed: the row of another vehicle (of 3), -1 (a broadcast) or None"
+    assert str(caught.value) == f"routing Mine: returned {via!r} as the next hop of car1; {wanted}"
 
 
 @dataclass(frozen=True)

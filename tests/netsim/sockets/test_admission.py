@@ -47,10 +47,10 @@ def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch
 
     thread = threading.Thread(target=come)
     thread.start()
-    with pytest.raises(FederateError, match=r"no program has come for b, c within 60 s \(sockets.join_timeout_s\).*connect\("):
+    with pytest.raises(FederateError, match=r"no program connected for b, c within 60 s \(sockets.join_timeout_s\).*connect\("):
         vcmvsp.run(content, mcap=False, tell=tell)
     thread.join(PATIENCE_S)
-    assert told[1:] == ["the program of a has come; still waiting for: b, c", "let down"]
+    assert told[1:] == ["the program of a connected; still waiting for: b, c", "let down"]
     assert not (tmp_path / "s").exists()
 
 
@@ -83,8 +83,8 @@ def test_who_is_not_wanted_is_told_why(tmp_path: Path) -> None:
     for thread in threads:
         thread.join(PATIENCE_S)
     assert "there is no vehicle 'xxx" in words[0] or "unknown vehicle 'xxx" in words[0]
-    assert "a has a program already" in words[1]
-    assert "install the same vcmvsp for both" in words[2]
+    assert "a already has a program" in words[1]
+    assert "install one vcmvsp version for both" in words[2]
 
 
 def test_a_program_that_leaves_before_the_run_begins_may_be_replaced(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_a_program_that_leaves_before_the_run_begins_may_be_replaced(tmp_path: P
 
     threading.Thread(target=early, daemon=True).start()
     result = vcmvsp.run(content, mcap=False, tell=tell)
-    assert told[2] == "the program of a has left; waiting for another"
+    assert told[2] == "the program of a disconnected; waiting for another"
     assert result.about["simulated_s"] == 1.0
 
 
@@ -145,7 +145,7 @@ def test_three_hundred_strangers_disturb_nobody(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("listen", "says"),
     [
-        ("tcp/0.0.0.0:7550", r"from other machines: .* ssh -L 7550:127.0.0.1:7550"),
+        ("tcp/0.0.0.0:7550", r"other machines cannot connect: .* ssh -L 7550:127.0.0.1:7550"),
         ("tcp/[::]:7550", "ssh -L"),
         ("tcp/192.168.1.5:7550", "ssh -L"),
         ("tcp/127.0.0.1:99999", "must be tcp/HOST:PORT or unix/PATH"),
@@ -183,7 +183,7 @@ def test_an_endpoint_that_is_taken_is_said_in_one_line_and_one_that_was_left_beh
     with socket.create_server(("127.0.0.1", 0)) as taken:
         listen = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(
-            ScenarioError, match=f"sockets.listen: cannot listen on {listen}: .*another run may have it: give another endpoint"
+            ScenarioError, match=f"sockets.listen: cannot listen on {listen}: .*another run may use it; choose another endpoint"
         ):
             vcmvsp.run(scenario(tmp_path, "a", sockets={"listen": listen}), mcap=False)
     (tmp_path / "s").write_text("a file of mine")

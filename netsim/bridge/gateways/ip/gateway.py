@@ -57,7 +57,7 @@ def network_of(text: str, key: str, version: int | None = None) -> Network:
         example = "fd77::/64" if version == 6 else "10.77.0.0/16"
         raise ScenarioError(f"{error}; write ADDRESS/BITS, e.g. {example}", key=key) from None
     if version not in (None, network.version):
-        problem = f"{text} is a network of IPv{network.version}, not of IPv{version}"
+        problem = f"{text} is an IPv{network.version} network; this key needs IPv{version}"
     elif network.is_multicast or network.is_loopback or network.is_link_local or network.is_unspecified:
         problem = f"{text} is reserved; private networks are in 10.0.0.0/8, 192.168.0.0/16 and fd00::/8"
     if problem:
@@ -172,7 +172,7 @@ class Ip:
         check_names("routes", self._routes, self._chosen or vehicles, "vehicle with an interface")
         for network, key in zip(self._networks, ("network", "network6"), strict=False):
             if network.num_addresses - 2 < len(vehicles):  # its own address, and that of all
-                raise ValueError(f"{key}: {network} has no room for {len(vehicles)} vehicles")
+                raise ValueError(f"{key}: {network} has too few addresses for {len(vehicles)} vehicles: use a larger network")
         self._check_routes()
 
     def _check_routes(self) -> None:
@@ -182,14 +182,14 @@ class Ip:
             if network.version not in versions:
                 raise ValueError(f"routes: {network} needs IPv6, and mtu_bytes of {LEAST_MTU6} or more")
             if same := [each for each in used if each.version == network.version and each.overlaps(network)]:
-                raise ValueError(f"routes: {network} has addresses in common with {same[0]}")
+                raise ValueError(f"routes: {network} overlaps {same[0]}: choose another network")
             used.append(network)
 
     async def open(self, context: GatewayContext) -> Sequence[str]:
         """Create the namespaces and read their packets."""
         self._context = context
         if lacks := namespaces.missing():
-            raise GatewayError(f"networks of namespaces need {lacks}: start the run as root (sudo)")
+            raise GatewayError(f"network namespaces need {lacks}: start the run as root (sudo)")
         rows = [row for row, name in enumerate(context.vehicles) if not self._chosen or name in self._chosen]
         routed = {row: self._routes[name] for row, name in enumerate(context.vehicles) if name in self._routes}
         self._directory = Directory(self._networks, rows, routed)
@@ -242,9 +242,9 @@ class Ip:
         behind = [(each.vehicle, each.port) for each in spaces if each.port is not None]
         lines += [f"behind {name}: {', '.join(port.behind)}, through {port.interface} here" for name, port in behind]
         if len(spaces) > SHOWN:
-            lines.append(f"and {len(spaces) - SHOWN} more: vcmvsp net status")
+            lines.append(f"and {len(spaces) - SHOWN} more; 'vcmvsp net status' lists all")
         here, there = spaces[0].vehicle, spaces[-1].vehicle
-        return [*lines, f"on a vehicle's machine: vcmvsp net exec {here} -- ping {there}"]
+        return [*lines, f"to run a program in a vehicle's namespace: vcmvsp net exec {here} -- ping {there}"]
 
     def _read(self, radio: _Radio) -> None:
         for _ in range(BATCH):

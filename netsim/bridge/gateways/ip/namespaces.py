@@ -58,7 +58,7 @@ def missing() -> str:
     if not os.access(TUN, os.R_OK | os.W_OK):
         lacks.append(str(TUN))
     elif not os.access(next(each for each in (NAMES, *NAMES.parents) if each.exists()), os.W_OK):
-        lacks.append(f"the right to write into {NAMES}")
+        lacks.append(f"write access to {NAMES}")
     return " and ".join(lacks)
 
 

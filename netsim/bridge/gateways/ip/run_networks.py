@@ -33,7 +33,7 @@ AT_ONCE = 32  # threads; the kernel takes 20 ms to remove one interface or many
 LOOKED_S, PAUSE_S = 0.1, 0.002  # timeout for the lock, which other processes take briefly to look; between two attempts
 
 _LOCK, _ABOUT, _NAMES = "lock", "network.json", "hosts"
-_TAKEN = "a network {0} {1} exists already; if it is not needed: ip {2} delete {1}"
+_TAKEN = "the network {0} {1} already exists; if no longer needed, delete it: ip {2} delete {1}"
 
 
 def caller() -> pwd.struct_passwd | None:
@@ -83,8 +83,8 @@ class RunAlive(NetworkInUse):
 
     def __init__(self, run: str, pid: int) -> None:
         which = f" (process {pid})" if pid else ""
-        problem = f"a run named {run} has its network on this machine{which}"
-        super().__init__(f"{problem}: end it, or give this one another name (--set name=...)")
+        problem = f"a run named {run} already has a network on this machine{which}"
+        super().__init__(f"{problem}: end that run, or choose another name for this one (--set name=...)")
 
 
 class Lease:
@@ -196,7 +196,7 @@ def _terminate(network: RunNetwork) -> None:
         try:
             if started(network.pid) != network.started:
                 lock = FOLDER / network.run / _LOCK
-                raise OSError(f"process {network.pid} is not its own any more: 'fuser {lock}' says who else is to end first")
+                raise OSError(f"process {network.pid} is not the run's; end the process that 'fuser {lock}' shows first")
             signal.pidfd_send_signal(process, signal.SIGTERM)
         finally:
             os.close(process)
@@ -208,8 +208,8 @@ def _check_routes(network: RunNetwork) -> None:
     for run, vehicle, port in ((each.run, space.vehicle, space.port) for each in others for space in each.spaces):
         for own in (each.port for each in network.spaces):
             if own is not None and port is not None and (same := namespaces.in_common(own, port)):
-                has = f"{same} goes through {vehicle} of the run {run} on this machine"
-                raise NetworkInUse(f"routes: what comes {has}: end that run, or give this one another network")
+                taken = f"{vehicle} of the run {run} on this machine already routes the traffic {same}"
+                raise NetworkInUse(f"routes: {taken}: end that run, or choose another network for this one")
 
 
 def _network_in(folder: Path) -> RunNetwork | None:

@@ -222,15 +222,15 @@ async def test_real_machines_join_through_a_vehicle() -> None:
 @pytest.mark.parametrize(
     ("params", "problem"),
     [
-        ({"network": "10.77.0.0"}, "bridge.ip: network: 10.77.0.0/32 has no room for 3 vehicles"),
-        ({"network": "10.77.0.0/30"}, "bridge.ip: network: 10.77.0.0/30 has no room for 3 vehicles"),
+        ({"network": "10.77.0.0"}, "bridge.ip: network: 10.77.0.0/32 has too few addresses for 3 vehicles"),
+        ({"network": "10.77.0.0/30"}, "bridge.ip: network: 10.77.0.0/30 has too few addresses for 3 vehicles"),
         ({"network": "10.77.0.5/16"}, "bridge.ip.network: 10.77.0.5/16 has host bits set"),
-        ({"network6": "10.78.0.0/16"}, "bridge.ip.network6: 10.78.0.0/16 is a network of IPv4"),
+        ({"network6": "10.78.0.0/16"}, "bridge.ip.network6: 10.78.0.0/16 is an IPv4 network"),
         ({"mtu_bytes": 60}, "bridge.ip.mtu_bytes: "),
         ({"vehicles": ["car9"]}, "bridge.ip: vehicles: unknown vehicle 'car9'"),
         ({"routes": {"car9": ["192.168.5.0/24"]}}, "bridge.ip: routes: unknown vehicle with an interface 'car9'"),
-        ({"routes": {"car1": ["10.77.3.0/24"]}}, "10.77.3.0/24 has addresses in common with 10.77.0.0/16"),
-        ({"routes": {"car1": ["192.168.5.0/24"], "car2": ["192.168.0.0/16"]}}, "has addresses in common with 192.168.5.0/24"),
+        ({"routes": {"car1": ["10.77.3.0/24"]}}, "10.77.3.0/24 overlaps 10.77.0.0/16"),
+        ({"routes": {"car1": ["192.168.5.0/24"], "car2": ["192.168.0.0/16"]}}, "overlaps 192.168.5.0/24"),
         ({"routes": {"car1": ["fd05::/64"]}, "mtu_bytes": 1000}, "fd05::/64 needs IPv6, and mtu_bytes of 1280 or more"),
     ],
 )
@@ -261,7 +261,7 @@ async def test_closed_is_gone() -> None:
 async def test_two_runs_of_one_name_are_told_so_and_the_first_goes_on() -> None:
     context = TestHall(CARS[:2], run=RUN)
     async with opened(Ip(), context):
-        with pytest.raises(GatewayError, match=rf"a run named {RUN} has its network on this machine"):
+        with pytest.raises(GatewayError, match=rf"a run named {RUN} already has a network on this machine"):
             async with opened(Ip(), TestHall(CARS[:2], run=RUN)):
                 pass
         with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
@@ -388,7 +388,7 @@ def test_force_ends_the_process_of_the_run_and_not_another_that_has_its_number(f
                 run_networks.clear(RUN, force=True)
                 assert process.wait(PATIENCE_S) == -signal.SIGTERM
             else:
-                with pytest.raises(OSError, match=f"process {process.pid} is not its own any more: 'fuser {folder}/lock'"):
+                with pytest.raises(OSError, match=f"process {process.pid} is not the run's; .*'fuser {folder}/lock'"):
                     run_networks.clear(RUN, force=True)
                 assert process.poll() is None
             lease.end()

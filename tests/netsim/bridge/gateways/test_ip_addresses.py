@@ -100,8 +100,8 @@ def test_vehicles_have_addresses_of_their_own(network: Network, row: int) -> Non
     [
         ("10.77.0.1/16", 4, "has host bits set"),
         ("nowhere", 4, "write ADDRESS/BITS"),
-        ("fd77::/64", 4, "of IPv6, not of IPv4"),
-        ("10.77.0.0/16", 6, "of IPv4, not of IPv6"),
+        ("fd77::/64", 4, "is an IPv6 network; this key needs IPv4"),
+        ("10.77.0.0/16", 6, "is an IPv4 network; this key needs IPv6"),
         ("127.0.0.0/8", 4, "is reserved"),
         ("224.0.0.0/8", 4, "is reserved"),
         ("fe80::/64", 6, "is reserved"),

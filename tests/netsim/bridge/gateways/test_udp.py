@@ -197,7 +197,7 @@ async def test_too_few_sockets_for_all_pairs_of_vehicles_are_said(monkeypatch: p
 
     context = TestHall(NAMES)
     monkeypatch.setattr("vcmvsp.netsim.bridge.gateways.udp.socket.socket", full)
-    with pytest.raises(GatewayError, match=r"Too many open files.*; there is a socket for each pair of vehicles: .*ulimit -n"):
+    with pytest.raises(GatewayError, match=r"Too many open files.*; each pair of vehicles needs a socket: .*ulimit -n"):
         await Udp().open(context)
     monkeypatch.undo()
 
@@ -215,7 +215,7 @@ async def test_it_says_what_ports_are() -> None:
 @pytest.mark.parametrize(
     ("params", "problem"),
     [
-        ({"listen": "0.0.0.0"}, "that reaches this address: listen at 127.0.0.1, or set insecure"),
+        ({"listen": "0.0.0.0"}, "in reach of this address: listen at 127.0.0.1, or set insecure"),
         ({"listen": "::", "receive_host": "::1"}, "set insecure = true on a trusted network"),
         ({"listen": "192.168.0.3", "receive_host": "192.168.0.7"}, "set insecure = true on a trusted network"),
         ({"listen": "nowhere"}, "bridge.udp.listen: must be an IPv4 or IPv6 address, not 'nowhere'"),
@@ -224,17 +224,17 @@ async def test_it_says_what_ports_are() -> None:
         ({"ports": {"d": {}}}, "ports: unknown vehicle 'd'"),
         ({"ports": {"a": {"unicast": {"a": 5000}}}}, "ports.a.unicast: unknown other vehicle 'a' (allowed: b, c)"),
         ({"ports": {"a": {"unicast": {"d": 5000}}}}, "ports.a.unicast: unknown other vehicle 'd'"),
-        ({"ports": {"a": {"send": 18_101}}}, "18101 of b is used twice"),
-        ({"ports": {"a": {"unicast": {"b": 5000, "c": 5000}}}}, "5000 of a is used twice"),
-        ({"ports": {"a": {"receive": "127.0.0.1:18000"}}}, "a would receive at port 18000, which is one to send to"),
+        ({"ports": {"a": {"send": 18_101}}}, "18101 of b is assigned twice"),
+        ({"ports": {"a": {"unicast": {"b": 5000, "c": 5000}}}}, "5000 of a is assigned twice"),
+        ({"ports": {"a": {"receive": "127.0.0.1:18000"}}}, "receive port 18000 of a is also a port to send to"),
         ({"ports": {"a": {"receive": "6001"}}}, "bridge.udp.ports.a.receive: must be an IPv4"),
         ({"ports": {"a": {"receive": "127.0.0.1:0"}}}, "bridge.udp.ports.a.receive: must be HOST:PORT"),
         ({"ports": {"a": {"receive": "127.0.0.1:٣٣"}}}, "bridge.udp.ports.a.receive: must be HOST:PORT"),
         ({"ports": {"a": {"sends": 5000}}}, "unknown key 'sends'; did you mean 'send'?"),
-        ({"first_port": 65_400}, "first_port: 65400 leads to port 65600; the last is 65535"),
+        ({"first_port": 65_400}, "first_port: 65400 leads to port 65600, above the maximum 65535"),
         ({"first_port": 65_330}, "first_port: 65330 leads to port 65"),
-        ({"receive_host": "192.168.0.7"}, "to 192.168.0.7 of a: give this machine's address, and insecure = true"),
-        ({"receive_host": "::1"}, "from 127.0.0.1 nothing can be sent to ::1 of a: give addresses of one kind"),
+        ({"receive_host": "192.168.0.7"}, "to 192.168.0.7 of a, another machine: set listen to this machine's address"),
+        ({"receive_host": "::1"}, "127.0.0.1 cannot send to ::1 of a: use IPv4 for both"),
     ],
 )
 def test_what_cannot_be_is_refused_in_words(params: dict[str, Any], problem: str) -> None:
@@ -258,7 +258,7 @@ def test_by_default_no_port_is_one_that_linux_gives_to_whoever_asks_for_any() ->
 def test_blocks_have_room_for_98_vehicles() -> None:
     names = [f"v{k}" for k in range(99)]
     Udp(first_port=40_000).check(names[:98])
-    with pytest.raises(ValueError, match="there are 99 vehicles; a run with UDP ports has 98 at most"):
+    with pytest.raises(ValueError, match=r"99 vehicles are too many for UDP ports \(at most 98\)"):
         Udp(first_port=40_000).check(names)
     plan = PortPlan("127.0.0.1", 40_000, (), {}, "127.0.0.1")
     ports = [*plan.sending(names[:98]).values(), *(each.port for each in plan.receiving(names[:98]).values())]

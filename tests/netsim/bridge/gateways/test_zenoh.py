@@ -276,10 +276,10 @@ class TestHallStub:
         ({"listen": {"car1": "udp/127.0.0.1:1"}}, "must be tcp/HOST:PORT"),
         ({"listen": {"car1": "tcp/127.0.0.1:0"}}, "must be tcp/HOST:PORT"),
         ({"listen": {"car1": "tcp/127.0.0.1:65536"}}, "must be tcp/HOST:PORT"),
-        ({"listen": {"car1": "tcp/127.0.0.1:7461"}}, "tcp/127.0.0.1:7461 is used by two vehicles"),
+        ({"listen": {"car1": "tcp/127.0.0.1:7461"}}, "tcp/127.0.0.1:7461 is assigned to two vehicles"),
         ({"listen": {"car1": "tcp/0.0.0.0:7460"}}, "insecure = true"),
         ({"listen": {"car1": "tcp/[::]:7460"}}, "insecure = true"),
-        ({"first_port": 65_534}, "first_port = 65534: there is no port left for 'car3'"),
+        ({"first_port": 65_534}, "first_port = 65534 is too high: no port is left for 'car3'"),
     ],
 )
 def test_what_cannot_be_is_said(params: Mapping[str, Any], problem: str) -> None:
