@@ -37,7 +37,7 @@ def stopping_m(v: float) -> float:
     return v * PERIOD_S + v * v / (2.0 * BRAKING)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.integers(0, 2**32), st.sampled_from((0.0, 1e-12, 1e-6, 0.01)) | st.floats(0.0, 8.0), st.booleans(), st.floats(0.05, 0.6)
 )
@@ -74,7 +74,7 @@ def test_what_is_touched_stops_whoever_goes_towards_it_and_nobody_who_leaves() -
     assert clearances(np.empty((0, 2)), np.array([0.0, 1.0]), KEEP).tolist() == [math.inf, math.inf]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.integers(0, 2**32), st.floats(0.0, 0.6), st.floats(-1.0, 1.0), st.floats(-1.5, 1.5), st.sampled_from((math.pi, math.tau))
 )

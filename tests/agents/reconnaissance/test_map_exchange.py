@@ -127,7 +127,7 @@ def histories(draw: st.DrawFn) -> tuple[list[tuple[str, Any]], Ledger]:
     return air, central
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(history=histories(), data=st.data())
 def test_messages_may_come_in_any_order_and_any_number_of_times(
     history: tuple[list[tuple[str, Any]], Ledger], data: st.DataObject
@@ -148,7 +148,7 @@ def test_messages_may_come_in_any_order_and_any_number_of_times(
     assert not straight.counts[2].any()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(history=histories(), data=st.data())
 def test_merging_is_associative(history: tuple[list[tuple[str, Any]], Ledger], data: st.DataObject) -> None:
     """What b learns and passes on is worth as much as what it heard: (a + b) + c = a + (b + c)."""
@@ -164,7 +164,7 @@ def test_merging_is_associative(history: tuple[list[tuple[str, Any]], Ledger], d
     assert (direct.counts[0] == b.counts[0]).all()
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(history=histories(), order=st.randoms(use_true_random=False))
 def test_all_that_was_sent_makes_the_central_map(history: tuple[list[tuple[str, Any]], Ledger], order: Any) -> None:
     air, central = history
@@ -389,7 +389,7 @@ JUNK = st.recursive(
 LIES = st.tuples(st.integers(-1, 3), st.integers(-1, 16), st.integers(-5, 1005), st.binary(min_size=512, max_size=512))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     sender=st.sampled_from(["a", "c"]),
     ms=st.integers(0, 1001) | JUNK,

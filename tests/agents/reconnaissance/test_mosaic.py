@@ -37,7 +37,7 @@ def attitude(yaw: float, tilt: float, about: float) -> tuple[float, ...]:
     return c * a, c * x - s * y, c * y + s * x, s * a  # the tilt first, then the yaw
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     st.floats(-20.0, 20.0),
     st.floats(-10.0, 30.0),

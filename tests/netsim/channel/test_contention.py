@@ -58,7 +58,7 @@ def play(channel: Channel, offers: list[Offer], cuts: list[int], names: tuple[st
 
 
 @pytest.mark.parametrize(("preset", "mac"), MACS)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(offers=OFFERS, cuts=st.lists(st.integers(0, 200_000), max_size=10))
 def test_every_frame_is_reported_once_however_the_channel_is_advanced(
     preset: str, mac: str, offers: list[Offer], cuts: list[int]

@@ -126,7 +126,7 @@ def test_a_delay_is_queue_and_access_and_air(preset: str, mac: str, changes: dic
 
 
 @pytest.mark.parametrize(("preset", "mac"), MACS[1:])
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @example(offers=[(0, 1, 1000, 0), (0, 1, 1000, 1)])  # one gives up before the other, which it waits for, has ended
 @given(
     offers=st.lists(

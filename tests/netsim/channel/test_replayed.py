@@ -113,7 +113,7 @@ def test_what_is_not_recorded_is_drawn_as_if_nothing_were(tmp_path: Path) -> Non
     assert unknown(channel) == 50
 
 
-@settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(order=st.permutations(range(40)), kept=st.integers(0, 40))
 def test_a_frame_is_known_by_its_sender_and_number(tmp_path: Path, order: list[int], kept: int) -> None:
     """In whatever order senders take turns: the k-th broadcast of each fares as its k-th did."""

@@ -120,7 +120,7 @@ def bare(report: FrameReport, at: int) -> Any:
 
 
 @MACS
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     offers=OFFERS, begin=st.integers(0, 60_000), length=st.integers(1, 40_000), who=st.sets(st.sampled_from(NAMES), min_size=1)
 )
@@ -174,7 +174,7 @@ def test_from_a_change_on_a_run_is_one_that_always_had_that_number(
 
 
 @MACS
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(offers=OFFERS, cuts=st.lists(st.integers(0, 90_000_000), max_size=8))
 def test_it_makes_no_difference_when_the_radio_hears_of_it(
     preset: str, mac: str, offers: list[tuple[int, str, str | None]], cuts: list[int]

@@ -107,7 +107,7 @@ def chain(count: int) -> Graph:
     return np.eye(count, k=1, dtype=np.bool_) | np.eye(count, k=-1, dtype=np.bool_)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(graphs(), st.integers(0, 1000))
 def test_in_the_end_all_take_the_shortest_ways(graph: Graph, seed: int) -> None:
     world = Neighbourhood(len(graph), seed)
@@ -115,7 +115,7 @@ def test_in_the_end_all_take_the_shortest_ways(graph: Graph, seed: int) -> None:
     assert np.array_equal(world.hops(), shortest_path(graph.astype(float), unweighted=True))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(graphs(3), graphs(3), st.integers(0, 1000), st.floats(0.0, 0.9), st.booleans())
 def test_next_hops_never_form_a_circle_whatever_is_lost_late_or_changes(
     before: Graph, after: Graph, seed: int, loss: float, one_way: bool
@@ -137,7 +137,7 @@ def test_next_hops_never_form_a_circle_whatever_is_lost_late_or_changes(
         )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(graphs(3, 6), graphs(3, 6), st.integers(0, 1000))
 def test_after_a_change_all_take_the_shortest_ways_again(before: Graph, after: Graph, seed: int) -> None:
     n = min(len(before), len(after))
@@ -161,7 +161,7 @@ def test_routes_stay_the_shortest_while_numbers_are_renewed() -> None:
     world.go_on(40 * PERIOD_NS, ring, check=check)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(graphs(3), st.integers(0, 1000), st.integers(1, 4))
 def test_no_route_is_longer_than_the_hop_limit(graph: Graph, seed: int, limit: int) -> None:
     world = Neighbourhood(len(graph), seed, limit)

@@ -169,7 +169,7 @@ def test_what_ends_with_the_run_is_told_from_what_is_under_way(mac: str) -> None
     assert [(each.receivers, each.under_way) for each in waiting.messages] == [(("car2",), True)]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.lists(st.tuples(st.floats(0.0, 200.0), st.floats(0.0, 200.0)), min_size=2, max_size=8),
     st.integers(0, 100),

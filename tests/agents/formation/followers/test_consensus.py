@@ -128,7 +128,7 @@ def test_without_delay_the_mean_stays_and_disagreement_decays_with_lambda_2(
     assert np.all(off[1:] <= off[:-1] * (1.0 - 0.04 * values[1]) + 1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(sides=connected(), age=st.integers(0, 5), seed=st.integers(0, 99))
 def test_both_points_delayed_any_connected_graph_is_stable_up_to_the_sampled_bound(sides: Sides, age: int, seed: int) -> None:
     """kappa lambda_max T < 2 sin(pi / (2 (2 d + 1))): 5 % below it any start decays, 5 % above it the last mode grows."""
@@ -153,7 +153,7 @@ def test_the_root_found_is_the_largest_of_all(age: int, share: float) -> None:
     assert root(gain, age) == pytest.approx(np.abs(np.roots(coefficients)).max(), rel=1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(sides=connected(), age=st.integers(0, 40), loss=st.sampled_from([0.0, 0.5, 0.9]), seed=st.integers(0, 99))
 def test_with_the_own_point_fresh_nobody_leaves_the_hull_and_all_meet(sides: Sides, age: int, loss: float, seed: int) -> None:
     """For kappa T degree < 1 each moves to a weighted mean of known points, whatever the age and the losses."""

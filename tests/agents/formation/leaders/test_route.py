@@ -64,7 +64,7 @@ def from_the_way(done: Tour, way: Sequence[Point]) -> Floats:
 POINTS = st.tuples(st.floats(-3, 3), st.floats(-3, 3))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     way=st.lists(POINTS, min_size=1, max_size=4),
     yaw=st.floats(-math.pi, math.pi),
@@ -151,7 +151,7 @@ def test_where_it_is_on_its_way_is_noted() -> None:
 
 
 @given(way=st.lists(POINTS, min_size=1, max_size=3), yaw=st.floats(-3, 3))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_what_it_plans_it_does(way: list[Point], yaw: float) -> None:
     """It knows its own controller: without noise and lag the plan of a report is what is commanded afterwards."""
     assume(math.dist(way[0], (0.0, 0.0)) > 0.2)

@@ -3,7 +3,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.paths import ROOT
@@ -39,7 +39,6 @@ def on_circle(state: LeaderState, t: float) -> tuple[float, float, float]:
     return x + v / w * (math.sin(th + w * t) - math.sin(th)), y - v / w * (math.cos(th + w * t) - math.cos(th)), th + w * t
 
 
-@settings(deadline=None)
 @given(state=STATES.filter(lambda state: abs(state.w) > 1e-3), age=st.floats(0.0, 2.0))
 def test_dead_reckoning_is_exact_on_circles_up_to_its_horizon(state: LeaderState, age: float) -> None:
     then = DeadReckoning().predict(report(state), age)
@@ -47,7 +46,6 @@ def test_dead_reckoning_is_exact_on_circles_up_to_its_horizon(state: LeaderState
     assert then[3:] == state[3:]
 
 
-@settings(deadline=None)
 @given(state=STATES, age=st.floats(0.0, 2.0))
 def test_dead_reckoning_is_exact_on_straight_lines(state: LeaderState, age: float) -> None:
     straight = state._replace(w=0.0)
@@ -72,7 +70,6 @@ def test_beyond_the_horizon_both_speeds_fade_linearly_to_zero(horizon_s: float, 
         pose = arc(pose, start.v * left, start.w * left, h)
 
 
-@settings(deadline=None)
 @given(state=STATES, age=st.floats(3.0, 1e6))
 def test_after_the_fade_the_leader_is_taken_to_stand_still(state: LeaderState, age: float) -> None:
     estimator = DeadReckoning()
@@ -81,7 +78,6 @@ def test_after_the_fade_the_leader_is_taken_to_stand_still(state: LeaderState, a
     assert then == estimator.predict(report(state), 3.0)
 
 
-@settings(deadline=None)
 @given(state=STATES, age=st.floats(0.0, 100.0))
 def test_hold_takes_the_report_as_it_is(state: LeaderState, age: float) -> None:
     assert Hold().predict(report(state), age) == state
@@ -91,7 +87,6 @@ def accelerating(state: LeaderState, a: float, al: float) -> Report:
     return Report(0, state, {"a": a, "al": al})
 
 
-@settings(deadline=None)
 @given(state=STATES, age=st.floats(0.0, 10.0))
 def test_without_accelerations_they_are_dead_reckoning(state: LeaderState, age: float) -> None:
     for estimator in (Acceleration(), PlanPrediction()):
@@ -99,7 +94,6 @@ def test_without_accelerations_they_are_dead_reckoning(state: LeaderState, age: 
         assert estimator.predict(accelerating(state, 0.0, 0.0), age) == DeadReckoning().predict(report(state), age)
 
 
-@settings(deadline=None)
 @given(a=st.floats(-1.0, 1.0), al=st.floats(-1.0, 1.0), age=st.floats(0.0, 2.0), decay_s=st.floats(0.1, 100.0))
 def test_a_change_of_speed_fades(a: float, al: float, age: float, decay_s: float) -> None:
     """v(t) solves v'' = -v'/tau: integrated here in steps; no limit in reach."""
@@ -111,7 +105,6 @@ def test_a_change_of_speed_fades(a: float, al: float, age: float, decay_s: float
     assert (then.v, then.w) == pytest.approx((0.3 + a * gained, 0.1 + al * gained), abs=1e-5)
 
 
-@settings(deadline=None)
 @given(a=st.floats(-0.3, 0.3), age=st.floats(0.0, 1.0))
 def test_a_steady_acceleration_on_a_straight_line_is_exact(a: float, age: float) -> None:
     """For a change that does not fade, x = v t + a t^2 / 2."""
@@ -120,7 +113,6 @@ def test_a_steady_acceleration_on_a_straight_line_is_exact(a: float, age: float)
     assert then == pytest.approx((1.0 + 0.3 * age + a * age**2 / 2, 2.0, 0.0, 0.3 + a * age, 0.0), abs=1e-6)
 
 
-@settings(deadline=None)
 @given(v=st.floats(-2, 2), w=st.floats(-2, 2), a=st.floats(-1e3, 1e3), al=st.floats(-1e3, 1e3), age=st.floats(0.0, 100.0))
 def test_no_acceleration_takes_a_speed_beyond_its_limits_or_the_report(
     v: float, w: float, a: float, al: float, age: float
@@ -140,7 +132,6 @@ def planning(first: tuple[float, float], speeds: list[tuple[float, float]], dt: 
     return Report(0, LeaderState(1.0, -2.0, 0.5, *first), {"plan": flat, "dt": dt, **more})
 
 
-@settings(deadline=None)
 @given(first=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), speeds=SPEEDS, dt=st.sampled_from([0.05, 0.1, 0.3]), data=st.data())
 def test_a_plan_that_is_kept_to_is_exact_at_every_tick_and_between(
     first: tuple[float, float], speeds: list[tuple[float, float]], dt: float, data: st.DataObject
@@ -155,7 +146,6 @@ def test_a_plan_that_is_kept_to_is_exact_at_every_tick_and_between(
         pose = arc(pose, v, w, dt)
 
 
-@settings(deadline=None)
 @given(speeds=SPEEDS, age=st.floats(0.0, 5.0))
 def test_after_the_plan_its_last_speeds_are_reckoned_with_for_another_horizon(
     speeds: list[tuple[float, float]], age: float
@@ -168,7 +158,6 @@ def test_after_the_plan_its_last_speeds_are_reckoned_with_for_another_horizon(
     )
 
 
-@settings(deadline=None)
 @given(speeds=SPEEDS, ages=st.lists(st.tuples(st.booleans(), st.floats(0.0, 4.0)), max_size=10))
 def test_what_was_predicted_before_changes_no_prediction(
     speeds: list[tuple[float, float]], ages: list[tuple[bool, float]]
@@ -192,7 +181,6 @@ NONSENSE = st.one_of(
 )
 
 
-@settings(deadline=None)
 @given(plan=NONSENSE, dt=NONSENSE, a=NONSENSE, al=NONSENSE, age=st.floats(0.0, 10.0))
 def test_whatever_comes_by_radio_the_estimate_is_a_number(plan: Any, dt: Any, a: Any, al: Any, age: float) -> None:
     told = Report(0, LeaderState(1.0, 2.0, 0.3, 0.3, 0.1), {"plan": plan, "dt": dt, "a": a, "al": al})

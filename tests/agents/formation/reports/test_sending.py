@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.agents.agent_loop import drive, observe, received
@@ -62,7 +62,6 @@ def test_always_means_at_every_tick_and_asks_for_no_answers() -> None:
 
 
 @pytest.mark.parametrize("estimator", [DeadReckoning(), Hold(), DeadReckoning(0.3, 0.2)])
-@settings(deadline=None)
 @given(
     commands=st.lists(st.tuples(st.floats(-0.5, 1.0), st.floats(-1.0, 1.0)), min_size=1, max_size=60),
     threshold=st.floats(0.005, 0.2),
@@ -160,7 +159,6 @@ def test_a_new_shape_is_told_at_once_and_until_it_is_confirmed() -> None:
     assert told == [(tick, 1) for tick in range(5, 20, 2)]  # every 0.2 s
 
 
-@settings(deadline=None)
 @given(
     answers=st.lists(
         st.one_of(st.none(), st.integers(-5, 10**20), st.floats(), st.text(max_size=3), st.booleans(), st.just([])), max_size=8

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
-import scipy.optimize  # noqa: F401  loaded before the first example is timed
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -160,7 +160,7 @@ def test_templates_are_blurred_as_the_camera_blurs() -> None:
 
 
 @given(shift=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)), scale=st.floats(0.95, 1.05))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_matching_corrects_place_and_size(shift: tuple[float, float], scale: float) -> None:
     picture = turned(glyph(), 0.3)
     score, pose = match(picture, TEMPLATE, MatchedPose(71.5 + shift[0], 71.5 + shift[1], 0.33, 48.0 * scale))

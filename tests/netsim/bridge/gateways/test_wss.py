@@ -208,7 +208,7 @@ LINES = st.one_of(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(lines=st.lists(LINES, max_size=12))
 def test_every_line_has_one_answer(lines: list[bytes]) -> None:
     wanted = sum(line.count(b"\n") + 1 for line in lines)
@@ -259,7 +259,7 @@ def test_a_megabyte_each_way_is_whole_after_a_lossy_link() -> None:
     assert sum(each["chunks of connections sent again"] for each in context.counts.values()) > 30
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(size=st.integers(0, 3000), seed=st.integers(0, 99))
 def test_chunks_come_out_in_order_whatever_is_lost_doubled_or_overtakes(size: int, seed: int) -> None:
     draws = random.Random(seed)

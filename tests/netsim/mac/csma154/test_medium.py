@@ -369,7 +369,7 @@ def scripts(count: int) -> st.SearchStrategy[Script]:
 FIELD = np.array([[0, -60, -84, -90], [-60, 0, -78, -86], [-84, -78, 0, -60], [-90, -86, -60, 0]], float)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(script=scripts(4), cuts=st.lists(st.integers(0, 80_000), max_size=12).map(sorted))
 def test_steps_make_no_difference_and_are_foretold(script: Script, cuts: list[int]) -> None:
     """Nothing is decided before `next_ns`, which never lies behind; it is None when nothing waits."""
@@ -398,7 +398,7 @@ def test_steps_make_no_difference_and_are_foretold(script: Script, cuts: list[in
 
 @given(script=scripts(4))
 @example(script=[(0, 1, 0, 100), (0, 3, 0, 20), (128, 0, 0, 100)])  # its frame begins while another is disturbed
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_radio_out_of_reach_changes_nothing(script: Script) -> None:
     """Neither its draws nor its frames, wherever it stands in the order of rows."""
     apart = np.full((5, 5), SILENT)

@@ -74,7 +74,7 @@ def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch, seed: int) -> Non
     assert times == sorted(times)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(cuts=st.lists(st.integers(0, 80 * MS), max_size=40), seed=st.integers(0, 9), peek=st.booleans())
 def test_steps_do_not_matter(cuts: list[int], seed: int, peek: bool) -> None:
     frames = mixed(seed, frames=40)
@@ -144,7 +144,7 @@ def test_radios_that_nobody_hears_change_nothing_for_others() -> None:
     assert bytes_of([each for each in together if each.number in {one.number for one in frames}]) == bytes_of(alone)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(cuts=st.lists(st.integers(0, 300 * MS), max_size=6), seed=st.integers(0, 9))
 def test_many_at_once_as_arrays_are_the_same_as_one_by_one(cuts: list[int], seed: int) -> None:
     """With levels that are others behind every cut, and queues that overflow."""
