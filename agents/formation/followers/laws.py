@@ -34,12 +34,6 @@ def hand_point(x: float, y: float, yaw: float, distance: float) -> tuple[float, 
     return x + distance * math.cos(yaw), y + distance * math.sin(yaw)
 
 
-def hand_velocity(v: float, w: float, yaw: float, distance: float) -> tuple[float, float]:
-    """Velocity of the hand, m/s world, of a robot that moves at ``v`` m/s and ``w`` rad/s (3-3)."""
-    c, s = math.cos(yaw), math.sin(yaw)
-    return c * v - distance * s * w, s * v + distance * c * w
-
-
 def axle_velocity(ux: float, uy: float, yaw: float, distance: float) -> tuple[float, float]:
     """The speeds (v m/s, w rad/s) that give the hand the velocity ``(ux, uy)`` m/s, world (3-4); not with ``distance`` 0."""
     if distance == 0.0:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from tests.support.agents.scans import ranges_of, view, wall_with_doors
+from tests.support.agents.scans import ranges_of, view
 from vcmvsp.agents.avoidance.view import ASIDE, Point, View, free_m, lane_free, view_of, ways
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array, Scan
@@ -42,32 +42,6 @@ def test_a_lane_is_free_of_returns(ranges: Array, bearing: float, half: float, l
         assert lane_free(scan, bearing, 0.5 * half, 0.5 * length)
     else:
         assert not lane_free(scan, bearing, half + 0.1, length + 0.1)
-
-
-@pytest.mark.parametrize("aside_deg", [0, 30, 80, -45])
-def test_a_door_lets_a_lane_through_that_is_narrower(aside_deg: int) -> None:
-    aside = math.radians(aside_deg)
-    scan = view(ranges_of(wall_with_doors(1.0, [(-0.4, 0.4)]), (0.0, 0.0, -aside), fov=math.tau, beams=2048), math.tau)
-    assert lane_free(scan, aside, 0.39, 2.0)
-    assert not lane_free(scan, aside, 0.41, 2.0)
-    assert lane_free(scan, aside, 0.41, 0.98)  # it ends before the door
-
-
-def test_a_wall_beside_it_is_not_in_it() -> None:
-    scan = view(ranges_of([((-9.0, 0.45), (9.0, 0.45)), ((-9.0, -0.45), (9.0, -0.45))]))
-    assert lane_free(scan, 0.0, 0.44, 8.0)
-    assert not lane_free(scan, 0.0, 0.46, 8.0)
-    assert not lane_free(scan, 0.2, 0.3, 2.0)
-
-
-def test_what_is_touched_behind_is_not_ahead() -> None:
-    ranges = np.full(360, math.inf)
-    ranges[0] = 0.0  # straight behind
-    scan = view(ranges, math.tau)
-    assert lane_free(scan, 0.0, 0.3, 1.0)
-    assert not lane_free(scan, math.pi, 0.3, 1.0)
-    ranges[180] = 0.0
-    assert not lane_free(view(ranges, math.tau), 0.0, 0.3, 1.0)
 
 
 @given(Ranges, st.floats(0.05, 0.6), st.floats(0.1, 2.0), st.sampled_from([math.pi, math.tau]), st.sampled_from([0.0, 2.9]))

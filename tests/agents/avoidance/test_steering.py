@@ -80,10 +80,6 @@ GO = Task((1.0, 0.0), 0.2)
 # --- what goes in and out ---
 
 
-def test_a_free_view_leaves_the_task_as_it_is() -> None:
-    assert steering().steer(obs(scan(FREE)), GO) == Decision((1.0, 0.0), 0.2, "task")
-
-
 def test_places_in_the_world_are_handed_on_in_the_body_frame() -> None:
     """At (1, 2), heading north: a place 3 m north of it is ahead, one 1 m west of it on the left."""
     made = steering(Asked(max_speed=0.7), WHEELS)

@@ -58,14 +58,6 @@ def test_a_camera_whose_nose_is_down_looks_back_and_one_whose_left_side_is_up_lo
     assert nadir(roll=0.2).ground_point(middle) == pytest.approx((0.0, 20.0 * math.tan(0.2)))
 
 
-def test_the_formula_of_one_who_forgets_the_tilt_is_off_by_that() -> None:
-    """What the ray is for: at 20 m and 0.1 rad the target is 2 m beside where the level formula has it."""
-    pixel = nadir(roll=0.1).pixel((0.0, 0.0))
-    assert pixel is not None
-    wrong = nadir().ground_point(pixel)
-    assert wrong == pytest.approx((0.0, -20.0 * math.tan(0.1)))
-
-
 def test_the_sky_is_no_place_and_neither_is_what_a_camera_in_the_ground_sees() -> None:
     assert nadir(pitch=1.2).ground_point((320.0, 470.0)) is None
     assert nadir(height=0.0).ground_point((320.0, 240.0)) is None

@@ -12,7 +12,6 @@ from tests.support.agents.agent_loop import received
 from tests.support.agents.search_agents import GRID, REACH, TARGETS, Team, info, looks, of_map, searcher, see
 from vcmvsp.agents.reconnaissance.exchange import Ledger
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
-from vcmvsp.agents.reconnaissance.probability_map import Sensor
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster
 from vcmvsp.agents.reconnaissance.search import Search
 from vcmvsp.agents.reconnaissance.sectors import lanes, strips
@@ -29,17 +28,6 @@ def counts(agent: Search) -> np.ndarray:
     mind = agent.map._mind
     assert isinstance(mind, Ledger)
     return mind.counts
-
-
-def test_without_loss_all_have_the_map_of_one_who_made_all_looks() -> None:
-    team = Team({name: searcher(most=100) for name in ("a", "b", "c")})
-    team.run(10.2)  # the looks at 10.0 s were told then, and heard at 10.1 s
-    a, b, c = (counts(agent) for agent in team.agents.values())
-    assert np.array_equal(a, b)
-    assert np.array_equal(a, c)
-    assert a.sum(axis=(1, 2, 3)).min() > 11 * 0.5 * math.pi * REACH**2 / 4.0
-    hits, misses = a.sum(axis=0, dtype=float)
-    assert team.agents["b"].map.odds == pytest.approx(np.clip(Sensor(0.9, 0.1).evidence(hits, misses), -20.0, 20.0))
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.7])
@@ -385,10 +373,3 @@ def test_what_it_sees_on_the_ground_is_scaled_to_the_height_of_the_search() -> N
     flight.act(z=10.0)
     assert flight.agent.goal in lanes(GRID.area, 6.0)
     assert Flight(swath_m=7.0).act(picture=False).linear[:2] != (0.0, 0.0)
-
-
-def test_a_target_outside_the_area_is_no_hit() -> None:
-    flight = Flight()
-    for _ in range(26):
-        flight.act((-1.0, 20.0), (41.0, 20.0))
-    assert flight.agent.map.blobs == []

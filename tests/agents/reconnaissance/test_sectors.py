@@ -158,12 +158,6 @@ def test_lanes_that_are_not_open_are_left_out_as_long_as_others_are(open_lanes: 
     assert all(abs(a[1] - b[1]) == 95.0 for a, b in zip(first[::2], first[1::2], strict=True))
 
 
-def test_where_no_lane_is_open_all_are_flown_as_if_all_were() -> None:
-    area = Rectangle(0.0, 0.0, 50.0, 100.0)
-    never, always = Comb("a", area, 5.0, overlap=0.0, is_open=lambda *_: False), Comb("a", area, 5.0, overlap=0.0)
-    assert flown(never, 40) == flown(always, 40)
-
-
 def test_after_all_lanes_come_those_across_from_the_nearer_side_and_then_the_first_again() -> None:
     comb = Comb("a", Rectangle(0.0, 0.0, 30.0, 60.0), 5.0, overlap=0.0, across=10.0)
     way = flown(comb, 40)

@@ -271,15 +271,6 @@ def test_a_clock_that_was_put_back_counts_as_no_time(sequence: list[MissionFacts
     assert step(state, facts._replace(now_ns=facts.now_ns - back_ns)) == step(state, facts)
 
 
-@given(st.lists(known, min_size=1, max_size=40))
-def test_the_same_facts_lead_to_the_same_state_which_nobody_can_change(sequence: list[MissionFacts]) -> None:
-    assert repr(history(sequence)) == repr(history(sequence))
-    state = history(sequence)[-1][0]
-    assert isinstance(hash(state), int)
-    with pytest.raises(AttributeError):
-        state.name = "search"  # type: ignore[misc]
-
-
 @given(st.lists(known, min_size=1, max_size=60))
 def test_nothing_is_tracked_for_long_that_is_not_seen_whatever_is_near(sequence: list[MissionFacts]) -> None:
     """The spiral counts all of the time from one tick to the next, from the one on at which the target is lost."""

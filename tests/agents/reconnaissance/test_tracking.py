@@ -70,27 +70,6 @@ def test_the_estimated_speed_follows_by_a_fifth_a_tick_and_by_as_much_where_tick
             assert other.velocity == pytest.approx(tracker.velocity)
 
 
-def late(n: int, gain: float, ticks: int) -> list[float]:
-    """Offsets of a vehicle whose commands act on pictures and positions n ticks old, from 1 m."""
-    tracker = Tracker(T, gain=gain, max_speed=math.inf)
-    tracker.begin(-T_NS, (0.0, 0.0))
-    xs = [1.0] * (n + 1)
-    for tick in range(ticks):
-        tracker.see(tick * T_NS, [(0.0, 0.0)])
-        xs.append(xs[-1] + T * tracker.command(tick * T_NS, (xs[-1 - n], 0.0, 30.0))[0])
-    return xs
-
-
-@pytest.mark.parametrize(("n", "bound"), [(15, 1.013), (20, 0.766)])
-def test_a_loop_that_is_late_settles_below_the_bound_and_not_above(n: int, bound: float) -> None:
-    exact = largest_gain(n, T)
-    assert exact == pytest.approx(bound, abs=5e-4)
-    for gain, decays in ((0.98 * exact, True), (1.02 * exact, False)):
-        xs = np.abs(late(n, gain, 3000))
-        share = xs[-300:].max() / xs[:300].max()
-        assert share < 0.5 if decays else share > 2.0
-
-
 @pytest.mark.parametrize("n", [0, 1, 5, 15, 20])
 def test_the_bound_is_where_a_root_of_the_loop_leaves_the_unit_circle(n: int) -> None:
     def radius(gain: float) -> float:

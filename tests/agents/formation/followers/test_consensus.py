@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.agents.agent_loop import Floats, observe, received
-from tests.support.step_responses import root
 from vcmvsp.agents.formation.followers.consensus import Consensus, Graph, neighbours_of
-from vcmvsp.agents.formation.followers.laws import hand_point, hand_velocity
+from vcmvsp.agents.formation.followers.laws import axle_velocity, hand_point
 from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Body, Radio, VehicleInfo
 from vcmvsp.cosim.types import Follows, Message, Velocity
@@ -144,15 +143,6 @@ def test_both_points_delayed_any_connected_graph_is_stable_up_to_the_sampled_bou
     assert size[1.05][1] > size[1.05][0]
 
 
-@pytest.mark.parametrize("age", range(7))
-@pytest.mark.parametrize("share", [0.3, 0.7, 1.0, 1.3])
-def test_the_root_found_is_the_largest_of_all(age: int, share: float) -> None:
-    """Around the bound, where roots swing: of those that numpy.roots finds."""
-    gain = share * 2.0 * math.sin(math.pi / (2 * (2 * age + 1)))
-    coefficients = [1.0, -1.0, *([0.0] * (age - 1)), gain] if age else [1.0, gain - 1.0]
-    assert root(gain, age) == pytest.approx(np.abs(np.roots(coefficients)).max(), rel=1e-9)
-
-
 @settings(max_examples=25)
 @given(sides=connected(), age=st.integers(0, 40), loss=st.sampled_from([0.0, 0.5, 0.9]), seed=st.integers(0, 99))
 def test_with_the_own_point_fresh_nobody_leaves_the_hull_and_all_meet(sides: Sides, age: int, loss: float, seed: int) -> None:
@@ -233,9 +223,8 @@ def test_on_wheels_the_hand_point_moves_as_the_protocol_says(yaw: float, x: floa
     agent = alone(handle=handle, gain=0.7, velocity=(0.1, 0.2))
     command = agent.act(observe((0.5, -0.5, yaw), 0, [report("m1", 0, x, y)]), Radio("m0", ("m0", "m1")))
     hand_x, hand_y = hand_point(0.5, -0.5, yaw, handle)
-    moved = hand_velocity(command.linear[0], command.yaw_rate, yaw, handle)
-    assert moved == pytest.approx((0.1 + 0.7 * (x - hand_x), 0.2 + 0.7 * (y - hand_y)), abs=1e-9)
-    assert command.linear[1:] == (0.0, 0.0)
+    v, w = axle_velocity(0.1 + 0.7 * (x - hand_x), 0.2 + 0.7 * (y - hand_y), yaw, handle)
+    assert (*command.linear, command.yaw_rate) == pytest.approx((v, 0.0, 0.0, w), abs=1e-9)
 
 
 def test_in_the_air_they_turn_to_the_heading_of_the_formation() -> None:

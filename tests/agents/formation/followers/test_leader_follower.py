@@ -85,8 +85,10 @@ def test_answers_to_own_reports_are_not_counted_as_nonsense() -> None:
 
 
 def test_a_report_that_asks_for_an_answer_gets_one_from_those_who_follow() -> None:
-    *_, sent = Seat("car3").act(says("car2", 0, ak=1))
+    asked = Seat("car3")
+    *_, sent = asked.act(says("car2", 0, ak=1))
     assert [(each.body, each.to) for each in sent if each.to] == [({"ack": 0}, "car2")]
+    assert not any(each.to for each in asked.act()[2])
     *_, sent = Seat("car4").act(says("car2", 0, ak=1))
     assert not any(each.to for each in sent)
 

@@ -70,14 +70,6 @@ def test_beyond_the_horizon_both_speeds_fade_linearly_to_zero(horizon_s: float, 
         pose = arc(pose, start.v * left, start.w * left, h)
 
 
-@given(state=STATES, age=st.floats(3.0, 1e6))
-def test_after_the_fade_the_leader_is_taken_to_stand_still(state: LeaderState, age: float) -> None:
-    estimator = DeadReckoning()
-    then = estimator.predict(report(state), age)
-    assert (then.v, then.w) == (0.0, 0.0)
-    assert then == estimator.predict(report(state), 3.0)
-
-
 @given(state=STATES, age=st.floats(0.0, 100.0))
 def test_hold_takes_the_report_as_it_is(state: LeaderState, age: float) -> None:
     assert Hold().predict(report(state), age) == state

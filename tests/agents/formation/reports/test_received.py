@@ -10,12 +10,8 @@ from hypothesis import strategies as st
 
 from tests.support.agents.agent_loop import observe, received
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
-from vcmvsp.agents.formation.leaders.trajectory import Trajectory
-from vcmvsp.agents.formation.reports.prediction import Hold
 from vcmvsp.agents.formation.reports.report import ReportReceiver
 from vcmvsp.cosim.agent import Radio, VehicleInfo
-from vcmvsp.cosim.config.binding import call
-from vcmvsp.cosim.config.registry import find
 from vcmvsp.cosim.types import Message, Reception, Velocity
 
 pytestmark = pytest.mark.slow
@@ -133,11 +129,6 @@ def test_a_program_that_goes_on_talking_does_not_hide_that_its_agent_is_silent()
     assert listening.absent_ns("leader", 4 * TICK_NS) == 0
 
 
-def test_until_the_leader_is_heard_the_follower_stands_still() -> None:
-    assert told() == (Velocity(), {"status": "waiting"})
-    assert told(heard(body_of(20), sender="car3"))[1] == {"status": "waiting"}
-
-
 @pytest.mark.parametrize("estimator", ["hold", "dr"])
 def test_when_the_leader_falls_silent_the_follower_slows_to_a_stop_and_goes_on_when_it_is_back(estimator: str) -> None:
     follower = LeaderFollower("leader", bearing_deg=30.0, estimator=estimator, timeout_s=3.0, fade_s=1.0)
@@ -169,35 +160,9 @@ def test_commands_keep_within_their_limits() -> None:
     assert (backed.linear[0], backed.yaw_rate) == (-0.3, -1.0)
 
 
-@pytest.mark.parametrize("bearing_deg", [90.0, -90.0, 180.0, 120.0])
-def test_a_slot_that_is_not_behind_needs_a_handle(bearing_deg: float) -> None:
-    with pytest.raises(ValueError, match=r"does not put this vehicle behind its leader .* give one, e.g. handle = 0.4"):
-        LeaderFollower("leader", 1.0, bearing_deg)
-    LeaderFollower("leader", 1.0, bearing_deg, handle=0.4)
-
-
-def test_the_slot_is_announced_for_measuring() -> None:
-    follows = LeaderFollower("car1", 1.0, 30.0).follows
-    assert follows is not None
-    assert follows.leader == "car1"
-    assert follows.handle_m == pytest.approx(0.8660254)
-    assert follows.slot == pytest.approx((-0.8660254, -0.5))
-    short = LeaderFollower("car1", 2.0, -60.0, handle=0.3).follows
-    assert short is not None
-    assert short.slot == pytest.approx((-1.0, 1.7320508))
-    assert short.handle_m == 0.3
-
-
 @pytest.mark.parametrize("leader", ["car7", "car2"])
 def test_a_leader_that_is_not_another_vehicle_is_refused(leader: str) -> None:
     info = VehicleInfo(name="car2", vehicles=("car1", "car2"), period_s=0.1, latency_s=0.0, seed=1)
     with pytest.raises(ValueError, match=r"is not another vehicle of this run \(car1\)"):
         LeaderFollower(leader).start(info)
     LeaderFollower("car1").start(info)
-
-
-def test_a_scenario_reaches_both_agents_by_their_short_names() -> None:
-    assert find("agent", "trajectory") is Trajectory
-    assert find("agent", "leader_follower") is LeaderFollower
-    follower = call(LeaderFollower, {"leader": "car1", "distance": 1, "bearing_deg": 30, "estimator": "hold"})
-    assert type(follower.estimator) is Hold

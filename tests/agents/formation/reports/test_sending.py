@@ -19,7 +19,7 @@ from vcmvsp.agents.formation.reports.sending import REMEMBERED, Reporter, Sendin
 from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.frames import arc
-from vcmvsp.cosim.types import Message, Reception
+from vcmvsp.cosim.types import Message
 
 NAMES = ("leader", "f0", "f1")
 NEEDED = Sending(when="needed")
@@ -50,15 +50,6 @@ STILL = LeaderState(0.0, 0.0, 0.0, 0.0, 0.0)
 
 def jump(metres: float) -> LeaderState:
     return LeaderState(metres, 0.0, 0.0, 0.0, 0.0)
-
-
-def test_always_means_at_every_tick_and_asks_for_no_answers() -> None:
-    sender = Sender(Sending())
-    for number in range(5):
-        body = sender(STILL)
-        assert body is not None
-        assert body["seq"] == number
-        assert "ak" not in body
 
 
 @pytest.mark.parametrize("estimator", [DeadReckoning(), Hold(), DeadReckoning(0.3, 0.2)])
@@ -209,14 +200,3 @@ def test_a_follower_answers_those_who_ask(body: dict[str, Any], answered: bool) 
     assert len(answers) == answered
     for answer in answers:
         assert (answer.body, answer.to, answer.size_bytes) == ({"ack": 7}, "leader", len(msgspec.msgpack.encode({"ack": 7})))
-
-
-def test_a_follower_answers_its_leader_in_the_tick_in_which_it_hears_it() -> None:
-    run_radio = Radio("f0", NAMES)
-    follower = LeaderFollower("leader", distance=1.0)
-    body = {"seq": 3, "t_ns": 0, "x": 0.0, "y": 0.0, "th": 0.0, "v": 0.3, "w": 0.0, "ak": 1}
-    heard: list[Reception] = [received(Message(sender="leader", body=body, size_bytes=60))]
-    follower.act(observe((-1.0, 0.0, 0.0), 100_000_000, heard), run_radio)
-    assert [(each.to, each.body) for each in run_radio.drain()] == [("leader", {"ack": 3})]
-    follower.act(observe((-1.0, 0.0, 0.0), 200_000_000), run_radio)
-    assert run_radio.drain() == []

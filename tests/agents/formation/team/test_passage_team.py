@@ -73,12 +73,6 @@ def test_clocks_of_members_may_be_ahead_as_far_as_the_leader_is_told() -> None:
         assert sum("shape" in notes for notes in told) == shapes
 
 
-def test_places_are_dealt_out_by_where_members_say_they_are() -> None:
-    front = Front(formation())
-    _, report = front.act(scan((1.0, 0.0)), at("car2", -1.6, 0.0), at("car3", -0.8, 0.0))
-    assert report["order"] == [0, 2, 1]
-
-
 def test_a_shape_that_is_due_while_the_team_is_narrow_is_the_next_wide_one() -> None:
     of = Formation(spacing=1.0, changes=((0.2, "line"),), passage=Passage(policy="immediate"))
     front = Front(of)

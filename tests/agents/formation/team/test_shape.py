@@ -43,13 +43,6 @@ def test_nobody_belongs_ahead_of_the_leader(shape: ShapeName, count: int, spacin
     assert max(x for x, _ in slots(shape, count, spacing)) == 0.0
 
 
-@given(shapes, st.integers(2, 40), spacings, st.floats(1.1, 3.0))
-def test_shapes_grow_in_proportion_to_the_spacing(shape: ShapeName, count: int, spacing: float, times: float) -> None:
-    small, large = slots(shape, count, spacing), slots(shape, count, spacing * times)
-    for (x, y), wide in zip(small, large, strict=True):
-        assert wide == pytest.approx((x * times, y * times))
-
-
 @given(st.sampled_from(("column", "line", "echelon", "wedge")), st.integers(1, 40))
 def test_another_member_moves_nobody_where_the_shape_is_open(shape: ShapeName, count: int) -> None:
     assert slots(shape, count + 1, 1.0)[:count] == slots(shape, count, 1.0)
@@ -83,15 +76,6 @@ def test_a_diamond_has_rows_of_1_2_3_2_1() -> None:
         rows.setdefault(round(-x / s), []).append(round(y / s, 9))
     assert rows == {0: [0], 1: [1, -1], 2: [2, 0, -2], 3: [1, -1], 4: [0]}
     assert slots("diamond", 7, 1.0) == slots("diamond", 9, 1.0)[:7]
-
-
-@pytest.mark.parametrize(
-    ("shape", "count", "lane"),
-    [("column", 6, 0.4), ("line", 4, 3.4), ("wedge", 3, 1.4), ("box", 9, 2.4), ("diamond", 4, 1.814)],
-)
-def test_the_lane_that_a_shape_needs(shape: ShapeName, count: int, lane: float) -> None:
-    across = [y for _, y in slots(shape, count, 1.0)]
-    assert max(across) - min(across) + 0.4 == pytest.approx(lane, abs=1e-3)  # with bodies 0.4 m wide
 
 
 def test_an_own_shape_is_what_it_says() -> None:

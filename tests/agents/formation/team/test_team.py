@@ -243,11 +243,6 @@ def test_the_sum_of_all_ways_is_the_least_there_is(shape: ShapeName, positions: 
     assert total(assign(positions, places)) == pytest.approx(least)
 
 
-def test_who_is_there_already_stays() -> None:
-    places = slots("wedge", 7, 1.0)
-    assert assign(places, places) == tuple(range(7))
-
-
 def test_keeping_the_numbers_would_cross() -> None:
     """A wedge that becomes a column by numbers crosses paths; the check sees it."""
     positions, places = slots("wedge", 9, 1.0), slots("line", 9, 1.0)[:1] + slots("line", 9, 1.0)[:0:-1]

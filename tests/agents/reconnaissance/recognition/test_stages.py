@@ -140,17 +140,6 @@ def test_magnitudes_do_not_tell_a_mirror_image_but_correlation_does() -> None:
     assert match(picture, TEMPLATE, MatchedPose(71.5, 71.5, rotation(spectrum, TEMPLATE.full.spectra[:, 0]), 48.0))[0] < 0.65
 
 
-def test_correlation_alone_is_lost_where_the_picture_is_turned() -> None:
-    """Why it is turned back first: beyond a few degrees little is left of it."""
-    scores = {}
-    for degrees in (0, 10, 20, 40):
-        patch = turned(glyph(), math.radians(degrees))[44:100, 44:100]
-        scores[degrees] = float(cv2.matchTemplate(patch, TEMPLATE.patch, cv2.TM_CCOEFF_NORMED).max())
-    assert scores[0] > 0.95
-    assert scores[0] > scores[10] > scores[20] > scores[40]
-    assert scores[20] < 0.75
-
-
 def test_templates_are_blurred_as_the_camera_blurs() -> None:
     """A target of 16 px a side is more like the template for 16 px than like a sharp one; one of 64 px the other way round."""
     for side, other in ((16, 200), (64, 16)):
