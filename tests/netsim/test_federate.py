@@ -8,9 +8,8 @@ import pytest
 
 from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
+from vcmvsp.cosim.federate import Event, RunInfo, Step
 from vcmvsp.cosim.types import Array, FrameReport, Message, Reception, States
-from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.netsim.mac.dcf import access
 
@@ -41,13 +40,6 @@ def radio() -> RadioFederate:
     federate = RadioFederate(make_channel("wifi-b-1"))
     assert federate.start(RUN) is None
     return federate
-
-
-def test_it_is_a_federate_that_wakes_for_what_is_sent(radio: RadioFederate) -> None:
-    assert isinstance(radio, Federate)
-    assert (radio.name, radio.slot, radio.wake_slot) == ("radio", Slot.RADIO, Slot.SEND)
-    assert radio.reads == ("*/send", "bridge/sent", "operator/outage", "operator/changed")
-    assert radio.wakes == ("*/send", "bridge/sent")
 
 
 def test_a_frame_gives_one_report_and_one_reception_for_each_who_hears_it(radio: RadioFederate) -> None:
@@ -98,23 +90,6 @@ def test_all_events_lie_in_the_present_or_the_future() -> None:
                 assert event.time_ns == event.value.received_ns > event.value.sent_ns == k * MS
             else:
                 assert event.time_ns == k * MS
-
-
-def test_a_new_start_repeats_the_run() -> None:
-    def run(radio: RadioFederate, run: RunInfo) -> list[list[int]]:
-        radio.start(run)
-        inbox = [states(0, 0.0, 5.0, 9.0)]
-        steps = [radio.step(k * 100 * MS, [*inbox, sends(k * 100 * MS, "a")]) for k in range(100)]
-        return [frames(step)[0].received_ns.tolist() for step in steps]
-
-    def channel() -> Channel:
-        return make_channel("wifi-b-1", loss={"probability": 0.5})
-
-    radio = RadioFederate(channel())
-    first = run(radio, RUN)
-    assert run(radio, RUN) == first
-    assert run(RadioFederate(channel()), RUN) == first
-    assert run(radio, RunInfo(scenario="test", seed=5, duration_ns=10**10, vehicles=NAMES)) != first
 
 
 def test_sending_before_any_position_is_known_is_an_error(radio: RadioFederate) -> None:

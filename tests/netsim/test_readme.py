@@ -1,7 +1,6 @@
 """The README says what is so: its blocks work as they stand there, and it knows every outcome and what it points to."""
 
 import re
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +8,6 @@ import pytest
 
 from tests.support.netsim.channels import send
 from vcmvsp import netsim
-from vcmvsp.cosim.assembly import radio
-from vcmvsp.cosim.config import binding
-from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.testing import check_channel
 from vcmvsp.netsim.channel.channel import Channel, Outages
@@ -22,7 +18,6 @@ from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.loss import Bernoulli, GilbertElliott
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
-from vcmvsp.netsim.interfaces.layers import Radio
 from vcmvsp.netsim.phy.dsss import Dsss
 
 HOME = Path(netsim.__path__[0])
@@ -48,19 +43,6 @@ def test_the_layers_of_ones_own() -> None:
     assert all(far == "tunnel" for _, far in outcomes)
 
 
-def test_the_lines_of_a_scenario() -> None:
-    scenario = tomllib.loads(block("toml"))
-    channel, resolved = radio.build(scenario["radio"], Source("README.md", HOME), vehicles=("car1", "car2"))
-    assert isinstance(channel, Channel)
-    assert {layer: resolved[layer]["kind"] for layer in ("path_loss", "script", "delivery")} == {
-        "path_loss": "log_distance",
-        "script": "script",
-        "delivery": "delivery",
-    }
-    for vehicle in scenario["vehicle"]:
-        binding.call(Radio, vehicle["radio"])
-
-
 def test_every_outcome_is_explained(tmp_path: Path) -> None:
     (tmp_path / "links.csv").write_text("time_s,sender,receiver,loss\n0,a,b,1\n")
     trace = Trace(str(tmp_path / "links.csv"))
@@ -72,10 +54,3 @@ def test_every_outcome_is_explained(tmp_path: Path) -> None:
     section = README.partition("## What becomes of a frame")[2].partition("\n## ")[0]
     rows = [line.split(" | ")[0] for line in section.splitlines() if line.startswith("| `")]
     assert {name for row in rows for name in re.findall(r"`([^`]+)`", row)} == known - {""}
-
-
-def test_what_it_points_to_is_there() -> None:
-    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", README):
-        assert (HOME / target).exists(), target
-    for name in re.findall(r"`([\w/]+\.py)`", README):
-        assert name == "my_models.py" or (HOME / name).exists(), name

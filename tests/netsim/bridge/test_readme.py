@@ -114,9 +114,3 @@ def test_the_door_of_ones_own(tmp_path: Path) -> None:
 def test_every_door_has_its_part() -> None:
     for kind in builtin_kinds.KINDS["door"]:
         assert f"`[bridge.{kind}]`" in README
-    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", README):
-        assert (HOME / target).exists(), target
-    headings = {
-        re.sub(r"[^\w -]", "", each.lower()).replace(" ", "-") for each in re.findall(r"^## (.*)$", README, re.MULTILINE)
-    }
-    assert set(re.findall(r"\]\(#([^)]+)\)", README)) <= headings

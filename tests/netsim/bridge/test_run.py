@@ -1,13 +1,11 @@
 """Programs and a run: a kernel, a radio, a bridge process and sockets."""
 
-import signal
 import socket
 import subprocess
 import sys
 import textwrap
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,26 +15,18 @@ from tests.support.netsim.bridge_runs import BROADCAST, BridgeRun, all_of, runni
 from tests.support.netsim.gateway_context import PATIENCE_S
 from vcmvsp.cosim.clock import SECOND_NS, WallClock
 from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.federate import Event, Prompted, Releasable, RunInfo, Slot, Step
+from vcmvsp.cosim.federate import Event, Releasable, RunInfo, Slot, Step
 from vcmvsp.cosim.types import Message, Reception
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.netsim.bridge.messages import GatewaySpec
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 MS = 1_000_000
 
 
-def test_it_is_a_federate_to_which_somebody_may_come_at_any_time() -> None:
-    bridge = BridgeRun("a", "b", connect=False).bridge
-    assert isinstance(bridge, Prompted)
-    assert isinstance(bridge, Releasable)
-    assert (bridge.name, bridge.slot, bridge.wake_slot) == ("bridge", Slot.WORLD, Slot.APPLY)
-    assert bridge.reads == bridge.wakes == ("radio/traffic",)
-
-
 def test_a_scenario_that_is_only_checked_opens_nothing() -> None:
     run = BridgeRun("a", "b", connect=False)
+    assert isinstance(run.bridge, Releasable)
     run.kernel.start()
     with run.program(0), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(run.port(0, BROADCAST))
@@ -225,39 +215,6 @@ def test_what_agents_said_is_delivered_once_for_each_time_that_it_was_heard() ->
         assert what_is_there(c) == []
 
 
-def test_levels_are_told_while_a_door_asks(tmp_path: Path) -> None:
-    (tmp_path / "probe.py").write_text(
-        textwrap.dedent("""
-            from pathlib import Path
-
-            class Probe:
-                def __init__(self, out: str) -> None:
-                    self.out = Path(out)
-
-                async def open(self, context):
-                    context.loop.call_later(0.05, self.turn, context)
-                    return []
-
-                def turn(self, context):
-                    level = context.level_dbm(2, 1)
-                    self.out.write_text(str(level))
-                    if level != level:
-                        context.loop.call_later(0.02, self.turn, context)
-
-                def deliver(self, sender, receiver, payload):
-                    pass
-
-                async def close(self):
-                    pass
-        """)
-    )
-    out = tmp_path / "level"
-    gateway = GatewaySpec(name="probe", kind="probe.py:Probe", params={"out": str(out)})
-    run = BridgeRun("a", "b", "c", gateways=[gateway], folder=str(tmp_path))
-    with running(run):
-        wait_for(lambda: out.exists() and out.read_text() == "-21.0")
-
-
 def test_a_run_of_many_messages_is_said_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vcmvsp.netsim.bridge.messages.MOST_DUE", 3)
     names = [f"v{k}" for k in range(8)]
@@ -343,31 +300,3 @@ def test_what_comes_while_the_run_stands_is_of_the_time_at_which_it_stood() -> N
     assert sent_ns[59] <= 700 * MS  # nor when it came to go on: its next instant is at 0.6 s
     assert (np.diff(sent_ns) >= 0).all()
     assert all(row["late_s"] is None or row["late_s"] >= 0.0 for row in run.bridge.table().to_pylist())
-
-
-STUCK = """
-import time
-
-class Stuck:
-    async def open(self, context):
-        return []
-
-    def deliver(self, sender, receiver, payload):
-        pass
-
-    async def close(self):
-        time.sleep(600.0)
-"""
-
-
-def test_that_the_process_had_to_be_killed_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vcmvsp.netsim.bridge.process_client.CLOSE_S", 0.1)
-    (tmp_path / "stuck.py").write_text(STUCK)
-    gateway = GatewaySpec(name="stuck", kind="stuck.py:Stuck", params={})
-    run = BridgeRun("a", "b", gateways=[gateway], folder=str(tmp_path), seconds=0.2)
-    run.go()
-    run.join()
-    process = run.bridge._process
-    assert process is not None
-    assert run.told[-1] == "bridge: its process did not end in time and was killed"
-    assert process._process.returncode == -signal.SIGKILL

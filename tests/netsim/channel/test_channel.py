@@ -21,20 +21,12 @@ def broadcast(channel: Channel, sender: str, places: dict[str, tuple[float, floa
     return one(channel.send(sent_ns, message, tuple(places), np.array(list(places.values()))))
 
 
-def test_by_default_the_wireless_simulation_server_cuts_nobody_off() -> None:
-    """Exponent 1 reaches 43 056 m."""
-    assert send(make_channel("wss"), 10_000.0, 43_055.0, 43_056.0).outcome == ("received", "received", "below sensitivity")
-
-
-def test_range_of_wifi_b() -> None:
-    """Between 85.56 and 85.57 m: an 802.11b node of ns-3.44 with this path loss receives at the one and not at the other."""
-    report = send(make_channel("wifi-b-1"), 1.0, 85.56, 85.57)
-    assert report.outcome == ("received", "received", "below sensitivity")
-    assert report.rssi_dbm[0] == pytest.approx(16.0206 - 40.052)  # Friis over the reference metre
-
-
-def test_range_of_zigbee() -> None:
-    assert send(make_channel("zigbee"), 31.4, 31.5).outcome == ("received", "below sensitivity")
+@pytest.mark.parametrize(
+    ("preset", "within_m", "beyond_m"), [("wss", 43_055.0, 43_056.0), ("wifi-b-1", 85.56, 85.57), ("zigbee", 31.4, 31.5)]
+)
+def test_a_preset_reaches_as_far_as_its_law_says(preset: str, within_m: float, beyond_m: float) -> None:
+    """802.11b: a node of ns-3.44 with this path loss receives at the one distance and not at the other."""
+    assert send(make_channel(preset), within_m, beyond_m).outcome == ("received", "below sensitivity")
 
 
 def test_a_level_equal_to_the_sensitivity_is_received() -> None:
@@ -113,13 +105,15 @@ def outcomes(channel: Channel, order: tuple[str, ...], frames: int = 150) -> dic
 
 
 CHANCE: dict[str, Any] = {"loss": {"probability": 0.4}, "delay": {"seconds": 0.1, "jitter_s": 0.03}}
+SPREAD: dict[str, Any] = {"shadowing": {"sigma_db": 20.0}, "fading": {"kind": "rayleigh"}}
 
 
-def test_a_link_fares_the_same_whoever_else_takes_part_and_in_whatever_order() -> None:
-    alone = outcomes(make_channel("wifi-b-1", **CHANCE), ("a", "b", "c"))
+@pytest.mark.parametrize("layers", [CHANCE, CHANCE | SPREAD], ids=["chance", "spread"])
+def test_a_link_fares_the_same_whoever_else_takes_part_and_in_whatever_order(layers: dict[str, Any]) -> None:
+    alone = outcomes(make_channel("wifi-b-1", **layers), ("a", "b", "c"))
     assert len({tuple(times) for times in alone.values()}) == 6  # six links, six fates
     for order in [*permutations("abc"), tuple("zabyxc"), tuple("abcdefghijklmnopqrstuvw")]:
-        others_too = outcomes(make_channel("wifi-b-1", **CHANCE), order)
+        others_too = outcomes(make_channel("wifi-b-1", **layers), order)
         assert {link: others_too[link] for link in alone} == alone
 
 

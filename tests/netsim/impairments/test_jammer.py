@@ -69,15 +69,9 @@ def test_it_moves_along_its_path(t_s: float, place: tuple[float, float, float]) 
     assert heard(moving, at_ns=round(t_s * 1e9)) == pytest.approx(heard(standing), rel=1e-9)
 
 
-def test_pulses_by_hand() -> None:
-    """On in [5, 7) and [15, 17) ms; over before the third pulse."""
+def test_a_pulse_has_the_whole_power() -> None:
     source = Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=0.005, to_s=0.025, duty=0.2, period_s=0.01)
-    found = [t for t in range(30) if on(source, t * MS, MS)]
-    assert found == [5, 6, 15, 16]
-    assert [on(source, 7 * MS, air) for air in (8 * MS, 8 * MS + 1)] == [False, True]
-    cut = Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=0.005, to_s=0.016, duty=0.2, period_s=0.01)  # inside a pulse
-    assert [on(cut, 16 * MS + t, MS) for t in (-1, 0)] == [True, False]
-    assert heard(source, at_ns=6 * MS) == heard(Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0)))  # not less for its pauses
+    assert heard(source, at_ns=6 * MS) == heard(Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0)))
 
 
 @given(

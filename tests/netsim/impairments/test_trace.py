@@ -157,24 +157,6 @@ def by_hand(own: list[tuple[int, int]], at: float, interpolate: bool) -> float:
     return v0 + (v1 - v0) * (at - t0) / (t1 - t0)
 
 
-def test_many_rows_and_links(tmp_path: Path) -> None:
-    """2e5 rows of 90 links: every row is found again."""
-    rng, names = np.random.default_rng(1), [f"car{k}" for k in range(10)]
-    links = [(a, b) for a in names for b in names if a != b]
-    link, levels = rng.integers(0, len(links), 200_000), rng.uniform(-90.0, -30.0, 200_000)
-    columns: dict[str, Any] = {
-        "time_s": np.arange(200_000) / 1000.0,
-        "sender": [links[k][0] for k in link],
-        "receiver": [links[k][1] for k in link],
-        "rssi_dbm": levels,
-    }
-    parquet.write_table(pa.table(columns), tmp_path / "links.parquet")
-    trace = Trace(str(tmp_path / "links.parquet"))
-    for k in range(0, 200_000, 397):
-        sender, receiver = links[link[k]]
-        assert trace.level_dbm(frame(k / 1000.0, sender, (receiver,)))[0] == levels[k]
-
-
 HEAD = "time_s,sender,receiver,loss\n"
 
 

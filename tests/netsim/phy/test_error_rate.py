@@ -144,16 +144,6 @@ def test_biorthogonal_signals() -> None:
         assert union * (1.0 - distance) <= error <= union * (1.0 + 1e-9)
 
 
-def test_biorthogonal_signals_by_simulation() -> None:
-    """The definition: the largest of 8 correlations, by magnitude and sign, is the sent one."""
-    rng, e = np.random.default_rng(3), 4.0
-    correlations = rng.standard_normal((200_000, 8))
-    correlations[:, 0] += math.sqrt(2.0 * e)
-    wrong = correlations[:, 0] < np.abs(correlations[:, 1:]).max(axis=1)
-    expected = float(biorthogonal_error(array(e))[0])
-    assert wrong.mean() == pytest.approx(expected, abs=4.0 * math.sqrt(expected / 200_000))
-
-
 def test_noise_alone_leaves_a_coin() -> None:
     """At no signal DBPSK and O-QPSK decide by chance: pb = 1/2; the shortest code word of 4 bits is guessed with 1/16."""
     nothing = array(0.0)

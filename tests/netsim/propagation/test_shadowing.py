@@ -4,18 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from tests.support.netsim.channels import Line, each_alone
+from tests.support.netsim.channels import Line
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.shadowing import Shadowing
 
 pytestmark = pytest.mark.slow
 
 LAYER = Shadowing(sigma_db=4.0, correlation_distance_m=10.0)
-coordinate = st.floats(-2000.0, 2000.0)
-point = st.tuples(coordinate, coordinate, coordinate)
 
 
 def in_a_city(rng: np.random.Generator, count: int) -> Floats:
@@ -62,16 +58,6 @@ def test_independent_seeds_and_links(ends: tuple[Floats, Floats, Floats]) -> Non
     one = shadows(a, b, 1)
     assert abs(np.corrcoef(one, shadows(a, b, 2))[0, 1]) < 0.03
     assert abs(np.corrcoef(one, shadows(a[::-1], b, 1))[0, 1]) < 0.03
-
-
-@given(points=st.lists(point, min_size=2, max_size=12), seed=st.integers(0, 3))
-def test_the_same_there_and_back_and_whoever_else_listens(points: list[tuple[float, ...]], seed: int) -> None:
-    paths = Line.between(points[0], points[1:], seed)
-    losses = LAYER.loss_db(paths)
-    assert losses.shape == (len(points) - 1,)
-    assert np.isfinite(losses).all()
-    assert losses.tolist() == [LAYER.loss_db(each).item() for each in each_alone(paths)]
-    assert losses.tolist() == [LAYER.loss_db(Line.between(each, np.array(points[:1]), seed)).item() for each in points[1:]]
 
 
 def test_a_way_in_small_steps_ends_where_one_leap_does() -> None:

@@ -7,11 +7,10 @@ from hypothesis import strategies as st
 
 from tests.support.netsim.channels import send
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.testing import check_channel
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.impairments.delay import NoDelay
 from vcmvsp.netsim.impairments.loss import NoLoss
-from vcmvsp.netsim.interfaces.layers import Bools, Floats, PathLoss, Paths, Radio
+from vcmvsp.netsim.interfaces.layers import Bools, Floats, Paths, Radio
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT, LogDistance
 from vcmvsp.netsim.propagation.walls import ITU_MATERIALS, Bodies, FixedWalls, ItuWalls, slab_loss_db, through
@@ -99,18 +98,6 @@ def test_range_of_the_wireless_simulation_server_through_walls(exponent: float, 
         paths = Paths.between(np.array([0.0, 0.0, 0.5]), np.array(ends))
         level = 0.0 - path.loss_db(paths) - walls.loss_db(paths)
         assert (level >= -93.0).tolist() == [True, False]
-
-
-BOXES = [
-    Box(center=(x, y, 1.0), size=(20.0, 0.2, 300.0), yaw_rad=x * 0.01, material="brick")
-    for x in range(-250, 300, 50)
-    for y in range(-250, 300, 50)
-]
-
-
-@pytest.mark.parametrize("layer", [ItuWalls(Across("brick", "wood")), ItuWalls(Sightline(BOXES)), FixedWalls(Sightline([]))])
-def test_the_laws_of_every_path_loss(layer: PathLoss) -> None:
-    check_channel(layer)
 
 
 def bodies(foot: Floats, radius_m: float = 0.5, height_m: float = 1.0) -> Bodies:

@@ -207,21 +207,6 @@ def test_what_a_program_does_not_take_is_lost_beyond_four_mebibytes(tmp_path: Pa
     assert sum("reads too slowly" in line for line in told) == 1
 
 
-def test_what_is_lost_to_a_program_is_told_though_it_never_wakes(tmp_path: Path) -> None:
-    events, told = list[Any](), list[str]()
-
-    def flood(end: Socket) -> None:
-        for _ in range(70):
-            end.sendto(bytes(65_535), "a")
-        idle(end)
-
-    content = scenario(tmp_path, "a", "b")
-    played(content, {"a": lambda end: end.sleep(9.0), "b": flood}, mcap=False, observe=events.append, tell=told.append)
-    lost = 70.0 - (4 << 20) // (65_535 + 512)
-    assert notes_of(events)[-1][2] == {"program_missed": lost}
-    assert sum("reads too slowly" in line for line in told) == 1
-
-
 def test_a_program_that_hangs_ends_the_run_with_its_name(tmp_path: Path) -> None:
     def hang() -> None:
         with by_hand(tmp_path, "b") as end:
