@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 
 from tests.support.agents.obstacle_fields import (
     DRONE,
@@ -16,12 +17,17 @@ from tests.support.agents.obstacle_fields import (
     WINGS,
     Box,
     Point,
+    Pose,
+    Way,
+    drive,
     scattered,
     seen_from,
     steered,
     steering,
     sweep,
+    to_goal,
 )
+from tests.support.agents.obstacle_fields import there as reached
 from tests.support.agents.scans import view
 from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
 from vcmvsp.agents.avoidance.gap import gaps_ahead
@@ -177,13 +183,19 @@ def test_a_method_is_told_what_was_commanded_after_all_limits() -> None:
     assert asked.now[4] == (0.0, 0.0) != (last.velocity[0], last.yaw_rate)
 
 
-# --- whatever is seen ---
+# --- laws of all methods ---
 
-DECIDING = pytest.mark.parametrize(("method", "body"), [(Vfh(), ROBOT), (Vfh(), DRONE), (DynamicWindow(), ROBOT)])
+ALL: list[tuple[Settings, Body]] = [
+    *((method, body) for method in IN_THE_AIR for body in (ROBOT, DRONE)),
+    (DynamicWindow(), ROBOT),
+]
+BOTH_SIDES = [(each, body, math.pi) for each, body in ALL]
+BOTH_SIDES += [(each, body, math.tau) for each, body in ALL if not isinstance(each, Vfh)]  # whose sectors begin at a side
+places = st.none() | st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
 
 
-@DECIDING
-@given(st.floats(-0.1, 0.6), st.floats(-1.2, 1.2), st.none() | st.tuples(st.floats(-3, 3), st.floats(-3, 3)))
+@pytest.mark.parametrize(("method", "body"), ALL)
+@given(st.floats(-0.1, 0.6), st.floats(-1.2, 1.2), places)
 def test_where_all_is_free_the_task_is_left_as_it_is(
     method: Settings, body: Body, v: float, w: float, aim: Point | None
 ) -> None:
@@ -191,15 +203,69 @@ def test_where_all_is_free_the_task_is_left_as_it_is(
         assert method.method(body, 0.1).decide(seen, Task((v, 0.0), w, aim)) == ((v, 0.0), w, "task")
 
 
-@DECIDING
-@given(st.integers(0, 2**32), st.sampled_from((math.pi, math.tau)))
-def test_nothing_makes_it_raise_or_go_faster_than_it_may(method: Settings, body: Body, seed: int, fov: float) -> None:
-    rng, made = np.random.default_rng(seed), method.method(body, 0.1)
-    for aim in ((2.0, 0.4), (0.0, 0.0), (-1.0, 0.2), None):
-        ranges = rng.choice([0.0, 0.01, 0.2, 0.27, 0.9, 1.3, 5.0, math.inf], 64)
-        decision = made.decide(view(ranges, fov), Task((0.3, 0.0), 0.1, aim, (2.5, 0.0), 0.6))
-        assert math.hypot(*decision.velocity) <= 0.6 + 1e-12
-        assert body.flies or (decision.velocity[1] == 0.0 and decision.velocity[0] >= 0.0)
+@pytest.mark.parametrize(("method", "body"), ALL)
+@given(
+    scans=st.lists(
+        arrays.arrays(float, st.integers(2, 60), elements=st.sampled_from([0.0, 0.3, 1.2, math.inf]) | st.floats(0.0, 4.0)),
+        min_size=1,
+        max_size=3,
+    ),
+    fov=st.sampled_from([0.5, math.pi, 4.0, math.tau]),
+    speeds=st.tuples(st.floats(-0.1, 1.0), st.floats(-1.0, 1.0), st.floats(-2.0, 2.0)),
+    aim=places,
+    leader=places,
+    most=st.floats(0.1, 3.0),
+)
+def test_any_scan_gives_a_decision_within_the_limits(
+    method: Settings,
+    body: Body,
+    scans: list[Array],
+    fov: float,
+    speeds: tuple[float, float, float],
+    aim: Point | None,
+    leader: Point | None,
+    most: float,
+) -> None:
+    v, across, w = speeds
+    made, task = method.method(body, 0.1), Task((v, across if body.flies else 0.0), w, aim, leader, most)
+    for ranges in scans:
+        (ahead, left), turning, mode = made.decide(view(ranges, fov), task)
+        if mode == "task":
+            assert ((ahead, left), turning) == (task.velocity, w)
+        elif mode == "turn":
+            assert (ahead, left, abs(turning)) == (0.0, 0.0, pytest.approx(0.6))
+        else:
+            assert math.hypot(ahead, left) <= most + 1e-9
+            assert body.flies or (ahead >= min(v, 0.0) and left == 0.0 and abs(turning) <= 1.2 + 1e-9)
+
+
+def task_and_mirrored(rng: np.random.Generator, body: Body) -> list[Task]:
+    """To nowhere, to a place, or behind a leader."""
+    (x, y), (lead_x, lead_y), turn, kind = rng.uniform(-2, 2, 2), rng.uniform(-2, 2, 2), rng.normal(), rng.integers(3)
+    across = 0.1 if body.flies else 0.0
+    return [
+        Task((0.3, side * across), side * turn, (x, side * y) if kind else None, (lead_x, side * lead_y) if kind == 2 else None)
+        for side in (1, -1)
+    ]
+
+
+@pytest.mark.parametrize(("method", "body", "fov"), BOTH_SIDES)
+def test_a_mirrored_scan_gives_the_mirrored_decision(method: Settings, body: Body, fov: float) -> None:
+    rng, modes = np.random.default_rng(3), set()
+    for _ in range(200):
+        ranges = np.repeat(rng.uniform(0.3, 2.0, int(rng.integers(5, 40))), 4)
+        other = ranges[::-1] if fov == math.pi else np.roll(ranges[::-1], 1)  # the whole turn begins straight behind
+        task, mirrored = task_and_mirrored(rng, body)
+        here, there = method.method(body, 0.1), method.method(body, 0.1)
+        for k in range(3):
+            one, two = here.decide(view(ranges + 0.1 * k, fov), task), there.decide(view(other + 0.1 * k, fov), mirrored)
+            modes.add(one.mode)
+            assert two.mode == one.mode
+            assert (*two.velocity, two.yaw_rate) == pytest.approx((one.velocity[0], -one.velocity[1], -one.yaw_rate), abs=1e-9)
+    assert {"task", "avoid"} <= modes
+
+
+DECIDING = pytest.mark.parametrize(("method", "body"), [(Vfh(), ROBOT), (Vfh(), DRONE), (DynamicWindow(), ROBOT)])
 
 
 @DECIDING
@@ -210,6 +276,50 @@ def test_where_there_is_no_way_it_turns_to_one_side(method: Settings, body: Body
     assert all(each.velocity == (0.0, 0.0) and each.mode == "turn" for each in decisions)
     assert abs(decisions[0].yaw_rate) == 0.6
     assert len({each.yaw_rate for each in decisions}) == 1
+
+
+# --- ways around things, on wheels ---
+
+DRIVING = pytest.mark.parametrize("method", [Vfh(), DynamicWindow()])
+KEPT_M = ROBOT.radius_m + 0.05 - 0.02  # what is between two beams is not seen
+
+
+def driven(method: Settings, start: Pose, **options: Any) -> Way:
+    return drive(method.method(ROBOT, 0.1), start, to_goal, reached, beams=128, fov=math.pi, **options)
+
+
+@DRIVING
+@pytest.mark.parametrize("start", np.random.default_rng(1).uniform((-3.5, -0.6, -0.6), (-2.5, 0.6, 0.6), (20, 3)).tolist())
+def test_it_gets_around_a_pillar_without_dithering(method: Settings, start: list[float]) -> None:
+    x, y, yaw = start
+    way = driven(method, (x, y, yaw), seconds=100.0)
+    assert reached(way.end)
+    assert way.clearance > KEPT_M
+    modes = [each.mode for each in way.decisions]
+    assert isinstance(method, DynamicWindow) or sum(a != b for a, b in pairwise(modes)) <= 4
+
+
+@DRIVING
+def test_it_goes_through_a_door_and_touches_nothing_where_there_is_none(method: Settings) -> None:
+    door: list[Box] = [((-0.1, -5.0), (0.1, -0.45)), ((-0.1, 0.45), (0.1, 5.0))]
+    way = driven(method, (-3.0, 0.3, 0.1), boxes=door)
+    assert reached(way.end)
+    assert way.clearance > KEPT_M
+    room: list[Box] = [
+        ((-0.1, -5.0), (0.1, 5.0)),
+        ((-4.0, -2.0), (0.0, -1.9)),
+        ((-4.0, 1.9), (0.0, 2.0)),
+        ((-4.1, -2.0), (-4.0, 2.0)),
+    ]
+    way = driven(method, (-3.0, 0.3, 0.1), boxes=room)
+    assert way.end[0] < -0.1
+    assert way.clearance > KEPT_M
+
+
+def test_by_vfh_it_gets_around_a_wall() -> None:
+    way = driven(Vfh(), (-3.0, 0.3, 0.1), boxes=[((-0.1, -2.0), (0.1, 2.0))])
+    assert reached(way.end)
+    assert way.clearance > KEPT_M
 
 
 # --- where beams point ---

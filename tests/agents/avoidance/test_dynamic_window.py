@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.obstacle_fields import ROBOT, Box, Pose, Way, drive, rooms, there, to_goal
+from tests.support.agents.obstacle_fields import ROBOT, rooms
 from tests.support.agents.scans import view as scan
-from vcmvsp.agents.avoidance import DynamicWindow, Method, Task, View
+from vcmvsp.agents.avoidance import DynamicWindow, Task, View
 from vcmvsp.agents.avoidance.dynamic_window import clearances
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.types import Array
@@ -108,47 +108,6 @@ def test_it_stays_in_the_window_that_its_accelerations_open(seed: int) -> None:
         last = now
 
 
-@settings(max_examples=60)
-@given(st.integers(0, 2**32), st.floats(0.1, 2.0))
-def test_a_mirrored_scan_gives_the_mirrored_decision(seed: int, y: float) -> None:
-    ranges = rooms(seed)
-    one, other = DynamicWindow().method(ROBOT, PERIOD_S), DynamicWindow().method(ROBOT, PERIOD_S)
-    for k in range(3):
-        left = one.decide(scan(ranges + 0.1 * k), Task((0.3, 0.0), 0.1 * y, (1.5, y)))
-        right = other.decide(scan(ranges[::-1] + 0.1 * k), Task((0.3, 0.0), -0.1 * y, (1.5, -y)))
-        assert left.mode == right.mode
-        assert left.velocity == pytest.approx(right.velocity)
-        assert left.yaw_rate == pytest.approx(-right.yaw_rate)
-
-
 def test_what_flies_is_refused() -> None:
     with pytest.raises(ValueError, match='"dynamic_window": for vehicles on wheels'):
         DynamicWindow().method(Body(width_m=0.5, radius_m=0.25, flies=True), PERIOD_S)
-
-
-def driven(method: Method, start: Pose, **options: object) -> Way:
-    return drive(method, start, to_goal, there, beams=128, fov=math.pi, **options)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("start", np.random.default_rng(1).uniform((-3.5, -0.6, -0.6), (-2.5, 0.6, 0.6), (20, 3)).tolist())
-def test_it_gets_around_a_pillar(start: list[float]) -> None:
-    x, y, yaw = start
-    way = driven(DynamicWindow().method(ROBOT, PERIOD_S), (x, y, yaw), seconds=100.0)
-    assert there(way.end)
-    assert way.clearance > KEEP - 0.02  # what is between two beams is not seen
-
-
-def test_it_goes_through_a_door_and_touches_nothing_where_there_is_none() -> None:
-    door: list[Box] = [((-0.1, -5.0), (0.1, -0.45)), ((-0.1, 0.45), (0.1, 5.0))]
-    way = driven(DynamicWindow().method(ROBOT, PERIOD_S), (-3.0, 0.3, 0.1), boxes=door)
-    assert there(way.end)
-    assert way.clearance > KEEP - 0.02
-    wall: list[Box] = [
-        ((-0.1, -5.0), (0.1, 5.0)),
-        ((-4.0, -2.0), (0.0, -1.9)),
-        ((-4.0, 1.9), (0.0, 2.0)),
-        ((-4.1, -2.0), (-4.0, 2.0)),
-    ]
-    way = driven(DynamicWindow().method(ROBOT, PERIOD_S), (-3.0, 0.3, 0.1), boxes=wall)
-    assert way.end[0] < -0.1
-    assert way.clearance > KEEP - 0.02

@@ -243,55 +243,6 @@ def test_it_goes_on_turning_to_one_side_until_there_is_a_gap() -> None:
 # --- all in all ---
 
 
-@pytest.mark.parametrize("fov", [math.pi, math.tau])
-@pytest.mark.parametrize("body", [SMALL, DRONE])
-def test_left_and_right_are_alike(fov: float, body: Body) -> None:
-    rng, modes = np.random.default_rng(3), set()
-    for _ in range(300):
-        ranges = np.repeat(rng.uniform(0.3, 2.0, int(rng.integers(5, 40))), 4)
-        other = ranges[::-1] if fov == math.pi else np.roll(ranges[::-1], 1)  # the whole turn begins straight behind
-        aim, leader, turn = rng.uniform(-2, 2, 2), rng.uniform(-2, 2, 2), rng.normal()
-        kind = rng.integers(3)
-        one = Task((0.3, 0.0), turn, _point(aim, 1) if kind else None, _point(leader, 1) if kind == 2 else None)
-        two = Task((0.3, 0.0), -turn, _point(aim, -1) if kind else None, _point(leader, -1) if kind == 2 else None)
-        here, there = decide(view(ranges, fov), one, body), decide(view(other, fov), two, body)
-        modes.add(here.mode)
-        assert there.mode == here.mode
-        assert there.yaw_rate == pytest.approx(-here.yaw_rate, abs=1e-9)
-        assert there.velocity == pytest.approx((here.velocity[0], -here.velocity[1]), abs=1e-9)
-    assert {"task", "avoid"} <= modes
-
-
-def _point(place: Array, side: int) -> Point:
-    return float(place[0]), side * float(place[1])
-
-
-Places = st.none() | st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
-
-
-@given(
-    arrays.arrays(float, st.integers(2, 60), elements=st.sampled_from([0.0, 0.3, 1.2, math.inf]) | st.floats(0.0, 4.0)),
-    st.sampled_from([0.5, math.pi, 4.0, math.tau]),
-    st.sampled_from([SMALL, DRONE]),
-    st.tuples(st.floats(-0.1, 1.0), st.floats(-1.0, 1.0), st.floats(-2.0, 2.0)),
-    Places,
-    Places,
-)
-def test_whatever_the_scan_says_there_is_a_decision_within_limits(
-    ranges: Array, fov: float, body: Body, speeds: tuple[float, float, float], aim: Point | None, leader: Point | None
-) -> None:
-    v, across, w = speeds
-    task = Task((v, across if body.flies else 0.0), w, aim, leader)
-    (ahead, left), turning, mode = decide(view(ranges, fov), task, body)
-    if mode == "task":
-        assert ((ahead, left), turning) == (task.velocity, w)
-    elif mode == "turn":
-        assert (ahead, left, abs(turning)) == (0.0, 0.0, 0.6)
-    else:
-        assert math.hypot(ahead, left) <= 0.6 + 1e-9
-        assert body.flies or (ahead >= 0.0 and left == 0.0 and abs(turning) <= 1.2)
-
-
 # --- gaps in a scan: each is met once, as wide as it is, wherever the scan begins ---
 
 

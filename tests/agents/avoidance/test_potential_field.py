@@ -126,20 +126,6 @@ def test_cruise_balances_at_the_closed_form(c: float) -> None:
     assert field(tang=0.0).decide(one(balance - 0.01), ahead(0.1 * c)).velocity[0] < 0.0
 
 
-def test_nothing_in_reach_leaves_the_task_as_it_is() -> None:
-    task = Task((2.0, -0.1), 0.7)
-    assert field().decide(one(1.2), task) == ((2.0, -0.1), 0.7, "task")
-
-
-@given(ranges=st.lists(RANGES, min_size=2, max_size=64), vx=st.floats(-3, 3), vy=st.floats(-3, 3), most=st.floats(0.1, 3.0))
-def test_in_the_field_it_is_never_faster_than_it_may_be(ranges: list[float], vx: float, vy: float, most: float) -> None:
-    decision = field().decide(seen(ranges), Task((vx, vy), 0.3, max_speed=most))
-    assert decision.yaw_rate == 0.3
-    if min(ranges) < REACH:
-        assert decision.mode == "avoid"
-        assert math.hypot(*decision.velocity) <= most * (1 + 1e-9)
-
-
 def test_the_side_is_kept_until_nothing_is_in_reach() -> None:
     left, right, free = one(0.9, beam=1), one(0.9, beam=31), one(math.inf)
     fresh = {view is left: field().decide(view, ahead(0.3)).velocity[1] for view in (left, right)}
@@ -171,24 +157,6 @@ def test_the_hand_of_a_robot_goes_where_that_of_a_vehicle_in_the_air_goes() -> N
     decision = field(ROBOT).decide(view, task)
     assert (*decision.velocity, decision.yaw_rate) == pytest.approx((v, 0.0, w))
     assert decision.mode == "avoid"
-
-
-@given(
-    scans=st.lists(st.lists(RANGES, min_size=8, max_size=8), min_size=1, max_size=5),
-    v=st.floats(-0.1, 0.6),
-    w=st.floats(-1.2, 1.2),
-)
-def test_a_robot_reverses_no_faster_than_its_task_and_turns_no_faster_than_it_can(
-    scans: list[list[float]], v: float, w: float
-) -> None:
-    method = field(ROBOT)
-    for ranges in scans:
-        decision = method.decide(seen(ranges), Task((v, 0.0), w))
-        assert decision.velocity[1] == 0.0
-        assert min(v, 0.0) <= decision.velocity[0] <= 0.6
-        assert abs(decision.yaw_rate) <= 1.2 * (1 + 1e-9)
-        if decision.mode == "turn":
-            assert (decision.velocity, abs(decision.yaw_rate)) == ((0.0, 0.0), 0.6)
 
 
 def test_a_robot_that_stands_remains_standing() -> None:
