@@ -3,6 +3,7 @@
 Each module of this package holds the commands of one subject and loads heavy modules inside functions.
 """
 
+import functools
 import itertools
 import os
 import signal
@@ -108,12 +109,27 @@ _COMMANDS: dict[str, tuple[_Command, ...]] = {
         ("bench", bench_command, "Measure speed beside other tools", None),
     ),
 }
+
+
+def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
+    """The command; Ctrl-C is an error of vcmvsp, with its message and exit code."""
+
+    @functools.wraps(command)
+    def call(*given: object, **named: object) -> None:
+        try:
+            command(*given, **named)
+        except KeyboardInterrupt:
+            raise Interrupted("interrupted") from None
+
+    return call
+
+
 PANELS = {panel: [name for name, *_ in commands] for panel, commands in _COMMANDS.items()}
 for _name, _target, _summary, _epilog in itertools.chain.from_iterable(_COMMANDS.values()):
     if isinstance(_target, typer.Typer):
         app.add_typer(_target, name=_name, short_help=_summary)
     else:
-        app.command(_name, short_help=_summary, epilog=_epilog)(_target)
+        app.command(_name, short_help=_summary, epilog=_epilog)(_interruptible(_target))
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vcmvsp.cosim.cli.options import PROGRAM, AsJson, pose_of
+from vcmvsp.cosim.cli.options import PROGRAM, AsJson, Changes, changes, pose_of
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.util.text import stdout_to_stderr
 
@@ -71,7 +71,7 @@ def robot_command(
         str | None, typer.Option(metavar="SCENARIO", help="Drive in its world, with its other vehicles, at wall pace.")
     ] = None,
     vehicle: Annotated[str | None, typer.Option(metavar="NAME", help="Which vehicle of the scenario it is.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario.")] = None,
+    set_: Annotated[Changes, changes("Change a key of the scenario.")] = None,
     seed: Seed = 0,
     duration: Duration = None,
     json: AsJson = False,

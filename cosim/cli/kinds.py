@@ -18,15 +18,12 @@ from typing import Annotated, Any
 
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson
+from vcmvsp.cosim.cli.options import AsJson, Changes, changes, show_names
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.util.files import to_json
-from vcmvsp.cosim.util.text import stdout_to_stderr
+from vcmvsp.cosim.util.text import aligned, stdout_to_stderr
 
 GROUPS = {f"{name}s": name for name in ("world", "vehicle", "sensor", "agent", "driver", "localisation")}
-Sets = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. radio.loss.probability=0.3.")
-]
 
 
 def list_command(
@@ -50,17 +47,13 @@ def list_command(
         about = {kind: describe.summary(registry.find(GROUPS[what], kind)) for kind in kinds}
     else:
         raise UsageError(f"vcmvsp list {what}: {binding.unknown('word', what, ['scenarios', *GROUPS])}")
-    if json:
-        sys.stdout.write(to_json(about))
-    else:
-        width = max(map(len, about))
-        sys.stdout.writelines(f"{name:<{width}}  {words}\n" for name, words in about.items())
+    show_names(about, json=json)
 
 
 def show_command(
     what: Annotated[str, typer.Argument(metavar="SCENARIO | GROUP KIND", help="What to print.")],
     kind: Annotated[str | None, typer.Argument(metavar="[KIND]", help="Of a vehicle, world, sensor, ..., e.g. p2dx.")] = None,
-    set_: Sets = None,
+    set_: Annotated[Changes, changes("Change a key, e.g. radio.loss.probability=0.3.")] = None,
     resolved: Annotated[bool, typer.Option("--resolved", help="With every key and default filled in.")] = False,
     json: AsJson = False,
 ) -> None:
@@ -125,10 +118,7 @@ def world_command(
     png: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw it from above and in perspective [NAME.png].")
     ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="A key of the world, e.g. seed=3; of a scenario: world.seed=3."),
-    ] = None,
+    set_: Annotated[Changes, changes("A key of the world, e.g. seed=3; of a scenario: world.seed=3.")] = None,
     json: AsJson = False,
 ) -> None:
     """Draw a world from above and in perspective, and count what is in it.
@@ -183,11 +173,7 @@ def _text(about: dict[str, Any]) -> str:
         )
         for name, each in about["parameters"].items()
     ]
-    widths = [max((len(row[column]) for row in rows), default=0) for column in range(3)]
-    lines = [
-        "  ".join([*(cell.ljust(width) for cell, width in zip(row[:3], widths, strict=True)), row[3]]).rstrip() for row in rows
-    ]
-    return "\n".join([f"{about['kind']}: {about['summary']}", "", *lines, ""])
+    return "\n".join([f"{about['kind']}: {about['summary']}", "", *aligned(rows), ""])
 
 
 def _strong(word: str) -> str:
@@ -226,10 +212,8 @@ def new_command(
     write(texts, out)
     own = [f"the {part} {camel}", "a scenario with it"] if f"{snake}.py" in texts else [PARTS[part]]
     files = [str(out / file) for file in texts]
-    width = max(map(len, files))
-    sys.stdout.writelines(
-        f"{file:<{width}}  {words}\n" for file, words in zip(files, [*own, "what must hold of it"], strict=True)
-    )
+    rows = zip(files, [*own, "what must hold of it"], strict=True)
+    sys.stdout.writelines(f"{line}\n" for line in aligned(rows))
     *_, scenario, test = files
     sys.stdout.write(f"next: vcmvsp run {scenario}\n      pytest {test}\n")
 

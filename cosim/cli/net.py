@@ -3,15 +3,16 @@
 import contextlib
 import json as jsons
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import typer
 
-from vcmvsp.cosim.cli.options import PROGRAM, AsJson
-from vcmvsp.cosim.cli.run import Force, Out, Quiet, ScenarioName, Seed, Sets, View, ViewHost, ViewPort, conduct
+from vcmvsp.cosim.cli.options import PROGRAM, AsJson, Sets
+from vcmvsp.cosim.cli.run import Force, Out, Quiet, ScenarioName, Seed, View, ViewHost, ViewPort, conduct
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.util.text import aligned
 from vcmvsp.cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
@@ -178,12 +179,7 @@ def _chosen(run: str | None) -> "RunNetwork":
 def _lines(network: "RunNetwork") -> Iterator[str]:
     state = f"alive, process {network.pid}" if network.alive else "killed; clear it away with 'vcmvsp net down'"
     yield f"{network.run}: {state}"
-    cells = [(each.vehicle, *each.addresses) for each in network.spaces]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    for each, row in zip(network.spaces, cells, strict=True):
+    lines = aligned((each.vehicle, *each.addresses) for each in network.spaces)
+    for each, line in zip(network.spaces, lines, strict=True):
         behind = f"  before {', '.join(each.port.behind)} ({each.port.interface})" if each.port is not None else ""
-        yield f"  {_padded(row, widths)}{behind}"
-
-
-def _padded(cells: Sequence[str], widths: Sequence[int]) -> str:
-    return "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+        yield f"  {line}{behind}"

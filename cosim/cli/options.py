@@ -2,16 +2,30 @@
 
 import math
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.util.files import to_json
+from vcmvsp.cosim.util.text import aligned
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.types import Vec3
 
+Changes = list[str] | None
+"""Values of ``--set``."""
+
+
+def changes(words: str) -> Any:
+    """The option ``--set`` with this help."""
+    return typer.Option("--set", metavar="KEY=VALUE", help=words)
+
+
+Sets = Annotated[Changes, changes("Change a key of the scenario, e.g. radio.loss.probability=0.3.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout and nothing else there.")]
 KeysOfVehicle = Annotated[
     Path | None, typer.Option(metavar="FILE", help="This machine's certificate ('vcmvsp keys vehicle NAME').")
@@ -46,6 +60,11 @@ def pose_of(text: str | None) -> "Vec3 | None":
     if not all(map(math.isfinite, (x, y, yaw))):
         raise UsageError(f"--pose {text}: write X,Y,YAW (m, m, rad), e.g. 1.5,0,1.57")
     return x, y, yaw
+
+
+def show_names(about: Mapping[str, str], *, json: bool) -> None:
+    """Print names with their descriptions."""
+    sys.stdout.write(to_json(about) if json else "".join(f"{line}\n" for line in aligned(about.items())))
 
 
 def say(text: str) -> None:

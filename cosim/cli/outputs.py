@@ -11,7 +11,7 @@ import typer
 
 from vcmvsp.cosim.cli.options import AsJson, Trust, say
 from vcmvsp.cosim.cli.run import Quiet
-from vcmvsp.cosim.errors import Interrupted, UsageError
+from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.terminal.progress import StatusDisplay
 from vcmvsp.cosim.view import HOST, PORT
 
@@ -88,8 +88,12 @@ def export_command(
 
     wanted = {"rosbag2": rosbag2, "csv": csv, "mp4": mp4, "layout": layout}
     paths = {name: (out or run_dir) / NAMES[name] for name, is_wanted in wanted.items() if is_wanted}
-    with _Exporting(quiet=quiet) as shown:
-        written = export(run_dir, **paths, force=force, tell=shown.tell, progress=shown.on_part)
+    with StatusDisplay(quiet=quiet) as shown:
+
+        def on_part(name: str, part: float) -> None:
+            shown.show(f"{name}: {100 * part:.0f} %", part, 1.0)
+
+        written = export(run_dir, **paths, force=force, tell=shown.tell, progress=on_part)
     for path in written:
         sys.stdout.write(f"{path}\n")
 
@@ -104,16 +108,6 @@ def _of_run(folder: Path, out: Path | None, *, trust: bool) -> Path:
     except UsageError:  # tables missing or damaged: the page says so
         figures = {}
     return run_page.write(folder, {name: svg(figure) for name, figure in figures.items()}, out)
-
-
-class _Exporting(StatusDisplay):
-    """Shows the progress of an export."""
-
-    def on_part(self, name: str, part: float) -> None:
-        """Note the progress of an output, 0 to 1."""
-        if self._is_due():
-            words = f"{name}: {100 * part:.0f} %"
-            self._draw(part, 1.0, words) if self._terminal else self.tell(words)
 
 
 PERIOD_S = 1.0 / 30.0  # between two updates of the page
@@ -134,13 +128,10 @@ def view_command(
     """
     from vcmvsp.cosim.view.player.recording import Player, Recording
 
-    try:
-        with contextlib.closing(Recording(run_dir, trust)) as recording:
-            for trouble in recording.troubles:
-                say(f"{run_dir}: {trouble}")
-            _serve(Player(recording), recording, host, port, as_json=json)
-    except KeyboardInterrupt:
-        raise Interrupted("interrupted") from None
+    with contextlib.closing(Recording(run_dir, trust)) as recording:
+        for trouble in recording.troubles:
+            say(f"{run_dir}: {trouble}")
+        _serve(Player(recording), recording, host, port, as_json=json)
 
 
 def _serve(player: "Player", recording: "Recording", host: str, port: int, *, as_json: bool) -> None:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson, Trust, say
-from vcmvsp.cosim.errors import Interrupted, ScenarioError, UsageError
+from vcmvsp.cosim.cli.options import AsJson, Changes, Quiet, Trust, changes, say
+from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.terminal.progress import StatusDisplay
-from vcmvsp.cosim.util.files import to_json, write_whole, writing
-from vcmvsp.cosim.util.text import stdout_to_stderr
+from vcmvsp.cosim.util.files import finite, to_json, write_whole, writing
+from vcmvsp.cosim.util.text import aligned, stdout_to_stderr
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.analysis.snapshots import Rates, Share, Snapshots
@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 
 
 Preset = Annotated[str, typer.Option(metavar="NAME", help="A preset of the radio, e.g. ideal, wss, wifi-b-1, zigbee.")]
-Sets = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of a layer, e.g. path_loss.exponent=2.5.")
-]
+OfLayer = Annotated[Changes, changes("Change a key of a layer, e.g. path_loss.exponent=2.5.")]
 Size = Annotated[int, typer.Option(metavar="BYTES", help="Payload of a frame; the standard's headers are added.")]
 
 
@@ -49,9 +47,7 @@ def radio_command(
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Map: where to put it [coverage-VEHICLE.png].")] = None,
     seed: Annotated[int | None, typer.Option(help="Map: instead of the scenario's.")] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Map: change a key of the scenario.")
-    ] = None,
+    set_: Annotated[Changes, changes("Map: change a key of the scenario.")] = None,
     json: AsJson = False,
     trust: Trust = False,
 ) -> None:
@@ -60,16 +56,8 @@ def radio_command(
     Examples: vcmvsp radio runs/formation-circle-1 --link car1/car2 --frame worst;
     vcmvsp radio formation-circle --coverage car1 --out map.png
     """
-    of_map: dict[str, Any] = {
-        "at": at,
-        "size": size,
-        "height": height,
-        "resolution": resolution,
-        "out": out,
-        "seed": seed,
-        "set": set_ or None,
-    }
-    given = {name: value for name, value in of_map.items() if value is not None}
+    of_map = {"at": at, "size": size, "height": height, "resolution": resolution, "out": out, "seed": seed, "set": set_ or None}
+    given: dict[str, Any] = {name: value for name, value in of_map.items() if value is not None}
     if coverage is None:
         if given:
             raise UsageError(f"--{next(iter(given))} goes with --coverage VEHICLE")
@@ -81,12 +69,7 @@ def radio_command(
             if isinstance(value, float) and not (math.isfinite(value) and (name != "resolution" or value > 0.0)):
                 raise UsageError(f"--{name} {value}: must be a {'positive' if name == 'resolution' else 'finite'} number")
         answer, text = _drawn(what, coverage, given, json=json, trust=trust)
-    if json:
-        from vcmvsp.cosim.util.files import to_json
-
-        sys.stdout.write(to_json(_plain(answer)))
-    else:
-        sys.stdout.write(text)
+    sys.stdout.write(to_json(finite(answer)) if json else text)
 
 
 def channel_command(
@@ -95,13 +78,13 @@ def channel_command(
     rate: Annotated[float, typer.Option(metavar="HZ", help="Frames a second of each vehicle.")],
     size: Size,
     duration: Annotated[float, typer.Option(metavar="S", help="Frames are sent at 0 <= t < S.")],
-    set_: Sets = None,
+    set_: OfLayer = None,
     seed: Annotated[int, typer.Option(help="Of all random numbers.")] = 0,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE.parquet", help="Also write a row per frame and receiver, as in radio.parquet.")
     ] = None,
     json: AsJson = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Let vehicles stand still and broadcast; count what arrives.
 
@@ -128,8 +111,6 @@ def channel_command(
             progress = stack.enter_context(Progress(quiet=quiet))
             rows = None if out is None else stack.enter_context(_rows(out, preset, plan))
             counts = channel_trial.run(channel, plan, sink=None if rows is None else rows.add, progress=progress.on_instant)
-    except KeyboardInterrupt:
-        raise Interrupted("interrupted") from None
     except ScenarioError as error:  # the mac does not fit the phy
         if error.source:
             raise
@@ -166,7 +147,7 @@ def per_command(
 def pathloss_command(
     preset: Preset,
     distance: Annotated[str, typer.Option(metavar="START:STOP:STEP", help="Between two antennas, m.")],
-    set_: Sets = None,
+    set_: OfLayer = None,
     json: AsJson = False,
 ) -> None:
     """Tabulate loss, received level and SNR by distance: mean values, by the path loss alone.
@@ -180,15 +161,6 @@ def pathloss_command(
         raise UsageError(f"--distance {distance}: no distance is negative")
     channel = _channel(preset, set_)[0]
     _print({"preset": preset}, curves.mean_levels(channel.budgets.path_loss, channel.phy, distance_m), json=json)
-
-
-def _plain(value: object) -> object:
-    """The value with None for NaN and infinity, which JSON lacks: a vehicle may have been sent to infinity."""
-    if isinstance(value, dict):
-        return {name: _plain(each) for name, each in value.items()}
-    if isinstance(value, list):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _explained(folder: Path, link: str | None, frame: str | None, *, trust: bool) -> tuple[dict[str, Any], str]:
@@ -387,11 +359,9 @@ def calibrate_recognition_command(
     frames: Annotated[int, typer.Option(metavar="N", help="How many pictures; every other one shows a target.")] = 200,
     cell: Annotated[float | None, typer.Option(metavar="M", help="Side of a cell of the map [that of its search].")] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Of the places; that of the world is the scenario's.")] = 0,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. world.seed=3.")
-    ] = None,
+    set_: Annotated[Changes, changes("Change a key, e.g. world.seed=3.")] = None,
     json: AsJson = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Measure p and q of a search: how often a look at a cell of the map is right, with and without a target in it.
 
@@ -411,15 +381,12 @@ def calibrate_recognition_command(
     if seed < 0:
         raise UsageError(f"--seed {seed}: must be 0 or more")
     rates = Rates()
-    try:
-        with stdout_to_stderr(), _Pictures(quiet=quiet) as progress:
-            settings = scenarios.settings_of(set_ or [])
-            taken = Snapshots(scenario, vehicle=vehicle, height_m=height, cell_m=cell, seed=seed, settings=settings)
-            for number in range(frames):
-                rates.add(taken.take(number, frames))
-                progress.on_picture(number + 1, frames)
-    except KeyboardInterrupt:
-        raise Interrupted("interrupted") from None
+    with stdout_to_stderr(), StatusDisplay(quiet=quiet) as progress:
+        settings = scenarios.settings_of(set_ or [])
+        taken = Snapshots(scenario, vehicle=vehicle, height_m=height, cell_m=cell, seed=seed, settings=settings)
+        for number in range(frames):
+            rates.add(taken.take(number, frames))
+            progress.show(f"{number + 1} of {frames} pictures", number + 1, frames)
     about = {
         "scenario": scenario,
         "vehicle": taken.vehicle,
@@ -428,14 +395,6 @@ def calibrate_recognition_command(
         "frames": frames,
     }
     sys.stdout.write(to_json({**about, **rates.plain()}) if json else _text(about, rates, taken))
-
-
-class _Pictures(StatusDisplay):
-    def on_picture(self, done: int, of: int) -> None:
-        """Note the number of pictures taken."""
-        if self._is_due():
-            words = f"{done} of {of} pictures"
-            self._draw(done, of, words) if self._terminal else self.tell(words)
 
 
 def _text(about: dict[str, Any], rates: "Rates", taken: "Snapshots") -> str:
@@ -452,8 +411,7 @@ def _text(about: dict[str, Any], rates: "Rates", taken: "Snapshots") -> str:
         "recall, unoccluded": rates.unoccluded,
         **{f"recall, unoccluded, {ring} of the picture": each for ring, each in rates.by_ring.items()},
     }
-    width = max(map(len, named))
-    lines += [f"{name:<{width}}  {_words(each)}" for name, each in named.items()]
+    lines += aligned((name, _words(each)) for name, each in named.items())
     lines += ["", f"[{taken.table}]", f"p = {_number(rates.p.mean)}", f"q = {_number(rates.q.mean)}", ""]
     if rates.p.mean <= rates.q.mean:
         lines += ["# p must be greater than q: the map learns nothing from these looks", ""]

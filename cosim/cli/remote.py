@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson, DialInsecurely, KeysOfVehicle, SecretOfRun, say
+from vcmvsp.cosim.cli.options import AsJson, Changes, DialInsecurely, KeysOfVehicle, SecretOfRun, changes, say
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.util.text import plain, stdout_to_stderr
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.hosts.observers import Check, Seen
+    from vcmvsp.cosim.security.certificates import Bundle
 
 
 REFRESH_S = 0.5  # between two updates of a terminal
@@ -34,10 +35,7 @@ def agent_command(
     kind: Annotated[
         str | None, typer.Argument(metavar="[MODULE_OR_FILE:Class]", help="The agent's class; without it: the scenario's.")
     ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the agent, instead of the scenario's."),
-    ] = None,
+    set_: Annotated[Changes, changes("A parameter of the agent, instead of the scenario's.")] = None,
     folder: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Python files here may run if the run asks for them by file name.")
     ] = None,
@@ -95,13 +93,9 @@ def watch_command(
     from vcmvsp.cosim.transport import endpoints
     from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
-    bundle = None
-    if keys is not None:
-        from vcmvsp.cosim.security import certificates
-
-        bundle = certificates.load_bundle(keys)
-        if warning := bundle.check():
-            say(warning)
+    bundle = _bundle(keys)
+    if bundle is not None and (warning := bundle.check()):
+        say(warning)
     endpoint = endpoint_rules(endpoint, bundle, insecure=insecure, side="observer")
     newest_only = not json and sys.stdout.isatty()
     every_s, password = REFRESH_S if newest_only else 0.0, endpoints.given(secret, insecure=insecure)
@@ -318,14 +312,18 @@ def connection(
     from vcmvsp.cosim.transport import endpoints
     from vcmvsp.cosim.transport.endpoints import Side, endpoint_rules
 
-    bundle = None
-    if keys is not None:
-        from vcmvsp.cosim.security import certificates
-
-        bundle = certificates.load_bundle(keys)
+    bundle = _bundle(keys)
     side: Side = "observer" if bundle and bundle.role == "observer" else "host"
     endpoint = endpoint_rules(endpoint, bundle, insecure=insecure, side=side)
     return examine(endpoint, bundle, endpoints.given(secret, insecure=insecure))
+
+
+def _bundle(keys: Path | None) -> "Bundle | None":
+    if keys is None:
+        return None
+    from vcmvsp.cosim.security import certificates
+
+    return certificates.load_bundle(keys)
 
 
 def _python() -> str:

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson
-from vcmvsp.cosim.errors import Interrupted, UsageError
+from vcmvsp.cosim.cli.options import AsJson, Quiet, show_names
+from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.util.text import stdout_to_stderr
 
 HOME = Path(__file__).resolve().parents[2]
@@ -24,7 +24,7 @@ def figure_command(
         int | None, typer.Option(metavar="N", help="Runs at a time, each in a process of its own [all processors].")
     ] = None,
     json: AsJson = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Make a figure again, and compare it with what must come out.
 
@@ -36,25 +36,18 @@ def figure_command(
     from vcmvsp.cosim.reproduction import figures
 
     if name is None:
-        _list(json=json)
+        show_names({each: words for each, (_, words) in figures.NAMES.items()}, json=json)
         return
     make = figures.find(name)
-    if jobs is not None and jobs < 1:
-        raise UsageError(f"--jobs {jobs}: must be 1 or more")
-    if out.exists() and not out.is_dir():
-        raise UsageError(f"--out {out}: there is a file of that name; name a folder")
-    from vcmvsp.cosim.processes.worker_pool import cores
+    count = _checked(out, jobs)
     from vcmvsp.cosim.reproduction.figures import drawing
     from vcmvsp.cosim.reproduction.figures.figure import as_json, table
     from vcmvsp.cosim.reproduction.runner import Runner
     from vcmvsp.cosim.terminal.progress import StudyProgress
 
-    try:
-        with stdout_to_stderr(), StudyProgress(quiet=quiet) as progress:
-            figure = make(Runner(jobs or cores(), lambda done, of: progress.on_run(done, 0, of)))
-            written = drawing.write(name, figure, out)
-    except KeyboardInterrupt:
-        raise Interrupted("interrupted") from None
+    with stdout_to_stderr(), StudyProgress(quiet=quiet) as progress:
+        figure = make(Runner(count, lambda done, of: progress.on_run(done, 0, of)))
+        written = drawing.write(name, figure, out)
     if json:
         sys.stdout.write(as_json(name, figure))
     else:
@@ -77,7 +70,7 @@ def validate_command(
         int | None, typer.Option(metavar="N", help="Checks at a time, each in a process of its own [all processors].")
     ] = None,
     json: AsJson = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Measure every law, closed form and outside reference again, and write expected and measured numbers.
 
@@ -89,19 +82,12 @@ def validate_command(
     from vcmvsp.cosim.reproduction import validation
 
     checks = validation.chosen(only or [])
-    if jobs is not None and jobs < 1:
-        raise UsageError(f"--jobs {jobs}: must be 1 or more")
-    if out.exists() and not out.is_dir():
-        raise UsageError(f"--out {out}: there is a file of that name; name a folder")
-    from vcmvsp.cosim.processes.worker_pool import cores
+    count = _checked(out, jobs)
     from vcmvsp.cosim.reproduction.validation import document
     from vcmvsp.cosim.terminal.progress import StudyProgress
 
-    try:
-        with stdout_to_stderr(), StudyProgress(quiet=quiet, what="checks") as progress:
-            outcomes = validation.run_all(checks, jobs or cores(), lambda done, of: progress.on_run(done, 0, of))
-    except KeyboardInterrupt:
-        raise Interrupted("interrupted") from None
+    with stdout_to_stderr(), StudyProgress(quiet=quiet, what="checks") as progress:
+        outcomes = validation.run_all(checks, count, lambda done, of: progress.on_run(done, 0, of))
     written = document.write(outcomes, out)
     if json:
         sys.stdout.write(document.as_json(outcomes))
@@ -115,6 +101,17 @@ def validate_command(
         sys.stderr.write(f"vcmvsp: {len(off)} of {sum(len(each.rows) for each in outcomes)} rows are off:\n")
         sys.stderr.writelines(f"  {line}\n" for line in off)
         raise SystemExit(1)
+
+
+def _checked(out: Path, jobs: int | None) -> int:
+    """The number of runs at a time; the folder may be new, but no file."""
+    from vcmvsp.cosim.processes.worker_pool import cores
+
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"--jobs {jobs}: must be 1 or more")
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out}: there is a file of that name; name a folder")
+    return jobs or cores()
 
 
 def bench_command(
@@ -138,19 +135,6 @@ def bench_command(
             code = measuring.wait()
         except KeyboardInterrupt:
             measuring.wait()  # until it has printed its results
-            raise Interrupted("interrupted") from None
+            raise
     if code:
         raise SystemExit(code)
-
-
-def _list(*, json: bool) -> None:
-    from vcmvsp.cosim.reproduction import figures
-
-    about = {name: words for name, (_, words) in figures.NAMES.items()}
-    if json:
-        from vcmvsp.cosim.util.files import to_json
-
-        sys.stdout.write(to_json(about))
-        return
-    width = max(map(len, about))
-    sys.stdout.writelines(f"{name:<{width}}  {words}\n" for name, words in about.items())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson, DialInsecurely, KeysOfVehicle, pose_of, say
+from vcmvsp.cosim.cli.options import AsJson, Changes, DialInsecurely, KeysOfVehicle, changes, pose_of, say
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.assembly.parts.stations import StationAnswer
@@ -32,9 +32,7 @@ def robot_command(
             metavar="ENDPOINT", help="Where the run waits for it (its driver's 'listen'), e.g. tls/192.168.1.10:7448."
         ),
     ],
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the driver, e.g. robot=amigo.")
-    ] = None,
+    set_: Annotated[Changes, changes("A parameter of the driver, e.g. robot=amigo.")] = None,
     pose: Annotated[
         str | None, typer.Option(metavar="X,Y,YAW", help="Where it stands, m, m, rad [as the run supposes].")
     ] = None,

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson, say
+from vcmvsp.cosim.cli.options import AsJson, Changes, Sets, changes, say
 from vcmvsp.cosim.errors import UsageError, VcmvspError
-from vcmvsp.cosim.util.text import stdout_to_stderr
+from vcmvsp.cosim.util.text import aligned, stdout_to_stderr
 from vcmvsp.cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
@@ -19,10 +19,6 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.view.live.session import Viewing
 
 
-Sets = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario, e.g. radio.loss.probability=0.3."),
-]
 ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A name that 'vcmvsp list' shows, or a .toml file.")]
 Seed = Annotated[int | None, typer.Option(help="Instead of the scenario's.")]
 WhereAgents = Annotated[
@@ -272,9 +268,7 @@ def study_command(
         list[str] | None,
         typer.Option(metavar="NAME", help="What is drawn and summarised, e.g. formation.rms_m; repeat for several."),
     ] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario for all runs.")
-    ] = None,
+    set_: Annotated[Changes, changes("Change a key of the scenario for all runs.")] = None,
     seed: Annotated[int | None, typer.Option(help="The first seed, instead of the scenario's.")] = None,
     jobs: Annotated[int | None, typer.Option(metavar="N", help="Runs at once [as many as there are cores].")] = None,
     cluster: Annotated[
@@ -299,7 +293,6 @@ def study_command(
     from vcmvsp.cosim.studies.summary import rows, summarise
     from vcmvsp.cosim.terminal.progress import StudyProgress
     from vcmvsp.cosim.util.files import to_json
-    from vcmvsp.cosim.util.text import stdout_to_stderr
 
     if out is not None and str(out) == ".":
         raise UsageError("--out: name a folder; the current one is not a good place for the files of a study")
@@ -344,8 +337,7 @@ def _table(points: Sequence[Mapping[str, Any]], keys: Sequence[str], metrics: Se
         [*(str(point[key]) for key in keys), str(point["n"]), *(_band(point[name]) for name in metrics)]
         for point in points[:SHOWN]
     ]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    text = "".join("  ".join(map(str.ljust, line, widths)).rstrip() + "\n" for line in lines)
+    text = "".join(f"{line}\n" for line in aligned(lines))
     return text + (f"... and {len(points) - SHOWN} more points, in summary.csv\n" if len(points) > SHOWN else "")
 
 

@@ -63,6 +63,11 @@ class StatusDisplay:
         self._last = now
         return True
 
+    def show(self, words: str, done: float, total: float) -> None:
+        """Show words on the progress, if due."""
+        if self._is_due():
+            self._draw(done, total, words) if self._terminal else self.tell(words)
+
     def _draw(self, completed: float, total: float, words: str) -> None:
         try:
             screen = self._open_screen() if self._screen is None else self._screen
@@ -160,7 +165,7 @@ class StudyProgress(StatusDisplay):
 
     def on_check(self, done: int, total: int) -> None:
         """Update the number of points checked before the first run."""
-        self._show(f"checking: {done} of {total} points", done, total)
+        self.show(f"checking: {done} of {total} points", done, total)
 
     def on_value(self, name: str, value: float) -> None:
         """Record the value of a metric in a run."""
@@ -178,11 +183,7 @@ class StudyProgress(StatusDisplay):
         if self._bounds is not None:
             name, least, most = self._bounds
             words += f", {name} {least:.3g} to {most:.3g}"
-        self._show(words, done, total)
-
-    def _show(self, words: str, done: int, total: int) -> None:
-        if self._is_due():
-            self._draw(done, total, words) if self._terminal else self.tell(words)
+        self.show(words, done, total)
 
 
 def _times(speed: float) -> str:

@@ -130,6 +130,8 @@ def finite(value: object) -> Any:
     """The value with None for numbers that JSON lacks: a vehicle that was sent to infinity is infinitely far away."""
     if isinstance(value, dict):
         return {name: finite(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [finite(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -4,7 +4,7 @@ import contextlib
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 Tell = Callable[[str], None]
 """Shows a line to the user."""
@@ -27,6 +27,13 @@ def plain(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> str:
     keep = "\n" if lines else ""
     text = "".join(each if each.isprintable() or each in keep else " " for each in text)
     return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
+    """Rows of cells as lines, with columns of equal width two spaces apart."""
+    listed = list(rows)
+    widths = [max(map(len, column)) for column in zip(*listed, strict=True)]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in listed]
 
 
 @contextlib.contextmanager
