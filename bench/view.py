@@ -19,7 +19,7 @@ from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.scenario import loader as scenarios
-from vcmvsp.cosim.view.live.session import Viewer
+from vcmvsp.cosim.view.live.session import Viewing
 from vcmvsp.cosim.view.scenery import scenery_of
 
 VEHICLES, RUN_S, ROUNDS = 10, 60.0, 5
@@ -49,7 +49,7 @@ def rows() -> list[Row]:
 
 def read() -> Row:
     """A page is connected, and takes everything."""
-    with Viewer.open(_scenery(), port=0) as viewer:
+    with Viewing(port=0).open(_scenery()) as viewer:
         page = subprocess.Popen([sys.executable, "-c", PAGE, viewer.url], stdout=subprocess.PIPE)
         assert page.stdout is not None
         page.stdout.readline()
@@ -62,7 +62,7 @@ def read() -> Row:
 
 def stalled() -> Row:
     """The process that serves the page stands still."""
-    with Viewer.open(_scenery(), port=0) as viewer:
+    with Viewing(port=0).open(_scenery()) as viewer:
         os.kill(viewer._process.pid, signal.SIGSTOP)
         try:
             return _row("with a viewer that stands still, wall-clock time", viewer, time.perf_counter)
@@ -78,7 +78,7 @@ def _scenery() -> Any:
     return scenery_of(*scenarios.load(_scenario()), live=True)
 
 
-def _row(what: str, viewer: Viewer, clock: Callable[[], float]) -> Row:
+def _row(what: str, viewer: Viewing, clock: Callable[[], float]) -> Row:
     ours, other, ratio = in_turn(lambda: _run_s(viewer.feed.on, clock), lambda: _run_s(None, clock), ROUNDS)
     name = f"{VEHICLES} kinematic vehicles, 10 Hz, recorded, shown thirty times a second {what}; beside it unseen"
     return Row(name, f"{RUN_S / ours:.0f} sim s / s", f"{RUN_S / other:.0f}", ratio, f"<= {MOST:g}x", ratio <= MOST)

@@ -29,7 +29,9 @@ MODULE = "vcmvsp.cosim.view.live.server"
 
 
 class Viewing(contextlib.AbstractContextManager["Viewing"]):
-    """The control station of one run, opened by the run once its scenery is known; leaving the context closes the page.
+    """The control station of one run, opened by the run once its scenery is known: the process that serves its page.
+
+    Leaving the context ends the process.
 
     Args:
         host: address of the page; any other than loopback exposes the page to other machines, unencrypted.
@@ -37,9 +39,13 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
         opened: receives the URL of the page, with its access token.
     """
 
-    def __init__(self, host: str, port: int, opened: Callable[[str], None]) -> None:
+    url: str
+    feed: Feed
+    _process: ChildProcess
+    _pipe: protocol.Pipe | None = None  # None: not opened yet
+
+    def __init__(self, host: str = HOST, port: int = 0, opened: Callable[[str], None] = lambda _: None) -> None:
         self._host, self._port, self._opened = host, port, opened
-        self._viewer: Viewer | None = None
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -50,29 +56,49 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
         allowed = {"sensors": True, "halt": True, "outage": True, "end": True}
         allowed |= {"move": bool(world.movables), "set": bool(keys), "pace": not run.has_outside}
         may = tuple(order for order, is_obeyed in allowed.items() if is_obeyed)
-        self._viewer = Viewer.open(
+        self.open(
             scenery_of(run.scenario, run.source, world=world, infos=run.agents, live=True, may=may, keys=keys),
-            self._host,
-            port=self._port,
             moving={each.name: each.pose for each in world.moving},
             targets={each.name: each.place for each in world.targets},
         )
-        self._opened(self._viewer.url)
 
         def clock(listen: Callable[[], None]) -> Clock:
             return run.clock if run.has_outside else LiveClock(speed, listen)
 
-        return Live(self._viewer.feed, run.operator, clock=clock, stop=stop, tell=tell)
+        return Live(self.feed, run.operator, clock=clock, stop=stop, tell=tell)
+
+    def open(self, scenery: Scenery, *, moving: Poses | None = None, targets: Places | None = None) -> Self:
+        """Start the process and wait for the page; arguments as of `Feed`.
+
+        Raises:
+            UsageError: the page cannot be served at this address, or its process does not start.
+        """
+        token = new_token()
+        pipe, theirs = protocol.pair()
+        with theirs:
+            self._process = ChildProcess(MODULE, str(theirs.fileno()), files=(theirs.fileno(),))
+        self._pipe = pipe
+        start = protocol.Start(scenery=scenery, host=self._host, port=self._port, token=token)
+        try:
+            port = _up(self._process, pipe, start).port
+        except BaseException:
+            self.close()
+            raise
+        self.url, self.feed = url_of(self._host, port, token), Feed(pipe, scenery, moving=moving, targets=targets)
+        self._opened(self.url)
+        return self
 
     def stay(self) -> None:
-        """Keep the page open until Ctrl-C is pressed."""
-        if self._viewer is not None:
-            self._viewer.stay()
+        """Wait until the process ends or Ctrl-C is pressed: the page stays usable after the run."""
+        if self._pipe is not None:
+            with contextlib.suppress(KeyboardInterrupt):
+                self._process.wait()
 
     def close(self) -> None:
-        """Close the page. Repeated calls are allowed."""
-        if self._viewer is not None:
-            self._viewer.close()
+        """End the process. Repeated calls are allowed."""
+        if self._pipe is not None:
+            self._pipe.close()
+            self._process.close(LEAVE_S)
 
 
 class Live:
@@ -128,53 +154,6 @@ def _checked(speed: float | None) -> float | None:
     if speed is not None and not 1e-3 <= speed <= 1e6:
         raise ValueError(f"a speed of {speed:g}: it must be between 0.001 and 1 000 000")
     return speed
-
-
-class Viewer(contextlib.AbstractContextManager["Viewer"]):
-    """The process that serves the page of a run; leaving the context ends the process."""
-
-    def __init__(self, process: ChildProcess, pipe: protocol.Pipe, url: str, feed: Feed) -> None:
-        self._process, self._pipe, self.url, self.feed = process, pipe, url, feed
-
-    @classmethod
-    def open(
-        cls,
-        scenery: Scenery,
-        host: str = HOST,
-        *,
-        port: int,
-        moving: Poses | None = None,
-        targets: Places | None = None,
-    ) -> Self:
-        """Start the process and wait for the page; arguments as of `Viewing` and `Feed`.
-
-        Raises:
-            UsageError: the page cannot be served at this address, or its process does not start.
-        """
-        token = new_token()
-        pipe, theirs = protocol.pair()
-        with theirs:
-            process = ChildProcess(MODULE, str(theirs.fileno()), files=(theirs.fileno(),))
-        try:
-            port = _up(process, pipe, protocol.Start(scenery=scenery, host=host, port=port, token=token)).port
-        except BaseException:
-            pipe.close()
-            process.close(LEAVE_S)
-            raise
-        return cls(process, pipe, url_of(host, port, token), Feed(pipe, scenery, moving=moving, targets=targets))
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def stay(self) -> None:
-        """Wait until the process ends or Ctrl-C is pressed: the page stays usable after the run."""
-        with contextlib.suppress(KeyboardInterrupt):
-            self._process.wait()
-
-    def close(self) -> None:
-        """End the process. Repeated calls are allowed."""
-        self._pipe.close()
-        self._process.close(LEAVE_S)
 
 
 def _up(process: ChildProcess, pipe: protocol.Pipe, start: protocol.Start) -> protocol.Up:

@@ -30,7 +30,7 @@ from vcmvsp.cosim.scenario.schema import HaltTable
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.server import pump
-from vcmvsp.cosim.view.live.session import Viewer
+from vcmvsp.cosim.view.live.session import Viewing
 from vcmvsp.cosim.view.messages import Pace, PageUpdate
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
@@ -60,9 +60,9 @@ def until(holds: Callable[[], Any]) -> Any:
 
 
 @pytest.fixture(scope="module")
-def viewer() -> Iterator[Viewer]:
+def viewer() -> Iterator[Viewing]:
     """A page of its own process."""
-    with Viewer.open(SCENERY, port=0) as opened:
+    with Viewing(port=0).open(SCENERY) as opened:
         yield opened
 
 
@@ -92,7 +92,7 @@ def told(page: Connection) -> list[dict[str, Any]]:
     return content["messages"]
 
 
-def test_what_happens_is_on_the_page_and_what_is_pressed_comes_back(viewer: Viewer) -> None:
+def test_what_happens_is_on_the_page_and_what_is_pressed_comes_back(viewer: Viewing) -> None:
     feed, words, buttons = viewer.feed, str, dict[str, str]()
     with dialled(viewer.url) as page:
         page.send(msgspec.msgpack.encode(CAMERA))
@@ -113,7 +113,7 @@ def test_what_happens_is_on_the_page_and_what_is_pressed_comes_back(viewer: View
         assert until(lambda: "the bridge is up" in words(told(page)))
 
 
-def test_a_browser_shows_it_and_finds_nothing_that_it_may_not_do(viewer: Viewer) -> None:
+def test_a_browser_shows_it_and_finds_nothing_that_it_may_not_do(viewer: Viewing) -> None:
     with view_pages.browser() as browser:
         page, said = browser.new_page(), list[str]()
         page.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
@@ -127,7 +127,7 @@ def test_a_browser_shows_it_and_finds_nothing_that_it_may_not_do(viewer: Viewer)
 
 def test_it_ends_when_it_is_closed() -> None:
     with reserved() as port:
-        viewer = Viewer.open(SCENERY, port=port)
+        viewer = Viewing(port=port).open(SCENERY)
         with closing(http.client.HTTPConnection("127.0.0.1", port)) as before:
             before.connect()
         viewer.feed.close("the run is complete")
@@ -138,7 +138,7 @@ def test_it_ends_when_it_is_closed() -> None:
 
 
 def test_a_run_outlives_it() -> None:
-    with Viewer.open(SCENERY, port=0) as viewer:
+    with Viewing(port=0).open(SCENERY) as viewer:
         viewer._process.kill()
         viewer._process.wait()
         for k in range(3):
@@ -151,9 +151,9 @@ def test_a_run_outlives_it() -> None:
 
 PARENT = """
 import contextlib
-from vcmvsp.cosim.view.live.session import Viewer
+from vcmvsp.cosim.view.live.session import Viewing
 from tests.support.cosim import view_pages
-with Viewer.open(view_pages.scenery(), port=0) as viewer, contextlib.suppress(KeyboardInterrupt):  # before it can stay, too
+with Viewing(port=0).open(view_pages.scenery()) as viewer, contextlib.suppress(KeyboardInterrupt):  # before it can stay, too
     print(viewer._process.pid, flush=True)
     viewer.stay()
 print("done", flush=True)
@@ -217,7 +217,7 @@ def test_while_it_draws_the_run_goes_on() -> None:
     assert times == [0, taken[-1]]
 
 
-def test_no_secret_is_in_the_list_of_processes(viewer: Viewer) -> None:
+def test_no_secret_is_in_the_list_of_processes(viewer: Viewing) -> None:
     token = urllib.parse.parse_qs(urllib.parse.urlsplit(viewer.url).query)["token"][0]
     pid = viewer._process.pid
     for what in ("cmdline", "environ"):
