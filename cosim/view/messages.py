@@ -5,7 +5,9 @@ from the station. A recording uses the same three messages.
 """
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Literal, Self
+
+import numpy as np
 
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.scenario.schema import InterventionTable
@@ -13,6 +15,7 @@ from vcmvsp.cosim.types import (
     Array,
     Fix,
     Follows,
+    FrameReport,
     Image,
     Mosaic,
     Presence,
@@ -23,6 +26,7 @@ from vcmvsp.cosim.types import (
     States,
     Value,
     Vec3,
+    frozen,
 )
 
 Pose = tuple[float, float, float, float]
@@ -81,6 +85,18 @@ class LinkStatus(Value, frozen=True, kw_only=True):
     rssi_dbm: Array  # (n,) float64
     received: Array  # (n,) bool
     outcome: tuple[str, ...]  # "received" or the cause of the loss
+
+    @classmethod
+    def of(cls, report: FrameReport) -> Self:
+        """The part of a report that the page shows."""
+        return cls(
+            sender=report.sender,
+            sent_ns=report.sent_ns,
+            receivers=report.receivers,
+            rssi_dbm=frozen(report.rssi_dbm, np.float64),
+            received=frozen(report.received_ns >= 0, np.bool_),
+            outcome=report.outcome,
+        )
 
 
 class Pace(Value, frozen=True, kw_only=True):

@@ -14,7 +14,7 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.recording.run_state import RunState
-from vcmvsp.cosim.types import FrameReport, Image, Later, Scan
+from vcmvsp.cosim.types import Image, Later, Scan
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.messages import LinkStatus, Order, Pace, PageUpdate, Pose, Scenery, Sensors
@@ -165,7 +165,7 @@ class Feed:
             states=news.pop("states", {}).get(""),
             obstacles=moving | news.pop("pushed", {}),
             targets={name: place(time_s) for name, place in self._targets.items()},
-            links=tuple(map(_link, frames.values())),
+            links=tuple(map(LinkStatus.of, frames.values())),
             halted=tuple(name for name in self._rows if name in state.halted),
             lines=tuple(state.lines),
             pace=pace,
@@ -214,14 +214,3 @@ class Feed:
     def _lose(self, problem: str) -> None:
         self.problem = problem
         self._pipe.close()
-
-
-def _link(report: FrameReport) -> LinkStatus:
-    return LinkStatus(
-        sender=report.sender,
-        sent_ns=report.sent_ns,
-        receivers=report.receivers,
-        rssi_dbm=report.rssi_dbm,
-        received=report.received_ns >= 0,
-        outcome=report.outcome,
-    )

@@ -77,23 +77,12 @@ def _scan_of(said: LaserScan) -> Scan:
     )
 
 
-def _link_of(said: FrameReport) -> LinkStatus:
-    return LinkStatus(
-        sender=said.sender,
-        sent_ns=said.sent_ns,
-        receivers=said.receivers,
-        rssi_dbm=frozen(said.rssi_dbm, np.float64),
-        received=frozen(said.received_ns >= 0, np.bool_),
-        outcome=said.outcome,
-    )
-
-
 SHOWN_AS: Mapping[type, Callable[[Any], Any]] = {
     Noted: _numbers_of,
     PoseInFrame: _fix_of,
     FrameTransforms: _poses_of,
     LaserScan: _scan_of,
     Grid: lambda said: said.shown,
-    FrameReport: _link_of,
+    FrameReport: LinkStatus.of,
 }
 """Decoders for messages to the page, by type; other messages are used unchanged."""
