@@ -136,7 +136,7 @@ class AgentRunner:
     def _act(self, now_ns: int, when: int, events: list[Event]) -> None:
         if self._state is None:
             raise AgentError(
-                (self.vehicle,), self.spec.kind, "has no state to act on: nothing published its vehicle's estimate"
+                (self.vehicle,), self.spec.kind, "has no state to act on: no estimate of its vehicle was published"
             )
         agent, radio = self.agent, self._radio
         observation = Observation(
@@ -187,7 +187,7 @@ class AgentRunner:
         try:
             plain_command, total = _plain(command)
         except (TypeError, ValueError):
-            raise self._error(f"returned {command}; every coordinate must be a number") from None
+            raise self._error(f"returned {command}; all coordinates must be numbers") from None
         if not math.isfinite(total):
             raise self._error(f"returned a command that is not finite: {plain_command}")
         return plain_command
@@ -198,9 +198,9 @@ class AgentRunner:
         try:
             place = msgspec.convert(msgspec.to_builtins(follows, enc_hook=lambda number: number.item()), Follows)
         except (msgspec.ValidationError, TypeError, AttributeError):
-            raise self._error(f"has set follows to {binding.show(follows)}; it must be a Follows, or None") from None
+            raise self._error(f"set follows to {binding.show(follows)}; it must be a Follows, or None") from None
         if place.leader == self.vehicle or place.leader not in self._vehicles:
-            raise self._error(f"has set follows.leader to {place.leader!r}, which is not another vehicle of this run")
+            raise self._error(f"set follows.leader to {place.leader!r}; it must be another vehicle of this run")
         return place
 
     def guarded(self, method: Any, *args: Any, passes: type[Exception] | tuple[()] = ()) -> Any:

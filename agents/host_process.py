@@ -59,9 +59,9 @@ def host(
     """
     for vehicle in vehicles:
         if not re.fullmatch(r"[A-Za-z0-9_-]+", vehicle):
-            raise UsageError(f"--vehicle {vehicle!r}: a name has letters, digits, _ and -")
+            raise UsageError(f"--vehicle {vehicle!r}: a name has only letters, digits, _ and -")
     if strange := [name for name in params or {} if name in binding.parameters(AgentTable)]:
-        raise UsageError(f"--set {strange[0]}: that is for the scenario to say; a host sets parameters of its agent")
+        raise UsageError(f"--set {strange[0]}: a key of the scenario; a host sets only parameters of its agent")
     named = registry.classes_in([*allow, kind, params])
     may_load = registry.only(None if token else registry.OwnCode(named, code_folder, on_state))
     if kind is not None:  # errors of the class are reported here: the run continues to wait

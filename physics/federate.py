@@ -153,7 +153,7 @@ class Physics:
         for number in self._simulated:
             name = self._names[number]
             if name not in movers:
-                problem = f"{name} is a {type(self.vehicles[number].model).__name__}, which physics cannot move: "
+                problem = f"{name} is a {type(self.vehicles[number].model).__name__}, a model without an engine: "
                 raise ScenarioError(f"{problem}derive it from GroundVehicle, Point or Quadrotor", key=f"vehicle.{name}.kind")
         return movers
 

@@ -33,7 +33,7 @@ def check_names(world: World, vehicles: Sequence[VehicleSpec]) -> None:
     for key, things in (("world.movables", world.movables), ("world.moving", world.moving)):
         for each in things:
             if each.name in names:
-                raise ScenarioError(f"{each.name!r} is the name of another vehicle or body too; names must differ", key=key)
+                raise ScenarioError(f"{each.name!r} is also the name of another vehicle or body; use distinct names", key=key)
             names.add(each.name)
 
 
@@ -43,7 +43,7 @@ def check_sensors(vehicles: Sequence[VehicleSpec], external: Collection[str]) ->
         for name, sensor in spec.sensors.items():
             problem = sensor.misfit(spec.model)
             if not problem and spec.name in external and isinstance(sensor, WheelOdometry):
-                problem = "is not moved by physics, which cannot count its wheels' turns: leave this sensor out"
+                problem = "is an external vehicle without simulated wheels: leave this sensor out"
             if problem:
                 raise ScenarioError(f"{spec.name} {problem}", key=f"vehicle.{spec.name}.sensors.{name}")
 
@@ -122,19 +122,19 @@ def placed(world: World, obstacle: str, position: tuple[float, float], yaw: floa
     """
     names = [each.name for each in world.movables]
     if obstacle in [each.name for each in world.moving]:
-        raise ValueError(f"'{obstacle}' keeps to a time-table; what can be moved: {', '.join(sorted(names)) or 'nothing'}")
+        raise ValueError(f"'{obstacle}' moves by its timetable; movable obstacles: {', '.join(sorted(names)) or 'none'}")
     if obstacle not in names:
         raise ValueError(unknown("movable", obstacle, names))
     number = names.index(obstacle)
     hull = world.movables[number].solid.hull
     if not all(map(isfinite, (*position, yaw))):
-        raise ValueError(f"{obstacle} needs a finite place, not {position}, yaw {yaw}")
+        raise ValueError(f"{obstacle}: position and yaw must be finite, not {position}, yaw {yaw}")
     if (beyond_m := world.outside(*position)) > 0.0:
-        raise _refused(obstacle, position, f"that is {beyond_m:.3g} m outside the world ({world.name})")
+        raise _refused(obstacle, position, f"the place is {beyond_m:.3g} m outside the world ({world.name})")
     place = (*position, 0.5 * hull.size[2])
     blocking = world.blocking(*outline(hull, place, yaw))
     if blocking is not None and blocking[1] > TOUCHES_M:
-        raise _refused(obstacle, position, f"it would reach {blocking[1]:.3g} m into {blocking[0].words}")
+        raise _refused(obstacle, position, f"it would overlap {blocking[0].words} by {blocking[1]:.3g} m")
     return number, place
 
 

@@ -54,7 +54,7 @@ class PoseSources:
             if spec.pose_source == "fusion":
                 if spec.fusion is None:
                     key = f"vehicle.{spec.name}.pose_source"
-                    raise ScenarioError('"fusion" needs an estimator, and the vehicle has none', key=key)
+                    raise ScenarioError('"fusion" needs an estimator: add a fusion table to the vehicle', key=key)
                 self._fusers[number] = _Fuser(copy.deepcopy(spec.fusion))
 
     @property

@@ -63,11 +63,11 @@ class SensorScheduler:
             key, (ticks, phase_ns) = f"vehicle.{each.key.replace('/', '.sensors.', 1)}", each.train
             rate_hz = each.sensor.rate_hz
             if ticks.period < step.period:
-                problem = f"{rate_hz:g} Hz is more than the {hz:g} steps a second of physics; "
-                raise ScenarioError(f"{problem}lower it, or raise physics.rate_hz", key=f"{key}.rate_hz")
+                problem = f"{rate_hz:g} Hz is above physics.rate_hz = {hz:g}; "
+                raise ScenarioError(f"{problem}lower the sensor rate, or raise physics.rate_hz", key=f"{key}.rate_hz")
             if not ticks.is_multiple_of(step):
                 rates = [f"{hz / by:g}" for by in (1, 2, 3, 4, 5, 6, 8, 10, 12, 24) if float(f"{hz / by:g}") == hz / by]
-                problem = f"{rate_hz:g} Hz does not divide the {hz:g} steps a second of physics; use {', '.join(rates)} Hz, "
+                problem = f"{rate_hz:g} Hz does not divide physics.rate_hz = {hz:g}; use {', '.join(rates)} Hz, "
                 raise ScenarioError(f"{problem}or set physics.rate_hz", key=f"{key}.rate_hz")
             if not step.hits(phase_ns):
                 problem = f"{each.sensor.phase_s:g} s is not a whole number of physics steps (1/{hz:g} s)"

@@ -49,7 +49,7 @@ class GetAround(Agent):
     def _around(self, obs: Observation, command: Velocity | Waypoint | None) -> Velocity | Waypoint | None:
         if isinstance(command, Waypoint):
             if not self._flies:
-                raise ValueError("avoid: the task gave a Waypoint, and a vehicle on wheels takes velocities alone")
+                raise ValueError("avoid: the task returned a Waypoint, but a vehicle on wheels accepts velocities only")
             return self._flown(obs, velocity_to(obs, command, self._steering.settings.max_speed), command)
         if not isinstance(command, Velocity):
             return command  # None, or a type that the host rejects

@@ -53,7 +53,7 @@ class DynamicWindow(Settings, frozen=True, kw_only=True, tag="dynamic_window"):
     def method(self, body: Body, period_s: float) -> Method:
         """Method for a vehicle on wheels; `ValueError`: the vehicle flies, so it does not move along arcs."""
         if body.flies:
-            raise ValueError('avoidance.kind = "dynamic_window": for vehicles on wheels; one that flies takes another method')
+            raise ValueError('avoidance.kind = "dynamic_window" is for vehicles on wheels; choose another kind for flying ones')
         return _DynamicWindow(self, self.kept_m(body), period_s)
 
 

@@ -120,5 +120,5 @@ def saturated(velocity: Point, max_speed: float) -> Point:
 def body_of(info: VehicleInfo) -> Body:
     """Body of a vehicle; `ValueError`: it is unknown."""
     if info.body is None:
-        raise ValueError(f"avoidance needs to know how much room {info.name} takes, and nobody says: there is no body")
+        raise ValueError(f"avoidance needs the size of {info.name}, but its kind has no body; choose another kind of vehicle")
     return info.body

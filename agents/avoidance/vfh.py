@@ -53,9 +53,9 @@ class Vfh(Settings, frozen=True, kw_only=True, tag="vfh"):
         """Method of this kind for a vehicle on wheels or in the air; `ValueError`: the distances contradict each other."""
         keep = self.kept_m(body)
         if self.freed_m < self.blocked_m:
-            raise ValueError(f"freed_m = {self.freed_m:g}: must not be less than blocked_m = {self.blocked_m:g}")
+            raise ValueError(f"freed_m = {self.freed_m:g} must not be less than blocked_m = {self.blocked_m:g}")
         if keep >= self.blocked_m:
-            raise ValueError(f"blocked_m = {self.blocked_m:g}: must be more than what is kept away from things, {keep:g} m")
+            raise ValueError(f"blocked_m = {self.blocked_m:g} must exceed the distance kept from obstacles, {keep:g} m")
         return _Vfh(self, keep, period_s, flies=body.flies)
 
 

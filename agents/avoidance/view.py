@@ -149,7 +149,7 @@ def check_carried(info: VehicleInfo, sensor: str, key: str) -> None:
     """Reject (ValueError) a sensor, named by ``key``, that the vehicle does not carry."""
     if info.sensors is not None and sensor not in info.sensors:
         carries = ", ".join(info.sensors) or "nothing"
-        raise ValueError(f"{key} = {sensor!r}: {info.name} has no such sensor (it carries: {carries})")
+        raise ValueError(f"{key} = {sensor!r}: {info.name} has no such sensor; its sensors: {carries}")
 
 
 def wrapped(angles: Array) -> Array:

@@ -141,13 +141,13 @@ class AerialRoute(Leader):
     ) -> None:
         inner = estimator_of(estimator, horizon_s=horizon_s, fade_s=fade_s)
         if getattr(inner, "needs", ()):
-            raise ScenarioError(f"{estimator!r} needs what no report in the air holds; take 'hold' or 'dr'", key="estimator")
+            raise ScenarioError(f"{estimator!r} is for vehicles on wheels; choose 'hold' or 'dr'", key="estimator")
         airborne = Airborne(inner)
         super().__init__(
             estimator=airborne, sending=sending, formation=formation, avoidance=avoidance, clock_bound_s=clock_bound_s
         )
         if bool(way) == (course_deg is not None):
-            raise ValueError("give either a way of at least one point, or a course_deg to fly on for ever")
+            raise ValueError("set either way (at least one point) or course_deg (fly on without end)")
         self.way, self.loop, self.speed, self.arrive_m = way, loop, speed, arrive_m
         self.course_deg, self.heading, self.yaw_rate = course_deg, heading, yaw_rate
         self._next = 0
@@ -243,9 +243,9 @@ class AerialFollower(FormationFollower):
     ) -> None:
         super().__init__(leader, formation=formation, **following)
         if (slot is None) == (formation is None):
-            raise ValueError("slot says where to be beside a leader; a formation does so itself: give just one of them")
+            raise ValueError("slot and formation both define the place of the vehicle: leave one of them out")
         if formation is None and above:
-            raise ValueError("above needs a formation; beside a leader, slot has a height")
+            raise ValueError("above needs a formation; without one, set the height in slot")
         x, y, self.above = (0.0, 0.0, above) if slot is None else slot
         self.gain, self.heading, self.max_yaw_rate = gain, heading, max_yaw_rate
         self._yaw: float | None = None  # of the start

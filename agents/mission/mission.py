@@ -72,7 +72,7 @@ class SearchMission(Agent):
         self._limits = {"acceleration": acceleration, "yaw_acceleration": yaw_acceleration}
         self._hearing = {"alive_s": alive_s, "claim_s": claim_s, "report_s": report_s, "clock_bound_s": clock_bound_s}
         if sectors and any(len(sector) > 1 for sector in sectors) and "formation" not in algorithms:
-            raise ScenarioError("sectors are shared, so there must be an algorithm for it: formation", key="algorithms")
+            raise ScenarioError("shared sectors need an algorithm for formation: add algorithms.formation", key="algorithms")
         self._flies_along = {  # by sector: files of agents are found in the scenario's folder only now
             tuple(sector): build_nested(_of_sector(algorithms["formation"], sector), "algorithms.formation")
             for sector in sectors
@@ -148,7 +148,7 @@ class SearchMission(Agent):
                 facts_of_task = tell(obs)
                 for name in facts_of_task:
                     if name not in MissionFacts._fields:
-                        raise ValueError(f"algorithms.{task}: facts() tells {unknown('fact', name, MissionFacts._fields)}")
+                        raise ValueError(f"algorithms.{task}: facts() returned {unknown('fact', name, MissionFacts._fields)}")
                 facts |= facts_of_task
         if "track" not in self._tasks:
             facts |= {"recognised": False, "probability": 0.0}
@@ -180,7 +180,7 @@ def _built(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Agent]:
         if task not in TASKS:
             raise ScenarioError(unknown("task", task, TASKS), key=f"algorithms.{task}")
     if "search" not in tables:
-        raise ScenarioError("there must be an algorithm for search", key="algorithms")
+        raise ScenarioError("an algorithm for search is missing: add algorithms.search", key="algorithms")
     return {task: build_nested(tables[task], f"algorithms.{task}") for task in TASKS if task in tables}
 
 

@@ -41,7 +41,7 @@ class Tiling:
     def __init__(self, grid: Grid, max_bytes: int) -> None:
         fitting = [side for side in SIDES if 4 * side * side + OVERHEAD <= max_bytes]
         if not fitting:
-            raise ValueError(f"max_bytes = {max_bytes}: a message of the map takes {4 + OVERHEAD} bytes at least")
+            raise ValueError(f"max_bytes = {max_bytes}: a map message needs at least {4 + OVERHEAD} bytes")
         self.grid, self.max_bytes, self.side = grid, max_bytes, fitting[0]
         side, rows, columns = self.side, np.arange(grid.rows), np.arange(grid.columns)
         self.across = -(-grid.columns // side)
@@ -390,7 +390,7 @@ def exchange(
     `ValueError`: ``me`` is not among the members, the prior is 0 or 1, or no cell fits into a message.
     """
     if me not in members:
-        raise ValueError(f"members: they must include {me!r}; they are {', '.join(members)}")
+        raise ValueError(f"members must include {me!r}; members: {', '.join(members)}")
     common = Tiling(grid, max_bytes), sensor, log_odds(prior), me, members, round(clock_bound_s * 1000.0)
     match kind:
         case "none":

@@ -62,10 +62,10 @@ class Sheet:
     def __init__(self, settings: Mosaicking) -> None:
         (left, bottom, right, top), cell = settings.area, settings.cell_m
         if not (right > left and top > bottom):
-            raise ScenarioError("right must be beyond left, and top beyond bottom", key="area")
+            raise ScenarioError("right must be greater than left, and top greater than bottom", key="area")
         columns, rows = max(1, round((right - left) / cell)), max(1, round((top - bottom) / cell))
         if columns * rows > MOST_CELLS:
-            words = f"makes {columns * rows / 1e6:.0f} million cells, which may be {MOST_CELLS / 1e6:.0f} million"
+            words = f"gives {columns * rows / 1e6:.0f} million cells; use larger ones (at most {MOST_CELLS / 1e6:.0f} million)"
             raise ScenarioError(f"{cell:g} m {words}", key="cell_m")
         self._left, self._bottom, self._cell_m = left, bottom, cell
         self._every_ns = seconds_to_ns(settings.every_s)

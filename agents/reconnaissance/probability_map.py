@@ -39,7 +39,7 @@ class Sensor:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.q < self.p < 1.0:
-            raise ValueError(f"p = {self.p} and q = {self.q}: a sensor that tells something has 0 < q < p < 1")
+            raise ValueError(f"p = {self.p} and q = {self.q}: an informative sensor has 0 < q < p < 1")
 
     @property
     def hit(self) -> float:
@@ -68,7 +68,7 @@ class Grid:
 
     def __post_init__(self) -> None:
         if not (self.area.right > self.area.left and self.area.top > self.area.bottom and all(map(math.isfinite, self.area))):
-            raise ValueError(f"{self.area}: right must be beyond left, top beyond bottom, all of them finite")
+            raise ValueError(f"area {self.area}: right must be greater than left, top greater than bottom, all finite")
         if not (self.cell > 0.0 and math.isfinite(self.cell)):
             raise ValueError(f"cell = {self.cell} m must be > 0")
 

@@ -76,9 +76,9 @@ class Roster:
         clock_bound_s: float = 0.0,
     ) -> None:
         if me not in members:
-            raise ValueError(f"members: {me} is not one of them; they are {', '.join(members)}")
+            raise ValueError(f"members must include {me}; members: {', '.join(members)}")
         if alive_s <= report_s:
-            raise ValueError(f"alive_s = {alive_s}: members tell of themselves every {report_s} s, so it must be longer")
+            raise ValueError(f"alive_s = {alive_s} must be longer than the report period, {report_s} s")
         self.me, self.members = me, tuple(sorted(set(members)))
         self._sector_of = _by_sector(self.members, sectors)
         self._rank = {name: rank for sector in sectors for rank, name in enumerate(sector)}
@@ -182,7 +182,7 @@ def _by_sector(members: Sequence[str], sectors: Sequence[Sequence[str]]) -> dict
     of: dict[str, str] = {}
     for sector in sectors:
         if not sector:
-            raise ValueError("sectors: there is one in which nobody is; leave it out, or name somebody")
+            raise ValueError("sectors: a sector has no members; add one, or leave the sector out")
         for name in sector:
             if name not in members:
                 raise ValueError(f"sectors: {unknown('member', name, members)}")

@@ -107,7 +107,7 @@ class Search(Agent):
         self.grid = Grid(Rectangle(*area), cell_m)
         if self.grid.rows * self.grid.columns > MOST_CELLS:
             many = f"{self.grid.rows} x {self.grid.columns} cells of {cell_m:g} m"
-            raise ScenarioError(f"{many} are too many: at most {MOST_CELLS}; take larger ones", key="cell_m")
+            raise ScenarioError(f"{many} are too many (at most {MOST_CELLS}): use larger cells", key="cell_m")
         self._exchange: dict[str, Any] = {
             "grid": self.grid,
             "sensor": Sensor(p, q),
@@ -126,7 +126,7 @@ class Search(Agent):
         self._look_ns, self._share_ns = seconds_to_ns(look_s), seconds_to_ns(share_s)
         if sensor != CAMERA:
             if swath_m is None:
-                raise ScenarioError(f"{sensor!r} does not say how far it sees: give the reach of the sensor", key="swath_m")
+                raise ScenarioError(f"is needed with the sensor {sensor!r}: set the width that it covers, m", key="swath_m")
             self.sensors = (sensor,)
         else:
             self.sensors = () if watching is None else (watching.camera,)
@@ -220,8 +220,8 @@ class Search(Agent):
         if looks is None:
             return None
         if not isinstance(looks, Looks):
-            gives = f"says nothing of cells, but gives a {type(looks).__name__}"
-            raise TypeError(f"sensor = {self.sensor!r}: {gives}; name a sensor of kind target_sensor, or 'camera'")
+            gives = f"gives a {type(looks).__name__}, not looks at cells"
+            raise TypeError(f"sensor = {self.sensor!r} {gives}; name a sensor of kind target_sensor, or 'camera'")
         if looks.time_ns == self._looked_ns:
             return None
         self._looked_ns = looks.time_ns
@@ -277,7 +277,7 @@ class Search(Agent):
         if self.sensor == CAMERA:
             self.watch = self.watch or self._own_watch
             if self.watch is None:
-                raise ValueError("sensor = 'camera': say which camera it is and what to look for; give watching = {...}")
+                raise ValueError("sensor = 'camera' needs the camera and the targets: set watching = {...}")
             if self.watch is self._own_watch:
                 self.watch.start(info)
         else:

@@ -112,7 +112,7 @@ class SearchMap:
 def of_reading(grid: Grid, looks: Looks) -> tuple[Array, Array]:
     """Cells of a detector's reading, (n,), and the results, (n,) bool; its cells must have the size of the map's cells."""
     if not math.isclose(looks.cell_m, grid.cell):
-        raise ValueError(f"cell_m = {grid.cell:g}: the sensor looks at cells of {looks.cell_m:g} m, so it must be that")
+        raise ValueError(f"cell_m = {grid.cell:g} must equal the cell size of the sensor, {looks.cell_m:g} m")
     # Cell (0, 0) of the sensor has its middle in this column and row, which is the same step for all: no two become one.
     left, bottom = (math.floor(0.5 - edge / grid.cell) for edge in (grid.area.left, grid.area.bottom))
     columns, rows = looks.cells[:, 0].astype(np.intp) + left, looks.cells[:, 1].astype(np.intp) + bottom

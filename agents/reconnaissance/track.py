@@ -81,7 +81,7 @@ class TrackTarget(Agent):
         mosaic: Mosaicking | None = None,
     ) -> None:
         if needed > frames:
-            raise ScenarioError(f"of {frames} frames no more than that can be needed, not {needed}", key="needed")
+            raise ScenarioError(f"must be at most frames = {frames}, not {needed}", key="needed")
         self.members, self.height, self.max_speed = members, height, max_speed
         self._confirmation = partial(Confirmation, needed, frames, within_m)
         self._keeping = {"gain": gain, "smoothing": smoothing, "max_speed": max_speed, "within_m": within_m}
@@ -101,7 +101,7 @@ class TrackTarget(Agent):
             self.roster = Roster(info.name, members_of(info, self.members))
         self.watch = self.watch or self._own
         if self.watch is None:
-            raise ValueError("watching is missing: who tracks must know what to look for, and with which camera")
+            raise ValueError("watching is missing: tracking needs the camera and the targets")
         if self.watch is self._own:
             self.watch.start(info)
         self._camera = self.watch.settings.camera

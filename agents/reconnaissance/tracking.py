@@ -89,7 +89,7 @@ class Tracker:
         most = largest_gain(math.ceil(latency_s / period_s - 1e-9), period_s)
         if not 0.0 < gain < most:
             loop = f"a period of {period_s:g} s and a latency of {latency_s:g} s"
-            raise ValueError(f"gain = {gain:g}: must lie between 0 and {most:.3f} 1/s with {loop}")
+            raise ValueError(f"gain = {gain:g} must lie between 0 and {most:.3f} 1/s with {loop}")
         self.period_s, self.gain, self.smoothing, self.max_speed = period_s, gain, smoothing, max_speed
         self.within_m, self.target_speed = within_m, target_speed
         self.spiral_s, self.spiral_speed, self.spiral_pitch_m = spiral_s, spiral_speed, spiral_pitch_m
@@ -102,7 +102,7 @@ class Tracker:
     def begin(self, image_ns: int, place: Point) -> None:
         """Track a target at this place, m, assumed at rest, in place of the former one."""
         if not _is_place(place):
-            raise ValueError(f"a target is at a place, not at {place}")
+            raise ValueError(f"the place of a target must be finite, not {place}")
         self._place, self.velocity, self.seen_ns, self._searched = place, (0.0, 0.0), image_ns, 0
 
     def end(self) -> None:
@@ -140,7 +140,7 @@ class Tracker:
     def predicted(self, now_ns: int) -> Point:
         """Expected place of the target, m; of a lost target, its last seen place."""
         if self._place is None:
-            raise ValueError("nothing is tracked")
+            raise ValueError("no target is tracked: call begin first")
         age_ns = now_ns - self.seen_ns
         age_s = age_ns / 1e9 if age_ns < self._lost_ns else 0.0
         return self._place[0] + age_s * self.velocity[0], self._place[1] + age_s * self.velocity[1]

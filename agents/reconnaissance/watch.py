@@ -107,8 +107,8 @@ class Watch:
         if image is None:
             return None
         if not isinstance(image, Image):
-            gives = f"takes no pictures, but gives a {type(image).__name__}"
-            raise TypeError(f"{self._key}.camera = {self.settings.camera!r}: {gives}; name a camera that looks straight down")
+            gives = f"gives a {type(image).__name__}, not pictures"
+            raise TypeError(f"{self._key}.camera = {self.settings.camera!r} {gives}; name a camera that looks straight down")
         if self._taken_ns is not None and image.time_ns <= self._taken_ns:
             return None
         self._taken_ns = image.time_ns

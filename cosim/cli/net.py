@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.assembly.parts.networks import RunNetwork
 
 RunName = Annotated[str | None, typer.Option("--run", metavar="NAME", help="Whose network, if there are several.")]
-NEEDS = "networks of namespaces need {}: start it as root (sudo), or in a container with --privileged"
+NEEDS = "network namespaces need {}: start it as root (sudo), or in a container with --privileged"
 
 net_app = typer.Typer(
     name="net",

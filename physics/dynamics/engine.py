@@ -218,7 +218,7 @@ def _check_command(key: str, command: Command, flying: bool) -> None:
         numbers = [*command.position, command.yaw or 0.0, command.speed or 0.0]
     vehicle, problem = key.partition("/")[0], ""
     if isinstance(command, Waypoint) and not flying:
-        problem = f"{vehicle} was given a Waypoint but cannot fly: send Velocity, or make it a quadrotor or a point"
+        problem = f"{vehicle} received a Waypoint but cannot fly: send Velocity, or use a quadrotor or a point"
     elif not all(map(isfinite, numbers)):
         problem = f"the command of {vehicle} is not finite: {command}"
     elif isinstance(command, Waypoint) and command.speed is not None and command.speed <= 0.0:

@@ -242,7 +242,7 @@ class ExternalEngine(Engine):
     def __init__(self, source: ExternalMotion, vehicles: Sequence[VehicleSpec]) -> None:
         self._source, self.names = source, tuple(spec.name for spec in vehicles)
         if self.names != tuple(source.names):
-            raise ValueError(f"of vehicles moved from outside, {source.names}, the run has {self.names}, in this order")
+            raise ValueError(f"external vehicles of the source are {source.names}; the run needs {self.names}, in this order")
         positions = np.array([spec.start for spec in vehicles], float).reshape(-1, 3)
         self._motion = still(positions, np.array([spec.heading for spec in vehicles], float))
         self._yaw_rate = np.zeros(len(vehicles))  # rad/s, about the vertical
@@ -286,14 +286,14 @@ class ExternalEngine(Engine):
     def _check(self, now_ns: int, states: Sequence[VehicleState]) -> None:
         at = f"at {now_ns / SECOND_NS:.9g} s"
         if len(states) != len(self.names):
-            problem = f"{len(states)} states of the {len(self.names)} vehicles moved from outside, {at}"
+            problem = f"{len(states)} states for {len(self.names)} external vehicles {at}"
             raise FederateError("physics", problem)
         for name, state in zip(self.names, states, strict=True):
             numbers = (*state.position, *state.velocity, *state.attitude, *state.angular_velocity)
             if not np.isfinite(numbers).all():
                 raise FederateError("physics", f"the received state of {name} {at} is not finite: {state}")
             if not abs(float(np.linalg.norm(state.attitude)) - 1.0) < _UNIT:
-                raise FederateError("physics", f"the received attitude of {name} {at} is no rotation: {state.attitude}")
+                raise FederateError("physics", f"the attitude received for {name} {at} is no unit quaternion: {state.attitude}")
 
 
 class Firmware:

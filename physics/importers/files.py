@@ -47,7 +47,7 @@ def library(name: str, path: str, install: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise ScenarioError(f"reading it needs {name}, which is not installed: pip install {install}", source=path) from error
+        raise ScenarioError(f"reading it needs the package {name}: pip install {install}", source=path) from error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,13 +139,13 @@ class MeshFile(Surroundings):
             corners = np.array(trimesh.load_mesh(self.path, process=False).triangles, np.float64)
         except Exception as error:  # any error of a reader of some format
             problem = f"trimesh cannot read it: {type(error).__name__}: {error}; "
-            problem += "OBJ, STL and PLY are read without further packages"
+            problem += "OBJ, STL and PLY need no further packages"
             raise ScenarioError(problem, source=self.path) from error
         if not len(corners):
-            raise ScenarioError("holds no triangles: export a surface, not points or lines", source=self.path)
+            raise ScenarioError("contains no triangles: export a surface, not points or lines", source=self.path)
         bad = np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))
         if len(bad):
-            problem = f"triangle {bad[0]} has a corner that is not finite ({len(bad)} of {len(corners)} have): repair the mesh"
+            problem = f"triangle {bad[0]} has a non-finite corner ({len(bad)} of {len(corners)} triangles): repair the mesh"
             raise ScenarioError(problem, source=self.path)
         if self.up == "y":
             corners = np.stack([corners[..., 0], -corners[..., 2], corners[..., 1]], axis=-1)

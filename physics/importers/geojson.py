@@ -44,7 +44,7 @@ class GeoJson(Surroundings):
         super().__post_init__()
         require_file(self.path)
         if self.origin is not None and not self.metric and not (abs(self.origin[0]) <= 180.0 and abs(self.origin[1]) < 90.0):
-            problem = f"must be longitude and latitude in degrees, not {self.origin}; for metres say metric = true"
+            problem = f"must be longitude and latitude in degrees, not {self.origin}; for metres set metric = true"
             raise ScenarioError(problem, key="origin")
 
     def build(self) -> World:
@@ -60,10 +60,10 @@ class GeoJson(Surroundings):
             raise ScenarioError(f"is not JSON: {error}", source=str(path)) from error
         footprints = list(_footprints(content, path))
         if not footprints:
-            raise ScenarioError("holds no Polygon and no MultiPolygon: export buildings as areas", source=str(path))
+            raise ScenarioError("contains no Polygon or MultiPolygon: export buildings as areas", source=str(path))
         places = np.concatenate([ring for _, _, rings in footprints for ring in rings])
         if not self.metric and (np.abs(places) > (180.0, 90.0)).any():
-            problem = "has coordinates beyond 180 and 90 degrees: if they are metres, say metric = true"
+            problem = "has coordinates beyond 180 and 90 degrees: if they are metres, set metric = true"
             raise ScenarioError(problem, source=str(path))
         middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
         origin = (float(middle[0]), float(middle[1])) if self.origin is None else self.origin
@@ -74,7 +74,7 @@ class GeoJson(Surroundings):
             if problem := problem_of(outline, holes):
                 if self.skip_invalid:
                     continue
-                problem = f"the footprint {problem}: repair it, or say skip_invalid = true"
+                problem = f"the footprint {problem}: repair it, or set skip_invalid = true"
                 raise ScenarioError(problem, key=words, source=str(path))
             bottom, top = self._extent(properties, words, path)
             look: dict[str, Any] = {"material": self.material, "color": self.color}
@@ -87,7 +87,7 @@ class GeoJson(Surroundings):
             top = self.default_height if levels is None or levels <= 0.0 else STOREY_M * levels
         bottom = metres(properties.get("min_height")) or 0.0
         if not 0.0 <= bottom < top:
-            problem = f"a building from {bottom:g} m to {top:g} m has no height: put its height or min_height right"
+            problem = f"a building from {bottom:g} m to {top:g} m has no height: correct its height or min_height"
             raise ScenarioError(problem, key=words, source=str(path))
         return bottom, top
 
@@ -135,10 +135,10 @@ def _footprints(content: Any, path: Path) -> Iterator[tuple[str, Mapping[str, An
                     if polygon != []:  # empty coordinates are valid (RFC 7946, 3.1)
                         yield words, properties, [_ring(ring) for ring in polygon]
             except (TypeError, ValueError, IndexError, OverflowError) as error:
-                problem = f"its coordinates are no rings of [x, y]: {error}"
+                problem = f"its coordinates must be rings of [x, y]: {error}"
                 raise ScenarioError(problem, key=words, source=str(path)) from error
         elif isinstance(geometry, dict) and geometry.get("type") == "GeometryCollection":
-            raise ScenarioError("a GeometryCollection is not read: split it into features", key=words, source=str(path))
+            raise ScenarioError("GeometryCollection is not supported: split it into features", key=words, source=str(path))
 
 
 def _ring(coordinates: Any) -> Array:

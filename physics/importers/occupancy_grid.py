@@ -80,7 +80,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     except (yaml.YAMLError, ValueError) as error:  # the latter for impossible dates
         raise ScenarioError(f"is not YAML: {error}", source=str(path)) from error
     if not isinstance(content, dict):
-        raise ScenarioError("is no map: it needs image, resolution and origin", source=str(path))
+        raise ScenarioError("is not a map: it needs image, resolution and origin", source=str(path))
 
     def number(key: str, default: float | None, low: float, high: float) -> float:
         value = content.get(key, default)
@@ -96,7 +96,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         problem = f"must be [x m, y m, yaw rad] of the lower left corner, not {origin!r}"
         raise ScenarioError(problem, key="origin", source=str(path))
     if not isinstance(content.get("image"), str):
-        raise ScenarioError("must name the picture file", key="image", source=str(path))
+        raise ScenarioError("must be the name of the picture file", key="image", source=str(path))
     if content.get("mode", "trinary") not in ("trinary", "scale"):
         raise ScenarioError(f"must be trinary or scale, not {content['mode']!r}", key="mode", source=str(path))
     return {
@@ -115,7 +115,7 @@ def _check_yaml(text: str, yaml: Any) -> None:
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST or isinstance(event, yaml.AliasEvent):
-            raise ValueError("no map is so deep, or has an alias")
+            raise ValueError("nested too deeply, or with an alias")
 
 
 def occupied_cells(about: dict[str, Any], path: Path) -> Array:

@@ -54,7 +54,7 @@ def png(picture: Array) -> bytes:
     """
     done, data = cv2.imencode(".png", picture[:, :, ::-1])
     if not done:
-        raise ValueError(f"a picture of shape {picture.shape} cannot be written as PNG")
+        raise ValueError(f"an array of shape {picture.shape} cannot be written as PNG: it must be (h, w, 3)")
     return bytes(data)
 
 

@@ -46,7 +46,7 @@ class Camera(Sensor):
     def __post_init__(self) -> None:
         for key in ("width", "height"):
             if getattr(self, key) < 1:
-                raise ScenarioError(f"a picture has at least one pixel, not {getattr(self, key)}", key=key)
+                raise ScenarioError(f"must be at least 1 pixel, not {getattr(self, key)}", key=key)
         if not 0.0 < self.field_of_view < math.pi:
             raise ScenarioError(f"must lie between 0 and pi rad, not {self.field_of_view}", key="field_of_view")
 

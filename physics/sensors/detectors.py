@@ -132,6 +132,6 @@ class TargetSensor(Sensor):
     def _between(self, at: float, low: float, high: float) -> Array:
         first, last = np.floor(np.array([max(at - self.reach_m, low), min(at + self.reach_m, high)]) / self.cell_m)
         if last - first > MOST_ACROSS:
-            problem = f"{last - first:.3g} cells of {self.cell_m:g} m across are more than {MOST_ACROSS}: make them larger"
+            problem = f"{last - first:.3g} x {self.cell_m:g} m across are too many: use larger cells (at most {MOST_ACROSS})"
             raise ScenarioError(problem, key="target_sensor.cell_m")
         return np.arange(first, last + 1.0)

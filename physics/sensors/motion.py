@@ -98,7 +98,7 @@ class InertialUnit(Sensor):
 
 Relative = Annotated[float, msgspec.Meta(gt=-1, le=1)]
 
-_NO_WHEELS = "has no two driven wheels (wheel_radius_m, track_m) whose turns could be counted"
+_NO_WHEELS = "has no two driven wheels (wheel_radius_m, track_m), which wheel odometry needs"
 
 
 @dataclass(kw_only=True)

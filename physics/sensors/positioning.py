@@ -125,7 +125,7 @@ class Uwb(Sensor):
     def __post_init__(self) -> None:
         places = np.array(self.anchors, float).reshape(-1, 3)
         if self.anchors and np.linalg.matrix_rank(places[1:, :2] - places[0, :2]) < 2:
-            raise ValueError("anchors must be at least three that do not stand in a line, seen from above")
+            raise ValueError("anchors: at least three are needed, not on one straight line as seen from above")
         self._places = places
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Fix:

@@ -122,7 +122,7 @@ class DifferentialDrive(GroundVehicle):
 
     def __post_init__(self) -> None:
         if 2.0 * self.wheel_mass_kg >= self.mass_kg:
-            raise ValueError(f"mass_kg = {self.mass_kg} must exceed that of both wheels, 2 x {self.wheel_mass_kg} kg")
+            raise ValueError(f"mass_kg = {self.mass_kg} must exceed the mass of both wheels, 2 x {self.wheel_mass_kg} kg")
         if self.clearance_m >= self.height_m:
             raise ValueError(f"clearance_m = {self.clearance_m} must be less than height_m = {self.height_m}")
         if self.mass_behind_m >= self.caster_behind_m:
@@ -241,7 +241,7 @@ class Quadrotor:
         if self.max_tilt_rad >= 0.5 * math.pi:
             raise ValueError(f"max_tilt_rad = {self.max_tilt_rad} must be less than a right angle")
         if self.max_thrust > 1.0:
-            raise ValueError(f"max_thrust = {self.max_thrust} is a part of what the rotors can, at most 1")
+            raise ValueError(f"max_thrust = {self.max_thrust} is a fraction of the rotors' full thrust: at most 1")
 
     @property
     def hull(self) -> Hull:
@@ -257,6 +257,4 @@ class Quadrotor:
         """Refuse a quadrotor that cannot hover within its own limits."""
         lift, weight = 4.0 * self.max_thrust * self.max_rotor_thrust, self.mass_kg * gravity / math.cos(self.max_tilt_rad)
         if lift <= weight:
-            raise ValueError(
-                f"rotors that lift {lift:.3g} N cannot carry {self.mass_kg} kg at max_tilt_rad, which takes {weight:.3g} N"
-            )
+            raise ValueError(f"{self.mass_kg} kg at max_tilt_rad need {weight:.3g} N, but the rotors lift only {lift:.3g} N")

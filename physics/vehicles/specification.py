@@ -61,13 +61,13 @@ class VehicleSpec(Value, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         key = "pose_source"
         if self.pose_source not in POSE_SOURCES:
-            raise ScenarioError(f'"{self.pose_source}" is none of {", ".join(POSE_SOURCES)}', key=key)
+            raise ScenarioError(f'"{self.pose_source}" is unknown; pose sources: {", ".join(POSE_SOURCES)}', key=key)
         if self.pose_source == "positioning" and self.positioning is None:
-            raise ScenarioError('"positioning" needs the sensor of that name to be fitted to the vehicle', key=key)
+            raise ScenarioError('"positioning" needs a sensor "positioning" on the vehicle', key=key)
         if self.fusion is not None and self.positioning is None:
-            raise ScenarioError('"fusion" needs the sensor "positioning" to be fitted to the vehicle', key=key)
+            raise ScenarioError('"fusion" needs a sensor "positioning" on the vehicle', key=key)
         if (self.pose_source == "odometry" or self.fusion is not None) and flies(self.model):
-            raise ScenarioError(f'"{self.pose_source}" needs wheels, which a vehicle that flies has none of', key=key)
+            raise ScenarioError(f'"{self.pose_source}" needs wheels; this vehicle flies', key=key)
 
     @property
     def start(self) -> Vec3:

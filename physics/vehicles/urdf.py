@@ -114,28 +114,28 @@ class _Tree:
             limits.check_size(self.path, limits.JSON_BYTES)
             root = ET.parse(self.path).getroot()  # noqa: S314  # the user's own file
         except (OSError, ValueError, ET.ParseError) as error:
-            problem = "is no XML" if isinstance(error, ET.ParseError) else "cannot be read"
+            problem = "is not XML" if isinstance(error, ET.ParseError) else "cannot be read"
             raise ScenarioError(f"{self.path} {problem}: {error}", key="file") from error
         self._links = {link.get("name", ""): link for link in root.iterfind("link")}
         self._joints = {joint.get("name", ""): joint for joint in root.iterfind("joint")}
         if root.tag != "robot" or not self._links:
-            raise ScenarioError(f"{self.path} is no URDF: it has no <robot> with links", key="file")
+            raise ScenarioError(f"{self.path} is not a URDF file: it has no <robot> with links", key="file")
         for mesh in root.iter("mesh"):
             name = mesh.get("filename", "")
             if "://" not in name and not (self.path.parent / name).is_file():  # the engine finds package://
-                problem = f"{self.path.name} names the mesh {name!r}, and there is no such file beside it"
+                problem = f"{self.path.name} refers to the mesh {name!r}, but there is no such file beside it"
                 raise ScenarioError(problem, key="file")
         try:
             self._check()
         except ValueError as error:
-            raise ScenarioError(f"{self.path}: a number cannot be read: {error}", key="file") from error
+            raise ScenarioError(f"{self.path}: invalid number: {error}", key="file") from error
 
     def _check(self) -> None:
         for name, link in self._links.items():
             for needed in ("inertial", "inertial/mass", "inertial/inertia"):
                 if link.find(needed) is None:
                     tag = needed.rpartition("/")[2]
-                    problem = f"the link {name!r} of {self.path.name} has no <{tag}>: an engine would make one up"
+                    problem = f"the link {name!r} of {self.path.name} has no <{tag}>: add one"
                     raise ScenarioError(problem, key="file")
             _ = _origin(link.find("inertial"))  # numbers that cannot be read
             mass, inertia = self._mass(link)
@@ -154,7 +154,7 @@ class _Tree:
         roots = [name for name in self._links if name not in children]
         strays = [each for joint in self._joints.values() for each in (_name(joint, "child"), _name(joint, "parent"))]
         if missing := [name for name in strays if name not in self._links]:
-            raise ScenarioError(f"a joint of {self.path.name} names {missing[0]!r}, which is no link of it", key="file")
+            raise ScenarioError(f"a joint of {self.path.name} refers to the unknown link {missing[0]!r}", key="file")
         if len(roots) != 1:
             raise ScenarioError(f"{self.path.name} must have one root link, not {len(roots)}", key="file")
         (root,) = roots
@@ -164,7 +164,7 @@ class _Tree:
         for _ in self._links:
             reached |= {_name(joint, "child") for joint in self._joints.values() if _name(joint, "parent") in reached}
         if loose := [name for name in self._links if name not in reached]:
-            problem = f"joints of {self.path.name} run in a circle: {loose[0]!r} does not hang from {root!r}"
+            problem = f"joints of {self.path.name} form a loop: {loose[0]!r} is not connected to {root!r}"
             raise ScenarioError(problem, key="file")
         for joint in self._joints.values():
             _ = _origin(joint), _axis(joint)  # numbers that cannot be read
@@ -194,12 +194,12 @@ class _Tree:
         joint = self._joints.get(name)
         if joint is None:
             there = ", ".join(self._joints) or "none"
-            raise ScenarioError(f"{self.path.name} has no joint {name!r}; there are: {there}", key=key)
+            raise ScenarioError(f"{self.path.name} has no joint {name!r}; joints: {there}", key=key)
         if joint.get("type") not in _TURNS:
-            problem = f"the joint {name!r} of {self.path.name} is {joint.get('type')}, and a wheel must turn"
+            problem = f"the joint {name!r} of {self.path.name} is {joint.get('type')}; a wheel needs continuous or revolute"
             raise ScenarioError(problem, key=key)
         if joint.get("type") == "revolute" and {"lower", "upper"} & {*_attributes(joint, "limit")}:
-            problem = f"the joint {name!r} of {self.path.name} has limits, and a wheel must turn without end: "
+            problem = f"the joint {name!r} of {self.path.name} has limits, but a wheel must turn without limits: "
             raise ScenarioError(problem + "make it continuous, or take lower and upper out of its <limit>", key=key)
         link = _name(joint, "child")
         frame = self.frame(link)
@@ -251,7 +251,7 @@ def _name(joint: ET.Element, end: str) -> str:
 def _numbers(text: str) -> list[float]:
     numbers = [float(each) for each in text.split()]
     if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"{text!r} should be three finite numbers")
+        raise ValueError(f"{text!r} must be three finite numbers")
     return numbers
 
 

@@ -36,7 +36,7 @@ class Mark(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     def __post_init__(self) -> None:
         count = sum(map(bool, (self.outline, self.line, self.radius, self.picture)))
         if count != 1 or self.radius < 0.0 or self.width < 0.0 or len(self.outline) in (1, 2) or len(self.line) == 1:
-            raise ValueError("a mark needs one of: outline (three points or more), line (two or more), radius (> 0), picture")
+            raise ValueError("a mark needs exactly one of outline (3 points or more), line (2 or more), radius (> 0), picture")
 
     def points(self) -> Array:
         """Corners of the mark's outline, (k, 2) m; of a picture counter-clockwise from its upper right."""
@@ -60,8 +60,8 @@ class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         pixels = self.size[0] * self.size[1] / self.resolution_m**2
         if self.marks and not self.picture and pixels > 4 * MOST_PIXELS:
             raise ValueError(
-                f"resolution_m = {self.resolution_m:g} makes {pixels / 1e6:.0f} million pixels of {self.size[0]:g} x "
-                f"{self.size[1]:g} m: at most {4 * MOST_PIXELS / 1e6:.0f}"
+                f"resolution_m = {self.resolution_m:g} gives {pixels / 1e6:.0f} million pixels for {self.size[0]:g} x "
+                f"{self.size[1]:g} m; make it coarser (at most {4 * MOST_PIXELS / 1e6:.0f} million)"
             )
 
     @property
@@ -129,7 +129,7 @@ def read_picture(path: str) -> Array:
         except OSError as error:
             problem = f"{path} cannot be read: {error.strerror or error}"
     if pixels is None:
-        raise ValueError(problem or f"{path} is a picture, but broken: save it again{limits.PICTURE}")
+        raise ValueError(problem or f"{path} is a damaged picture: save it again{limits.PICTURE}")
     return np.asarray(pixels)
 
 
@@ -139,7 +139,7 @@ def problem_of_picture(path: str) -> str:
 
     if not Path(path).is_file():
         return f"there is no picture file {path}"
-    problem = f"{path} is no picture that OpenCV can read: use PNG, JPEG, TIFF, BMP, PGM or PPM"
+    problem = f"{path} is not a picture that OpenCV can read: use PNG, JPEG, TIFF, BMP, PGM or PPM"
     return "" if cv2.haveImageReader(path) else problem
 
 
@@ -195,11 +195,11 @@ class GroundTarget(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         if not all(map(math.isfinite, numbers)):
             raise ValueError(f"place, yaw_rad and way of a target must be finite, not {numbers}")
         if self.way and self.place is not None:
-            raise ValueError("a target has a place or a way, not both")
+            raise ValueError("a target has either a place or a way; leave one of them out")
         if self.way and (len(self.way) < 2 or any(a == b for a, b in pairwise(self.way))):
-            raise ValueError("the way of a target needs two places or more, each unlike the one before")
+            raise ValueError("the way of a target needs at least two places, each different from the one before")
         if bool(self.way) != (self.speed is not None) or (self.loop and not self.way):
-            raise ValueError("a target that moves needs way and speed; one at rest has neither, nor loop")
+            raise ValueError("a moving target needs both way and speed; a target at rest has no way, speed or loop")
 
 
 @dataclass(frozen=True)

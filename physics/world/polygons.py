@@ -64,7 +64,7 @@ def problem_of(outline: Sequence[Point], holes: Sequence[Sequence[Point]] = ()) 
         return "has no area"
     for number, hole in enumerate(holes):
         if not edges.inside(np.array(hole[0], float), without=number + 1):
-            return f"has a hole, number {number}, that does not lie in it"
+            return f"has a hole (number {number}) outside its outline"
     return ""
 
 
@@ -191,7 +191,7 @@ def _bridged(ring: list[Point], holes: list[list[Point]]) -> list[Point]:
                 edges.add(p, q)
                 break
         else:
-            raise ValueError("the holes of an outline meet it, or each other")
+            raise ValueError("holes touch or cross the outline or each other")
     return ring
 
 

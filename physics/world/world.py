@@ -55,7 +55,7 @@ class Light(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     def __post_init__(self) -> None:
         if not any(self.direction) or not all(map(math.isfinite, self.direction)):
-            raise ValueError(f"light needs a direction of some length, not {self.direction}")
+            raise ValueError(f"the direction of light must be finite and not zero, not {self.direction}")
 
 
 class Movable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -84,7 +84,7 @@ class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         rising = all(a < b for a, b in zip(self.times_s, self.times_s[1:], strict=False))
         numbers = (*self.times_s, *(value for place in self.way for value in place))
         if not rising or len(self.times_s) != len(self.way) or not self.way or not all(map(math.isfinite, numbers)):
-            raise ValueError(f"the moving obstacle {self.name!r} needs as many finite places in way as increasing times_s")
+            raise ValueError(f"the moving obstacle {self.name!r} needs increasing times_s and, for each, a finite place in way")
 
     def pose(self, time_s: float) -> tuple[float, float, float, float]:
         """Centre, x, y, z m, and yaw, rad, at a time."""

@@ -43,7 +43,7 @@ class Laboratory(Surroundings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.tile < _LEAST_TILE_M:
-            raise ScenarioError(f"must be at least {_LEAST_TILE_M:g} m, not {self.tile:g}: joints are 1 cm wide", key="tile")
+            raise ScenarioError(f"must be at least {_LEAST_TILE_M:g} m, not {self.tile:g}: joints take 1 cm", key="tile")
 
     def build(self) -> World:
         """Build the world."""

@@ -36,10 +36,10 @@ class Gates(Surroundings):
         if self.thickness >= self.spacing:
             raise ValueError(f"spacing = {self.spacing:g} leaves no room between gates, which are {self.thickness:g} m thick")
         if self.offsets and len(self.offsets) != self.number:
-            problem = f"must be as many as there are gates, number = {self.number}, not {len(self.offsets)}"
+            problem = f"must have one value per gate (number = {self.number}), not {len(self.offsets)}"
             raise ScenarioError(problem, key="offsets")
         if self.offsets and self.offset != type(self).offset:
-            raise ScenarioError("says where all gaps are, so that offset says nothing; leave one of them out", key="offsets")
+            raise ScenarioError("places all gaps already: leave out offset, or leave out offsets", key="offsets")
 
     def middles(self) -> tuple[float, ...]:
         """Middles of the gaps, y m."""
@@ -99,7 +99,7 @@ class Corridor(Surroundings):
         super().__post_init__()
         reach = (0.5 * self.width + self.thickness) * math.tan(0.5 * max(map(abs, self.bends), default=0.0))
         if max(map(abs, self.bends), default=0.0) >= 0.99 * math.pi or 2.0 * reach >= self.part:
-            problem = f"parts of {self.part:g} m are too short for such a bend: make length longer, or width or bends smaller"
+            problem = f"parts of {self.part:g} m are too short for these bends: raise length, or lower width or bends"
             raise ScenarioError(problem, key="bends")
 
     @property
@@ -127,7 +127,7 @@ class Corridor(Surroundings):
             across = np.array([-along[1], along[0]]) / self.thickness * outer
             walls.append(np.array([end - across, end - across + along, end + across + along, end + across]))
         if any(overlap_m(a, b) > 1e-9 for a, b in combinations(walls, 2)):
-            raise ScenarioError("the corridor would run into itself: make length longer, or bends smaller", key="bends")
+            raise ScenarioError("the corridor crosses itself: raise length, or lower bends", key="bends")
         outlines = [tuple((x, y) for x, y in wall.tolist()) for wall in walls]
         solids = [Prism(outline=outline, height=self.height, material=self.material) for outline in outlines]
         return self.complete("corridor", solids=solids)

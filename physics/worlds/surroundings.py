@@ -35,10 +35,10 @@ class Surroundings:
 
     def __post_init__(self) -> None:
         bodies = [*(each.name for each in self.movables), *(each.name for each in self.moving)]
-        for what, called in (("two of movables and moving", bodies), ("two targets", names(self.targets))):
+        for what, called in (("movables or moving obstacles", bodies), ("targets", names(self.targets))):
             for name in called:
                 if called.count(name) > 1:
-                    raise ScenarioError(f"{what} are called {name!r}: give each a name of its own")
+                    raise ScenarioError(f"two {what} are named {name!r}: use distinct names")
 
     def sited(self) -> tuple[GroundTarget, ...]:
         """The targets, all with a place or a way.
@@ -48,7 +48,7 @@ class Surroundings:
         """
         for number, target in enumerate(self.targets):
             if target.place is None and not target.way:
-                problem = "needs a place or a way: only a town has streets to choose a place on"
+                problem = "needs a place or a way: only the world 'urban' chooses places by itself"
                 raise ScenarioError(problem, key=f"targets[{number}]")
         return self.targets
 
@@ -61,7 +61,7 @@ class Surroundings:
             ScenarioError: the bounds are the wrong way round, a picture cannot be read, or a target has no place.
         """
         if bounds is not None and not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
-            raise ScenarioError(f"west, south, east, north: the first two must be less, not {bounds}", key="bounds")
+            raise ScenarioError(f"must be west, south, east, north; west < east and south < north, not {bounds}", key="bounds")
         pictures = [ground.picture, *[mark.picture for mark in ground.marks], *[target.picture for target in self.targets]]
         try:
             for picture in filter(None, dict.fromkeys(pictures)):

@@ -51,14 +51,14 @@ class Urban(Surroundings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.height_max < self.height_min:
-            raise ScenarioError(f"must be at least height_min = {self.height_min:g}", key="height_max")
+            raise ScenarioError(f"must be at least height_min = {self.height_min:g}, not {self.height_max:g}", key="height_max")
         if max(self.size) > MOST_M:
             raise ScenarioError(f"a town of {max(self.size):g} m is too large: at most {MOST_M:g} m", key="size")
         if min(self.size) < self.block + 2.0 * self.street:
-            raise ScenarioError(f"one block of {self.block:g} m and streets of {self.street:g} m do not fit", key="size")
+            raise ScenarioError(f"too small for one block of {self.block:g} m and its streets of {self.street:g} m", key="size")
         across = [math.floor(each / (self.block + self.street)) for each in self.size]
         if (lots := across[0] * across[1] * self.lots**2) > MOST_LOTS:
-            raise ScenarioError(f"a town of {lots} lots is too large: at most {MOST_LOTS}; give larger blocks", key="size")
+            raise ScenarioError(f"a town of {lots} lots is too large (at most {MOST_LOTS}): use larger blocks", key="size")
         if self.lot <= 1.0:
             problem = f"{self.lots} lots in a block of {self.block:g} m leave less than 1 m for a building"
             raise ScenarioError(problem, key="gap")
@@ -143,8 +143,8 @@ class Urban(Surroundings):
             place = (across, along) if axis == 0 else (along, across)
             if all(math.dist(place, other.place(0.0)) > 0.75 * (target.size + other.size_m) for other in others):
                 return place
-        problem = f"there is no free place for number {number} on streets {self.street:g} m wide: "
-        raise ScenarioError(f"{problem}give it a place, or make it smaller", key="targets")
+        problem = f"target number {number} finds no free place on streets {self.street:g} m wide: "
+        raise ScenarioError(f"{problem}set its place, or make it smaller", key="targets")
 
 
 def _box(center: Point2, size: Point2, bottom: float, top: float, material: str, color: Color) -> Box:

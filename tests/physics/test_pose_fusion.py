@@ -219,7 +219,7 @@ def test_a_fix_that_is_exact_can_be_fused() -> None:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: spec("car", fusion=Fusion(), pose_source="fusion"), '"positioning" to be fitted'),
+        (lambda: spec("car", fusion=Fusion(), pose_source="fusion"), 'sensor "positioning" on the vehicle'),
         (lambda: fused(Fusion(), model=Quadrotor()), "needs wheels"),
     ],
 )

@@ -197,8 +197,8 @@ def test_light_ones_are_read_at_once_and_together() -> None:
 @pytest.mark.parametrize(
     ("sensor", "key", "words"),
     [
-        (Draw(rate_hz=240.0), "rate_hz", "240 Hz is more than the 120 steps a second"),
-        (Draw(rate_hz=50.0), "rate_hz", "50 Hz does not divide the 120 steps a second of physics; use 120, 60, 40"),
+        (Draw(rate_hz=240.0), "rate_hz", "240 Hz is above physics.rate_hz = 120"),
+        (Draw(rate_hz=50.0), "rate_hz", "50 Hz does not divide physics.rate_hz = 120; use 120, 60, 40"),
         (Draw(rate_hz=7.0), "rate_hz", "7 Hz does not divide"),
         (Draw(phase_s=0.004), "phase_s", r"0.004 s is not a whole number of physics steps \(1/120 s\)"),
     ],

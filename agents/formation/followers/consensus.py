@@ -101,7 +101,7 @@ class Consensus(Agent):
     def start(self, info: VehicleInfo) -> None:
         """Find the neighbours, and take the first shape; `ValueError`: a handle is missing, or names do not fit."""
         if self.handle is None and info.body is not None and not info.body.flies:
-            raise ValueError("handle is missing: on wheels no vehicle moves sideways; give one, e.g. handle = 0.3 (m, > 0)")
+            raise ValueError("handle is missing: vehicles on wheels need one, e.g. handle = 0.3 (m, > 0)")
         members = members_of(self.formation or Formation(), info.vehicles, info.name)
         self._members, self._index = members, members.index(info.name)
         if self.neighbours is None:
@@ -109,7 +109,7 @@ class Consensus(Agent):
         else:
             self._neighbours = self._named_neighbours(info.name)
         if self.formation and self.formation.passage:
-            raise ValueError("formation.passage needs a leader who decides, and here nobody leads; leave it out")
+            raise ValueError("formation.passage needs a leader, and consensus has none; leave it out")
         if self.formation:
             self._changes = [(seconds_to_ns(at_s), to) for at_s, to in reversed(self.formation.changes)]
         self._take(self.formation.shape if self.formation else None)
@@ -212,7 +212,7 @@ class Consensus(Agent):
         named = self.neighbours or ()
         if wrong := [name for name in named if name not in self._members or name == me]:
             others = ", ".join(name for name in self._members if name != me)
-            raise ValueError(f"neighbours: {wrong[0]!r} is not another member of the formation ({others})")
+            raise ValueError(f"neighbours: {wrong[0]!r} is not another member of the formation; other members: {others}")
         return tuple(sorted({self._members.index(name) for name in named}))
 
 

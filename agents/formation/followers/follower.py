@@ -79,14 +79,14 @@ class FormationFollower(Agent):
         if formation is not None:
             if leader is not None:
                 raise ValueError(
-                    f"leader = {leader!r}, but the formation says whom this vehicle follows; leave one of them out"
+                    f"leader = {leader!r} and formation both define the leader of this vehicle; leave one of them out"
                 )
             if broadcast is False and formation.passage is not None and formation.passage.policy == "all-clear":
-                raise ValueError("broadcast = false, but who passes a passage all-clear must say so; leave it out")
+                raise ValueError("broadcast = false, but passage.policy = 'all-clear' needs reports; leave broadcast out")
         elif leader is None:
-            raise ScenarioError("is missing; it must be the name of a vehicle, unless there is a formation", key="leader")
+            raise ScenarioError("is missing; set the name of a vehicle, or a formation", key="leader")
         elif heartbeat_s is not None:
-            raise ValueError("heartbeat_s needs a formation, which says whom to follow instead")
+            raise ValueError("heartbeat_s needs a formation, which defines the succession")
 
     def _wrapped(self, estimator: Estimator) -> Estimator:
         return estimator
@@ -101,8 +101,8 @@ class FormationFollower(Agent):
         if self.formation is not None:
             self._join(self.formation, info)
         elif self.leader not in (others := [name for name in info.vehicles if name != info.name]):
-            among = ", ".join(others) or "there is none"
-            raise ValueError(f"leader = {self.leader!r} is not another vehicle of this run ({among})")
+            among = ", ".join(others) or "none"
+            raise ValueError(f"leader = {self.leader!r} is not another vehicle of this run; other vehicles: {among}")
         if self._steering is not None:
             self._steering.start(info)
 
@@ -110,8 +110,8 @@ class FormationFollower(Agent):
         team = self._team = Team(formation, info.vehicles, info.name)
         if team.parent is None:
             raise ValueError(
-                f"{team.name} is the first member of the formation and leads it: give it an agent that leads "
-                f"({self.LEADS}), or name another one first in formation.members"
+                f"{team.name} is the first member of the formation and leads it: give it a leader agent "
+                f"({self.LEADS}), or put another vehicle first in formation.members"
             )
         self._listening = ReportReceiver((name for name in team.members if name != team.name), self._clock_bound_s)
         if formation.passage is not None:

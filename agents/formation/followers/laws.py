@@ -37,9 +37,7 @@ def hand_point(x: float, y: float, yaw: float, distance: float) -> tuple[float, 
 def axle_velocity(ux: float, uy: float, yaw: float, distance: float) -> tuple[float, float]:
     """The speeds (v m/s, w rad/s) that give the hand the velocity ``(ux, uy)`` m/s, world (3-4); not with ``distance`` 0."""
     if distance == 0.0:
-        raise ValueError(
-            "the hand point must not lie on the axle: distance 0 m is not allowed, any other is (behind: negative)"
-        )
+        raise ValueError("the hand point must not lie on the axle: its distance must not be 0 m (negative: behind the axle)")
     c, s = math.cos(yaw), math.sin(yaw)
     return c * ux + s * uy, (c * uy - s * ux) / distance
 

@@ -68,7 +68,7 @@ class LeaderFollower(FormationFollower):
         self._v = self._w = 0.0  # the last command that answered a report
         if formation is not None:
             if slot is not None:
-                raise ValueError("slot says where to be, but the formation does so already; leave one of them out")
+                raise ValueError("slot and formation both define the place of this vehicle; leave one of them out")
             self._handle = TEAM_HANDLE_M if handle is None else handle
             return
         words = "" if slot is None else f"slot = {list(slot)} m"
@@ -79,7 +79,7 @@ class LeaderFollower(FormationFollower):
         if handle is None and -slot[0] < SHORTEST_HANDLE_M:
             raise ValueError(
                 f"{words} does not put this vehicle behind its leader "
-                f"(L = {0.0 - slot[0]:.3g} m), and the handle is L unless given: give one, e.g. handle = 0.4 (m, > 0)"
+                f"(L = {0.0 - slot[0]:.3g} m), and the default of handle is L: set it, e.g. handle = 0.4 (m, > 0)"
             )
         self._handle = -slot[0] if handle is None else handle
         self._keep(leader, slot)

@@ -94,7 +94,7 @@ class Leader(Agent):
         team = self._team = Team(self._formation, info.vehicles, info.name)
         if team.parent is not None:
             raise ValueError(
-                f"formation: {info.name} does not lead this team, {team.ancestors[-1]} does; name it first in members"
+                f"formation: {info.name} does not lead this team, {team.ancestors[-1]} does; put it first in members"
             )
         self._reporter.start(team.children)
         self._believed: set[str] = set()  # members that reported newer shapes than the own

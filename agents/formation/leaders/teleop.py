@@ -95,7 +95,7 @@ def _device(name: str, file: int, limits: Speeds, axes: tuple[int, int], deadban
         return Keyboard(file, limits)
     mode = os.fstat(file).st_mode
     if not (stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)):
-        raise ValueError(f"device = {name!r}: is neither a device nor a table *.csv; {HINT}")
+        raise ValueError(f"device = {name!r} is neither a device nor a table *.csv; {HINT}")
     return Joystick(file, limits, axes, deadband)
 
 
@@ -223,7 +223,7 @@ def _rows(path: Path) -> Sequence[tuple[float, float, float]]:
         except ValueError:
             t_s = v = w = math.nan
         if not math.isfinite(t_s + v + w) or (rows and t_s < rows[-1][0]):
-            raise ValueError(f"device = {str(path)!r}, row {number}: must be three numbers t_s,v,w, no time before the last")
+            raise ValueError(f"device = {str(path)!r}, row {number}: must be three numbers t_s,v,w with increasing times")
         rows.append((t_s, v, w))
     return rows
 
@@ -279,7 +279,7 @@ class Teleop(Leader):
     ) -> None:
         super().__init__(**leading)
         if deadband == 1.0:
-            raise ValueError("deadband = 1 leaves nothing of the axis; it must be below 1")
+            raise ValueError("deadband = 1 disables the axis; it must be below 1")
         self.device, self.speed, self.max_reverse, self.yaw_rate = device, speed, max_reverse, yaw_rate
         self.acceleration, self.yaw_acceleration = acceleration, yaw_acceleration
         self.axes, self.deadband = axes, deadband

@@ -66,7 +66,7 @@ class Trajectory(Leader):
             raise ValueError(f"path {path!r} is not one of {', '.join(STANDARD_YAW_RATE)}")
         if path == "straight" and yaw_rate:
             raise ValueError(
-                f"a straight path has no yaw rate, but yaw_rate = {yaw_rate}; leave it out, or take path = 'circle'"
+                f"yaw_rate = {yaw_rate}, but a straight path has no yaw rate; leave it out, or set path = 'circle'"
             )
         self.path, self.speed, self.sway_s, self.surge_s = path, speed, sway_s, surge_s
         self.yaw_rate = STANDARD_YAW_RATE[path] if yaw_rate is None else yaw_rate

@@ -138,7 +138,7 @@ def estimator_of(kind: Any, *, horizon_s: float, fade_s: float) -> Estimator:
     if not isinstance(kind, str | Mapping):
         if not hasattr(kind, "predict"):
             known = ", ".join(ESTIMATORS)
-            raise ValueError(f"estimator {kind!r} has no method predict(report, age_s); allowed are {known} or such an object")
+            raise ValueError(f"estimator {kind!r} has no method predict(report, age_s); use {known} or an object with it")
         return kind
     content = {"kind": kind} if isinstance(kind, str) else dict(kind)
     name = content.pop("kind", None)

@@ -170,7 +170,7 @@ class Lookout(VisibleMembers):
         self._looking = ScanReader(passage.scanner, passage.stale_s)
         self._looking.start(info, "formation.passage.scanner")
         if info.body is None:
-            raise ValueError(f"formation.passage: nobody says how large {info.name} is, so its team's lane is not known")
+            raise ValueError(f"formation.passage needs the size of {info.name}, but its kind has no body; choose another kind")
         super().__init__(info.body, passage)
         self.passage, self.team = passage, team
 

@@ -72,7 +72,7 @@ class Passage(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         if self.silence_s <= self.report_s:
             raise ValueError(
                 f"passage.silence_s = {self.silence_s:g} must be greater than report_s = {self.report_s:g}: "
-                "who is still believed cannot be gone"
+                "a member counts as gone only after its reports have expired"
             )
 
 
@@ -95,7 +95,7 @@ class Formation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         if times != sorted(times):
             raise ValueError(f"changes must be in order of time, not at {', '.join(f'{time_s:g}' for time_s in times)} s")
         if self.passage is not None and self.passage.shape == self.shape:
-            raise ValueError(f"passage.shape = {self.shape!r} is the shape of the formation itself; it must be another one")
+            raise ValueError(f"passage.shape = {self.shape!r} is also the formation's shape; choose another one")
 
 
 Slot = tuple[float, float]  # x forward, y left, m
@@ -117,12 +117,12 @@ def slots(shape: ShapeName, count: int, spacing: float, offsets: Sequence[Slot] 
 def _own(count: int, offsets: Sequence[Slot]) -> Slots:
     points = tuple((float(x), float(y)) for x, y in offsets)
     if len(points) < count:
-        raise ValueError(f"shape 'own' needs the offsets of all {count} members, but there are {len(points)}")
+        raise ValueError(f"shape 'own' needs offsets for all {count} members, not {len(points)}")
     if points[0] != (0.0, 0.0):
-        raise ValueError(f"the first of the offsets is the leader's own place and must be [0, 0], not {list(points[0])}")
+        raise ValueError(f"offsets[0] is the leader's place and must be [0, 0], not {list(points[0])}")
     for number, place in enumerate(points):
         if place in points[:number]:
-            raise ValueError(f"offsets has the place {list(place)} twice, as its items {points.index(place)} and {number}")
+            raise ValueError(f"offsets[{points.index(place)}] and offsets[{number}] are both {list(place)}; change one")
     return points[:count]
 
 
@@ -151,7 +151,7 @@ ROOT = -1  # the parent of the place that leads
 def parents(topology: TopologyName, count: int, branching: int = 2) -> tuple[int, ...]:
     """Parent of each of ``count`` places; ``ROOT`` for the first."""
     if topology == "graph":
-        raise ValueError("the topology 'graph' follows names, not places: see named_parents")
+        raise ValueError("the topology 'graph' is given by names, not places: use named_parents")
     follow = {"star": count, "chain": 1, "k-tree": branching}[topology]
     return (ROOT, *((i - 1) // follow for i in range(1, count)))
 
@@ -169,7 +169,7 @@ def named_parents(parents: Mapping[str, str], members: Sequence[str]) -> tuple[i
         raise ValueError(f"formation.parents: {first} is the first member and leads; it cannot follow {parents[first]}")
     for name in members[1:]:
         if name not in parents:
-            raise ValueError(f"formation.parents: {name} follows nobody, but {first} leads already; say whom {name} follows")
+            raise ValueError(f"formation.parents: {name} has no parent, and only {first} may lead; add a parent for {name}")
     leads_to_first = {first}
     for name in members:
         path = [name]
@@ -178,7 +178,7 @@ def named_parents(parents: Mapping[str, str], members: Sequence[str]) -> tuple[i
             if path[-1] in path[:-1]:
                 circle = path[path.index(path[-1]) :]
                 words = ", ".join(f"{one} follows {other}" for one, other in pairwise(circle))
-                raise ValueError(f"formation.parents: {words}: a circle, which nobody leads")
+                raise ValueError(f"formation.parents: {words}: a cycle without a leader")
         leads_to_first.update(path)
     number = {name: each for each, name in enumerate(members)}
     return (ROOT, *(number[parents[name]] for name in members[1:]))

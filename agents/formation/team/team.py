@@ -155,7 +155,7 @@ def _check_narrower(narrow: str, places: Slots, wide: str, wide_places: Slots) -
     if len(places) > 1 and needs >= has:
         raise ValueError(
             f"formation.passage.shape = {narrow!r} is no narrower than the formation's own, {wide!r}: "
-            f"{needs:.3g} m instead of {has:.3g} m without bodies; take another one, or a smaller passage.spacing"
+            f"{needs:.3g} m instead of {has:.3g} m without bodies; choose another one, or a smaller passage.spacing"
         )
 
 
@@ -170,7 +170,7 @@ def members_of(formation: Formation, vehicles: Sequence[str], name: str) -> tupl
             raise ValueError(f"formation.members names {member} twice")
         used.add(member)
     if name not in used:
-        raise ValueError(f"formation.members ({', '.join(members)}) does not name {name}; add it, or give it no formation")
+        raise ValueError(f"formation.members ({', '.join(members)}) does not contain {name}; add it, or remove its formation")
     return members
 
 
@@ -198,12 +198,12 @@ def check_silence(sending: Sending, formation: Formation | None, heartbeat_s: fl
         return
     if heartbeat_s is not None and heartbeat_s <= sending.silence_s:
         raise ValueError(
-            f"heartbeat_s = {heartbeat_s} s would take those for dead who have nothing to tell: it must be longer than the "
-            f"silence that sending allows, silence_s = {sending.silence_s} s"
+            f"heartbeat_s = {heartbeat_s} s must be longer than sending.silence_s = {sending.silence_s} s, "
+            "or silent members would count as failed"
         )
     passage = None if formation is None else formation.passage
     if passage is not None and sending.silence_s >= passage.report_s:
         raise ValueError(
-            f"sending.silence_s = {sending.silence_s} s lets reports become older than formation.passage.report_s = "
-            f"{passage.report_s} s, after which they count for nothing: make silence_s shorter, or report_s longer"
+            f"sending.silence_s = {sending.silence_s} s must be shorter than formation.passage.report_s = "
+            f"{passage.report_s} s, after which a report is ignored"
         )

@@ -99,7 +99,7 @@ class Detector:
 
     def __init__(self, targets: Sequence[TargetPicture], *, stages: int = 3) -> None:
         if not targets:
-            raise ScenarioError("there must be a target to look for", key="targets")
+            raise ScenarioError("at least one target is needed", key="targets")
         if len({target.name for target in targets}) < len(targets):
             raise ScenarioError("targets must have different names", key="targets")
         self.targets = tuple(targets)

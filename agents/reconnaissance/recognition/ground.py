@@ -181,7 +181,7 @@ def _places(rng: np.random.Generator, n: int, side: float, occupied: Sequence[Po
                 places.append(at)
         if len(places) == n + len(occupied):
             return places[len(occupied) :]
-    raise ValueError("there is no room for them all")
+    raise ValueError("the picture is too small for all shapes")
 
 
 def _scene(rng: np.random.Generator, px_per_m: float) -> Array:

@@ -194,7 +194,7 @@ class TargetPicture:
         shape = self.picture.shape
         if self.picture.dtype != np.uint8 or len(shape) != 3 or shape[2] != 3:
             raise ScenarioError(
-                f"a picture is an array (n, n, 3) of uint8, RGB, not {shape} of {self.picture.dtype}", key="picture"
+                f"a picture must be an array (n, n, 3) of uint8, RGB, not {shape} of {self.picture.dtype}", key="picture"
             )
         if shape[0] != shape[1] or shape[0] < SMALLEST_PX:
             rule = f"the picture of {self.name} must be square, {SMALLEST_PX} pixels or more a side"
@@ -202,7 +202,7 @@ class TargetPicture:
         if not 0.0 < self.size_m < float("inf"):
             raise ScenarioError(f"the side of {self.name} must be greater than 0 m, not {self.size_m}", key="size_m")
         if not self.template(PATCH).hues.shares:
-            raise ScenarioError(f"the picture of {self.name} is grey: targets are found by their colours first", key="picture")
+            raise ScenarioError(f"the picture of {self.name} is grey; detection needs colours", key="picture")
 
     @classmethod
     def load(cls, name: str, path: Path | str, size_m: float) -> "TargetPicture":

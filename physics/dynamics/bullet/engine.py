@@ -69,7 +69,7 @@ class BulletEngine(Engine):
         self._flyer_of = {row: k for k, row in enumerate(self._air_rows)}
         self._client: int = p.connect(p.DIRECT)
         if self._client < 0:
-            raise RuntimeError("Bullet gave no physics client: too many are open in this process")
+            raise RuntimeError("Bullet returned no physics client: too many are open in this process; close other simulations")
         solver = {"fixedTimeStep": self._step_s, "numSolverIterations": iterations, "deterministicOverlappingPairs": 1}
         p.setPhysicsEngineParameter(**solver, physicsClientId=self._client)
         p.setGravity(0.0, 0.0, -gravity, physicsClientId=self._client)

@@ -254,7 +254,7 @@ def test_avoidance_may_go_around_avoidance() -> None:
 
 @pytest.mark.parametrize("ranges", [FREE, NEAR])
 def test_a_way_point_on_wheels_is_refused_whatever_stands_around(ranges: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="a vehicle on wheels takes velocities alone"):
+    with pytest.raises(ValueError, match="a vehicle on wheels accepts velocities only"):
         act(around(Says(Waypoint(position=(0.0, 5.0, 0.0)))), ranges)
 
 

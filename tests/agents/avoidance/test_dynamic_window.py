@@ -109,5 +109,5 @@ def test_it_stays_in_the_window_that_its_accelerations_open(seed: int) -> None:
 
 
 def test_what_flies_is_refused() -> None:
-    with pytest.raises(ValueError, match='"dynamic_window": for vehicles on wheels'):
+    with pytest.raises(ValueError, match='"dynamic_window" is for vehicles on wheels'):
         DynamicWindow().method(Body(width_m=0.5, radius_m=0.25, flies=True), PERIOD_S)

@@ -131,13 +131,13 @@ def test_a_second_run_begins_afresh() -> None:
 
 
 def test_a_vehicle_without_that_scanner_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"avoidance\.scanner = 'scan': a has no such sensor \(it carries: gps, lidar\)"):
+    with pytest.raises(ValueError, match=r"avoidance\.scanner = 'scan': a has no such sensor; its sensors: gps, lidar"):
         AvoidanceSteering(Asked()).start(VehicleInfo(**INFO, body=WHEELS, sensors=("gps", "lidar")))
     AvoidanceSteering(Asked(scanner="lidar")).start(VehicleInfo(**INFO, body=WHEELS, sensors=("gps", "lidar")))
 
 
 def test_a_vehicle_of_unknown_size_is_refused() -> None:
-    with pytest.raises(ValueError, match="how much room a takes"):
+    with pytest.raises(ValueError, match="needs the size of a"):
         AvoidanceSteering(Asked()).start(VehicleInfo(**INFO))
 
 

@@ -138,5 +138,5 @@ def _towards(place: Point) -> Point:
 def test_settings_that_make_no_sense_are_refused() -> None:
     with pytest.raises(ValueError, match=r"freed_m = 1: must not be less than blocked_m = 1.2"):
         Vfh(freed_m=1.0).method(ROBOT, 0.1)
-    with pytest.raises(ValueError, match=r"blocked_m = 1.2: must be more than what is kept away from things, 1.5 m"):
+    with pytest.raises(ValueError, match=r"blocked_m = 1.2 must exceed the distance kept from obstacles, 1.5 m"):
         Vfh(keep_m=1.5).method(ROBOT, 0.1)

@@ -178,7 +178,7 @@ def test_who_flies_along_finds_the_files_that_its_algorithm_names_in_the_folder_
 
 
 def test_what_cannot_be_a_mission_is_refused() -> None:
-    with pytest.raises(ScenarioError, match="there must be an algorithm for search"):
+    with pytest.raises(ScenarioError, match="an algorithm for search is missing"):
         SearchMission({"track": table(1.0)})
     with pytest.raises(ScenarioError, match="serach"):
         SearchMission({"serach": table(1.0)})
@@ -194,5 +194,5 @@ def test_what_cannot_be_a_mission_is_refused() -> None:
 def test_facts_that_nobody_asks_for_are_refused_in_words_that_name_the_algorithm() -> None:
     flown = Flown(search=table(1.0, t1={"probabilty": 0.5}))
     flown.tick(0)
-    with pytest.raises(ValueError, match=r"algorithms.search: facts\(\) tells .*'probabilty'.*probability"):
+    with pytest.raises(ValueError, match=r"algorithms.search: facts\(\) returned .*'probabilty'.*probability"):
         flown.tick(1)

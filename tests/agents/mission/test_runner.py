@@ -346,7 +346,7 @@ def test_it_tells_how_near_things_are_and_whether_the_vehicle_closes_on_them() -
 
 
 def test_what_it_cannot_work_without_is_refused() -> None:
-    with pytest.raises(ValueError, match="there is no body"):
+    with pytest.raises(ValueError, match="has no body"):
         guard_of(None)
     with pytest.raises(ValueError, match="no such sensor"):
         guard_of(sensors=("camera",))

@@ -87,7 +87,7 @@ def test_looks_are_at_the_cells_in_which_their_middles_are(left: float, bottom: 
 
 def test_a_detector_of_other_cells_is_refused() -> None:
     looks = Looks(time_ns=0, cell_m=1.0, cells=np.zeros((1, 2), np.int32), hits=np.array([True]))
-    with pytest.raises(ValueError, match="cell_m = 2: the sensor looks at cells of 1 m"):
+    with pytest.raises(ValueError, match="cell_m = 2 must equal the cell size of the sensor, 1 m"):
         of_reading(GRID, looks)
 
 

@@ -258,10 +258,10 @@ def test_alone_it_hovers_where_it_began() -> None:
 @pytest.mark.parametrize(
     ("params", "key", "words"),
     [
-        ({"needed": 6}, "needed", "of 5 frames"),
-        ({"mosaic": {"area": [0.0, 0.0, 0.0, 1.0]}}, "mosaic.area", "right must be beyond left"),
+        ({"needed": 6}, "needed", "at most frames = 5"),
+        ({"mosaic": {"area": [0.0, 0.0, 0.0, 1.0]}}, "mosaic.area", "right must be greater than left"),
         ({"mosaic": {"area": [0.0, 0.0, 9e4, 9e4]}}, "mosaic.cell_m", "million cells"),
-        ({"watching": {"targets": []}}, "watching.targets", "there must be a target"),
+        ({"watching": {"targets": []}}, "watching.targets", "at least one target"),
         (
             {"watching": {"targets": [{"name": "a", "picture": "no.png"}]}},
             "watching.targets[0].picture",

@@ -204,9 +204,9 @@ def test_who_tracks_nothing_stands() -> None:
     assert tracker.phase(0) == "none"
     assert tracker.command(0, (1.0, 2.0, 3.0)) == (0.0, 0.0)
     assert not tracker.see(0, [(0.0, 0.0)])
-    with pytest.raises(ValueError, match="nothing is tracked"):
+    with pytest.raises(ValueError, match="no target is tracked"):
         tracker.predicted(0)
-    with pytest.raises(ValueError, match="a target is at a place"):
+    with pytest.raises(ValueError, match="the place of a target must be finite"):
         tracker.begin(0, (math.nan, 0.0))
     tracker.begin(0, (1.0, 0.0))
     tracker.end()

@@ -171,7 +171,7 @@ def test_json(file: Path) -> None:
         (("--vehicle", "uav2"), "did you mean 'uav1'?"),
         (("--vehicle", "blind"), "vehicle.blind.agent.watching: is missing: blind recognises nothing"),
         (("--set", "vehicle.uav1.agent.watching.camera=eye"), "vehicle.uav1.agent.watching.camera: unknown sensor 'eye'"),
-        (("--set", "vehicle.uav1.agent.watching.targets=[]"), "watching.targets: there must be a target to look for"),
+        (("--set", "vehicle.uav1.agent.watching.targets=[]"), "watching.targets: at least one target is needed"),
         (("--set", "world.targets=[]"), "world.targets: none of what uav1 looks for (flag) lies in this world"),
         (("--set", "vehicle.uav1.sensors.camera.kind=gps"), "vehicle.uav1.sensors.camera.kind: must take pictures"),
         (("--set", "vehicle.uav1.position=[0.0, 0.0, 0.0]"), "uav1 begins on the ground"),

@@ -42,7 +42,7 @@ def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch
 
     def tell(text: str) -> None:
         told.append(text)
-        if text.startswith("the program of a has come"):
+        if text.startswith("the program of a connected"):
             came.set()
 
     thread = threading.Thread(target=come)
@@ -75,7 +75,7 @@ def test_who_is_not_wanted_is_told_why(tmp_path: Path) -> None:
 
     def tell(text: str) -> None:
         told.append(text)
-        if text.startswith("the program of a has come"):
+        if text.startswith("the program of a connected"):
             threads[1].start()
 
     threads[0].start()
@@ -101,7 +101,7 @@ def test_a_program_that_leaves_before_the_run_begins_may_be_replaced(tmp_path: P
 
     def tell(text: str) -> None:
         told.append(text)
-        if "has left" in text:
+        if "disconnected" in text:
             for vehicle in "ab":
                 threading.Thread(target=come, args=[vehicle], daemon=True).start()
 
@@ -187,7 +187,7 @@ def test_an_endpoint_that_is_taken_is_said_in_one_line_and_one_that_was_left_beh
         ):
             vcmvsp.run(scenario(tmp_path, "a", sockets={"listen": listen}), mcap=False)
     (tmp_path / "s").write_text("a file of mine")
-    with pytest.raises(ScenarioError, match=r"sockets\.listen: cannot listen on .*/none/s: No such file or directory; give"):
+    with pytest.raises(ScenarioError, match=r"sockets\.listen: cannot listen on .*/none/s: No such file or directory; choose"):
         vcmvsp.run(scenario(tmp_path / "none", "a"), mcap=False)
     with pytest.raises(ScenarioError, match=r"sockets\.listen: cannot listen on"):
         vcmvsp.run(scenario(tmp_path, "a"), mcap=False)

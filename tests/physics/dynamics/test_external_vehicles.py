@@ -189,7 +189,7 @@ def test_what_physics_cannot_move_can_be_shown(kind: type[Physics]) -> None:
         (lambda _: VehicleState(position=(math.nan, 0.0, 0.0)), r"real at 0 s is not finite"),
         (
             lambda _: VehicleState(position=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0, 0.0)),
-            r"attitude .* real at 0 s is no rotation",
+            r"attitude .* real at 0 s is no unit quaternion",
         ),
     ],
 )
@@ -201,7 +201,7 @@ def test_a_state_that_is_none_stops_the_run_and_names_the_vehicle(course: Any, w
 def test_states_of_too_few_vehicles_stop_the_run() -> None:
     courses = Courses(a=straight(0.0), b=straight(2.0))
     courses.states = lambda now_ns: [straight(0.0)(0.0)]  # type: ignore[method-assign]
-    with pytest.raises(FederateError, match="1 states of the 2 vehicles"):
+    with pytest.raises(FederateError, match="1 states for 2 external vehicles"):
         run(KinematicPhysics(world=World(), vehicles=[spec("a"), spec("b", 2.0)], outside=courses))
 
 
@@ -214,7 +214,7 @@ def test_vehicles_that_the_run_does_not_have_or_in_another_order_are_refused() -
 @BOTH
 def test_a_sensor_that_counts_turns_of_wheels_is_refused_on_them(kind: type[Physics]) -> None:
     real = spec("real", sensors={"odo": WheelOdometry(wheel_radius_m=0.1, track_m=0.4)})
-    with pytest.raises(ScenarioError, match="real is not moved by physics") as raised:
+    with pytest.raises(ScenarioError, match="real is an external vehicle") as raised:
         run(kind(world=World(), vehicles=[real], outside=Courses(real=straight(0.0))))
     assert raised.value.key == "vehicle.real.sensors.odo"
 

@@ -68,9 +68,9 @@ def test_the_scenario_may_change_wind_light_and_friction_of_a_file(tmp_path: Pat
         (TOML.replace("radius", "radus"), ("hall.toml line 14: cylinders", "radus")),
         (TOML.replace("[0.2, 4, 1]", "[0.2, 4, 0]"), ("hall.toml line 9: boxes", "positive sizes")),
         (TOML.replace("[-3, -1]]", "[-2, -3]]"), ("hall.toml line 19: prisms", "no area")),
-        (TOML.replace("[-5, -5, 5, 5]", "[5, -5, -5, 5]"), ("hall.toml line 3: bounds", "must be less")),
+        (TOML.replace("[-5, -5, 5, 5]", "[5, -5, -5, 5]"), ("hall.toml line 3: bounds", "west < east")),
         (TOML.replace("floor.png", "wall.png"), ("hall.toml", "there is no picture file", "wall.png")),
-        (TOML.replace("floor.png", "hall.toml"), ("hall.toml", "is no picture")),
+        (TOML.replace("floor.png", "hall.toml"), ("hall.toml", "is not a picture")),
         (TOML.replace("size = [10, 10]", "size = [10, 10"), ("hall.toml", "is not TOML")),
         (TOML.replace("size = [10, 10]", "size = [0, 10]"), ("hall.toml line", "ground", "> 0")),
     ],
@@ -140,18 +140,18 @@ def test_y_may_point_up(tmp_path: Path) -> None:
 def test_a_mesh_with_nan_is_refused_with_its_triangle(tmp_path: Path, form: str) -> None:
     broken = (*CORNERS[:3], (0, 0, math.nan))
     path = write_obj(tmp_path, broken) if form == "obj" else write_stl(tmp_path, form == "stl", broken)
-    with pytest.raises(ScenarioError, match=r"part\.\w+: triangle 1 has a corner that is not finite \(3 of 4 have\)"):
+    with pytest.raises(ScenarioError, match=r"part\.\w+: triangle 1 has a non-finite corner \(3 of 4 triangles\)"):
         MeshFile(path=path).build()
 
 
 @pytest.mark.parametrize(("name", "text"), [("part.obj", "v 0 0 0\n"), ("part.stl", "solid\nendsolid\n"), ("part.xyzzy", "?")])
 def test_files_without_a_mesh_are_refused(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
-    with pytest.raises(ScenarioError, match=r"part\.\w+: (holds no triangles|trimesh cannot read it)"):
+    with pytest.raises(ScenarioError, match=r"part\.\w+: (contains no triangles|trimesh cannot read it)"):
         MeshFile(path=str(tmp_path / name)).build()
 
 
 def test_without_its_library_a_mesh_is_refused_with_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(ScenarioError, match=r"part\.obj: reading it needs trimesh.*pip install trimesh"):
+    with pytest.raises(ScenarioError, match=r"part\.obj: reading it needs the package trimesh.*pip install trimesh"):
         MeshFile(path=write_obj(tmp_path)).build()

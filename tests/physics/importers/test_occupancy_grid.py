@@ -91,7 +91,7 @@ def test_threshold_negation_and_yaw(tmp_path: Path) -> None:
         ({"origin": f"[1, {10**400}, 0]"}, ("origin", "lower left corner")),
         ({"saved": "2020-13-45"}, ("is not YAML", "month")),
         ({"image": "other.pgm"}, ("image", "there is no picture file", "other.pgm")),
-        ({"image": "map.yaml"}, ("image", "is no picture")),
+        ({"image": "map.yaml"}, ("image", "is not a picture")),
         ({"occupied_thresh": 65}, ("occupied_thresh", "below 1")),
         ({"mode": "raw"}, ("mode", "trinary or scale")),
         ({"image": "[", "negate": "]"}, ("is not YAML",)),
@@ -109,5 +109,5 @@ def test_what_is_wrong_with_a_map_is_said(tmp_path: Path, keys: dict[str, Any], 
 def test_without_its_library_a_file_is_refused_with_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "yaml", None)
     path = write_map(tmp_path, GREY)
-    with pytest.raises(ScenarioError, match=r"map\.yaml: reading it needs yaml.*pip install pyyaml"):
+    with pytest.raises(ScenarioError, match=r"map\.yaml: reading it needs the package yaml.*pip install pyyaml"):
         Map(path=str(path)).build()

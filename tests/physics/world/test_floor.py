@@ -86,12 +86,12 @@ def test_nowhere_is_it_faster_than_its_speed(way: Any, speed: float, loop: bool,
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"place": [0, 0], "way": [[0, 0], [1, 0]], "speed": 1}, "a place or a way, not both"),
-        ({"way": [[0, 0]], "speed": 1}, "two places or more"),
-        ({"way": [[0, 0], [0, 0]], "speed": 1}, "unlike the one before"),
-        ({"way": [[0, 0], [1, 0]]}, "needs way and speed"),
+        ({"place": [0, 0], "way": [[0, 0], [1, 0]], "speed": 1}, "either a place or a way"),
+        ({"way": [[0, 0]], "speed": 1}, "at least two places"),
+        ({"way": [[0, 0], [0, 0]], "speed": 1}, "different from the one before"),
+        ({"way": [[0, 0], [1, 0]]}, "needs both way and speed"),
         ({"place": [0, 0], "speed": 1}, "neither"),
-        ({"place": [0, 0], "loop": True}, "nor loop"),
+        ({"place": [0, 0], "loop": True}, "or loop"),
         ({}, "needs a place or a way"),
         ({"place": [0, 0], "size": 0}, "> 0"),
         ({"place": [0, 0], "picture": "nowhere.png"}, "no picture file nowhere.png"),
@@ -108,7 +108,7 @@ def test_a_broken_picture_is_refused_before_a_run_begins(tmp_path: Path) -> None
     (tmp_path / "cut.png").write_bytes(whole[:200])
     picture = str(tmp_path / "cut.png")
     for keys in ({"targets": [{"place": [0, 0], "picture": picture}]}, {"ground": {"picture": picture}}):
-        with pytest.raises(ScenarioError, match="is a picture, but broken"):
+        with pytest.raises(ScenarioError, match="is a damaged picture"):
             binding.call(Empty, keys).build()
 
 

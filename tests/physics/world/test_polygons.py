@@ -139,7 +139,7 @@ def test_corners_within_rounding_of_a_line() -> None:
         (((0, 0), (2, 2), (2, 0), (0, 1)), (), "crosses or touches itself at edge 0 and edge 2"),
         (((0, 0), (4, 0), (4, 4), (2, 0), (0, 4)), (), "crosses or touches itself at edge 0 and edge 2"),
         (((0, 0), (4, 0), (2, 0), (2, 2)), (), "crosses or touches itself"),
-        (L_SHAPE, (((2, 2), (2.5, 2), (2.5, 2.5)),), "hole, number 0, that does not lie in it"),
+        (L_SHAPE, (((2, 2), (2.5, 2), (2.5, 2.5)),), "hole (number 0) outside its outline"),
         (L_SHAPE, (((0.5, 0.5), (2, 2), (0.5, 2)),), "edge 2 and edge 0 of hole 0"),
         (PLUS, (((1.1, 1.1), (1.9, 1.1), (1.5, 1.9)), ((1.4, 1.2), (1.6, 1.2), (1.5, 1.4))), "hole, number"),
     ],

@@ -139,7 +139,7 @@ def test_every_kind_takes_the_surroundings(kind: Any) -> None:
 def test_names_of_what_moves_are_unique() -> None:
     box = Box(center=(0.0, 0.0, 0.5), size=(1.0, 1.0, 1.0))
     moving = Moving(name="a", solid=box, times_s=(0.0,), way=((0.0, 0.0, 0.0, 0.0),))
-    with pytest.raises(ScenarioError, match="two of movables and moving are called 'a'"):
+    with pytest.raises(ScenarioError, match="two movables or moving obstacles are named 'a'"):
         Empty(movables=(Movable(name="a", solid=box, mass_kg=1.0),), moving=(moving,))
 
 
@@ -242,7 +242,7 @@ def test_targets_lie_on_streets_clear_of_each_other_and_can_be_found() -> None:
     ("parameters", "key", "words"),
     [
         ({"height_max": 3.0}, "height_max", "at least height_min"),
-        ({"size": (40.0, 40.0)}, "size", "do not fit"),
+        ({"size": (40.0, 40.0)}, "size", "too small for one block"),
         ({"size": (1e9, 1e9), "block": 1e8}, "size", "at most 100000 m"),
         ({"lots": 12}, "gap", "leave less than 1 m"),
     ],
@@ -271,12 +271,12 @@ def test_two_thousand_buildings_fit_into_a_town() -> None:
 
 
 def test_a_target_wider_than_the_street_is_refused() -> None:
-    with pytest.raises(ScenarioError, match="no free place for number 0"):
+    with pytest.raises(ScenarioError, match="number 0 finds no free place"):
         Urban(targets=(GroundTarget(size=11.0),)).build()
 
 
 def test_bounds_the_wrong_way_round_are_refused() -> None:
-    with pytest.raises(ScenarioError, match="the first two must be less"):
+    with pytest.raises(ScenarioError, match="west < east and south < north"):
         Empty(bounds=(1.0, 0.0, 0.0, 1.0)).build()
 
 
@@ -346,7 +346,7 @@ def test_a_corridor_may_begin_anywhere_on_its_axis(bends: tuple[float, ...]) -> 
         assert other.corners == pytest.approx(one.corners - (2.5, 0.0))
 
 
-@pytest.mark.parametrize(("bends", "words"), [((2.0,), ""), ((1.5,) * 4, "run into itself"), ((3.13,), "too short")])
+@pytest.mark.parametrize(("bends", "words"), [((2.0,), ""), ((1.5,) * 4, "crosses itself"), ((3.13,), "too short")])
 def test_corridors_that_cannot_be(bends: tuple[float, ...], words: str) -> None:
     if not words:
         Corridor(bends=bends).build()
@@ -384,14 +384,14 @@ def test_gates_stand_where_each_was_put(kind: type[Gates]) -> None:
 
 @pytest.mark.parametrize("kind", [Gates, GatesOffset])
 def test_one_offset_beside_those_of_all_gates_is_refused(kind: type[Gates]) -> None:
-    with pytest.raises(ScenarioError, match="so that offset says nothing") as caught:
+    with pytest.raises(ScenarioError, match="places all gaps already") as caught:
         kind(number=2, offset=0.4, offsets=(0.0, 0.8))
     assert caught.value.key == "offsets"
 
 
 @pytest.mark.parametrize("offsets", [(0.0,), (0.0, 0.8, -0.5, 0.1)])
 def test_as_many_offsets_as_gates_are_asked_for(offsets: tuple[float, ...]) -> None:
-    with pytest.raises(ScenarioError, match=rf"as many as there are gates, number = 3, not {len(offsets)}") as caught:
+    with pytest.raises(ScenarioError, match=rf"one value per gate \(number = 3\), not {len(offsets)}") as caught:
         Gates(number=3, offsets=offsets)
     assert caught.value.key == "offsets"
 

@@ -31,7 +31,7 @@ def test_a_slot_takes_the_place_of_distance_and_bearing() -> None:
     by_bearing = LeaderFollower("car1", 1.0, 30.0)
     assert by_slot.place == pytest.approx(by_bearing.place)
     assert LeaderFollower("car1", slot=(0.5, 1.0), handle=0.3).place == (0.8, 1.0, 0.3)
-    with pytest.raises(ValueError, match=r"slot = \[0.0, 1.0\] m does not put this vehicle behind its leader .* give one"):
+    with pytest.raises(ValueError, match=r"slot = \[0.0, 1.0\] m does not put this vehicle behind its leader .* set it"):
         LeaderFollower("car1", slot=(0.0, 1.0))
 
 
@@ -198,14 +198,14 @@ def test_the_first_member_must_be_one_that_leads() -> None:
     ("table", "says"),
     [
         ({}, r"^agent.leader: is missing"),
-        ({"leader": "car1", "formation": {}}, r"^agent: .*the formation says whom this vehicle follows; leave one"),
+        ({"leader": "car1", "formation": {}}, r"^agent: .* and formation both define the leader of this vehicle; leave one"),
         ({"leader": "car1", "distance": -1.0}, r"^agent.distance: must be a number > 0"),
-        ({"leader": "car1", "bearing_deg": 90.0}, r"^agent: .* give one, e.g. handle = 0.4"),
+        ({"leader": "car1", "bearing_deg": 90.0}, r"^agent: .* set it, e.g. handle = 0.4"),
         ({"leader": "car1", "fade_s": 0}, r"^agent.fade_s: must be a number > 0"),
         ({"leader": "car1", "heartbeat_s": 1.0}, r"^agent.heartbeat_s: heartbeat_s needs a formation"),
         (
             {"formation": {}, "heartbeat_s": 2.0, "sending": {"when": "needed", "silence_s": 2.0}},
-            r"heartbeat_s = 2.0 s would take those for dead who have nothing to tell: .* silence_s = 2.0 s",
+            r"heartbeat_s = 2.0 s must be longer than .*silence_s = 2.0 s",
         ),
         ({"leader": "car1", "slot": [1.0]}, r"^agent.slot: must be a list of 2 values, each a number"),
         ({"leader": "car1", "slot": [0.0, 1.0]}, r"^agent: slot = \[0.0, 1.0\] m does not put this vehicle behind"),

@@ -206,7 +206,7 @@ def test_places_are_dealt_out_by_where_members_were_heard_to_be() -> None:
 
 def test_only_the_first_of_a_formation_leads_it() -> None:
     leader = Trajectory(formation=Formation(members=("car2", "car1")))
-    with pytest.raises(ValueError, match="formation: car1 does not lead this team, car2 does; name it first in members"):
+    with pytest.raises(ValueError, match="formation: car1 does not lead this team, car2 does; put it first in members"):
         leader.start(VehicleInfo(name="car1", vehicles=("car1", "car2"), period_s=0.1, latency_s=0.0, seed=1))
 
 

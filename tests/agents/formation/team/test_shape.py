@@ -88,9 +88,9 @@ def test_an_own_shape_is_what_it_says() -> None:
 @pytest.mark.parametrize(
     ("offsets", "says"),
     [
-        (((0.0, 0.0), (1.0, 0.0)), r"needs the offsets of all 3 members, but there are 2"),
-        (((1.0, 0.0), (0.0, 0.0), (2.0, 0.0)), r"first of the offsets .* must be \[0, 0\], not \[1.0, 0.0\]"),
-        (((0.0, 0.0), (1.0, 0.0), (1.0, 0.0)), r"offsets has the place \[1.0, 0.0\] twice, as its items 1 and 2"),
+        (((0.0, 0.0), (1.0, 0.0)), r"needs offsets for all 3 members, not 2"),
+        (((1.0, 0.0), (0.0, 0.0), (2.0, 0.0)), r"offsets.0. is the leader's place and must be \[0, 0\], not \[1.0, 0.0\]"),
+        (((0.0, 0.0), (1.0, 0.0), (1.0, 0.0)), r"offsets.1. and offsets.2. are both \[1.0, 0.0\]"),
     ],
 )
 def test_wrong_offsets_are_named(offsets: tuple[Slot, ...], says: str) -> None:
@@ -158,13 +158,13 @@ def test_a_graph_follows_names() -> None:
     [
         ({"car2": "car1", "car3": "cat2", "car4": "car1"}, r"unknown member 'cat2'; did you mean 'car2'\?"),
         ({"car2": "car1", "card": "car2", "car4": "car1"}, r"unknown member 'card'; did you mean 'car\d'\?"),
-        ({"car2": "car1", "car4": "car1"}, r"car3 follows nobody, but car1 leads already"),
+        ({"car2": "car1", "car4": "car1"}, r"car3 has no parent, and only car1 may lead"),
         ({"car1": "car4", "car2": "car1", "car3": "car1", "car4": "car1"}, r"car1 is the first member and leads"),
-        ({"car2": "car3", "car3": "car2", "car4": "car1"}, r"car2 follows car3, car3 follows car2: a circle"),
-        ({"car2": "car1", "car3": "car3", "car4": "car1"}, r"car3 follows car3: a circle"),
+        ({"car2": "car3", "car3": "car2", "car4": "car1"}, r"car2 follows car3, car3 follows car2: a cycle"),
+        ({"car2": "car1", "car3": "car3", "car4": "car1"}, r"car3 follows car3: a cycle"),
         (
             {"car2": "car4", "car3": "car2", "car4": "car3"},
-            r"car2 follows car4, car4 follows car3, car3 follows car2: a circle, which nobody leads",
+            r"car2 follows car4, car4 follows car3, car3 follows car2: a cycle without a leader",
         ),
     ],
 )

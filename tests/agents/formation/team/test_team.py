@@ -187,8 +187,8 @@ def test_when_the_leader_of_a_star_dies_the_lowest_living_leads() -> None:
         ({"members": ("car1", "car2", "car1")}, r"formation.members names car1 twice"),
         ({"members": ("car1", "car3")}, r"formation.members \(car1, car3\) does not name car2"),
         ({"topology": "graph", "parents": {"car2": "car3", "car3": "car2"}}, r"car2 follows car3, car3 follows car2"),
-        ({"shape": "own"}, r"needs the offsets of all 3 members"),
-        ({"changes": ((5.0, "own"),)}, r"needs the offsets of all 3 members"),
+        ({"shape": "own"}, r"needs offsets for all 3 members"),
+        ({"changes": ((5.0, "own"),)}, r"needs offsets for all 3 members"),
     ],
 )
 def test_formations_that_do_not_fit_are_refused(formation: dict[str, Any], says: str) -> None:
