@@ -120,7 +120,7 @@ SHOWN = {
         "cosim/view/test_auth.py::test_by_which_names_a_page_may_be_dialled",
     ],
     "robot": [
-        "hardware/safety/test_ground_laws.py::test_the_body_never_crosses_the_fence_and_its_margin",
+        "hardware/safety/test_sequences.py::test_no_sequence_breaks_a_law",
         "hardware/remote_robot/test_security.py::test_nobody_else_is_heard_hears_or_stands_for_it",
     ],
     "bridge": [

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tests.support.hardware.supervised_flight import safety_of
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety.obstacles import RETURN_MPS, Others, Polygon
+from vcmvsp.hardware.safety.obstacles import Others, Polygon
 from vcmvsp.hardware.safety.supervisor import Cause, GroundSupervisor, LastReceived, Limits, Safety
 
 pytestmark = pytest.mark.slow
@@ -105,33 +105,6 @@ def drive(
             for pose, speeds in robot(pose, speeds, command, PERIOD_NS / SECOND, keep):  # noqa: B007, B020
                 yield pose, command, decision
             now += PERIOD_NS
-
-
-@settings(max_examples=300)
-@given(
-    name=st.sampled_from(sorted(FENCES)),
-    keep=limits,
-    robot=st.sampled_from([ideal, ramping]),
-    yaw=st.floats(-4.0, 4.0),
-    margin=st.floats(0.0, 0.2),
-    told=st.lists(st.tuples(reals, reals, st.integers(1, 12)), min_size=1, max_size=5),
-)
-def test_the_body_never_crosses_the_fence_and_its_margin(
-    name: str, keep: Limits, robot: Any, yaw: float, margin: float, told: list[tuple[float, float, int]]
-) -> None:
-    fence = FENCES[name]
-    supervisor = GroundSupervisor(safety_of(keep, radius_m=RADIUS, fence=fence, fence_margin_m=margin))
-    before = (0.0, 0.0)
-    for (x, y, _), command, _decision in drive(supervisor, robot, (*STARTS[name], yaw), told, keep):
-        assert room(fence, x, y) >= RADIUS + margin - 1e-6
-        assert abs(command[0]) <= keep.max_speed + 1e-12
-        assert abs(command[1]) <= keep.max_yaw_rate + 1e-12
-        if command != before:
-            gained = abs(command[0]) - abs(before[0])
-            assert -keep.decel * 0.1 - 1e-12 <= gained <= keep.accel * 0.1 + 1e-12
-            assert abs(abs(command[1]) - abs(before[1])) <= max(keep.yaw_accel, keep.yaw_decel) * 0.1 + 1e-12
-            assert command[0] * before[0] >= 0.0  # it stands before it turns back
-        before = command
 
 
 def one_step(
@@ -243,24 +216,6 @@ def test_a_robot_at_the_fence_can_turn_on_the_spot_and_leave() -> None:
     assert standing[1][0] < 1e-3
     assert leaving[1][0] > 0.1
     assert leaving[0][0] < standing[0][0] - 0.1
-
-
-@settings(max_examples=200)
-@given(
-    name=st.sampled_from(sorted(FENCES)),
-    place=st.tuples(st.floats(-2.0, 7.0), st.floats(-4.0, 6.0), st.floats(-4.0, 4.0)),
-    told=st.lists(st.tuples(reals, reals, st.integers(1, 10)), min_size=1, max_size=3),
-)
-def test_who_is_outside_only_gets_nearer(name: str, place: Pose, told: list[tuple[float, float, int]]) -> None:
-    fence, supervisor = (
-        FENCES[name],
-        GroundSupervisor(safety_of(AMIGO, radius_m=RADIUS, fence=FENCES[name])),
-    )
-    best = min(room(fence, *place[:2]), RADIUS)
-    for (x, y, _), _command, _decision in drive(supervisor, ideal, place, told, AMIGO):
-        # exactly at a corner, one of two sides is the nearest: a period's motion at the speed allowed there is all it costs
-        assert room(fence, x, y) >= best - 0.1 * RETURN_MPS - 1e-6
-        best = max(best, min(room(fence, x, y), RADIUS))
 
 
 def test_a_robot_outside_finds_back_into_every_fence() -> None:

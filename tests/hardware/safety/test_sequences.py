@@ -5,6 +5,7 @@
 
 import math
 import os
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -39,12 +40,12 @@ stretches = st.builds(
     keep=limits,
     exact=st.booleans(),
     others=st.lists(places, max_size=3),
+    margin=st.floats(0.0, 0.2),
+    climb=st.floats(0.1, 3.0),
     sequence=st.lists(stretches, min_size=1, max_size=8),
 )
-def test_no_sequence_breaks_a_law(
-    flies: bool, fence: str, keep: Limits, exact: bool, others: list[tuple[float, float, float]], sequence: list[Stretch]
-) -> None:
-    Rehearsal(flies, fence, keep, exact, others).run(sequence)
+def test_no_sequence_breaks_a_law(flies: bool, sequence: list[Stretch], **parameters: Any) -> None:
+    Rehearsal(flies, **parameters).run(sequence)
 
 
 KEEP = Limits(max_speed=1.0, max_yaw_rate=1.0, accel=1.0, decel=1.0, yaw_accel=2.0, yaw_decel=2.0)
@@ -54,7 +55,7 @@ KEEP = Limits(max_speed=1.0, max_yaw_rate=1.0, accel=1.0, decel=1.0, yaw_accel=2
 @pytest.mark.parametrize("fault", FAULTS)
 def test_each_fault_stops_it_or_is_none(flies: bool, fault: str) -> None:
     """Else the sequences might be watching nothing."""
-    rehearsal = Rehearsal(flies, "square", KEEP, False, [])
+    rehearsal = Rehearsal(flies, "square", KEEP, exact=False)
     rehearsal.run([Stretch((0.5, 0.0, 0.1, 0.2), 12), Stretch((0.5, 0.0, 0.1, 0.2), 12, fault, (0.1, 0.0, 0.0))])
     harmless = ("none", "pose false", "moved", "clock late")
     assert (rehearsal.stops > 0) == (fault not in harmless)
@@ -63,7 +64,7 @@ def test_each_fault_stops_it_or_is_none(flies: bool, fault: str) -> None:
 
 @pytest.mark.parametrize("flies", [False, True], ids=["ground", "air"])
 def test_the_watcher_sees_a_robot_that_does_not_brake(flies: bool) -> None:
-    rehearsal = Rehearsal(flies, "square", KEEP, False, [])
+    rehearsal = Rehearsal(flies, "square", KEEP, exact=False)
     move = rehearsal._move
     rehearsal._move = lambda command: move(rehearsal._command((0.5, 0.0, 0.0, 0.0)))  # type: ignore[method-assign]
     with pytest.raises(AssertionError):

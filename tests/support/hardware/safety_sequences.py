@@ -1,9 +1,9 @@
 """Rehearsals of the supervisors: a robot on the ground or in the air is driven through commands and faults, and watched.
 
 Each fault lasts for a stretch of periods. What is watched is written anew here, and shorter than in the product: how fast and
-how suddenly it is told to move; whether it is told to stop exactly when somebody was not heard, and then brakes at once; where
-it truly is, beside fence, floor, ceiling and standing others. While the pose that is told is false nobody can promise the
-latter: it counts again from when the robot stands and its pose is true.
+how suddenly it is told to move; whether it is told to stop exactly when somebody was not heard, for these causes and no others,
+and then brakes at once; where it truly is, beside fence, floor, ceiling and standing others. While the pose that is told is
+false nobody can promise the latter: it counts again from when the robot stands and its pose is true.
 """
 
 import math
@@ -17,13 +17,13 @@ from tests.support.hardware.supervised_flight import flown, safety_of
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.safety.aerial_supervisor import AerialSupervisor
 from vcmvsp.hardware.safety.obstacles import RETURN_MPS, Others
-from vcmvsp.hardware.safety.supervisor import GroundSupervisor, LastReceived, Limits
+from vcmvsp.hardware.safety.supervisor import Cause, GroundSupervisor, LastReceived, Limits
 
 SECOND = 10**9
 PERIOD_NS = SECOND // 10
-SEPARATION, OTHER, FLOOR, CEILING, CLIMB = 0.3, 0.2, 0.5, 2.5, 0.8
+SEPARATION, OTHER, FLOOR, CEILING = 0.3, 0.2, 0.5, 2.5
 SOURCES = ("operator", "command", "positioning", "federation")
-TIME_OUTS = {"operator_s": 0.25, "command_s": 0.3, "positioning_s": 0.4, "federation_s": 0.2, "clock_s": 0.35}
+TIME_OUTS = {"operator_s": 0.25, "command_s": 0.3, "positioning_s": 0.4, "federation_s": 0.2, "clock_s": 0.25}
 LIMITS_NS = {name: round(TIME_OUTS[f"{name}_s"] * SECOND) for name in (*SOURCES, "clock")}
 FAULTS = (
     "none",
@@ -65,13 +65,23 @@ class Rehearsal:
         keep: limits.
         exact: the robot has the speed that it is told at once; else it ramps.
         others: places (x, y, z) of standing others, from the start.
+        margin: between body and fence, m.
+        climb: greatest vertical speed, m/s.
     """
 
     def __init__(
-        self, flies: bool, fence: str, keep: Limits, exact: bool, others: Iterable[tuple[float, float, float]]
+        self,
+        flies: bool,
+        fence: str,
+        keep: Limits,
+        exact: bool,
+        others: Iterable[tuple[float, float, float]] = (),
+        margin: float = 0.0,
+        climb: float = 0.8,
     ) -> None:
         self.flies, self.fence, self.keep, self.exact = flies, FENCES[fence], keep, exact
-        common: dict[str, Any] = {"limits": keep, "radius_m": RADIUS, "fence": self.fence}
+        self.margin, self.climb = margin, climb if flies else 0.0
+        common: dict[str, Any] = {"limits": keep, "radius_m": RADIUS, "fence": self.fence, "fence_margin_m": margin}
         common |= {"separation_m": SEPARATION, **TIME_OUTS}
         self.common = common
         start = STARTS[fence]
@@ -82,8 +92,8 @@ class Rehearsal:
         self.rows = rows[gaps > 0.0]
         self.now = self.real = 10 * SECOND  # by the clock of the steps, and truly
         self.heard: dict[str, int | None] = dict.fromkeys(SOURCES, self.now)
+        self.last = Velocity()
         self._begin()
-        self.before = np.zeros(3)
         self.trusted, self.apart, self.worst = True, True, 0.0  # worst: how far beyond the fence it was put
         self.stops = self.periods = 0
 
@@ -91,19 +101,23 @@ class Rehearsal:
         """The first run, or another one: nothing is latched, and no step has been."""
         self.supervisor: Any
         if self.flies:
-            parameters = safety_of(**self.common, max_climb=CLIMB, floor_m=FLOOR, ceiling_m=CEILING)
+            parameters = safety_of(**self.common, max_climb=self.climb, floor_m=FLOOR, ceiling_m=CEILING)
             self.supervisor = AerialSupervisor(parameters)
         else:
             self.supervisor = GroundSupervisor(safety_of(**self.common))
         self.elapsed: int | None = None
         self.latched: set[str] = set()
+        self.causes: tuple[Cause, ...] = ()
 
     def run(self, stretches: Iterable[Stretch]) -> None:
         for stretch in stretches:
-            if stretch.anew and not any(self.speeds) and not self.before.any():
+            if stretch.anew and self._stands():
                 self._begin()
             for number in range(stretch.periods):
                 self._period(stretch, number)
+
+    def _stands(self) -> bool:
+        return not any(self.speeds) and self.last == Velocity()
 
     def _period(self, stretch: Stretch, number: int) -> None:
         fault, first = stretch.fault, number == 0
@@ -125,14 +139,14 @@ class Rehearsal:
         self.periods += 1
         self.stops += decision.stop
         assert decision.stop == bool(problems), (problems, decision.causes)
-        if decision.stop:
-            assert problems <= {str(each) for each in decision.causes}
+        assert not decision.stop or problems == {str(each) for each in decision.causes}
+        assert set(decision.began) == set(decision.causes) - set(self.causes)
         self._check_command(decision)
-        if not self.trusted and fault != "pose false" and not any(self.speeds) and not self.before.any():
+        if not self.trusted and fault != "pose false" and self._stands():
             self.trusted, self.worst = True, min(0.0, self.inside())
             self.apart = self.apart and self.gap() >= 0.0  # who was put into another may leave it on any axis
         self._move(decision.command)
-        self.before = self._sizes(decision.command)
+        self.last, self.causes = decision.command, decision.causes
         self.now += PERIOD_NS
         self.elapsed = PERIOD_NS
 
@@ -189,17 +203,21 @@ class Rehearsal:
         return np.array([math.hypot(x, y), abs(z), abs(command.yaw_rate)])
 
     def _check_command(self, decision: Any) -> None:
-        keep, sizes = self.keep, self._sizes(decision.command)
+        keep, command, last = self.keep, decision.command, self.last
+        sizes, before = self._sizes(command), self._sizes(last)
         assert np.isfinite(sizes).all()
-        assert (sizes <= np.array([keep.max_speed, CLIMB if self.flies else 0.0, keep.max_yaw_rate]) + 1e-9).all()
+        assert (sizes <= np.array([keep.max_speed, self.climb, keep.max_yaw_rate]) + 1e-9).all()
+        turns_back = 2 if self.flies else 0
+        assert command.linear[turns_back] * last.linear[turns_back] >= 0.0  # it stands before that
         dt = 0.0 if self.elapsed is None else 0.1 if self.elapsed < 0 else min(self.elapsed / SECOND, 0.1)
         gain = np.array([keep.accel, keep.accel, keep.yaw_accel]) * dt
         loss = np.array([keep.decel, keep.decel, keep.yaw_decel]) * dt
         # a turn that slows down to zero within the period may be gained the other way in what is left of it
-        assert (sizes <= self.before + gain + 1e-9).all()
-        assert (sizes >= self.before - loss - 1e-9).all()
+        assert (sizes <= before + gain + 1e-9).all()
+        assert (sizes >= before - loss - 1e-9).all()
+        assert not self.flies or math.dist(command.linear[:2], last.linear[:2]) <= loss[0] + 1e-9
         if decision.stop:
-            assert (sizes <= np.maximum(0.0, self.before - loss) + 1e-9).all()
+            assert (sizes <= np.maximum(0.0, before - loss) + 1e-9).all()
 
     def _move(self, command: Velocity) -> None:
         x, y, z, yaw = self.truth
@@ -216,7 +234,7 @@ class Rehearsal:
             if self.trusted:
                 inside = self.inside()
                 assert inside >= self.worst - self._allowed(), (inside, self.worst)
-                self.worst = 0.0 if inside >= 0.0 else self.worst
+                self.worst = max(self.worst, min(0.0, inside))
                 assert not self.apart or self.gap() >= -ROUNDING
 
     def _allowed(self) -> float:
@@ -225,7 +243,7 @@ class Rehearsal:
 
     def inside(self) -> float:
         """What is left to fence, floor and ceiling, m; below zero: it is beyond one."""
-        across = room(self.fence, *self.truth[:2]) - RADIUS
+        across = room(self.fence, *self.truth[:2]) - RADIUS - self.margin
         return min(across, self.truth[2] - FLOOR, CEILING - self.truth[2]) if self.flies else across
 
     def gap(self) -> float:
