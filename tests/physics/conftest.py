@@ -1,45 +1,19 @@
-"""A run of the physics alone: commands in, what was published out."""
+"""A drive of one vehicle."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.support.physics.physics_stepper import stepped
-from vcmvsp.cosim.clock import Ticks, seconds_to_ns
-from vcmvsp.cosim.federate import Event, Instants, RunInfo
-from vcmvsp.cosim.types import Velocity
+from tests.support.physics.runs import play
+from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.federate import Instants
 from vcmvsp.physics.federate import Physics
 from vcmvsp.physics.vehicles.models import GroundVehicle
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
-
-Command = tuple[float, str, float, float]  # from when, s; vehicle; v, m/s; w, rad/s
-
-
-def publications(
-    physics: Physics, commands: Iterable[Command], duration_s: float, instants: Sequence[Instants]
-) -> list[list[Event]]:
-    """Step a federate through a run as a kernel does; a command is handed over at the first step at or after its time."""
-    run = RunInfo(
-        scenario="test",
-        seed=1,
-        duration_ns=seconds_to_ns(duration_s),
-        vehicles=tuple(spec.name for spec in physics.vehicles),
-        instants=tuple(instants),
-    )
-    told = [
-        Event(f"{name}/command", seconds_to_ns(at_s), Velocity(linear=(v, 0.0, 0.0), yaw_rate=w))
-        for at_s, name, v, w in commands
-    ]
-    return list(stepped(physics, run, told))
-
-
-@pytest.fixture
-def play() -> Callable[..., list[list[Event]]]:
-    return publications
 
 
 @pytest.fixture
@@ -59,7 +33,7 @@ def drive() -> Callable[..., Any]:
         spec = VehicleSpec(name="car", model=model, position=(0.0, 0.0, 0.0))
         physics = kind(world=world or World(), vehicles=[spec], **parameters)
         named = [(at_s, "car", v, w) for at_s, v, w in commands]
-        steps = publications(physics, named, duration_s, [Instants(Ticks.rate(hz))])
+        steps = play(physics, named, duration_s, [Instants(Ticks.rate(hz))])
         values = [{event.key: event.value for event in events} for events in steps]
         states: Any = [value["car/estimate"] for value in values]
         wheels: Any = [value["car/odometry"] for value in values]

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import pytest
 
 from tests.support.paths import ROOT
-from tests.support.physics.physics_stepper import stepped
-from vcmvsp.cosim.clock import SECOND_NS, Ticks
-from vcmvsp.cosim.federate import Event, Instants, RunInfo
+from tests.support.physics.runs import Command, stepped
+from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.types import Later, Velocity, Waypoint
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.physics.federate import BulletPhysics
@@ -31,8 +31,6 @@ from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World, Zone
 
 pytestmark = pytest.mark.processes
-
-DURATION_S = 3.0
 
 
 class Digest(NamedTuple):
@@ -93,20 +91,17 @@ def vehicles() -> list[VehicleSpec]:
     ]
 
 
-def orders() -> list[Event]:
-    """Who is told what, and when."""
-    told: list[tuple[float, str, Velocity | Waypoint]] = [
-        (0.0, "car0", Velocity(linear=(0.9, 0.0, 0.0))),
-        (0.0, "car1", Velocity(linear=(0.6, 0.0, 0.0), yaw_rate=0.2)),
-        (0.5, "amigo", Velocity(linear=(0.5, 0.0, 0.0))),
-        (0.0, "uav0", Velocity(linear=(1.0, 1.0, 0.0), yaw_rate=0.5)),
-        (0.1, "uav1", Velocity(linear=(2.5, 0.0, 0.0))),  # into the wall
-        (0.0, "uav2", Waypoint(position=(1.0, 1.0, 0.3), yaw=-1.0)),
-        (0.3, "point", Waypoint(position=(2.0, -3.0, 1.0))),
-        (1.1, "uav0", Velocity(linear=(-1.0, 0.5, 0.3), yaw_rate=-0.5)),
-        (2.2, "car1", Velocity(linear=(0.2, 0.0, 0.0), yaw_rate=-0.6)),
-    ]
-    return [Event(f"{name}/command", round(at_s * SECOND_NS), value) for at_s, name, value in told]
+ORDERS: list[Command] = [  # who is told what, and when
+    (0.0, "car0", Velocity(linear=(0.9, 0.0, 0.0))),
+    (0.0, "car1", Velocity(linear=(0.6, 0.0, 0.0), yaw_rate=0.2)),
+    (0.5, "amigo", Velocity(linear=(0.5, 0.0, 0.0))),
+    (0.0, "uav0", Velocity(linear=(1.0, 1.0, 0.0), yaw_rate=0.5)),
+    (0.1, "uav1", Velocity(linear=(2.5, 0.0, 0.0))),  # into the wall
+    (0.0, "uav2", Waypoint(position=(1.0, 1.0, 0.3), yaw=-1.0)),
+    (0.3, "point", Waypoint(position=(2.0, -3.0, 1.0))),
+    (1.1, "uav0", Velocity(linear=(-1.0, 0.5, 0.3), yaw_rate=-0.5)),
+    (2.2, "car1", Velocity(linear=(0.2, 0.0, 0.0), yaw_rate=-0.6)),
+]
 
 
 def run(world: World, *, seed: int = 1, wanted: bool = False, late: bool = False) -> Generator[None, None, Digest]:
@@ -115,11 +110,8 @@ def run(world: World, *, seed: int = 1, wanted: bool = False, late: bool = False
     Readings on demand are worked out together if ``wanted``, and when all is over if ``late``.
     """
     physics = BulletPhysics(world=world, vehicles=vehicles())
-    names = tuple(spec.name for spec in physics.vehicles)
     keys = tuple(f"{spec.name}/{sensor}" for spec in physics.vehicles for sensor in spec.sensors) if wanted else ()
     needed = (Instants(Ticks.every(0.05)),)
-    end_ns = round(DURATION_S * SECOND_NS)
-    info = RunInfo(scenario="mixed", seed=seed, duration_ns=end_ns, vehicles=names, instants=needed, wanted=keys)
     kept, hashed, kinds = list[Event](), hashlib.blake2b(digest_size=16), Counter[str]()
 
     def take(events: list[Event]) -> None:
@@ -128,7 +120,7 @@ def run(world: World, *, seed: int = 1, wanted: bool = False, late: bool = False
             value = event.value.get() if isinstance(event.value, Later) else event.value
             kinds[type(value).__name__] += 1
 
-    for events in stepped(physics, info, orders()):
+    for events in stepped(physics, ORDERS, 3.0, needed, seed=seed, wanted=keys):
         kept += events
         if not late:
             take(kept)

@@ -2,16 +2,16 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.support.physics.runs import TENTH, play, run, run_info, values
 from tests.support.step_responses import settling_s
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import FederateError, ScenarioError
-from vcmvsp.cosim.federate import Event, Federate, Instants, RunInfo, Slot
+from vcmvsp.cosim.federate import Event, Federate, Instants, Slot
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Velocity
@@ -25,9 +25,7 @@ from vcmvsp.physics.world.world import Movable, Moving, World
 
 pytestmark = pytest.mark.processes
 
-Play = Callable[..., list[list[Event]]]
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
-TENTH = (Instants(Ticks.every(0.1)),)
 
 
 def car(
@@ -42,10 +40,6 @@ def car(
     return VehicleSpec(name=name, model=model or P2DX(), position=(x, y, 0.0), pose_source=source, positioning=sensor)
 
 
-def values(steps: list[list[Event]], key: str) -> list[Any]:
-    return [event.value for events in steps for event in events if event.key == key]
-
-
 @BOTH
 def test_it_is_a_federate(kind: type[Physics]) -> None:
     physics = kind(world=World(), vehicles=[car(), car("car2", 1.0, model=AmigoBot())])
@@ -55,12 +49,12 @@ def test_it_is_a_federate(kind: type[Physics]) -> None:
 
 
 @BOTH
-def test_every_instant_brings_the_truth_once_and_each_vehicle_its_own(kind: type[Physics], play: Play) -> None:
-    steps = play(kind(world=World(), vehicles=[car("b"), car("a", 1.0)]), [], 0.2, TENTH)
+def test_every_instant_brings_the_truth_once_and_each_vehicle_its_own(kind: type[Physics]) -> None:
+    steps = play(kind(world=World(), vehicles=[car("b"), car("a", 1.0)]), [], 0.2)
     keys = ["world/states", "b/estimate", "b/odometry", "a/estimate", "a/odometry"]
     assert [[event.key for event in events] for events in steps] == [keys] * 3
     assert [{event.time_ns for event in events} for events in steps] == [{0}, {10**8}, {2 * 10**8}]
-    states = values(steps, "world/states")[0]
+    states: Any = steps[0][0].value
     assert states.names == ("b", "a")
     assert states.position[:, 0] == pytest.approx((0.0, 1.0))
     for array, width in ((states.position, 3), (states.velocity, 3), (states.attitude, 4), (states.angular_velocity, 3)):
@@ -69,7 +63,7 @@ def test_every_instant_brings_the_truth_once_and_each_vehicle_its_own(kind: type
 
 
 @BOTH
-def test_instants_are_all_trains_offsets_sensors_and_the_end(kind: type[Physics], play: Play) -> None:
+def test_instants_are_all_trains_offsets_sensors_and_the_end(kind: type[Physics]) -> None:
     physics = kind(world=World(), vehicles=[car(sensor=Positioning(rate_hz=4.0))])
     steps = play(physics, [], 0.7, (Instants(Ticks.every(0.3)), Instants(Ticks.every(0.3), seconds_to_ns(0.05))))
     assert [events[0].time_ns / 1e9 for events in steps] == pytest.approx([0.0, 0.05, 0.25, 0.3, 0.35, 0.5, 0.6, 0.65, 0.7])
@@ -80,26 +74,25 @@ def test_instants_are_all_trains_offsets_sensors_and_the_end(kind: type[Physics]
 @BOTH
 def test_nothing_is_due_after_the_end(kind: type[Physics]) -> None:
     physics = kind(world=World(), vehicles=[car()])
-    run = RunInfo(scenario="test", seed=1, duration_ns=SECOND_NS, vehicles=("car1",), instants=TENTH)
-    assert physics.start(run) == 0
+    assert physics.start(run_info(physics, 1.0)) == 0
     assert physics.step(9 * 10**8, ()).next_ns == SECOND_NS
     assert physics.step(SECOND_NS, ()).next_ns is None
     physics.close()
 
 
 @BOTH
-def test_without_an_instant_asked_for_only_start_and_end_are_published(kind: type[Physics], play: Play) -> None:
+def test_without_an_instant_asked_for_only_start_and_end_are_published(kind: type[Physics]) -> None:
     steps = play(kind(world=World(), vehicles=[car()]), [(0.0, "car1", 0.3, 0.0)], 1.0, ())
     assert [events[0].time_ns for events in steps] == [0, SECOND_NS]
 
 
 @BOTH
-def test_a_command_acts_from_its_own_time_however_late_it_is_handed_over(kind: type[Physics], play: Play) -> None:
+def test_a_command_acts_from_its_own_time_however_late_it_is_handed_over(kind: type[Physics]) -> None:
     commands = [(0.1, "car1", 0.3, 0.4), (0.7, "car1", 0.1, -0.4), (1.35, "car1", 0.3, 0.0)]
 
     def end(period_s: float) -> Any:
         return values(
-            play(kind(world=World(), vehicles=[car()]), commands, 3.0, [Instants(Ticks.every(period_s))]), "world/states"
+            run(kind(world=World(), vehicles=[car()]), commands, 3.0, [Instants(Ticks.every(period_s))]), "world/states"
         )[-1]
 
     often, seldom = end(0.05), end(3.0)  # handed over at once; handed over at 3.0 s
@@ -111,12 +104,12 @@ def test_a_command_acts_from_its_own_time_however_late_it_is_handed_over(kind: t
 
 
 @BOTH
-def test_more_instants_change_no_value_at_the_old_ones(kind: type[Physics], play: Play) -> None:
-    def run(*instants: Instants) -> dict[int, list[Event]]:
+def test_more_instants_change_no_value_at_the_old_ones(kind: type[Physics]) -> None:
+    def at(*instants: Instants) -> dict[int, list[Event]]:
         physics = kind(world=World(), vehicles=[car(), car("car2", 0.0, 1.0, model=Lag())])
         return {events[0].time_ns: events for events in play(physics, [(0.1, "car1", 0.3, 0.5)], 2.0, instants)}
 
-    few, many = run(*TENTH), run(*TENTH, Instants(Ticks.every(0.05), seconds_to_ns(0.025)))
+    few, many = at(*TENTH), at(*TENTH, Instants(Ticks.every(0.05), seconds_to_ns(0.025)))
     assert len(many) > len(few)
     for now_ns, events in few.items():
         for a, b in zip(events, many[now_ns], strict=True):
@@ -129,11 +122,11 @@ def test_more_instants_change_no_value_at_the_old_ones(kind: type[Physics], play
 
 
 @BOTH
-def test_a_vehicle_believes_its_pose_source(kind: type[Physics], play: Play) -> None:
+def test_a_vehicle_believes_its_pose_source(kind: type[Physics]) -> None:
     sensor = Positioning(rate_hz=5.0)
     vehicles = [car(source="truth"), car("car2", 2.0, source="odometry"), car("car3", 4.0, source="positioning", sensor=sensor)]
     commands = [(0.0, spec.name, 0.3, 0.3) for spec in vehicles]
-    steps = play(kind(world=World(floor_friction=0.02), vehicles=vehicles), commands, 2.0, TENTH)
+    steps = play(kind(world=World(floor_friction=0.02), vehicles=vehicles), commands, 2.0)
     fix: Any = None
     for events in steps:
         at: dict[str, Any] = {event.key: event.value for event in events}
@@ -149,13 +142,13 @@ def test_a_vehicle_believes_its_pose_source(kind: type[Physics], play: Play) -> 
         assert at["car2/estimate"].yaw == pytest.approx(yaw)
         assert at["car3/estimate"].position == fix.position
         assert at["car3/estimate"].yaw == pytest.approx(fix.yaw)
-    assert len(values(steps, "car3/fix")) == 11
+    assert sum(event.key == "car3/fix" for events in steps for event in events) == 11
 
 
-def test_fixes_are_drawn_from_the_vehicles_own_stream(play: Play) -> None:
+def test_fixes_are_drawn_from_the_vehicles_own_stream() -> None:
     sensor = Positioning()
-    alone = play(KinematicPhysics(world=World(), vehicles=[car(sensor=sensor)]), [], 1.0, TENTH)
-    among = play(KinematicPhysics(world=World(), vehicles=[car("zero", sensor=sensor), car(sensor=sensor)]), [], 1.0, TENTH)
+    alone = run(KinematicPhysics(world=World(), vehicles=[car(sensor=sensor)]), [], 1.0)
+    among = run(KinematicPhysics(world=World(), vehicles=[car("zero", sensor=sensor), car(sensor=sensor)]), [], 1.0)
     assert values(alone, "car1/fix") == values(among, "car1/fix")
     assert values(among, "zero/fix") != values(among, "car1/fix")
     rng, truth = stream(1, "car1/positioning"), values(alone, "car1/estimate")[0]
@@ -172,10 +165,10 @@ def test_an_impossible_pose_source_is_refused(source: str) -> None:
 @BOTH
 @pytest.mark.parametrize("command", [(float("nan"), 0.0), (0.0, float("inf"))])
 def test_a_command_that_is_no_number_stops_the_run_and_names_the_vehicle(
-    kind: type[Physics], command: tuple[float, float], play: Play
+    kind: type[Physics], command: tuple[float, float]
 ) -> None:
     with pytest.raises(FederateError, match="car1 is not finite"):
-        play(kind(world=World(), vehicles=[car()]), [(0.0, "car1", *command)], 0.5, TENTH)
+        run(kind(world=World(), vehicles=[car()]), [(0.0, "car1", *command)], 0.5)
 
 
 @pytest.mark.parametrize(
@@ -188,32 +181,32 @@ def test_a_command_that_is_no_number_stops_the_run_and_names_the_vehicle(
     ],
 )
 def test_publications_between_two_bullet_steps_are_refused(
-    instants: tuple[Instants, ...], duration_s: float, rate_hz: float, numbers: tuple[str, str], play: Play
+    instants: tuple[Instants, ...], duration_s: float, rate_hz: float, numbers: tuple[str, str]
 ) -> None:
     with pytest.raises(ScenarioError) as raised:
-        play(BulletPhysics(world=World(), vehicles=[car()], rate_hz=rate_hz), [], duration_s, instants)
+        run(BulletPhysics(world=World(), vehicles=[car()], rate_hz=rate_hz), [], duration_s, instants)
     assert raised.value.key == ("duration_s" if duration_s == 1.003 else "physics.rate_hz")  # these instants name no key
     assert all(number in raised.value.problem for number in numbers)
 
 
-def test_a_sensor_between_two_bullet_steps_is_refused_and_a_fitting_one_is_not(play: Play) -> None:
+def test_a_sensor_between_two_bullet_steps_is_refused_and_a_fitting_one_is_not() -> None:
     with pytest.raises(ScenarioError, match="whole number of physics steps"):
-        play(BulletPhysics(world=World(), vehicles=[car(sensor=Positioning(rate_hz=7.0))]), [], 1.0, TENTH)
-    steps = play(BulletPhysics(world=World(), vehicles=[car(sensor=Positioning(rate_hz=60.0))]), [], 1.0, TENTH)
-    assert len(values(steps, "car1/fix")) == 61
+        run(BulletPhysics(world=World(), vehicles=[car(sensor=Positioning(rate_hz=7.0))]), [], 1.0)
+    events = run(BulletPhysics(world=World(), vehicles=[car(sensor=Positioning(rate_hz=60.0))]), [], 1.0)
+    assert len(values(events, "car1/fix")) == 61
 
 
 def box(name: str, x: float, z: float = 0.2) -> Movable:
     return Movable(name=name, solid=Box(center=(x, 0.0, z), size=(0.4, 0.4, 0.4)), mass_kg=1.0)
 
 
-def test_movables_that_start_inside_anything_but_a_moving_obstacle_are_refused_by_name(play: Play) -> None:
+def test_movables_that_start_inside_anything_but_a_moving_obstacle_are_refused_by_name() -> None:
     wall = Box(center=(3.0, 0.0, 0.5), size=(1.0, 1.0, 1.0))
     ram = Moving(name="ram", solid=wall, times_s=(0.0,), way=((-3.0, 0.0, 0.5, 0.0),))
 
     def start(*movables: Movable) -> None:
         world = World(solids=(wall,), movables=movables, moving=(ram,))
-        play(BulletPhysics(world=world, vehicles=[car("car", 0.0)]), [], 0.1, TENTH)
+        run(BulletPhysics(world=world, vehicles=[car("car", 0.0)]), (), 0.1)
 
     start(box("a", 1.0), box("b", 1.4), box("c", 1.0, 0.6), box("d", -3.0))  # side by side, on top, where the ram is
     for movables, words, key in (
@@ -225,11 +218,11 @@ def test_movables_that_start_inside_anything_but_a_moving_obstacle_are_refused_b
             start(*movables)
         assert raised.value.key == key
     with pytest.raises(ScenarioError, match="ram overlap"):
-        play(BulletPhysics(world=World(moving=(ram,)), vehicles=[car("car", -3.0)]), [], 0.1, TENTH)
+        run(BulletPhysics(world=World(moving=(ram,)), vehicles=[car("car", -3.0)]), (), 0.1)
 
 
 @BOTH
-def test_all_bodies_have_names_of_their_own(kind: type[Physics], play: Play) -> None:
+def test_all_bodies_have_names_of_their_own(kind: type[Physics]) -> None:
     post = Box(center=(0.0, 0.0, 0.5), size=(0.1, 0.1, 1.0))
     ram = Moving(name="ram", solid=post, times_s=(0.0,), way=((9.0, 0.0, 0.5, 0.0),))
     for movables, moving, key in (
@@ -238,7 +231,7 @@ def test_all_bodies_have_names_of_their_own(kind: type[Physics], play: Play) -> 
         ((box("ram", 2.0),), (ram,), "world.moving"),
     ):
         with pytest.raises(ScenarioError, match="use distinct names") as raised:
-            play(kind(world=World(movables=movables, moving=moving), vehicles=[car("car")]), [], 0.1, TENTH)
+            run(kind(world=World(movables=movables, moving=moving), vehicles=[car("car")]), (), 0.1)
         assert raised.value.key == key
 
 
@@ -249,10 +242,10 @@ class Boat:
 
 
 @BOTH
-def test_a_vehicle_that_no_engine_moves_is_refused(kind: type[Physics], play: Play) -> None:
+def test_a_vehicle_that_no_engine_moves_is_refused(kind: type[Physics]) -> None:
     boat = VehicleSpec(name="tug", model=Boat(), position=(0.0, 5.0, 0.0))
     with pytest.raises(ScenarioError, match="tug is a Boat, a model without an engine: derive it from GroundVehicle") as raised:
-        play(kind(world=World(), vehicles=[car(), boat]), [], 0.1, TENTH)
+        run(kind(world=World(), vehicles=[car(), boat]), (), 0.1)
     assert raised.value.key == "vehicle.tug.kind"
 
 
@@ -260,14 +253,14 @@ def test_a_vehicle_that_no_engine_moves_is_refused(kind: type[Physics], play: Pl
 def test_sensors_that_a_vehicle_cannot_carry_are_refused_at_the_start(kind: type[Physics]) -> None:
     spec = VehicleSpec(name="uav", model=Quadrotor(), position=(0, 0, 1), sensors={"odo": WheelOdometry()})
     with pytest.raises(ScenarioError, match="uav has no two driven wheels") as raised:
-        kind(world=World(), vehicles=[spec]).start(RunInfo(scenario="t", seed=1, duration_ns=SECOND_NS, vehicles=("uav",)))
+        run(kind(world=World(), vehicles=[spec]))
     assert raised.value.key == "vehicle.uav.sensors.odo"
 
 
-def test_a_quadrotor_that_cannot_carry_itself_is_refused_by_name(play: Play) -> None:
+def test_a_quadrotor_that_cannot_carry_itself_is_refused_by_name() -> None:
     heavy = VehicleSpec(name="uav", model=Quadrotor(mass_kg=2.5), position=(0.0, 0.0, 1.0))
     with pytest.raises(ScenarioError, match=r"2\.5 kg at max_tilt_rad need") as raised:
-        play(BulletPhysics(world=World(), vehicles=[heavy]), [], 0.1, TENTH)
+        run(BulletPhysics(world=World(), vehicles=[heavy]), (), 0.1)
     assert raised.value.key == "vehicle.uav"
 
 
@@ -276,14 +269,14 @@ def test_a_body_without_height_is_refused() -> None:
         P2DX(clearance_m=0.22)
 
 
-def test_vehicles_without_a_body_ride_along_in_bullet_as_they_move_alone(play: Play) -> None:
+def test_vehicles_without_a_body_ride_along_in_bullet_as_they_move_alone() -> None:
     models = {"body": P2DX(), "unicycle": Kinematic(), "lag": Lag()}
     commands = [(0.0, name, 0.3, 0.3) for name in models]
 
-    def run(kind: type[Physics], *names: str) -> list[list[Event]]:
-        return play(kind(world=World(), vehicles=[car(name, model=models[name]) for name in names]), commands, 2.0, TENTH)
+    def moved(kind: type[Physics], *names: str) -> list[Event]:
+        return run(kind(world=World(), vehicles=[car(name, model=models[name]) for name in names]), commands, 2.0)
 
-    mixed, alone = run(BulletPhysics, "unicycle", "body", "lag"), run(KinematicPhysics, "unicycle", "lag")
+    mixed, alone = moved(BulletPhysics, "unicycle", "body", "lag"), moved(KinematicPhysics, "unicycle", "lag")
     for name in ("unicycle", "lag"):
         assert values(mixed, f"{name}/estimate") == values(alone, f"{name}/estimate")
     assert values(mixed, "world/states")[0].names == ("unicycle", "body", "lag")
@@ -293,8 +286,7 @@ def test_vehicles_without_a_body_ride_along_in_bullet_as_they_move_alone(play: P
 def left_behind(kind: type[Physics], model: GroundVehicle) -> list[float]:
     """Errors, m, every 0.1 s, of a follower at rest in its slot whose leader drives off at 0.30 m/s."""
     physics = kind(world=World(), vehicles=[car("follower", model=model)])
-    run = RunInfo(scenario="test", seed=1, duration_ns=20 * SECOND_NS, vehicles=("follower",), instants=TENTH)
-    next_ns: int | None = physics.start(run)
+    next_ns: int | None = physics.start(run_info(physics, 20.0))
     inbox: tuple[Event, ...] = ()
     errors = []
     while next_ns is not None:

@@ -1,16 +1,13 @@
 """The federate with vehicles that fly, among others that do not, and what it refuses before the start."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.support.physics.physics_stepper import stepped
-from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from tests.support.physics.runs import Command, stepped
 from vcmvsp.cosim.errors import FederateError, ScenarioError
-from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Contact, Vec3, Velocity, Waypoint
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.positioning import Positioning
@@ -21,9 +18,7 @@ from vcmvsp.physics.world.world import Movable, Moving, Wind, World
 
 pytestmark = pytest.mark.slow
 
-Play = Callable[..., list[list[Event]]]
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
-TENTH = (Instants(Ticks.every(0.1)),)
 HIGH = (0.0, 0.0, 3.0)
 
 
@@ -31,18 +26,16 @@ def spec(name: str, model: Vehicle, position: Vec3 = HIGH, **also: Any) -> Vehic
     return VehicleSpec(name=name, model=model, position=position, **also)
 
 
-def flown(physics: Physics, commands: list[tuple[float, str, Velocity | Waypoint]], duration_s: float) -> list[dict[str, Any]]:
+def flown(physics: Physics, commands: list[Command], duration_s: float) -> list[dict[str, Any]]:
     """Values by key at every tenth of a second; commands are handed over at their own times."""
-    run = RunInfo(scenario="test", seed=1, duration_ns=round(duration_s * SECOND_NS), vehicles=physics._names, instants=TENTH)
-    told = [Event(f"{name}/command", round(at_s * SECOND_NS), command) for at_s, name, command in commands]
-    return [{event.key: event.value for event in events} for events in stepped(physics, run, told)]
+    return [{event.key: event.value for event in events} for events in stepped(physics, commands, duration_s)]
 
 
 @BOTH
 @pytest.mark.parametrize("model", [Point(), Quadrotor()], ids=["point", "quadrotor"])
 def test_a_velocity_is_in_the_world_frame_and_a_way_point_is_reached(kind: type[Physics], model: Vehicle) -> None:
     physics = kind(world=World(), vehicles=[spec("uav", model, heading=1.0)])
-    commands: list[tuple[float, str, Velocity | Waypoint]] = [
+    commands: list[Command] = [
         (0.0, "uav", Velocity(linear=(0.0, 1.5, 0.5))),
         (4.0, "uav", Waypoint(position=(2.0, 2.0, 4.0), yaw=-1.0)),
     ]
@@ -58,7 +51,7 @@ def test_a_velocity_is_in_the_world_frame_and_a_way_point_is_reached(kind: type[
 def test_ground_and_air_move_together_each_in_its_place(kind: type[Physics]) -> None:
     models: dict[str, Vehicle] = {"point": Point(), "car": P2DX(), "uav": Quadrotor(), "unicycle": Kinematic()}
     vehicles = [spec(name, model, (3.0 * k, 0.0, 2.0)) for k, (name, model) in enumerate(models.items())]
-    commands: list[tuple[float, str, Velocity | Waypoint]] = [(0.0, name, Velocity(linear=(0.4, 0.0, 0.0))) for name in models]
+    commands: list[Command] = [(0.0, name, Velocity(linear=(0.4, 0.0, 0.0))) for name in models]
     told = flown(kind(world=World(), vehicles=vehicles), commands, 5.0)
     first, last = told[0]["world/states"], told[-1]["world/states"]
     assert last.names == tuple(models)
@@ -172,7 +165,7 @@ def test_vehicles_outside_the_world_are_refused_by_name(kind: type[Physics]) -> 
 
 def test_a_crash_is_published_even_if_it_bounces_off_in_between() -> None:
     wall = World(solids=(Box(center=(3.0, 0.0, 2.0), size=(0.2, 4.0, 4.0)),))
-    commands: list[tuple[float, str, Velocity | Waypoint]] = [
+    commands: list[Command] = [
         (0.0, "uav", Velocity(linear=(3.0, 0.0, 0.0))),
         (1.5, "uav", Velocity(linear=(-3.0, 0.0, 0.0))),
     ]

@@ -7,9 +7,10 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from tests.support.physics.runs import run, values
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
-from vcmvsp.cosim.federate import Event, Instants, RunInfo
-from vcmvsp.cosim.types import Measured, Velocity
+from vcmvsp.cosim.federate import Instants
+from vcmvsp.cosim.types import Measured
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.detectors import Bumper
 from vcmvsp.physics.sensors.positioning import Positioning
@@ -40,32 +41,17 @@ def fresh() -> None:
     Witness.seen.clear()
 
 
-def played(physics: Physics, duration_s: float, command: Velocity | None = None) -> list[tuple[int, list[Event]]]:
-    run = RunInfo(scenario="t", seed=1, duration_ns=round(duration_s * SECOND_NS), vehicles=physics._names, instants=FIFTH)
-    told: list[tuple[int, list[Event]]] = []
-    next_ns: int | None = physics.start(run)
-    inbox = [Event(f"{physics._names[0]}/command", 0, command)] if command else []
-    while next_ns is not None:
-        now_ns = next_ns
-        step = physics.step(now_ns, inbox)
-        told.append((now_ns, list(step.events)))
-        next_ns, inbox = step.next_ns, []
-    physics.close()
-    return told
-
-
 @BOTH
 def test_states_are_published_where_they_are_needed_and_readings_at_their_own_ticks(kind: type[Physics]) -> None:
     sensors: Any = {"witness": Witness(rate_hz=20.0, phase_s=0.1, latency_s=0.05)}
     car = VehicleSpec(name="car", model=P2DX(), sensors=sensors, positioning=Positioning(rate_hz=4.0))
-    told = played(kind(world=World(), vehicles=[car]), 1.0)
-    at = {now_ns / 1e9: {event.key for event in events} for now_ns, events in told}
-    assert [t for t, keys in at.items() if "world/states" in keys] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
-    assert [t for t, keys in at.items() if "car/estimate" in keys] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
-    assert [t for t, keys in at.items() if "car/fix" in keys] == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0])
-    assert [t for t, keys in at.items() if "car/witness" in keys] == pytest.approx(np.arange(0.1, 1.001, 0.05))
-    readings: list[Any] = [event for _, events in told for event in events if event.key == "car/witness"]
-    assert all(event.time_ns == event.value.time_ns + SECOND_NS // 20 for event in readings)  # the latency
+    times: dict[str, list[float]] = {}
+    for event in run(kind(world=World(), vehicles=[car]), (), 1.0, FIFTH):
+        times.setdefault(event.key, []).append(event.time_ns / 1e9)
+    assert times["world/states"] == times["car/estimate"] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+    assert times["car/fix"] == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0])
+    assert [scene.now_ns / 1e9 for _, scene in Witness.seen] == pytest.approx(np.arange(0.1, 1.001, 0.05))
+    assert times["car/witness"] == pytest.approx(np.arange(0.15, 1.051, 0.05))  # late
 
 
 @BOTH
@@ -84,8 +70,7 @@ def test_a_sensor_is_shown_all_bodies_read_only_and_as_they_were_published(kind:
         VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 0.0, 2.0), sensors=sensors),
         VehicleSpec(name="point", model=Point(), position=(0.0, 1.0, 2.0)),
     ]
-    told = played(kind(world=world, vehicles=vehicles), 1.0, Velocity(linear=(0.3, 0.0, 0.0)))
-    states: Any = [event.value for _, events in told for event in events if event.key == "world/states"]
+    states = values(run(kind(world=world, vehicles=vehicles), [(0.0, "car", 0.3, 0.0)], 1.0, FIFTH), "world/states")
     assert len(Witness.seen) == len(states) == 6
     for (row, scene), published in zip(Witness.seen, states, strict=True):
         assert (row, scene.vehicles, len(scene.hulls)) == (1, ("car", "uav", "point"), 5)
@@ -109,7 +94,7 @@ def test_accelerations_are_means_over_the_last_step() -> None:
         VehicleSpec(name="car", model=P2DX(), sensors=sensors),
         VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 3.0, 2.0)),
     ]
-    played(BulletPhysics(world=World(), vehicles=vehicles), 1.0, Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.2))
+    run(BulletPhysics(world=World(), vehicles=vehicles), [(0.0, "car", 0.3, 0.2)], 1.0, FIFTH)
     scenes = [scene for _, scene in Witness.seen]
     assert len(scenes) == 121
     for before, after in pairwise(scenes):
@@ -122,7 +107,7 @@ def test_contacts_are_shown_with_their_places() -> None:
     wall = World(solids=(Box(center=(0.6, 0.0, 0.5), size=(0.2, 4.0, 1.0)),))
     sensors: Any = {"witness": Witness(rate_hz=10.0)}
     car = VehicleSpec(name="car", model=P2DX(), sensors=sensors)
-    played(BulletPhysics(world=wall, vehicles=[car]), 3.0, Velocity(linear=(0.3, 0.0, 0.0)))
+    run(BulletPhysics(world=wall, vehicles=[car]), [(0.0, "car", 0.3, 0.0)], 3.0, FIFTH)
     row, other, place = Witness.seen[-1][1].touching[0]
     assert (row, other) == (0, None)
     assert place[0] == pytest.approx(0.5, abs=0.02)
@@ -136,9 +121,8 @@ def test_fitting_sensors_moves_nobody(kind: type[Physics]) -> None:
             VehicleSpec(name="car", model=P2DX(), sensors=sensors),
             VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 3.0, 0.4)),
         ]
-        told = played(kind(world=World(), vehicles=vehicles), 2.0, Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.2))
-        states: Any = [event.value for _, events in told for event in events if event.key == "world/states"]
-        return [each.position.tobytes() for each in states]
+        events = run(kind(world=World(), vehicles=vehicles), [(0.0, "car", 0.3, 0.2)], 2.0, FIFTH)
+        return [each.position.tobytes() for each in values(events, "world/states")]
 
     expected = positions()
     if kind is BulletPhysics:
@@ -152,8 +136,8 @@ def test_fitting_sensors_loses_no_contact() -> None:
 
     def contacts(**sensors: Any) -> list[tuple[int, Any]]:
         uav = VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 0.0, 2.0), sensors=sensors)
-        told = played(BulletPhysics(world=wall, vehicles=[uav]), 3.0, Velocity(linear=(3.0, 0.0, 0.0)))
-        return [(event.time_ns, event.value) for _, events in told for event in events if event.key == "world/contact"]
+        events = run(BulletPhysics(world=wall, vehicles=[uav]), [(0.0, "uav", 3.0, 0.0)], 3.0, FIFTH)
+        return [(event.time_ns, event.value) for event in events if event.key == "world/contact"]
 
     expected = contacts()
     assert expected
@@ -169,7 +153,7 @@ def test_what_touches_is_shown_to_a_sensor_only_while_it_does() -> None:
         Witness.seen.clear()
         sensors = {"witness": Witness(rate_hz=20.0), **others}
         uav = VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 0.0, 2.0), sensors=sensors)
-        played(BulletPhysics(world=wall, vehicles=[uav]), 2.0, Velocity(linear=(3.0, 0.0, 0.0)))
+        run(BulletPhysics(world=wall, vehicles=[uav]), [(0.0, "uav", 3.0, 0.0)], 2.0, FIFTH)
         return [bool(scene.touching) for _, scene in Witness.seen if scene.now_ns % (SECOND_NS // 20) == 0]
 
     assert shown() == shown(bumper=Bumper(rate_hz=120.0))
@@ -180,7 +164,7 @@ def test_all_places_where_a_body_touches_are_shown() -> None:
     posts = World(solids=tuple(Cylinder(center=(1.0, y, 0.5), radius=0.05, height=1.0) for y in (0.15, -0.15)))
     sensors: Any = {"witness": Witness(rate_hz=20.0)}
     car = VehicleSpec(name="car", model=P2DX(), sensors=sensors)
-    played(BulletPhysics(world=posts, vehicles=[car]), 5.0, Velocity(linear=(0.3, 0.0, 0.0)))
+    run(BulletPhysics(world=posts, vehicles=[car]), [(0.0, "car", 0.3, 0.0)], 5.0, FIFTH)
     sides = [{round(float(place[1]) / 0.15) for _, _, place in scene.touching} for _, scene in Witness.seen]
     assert {1, -1} in sides
     assert all(side <= {1, -1} for side in sides)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tests.support.physics.external_vehicles import Courses, straight
-from tests.support.physics.physics_stepper import stepped
+from tests.support.physics.runs import TENTH, run, run_info, stepped
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.federate import Event, Instants, RunInfo
+from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.types import Array, Contact, Halted, Moved, Pushed, States, Velocity, Waypoint
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
@@ -23,7 +23,6 @@ from vcmvsp.physics.world.world import Movable, Moving, World
 pytestmark = pytest.mark.slow
 
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
-TENTH = (Instants(Ticks.every(0.1)),)
 CRATE = Movable(name="crate", solid=Box(center=(5.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=5.0)
 BARREL = Movable(name="barrel", solid=Cylinder(center=(8.0, 3.0, 0.5), radius=0.3, height=1.0), mass_kg=5.0)
 CART = Moving(name="cart", solid=CRATE.solid, times_s=(0.0, 1.0), way=((-5.0, 0.0, 0.2, 0.0), (-5.0, 0.0, 0.2, 0.0)))
@@ -53,17 +52,6 @@ def move(at_s: float, name: str, x: float, y: float, yaw: float = 0.0) -> Event:
     return Event("operator/moved", seconds_to_ns(at_s), Moved(obstacle=name, position=(x, y), yaw=yaw))
 
 
-def play(
-    physics: Physics, told: Sequence[Event], seconds: float, instants: Sequence[Instants] = TENTH, *, paced: bool = False
-) -> list[Event]:
-    names = tuple(each.name for each in physics.vehicles)
-    run = RunInfo(
-        scenario="test", seed=1, duration_ns=seconds_to_ns(seconds), vehicles=names, instants=tuple(instants), paced=paced
-    )
-    told = sorted(told, key=lambda each: each.time_ns)
-    return [event for events in stepped(physics, run, told) for event in events]
-
-
 def ways(events: Sequence[Event], row: int = 0) -> Array:
     """Positions (t, 3) m of a vehicle."""
     return np.array([event.value.position[row] for event in events if isinstance(event.value, States)])
@@ -84,7 +72,7 @@ def others(events: Sequence[Event]) -> list[str | None]:
 def test_who_is_halted_stands_and_goes_on_by_its_newest_command(kind: type[Physics]) -> None:
     physics = kind(world=World(), vehicles=[spec("car1"), spec("car2", y=3.0)])
     told = [drive(0.0, "car1", 0.4), drive(0.0, "car2", 0.4), halt(2.0, "car1"), drive(3.0, "car1", -0.2)]
-    events = play(physics, [*told, halt(5.0, "car1", halted=False), halt(5.0, "car2", halted=False)], 8.0)
+    events = run(physics, [*told, halt(5.0, "car1", halted=False), halt(5.0, "car2", halted=False)], 8.0)
     mine, other = ways(events)[:, 0], ways(events, 1)[:, 0]
     assert mine[20] == pytest.approx(other[20], abs=5e-3)
     stood = mine[30]
@@ -99,8 +87,8 @@ def test_who_was_told_nothing_new_goes_on_as_before() -> None:
         world=World(), vehicles=[spec("car1", model=Kinematic()), spec("car2", y=3.0, model=Kinematic())]
     )
     told = [drive(0.0, "car1", 0.5, 0.3), halt(1.0, "car1", "car2"), halt(1.5, "car2", "car1", halted=False)]
-    events = play(physics, told, 3.0)
-    plain = play(physics, told[:1], 2.5)
+    events = run(physics, told, 3.0)
+    plain = run(physics, told[:1], 2.5)
     assert ways(events)[15:] == pytest.approx(ways(plain)[10:], abs=1e-12)
     assert np.ptp(ways(events)[10:16], axis=0) == pytest.approx(0.0, abs=0.0)
     assert np.ptp(ways(events, 1), axis=0) == pytest.approx(0.0, abs=0.0)
@@ -111,7 +99,7 @@ def test_who_was_told_nothing_new_goes_on_as_before() -> None:
 def test_who_is_halted_in_the_air_hovers_and_flies_on_to_its_waypoint(kind: type[Physics], model: Vehicle) -> None:
     physics = kind(world=World(), vehicles=[spec("uav", z=2.0, model=model)])
     told = [fly(0.0, "uav", 8.0, 0.0, 3.0), halt(1.0, "uav"), halt(6.0, "uav", halted=False)]
-    way = ways(play(physics, told, 14.0))
+    way = ways(run(physics, told, 14.0))
     assert 1.0 < way[10, 0] <= way[60, 0] < 4.0
     assert way[40:61] == pytest.approx(np.tile(way[60], (21, 1)), abs=0.03)
     assert way[-1] == pytest.approx((8.0, 0.0, 3.0), abs=0.05)
@@ -120,14 +108,14 @@ def test_who_is_halted_in_the_air_hovers_and_flies_on_to_its_waypoint(kind: type
 def test_commands_are_refused_from_who_is_halted_too() -> None:
     physics = KinematicPhysics(world=World(), vehicles=[spec("car1")])
     with pytest.raises(FederateError, match="car1 was given a Waypoint but cannot fly"):
-        play(physics, [halt(0.0, "car1"), fly(0.5, "car1", 1.0, 1.0, 1.0)], 1.0)
+        run(physics, [halt(0.0, "car1"), fly(0.5, "car1", 1.0, 1.0, 1.0)], 1.0)
 
 
 @BOTH
 def test_who_is_moved_from_outside_is_not_halted_here(kind: type[Physics]) -> None:
     vehicles = [spec("real"), spec("car1", y=3.0)]
     physics = kind(world=World(), vehicles=vehicles, outside=Courses(real=straight(0.0, 0.5)))
-    assert ways(play(physics, [halt(0.3, "real", "car1")], 1.0))[-1] == pytest.approx((0.5, 0.0, 0.0))
+    assert ways(run(physics, [halt(0.3, "real", "car1")], 1.0))[-1] == pytest.approx((0.5, 0.0, 0.0))
 
 
 def test_what_is_done_at_any_time_counts_from_that_time_on_however_often_physics_is_stepped() -> None:
@@ -136,7 +124,7 @@ def test_what_is_done_at_any_time_counts_from_that_time_on_however_often_physics
 
     def once(*more: Instants, paced: bool = False) -> list[bytes]:
         physics = BulletPhysics(world=WORLD, vehicles=[spec("car1"), spec("uav", y=2.0, z=1.0, model=Quadrotor())])
-        events = play(physics, told, 3.0, (*TENTH, *more), paced=paced)
+        events = run(physics, told, 3.0, (*TENTH, *more), paced=paced)
         rows = [(event.time_ns, event.value.position.tobytes()) for event in events if isinstance(event.value, States)]
         return [row for time_ns, row in rows if time_ns % 10**8 == 0]
 
@@ -152,7 +140,7 @@ RAYS = RangeScanner(beams=2, field_of_view=0.02, range_max=20.0, rate_hz=10.0, p
 def test_what_was_moved_is_where_it_was_put_and_scanners_see_it_there(kind: type[Physics]) -> None:
     physics = kind(world=WORLD, vehicles=[spec("car1", sensors={"scan": RAYS})])
     told = [move(1.0, "crate", 0.0, 6.0), move(2.0, "barrel", 3.0, 0.0), move(3.0, "crate", 2.0, 0.0, math.pi / 4)]
-    events = play(physics, told, 4.0)
+    events = run(physics, told, 4.0)
     seen = ranges(events)
     for tick, edge_m in (
         (9, 4.8),
@@ -168,7 +156,7 @@ def test_what_was_moved_is_where_it_was_put_and_scanners_see_it_there(kind: type
 
 @BOTH
 def test_where_movables_are_is_told_whenever_that_changes(kind: type[Physics]) -> None:
-    events = play(kind(world=WORLD, vehicles=[spec("car1")]), [move(1.0, "crate", 0.0, 6.0)], 5.0)
+    events = run(kind(world=WORLD, vehicles=[spec("car1")]), [move(1.0, "crate", 0.0, 6.0)], 5.0)
     told = [(event.time_ns, event.value) for event in events if isinstance(event.value, Pushed)]
     times = [time_ns for time_ns, _ in told if time_ns >= 10**9]
     assert times[0] == 10**9
@@ -179,13 +167,9 @@ def test_where_movables_are_is_told_whenever_that_changes(kind: type[Physics]) -
 
 def test_what_was_pushed_over_and_away_stands_at_rest_again() -> None:
     physics = BulletPhysics(world=World(movables=(CRATE,)), vehicles=[spec("car1", 4.0)])
-    play_on = stepped(
-        physics,
-        RunInfo(scenario="t", seed=1, duration_ns=6 * SECOND_NS, vehicles=("car1",), instants=TENTH),
-        [drive(0.0, "car1", 0.6), halt(3.0, "car1"), move(3.5, "crate", 9.0, 1.0, 0.3)],
-    )
+    told = [drive(0.0, "car1", 0.6), halt(3.0, "car1"), move(3.5, "crate", 9.0, 1.0, 0.3)]
     before, after = list[Array](), list[Array]()
-    for tick, _ in enumerate(play_on):
+    for tick, _ in enumerate(stepped(physics, told, 6.0)):
         motion = physics._movables()
         assert motion is not None
         (before if tick < 35 else after).append(np.concatenate([motion.position[0], motion.velocity[0]]))
@@ -197,8 +181,7 @@ def test_what_leaned_on_it_falls() -> None:
     """Though it was asleep."""
     lid = Movable(name="lid", solid=Box(center=(5.0, 0.0, 0.45), size=(0.3, 0.3, 0.1)), mass_kg=1.0)
     physics = BulletPhysics(world=World(movables=(CRATE, lid)), vehicles=[spec("car1")])
-    run = RunInfo(scenario="t", seed=1, duration_ns=6 * SECOND_NS, vehicles=("car1",), instants=TENTH)
-    for _ in stepped(physics, run, [move(5.0, "crate", 8.0, 0.0)]):
+    for _ in stepped(physics, [move(5.0, "crate", 8.0, 0.0)], 6.0):
         motion = physics._movables()
     assert motion is not None
     assert motion.position == pytest.approx(np.array([(8.0, 0.0, 0.2), (5.0, 0.0, 0.05)]), abs=5e-3)
@@ -207,13 +190,13 @@ def test_what_leaned_on_it_falls() -> None:
 def test_a_quadrotor_meets_at_once_what_is_put_in_its_way() -> None:
     """Though it looks around for other bodies only 20 times a second, the last time just before."""
 
-    def run(*told: Event) -> list[Event]:
+    def flown(*told: Event) -> list[Event]:
         physics = BulletPhysics(world=World(movables=(BARREL,)), vehicles=[spec("uav", z=0.5, model=Quadrotor())])
-        return play(physics, [fly(0.0, "uav", 9.0, 0.0, 0.5), *told], 1.2, [Instants(Ticks.rate(120.0))])
+        return run(physics, [fly(0.0, "uav", 9.0, 0.0, 0.5), *told], 1.2, [Instants(Ticks.rate(120.0))])
 
     reach = 0.3 + Quadrotor().radius_m
-    x = ways(run())[122, 0] + reach + 0.02
-    events = run(move(122 / 120, "barrel", x, 0.0))
+    x = ways(flown())[122, 0] + reach + 0.02
+    events = flown(move(122 / 120, "barrel", x, 0.0))
     assert others(events)[:1] == ["barrel"]
     assert ways(events)[:, 0].max() < x - reach + 0.03
 
@@ -221,8 +204,8 @@ def test_a_quadrotor_meets_at_once_what_is_put_in_its_way() -> None:
 @BOTH
 def test_a_new_start_has_everything_where_the_world_puts_it(kind: type[Physics]) -> None:
     physics = kind(world=WORLD, vehicles=[spec("car1", sensors={"scan": RAYS})])
-    first = play(physics, [move(0.0, "crate", 0.0, 6.0)], 0.5)
-    again = play(physics, [], 0.5)
+    first = run(physics, [move(0.0, "crate", 0.0, 6.0)], 0.5)
+    again = run(physics, [], 0.5)
     assert ranges(first)[4] == math.inf
     assert ranges(again)[4] < 5.0
 
@@ -245,7 +228,7 @@ def test_where_nothing_can_stand_is_refused_at_any_time(
     physics = kind(world=WORLD, vehicles=[spec("car1")])
     with pytest.raises(ValueError, match=words):
         physics.check_move(obstacle, position, yaw)
-    physics.start(RunInfo(scenario="t", seed=1, duration_ns=SECOND_NS, vehicles=("car1",), instants=TENTH))
+    physics.start(run_info(physics, 1.0))
     with pytest.raises(ValueError, match=words):
         physics.check_move(obstacle, position, yaw)
     physics.close()
@@ -256,7 +239,7 @@ def test_a_place_that_somebody_takes_is_refused_once_they_are_there(kind: type[P
     vehicles = [spec("car1", model=Inertial()), spec("uav", y=-2.0, z=0.3, model=Quadrotor())]
     physics = kind(world=WORLD, vehicles=vehicles)
     physics.check_move("crate", (0.0, 0.0), 0.0)  # who starts there may have gone
-    physics.start(RunInfo(scenario="t", seed=1, duration_ns=3 * SECOND_NS, vehicles=("car1", "uav"), instants=TENTH))
+    physics.start(run_info(physics, 3.0))
     for position, name in (((0.0, 0.0), "car1"), ((0.0, -2.0), "uav"), ((8.0, 3.0), "barrel"), ((-5.0, 0.3), "cart")):
         with pytest.raises(ValueError, match=f"{name} is there"):
             physics.check_move("crate", position, 0.0)
@@ -278,12 +261,12 @@ def test_a_place_that_somebody_takes_is_refused_once_they_are_there(kind: type[P
 def test_a_move_onto_somebody_ends_the_run_with_its_reason(kind: type[Physics]) -> None:
     physics = kind(world=WORLD, vehicles=[spec("car1")])
     with pytest.raises(FederateError, match=r"crate cannot stand at \(0, 0\): car1 is there"):
-        play(physics, [move(0.5, "crate", 0.0, 0.0)], 1.0)
+        run(physics, [move(0.5, "crate", 0.0, 0.0)], 1.0)
 
 
 def test_who_comes_soon_takes_its_place_already() -> None:
     physics = KinematicPhysics(world=WORLD, vehicles=[spec("car1", model=Kinematic())])
-    physics.start(RunInfo(scenario="t", seed=1, duration_ns=SECOND_NS, vehicles=("car1",), instants=TENTH))
+    physics.start(run_info(physics, 1.0))
     near = (0.5 * 0.511 + 0.2 + 0.05, 0.0)
     physics.check_move("crate", near, 0.0)
     physics.step(SECOND_NS // 10, [drive(0.1, "car1", 1.0)])

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from tests.support.physics.external_vehicles import TENTH, Courses, run, spec, straight, values
+from tests.support.physics.external_vehicles import Courses, spec, straight
+from tests.support.physics.runs import TENTH, run, values
 from vcmvsp.cosim.clock import Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.estimation.fusion import FusedPose, Fusion

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tests.support.physics.bullet_engines import engine
-from tests.support.physics.physics_stepper import stepped
+from tests.support.physics.runs import run, run_info
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
-from vcmvsp.cosim.federate import Event, Instants, RunInfo
-from vcmvsp.cosim.types import Contact, Later, Vec3, Velocity, Waypoint
+from vcmvsp.cosim.federate import Event, Instants
+from vcmvsp.cosim.types import Contact, Vec3, Velocity, Waypoint
 from vcmvsp.physics.dynamics.engine import BodyMotion, Engine, Touch, gathered, still
 from vcmvsp.physics.dynamics.kinematic import AerialEngine, GroundEngine
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
@@ -60,8 +60,7 @@ class Jumping(Physics):
 def test_an_engine_of_ones_own_fits_and_shares_a_run_with_another() -> None:
     vehicles = [VehicleSpec(name=name, model=Point(), position=(2.0 * k, 0.0, 1.0)) for k, name in enumerate("abc")]
     physics = Jumping(world=World(), vehicles=vehicles)
-    run = RunInfo(scenario="t", seed=0, duration_ns=SECOND_NS, vehicles=("a", "b", "c"), instants=(Instants(Ticks.every(1.0)),))
-    assert physics.start(run) == 0
+    assert physics.start(run_info(physics, 1.0, [Instants(Ticks.every(1.0))])) == 0
     commands = [
         Event("a/command", 0, Velocity(linear=(0.0, 1.0, 0.0))),
         Event("c/command", 0, Waypoint(position=(7.0, 7.0, 7.0))),
@@ -144,14 +143,7 @@ def standing(kind: type[Physics], x: float, duration_s: float) -> list[Event]:
     scan = RangeScanner(beams=721, field_of_view=math.pi, range_max=8.0, position=(0.0, 0.0, 0.3))
     sensors: Any = {"scan": scan}
     car = VehicleSpec(name="car", model=AmigoBot(), position=(x, 0.0, 0.0), sensors=sensors)
-    tenth = Instants(Ticks.every(0.1))
-    run = RunInfo(scenario="t", seed=1, duration_ns=round(duration_s * SECOND_NS), vehicles=("car",), instants=(tenth,))
-    told = []
-    for events in stepped(kind(world=World(moving=(CART,)), vehicles=[car]), run, []):
-        for event in events:
-            value = event.value
-            told.append(Event(event.key, event.time_ns, value.get() if isinstance(value, Later) else value))
-    return told
+    return run(kind(world=World(moving=(CART,)), vehicles=[car]), (), duration_s)
 
 
 @BOTH
@@ -162,9 +154,10 @@ def test_scanners_see_it_where_it_is_at_the_time(kind: type[Physics]) -> None:
     for event in scans:
         t = event.time_ns / SECOND_NS % 8.0
         y = -1.0 + 0.5 * t if t < 4.0 else 3.0 - 0.5 * t
-        ranges = event.value.ranges
+        scan = event.value.get()
+        ranges = scan.ranges
         assert ranges.min() == pytest.approx(math.hypot(1.8, max(0.0, abs(y) - 0.25)), abs=0.01)
-        bearings = event.value.angle_min + event.value.angle_step * np.flatnonzero(np.isfinite(ranges))
+        bearings = scan.angle_min + scan.angle_step * np.flatnonzero(np.isfinite(ranges))
         assert bearings.mean() == pytest.approx(math.atan2(y, 2.0), abs=0.03)
 
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.netsim.channels import make_channel
-from tests.support.physics.external_vehicles import TENTH, Courses, run, spec, straight, values
-from tests.support.physics.physics_stepper import stepped
+from tests.support.physics.external_vehicles import Courses, spec, straight
+from tests.support.physics.runs import TENTH, run, values
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
@@ -67,8 +67,7 @@ def test_nothing_is_published_for_them_and_commands_do_not_count(kind: type[Phys
         Event("real/command", 10**8, Waypoint(position=(0.0, 0.0, 1.0))),
         Event("real/command", 2 * 10**8, Velocity(linear=(1.0, 0.0, 0.0))),
     ]
-    info = RunInfo(scenario="test", seed=1, duration_ns=SECOND_NS, vehicles=("car", "real"), instants=TENTH)
-    events = [event for events in stepped(physics, info, told) for event in events]
+    events = run(physics, told, 1.0)
     assert {event.key for event in events} == {"world/states", "car/estimate", "car/odometry"}
     assert values(events, "world/states")[-1].position[1].tolist() == [3.0, 0.0, 0.0]
 

@@ -1,18 +1,18 @@
 """What all sensors have in common: errors of readings, draws that no parameter moves, runs, a sensor of one's own."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.support.physics.runs import play
 from tests.support.physics.sensor_scenes import readings, scene_of, still
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.federate import Event, Instants
+from vcmvsp.cosim.federate import Instants
 from vcmvsp.cosim.reference.describe import meanings
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Measured
@@ -169,14 +169,13 @@ def test_a_compass_tells_the_yaw_wrapped() -> None:
 
 MODEL = P2DX()
 TURNS = [(0.0, "car", 0.5, 0.0), (3.0, "car", 0.3, 0.6), (6.0, "car", 0.0, 0.0), (8.0, "car", 0.5, -0.4)]
-Play = Callable[..., list[list[Event]]]
 
 
 def odometer(**errors: float) -> WheelOdometry:
     return WheelOdometry(wheel_radius_m=MODEL.wheel_radius_m, track_m=MODEL.track_m, **errors)  # type: ignore[arg-type]
 
 
-def ran(play: Play, kind: type[Physics], sensors: dict[str, Sensor], **rest: Any) -> dict[str, dict[int, Any]]:
+def ran(kind: type[Physics], sensors: dict[str, Sensor], **rest: Any) -> dict[str, dict[int, Any]]:
     """Values by key and time of delivery, of a car that starts at the origin."""
     spec = VehicleSpec(name="car", model=MODEL, position=(0.0, 0.0, 0.0), heading=0.3, sensors=sensors)
     physics = kind(world=rest.get("world", World()), vehicles=[spec])
@@ -194,23 +193,23 @@ def poses(values: dict[str, dict[int, Any]]) -> tuple[Any, Any]:
     return said, true
 
 
-def test_odometry_of_wheels_that_do_not_slip_is_the_truth(play: Play) -> None:
-    said, true = poses(ran(play, KinematicPhysics, {"odo": odometer()}))
+def test_odometry_of_wheels_that_do_not_slip_is_the_truth() -> None:
+    said, true = poses(ran(KinematicPhysics, {"odo": odometer()}))
     assert len(said) == 101
     assert np.abs(said - true).max() < 1e-9
 
 
-def test_odometry_of_a_body_on_a_good_floor_is_nearly_the_truth(play: Play) -> None:
-    said, true = poses(ran(play, BulletPhysics, {"odo": odometer()}))
+def test_odometry_of_a_body_on_a_good_floor_is_nearly_the_truth() -> None:
+    said, true = poses(ran(BulletPhysics, {"odo": odometer()}))
     assert np.hypot(*(said - true)[:, :2].T).max() < 0.01
     assert np.abs(said - true)[:, 2].max() < 0.005
-    wrong, _ = poses(ran(play, BulletPhysics, {"odo": odometer(track_error=0.02)}))
+    wrong, _ = poses(ran(BulletPhysics, {"odo": odometer(track_error=0.02)}))
     assert np.abs(wrong - true)[:, 2].max() > 0.02
 
 
-def test_a_bumper_says_when_the_car_has_reached_the_wall(play: Play) -> None:
+def test_a_bumper_says_when_the_car_has_reached_the_wall() -> None:
     wall = World(solids=(Box(center=(2.0, 0.6, 0.5), size=(0.2, 6.0, 1.0), yaw_rad=0.3),))
-    values = ran(play, BulletPhysics, {"bump": Bumper()}, world=wall, commands=[(0.0, "car", 0.5, 0.0)])
+    values = ran(BulletPhysics, {"bump": Bumper()}, world=wall, commands=[(0.0, "car", 0.5, 0.0)])
     (hit_ns,) = values["world/contact"]
     pressed = [time_ns for time_ns, reading in values["car/bump"].items() if reading.values["front"]]
     assert pressed[0] == hit_ns
@@ -218,11 +217,11 @@ def test_a_bumper_says_when_the_car_has_reached_the_wall(play: Play) -> None:
 
 
 @pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
-def test_an_inertial_unit_feels_the_floor_push_and_the_turn(play: Play, kind: type[Physics]) -> None:
+def test_an_inertial_unit_feels_the_floor_push_and_the_turn(kind: type[Physics]) -> None:
     exact = InertialUnit(
         rate_hz=120.0, accelerometer_density=0.0, accelerometer=Noise(), gyroscope_density=0.0, gyroscope=Noise()
     )
-    readings = ran(play, kind, {"imu": exact})["car/imu"]
+    readings = ran(kind, {"imu": exact})["car/imu"]
     times = np.array(list(readings)) * 1e-9
     force = np.array([reading.acceleration for reading in readings.values()])
     turn = np.array([reading.angular_velocity for reading in readings.values()])

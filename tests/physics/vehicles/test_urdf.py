@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from tests.support.physics.bullet_engines import engine
-from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from tests.support.physics.runs import run, values
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.federate import Event, Instants, RunInfo
-from vcmvsp.cosim.types import Velocity
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics
 from vcmvsp.physics.vehicles.specification import VehicleSpec
@@ -131,13 +130,8 @@ def test_firmware_limits_are_kept(cart: UrdfDrive) -> None:
 @pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 def test_it_is_a_vehicle_of_both_kinds_of_physics(kind: Any, cart: UrdfDrive) -> None:
     physics = kind(world=World(), vehicles=[VehicleSpec(name="cart", model=cart)])
-    physics.start(
-        RunInfo(scenario="t", seed=0, duration_ns=3 * SECOND_NS, vehicles=("cart",), instants=(Instants(Ticks.every(0.1)),))
-    )
-    step = physics.step(3 * SECOND_NS, [Event("cart/command", 0, Velocity(linear=(0.5, 0.0, 0.0)))])
-    at: dict[str, Any] = {event.key: event.value for event in step.events}
-    assert 1.2 < at["cart/odometry"].pose[0] < 1.51
-    physics.close()
+    events = run(physics, [(0.0, "cart", 0.5, 0.0)], 3.0)
+    assert 1.2 < values(events, "cart/odometry")[-1].pose[0] < 1.51
 
 
 def test_a_quadrotor_takes_mass_and_inertia_of_all_its_links(tmp_path: Path) -> None:

@@ -1,18 +1,14 @@
-"""Vehicles that a test moves, and runs of the physics that shows them."""
+"""Vehicles that a test moves."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from typing import Any
 
-from tests.support.physics.physics_stepper import stepped
-from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
-from vcmvsp.cosim.federate import Event, Instants, RunInfo
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import quaternion_from_yaw
-from vcmvsp.cosim.types import VehicleState, Velocity
-from vcmvsp.physics.federate import Physics
+from vcmvsp.cosim.types import VehicleState
 from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 
-TENTH = (Instants(Ticks.every(0.1)),)
 Course = Callable[[float], VehicleState]
 
 
@@ -37,26 +33,3 @@ def spec(
     name: str, x: float = 0.0, y: float = 0.0, *, model: Vehicle | None = None, z: float = 0.0, **rest: Any
 ) -> VehicleSpec:
     return VehicleSpec(name=name, model=model or P2DX(), position=(x, y, z), **rest)
-
-
-def run(
-    physics: Physics,
-    commands: Iterable[tuple[float, str, float, float]] = (),
-    seconds: float = 2.0,
-    instants: Sequence[Instants] = TENTH,
-    seed: int = 1,
-    *,
-    paced: bool = False,
-) -> list[Event]:
-    """All that is published; commands are (from when, s; vehicle; v, m/s; w, rad/s)."""
-    names, end_ns = tuple(each.name for each in physics.vehicles), seconds_to_ns(seconds)
-    info = RunInfo(scenario="test", seed=seed, duration_ns=end_ns, vehicles=names, instants=tuple(instants), paced=paced)
-    told = [
-        Event(f"{name}/command", seconds_to_ns(at_s), Velocity(linear=(v, 0.0, 0.0), yaw_rate=w))
-        for at_s, name, v, w in commands
-    ]
-    return [event for events in stepped(physics, info, told) for event in events]
-
-
-def values(events: Sequence[Event], key: str) -> list[Any]:
-    return [event.value for event in events if event.key == key]

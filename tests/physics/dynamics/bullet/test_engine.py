@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from tests.support.physics.bullet_engines import engine
+from tests.support.physics.runs import play
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
-from vcmvsp.cosim.federate import Event, Instants
+from vcmvsp.cosim.federate import Instants
 from vcmvsp.cosim.types import Contact
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.federate import BulletPhysics
@@ -136,7 +137,7 @@ def test_walls_stop_a_robot(robot: DifferentialDrive, speed: float, drive: Drive
     assert len(moved.contacts) == 1  # pressing on is not another touch
 
 
-def test_robots_collide_and_both_are_named(play: Callable[..., list[list[Event]]]) -> None:
+def test_robots_collide_and_both_are_named() -> None:
     vehicles = [
         VehicleSpec(name="late", model=AmigoBot(), position=(2.0, 0.0, 0.0), heading=math.pi),
         VehicleSpec(name="early", model=P2DX(), position=(0.0, 0.0, 0.0)),

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.physics.external_vehicles import TENTH, Course, Courses, run, spec, straight, values
-from tests.support.physics.physics_stepper import stepped
-from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.federate import Event, RunInfo
+from tests.support.physics.external_vehicles import Course, Courses, spec, straight
+from tests.support.physics.runs import run, values
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import VehicleState, Velocity
 from vcmvsp.physics.dynamics.bullet import p
@@ -67,16 +67,10 @@ def test_it_pushes_things_and_is_a_body_whatever_its_kind() -> None:
         hull = model.hull
         real = spec("real", -1.5, model=model)
         physics = BulletPhysics(world=World(movables=(crate,)), vehicles=[real], outside=Courses(real=straight(-1.5, 0.5)))
-        info = RunInfo(scenario="test", seed=1, duration_ns=4 * SECOND_NS, vehicles=("real",), instants=TENTH)
-        physics.start(info)
-        assert {each.value.other for now in range(41) for each in told_contacts(physics, now)} == {"crate"}
-        crate_x = physics._engines[0][0].movables().position[0, 0]
+        events = run(physics, (), 4.0)
+        assert {other for _, other in contacts(events)} == {"crate"}
+        crate_x = values(events, "world/pushed")[-1].position[0, 0]
         assert crate_x > 0.5 + hull.offset[0] + 0.5 * hull.size[0] + 0.2 - DEEP_M - 0.5 / 120.0
-        physics.close()
-
-
-def told_contacts(physics: BulletPhysics, tick: int) -> list[Any]:
-    return [event for event in physics.step(tick * SECOND_NS // 10, ()).events if event.key == "world/contact"]
 
 
 def test_contacts_tell_of_virtual_walls_and_of_each_other() -> None:
@@ -166,18 +160,8 @@ def test_a_run_with_one_costs_no_bit_of_those_that_it_does_not_touch() -> None:
         courses = Courses(**{name: straight(9.0, z=2.0) for name in names})
         vehicles += [spec(name, 9.0, z=2.0, model=Quadrotor()) for name in names]
         physics = BulletPhysics(world=World(), vehicles=vehicles, outside=courses)
-        told = [
-            Event("uav/command", 0, Velocity(linear=(0.5, 0.2, 0.1), yaw_rate=0.3)),
-            Event("car/command", 0, Velocity(linear=(0.5, 0.0, 0.0), yaw_rate=0.3)),
-        ]
-        info = RunInfo(
-            scenario="test",
-            seed=1,
-            duration_ns=seconds_to_ns(3.0),
-            vehicles=tuple(each.name for each in vehicles),
-            instants=TENTH,
-        )
-        events = [event for events in stepped(physics, info, told) for event in events]
+        told = [(0.0, "uav", Velocity(linear=(0.5, 0.2, 0.1), yaw_rate=0.3)), (0.0, "car", 0.5, 0.3)]
+        events = run(physics, told, 3.0)
         return values(events, "uav/estimate") + values(events, "car/estimate")
 
     assert flown("real") == flown()
