@@ -6,16 +6,13 @@ from pathlib import Path
 import pytest
 
 import vcmvsp
-from vcmvsp import agents
+from tests.support.docs.readme_pages import PAGES, block
 
 pytestmark = pytest.mark.slow
 
-README = (Path(agents.__path__[0]) / "README.md").read_text(encoding="utf-8")
-
 
 def test_it_flies_east_until_something_is_near(tmp_path: Path) -> None:
-    (code,) = [text for text in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "class Advance" in text]
-    (tmp_path / "advance.py").write_text(code)
+    (tmp_path / "advance.py").write_text(block("agents/README.md", "class Advance"))
     (tmp_path / "wall.toml").write_text("""
         name = "wall"
         duration_s = 15.0
@@ -36,9 +33,8 @@ def test_it_flies_east_until_something_is_near(tmp_path: Path) -> None:
 
 
 def test_its_own_way_around_things_stops_before_them(tmp_path: Path) -> None:
-    (code,) = [text for text in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "class Stop" in text]
-    (own,) = re.findall(r"`avoidance = (\{ kind = \"own\".*?\} \})`", README)
-    (tmp_path / "stop.py").write_text(code)
+    (own,) = re.findall(r"`avoidance = (\{ kind = \"own\".*?\} \})`", PAGES["agents/README.md"])
+    (tmp_path / "stop.py").write_text(block("agents/README.md", "class Stop"))
     (tmp_path / "wall.toml").write_text(f"""
         name = "wall"
         duration_s = 15.0

@@ -1,4 +1,4 @@
-"""The README says what is so: its blocks work as they stand there, and it knows every outcome and what it points to."""
+"""The README says what is so: its block works as it stands there, and it knows every outcome."""
 
 import re
 from pathlib import Path
@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.docs.readme_pages import PAGES, block
 from tests.support.netsim.channels import send
-from vcmvsp import netsim
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.testing import check_channel
 from vcmvsp.netsim.channel.channel import Channel, Outages
@@ -20,18 +20,10 @@ from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
 from vcmvsp.netsim.phy.dsss import Dsss
 
-HOME = Path(netsim.__path__[0])
-README = (HOME / "README.md").read_text(encoding="utf-8")
-
-
-def block(language: str) -> str:
-    (found,) = re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
-    return str(found)
-
 
 def test_the_layers_of_ones_own() -> None:
     models: dict[str, Any] = {"__name__": "my_models"}
-    exec(compile(block("python"), "README.md", "exec", dont_inherit=True), models)
+    exec(compile(block("netsim/README.md", "class Rain"), "README.md", "exec", dont_inherit=True), models)
     rain, tunnel = models["Rain"](db_per_km=4.0), models["Tunnel"](reach_m=500.0)
     check_channel(rain)
     check_channel(tunnel)
@@ -51,6 +43,6 @@ def test_every_outcome_is_explained(tmp_path: Path) -> None:
         for script, fades in ((Script(), True), (Script(), False), (None, False)):
             outcomes = Outcomes(ReceiverModel(Dsss(), 4.0), loss, NoDelay(), script, trace, Delivery(), fades=fades)
             known |= set(outcomes._words.tolist())
-    section = README.partition("## What becomes of a frame")[2].partition("\n## ")[0]
+    section = PAGES["netsim/README.md"].partition("## What becomes of a frame")[2].partition("\n## ")[0]
     rows = [line.split(" | ")[0] for line in section.splitlines() if line.startswith("| `")]
     assert {name for row in rows for name in re.findall(r"`([^`]+)`", row)} == known - {""}

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.docs.readme_pages import PAGES, block
 from tests.support.netsim.bridge_runs import BridgeRun, running
 from tests.support.netsim.gateway_context import TestHall, free_ports
 from tests.support.paths import ROOT
@@ -23,13 +24,8 @@ from vcmvsp.netsim.bridge.gateways.base import Gateway
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 HOME = ROOT / "netsim" / "bridge"
-README = (HOME / "README.md").read_text(encoding="utf-8")
-FRONT = (HOME.parents[1] / "docs" / "radio.md").read_text(encoding="utf-8")
-
-
-def block(language: str, words: str, page: str = README) -> str:
-    (found,) = [text for text in re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL) if words in text]
-    return str(found)
+PAGE = "netsim/bridge/README.md"
+README = PAGES[PAGE]
 
 
 def at_ports(first: int, text: str) -> str:
@@ -40,9 +36,9 @@ def at_ports(first: int, text: str) -> str:
 def test_the_worked_example(tmp_path: Path) -> None:
     first = free_ports(200)
     for name, text in {
-        "two-programs.toml": block("toml", "two-programs"),
-        "echo.py": block("python", "hears.sendto"),
-        "ask.py": block("python", "asks.sendto"),
+        "two-programs.toml": block(PAGE, 'two-programs"'),
+        "echo.py": block(PAGE, "hears.sendto"),
+        "ask.py": block(PAGE, "asks.sendto"),
     }.items():
         (tmp_path / name).write_text(at_ports(first, text))
     (command,) = re.findall(r"^    vcmvsp (run .*?) +#", README, re.MULTILINE)
@@ -84,7 +80,7 @@ def test_the_ten_lines_of_the_radios_page(capsys: pytest.CaptureFixture[str], mo
     with running(run):
         space: dict[str, Any] = {}
         exec(
-            compile(at_ports(run.first_port, block("python", "where are you?", FRONT)), "radio.md", "exec", dont_inherit=True),
+            compile(at_ports(run.first_port, block("docs/radio.md", "where are you?")), "radio.md", "exec", dont_inherit=True),
             space,
         )
         for each in ("car1", "car2"):
@@ -95,7 +91,7 @@ def test_the_ten_lines_of_the_radios_page(capsys: pytest.CaptureFixture[str], mo
 
 def test_the_door_of_ones_own(tmp_path: Path) -> None:
     space: dict[str, Any] = {}
-    exec(compile(block("python", "class RollCall"), "README.md", "exec", dont_inherit=True), space)
+    exec(compile(block(PAGE, "class RollCall"), "README.md", "exec", dont_inherit=True), space)
     path = tmp_path / "heard.txt"
 
     async def trial() -> list[str]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.agents.agent_loop import Floats, Pose, observe, received
-from tests.support.paths import ROOT
+from tests.support.docs.readme_pages import block
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.leader import Leader
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
@@ -164,9 +164,8 @@ def test_a_leader_of_ones_own_says_how_it_moves_and_no_more() -> None:
 
 
 def test_the_leader_of_the_readme_works() -> None:
-    readme = (ROOT / "agents" / "README.md").read_text(encoding="utf-8")
     names: dict[str, Any] = {}
-    exec(next(block for block in readme.split("```python\n") if "class Waltz" in block).split("```")[0], names)
+    exec(block("agents/README.md", "class Waltz"), names)
     told = reports(names["Waltz"](), 1.0)
     assert [(each["v"], each["w"]) for each in told] == [(0.3, 0.5 * math.sin(tick / 10)) for tick in range(10)]
 

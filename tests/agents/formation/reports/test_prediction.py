@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.paths import ROOT
+from tests.support.docs.readme_pages import block
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.reports.prediction import Acceleration, DeadReckoning, Hold, PlanPrediction, estimator_of
 from vcmvsp.agents.formation.reports.report import LeaderState, Report, accelerations, lead_of, plan_of
@@ -289,9 +289,8 @@ def test_a_bad_estimator_is_named_with_its_key(estimator: Any, says: str) -> Non
 
 
 def test_the_estimator_of_the_readme_works() -> None:
-    blocks = (ROOT / "agents" / "README.md").read_text(encoding="utf-8").split("```python\n")[1:]
     names: dict[str, Any] = {}
-    exec(next(block for block in blocks if "class Cautious" in block).split("```")[0], names)
+    exec(block("agents/README.md", "class Cautious"), names)
     follower = LeaderFollower("lead", estimator=names["Cautious"]())
     start = LeaderState(1.0, 2.0, 0.3, 0.4, -0.2)
     assert follower.estimator.predict(report(start), 0.1) == (1.0, 2.0, 0.3, 0.2, -0.1)
