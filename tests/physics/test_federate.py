@@ -104,24 +104,6 @@ def test_a_command_acts_from_its_own_time_however_late_it_is_handed_over(kind: t
 
 
 @BOTH
-def test_more_instants_change_no_value_at_the_old_ones(kind: type[Physics]) -> None:
-    def at(*instants: Instants) -> dict[int, list[Event]]:
-        physics = kind(world=World(), vehicles=[car(), car("car2", 0.0, 1.0, model=Lag())])
-        return {events[0].time_ns: events for events in play(physics, [(0.1, "car1", 0.3, 0.5)], 2.0, instants)}
-
-    few, many = at(*TENTH), at(*TENTH, Instants(Ticks.every(0.05), seconds_to_ns(0.025)))
-    assert len(many) > len(few)
-    for now_ns, events in few.items():
-        for a, b in zip(events, many[now_ns], strict=True):
-            if a.key == "car1/odometry":
-                mine: Any = a.value
-                theirs: Any = b.value
-                assert (*mine.pose, mine.v) == pytest.approx((*theirs.pose, theirs.v), abs=1e-12)
-                if kind is BulletPhysics:
-                    assert mine == theirs
-
-
-@BOTH
 def test_a_vehicle_believes_its_pose_source(kind: type[Physics]) -> None:
     sensor = Positioning(rate_hz=5.0)
     vehicles = [car(source="truth"), car("car2", 2.0, source="odometry"), car("car3", 4.0, source="positioning", sensor=sensor)]

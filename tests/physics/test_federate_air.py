@@ -174,25 +174,6 @@ def test_a_crash_is_published_even_if_it_bounces_off_in_between() -> None:
     assert told[-1]["world/states"].position[0, 0] < 2.0  # it is away again
 
 
-def test_whoever_else_is_in_the_run_changes_nothing_where_they_do_not_touch() -> None:
-    world = World(wind=Wind(velocity=(1.0, 0.0, 0.0), gust=1.0))
-
-    def run(*others: VehicleSpec) -> list[bytes]:
-        vehicles = [spec("car", P2DX(), (0.0, 0.0, 0.0)), *others, spec("uav", Quadrotor(), (0.0, 0.0, 0.4))]
-        weave = [
-            (0.5 * k, n, Velocity(linear=(0.4, 0.2, 0.1), yaw_rate=0.3 * (-1) ** k)) for k in range(8) for n in ("car", "uav")
-        ]
-        told = flown(BulletPhysics(world=world, vehicles=vehicles), [*weave], 4.0)
-        rows = [0, len(vehicles) - 1]
-        return [array[rows].tobytes() for at in told for array in (at["world/states"].position, at["world/states"].attitude)]
-
-    assert run() == run(
-        spec("another", Quadrotor(), (0.0, 1.0, 0.4)),
-        spec("third", P2DX(), (-3.0, 0.0, 0.0)),
-        spec("dot", Point(), (0.0, 0.0, 0.4)),
-    )
-
-
 def test_gusts_move_a_quadrotor_and_belong_to_the_seed() -> None:
     def end(world: World) -> Any:
         return flown(BulletPhysics(world=world, vehicles=[spec("uav", Quadrotor())]), [], 3.0)[-1]["world/states"].position[0]

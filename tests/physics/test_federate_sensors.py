@@ -114,22 +114,6 @@ def test_contacts_are_shown_with_their_places() -> None:
     assert Witness.seen[0][1].touching == []
 
 
-@BOTH
-def test_fitting_sensors_moves_nobody(kind: type[Physics]) -> None:
-    def positions(**sensors: Any) -> list[bytes]:
-        vehicles = [
-            VehicleSpec(name="car", model=P2DX(), sensors=sensors),
-            VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 3.0, 0.4)),
-        ]
-        events = run(kind(world=World(), vehicles=vehicles), [(0.0, "car", 0.3, 0.2)], 2.0, FIFTH)
-        return [each.position.tobytes() for each in values(events, "world/states")]
-
-    expected = positions()
-    if kind is BulletPhysics:
-        assert positions(witness=Witness(rate_hz=40.0)) == expected
-    assert positions(witness=Witness(rate_hz=5.0)) == expected
-
-
 def test_fitting_sensors_loses_no_contact() -> None:
     """A quadrotor bounces off a wall between two publications; it is asked what touches in between, and no longer does."""
     wall = World(solids=(Box(center=(3.0, 0.0, 2.0), size=(0.2, 4.0, 4.0)),))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.physics.external_vehicles import Courses, straight
-from tests.support.physics.runs import TENTH, run, run_info, stepped
+from tests.support.physics.runs import run, run_info, stepped
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event, Instants
@@ -118,19 +118,6 @@ def test_who_is_moved_from_outside_is_not_halted_here(kind: type[Physics]) -> No
     assert ways(run(physics, [halt(0.3, "real", "car1")], 1.0))[-1] == pytest.approx((0.5, 0.0, 0.0))
 
 
-def test_what_is_done_at_any_time_counts_from_that_time_on_however_often_physics_is_stepped() -> None:
-    told = [drive(0.0, "car1", 0.4), halt(1.037, "car1"), halt(1.241, "car1", halted=False), move(1.5031, "crate", 1.0, 0.5)]
-    told += [fly(0.0, "uav", 2.0, 2.0, 1.0), halt(1.1, "uav")]
-
-    def once(*more: Instants, paced: bool = False) -> list[bytes]:
-        physics = BulletPhysics(world=WORLD, vehicles=[spec("car1"), spec("uav", y=2.0, z=1.0, model=Quadrotor())])
-        events = run(physics, told, 3.0, (*TENTH, *more), paced=paced)
-        rows = [(event.time_ns, event.value.position.tobytes()) for event in events if isinstance(event.value, States)]
-        return [row for time_ns, row in rows if time_ns % 10**8 == 0]
-
-    assert once() == once(Instants(Ticks.rate(60.0))) == once(paced=True)
-
-
 # --- movables ---------------------------------------------------------------------------------------------------------------
 
 RAYS = RangeScanner(beams=2, field_of_view=0.02, range_max=20.0, rate_hz=10.0, position=(0.0, 0.0, 0.2))
@@ -199,15 +186,6 @@ def test_a_quadrotor_meets_at_once_what_is_put_in_its_way() -> None:
     events = flown(move(122 / 120, "barrel", x, 0.0))
     assert others(events)[:1] == ["barrel"]
     assert ways(events)[:, 0].max() < x - reach + 0.03
-
-
-@BOTH
-def test_a_new_start_has_everything_where_the_world_puts_it(kind: type[Physics]) -> None:
-    physics = kind(world=WORLD, vehicles=[spec("car1", sensors={"scan": RAYS})])
-    first = run(physics, [move(0.0, "crate", 0.0, 6.0)], 0.5)
-    again = run(physics, [], 0.5)
-    assert ranges(first)[4] == math.inf
-    assert ranges(again)[4] < 5.0
 
 
 @pytest.mark.parametrize(

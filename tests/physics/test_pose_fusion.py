@@ -11,14 +11,13 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from tests.support.physics.external_vehicles import Courses, spec, straight
-from tests.support.physics.runs import TENTH, run, values
+from tests.support.physics.runs import run, values
 from vcmvsp.cosim.clock import Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.estimation.fusion import FusedPose, Fusion
 from vcmvsp.cosim.estimation.kalman_filter import OdometryNoise
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.frames import arc, travelled, wrap, yaw_of
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.vehicles.models import Lag, Quadrotor
@@ -153,29 +152,6 @@ def test_it_is_fed_the_same_where_physics_moves_on_ahead_of_the_wall_clock(kind:
         return noted.told
 
     assert told(paced=True) == told(paced=False)
-
-
-@BOTH
-def test_more_instants_change_no_estimate_at_the_old_ones(kind: type[Physics]) -> None:
-    def believed(*instants: Instants) -> dict[int, Any]:
-        vehicles = [fused(Fusion()), fused(Fusion(), "lag", y=3.0, model=Lag())]
-        events = run(kind(world=World(), vehicles=vehicles), TURNS, 8.0, instants)
-        return {event.time_ns: event.value for event in events if event.key == "car/estimate"}
-
-    few, many = believed(*TENTH), believed(*TENTH, Instants(Ticks.every(0.1), seconds_to_ns(0.025)))
-    assert len(many) > len(few)
-    for now_ns, state in few.items():
-        assert many[now_ns].position == pytest.approx(state.position, abs=1e-9)
-        assert many[now_ns].yaw == pytest.approx(state.yaw, abs=1e-9)
-        if kind is BulletPhysics:
-            assert many[now_ns] == state
-
-
-@BOTH
-def test_every_run_begins_with_a_fresh_estimator(kind: type[Physics]) -> None:
-    vehicles = [fused(Fusion(start=(0.0, 0.0, 0.0)))]
-    once, again = (encode(run(kind(world=World(), vehicles=vehicles), TURNS, 5.0)) for _ in range(2))
-    assert once == again
 
 
 @BOTH

@@ -10,13 +10,12 @@ from hypothesis import strategies as st
 
 from tests.support.netsim.channels import make_channel
 from tests.support.physics.external_vehicles import Courses, spec, straight
-from tests.support.physics.runs import TENTH, run, values
-from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from tests.support.physics.runs import run, values
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import FederateError, ScenarioError
-from vcmvsp.cosim.federate import Event, Instants, RunInfo
+from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
 from vcmvsp.cosim.types import FrameReport, Later, Message, VehicleState, Velocity, Waypoint
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
@@ -24,7 +23,7 @@ from vcmvsp.physics.sensors.detectors import NeighbourRange
 from vcmvsp.physics.sensors.motion import InertialUnit, WheelOdometry
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
-from vcmvsp.physics.vehicles.models import P2DX, Lag
+from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import World, rotations
 
@@ -73,19 +72,6 @@ def test_nothing_is_published_for_them_and_commands_do_not_count(kind: type[Phys
 
 
 @BOTH
-def test_the_others_move_as_they_would_alone(kind: type[Physics]) -> None:
-    commands = [(0.0, "car", 0.3, 0.2), (0.7, "car", 0.1, -0.3)]
-    cars = [spec("car"), spec("lag", 0.0, 2.0, model=Lag())]
-    alone = run(kind(world=World(), vehicles=cars), commands)
-    outside = Courses(real=straight(9.0, 0.1))
-    beside = run(kind(world=World(), vehicles=[*cars, spec("real", 9.0)], outside=outside), commands)
-    for key in ("car/estimate", "car/odometry", "lag/estimate"):
-        assert encode(values(beside, key)) == encode(values(alone, key))
-    empty = run(kind(world=World(), vehicles=cars, outside=Courses()), commands)
-    assert encode(empty) == encode(alone)
-
-
-@BOTH
 @pytest.mark.parametrize("yaw", [0.0, 0.4])
 def test_scanners_see_their_hulls_and_their_own_scanners_see_the_world(kind: type[Physics], yaw: float) -> None:
     eye = RangeScanner(beams=1, field_of_view=0.1, range_max=9.0, position=(0.0, 0.0, 0.1))
@@ -122,17 +108,6 @@ def test_ranges_and_radio_distances_are_to_where_they_are(kind: type[Physics]) -
             reports += [(each.value.distance_m[0], apart) for each in step.events if isinstance(each.value, FrameReport)]
     assert len(reports) == 21
     assert np.array(reports)[:, 0] == pytest.approx(np.array(reports)[:, 1], abs=SETTLES[kind])
-
-
-@BOTH
-def test_two_runs_are_equal_to_the_last_bit(kind: type[Physics]) -> None:
-    def once() -> bytes:
-        sensors = {"near": NeighbourRange(), "imu": InertialUnit(rate_hz=20.0)}
-        vehicles = [spec("car", sensors=sensors), spec("real", 5.0, sensors=sensors)]
-        physics = kind(world=World(), vehicles=vehicles, outside=Courses(real=circling))
-        return encode(run(physics, [(0.0, "car", 0.9, 0.0)], 6.0))  # into each other
-
-    assert once() == once()
 
 
 @BOTH
@@ -221,16 +196,3 @@ def test_a_sensor_that_counts_turns_of_wheels_is_refused_on_them(kind: type[Phys
 def test_where_the_scenario_puts_them_nobody_else_may_start() -> None:
     with pytest.raises(ScenarioError, match="real and car overlap"):
         run(BulletPhysics(world=World(), vehicles=[spec("car"), spec("real", 0.3)], outside=Courses(real=straight(3.0))))
-
-
-@BOTH
-def test_more_instants_ask_more_often_and_change_no_row(kind: type[Physics]) -> None:
-    def rows(*instants: Instants) -> dict[int, list[float]]:
-        physics = kind(world=World(), vehicles=[spec("car"), spec("real", 5.0)], outside=Courses(real=circling))
-        events = run(physics, instants=instants)
-        states: list[Any] = [event for event in events if event.key == "world/states"]
-        return {event.time_ns: event.value.position[1].tolist() for event in states}
-
-    few, many = rows(*TENTH), rows(*TENTH, Instants(Ticks.every(0.05)))
-    assert len(many) > len(few)
-    assert few == {now_ns: many[now_ns] for now_ns in few}

@@ -10,7 +10,7 @@ from tests.support.physics.runs import run, values
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import quaternion_from_yaw
-from vcmvsp.cosim.types import VehicleState, Velocity
+from vcmvsp.cosim.types import VehicleState
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
@@ -152,16 +152,3 @@ def test_whoever_stands_where_an_estimate_jumps_to_is_pushed_aside_and_not_throw
     assert track(events, 0)[-1] == pytest.approx((jump - 0.02, 0.0, 0.0), abs=DEEP_M)
     said = track(events, 1)[:, 0] - real
     assert said.tolist() == pytest.approx([0.0] * 10 + [jump] * 31)  # rows jump as they were told
-
-
-def test_a_run_with_one_costs_no_bit_of_those_that_it_does_not_touch() -> None:
-    def flown(*names: str) -> list[Any]:
-        vehicles = [spec("uav", z=2.0, model=Quadrotor()), spec("car", 0.0, 3.0)]
-        courses = Courses(**{name: straight(9.0, z=2.0) for name in names})
-        vehicles += [spec(name, 9.0, z=2.0, model=Quadrotor()) for name in names]
-        physics = BulletPhysics(world=World(), vehicles=vehicles, outside=courses)
-        told = [(0.0, "uav", Velocity(linear=(0.5, 0.2, 0.1), yaw_rate=0.3)), (0.0, "car", 0.5, 0.3)]
-        events = run(physics, told, 3.0)
-        return values(events, "uav/estimate") + values(events, "car/estimate")
-
-    assert flown("real") == flown()

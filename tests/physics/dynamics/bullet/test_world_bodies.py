@@ -155,16 +155,3 @@ def test_grip_is_lost_on_ice_and_found_again_behind_it() -> None:
     assert stop_m(ice) > 1.2  # over the ice, and no further than behind it
     assert stop_m(ice) < 1.8
     assert stop_m(ice, Zone(center=(2.0, 0.0), size=(9.0, 9.0), yaw_rad=0.3, friction=1.0)) == pytest.approx(dry, abs=0.01)
-
-
-def test_movables_and_obstacles_do_not_change_who_is_far_from_them() -> None:
-    def run(world: World) -> bytes:
-        moved = engine((P2DX(), (0.0, 5.0, 0.0)), (Quadrotor(), (0.0, 8.0, 2.0)), world=world)
-        moved.command(0, (0.4, 0.0, 0.0), 0.3)
-        moved.command(1, (1.0, 0.0, 0.0), 0.3)
-        moved.advance(3 * SECOND_NS)
-        told = b"".join(array.tobytes() for array in moved.read())
-        moved.close()
-        return told
-
-    assert run(World()) == run(World(movables=(crate(0.0, 3.0),), moving=(gate(0.3),)))
