@@ -16,6 +16,7 @@ import contextlib
 import gc
 import heapq
 import traceback
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
 from typing import TypeVar
@@ -57,6 +58,8 @@ class Exchange:
         self._given: dict[tuple[int, Slot], Given] = {}  # events of these slots
         self._present: Given = {}  # events of the current slot
         self._routes: dict[str, Route] = {}
+        kinds = ([each.reads for each in federates], [each.wakes for each in federates], [each.latest for each in federates])
+        self._subscriptions = [_Subscriptions(expressions) for expressions in kinds]
 
     def inbox(self, index: int) -> Sequence[Event]:
         """Take the events that a federate has not read yet, in order of time."""
@@ -138,13 +141,28 @@ class Exchange:
     def _route(self, key: str) -> Route:
         route = self._routes.get(key)
         if route is None:
-            subscriptions = [(each.reads, each.wakes, each.latest) for each in self._federates]
-            reads, wakes, latest = (
-                tuple(i for i, expressions in enumerate(kind) if any(matches(each, key) for each in expressions))
-                for kind in zip(*subscriptions, strict=True)
-            )
+            reads, wakes, latest = (each.readers(key) for each in self._subscriptions)
             route = self._routes[key] = reads, wakes, latest
         return route
+
+
+class _Subscriptions:
+    """Key expressions of federates; plain keys are looked up, as each vehicle has some."""
+
+    def __init__(self, expressions: Sequence[Sequence[str]]) -> None:
+        self._plain: defaultdict[str, list[int]] = defaultdict(list)
+        self._patterns: list[tuple[str, int]] = []
+        for index, own in enumerate(expressions):
+            for each in own:
+                if "*" in each:
+                    self._patterns.append((each, index))
+                else:
+                    self._plain[each].append(index)
+
+    def readers(self, key: str) -> tuple[int, ...]:
+        """Federates with an expression that matches a key, in their order."""
+        matching = [index for expression, index in self._patterns if matches(expression, key)]
+        return tuple(sorted({*matching, *self._plain.get(key, ())}))
 
 
 class Kernel:
