@@ -119,6 +119,7 @@ def _choose_scale(axes: Axes, errors: list[Array]) -> None:
     values = values[np.isfinite(values) & (values > 0)]
     if values.max(initial=0.0) > ROUNDING_M and np.percentile(values, 95) > 20 * np.percentile(values, 20):
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")  # powers would load and run the parser of formulas
         axes.set_ylim(max(ROUNDING_M, 0.5 * np.percentile(values, 5)), 2.0 * values.max())
     else:
         axes.set_ylim(0.0, 1.05 * max(values.max(initial=0.0), 1.2 * SETTLED_M))
