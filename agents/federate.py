@@ -4,6 +4,7 @@ It collects the published data of a vehicle into an `Observation`, calls `Agent.
 events that take effect at tick + latency.
 """
 
+import itertools
 import math
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -19,12 +20,12 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import AgentError, ScenarioError, place_of, words_of
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.hosts.remote_host import Absence
-from vcmvsp.cosim.types import Follows, Note, Period, Readings, Reception, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.received import Mailboxes, ReceivedMessages
+from vcmvsp.cosim.types import RECEPTIONS, Follows, Note, Period, Readings, VehicleState, Velocity, Waypoint
 from vcmvsp.cosim.util.text import plain
 
 NEVER_NS = 2**63
 COMMANDS = (Velocity, Waypoint)
-MUTABLE = frozenset({dict, list})  # types that MessagePack decodes to
 ALWAYS = ("odometry", "fix")  # besides the sensors of the scenario
 
 
@@ -60,7 +61,6 @@ class AgentRunner:
         )
         self._state: VehicleState | None = None
         self._readings = Readings()
-        self._heard: list[Reception] = []
         self.sees: dict[str, Callable[[Any], None]] = {
             "estimate": self._locate,
             **{sensor: partial(self._readings.__setitem__, sensor) for sensor in sensors},
@@ -99,29 +99,26 @@ class AgentRunner:
             return error
         return None
 
-    def hear(self, reception: Reception) -> None:
-        """Queue a received message for the next observation."""
-        self._heard.append(reception if isinstance(reception.message.body, bytes) else _own_copy(reception))
-
     def _locate(self, state: VehicleState) -> None:
         self._state = state
 
-    def tick(self, now_ns: int, after_ns: int, events: list[Event]) -> None:
-        """Append the events of a tick, in effect from now + latency on."""
-        if self.next_ns < now_ns:  # ticks missed while the host was disconnected
+    def is_due(self, now_ns: int) -> bool:
+        """Whether the agent has a tick now; ticks missed while the host was disconnected are skipped."""
+        if self.next_ns < now_ns:
             self.next_ns = self._ticks.after(now_ns - 1)
-            if self.next_ns > now_ns:
-                return
+        return self.next_ns == now_ns
+
+    def tick(self, now_ns: int, after_ns: int, received: ReceivedMessages, events: list[Event]) -> None:
+        """Append the events of a tick, in effect from now + latency on."""
         self.next_ns = after_ns
         if now_ns >= self.fails_ns:
             self._die(now_ns, events)
         elif self._absence is not None:
-            self._heard.clear()
             events.extend(self._absence.go_on(now_ns + self.info.latency_ns))
         else:
             before = len(events)
             try:
-                self._act(now_ns, now_ns + self.info.latency_ns, events)
+                self._act(now_ns, now_ns + self.info.latency_ns, received, events)
             except AgentError as error:
                 if self.spec.on_lost == "stop":
                     raise
@@ -133,7 +130,7 @@ class AgentRunner:
         self._absence = Absence(self.spec, now_ns, when, error.cause, follows=follows)
         events.extend(self._absence.news)
 
-    def _act(self, now_ns: int, when: int, events: list[Event]) -> None:
+    def _act(self, now_ns: int, when: int, received: ReceivedMessages, events: list[Event]) -> None:
         if self._state is None:
             raise AgentError(
                 (self.vehicle,), self.spec.kind, "has no state to act on: no estimate of its vehicle was published"
@@ -144,10 +141,8 @@ class AgentRunner:
             time_ns=now_ns,
             state=self._state,
             readings=Readings(self._readings),
-            heard=tuple(self._heard) if self._heard else (),
+            heard=received,
         )
-        if self._heard:
-            self._heard.clear()
         try:
             command = agent.act(observation, radio)
         except KeyboardInterrupt as error:
@@ -173,7 +168,6 @@ class AgentRunner:
 
     def _die(self, now_ns: int, events: list[Event]) -> None:
         """Stop the vehicle and end all messages, at the failure time of the scenario."""
-        self._heard.clear()
         if not self._dead:
             self._dead, when = True, now_ns + self.info.latency_ns
             note = Note(values={"status": "failed"})
@@ -237,15 +231,6 @@ def _plain(command: Velocity | Waypoint) -> tuple[Velocity | Waypoint, float]:
     return Waypoint(position=(x, y, z), yaw=yaw, speed=speed), x + y + z + (yaw or 0.0) + (speed or 0.0)
 
 
-def _own_copy(reception: Reception) -> Reception:
-    """The message with its own copy of the body: an agent that changes a body does not affect other receivers."""
-    message = reception.message
-    assert isinstance(message.body, dict)  # noqa: S101  bytes need no copy
-    flat = MUTABLE.isdisjoint(map(type, message.body.values()))
-    body = message.body.copy() if flat else msgspec.msgpack.decode(msgspec.msgpack.encode(message.body))
-    return msgspec.structs.replace(reception, message=msgspec.structs.replace(message, body=body))
-
-
 class AgentHost:
     """A federate with agents, one per vehicle.
 
@@ -263,13 +248,15 @@ class AgentHost:
         self.agents = tuple(seat.info for seat in self._seats)
         self._trains = list(dict.fromkeys(info.ticks for info in self.agents))  # few, shared by many agents
         self._train = [self._trains.index(info.ticks) for info in self.agents]
-        receivers = {f"{seat.vehicle}/heard": seat.hear for seat in self._seats}
         latest = {f"{seat.vehicle}/{what}": see for seat in self._seats for what, see in seat.sees.items()}
-        self.reads, self.latest = tuple(receivers), tuple(latest)
-        self._takes: dict[str, Callable[[Any], None]] = receivers | latest  # receivers of values, by key
+        self.reads: tuple[str, ...] = (RECEPTIONS,)
+        self.latest = tuple(latest)
+        self._takes: dict[str, Callable[[Any], None]] = latest  # receivers of values, by key
 
     def start(self, run: RunInfo) -> int | None:
         """Start all agents; the first tick of each is at time 0."""
+        self._mail = Mailboxes(run.vehicles, [seat.vehicle for seat in self._seats])
+        self._takes[RECEPTIONS] = self._mail.put
         for seat in self._seats:
             seat.start(run)
         return 0
@@ -281,10 +268,14 @@ class AgentHost:
             takes[event.key](event.value)
         events: list[Event] = []
         after = [ticks.after(now_ns) for ticks in self._trains]
-        next_ns = NEVER_NS
-        for seat, train in zip(self._seats, self._train, strict=True):
-            if seat.next_ns <= now_ns:
-                seat.tick(now_ns, after[train], events)
+        due = [seat.is_due(now_ns) for seat in self._seats]
+        received = self._mail.open(
+            now_ns, None if all(due) else [seat.vehicle for seat in itertools.compress(self._seats, due)]
+        )
+        nothing, next_ns = ReceivedMessages.none(now_ns), NEVER_NS
+        for seat, train, is_due in zip(self._seats, self._train, due, strict=True):
+            if is_due:
+                seat.tick(now_ns, after[train], received.get(seat.vehicle, nothing), events)
             next_ns = seat.next_ns if seat.next_ns < next_ns else next_ns  # noqa: FURB136  a call less than min()
         return Step(events, next_ns)
 

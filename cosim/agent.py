@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.received import ReceivedMessages
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import (
     Follows,
@@ -21,7 +22,6 @@ from vcmvsp.cosim.types import (
     OnLost,
     ProbabilityMap,
     Reading,
-    Reception,
     Sightings,
     Value,
     VehicleState,
@@ -45,7 +45,11 @@ class Observation(Value, frozen=True, kw_only=True):
     time_ns: int
     state: VehicleState  # the vehicle's own state as estimated by its pose source
     readings: dict[str, Reading]  # newest reading of each sensor, by name: "odometry", and the vehicle's sensors
-    heard: tuple[Reception, ...]  # messages received since the last tick, oldest first
+    heard: ReceivedMessages = msgspec.field(default_factory=lambda: ReceivedMessages.none(0))  # since the last tick
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.heard, ReceivedMessages):  # a plain list, in a test of an agent
+            msgspec.structs.force_setattr(self, "heard", ReceivedMessages.of(self.heard, self.time_ns))
 
     @property
     def time_s(self) -> float:

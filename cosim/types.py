@@ -267,6 +267,24 @@ class Reception(Value, frozen=True, kw_only=True, tag="reception"):
     received_ns: int
 
 
+class Receptions(Value, frozen=True, kw_only=True, tag="receptions"):
+    """m receptions of k messages, in the order in which the channel decided them."""
+
+    names: tuple[str, ...]  # all vehicles, by row
+    messages: tuple[Message, ...]  # (k,)
+    sent_ns: Array  # (k,) int64
+    message: Array  # (m,) int32, index into ``messages``
+    receiver: Array  # (m,) int32, row of the vehicle
+    arrival_ns: Array  # (m,) int64
+    rssi_dbm: Array  # (m,) float64
+
+
+class Heard(Value, frozen=True, kw_only=True, tag="heard"):
+    """The messages that an agent gets at a tick, in order of arrival (for the recording only)."""
+
+    receptions: tuple[Reception, ...]
+
+
 class FrameReport(Value, frozen=True, kw_only=True, tag="frame"):
     """Outcome of one frame at each of its receivers; the rows of ``radio.parquet``."""
 
@@ -425,6 +443,8 @@ class Halted(Value, frozen=True, kw_only=True, tag="halted"):
 
 VehicleValue = VehicleState | States | Presence | RealStatus | Incident | Contact | Pushed
 AgentValue = Velocity | Waypoint | Follows | Note | ProbabilityMap | Sightings | Mosaic
-RadioValue = Message | Reception | FrameReport | Datagrams | Traffic | Routed
+RadioValue = Message | Reception | Receptions | Heard | FrameReport | Datagrams | Traffic | Routed
 OperatorValue = Outage | Changed | Moved | Halted
+RECEPTIONS = "radio/receptions"
+"""Key of `Receptions`."""
 AnyValue = VehicleValue | Reading | AgentValue | RadioValue | OperatorValue

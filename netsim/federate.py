@@ -1,16 +1,16 @@
 """The federate `radio`: takes positions and messages, gives receptions and frame reports."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.rng import stream
-from vcmvsp.cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Reception, Seconds, States
+from vcmvsp.cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Seconds, States
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.reception import TrafficLog, received
+from vcmvsp.netsim.channel.reception import ReceptionLog, TrafficLog, received
 from vcmvsp.netsim.routing.network import RoutingNetwork
 from vcmvsp.netsim.routing.router import Routing
 
@@ -35,7 +35,8 @@ class RadioFederate:
                                      replay (`netsim.channel.replayed`), else when it ends, or at the end of the run
     ``radio/traffic``     out        `Traffic`: the same for all datagrams that are decided at an instant
     ``radio/routed``      out        `Routed`: route of a message, at its end; with routing only
-    ``<vehicle>/heard``   out        `Reception`, at the time of arrival
+    ``radio/receptions``  out        `Receptions`: of the messages that are decided at an instant
+    ``<vehicle>/heard``   out        `Reception`, at the time of arrival, for the vehicles in ``woken``
     ====================  =========  ===============================================================================
 
     Agents that act at the same instant send in the same nanosecond, unlike real computers: contending radios would all find
@@ -60,8 +61,9 @@ class RadioFederate:
         handover_s: Seconds = 0.002,
         router: Routing | None = None,
         programs: bool = False,  # external programs may send any number of frames
+        woken: Collection[str] = (),  # vehicles with a reader that a reception wakes
     ) -> None:
-        self._channel, self._routing, self._programs = channel, router, programs
+        self._channel, self._routing, self._programs, self._woken = channel, router, programs, frozenset(woken)
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
 
     def start(self, run: RunInfo) -> int | None:
@@ -71,7 +73,7 @@ class RadioFederate:
             self._channel.expect(MANY if self._programs else 0)
         self._end_ns, self._vehicles = run.duration_ns, run.vehicles
         self._row = {name: row for row, name in enumerate(run.vehicles)}
-        self._reception_keys = {name: f"{name}/heard" for name in run.vehicles}
+        self._rows: dict[tuple[str, ...], Array] = {}  # by receivers of a frame
         self._states: States | None = None
         self._open: dict[int, tuple[Message, int | None]] = {}  # by undecided frame: message, number of the datagram
         self._frames = 0  # so far
@@ -81,7 +83,7 @@ class RadioFederate:
         self._network: RoutingNetwork | None = None
         if self._routing is not None:
             router, kind = self._routing.open(run.vehicles, run.seed), type(self._routing).__name__
-            self._network = RoutingNetwork(router, kind, run.vehicles, run.seed, self._put)
+            self._network = RoutingNetwork(router, kind, run.vehicles, run.seed, self._put, self._woken)
             return self._network.next_ns()
         return None
 
@@ -210,32 +212,31 @@ class RadioFederate:
         return self._in_queue_ns[sender]
 
     def _events(self, reports: Sequence[FrameReport], now_ns: int) -> list[Event]:
-        """Events of decided frames: first one for all datagrams, then receptions and reports."""
+        """Events of decided frames: first one for all datagrams, then receptions, datagrams first, and reports."""
         if not reports:
             return []
-        traffic, receptions, events = TrafficLog(), list[Event](), list[Event]()
+        traffic, receptions, events = TrafficLog(), ReceptionLog(self._vehicles, self._woken), list[Event]()
+        with_messages: list[tuple[Message, FrameReport]] = []
         for report in reports:
             message, datagram = self._open.pop(report.frame)
             if datagram is None:
                 events.append(Event("radio/frame", now_ns, report))
-                events += self._receptions(message, report, 0)
+                with_messages.append((message, report))
                 continue
             traffic.report(report, datagram)
             traffic.settle(datagram)
             for receiver, _, at_ns in received(report):
                 traffic.arrive(datagram, self._row[receiver], at_ns, report.frame)
             if message.body:
-                receptions += self._receptions(message, report, now_ns + 1)
-        return [*traffic.events(now_ns), *receptions, *events]
+                self._add_receptions(receptions, message, report)
+        for message, report in with_messages:
+            self._add_receptions(receptions, message, report)
+        return [*traffic.events(now_ns), *receptions.events(now_ns), *events]
 
-    def _receptions(self, message: Message, report: FrameReport, least_ns: int) -> list[Event]:
-        """Receptions of a frame, not before ``least_ns``."""
-        keys, sent_ns = self._reception_keys, report.sent_ns
-        return [
-            Event(
-                keys[receiver],
-                at_ns if at_ns > least_ns else least_ns,  # noqa: FURB136  a call less than max()
-                Reception(message=message, rssi_dbm=rssi_dbm, sent_ns=sent_ns, received_ns=at_ns),
-            )
-            for receiver, rssi_dbm, at_ns in received(report)
-        ]
+    def _add_receptions(self, log: ReceptionLog, message: Message, report: FrameReport) -> None:
+        rows = self._rows.get(report.receivers)
+        if rows is None:
+            rows = self._rows[report.receivers] = np.array([self._row[name] for name in report.receivers], np.int32)
+        log.add(message, report.sent_ns, rows, report.rssi_dbm, report.received_ns)
+        if report.copy_ns is not None:
+            log.add(message, report.sent_ns, rows, report.rssi_dbm, report.copy_ns)

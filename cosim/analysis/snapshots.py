@@ -19,6 +19,7 @@ from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw, wrap
+from vcmvsp.cosim.received import ReceivedMessages
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import VehicleTable
@@ -105,7 +106,13 @@ class Snapshots:
         time_s = self._scenario.duration_s * number / of
         state, time_ns = self._placed(rng, time_s, with_target=number % 2 == 0), seconds_to_ns(time_s)
         image = self._picture(state, time_ns, rng)
-        obs = Observation(vehicle=self.vehicle, time_ns=time_ns, state=state, readings={self._camera_name: image}, heard=())
+        obs = Observation(
+            vehicle=self.vehicle,
+            time_ns=time_ns,
+            state=state,
+            readings={self._camera_name: image},
+            heard=ReceivedMessages.none(time_ns),
+        )
         frame = self._watch.look(obs)
         assert frame is not None  # noqa: S101  the picture is new, and its pose is known
         cells, hits = of_picture(self._grid, frame)

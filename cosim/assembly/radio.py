@@ -51,7 +51,7 @@ def federate_of(
         router, resolution.tables["routing"] = resolution.component("routing", scenario.routing, "routing")
     keys = _federate_keys()
     own = {name: value for name, value in scenario.radio.items() if name in keys}
-    given = {"channel": channel, "router": router, "programs": programs}
+    given = {"channel": channel, "router": router, "programs": programs, "woken": scenario.sockets.vehicles}
     federate: RadioFederate = binding.call(RadioFederate, own, key="radio", origin=source, given=given)
     resolution.tables["radio"] = {**binding.complete(RadioFederate, own, without=given), **resolved}
     return federate
@@ -83,7 +83,7 @@ def _federate_keys() -> list[str]:
     """Keys of ``[radio]`` that are not layers of the channel."""
     from vcmvsp.netsim.federate import RadioFederate
 
-    return [name for name in binding.parameters(RadioFederate) if name not in ("channel", "router", "programs")]
+    return [name for name in binding.parameters(RadioFederate) if name not in ("channel", "router", "programs", "woken")]
 
 
 def build(

@@ -94,6 +94,7 @@ class AssembledRun:
             agents=self.agents,
             radius_m=self.radius_m,
             sensors=record.sensors,
+            heard=record.heard,
             world=self.world,
             tell=tell,
         )

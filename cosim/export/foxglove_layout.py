@@ -3,6 +3,7 @@
 The layout is built from the topics of the recording, so that every panel shows data from the start.
 """
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from vcmvsp.cosim.types import VehicleState
 from vcmvsp.cosim.util.files import to_json
 from vcmvsp.cosim.util.palette import color_of
 
+FRAMES = "radio/frame"
 ERRORS = ("error_m", "z1", "z2")  # names under which followers note their errors, m
 WORDS = ("commander", "mode", "status")  # names under which agents note their activity; the first that exists counts
 DRAWN = ("foxglove.SceneUpdate", "foxglove.LaserScan", "foxglove.PoseInFrame")
@@ -78,13 +80,18 @@ class _Seen:
 
     def curves(self, paths: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
         """Curves of vehicles, given vehicle and path of the number after its name."""
-        numbers = {name: number for number, name in enumerate(self.vehicles)}
+        shown = paths[:MOST_CURVES]
+        return [self._curve(f"{vehicle}/{path}", f"{vehicle} {path.rpartition('.')[2]}", vehicle) for vehicle, path in shown]
+
+    def _curve(self, path: str, label: str, vehicle: str) -> dict[str, Any]:
         look = {"enabled": True, "timestampMethod": "receiveTime", "lineSize": 1.5, "showLine": True}
-        named = [(vehicle, path, f"{vehicle} {path.rpartition('.')[2]}") for vehicle, path in paths[:MOST_CURVES]]
-        return [
-            {"value": f"{vehicle}/{path}", "label": label, "color": color_of(numbers[vehicle]), **look}
-            for vehicle, path, label in named
-        ]
+        return {"value": path, "label": label, "color": color_of(self.vehicles.index(vehicle)), **look}
+
+    def levels(self) -> list[dict[str, Any]]:
+        """Curves of the level at all receivers of each sender's frames, if frames are recorded."""
+        senders = [name for name in self.vehicles if f"{name}/send" in self.topics][:MOST_CURVES]
+        paths = {name: f"{FRAMES}{{sender=={json.dumps(name)}}}.rssi_dbm[:]" for name in senders}
+        return [self._curve(path, f"from {name}", name) for name, path in paths.items() if FRAMES in self.topics]
 
     def of(self, schema: str) -> list[tuple[str, str]]:
         """The topics with this schema, one per vehicle: vehicle, and the rest of the name."""
@@ -106,11 +113,10 @@ def _plots(seen: _Seen) -> dict[str, tuple[str, list[dict[str, Any]]]]:
         for name in ERRORS
         if isinstance(values.get(name), float | int)
     ]
-    heard = [(vehicle, f"{what}.rssi_dbm") for vehicle, what in seen.of("vcmvsp.Reception")]
     return {
         "speed": ("speed [m/s]", seen.curves([*wheels, *flown])),
         "formation": ("formation error [m]", seen.curves(errors)),
-        "radio": ("received power [dBm]", seen.curves(heard)),
+        "radio": ("received power [dBm]", seen.levels()),
     }
 
 

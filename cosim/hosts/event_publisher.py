@@ -20,7 +20,19 @@ from zenoh.handlers import Callback
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.transport import key_names
-from vcmvsp.cosim.types import AnyValue, Array, Image, Later, Mosaic, ProbabilityMap, States, Value, VehicleState
+from vcmvsp.cosim.types import (
+    AnyValue,
+    Array,
+    Image,
+    Later,
+    Mosaic,
+    ProbabilityMap,
+    Reception,
+    Receptions,
+    States,
+    Value,
+    VehicleState,
+)
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
@@ -76,6 +88,9 @@ class Topics:
     def on(self, event: Event) -> None:
         """Publish an event at its own time."""
         self._now_ns = event.time_ns
+        if type(event.value) is Receptions:
+            self._on_receptions(event.time_ns, event.value)
+            return
         heard = self._heard.get(event.key)
         if heard or (heard is None and self._declare(event.key)):
             self._publish(event.key, event.time_ns, event.value)
@@ -118,6 +133,19 @@ class Topics:
                 ]
                 p, v, q, w = (column[row] for column in columns)
                 self._publish(key, time_ns, VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w))
+
+    def _on_receptions(self, time_ns: int, batch: Receptions) -> None:
+        """Publish each reception under its receiver's own key, when it is decided; it may arrive later."""
+        arrivals = dict.fromkeys(batch.receiver.tolist())
+        keys = {row: f"{batch.names[row]}/heard" for row in arrivals}
+        wanted = {row for row, key in keys.items() if self._heard.get(key) or (key not in self._heard and self._declare(key))}
+        if not wanted:
+            return
+        sent_ns, columns = batch.sent_ns.tolist(), (batch.message, batch.receiver, batch.arrival_ns, batch.rssi_dbm)
+        for number, row, received_ns, rssi_dbm in zip(*(each.tolist() for each in columns), strict=True):
+            if row in wanted:
+                times = {"sent_ns": sent_ns[number], "received_ns": received_ns}
+                self._publish(keys[row], time_ns, Reception(message=batch.messages[number], rssi_dbm=rssi_dbm, **times))
 
     def _publish(self, key: str, time_ns: int, value: AnyValue) -> None:
         tag, payload = _encoded(value)

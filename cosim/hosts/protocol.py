@@ -29,13 +29,13 @@ from vcmvsp.cosim.config.source_code import MOST_FILES
 from vcmvsp.cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.scenario.schema import AgentTable
-from vcmvsp.cosim.types import Follows, Message, Note, Presence, Velocity, Waypoint
+from vcmvsp.cosim.types import RECEPTIONS, Follows, Message, Note, Presence, Velocity, Waypoint
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.util.codec import Unpacker, pack
 from vcmvsp.cosim.util.documents import read_toml
 from vcmvsp.cosim.util.text import LONGEST_DETAILS, LONGEST_LINE, LONGEST_NAME, plain
 
-PROTOCOL = 9
+PROTOCOL = 10
 """Version of the protocol; the hub refuses hosts of other versions."""
 
 
@@ -63,7 +63,7 @@ PERIODS_NS = range(SECOND_NS // 10**6, SECOND_NS * 10**6 + 1)
 
 _OF_SCENARIO = frozenset(AgentTable.__struct_fields__) - {"params"}  # keys of an agent in a scenario, without its parameters
 _INT64 = range(-(2**63), 2**63)
-_HEARS, _SEES = ("heard",), ("estimate", "odometry", "fix")  # topics of every vehicle for its own agent
+_SEES = ("estimate", "odometry", "fix")  # topics of every vehicle for its own agent
 
 _KINDS: dict[str, tuple[type, ...]] = {
     "command": (Velocity, Waypoint),
@@ -282,9 +282,8 @@ def check_built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
         except ValueError as error:
             raise ValueError(f"an agent for {info.vehicle} with {error}") from None
     _code(answer.code, wanted)
-    hears = {f"{spec.vehicle}/{what}" for spec in specs for what in _HEARS}
     sees = {f"{spec.vehicle}/{what}" for spec in specs for what in (*_SEES, *spec.sensors)}
-    for keys, allowed in ((answer.reads, hears), (answer.latest, sees)):
+    for keys, allowed in ((answer.reads, {RECEPTIONS}), (answer.latest, sees)):
         for key in keys:
             if key not in allowed:
                 raise ValueError(f"it wants to listen to {plain(key, LONGEST_NAME)}, which is not for its agents")

@@ -16,7 +16,8 @@ from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.hosts import protocol
-from vcmvsp.cosim.types import Follows, Presence, Velocity
+from vcmvsp.cosim.received import Mailboxes, pruned
+from vcmvsp.cosim.types import RECEPTIONS, Follows, Presence, Receptions, Velocity
 from vcmvsp.cosim.util.text import plain
 
 
@@ -250,7 +251,7 @@ class RemoteHost:
     ) -> None:
         self.name, self._door, self._tell = name, door, tell
         self.agents = tuple(info for each in built for info in each.agents)
-        self.reads = tuple(key for each in built for key in each.reads)
+        self.reads = tuple(dict.fromkeys(key for each in built for key in each.reads))
         self.latest = tuple(key for each in built for key in each.latest)
         self._latency_ns = {info.vehicle: info.latency_ns for info in self.agents}
         self._infos = {info.vehicle: info for info in self.agents}
@@ -273,6 +274,7 @@ class RemoteHost:
     def start(self, run: RunInfo) -> int | None:
         """Send every agent its identity and start pose."""
         self._run, self._names = run, frozenset(run.vehicles)
+        self._mail = Mailboxes(run.vehicles, [info.vehicle for info in self.agents])
         for crew in self._crews:
             crew.send(protocol.Begin(run))
         for crew in list(self._crews):
@@ -290,8 +292,15 @@ class RemoteHost:
         """Send the step. The next wake-up follows from the agents' ticks, independent of the answer."""
         asked = _Asked(now_ns, self._due(now_ns))
         self._asked.append(asked)
+        batches = [event.value for event in inbox if isinstance(event.value, Receptions)]
+        for batch in batches:
+            self._mail.put(batch)
+        if batches:
+            inbox = [event for event in inbox if event.key != RECEPTIONS]
         if self._replaceable:
             self._kept.update((event.key, event) for event in inbox if event.key in self._replaceable)
+        if self._away:
+            self._mail.take(now_ns, self._away)  # lost
         if self._missing:
             self.losses += [(spec.vehicle, now_ns / SECOND_NS, "it has no host yet") for spec in self._missing]
             asked.events += self._leave(self._missing, now_ns, "it has no host yet")
@@ -300,7 +309,10 @@ class RemoteHost:
             inbox = self._look_around(asked, inbox)
         whole = len(self._crews) == 1 and not self._away
         for crew in self._crews:
-            mine = inbox if whole else [event for event in inbox if _vehicle(event) in crew.vehicles]
+            mine = list(inbox) if whole else [event for event in inbox if _vehicle(event) in crew.vehicles]
+            received = self._mail.take(now_ns, crew.vehicles)
+            if received is not None:
+                mine.append(Event(RECEPTIONS, now_ns, pruned(received)))
             crew.send(protocol.Act(now_ns, mine))
             asked.crews.append(crew)
         return min([train.after(now_ns) for train in self._trains])

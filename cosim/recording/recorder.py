@@ -5,6 +5,7 @@ becomes a message of ``run.mcap`` under its key (`cosim.recording.run_mcap`), wi
 and suit viewers:
 
 - ``world/states`` is written at the recorder's ticks and at the run's end, as ``/tf`` and as ``<vehicle>/state``;
+- ``<vehicle>/heard`` has what an agent gets at a tick, if ``record.heard`` asks for it; ``radio/frame`` has every reception;
 - ``<vehicle>/estimate`` is omitted if it equals the true state of the same instant;
 - ``world/scene`` draws a body per vehicle, the slot of each follower and, once a second, the world's targets;
   ``world/solids`` all static bodies, ``world/moving`` the frames of obstacles;
@@ -22,12 +23,13 @@ from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.metrics.agents import limited_by_s
+from vcmvsp.cosim.received import Mailboxes
 from vcmvsp.cosim.recording import event_text
 from vcmvsp.cosim.recording.accumulators import PACKED, Accumulators, Take, vehicle_of
 from vcmvsp.cosim.recording.foxglove import to_json
 from vcmvsp.cosim.recording.run_mcap import Viewer
 from vcmvsp.cosim.recording.scene import DrawnWorld
-from vcmvsp.cosim.types import Contact, Later, States
+from vcmvsp.cosim.types import Contact, Heard, Later, Reception, Receptions, States
 
 
 class Way(NamedTuple):
@@ -48,6 +50,7 @@ class Recorder(Accumulators):
         agents: ticks of each agent, at which the age of information is measured.
         radius_m: radius of each vehicle's body, for drawing.
         sensors: names of on-demand sensors whose readings are recorded; ``*``: all.
+        heard: write the messages that each agent gets, as ``<vehicle>/heard``.
         world: the world of the run; None: no distance to obstacles is measured.
         tell: receives lines for the user: agents that were lost or are back.
     """
@@ -61,12 +64,16 @@ class Recorder(Accumulators):
         agents: Sequence[AgentInfo],
         radius_m: Mapping[str, float],
         sensors: Sequence[str] = (),
+        heard: bool = False,
         world: DrawnWorld | None = None,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._tell, self._record_ticks, self._sensors = tell, record_ticks, frozenset(sensors)
         super().__init__(run, agents, world)
         self._is_closed = False
+        self._mail = Mailboxes(run.vehicles, self._ticks)
+        self._writes_heard = heard and mcap is not None
+        self._next_tick_ns = 0  # of any agent, if messages are recorded
         self._latest: tuple[int, States] | None = None
         self._viewer = None if mcap is None else Viewer(mcap, run, radius_m, world)
         self._write: Take = _nowhere if self._viewer is None else self._viewer.write
@@ -76,6 +83,8 @@ class Recorder(Accumulators):
         writers: dict[type, Take] = {
             **({} if self._viewer is None else self._viewer.putters),
             States: _nowhere,
+            Receptions: self._put_receptions if self._writes_heard else _nowhere,
+            Reception: _nowhere,
             Later: self._write_later,
             **dict.fromkeys(event_text.TOLD, self._write_told),
         }
@@ -139,7 +148,20 @@ class Recorder(Accumulators):
         if not isinstance(event, Contact):
             self._tell(f"at {time_ns / SECOND_NS:.3f} s {text}")
 
+    def _put_receptions(self, key: str, time_ns: int, batch: Receptions) -> None:
+        self._mail.put(batch)
+
+    def _write_heard(self, before_ns: int) -> None:
+        """Write the messages that agents got at their ticks before a time."""
+        while self._writes_heard and self._next_tick_ns < before_ns:
+            now_ns, ticks = self._next_tick_ns, self._ticks
+            due = [vehicle for vehicle, train in ticks.items() if train.hits(now_ns)]
+            for vehicle, received in sorted(self._mail.open(now_ns, due).items()):
+                self._write(f"{vehicle}/heard", now_ns, Heard(receptions=tuple(received)))
+            self._next_tick_ns = min((train.after(now_ns) for train in ticks.values()), default=before_ns)
+
     def _advance(self, time_ns: int, *, is_cut: bool = False) -> None:
+        self._write_heard(time_ns)
         if self._viewer is not None:
             self._viewer.end_instant(self._now, self._latest, is_cut=is_cut and time_ns == self._now)
         self._hash_much()

@@ -40,7 +40,7 @@ class RunState:
     """The newest values of a run.
 
     Attributes:
-        newest: collections of values by key: those in `BY_VEHICLE`; ``notes`` and ``heard_ns`` (last reception) per vehicle;
+        newest: collections of values by key: those in `BY_VEHICLE`; ``notes`` and ``heard_ns`` (last arrival) per vehicle;
             ``frames`` per sender; ``pushed``, the pose of each obstacle (x, y, z m, yaw rad); ``states``.
         fresh: collection and key of each value since the reader last cleared it, in order.
         tallies: by sender and receivers: frames, and frames received by each receiver, (1 + receivers,) int64.
@@ -60,7 +60,7 @@ class RunState:
         self._handlers: dict[type, Callable[[str, int, Any], None]] = {
             types.States: lambda _, __, states: self.keep("states", "", states),
             types.FrameReport: self._on_frame,
-            types.Reception: lambda vehicle, time_ns, _: self.keep("heard_ns", vehicle, time_ns),
+            types.Receptions: self._on_receptions,
             types.Note: self._on_note,
             **dict.fromkeys(BY_VEHICLE, self._on_newest),
             types.Presence: self._on_presence,
@@ -92,6 +92,12 @@ class RunState:
         tally[0] += 1
         tally[1:] += report.received_ns >= 0
         self.keep("frames", report.sender, report)
+
+    def _on_receptions(self, _: str, time_ns: int, batch: types.Receptions) -> None:
+        newest_ns = np.full(len(batch.names), -1)
+        np.maximum.at(newest_ns, batch.receiver, batch.arrival_ns)
+        for row in np.flatnonzero(newest_ns >= 0).tolist():
+            self.keep("heard_ns", batch.names[row], int(newest_ns[row]))
 
     def _on_note(self, vehicle: str, time_ns: int, note: types.Note) -> None:
         self.keep("notes", vehicle, {**self.newest["notes"].get(vehicle, {}), **note.values})

@@ -134,6 +134,7 @@ class RecordTable(msgspec.Struct, frozen=True, kw_only=True):
 
     period_s: Period = 0.1  # s between recorded states
     sensors: tuple[str, ...] = ()  # names of scanners and cameras whose readings are recorded; "*": all. Others always are
+    heard: bool = False  # the messages that each agent gets at each tick; ``radio/frame`` has every reception anyway
     video: bool = False  # a film of a mission, mission.mp4: some seconds of work after the run
 
 

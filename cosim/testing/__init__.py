@@ -20,14 +20,15 @@ import numpy as np
 from vcmvsp.cosim.agent import Agent, AgentSpec, Observation
 from vcmvsp.cosim.errors import AgentError
 from vcmvsp.cosim.federate import Event, Federate, RunInfo, Step, matches
-from vcmvsp.cosim.types import Array, Message, Reception, VehicleState
+from vcmvsp.cosim.received import ReceivedMessages, receptions_at
+from vcmvsp.cosim.types import RECEPTIONS, Array, Message, Reception, VehicleState
 from vcmvsp.cosim.util.codec import Decoder, encode
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.assembly.parts.radio import Frame, PathLoss, Phy
 
 SECOND = 1_000_000_000
-_observations: Decoder[Observation] = Decoder(Observation)
+_receptions: Decoder[list[Reception]] = Decoder(list[Reception])
 _events: Decoder[list[Event]] = Decoder(list[Event])
 
 
@@ -44,8 +45,10 @@ def check_agent(
     plain = _play(make(), vehicle, others, shown)
     _require(plain == _play(make(), vehicle, others, shown), "two agents that saw the same did not do the same")
     fresh = [_observation(vehicle, others, tick) for tick in range(ticks)]
-    _require(encode(shown) == encode(fresh), "the agent changed what it was shown")
-    wired = [_observations.decode(encode(each)) for each in shown]
+    wire = [encode(list(each.heard)) for each in shown]
+    _require(wire == [encode(list(each.heard)) for each in fresh], "the agent changed what it was shown")
+    received = [ReceivedMessages.of(_receptions.decode(each), seen.time_ns) for each, seen in zip(wire, shown, strict=True)]
+    wired = [msgspec.structs.replace(seen, heard=each) for each, seen in zip(received, shown, strict=True)]
     _require(plain == _play(make(), vehicle, others, wired), "the agent does something else when it runs in another process")
 
 
@@ -92,14 +95,14 @@ def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Obs
     spec = AgentSpec(
         vehicle=vehicle, kind=type(agent).__name__, folder="", params={}, defaults={}, period_s=None, latency_s=0.0, source=""
     )
-    federate = AgentHost("agents", [spec], {vehicle: agent})
+    federate, vehicles = AgentHost("agents", [spec], {vehicle: agent}), (*others, vehicle)
     said = []
     try:
-        federate.start(RunInfo(scenario="check", seed=1, duration_ns=len(shown) * SECOND, vehicles=(*others, vehicle)))
+        federate.start(RunInfo(scenario="check", seed=1, duration_ns=len(shown) * SECOND, vehicles=vehicles))
         now = 0
         for seen in shown:
             inbox = [Event(f"{vehicle}/estimate", seen.time_ns, seen.state)]
-            inbox += [Event(f"{vehicle}/heard", each.received_ns, each) for each in seen.heard]
+            inbox.append(Event(RECEPTIONS, seen.time_ns, receptions_at(vehicle, seen.heard, vehicles)))
             step = federate.step(now, inbox)
             said.append(list(step.events))
             assert step.next_ns is not None  # noqa: S101  an agent always has a next tick
@@ -121,7 +124,7 @@ def _observation(vehicle: str, others: Sequence[str], tick: int) -> Observation:
         time_ns=now,
         state=VehicleState(position=(x, y, 0.0), attitude=(float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))),
         readings={},
-        heard=() if tick < 5 else tuple(_nonsense(other, now, tick) for other in others),
+        heard=ReceivedMessages.of(() if tick < 5 else [_nonsense(other, now, tick) for other in others], now),
     )
 
 

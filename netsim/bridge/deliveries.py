@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.types import Array, Reception, Traffic
+from vcmvsp.cosim.types import Array, Message, Traffic
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge import messages
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST
@@ -40,12 +40,12 @@ class Echoes:
         for number in traffic.settled.tolist():
             del self._sent[number]
 
-    def agent_payload(self, vehicle: str, reception: Reception) -> bytes | None:
+    def agent_payload(self, vehicle: str, message: Message, received_ns: int) -> bytes | None:
         """Payload for programs if an agent sent the message; None for a datagram of a program."""
-        body = reception.message.body
+        body = message.body
         if not isinstance(body, bytes):
             return encode(body)
-        echo = vehicle, reception.received_ns, reception.message.sender, body
+        echo = vehicle, received_ns, message.sender, body
         if echo not in self._coming:
             return body
         self._coming[echo] -= 1

@@ -5,7 +5,7 @@ key                    direction  value
 =====================  =========  =====================================================================================
 ``bridge/sent``        out        `Datagrams` from programs, each with its time
 ``radio/traffic``      in         `Traffic`: deliveries of these datagrams
-``<vehicle>/heard``    in         `Reception` of an agent's message, for programs of that vehicle (``bridge.agents``)
+``radio/receptions``   in         `Receptions` of agents' messages, for programs of their receivers (``bridge.agents``)
 =====================  =========  =====================================================================================
 
 Sockets live in the bridge process (`netsim.bridge.bridge_process`); the federate has numbers, sizes and times only.
@@ -22,7 +22,7 @@ import numpy as np
 from vcmvsp.cosim.clock import WallClock
 from vcmvsp.cosim.federate import Event, Log, RunInfo, Slot, Step
 from vcmvsp.cosim.recording.external_inputs import Input
-from vcmvsp.cosim.types import Array, Datagrams, Reception, States, Traffic, frozen
+from vcmvsp.cosim.types import RECEPTIONS, Array, Datagrams, Receptions, States, Traffic, frozen
 from vcmvsp.netsim.bridge import messages
 from vcmvsp.netsim.bridge.deliveries import Echoes, Lateness
 from vcmvsp.netsim.bridge.gateways.base import LARGEST
@@ -93,7 +93,7 @@ class Bridge:
         log: Log,  # takes the inputs of a replay: key, time, value
         connect: bool,  # False: open nothing; for the check of a scenario
     ) -> None:
-        self.reads: tuple[str, ...] = ("radio/traffic", "*/heard") if agents else ("radio/traffic",)
+        self.reads: tuple[str, ...] = ("radio/traffic", RECEPTIONS) if agents else ("radio/traffic",)
         self.wakes: tuple[str, ...] = self.reads
         self._clock, self._log = clock, log
         self._vehicles = tuple(vehicles)
@@ -162,8 +162,8 @@ class Bridge:
             elif isinstance(event.value, States):
                 self._states = event.value
         for event in inbox:
-            if isinstance(event.value, Reception):
-                self._on_reception(process, event.key.partition("/")[0], event.value)
+            if isinstance(event.value, Receptions):
+                self._on_receptions(process, event.value)
         events = [Event("bridge/sent", now_ns, self._datagrams(batch)) for batch in self._ready]
         if self._ready:
             self._ready = []
@@ -249,11 +249,13 @@ class Bridge:
         for each in messages.due_in_chunks(self._taken, traffic, at_ns):
             process.send(each)
 
-    def _on_reception(self, process: BridgeClient, vehicle: str, reception: Reception) -> None:
-        payload = self._echoes.agent_payload(vehicle, reception)
-        if payload is not None and len(payload) > LARGEST:
-            self._own_counts.setdefault(vehicle, Counter())[TOO_LONG] += 1
-        elif payload is not None:
-            sender, receiver = self._row[reception.message.sender], self._row[vehicle]
-            at_ns = self._clock.monotonic_ns(reception.received_ns)
-            process.send(messages.AgentDatagram(sender=sender, receiver=receiver, at_ns=at_ns, payload=payload))
+    def _on_receptions(self, process: BridgeClient, batch: Receptions) -> None:
+        columns = (batch.message, batch.receiver, batch.arrival_ns)
+        for number, receiver, received_ns in zip(*(each.tolist() for each in columns), strict=True):
+            message, vehicle = batch.messages[number], self._vehicles[receiver]
+            payload = self._echoes.agent_payload(vehicle, message, received_ns)
+            if payload is not None and len(payload) > LARGEST:
+                self._own_counts.setdefault(vehicle, Counter())[TOO_LONG] += 1
+            elif payload is not None:
+                sender, at_ns = self._row[message.sender], self._clock.monotonic_ns(received_ns)
+                process.send(messages.AgentDatagram(sender=sender, receiver=receiver, at_ns=at_ns, payload=payload))

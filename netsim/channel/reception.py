@@ -1,6 +1,6 @@
 """Stages behind the receiver, over batches of frames: weak signals, jammers, losses, delays, delivery; and reports."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
-from vcmvsp.cosim.types import FrameReport, Traffic, frozen
+from vcmvsp.cosim.types import RECEPTIONS, FrameReport, Message, Reception, Receptions, Traffic, frozen
 from vcmvsp.netsim.channel.frames import FrameBatch, SentFrame, Transmitter
 from vcmvsp.netsim.channel.link_budget import MeanBudget, ReceiverModel
 from vcmvsp.netsim.impairments.delivery import Delivery
@@ -285,6 +285,72 @@ class TrafficLog:
         self._carries: list[int] = []
         self._arrivals: list[tuple[int, int, int, int]] = []
         self._settled: list[int] = []
+
+
+class ReceptionLog:
+    """Receptions of messages since the last event; ``woken``: vehicles with a reader that a reception wakes."""
+
+    def __init__(self, names: tuple[str, ...], woken: Collection[str] = ()) -> None:
+        self._names, self._woken = names, sorted(names.index(name) for name in woken)
+        self._clear()
+
+    def add(
+        self,
+        message: Message,
+        sent_ns: int,
+        receiver: Sequence[int] | Ints,
+        rssi_dbm: Sequence[float] | Floats,
+        arrival_ns: Sequence[int] | Ints,
+    ) -> None:
+        """Add receptions of a message: rows of the receivers, levels (dBm) and times (ns; -1: lost), (n,) each."""
+        self._messages.append(message)
+        self._sent_ns.append(sent_ns)
+        for column, values in zip(self._columns, (receiver, rssi_dbm, arrival_ns), strict=True):
+            column.append(values)
+
+    def events(self, now_ns: int) -> Iterator[Event]:
+        """One event with all receptions since the last one; one more for each reception that wakes a reader."""
+        if not self._messages:
+            return
+        types, counts = (np.int32, np.float64, np.int64), [len(each) for each in self._columns[0]]
+        columns = [np.concatenate(parts, dtype=kind) for parts, kind in zip(self._columns, types, strict=True)]
+        columns.append(np.repeat(np.arange(len(counts), dtype=np.int32), counts))
+        arrives = columns[2] >= 0
+        if not arrives.all():
+            columns = [each[arrives] for each in columns]
+        receiver, rssi_dbm, arrival_ns, number = map(sealed, columns)
+        batch = Receptions(
+            names=self._names,
+            messages=tuple(self._messages),
+            sent_ns=frozen(self._sent_ns, np.int64),
+            message=number,
+            receiver=receiver,
+            arrival_ns=arrival_ns,
+            rssi_dbm=rssi_dbm,
+        )
+        self._clear()
+        if not len(batch.receiver):
+            return
+        yield Event(RECEPTIONS, now_ns, batch)
+        for row in self._woken:
+            for at in np.flatnonzero(batch.receiver == row).tolist():
+                yield self._waking(batch, at, now_ns)
+
+    def _waking(self, batch: Receptions, at: int, now_ns: int) -> Event:
+        number, arrival_ns = batch.message[at], int(batch.arrival_ns[at])
+        reception = Reception(
+            message=batch.messages[number],
+            rssi_dbm=float(batch.rssi_dbm[at]),
+            sent_ns=int(batch.sent_ns[number]),
+            received_ns=arrival_ns,
+        )
+        due_ns = arrival_ns if arrival_ns >= now_ns else now_ns + 1  # a datagram may be decided after its time
+        return Event(f"{self._names[batch.receiver[at]]}/heard", due_ns, reception)
+
+    def _clear(self) -> None:
+        self._messages: list[Message] = []
+        self._sent_ns: list[int] = []
+        self._columns: tuple[list[Any], list[Any], list[Any]] = [], [], []
 
 
 def received(report: FrameReport) -> Iterator[tuple[str, float, int]]:

@@ -8,7 +8,7 @@ Each hop is a frame like any other, recorded under the name of the vehicle that 
 """
 
 import heapq
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from numbers import Integral
 
 import msgspec
@@ -17,8 +17,8 @@ from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
-from vcmvsp.cosim.types import FrameReport, Message, Reception, Routed
-from vcmvsp.netsim.channel.reception import TrafficLog, received
+from vcmvsp.cosim.types import FrameReport, Message, Routed
+from vcmvsp.netsim.channel.reception import ReceptionLog, TrafficLog, received
 from vcmvsp.netsim.routing.router import BROADCAST, HEADER_BYTES, AdvertisingRouter, Router
 
 Put = Callable[[int, Message, int], tuple[int, list[FrameReport]]]
@@ -74,7 +74,9 @@ class _Wait(msgspec.Struct, frozen=True):
 class RoutingNetwork:
     """The network layer of all vehicles; ``kind``: name of the router in error messages; ``put``: see `Put`."""
 
-    def __init__(self, router: Router, kind: str, vehicles: Sequence[str], seed: int, put: Put) -> None:
+    def __init__(
+        self, router: Router, kind: str, vehicles: Sequence[str], seed: int, put: Put, woken: Collection[str] = ()
+    ) -> None:
         self._router, self._blame, self._names, self._put = router, f"routing {kind}", tuple(vehicles), put
         self._telling = router if isinstance(router, AdvertisingRouter) else None
         self._row = {name: row for row, name in enumerate(vehicles)}
@@ -87,7 +89,7 @@ class RoutingNetwork:
         self._order = 0
         self._traffic = TrafficLog()
         self._reports: list[FrameReport] = []  # these three wait for `events`
-        self._receptions: list[tuple[str, Reception]] = []
+        self._receptions = ReceptionLog(self._names, woken)
         self._routed: list[Routed] = []
         for row, first_ns in enumerate(() if self._telling is None else self._telling.first_ns()):
             self._plan(first_ns, row)
@@ -143,9 +145,9 @@ class RoutingNetwork:
     def events(self, now_ns: int) -> list[Event]:
         """Events since the last call."""
         events = [Event("radio/frame", now_ns, report) for report in self._reports]
-        events += [Event(f"{name}/heard", now_ns, reception) for name, reception in self._receptions]
+        events += self._receptions.events(now_ns)
         events += [Event("radio/routed", now_ns, routed) for routed in self._routed]
-        self._reports, self._receptions, self._routed = [], [], []
+        self._reports, self._routed = [], []
         return [*events, *self._traffic.events(now_ns)]
 
     def _plan(self, at_ns: int, what: _Arrival | _Wait | int, earliest_ns: int = 0) -> None:
@@ -237,8 +239,7 @@ class RoutingNetwork:
             self._report_arrival(packet, arrival.at, arrival.received_ns, arrival.frame)
             if not message.body:
                 return
-        times = {"sent_ns": packet.sent_ns, "received_ns": arrival.received_ns}
-        self._receptions.append((self._names[arrival.at], Reception(message=message, rssi_dbm=arrival.rssi_dbm, **times)))
+        self._receptions.add(message, packet.sent_ns, [arrival.at], [arrival.rssi_dbm], [arrival.received_ns])
 
     def _report_arrival(self, packet: Packet, receiver: int, at_ns: int, frame: int) -> None:
         if packet.datagram is not None and not packet.arrival_reported:

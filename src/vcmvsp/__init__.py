@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
     from vcmvsp.cosim.errors import AgentError, FederateError, Interrupted, ScenarioError, UsageError, VcmvspError
     from vcmvsp.cosim.frames import arc, quaternion_from_yaw, rotate2, wrap, yaw_of
+    from vcmvsp.cosim.received import ReceivedMessages
     from vcmvsp.cosim.runs.api import Result, run
     from vcmvsp.cosim.studies.engine import study
     from vcmvsp.cosim.types import (
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "vcmvsp.cosim.agent": ("Agent", "Observation", "Radio", "VehicleInfo"),
+    "vcmvsp.cosim.received": ("ReceivedMessages",),
     "vcmvsp.cosim.runs.api": ("Result", "run"),
     "vcmvsp.cosim.errors": ("AgentError", "FederateError", "Interrupted", "ScenarioError", "UsageError", "VcmvspError"),
     "vcmvsp.cosim.frames": ("arc", "quaternion_from_yaw", "rotate2", "wrap", "yaw_of"),
@@ -72,6 +74,7 @@ __all__ = [  # noqa: RUF022  by topic
     "Waypoint",
     "Message",
     "Reception",
+    "ReceivedMessages",
     "Follows",
     "Odometry",
     "Fix",

@@ -26,6 +26,7 @@ PUBLIC = {
     "Waypoint": "types",
     "Message": "types",
     "Reception": "types",
+    "ReceivedMessages": "received",
     "Follows": "types",
     "Odometry": "types",
     "Fix": "types",

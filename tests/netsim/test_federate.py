@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from tests.support.cosim.receptions import receptions_in
 from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event, RunInfo, Step
@@ -45,19 +46,24 @@ def radio() -> RadioFederate:
 def test_a_frame_gives_one_report_and_one_reception_for_each_who_hears_it(radio: RadioFederate) -> None:
     sent = sends(50 * MS, "a")
     step = radio.step(50 * MS, [states(40 * MS, 0.0, 20.0, 500.0), sent])
-    report, heard = step.events
+    receptions, report = step.events
     assert isinstance(sent.value, Message)
     assert step.next_ns is None
     assert (report.key, report.time_ns) == ("radio/frame", 50 * MS)
     assert isinstance(report.value, FrameReport)
     assert report.value.outcome == ("received", "below sensitivity")
-    assert (heard.key, heard.time_ns) == ("b/heard", 50 * MS + 1_280_000)
-    assert heard.value == Reception(
-        message=sent.value,
-        rssi_dbm=report.value.rssi_dbm[0].item(),
-        sent_ns=50 * MS,
-        received_ns=50 * MS + 1_280_000,
-    )
+    assert (receptions.key, receptions.time_ns) == ("radio/receptions", 50 * MS)
+    times, level_dbm = {"sent_ns": 50 * MS, "received_ns": 50 * MS + 1_280_000}, report.value.rssi_dbm[0].item()
+    assert list(receptions_in([receptions])) == [("b", Reception(message=sent.value, rssi_dbm=level_dbm, **times))]
+
+
+def test_a_reader_that_a_reception_wakes_gets_each_when_it_arrives() -> None:
+    radio = RadioFederate(make_channel("wifi-b-1"), woken=("b",))
+    radio.start(RUN)
+    step = radio.step(50 * MS, [states(40 * MS, 0.0, 20.0, 30.0), sends(50 * MS, "a")])
+    batch, woken, _ = step.events
+    assert (woken.key, woken.time_ns) == ("b/heard", 50 * MS + 1_280_000)
+    assert [("b", woken.value)] == [each for each in receptions_in([batch]) if each[0] == "b"]
 
 
 def test_the_newest_positions_count(radio: RadioFederate) -> None:
@@ -86,10 +92,8 @@ def test_all_events_lie_in_the_present_or_the_future() -> None:
         step = radio.step(k * MS, [*inbox, *(sends(k * MS, name) for name in NAMES)])
         inbox = []
         for event in step.events:
-            if isinstance(event.value, Reception):
-                assert event.time_ns == event.value.received_ns > event.value.sent_ns == k * MS
-            else:
-                assert event.time_ns == k * MS
+            assert event.time_ns == k * MS
+        assert all(each.received_ns > each.sent_ns == k * MS for _, each in receptions_in(step.events))
 
 
 def test_sending_before_any_position_is_known_is_an_error(radio: RadioFederate) -> None:

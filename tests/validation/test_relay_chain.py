@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 
 import vcmvsp
+from tests.support.cosim.receptions import receptions_in
 from tests.support.paths import SCENARIOS
 from vcmvsp import Agent, Observation, Radio
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.runs.replay import replay
 from vcmvsp.cosim.tables.columns import names_of, numbers
-from vcmvsp.cosim.types import Reception, Routed
+from vcmvsp.cosim.types import Routed
 
 pytestmark = pytest.mark.processes
 
@@ -83,7 +84,7 @@ def test_an_agent_calls_another_over_several_hops(kind: str) -> None:
     settings = {**SETTINGS, **KINDS[kind], "duration_s": 18.0}
     vcmvsp.run("relay-chain", set=settings, agents={"car6": Caller()}, mcap=False, observe=events.append)
     calls = [each.value for each in events if isinstance(each.value, Routed) and each.value.to == "car1"]
-    heard = [each.value for each in events if isinstance(each.value, Reception) and each.key == "car1/heard"]
+    heard = [each for vehicle, each in receptions_in(events) if vehicle == "car1"]
     answered = {each.sent_ns: each.received_ns for each in heard if each.message.sender == "car6"}
     hops = 5 if kind == "static" else 3
     came = [each for each in calls if "car1" in each.receivers]

@@ -63,10 +63,11 @@ def bodies(obs: Observation, senders: Collection[str] | None = None) -> Iterator
 
     Messages of bytes come from other programs on the same radio; they are no sign of life of the agent there.
     """
-    for reception in obs.heard:
-        message = reception.message
-        if not isinstance(message.body, bytes) and (senders is None or message.sender in senders):
-            yield message.sender, message.body
+    for place, sender in enumerate(obs.heard.senders):
+        if senders is None or sender in senders:
+            body = obs.heard[place].message.body
+            if not isinstance(body, bytes):
+                yield sender, body
 
 
 def send_report(radio: Radio, seq: int, obs: Observation, v: float, w: float, **more: Any) -> None:

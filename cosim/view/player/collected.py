@@ -102,6 +102,7 @@ class Counts:
         self._rows: list[Array] = []  # per frame: a code per receiver
         self._codes = np.zeros(0, np.int32)  # of all frames: (sender, receiver) as one number, repeated if received
         self._sums = np.zeros((1, 0), np.int64)
+        self._newest = np.full((1, len(self._row)), -1)  # at each stored sum: row of the newest reception of each vehicle
         self._of: dict[tuple[str, ...], Array] = {}
 
     def take(self, time_ns: int, data: bytes) -> None:
@@ -125,6 +126,8 @@ class Counts:
         between = self._between
         parts = [self._count(self._codes[start : start + between]) for start in range(0, len(self._codes), between)]
         self._sums = np.cumsum([self._count(self._codes[:0]), *parts], axis=0)
+        newest = [self._newest_receptions(start, start + between) for start in range(0, len(self._codes), between)]
+        self._newest = np.maximum.accumulate([self._newest_receptions(0, 0), *newest], axis=0)
 
     def frames(self, time_ns: int) -> int:
         """Number of frames reported up to a time."""
@@ -144,6 +147,23 @@ class Counts:
         both = (self._sums[known] + self._count(self._codes[known * self._between : rows])).reshape(-1, 2)
         shape = len(self._row), len(self._row)
         return both.sum(axis=1).reshape(shape), both[:, 1].reshape(shape)
+
+    def heard_ns(self, time_ns: int, since_ns: int | None) -> dict[str, int]:
+        """Time of the newest reception of each vehicle up to a time and after ``since_ns``, as its frame was reported."""
+        frames = self.frames(time_ns)
+        rows = self._ends[frames - 1] if frames else 0
+        known = rows // self._between
+        newest = np.maximum(self._newest[known], self._newest_receptions(known * self._between, rows))
+        numbers = np.searchsorted(np.array(self._ends[:frames]), newest, side="right").tolist()
+        heard = [(name, self._times[number]) for name, number, row in zip(self._row, numbers, newest, strict=True) if row >= 0]
+        return {name: at_ns for name, at_ns in heard if since_ns is None or at_ns > since_ns}
+
+    def _newest_receptions(self, begin: int, end: int) -> Array:
+        """The last row with a reception of each vehicle among some rows, (n,); -1: none."""
+        newest, codes = np.full(len(self._row), -1), self._codes[begin:end]
+        received = np.flatnonzero(codes & 1)
+        newest[codes[received] // 2 % len(self._row)] = begin + received  # the last of equal indices counts
+        return newest
 
     @property
     def _between(self) -> int:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 SCAN, IMAGE, FIX = "foxglove.LaserScan", "foxglove.RawImage", "foxglove.PoseInFrame"  # schemas
-STATE, HEARD, SIGHTINGS = "state", "heard", "sightings"  # topics of each vehicle
+STATE, SIGHTINGS = "state", "sightings"  # topics of each vehicle
 NEWEST = {"follows": "places", "host": "presence", "real": "real", "map": "maps", "mosaic": "mosaics"}
 """Topics of vehicles, with the field of `PageUpdate` that holds the newest message unchanged."""
 FASTEST, SLOWEST = 100.0, 0.01  # simulated seconds per second
@@ -108,7 +108,7 @@ class Recording:
             links=tuple(self._value(self._file.topics[FRAMES], k) for k in counts.newest(first, last)),
             sent=sent,
             received=received,
-            heard_ns=self._each(HEARD, Topic.time_ns, *span),
+            heard_ns=counts.heard_ns(*span),
             halted=self._collected.halted(time_ns),
             lines=self._collected.said(*span),
             notes=self._each(NOTE, self._noted, *span),
@@ -234,7 +234,7 @@ def _is_reading(schema: str) -> bool:
 
 def _is_wanted(topic: str, schema: str) -> bool:
     what = topic.partition("/")[2]
-    of_vehicle = what in NEWEST or what in (STATE, HEARD, NOTE, SIGHTINGS, f"{SIGHTINGS}/{PICTURE}")
+    of_vehicle = what in NEWEST or what in (STATE, NOTE, SIGHTINGS, f"{SIGHTINGS}/{PICTURE}")
     of_run = topic in (FRAMES, LOG, HALTED, MOVING, SCENE)
     return of_vehicle or of_run or _is_reading(schema) or schema == FIX or topic.endswith(f"/{CALIBRATION}")
 

@@ -75,7 +75,7 @@ def around(task: Agent, body: Body = WHEELS, goal: tuple[float, float] | None = 
 def act(agent: Agent, ranges: tuple[float, ...] = FREE, at_ms: int = 0, yaw: float = 0.0, height: float = 0.0) -> Any:
     scan = Scan(ranges=np.array(ranges), angle_min=0.0, angle_step=math.tau / 32, range_max=6.0, time_ns=at_ms * 1_000_000)
     state = VehicleState(position=(0.0, 0.0, height), attitude=quaternion_from_yaw(yaw))
-    seen = Observation(vehicle="a", time_ns=at_ms * 1_000_000, state=state, readings={"scan": scan}, heard=())
+    seen = Observation(vehicle="a", time_ns=at_ms * 1_000_000, state=state, readings={"scan": scan})
     return agent.act(seen, Radio("a", ("a", "b")))
 
 
@@ -87,7 +87,7 @@ def test_the_task_is_started_asked_and_closed_and_all_it_says_is_passed_on() -> 
     made = around(task)
     radio = Radio("a", ("a", "b"))
     state = VehicleState(position=(0.0, 0.0, 0.0))
-    made.act(Observation(vehicle="a", time_ns=0, state=state, readings={}, heard=()), radio)
+    made.act(Observation(vehicle="a", time_ns=0, state=state, readings={}), radio)
     made.close()
     assert task.calls == ["start", "act", "close"]
     assert made.follows == Follows(leader="b")

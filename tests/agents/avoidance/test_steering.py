@@ -66,9 +66,7 @@ def scan(distances: list[float], at_ms: int = 0, **more: Any) -> Scan:
 
 def obs(reading: Any, at_ms: int = 0, yaw: float = 0.0, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Observation:
     state = VehicleState(position=(1.0, 2.0, 0.0), attitude=quaternion_from_yaw(yaw), velocity=velocity)
-    return Observation(
-        vehicle="a", time_ns=at_ms * MS, state=state, readings={} if reading is None else {"scan": reading}, heard=()
-    )
+    return Observation(vehicle="a", time_ns=at_ms * MS, state=state, readings={} if reading is None else {"scan": reading})
 
 
 def ahead(distance: float) -> list[float]:

@@ -13,6 +13,7 @@ from vcmvsp.agents.reconnaissance.roster import Claim
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.received import ReceivedMessages
 from vcmvsp.cosim.types import Message, Reception, Scan, Vec3, VehicleState, Velocity
 
 T_NS = 100_000_000
@@ -86,7 +87,14 @@ class Flown:
             for sender, body in heard
         )
         state = VehicleState(position=(0.0, 0.0, 20.0), velocity=velocity)
-        obs = Observation(vehicle=self.name, time_ns=number * T_NS, state=state, readings={"scan": scan}, heard=receptions)
+        received = ReceivedMessages.of(receptions, number * T_NS)
+        obs = Observation(
+            vehicle=self.name,
+            time_ns=number * T_NS,
+            state=state,
+            readings={"scan": scan},
+            heard=received,
+        )
         command = self.agent.act(obs, self.radio)
         self.notes.append(self.agent.drain_notes())
         self.sent.append([message.body for message in self.radio.drain()])

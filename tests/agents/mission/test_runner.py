@@ -15,6 +15,7 @@ from vcmvsp.agents.mission.runner import AlgorithmRunner, Command, Guard
 from vcmvsp.agents.reconnaissance.state_table import MissionFacts, MissionState, step
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.received import ReceivedMessages
 from vcmvsp.cosim.types import Message, Reception, Scan, Vec3, VehicleState, Velocity, Waypoint
 
 pytestmark = pytest.mark.slow
@@ -93,7 +94,7 @@ def ask(
     state = VehicleState(
         position=(0.0, 0.0, 3.0), velocity=velocity, attitude=quaternion_from_yaw(yaw), angular_velocity=(0.0, 0.0, turning)
     )
-    obs = Observation(vehicle="a", time_ns=tick * 100_000_000, state=state, readings={}, heard=heard)
+    obs = Observation(vehicle="a", time_ns=tick * 100_000_000, state=state, readings={}, heard=ReceivedMessages.of(heard, 0))
     runner.look(obs)
     return runner.act(obs, RADIO, commander, task=task, why=why)
 
@@ -287,7 +288,7 @@ def seen(ranges: Any, tick: int = 0, x: float = 0.0, velocity: float = 0.0, yaw:
             ranges=np.array(ranges), angle_min=0.0, angle_step=step_rad, range_max=30.0, time_ns=tick * 100_000_000
         )
     state = VehicleState(position=(x, 0.0, 5.0), velocity=(velocity, 0.0, 0.0), attitude=quaternion_from_yaw(yaw))
-    return Observation(vehicle="a", time_ns=tick * 100_000_000, state=state, readings=readings, heard=())
+    return Observation(vehicle="a", time_ns=tick * 100_000_000, state=state, readings=readings)
 
 
 def limited(guard: Guard, obs: Observation, command: Any) -> Any:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster
 from vcmvsp.cosim.agent import Observation, Radio
+from vcmvsp.cosim.received import ReceivedMessages
 from vcmvsp.cosim.types import Message, Reception, VehicleState
 
 S = 1_000_000_000
@@ -25,7 +26,7 @@ def seen(now_s: float, *heard: tuple[str, Any]) -> Observation:
         time_ns=round(now_s * S),
         state=VehicleState(position=(0.0, 0.0, 9.0)),
         readings={},
-        heard=tuple(receptions),
+        heard=ReceivedMessages.of(receptions, round(now_s * S)),
     )
 
 

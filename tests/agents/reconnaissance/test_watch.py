@@ -48,7 +48,7 @@ def seen(tick: int, position: Vec3, attitude: Quaternion = (1.0, 0.0, 0.0, 0.0),
     """Of a vehicle that moves at 4 m/s and 1 rad/s."""
     rates: tuple[Vec3, Vec3] = (4.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     state = VehicleState(position=position, velocity=rates[0], attitude=attitude, angular_velocity=rates[1])
-    return Observation(vehicle="me", time_ns=tick * T_NS, state=state, readings=readings, heard=())
+    return Observation(vehicle="me", time_ns=tick * T_NS, state=state, readings=readings)
 
 
 def taken(made: SyntheticFrame, time_ns: int) -> Image:
@@ -80,7 +80,7 @@ def test_between_two_ticks_a_constant_acceleration_is_followed_exactly(
 
     poses = Poses(T)
     for tick, sign in ((0, 1.0), (1, -1.0 if other_sign else 1.0)):
-        seen_then = Observation(vehicle="me", time_ns=tick * T_NS, state=state(tick * T, sign), readings={}, heard=())
+        seen_then = Observation(vehicle="me", time_ns=tick * T_NS, state=state(tick * T, sign), readings={})
         poses.add(seen_then)
     time_ns = round(share * T_NS)
     found, expected = poses.at(time_ns), state(time_ns / 1e9)

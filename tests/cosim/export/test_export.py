@@ -177,8 +177,10 @@ def test_a_layout_names_topics_that_there_are_and_numbers_that_they_have(tmp_pat
         curves = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
         assert curves
         for curve in curves:
-            topic, _, fields = curve.partition(".")
+            place, _, fields = curve.replace("[:]", "[0]").partition(".")
+            topic, _, condition = place.rstrip("}").partition("{")
             value: Any = newest[topic]
+            assert not condition or condition.partition("==")[0] in value
             for field in fields.replace("]", "").replace("[", ".").split("."):
                 value = value[int(field)] if isinstance(value, list) else value[field]
             assert isinstance(value, float | int | str), curve

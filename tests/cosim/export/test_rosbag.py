@@ -78,7 +78,7 @@ def test_readings_arrive_as_they_were_recorded(bags: dict[str, Path]) -> None:
     assert scan.range_max >= np.max(scan.ranges[np.isfinite(scan.ranges)])
     for (_, command), (_, said) in zip(bag["/ugv1/command"], recorded("lab-patrol", "ugv1/command"), strict=True):
         assert (command.twist.linear.x, command.twist.angular.z) == (said["linear"][0], said["yaw_rate"])
-    for topic in ("ugv3/bumper", "radio/frame", "ugv3/heard"):
+    for topic in ("ugv3/bumper", "radio/frame", "ugv3/send"):
         assert [json.loads(message.data) for _, message in bag[f"/{topic}"]] == [m for _, m in recorded("lab-patrol", topic)]
     ((_, line),) = bag["/rosout"]
     assert (line.level, line.msg) == (20, "the run is complete")

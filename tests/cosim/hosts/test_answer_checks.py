@@ -231,7 +231,7 @@ def answer(**changes: Any) -> protocol.Built:
     }
     agents = [AgentInfo(**each) for each in (first, second)]
     sees = [f"{vehicle}/{what}" for vehicle in ("car2", "car3") for what in ("estimate", "odometry", "fix")]
-    said = {"agents": agents, "reads": ["car2/heard", "car3/heard"], "latest": [*sees, "car2/lidar"], **whole}
+    said = {"agents": agents, "reads": ["radio/receptions"], "latest": [*sees, "car2/lidar"], **whole}
     return protocol.Built(tuple(said["agents"]), tuple(said["reads"]), tuple(said["latest"]))
 
 
@@ -272,14 +272,14 @@ BUILT: list[tuple[dict[str, Any], str]] = [
     ({"params": {"k1": msgspec.msgpack.Ext(5, b"x")}}, "parameters that a scenario cannot say"),
     ({"params": {"k1": deep(900)}}, "parameters that a scenario cannot say"),
     ({"params": {"k1": "x" * 2**20}}, "parameters of .* characters"),
-    ({"reads": ["car1/heard"]}, "wants to listen to car1/heard, which is not for its agents"),
+    ({"reads": ["car2/heard"]}, "wants to listen to car2/heard, which is not for its agents"),
     ({"reads": ["car2/send"]}, "wants to listen to car2/send"),
     ({"reads": ["**"]}, r"wants to listen to \*\*"),
     ({"reads": ["*/heard"]}, "wants to listen to"),
     ({"reads": ["car2/*"]}, "wants to listen to"),
     ({"reads": ["car2/**"]}, "wants to listen to"),
     ({"reads": ["world/states"]}, "wants to listen to world/states"),
-    ({"reads": ["car2/heard", "car2/heard"]}, "wants to listen to car2/heard twice"),
+    ({"reads": ["radio/receptions"] * 2}, "wants to listen to radio/receptions twice"),
     ({"latest": ["car3/lidar"]}, "wants to listen to car3/lidar"),
     ({"latest": ["car2/state"]}, "wants to listen to car2/state"),
     ({"latest": ["car1/estimate"]}, "wants to listen to car1/estimate"),

@@ -16,7 +16,8 @@ from vcmvsp.agents.federate import AgentHost
 from vcmvsp.cosim.agent import Agent, AgentSpec, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.errors import AgentError
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.types import Follows, Message, Reception, VehicleState, Velocity
+from vcmvsp.cosim.received import receptions_at
+from vcmvsp.cosim.types import RECEPTIONS, Follows, Message, Reception, VehicleState, Velocity
 
 pytestmark = pytest.mark.processes
 
@@ -221,6 +222,7 @@ def test_an_agent_that_changes_what_it_has_heard_changes_nobody_elses(body: Any)
     message = Message(sender="car3", body=copy.deepcopy(body), size_bytes=9)
     heard = Reception(message=message, rssi_dbm=-50.0, sent_ns=0, received_ns=0)
     states = [Event(f"{spec.vehicle}/estimate", 0, VehicleState(position=(0.0, 0.0, 0.0))) for spec in specs]
-    host.step(0, [*states, *(Event(f"{spec.vehicle}/heard", 0, heard) for spec in specs)])
+    names = ("car1", "car2", "car3")
+    host.step(0, [*states, *(Event(RECEPTIONS, 0, receptions_at(spec.vehicle, [heard], names)) for spec in specs)])
     assert seen == [body, body]
     assert message.body == body

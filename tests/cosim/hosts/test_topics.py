@@ -24,12 +24,14 @@ from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.event_publisher import ECHO, Topics, stamp
 from vcmvsp.cosim.hosts.hub import QUEUES, Hub
+from vcmvsp.cosim.received import receptions_at
 from vcmvsp.cosim.recording import foxglove as messages
 from vcmvsp.cosim.security import authority, certificates
 from vcmvsp.cosim.security.certificates import Keys
 from vcmvsp.cosim.transport import access_control, key_names
 from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.cosim.types import (
+    RECEPTIONS,
     Contact,
     Fix,
     Follows,
@@ -150,6 +152,20 @@ def test_a_value_is_the_json_that_the_recording_has(hub: Hub, topics: Topics, st
     assert said == json.loads(msgspec.json.encode(VALUES[tag], enc_hook=messages.to_json))
     assert said["type"] == tag
     assert ear.heard[0][:3] == ("car2/thing", f"application/json;{tag}", 12)
+
+
+def test_each_reception_comes_under_its_receivers_key(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
+    ear = Ear(stack.enter_context(client(hub.endpoint)))
+    reception = Reception(message=MESSAGE, rssi_dbm=-60.0, sent_ns=1, received_ns=2)
+    event = Event(RECEPTIONS, 1, receptions_at("car2", [reception], ("car1", "car2")))
+
+    def shown() -> bool:
+        topics.on(event)
+        return "car2/heard" in ear.values()
+
+    until(shown)
+    assert ear.values()["car2/heard"] == json.loads(msgspec.json.encode(reception))
+    assert {key for key in ear.values() if key != "car2/heard"} == set()
 
 
 def test_states_come_together_and_each_under_its_own_key(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:

@@ -26,7 +26,7 @@ from vcmvsp.cosim.security import authority
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 SCENARIO = team("shown", LEADER, FOLLOWER, duration_s=2.0, loss=0.3, deadline_s=20.0, join_timeout_s=60.0)
-SAME = ("car1/command", "car2/command", "car1/send", "car2/heard", "car2/note", "car2/odometry", "car1/state", "radio/frame")
+SAME = ("car1/command", "car2/command", "car1/send", "car2/note", "car2/odometry", "car1/state", "radio/frame")
 
 
 class Theatre(Stage):

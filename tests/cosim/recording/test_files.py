@@ -27,10 +27,11 @@ from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.plots import run_plots
 from vcmvsp.cosim.plots.style import save_png
+from vcmvsp.cosim.received import receptions_at
 from vcmvsp.cosim.recording.mcap_writer import schema_of
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, STATES_SCHEMA, load, write_table
-from vcmvsp.cosim.types import Reception, frozen
+from vcmvsp.cosim.types import RECEPTIONS, Reception, frozen
 
 pytestmark = pytest.mark.slow
 
@@ -81,7 +82,8 @@ def events(seconds: float = 1.0) -> Iterator[Event]:
         )  # fmt: skip
         yield Event("radio/frame", t, report)
         if not lost:
-            yield Event("car2/heard", t + 1000, Reception(message=message, rssi_dbm=-50.0, sent_ns=t, received_ns=t + 1000))
+            reception = Reception(message=message, rssi_dbm=-50.0, sent_ns=t, received_ns=t + 1000)
+            yield Event(RECEPTIONS, t, receptions_at("car2", [reception], NAMES))
     yield Event("world/contact", t + 1000, types.Contact(vehicle="car1", other=None))
 
 
@@ -89,7 +91,7 @@ def recorded(mcap: BinaryIO | None, seconds: float = 1.0) -> Recorder:
     """A closed recorder of those events."""
     run = RunInfo(scenario="files", seed=5, duration_ns=round(seconds * SECOND_NS), vehicles=NAMES)
     agents = [AgentInfo(vehicle=name, agent="x", ticks=TENTH, latency_ns=0, params={}, known=(), taken=()) for name in NAMES]
-    recorder = Recorder(run, record_ticks=TENTH, mcap=mcap, agents=agents, radius_m={"car1": 0.25})
+    recorder = Recorder(run, record_ticks=TENTH, mcap=mcap, agents=agents, radius_m={"car1": 0.25}, heard=True)
     for event in events(seconds):
         recorder.on(event)
     recorder.log("error", "car2 ran into the wall", run.duration_ns + 1000)
@@ -126,7 +128,7 @@ def test_every_topic_has_its_schema(recording: dict[str, Any]) -> None:
         "car2/estimate": "vcmvsp.VehicleState",  # car1 believes the truth, so its estimate is left out
         "car2/fix": "foxglove.PoseInFrame",
         "car2/follows": "vcmvsp.Follows",
-        "car2/heard": "vcmvsp.Reception",
+        "car2/heard": "vcmvsp.Heard",
         "car2/note": "vcmvsp.Note",
         "car2/odometry": "vcmvsp.Odometry",
         "car2/send": "vcmvsp.Message",
@@ -196,10 +198,18 @@ def test_values_come_back_from_the_recording_as_they_were(recording: dict[str, A
     sent: dict[str, list[Any]] = {}
     for event in events():
         sent.setdefault(event.key, []).append(event.value)
-    ours = ("command", "odometry", "send"), ("heard", "send", "estimate", "follows")
+    ours = ("command", "odometry", "send"), ("send", "estimate", "follows")
     for key in (*(f"car1/{name}" for name in ours[0]), *(f"car2/{name}" for name in ours[1]), "world/contact"):
         back = [msgspec.convert(message, type(sent[key][0])) for _, message, *_ in recording[key]]
         assert back == sent[key]
+
+
+def test_messages_are_recorded_at_the_tick_at_which_the_agent_gets_them(recording: dict[str, Any]) -> None:
+    sent_ns = [event.time_ns for event in events() if event.key == RECEPTIONS]
+    got = {time_ns: [each["sent_ns"] for each in said["receptions"]] for time_ns, said, *_ in recording["car2/heard"]}
+    assert [each for own in got.values() for each in own] == [each for each in sent_ns if each + 1000 < SECOND_NS]
+    assert all(0 < tick - each <= SECOND_NS // 10 for tick, own in got.items() for each in own)
+    assert all(tick % (SECOND_NS // 10) == 0 for tick in got)
 
 
 def test_scene_shows_each_vehicle_and_each_place_once_and_for_good(recording: dict[str, Any]) -> None:
@@ -257,7 +267,7 @@ def test_a_viewer_may_jump_to_any_time_and_topic() -> None:
     part = reader.iter_messages(topics=["car2/heard"], starting_at=begin, ending_before=end)
     expected = [row for row in everything if row[0] == "car2/heard" and begin <= row[1] < end]
     assert [(c.topic, m.log_time, m.data) for _, c, m in part] == expected
-    assert len(expected) == 15
+    assert len(expected) == 10  # ticks
     assert next(iter(reader.iter_metadata())).metadata == {"scenario": "files", "seed": "5", "vehicles": "car1 car2"}
 
 

@@ -10,15 +10,17 @@ from hypothesis import strategies as st
 from tests.support.cosim.recordings import Pose, follows, frame, note, recorded, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.received import receptions_at
 from vcmvsp.cosim.terminal.live_table import GAP, LiveTable
-from vcmvsp.cosim.types import Halted, Message, Presence, Reception, States, frozen
+from vcmvsp.cosim.types import RECEPTIONS, Halted, Message, Presence, Reception, States, frozen
 
 WIDE = 200
 
 
 def heard(vehicle: str, time_ns: int) -> Event:
     message = Message(sender="x", body={}, size_bytes=1)
-    return Event(f"{vehicle}/heard", time_ns, Reception(message=message, rssi_dbm=-50.0, sent_ns=time_ns, received_ns=time_ns))
+    reception = Reception(message=message, rssi_dbm=-50.0, sent_ns=time_ns, received_ns=time_ns)
+    return Event(RECEPTIONS, time_ns, receptions_at(vehicle, [reception], (vehicle,)))
 
 
 def table_of(*events: Event, **agents: str) -> LiveTable:

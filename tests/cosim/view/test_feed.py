@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import vcmvsp
-from tests.support.cosim.feeds import NAMES, Counted, Reader, at, frame_of, reception
+from tests.support.cosim.feeds import NAMES, Counted, Reader, at, frame_of, receptions
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import quaternion_from_yaw
@@ -69,7 +69,7 @@ def test_of_everything_the_newest_is_shown(reader: Reader) -> None:
         reader.on(k, "world/states", at(float(k)))
         reader.on(k, "a/follows", Follows(leader="b", slot=(float(k), 0.0)))
         reader.on(k, "a/note", Note(values={"k": float(k), f"only{k}": True}))
-        reader.on(k, "a/heard", reception(k))
+        reader.on(k, "radio/receptions", receptions(k))
         reader.on(k, "radio/frame", frame_of(k, "a", {"b": k, "c": None}))
         reader.on(k, "a/command", Velocity())
     reader.wait()

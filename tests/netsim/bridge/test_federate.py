@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.types import Array, Datagrams, Message, Reception, States, Traffic
+from vcmvsp.cosim.received import receptions_at
+from vcmvsp.cosim.types import RECEPTIONS, Array, Datagrams, Message, Reception, States, Traffic
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge import messages
 from vcmvsp.netsim.bridge.deliveries import Columns, Lateness
@@ -186,14 +187,18 @@ class Levels:
         return self.dbm
 
 
+def heard_by_b(message: Message, at_ns: int) -> Event:
+    reception = Reception(message=message, rssi_dbm=0.0, sent_ns=MS, received_ns=at_ns)
+    return Event(RECEPTIONS, at_ns, receptions_at("b", [reception], ("a", "b")))
+
+
 def test_what_an_agent_says_that_no_datagram_holds_is_counted() -> None:
     bridge, process, _ = made(agents=True)
     process.says = [messages.Counts(counts={"a": {"of the process": 1}}), messages.Counts(counts={"b": {"of the process": 2}})]
     bridge.poll(MS)
     for size in (LARGEST, LARGEST + 1, LARGEST + 2):
         message = Message(sender="a", body=bytes(size), size_bytes=4)
-        reception = Reception(message=message, rssi_dbm=0.0, sent_ns=MS, received_ns=3 * MS)
-        bridge.step(3 * MS, [Event("b/heard", 3 * MS, reception)])
+        bridge.step(3 * MS, [heard_by_b(message, 3 * MS)])
     assert [len(each.payload) for each in process.heard if isinstance(each, messages.AgentDatagram)] == [LARGEST]
     assert bridge.lateness["counts"] == {
         "a": {"of the process": 1},
@@ -233,7 +238,7 @@ def test_what_a_program_said_is_told_from_what_an_agent_said_though_it_is_the_sa
     bridge.poll(MS)
     sent(bridge, MS)
     message = Message(sender="a", body=b"same", size_bytes=4)
-    heard = Event("b/heard", 3 * MS, Reception(message=message, rssi_dbm=0.0, sent_ns=MS, received_ns=3 * MS))
+    heard = heard_by_b(message, 3 * MS)
     number = np.zeros(1, np.int64)
     traffic = Traffic(
         reports=(),
@@ -249,7 +254,7 @@ def test_what_a_program_said_is_told_from_what_an_agent_said_though_it_is_the_sa
     bridge.step(3 * MS, [heard])
     (spoken,) = [each for each in process.heard if isinstance(each, messages.AgentDatagram)]
     assert (spoken.sender, spoken.receiver, spoken.payload) == (0, 1, b"same")
-    bridge.step(4 * MS, [Event("b/heard", 4 * MS, msgspec.structs.replace(heard.value, received_ns=4 * MS))])
+    bridge.step(4 * MS, [heard_by_b(message, 4 * MS)])
     assert len([each for each in process.heard if isinstance(each, messages.AgentDatagram)]) == 2
 
 

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.cosim.receptions import receptions_in
 from tests.support.netsim.bridge_runs import BROADCAST, BridgeRun, all_of, running, until_each_of, wait_for, what_is_there
 from tests.support.netsim.gateway_context import PATIENCE_S
 from vcmvsp.cosim.clock import SECOND_NS, WallClock
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event, Releasable, RunInfo, Slot, Step
-from vcmvsp.cosim.types import Message, Reception
+from vcmvsp.cosim.types import Message
 from vcmvsp.cosim.util.codec import encode
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
@@ -152,7 +153,7 @@ class Agents:
     """Says something in the name of vehicles, ten times a second, so many times, and keeps what they hear."""
 
     name, slot, wake_slot = "agents", Slot.AGENT, Slot.AGENT
-    reads: tuple[str, ...] = ("*/heard",)
+    reads: tuple[str, ...] = ("radio/receptions",)
     latest: tuple[str, ...] = ()
     wakes: tuple[str, ...] = ()
 
@@ -182,11 +183,9 @@ def test_programs_and_agents_hear_each_other_and_nothing_twice() -> None:
 
     def by_agents() -> list[tuple[str, str, bytes]]:
         return [
-            (event.key, event.value.message.sender, event.value.message.body)
-            for event in agents.heard
-            if isinstance(event.value, Reception)
-            and event.value.message.sender == "a"
-            and isinstance(event.value.message.body, bytes)
+            (vehicle, each.message.sender, each.message.body)
+            for vehicle, each in receptions_in(agents.heard)
+            if each.message.sender == "a" and isinstance(each.message.body, bytes)
         ]
 
     with run.program(1) as b, run.program(2) as c:
@@ -200,7 +199,7 @@ def test_programs_and_agents_hear_each_other_and_nothing_twice() -> None:
     assert [each for each in heard_b if each in own] == own
     assert {each for each in heard_b if each not in own} == {said}
     assert heard_c.count(b"one") == heard_c.count(b"two") == heard_c.count(b"") == 1
-    assert sorted(by_agents()) == sorted((f"{name}/heard", "a", each) for name in "bc" for each in own if each)
+    assert sorted(by_agents()) == sorted((name, "a", each) for name in "bc" for each in own if each)
 
 
 def test_what_agents_said_is_delivered_once_for_each_time_that_it_was_heard() -> None:

@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import ks_2samp
 
+from tests.support.cosim.receptions import receptions_in
 from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
-from vcmvsp.cosim.types import FrameReport, Message, Reception, States
+from vcmvsp.cosim.types import FrameReport, Message, States
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.federate import RadioFederate
@@ -229,12 +230,9 @@ def test_the_federate_is_stepped_twice_a_frame_and_hears_at_its_end() -> None:
         reports, due = [], step.next_ns
         while due is not None:
             step, steps = radio.step(due, []), steps + 1
-            for event in step.events:
-                if isinstance(event.value, Reception):
-                    assert event.time_ns == event.value.received_ns >= due
-                    assert event.value.sent_ns == now
-                else:
-                    reports.append(event.value)
+            for _, reception in receptions_in(step.events):
+                assert (reception.sent_ns, reception.received_ns) == (now, due)
+            reports += [event.value for event in step.events if isinstance(event.value, FrameReport)]
             due = step.next_ns
         assert len(reports) == 6
     assert steps <= 50 * 6 * 2

@@ -11,6 +11,7 @@ from tests.support.agents.agent_loop import received
 from vcmvsp.agents.formation.aerial import told
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.received import ReceivedMessages
 from vcmvsp.cosim.types import Reception, Scan, Vec3, VehicleState, Velocity
 
 T = 0.1
@@ -33,7 +34,8 @@ class Uav:
             attitude=quaternion_from_yaw(self.yaw),
             angular_velocity=(0.0, 0.0, self.yaw_rate),
         )
-        return Observation(vehicle="me", time_ns=time_ns, state=state, readings=readings, heard=tuple(heard))
+        received = ReceivedMessages.of(heard, time_ns)
+        return Observation(vehicle="me", time_ns=time_ns, state=state, readings=readings, heard=received)
 
     def move(self, command: Velocity) -> None:
         self.velocity, self.yaw_rate = command.linear, command.yaw_rate

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import arc, quaternion_from_yaw
+from vcmvsp.cosim.received import ReceivedMessages
 from vcmvsp.cosim.types import Follows, Message, Reception, VehicleState, Velocity
 
 Floats = NDArray[np.float64]
@@ -52,7 +53,8 @@ def observe(pose: Pose, time_ns: int, heard: Sequence[Reception] = (), *, v: flo
         attitude=quaternion_from_yaw(yaw),
         angular_velocity=(0.0, 0.0, w),
     )
-    return Observation(vehicle="me", time_ns=time_ns, state=state, readings={}, heard=tuple(heard))
+    messages = ReceivedMessages.of(heard, time_ns)
+    return Observation(vehicle="me", time_ns=time_ns, state=state, readings={}, heard=messages)
 
 
 def received(message: Message) -> Reception:

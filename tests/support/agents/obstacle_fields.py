@@ -154,9 +154,7 @@ def seen_from(pose: Pose, scan: Scan | None, tick: int, speed: float = 0.0) -> O
     state = VehicleState(
         position=(x, y, 0.0), attitude=quaternion_from_yaw(wrap(yaw)), velocity=(*rotate2(speed, 0.0, yaw), 0.0)
     )
-    return Observation(
-        vehicle="a", time_ns=tick * 10**8, state=state, readings={} if scan is None else {"scan": scan}, heard=()
-    )
+    return Observation(vehicle="a", time_ns=tick * 10**8, state=state, readings={} if scan is None else {"scan": scan})
 
 
 def sweep(

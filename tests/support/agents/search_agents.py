@@ -12,6 +12,7 @@ from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle
 from vcmvsp.agents.reconnaissance.search import Search
 from vcmvsp.cosim.agent import Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.received import ReceivedMessages
 from vcmvsp.cosim.types import Looks, Message, Reception, Vec3, VehicleState, Velocity
 
 T = 0.1
@@ -42,7 +43,7 @@ def looks(x: float, y: float, time_ns: int, rng: np.random.Generator | None = No
 
 def see(position: Vec3, time_ns: int, *heard: Reception, yaw: float = 0.0, **readings: Any) -> Observation:
     state = VehicleState(position=position, attitude=quaternion_from_yaw(yaw))
-    return Observation(vehicle="me", time_ns=time_ns, state=state, readings=readings, heard=heard)
+    return Observation(vehicle="me", time_ns=time_ns, state=state, readings=readings, heard=ReceivedMessages.of(heard, time_ns))
 
 
 @dataclass

@@ -11,7 +11,8 @@ import numpy as np
 from tests.support.cosim.recordings import frame, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.types import Later, Message, Reading, Reception, frozen
+from vcmvsp.cosim.received import receptions_at
+from vcmvsp.cosim.types import Later, Message, Reading, Reception, Receptions, frozen
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.feed import PERIOD_S, Feed
 from vcmvsp.cosim.view.messages import Craft, Obstacle, Pace, PageUpdate, Scenery
@@ -112,9 +113,10 @@ def frame_of(number: int, sender: str, received: dict[str, int | None]) -> Any:
     return frame(number, sender, number, received).value
 
 
-def reception(received_ns: int) -> Reception:
+def receptions(received_ns: int) -> Receptions:
     message = Message(sender="b", body={}, size_bytes=1)
-    return Reception(message=message, rssi_dbm=-50.0, sent_ns=received_ns - 1, received_ns=received_ns)
+    reception = Reception(message=message, rssi_dbm=-50.0, sent_ns=received_ns - 1, received_ns=received_ns)
+    return receptions_at("a", [reception], NAMES)
 
 
 class Counted:

@@ -23,7 +23,6 @@ from vcmvsp.cosim.types import (
     Presence,
     ProbabilityMap,
     RealStatus,
-    Reception,
     Scan,
     Sightings,
     States,
@@ -122,8 +121,9 @@ def seen(events: Sequence[Event], names: tuple[str, ...], time_ns: int) -> dict[
             known["states"] = value
         elif isinstance(value, Note):
             known["notes"].setdefault(vehicle, {}).update(value.values)
-        elif isinstance(value, Reception):
-            known["heard_ns"][vehicle] = event.time_ns
+        elif isinstance(value, FrameReport):
+            received = zip(value.receivers, value.received_ns.tolist(), strict=True)
+            known["heard_ns"] |= {receiver: event.time_ns for receiver, arrival_ns in received if arrival_ns >= 0}
         elif type(value) in NEWEST:
             known[NEWEST[type(value)]][event.key if isinstance(value, Scan | Image) else vehicle] = value
     return known

@@ -5,10 +5,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tests.support.cosim.receptions import receptions_in
 from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.kernel import Kernel
-from vcmvsp.cosim.types import FrameReport, Message, Reception, Routed, States, Traffic
+from vcmvsp.cosim.types import FrameReport, Message, Reception, Receptions, Routed, States, Traffic
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.netsim.routing.router import Routing
 
@@ -99,9 +100,12 @@ def run(
     kernel.start()
     kernel.run(events.append)
     kernel.close()
-    receptions = [(event.key.partition("/")[0], event.value) for event in events if isinstance(event.value, Reception)]
+    receptions = list(receptions_in(events))
     values: list[Any] = [event.value for event in events]
-    assert all(event.time_ns == event.value.received_ns for event in events if isinstance(event.value, Reception))
+    told_ns = [event.time_ns for event in events if isinstance(event.value, Receptions) for _ in event.value.receiver]
+    arrival_ns = [each.received_ns for _, each in receptions]
+    assert all(told <= arrived for told, arrived in zip(told_ns, arrival_ns, strict=True))
+    assert router is None or told_ns == arrival_ns
     return Run(
         [each for each in values if isinstance(each, FrameReport)],
         [Heard(name, each.message.sender, each.sent_ns, each.received_ns) for name, each in receptions],

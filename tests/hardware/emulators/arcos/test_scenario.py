@@ -157,7 +157,7 @@ class Stage:
         told = None
         for _ in range(round(seconds / PERIOD_S)):
             self.time_ns += round(PERIOD_S * 1e9)
-            seen = Observation(vehicle="car", time_ns=self.time_ns, state=state, readings=readings, heard=())
+            seen = Observation(vehicle="car", time_ns=self.time_ns, state=state, readings=readings)
             told = self.agent.act(seen, Radio("car", ("car",)))
         assert told is not None
         return told.linear[0], told.yaw_rate

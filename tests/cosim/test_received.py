@@ -1,0 +1,141 @@
+"""Mailboxes hand over what has arrived by a tick, in order of arrival; columns and items of what an agent hears agree."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.received import Mailboxes, ReceivedMessages, pruned
+from vcmvsp.cosim.types import Message, Reception, Receptions, frozen
+
+NAMES = ("a", "b", "c", "d")
+
+
+def message(number: int) -> Message:
+    return Message(sender=NAMES[number % 4], body={"number": number}, size_bytes=9)
+
+
+def random_batch(rng: np.random.Generator, first: int, sent_ns: int, longest_ns: int) -> Receptions:
+    """Some messages of one instant with some receptions, in the order of the frames."""
+    count = int(rng.integers(1, 5))
+    rows = np.sort(rng.integers(count, size=int(rng.integers(0, 9))))
+    return Receptions(
+        names=NAMES,
+        messages=tuple(message(first + number) for number in range(count)),
+        sent_ns=np.full(count, sent_ns),
+        message=rows.astype(np.int32),
+        receiver=rng.integers(4, size=len(rows)).astype(np.int32),
+        arrival_ns=sent_ns + rng.integers(1, longest_ns, size=len(rows)),
+        rssi_dbm=rng.uniform(-90.0, -40.0, len(rows)),
+    )
+
+
+def one_by_one(batch: Receptions) -> list[tuple[str, Reception]]:
+    columns = (batch.message, batch.receiver, batch.arrival_ns, batch.rssi_dbm)
+    return [
+        (
+            NAMES[receiver],
+            Reception(
+                message=batch.messages[number],
+                rssi_dbm=rssi_dbm,
+                sent_ns=int(batch.sent_ns[number]),
+                received_ns=arrival_ns,
+            ),
+        )
+        for number, receiver, arrival_ns, rssi_dbm in zip(*(each.tolist() for each in columns), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("longest_ns", [2, 5, 40])
+@pytest.mark.parametrize("owners", [NAMES, ("b", "d")])
+def test_each_message_is_handed_over_once_at_the_first_tick_after_its_arrival_in_order(
+    owners: Sequence[str], longest_ns: int
+) -> None:
+    rng = np.random.default_rng(longest_ns)
+    mail, waiting, handed = Mailboxes(NAMES, owners), list[tuple[str, Reception]](), 0
+    for now_ns in range(0, 3000, 5):
+        for sent_ns in range(now_ns, now_ns + 5, 2):
+            batch = random_batch(rng, now_ns, sent_ns, longest_ns)
+            mail.put(batch)
+            waiting += [each for each in one_by_one(batch) if each[0] in owners]
+        due = [name for name in owners if rng.random() < 0.7]
+        arrived = [each for each in waiting if each[0] in due and each[1].received_ns <= now_ns]
+        waiting = [each for each in waiting if each not in arrived]
+        by_arrival = sorted(arrived, key=lambda each: each[1].received_ns)  # a stable sort
+        expected = {name: [each for owner, each in by_arrival if owner == name] for name in due}
+        got = mail.open(now_ns, due)
+        assert {name: list(each) for name, each in got.items()} == {name: own for name, own in expected.items() if own}
+        handed += len(arrived)
+    assert handed > 1000
+
+
+def test_what_waits_keeps_no_message_that_nobody_waits_for() -> None:
+    mail = Mailboxes(NAMES, NAMES)
+    for now_ns in range(0, 1000, 10):  # each message arrives 25 ns after it was sent, so that some always wait
+        batch = random_batch(np.random.default_rng(now_ns), now_ns, now_ns, 2)
+        count = len(batch.receiver)
+        mail.put(
+            Receptions(
+                names=NAMES,
+                messages=batch.messages,
+                sent_ns=batch.sent_ns,
+                message=batch.message,
+                receiver=batch.receiver,
+                arrival_ns=np.full(count, now_ns + 25),
+                rssi_dbm=batch.rssi_dbm,
+            )
+        )
+        mail.open(now_ns)
+        assert sum(len(each.messages) for each in mail._waiting) <= 4 * 4
+
+
+def received() -> ReceivedMessages:
+    batch = Receptions(
+        names=NAMES,
+        messages=tuple(map(message, range(6))),
+        sent_ns=frozen([10, 20, 30, 30, 25, 30], np.int64),
+        message=frozen([5, 0, 4, 1, 3, 2], np.int32),
+        receiver=frozen([1] * 6, np.int32),
+        arrival_ns=frozen([41, 42, 43, 44, 45, 46], np.int64),
+        rssi_dbm=frozen(range(-60, -54), np.float64),
+    )
+    mail = Mailboxes(NAMES, NAMES)
+    mail.put(batch)
+    return mail.open(50)["b"]
+
+
+def test_columns_say_what_the_items_say() -> None:
+    heard = received()
+    assert heard.senders == tuple(each.message.sender for each in heard) == ("b", "a", "a", "b", "d", "c")
+    assert heard.rssi_dbm.tolist() == [each.rssi_dbm for each in heard]
+    assert heard.sent_ns.tolist() == [each.sent_ns for each in heard]
+    assert heard.received_ns.tolist() == [each.received_ns for each in heard]
+    assert heard.age_s.tolist() == [(50 - each.sent_ns) / 1e9 for each in heard]
+
+
+def test_the_latest_of_a_sender_is_the_one_that_it_sent_last() -> None:
+    numbers = {sender: each.message.body["number"] for sender, each in received().latest_by_sender().items()}  # type: ignore[call-overload]
+    assert numbers == {"b": 5, "a": 4, "d": 3, "c": 2}
+
+
+def test_an_item_is_the_same_object_however_it_is_reached() -> None:
+    heard = received()
+    last = heard[-1]
+    assert heard[5] is last is list(heard)[5] is heard[3:][2] is heard.latest_by_sender()["c"]
+    with pytest.raises(IndexError):
+        heard[6]
+
+
+def test_a_sequence_of_given_items_has_the_same_columns() -> None:
+    heard = received()
+    again = ReceivedMessages.of(list(heard), 50)
+    assert again == heard
+    assert (again.senders, again.age_s.tolist()) == (heard.senders, heard.age_s.tolist())
+    assert not ReceivedMessages.none(0)
+
+
+def test_a_pruned_batch_has_the_same_receptions() -> None:
+    batch = random_batch(np.random.default_rng(3), 0, 5, 9)
+    some = pruned(batch)
+    assert one_by_one(some) == one_by_one(batch)
+    assert set(map(id, some.messages)) == {id(batch.messages[number]) for number in batch.message.tolist()}
