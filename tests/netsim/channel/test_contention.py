@@ -58,15 +58,20 @@ def play(channel: Channel, offers: list[Offer], cuts: list[int], names: tuple[st
     return reports + channel.advance(10**13)
 
 
+JAMMER = {"sources": [{"power_dbm": -10.0, "position": [60.0, 20.0, 0.0]}]}
+STEADY: dict[str, Any] = {"jammer": JAMMER, "fading": {"kind": "none"}}
+
+
 @pytest.mark.parametrize(("preset", "mac"), MACS)
 @settings(max_examples=15)
-@given(offers=OFFERS, cuts=st.lists(st.integers(0, 200_000), max_size=10))
+@given(offers=OFFERS, cuts=st.lists(st.integers(0, 200_000), max_size=10), changes=st.sampled_from([{}, STEADY]))
 def test_every_frame_is_reported_once_however_the_channel_is_advanced(
-    preset: str, mac: str, offers: list[Offer], cuts: list[int]
+    preset: str, mac: str, offers: list[Offer], cuts: list[int], changes: dict[str, Any]
 ) -> None:
-    whole = play(contended(preset, mac), offers, [])
+    """With levels that are others at every attempt, and with levels that stay."""
+    whole = play(contended(preset, mac, **changes), offers, [])
     assert sorted(report.frame for report in whole) == list(range(len(offers)))
-    assert encode(play(contended(preset, mac), offers, cuts)) == encode(whole)
+    assert encode(play(contended(preset, mac, **changes), offers, cuts)) == encode(whole)
 
 
 @pytest.mark.parametrize(("preset", "mac"), MACS)
@@ -78,21 +83,6 @@ def test_one_who_is_out_of_reach_changes_nothing(preset: str, mac: str) -> None:
     for a, b in zip(few, many, strict=True):
         assert (a.frame, a.received_ns.tolist(), a.outcome) == (b.frame, b.received_ns[:-1].tolist(), b.outcome[:-1])
         assert np.array_equal(a.rssi_dbm, b.rssi_dbm[:-1])
-
-
-@pytest.mark.parametrize(("preset", "delay_us"), [("wifi-b-1", 1330), ("wifi-b-11", 341), ("wifi-g-6", 264)])
-def test_alone_on_the_air(preset: str, delay_us: int) -> None:
-    """DIFS and air time of 100 bytes; ns-3.44 has the same."""
-    channel = make_channel(preset, mac={"kind": "dcf"})
-    message = Message(sender="car0", body={}, size_bytes=100)
-    assert channel.send(100 * MS, message, NAMES[:2], PLACES[:2]) == []
-    assert channel.advance(100 * MS) == []
-    due = channel.next_ns()
-    assert due == (100_000 + delay_us) * 1000
-    (report,) = channel.advance(due)
-    assert report.received_ns.tolist() == [due]
-    assert (report.queue_ns, report.access_ns + report.air_time_ns) == (0, delay_us * 1000)
-    assert channel.next_ns() is None
 
 
 def test_a_radio_of_its_own_sensitivity_hears_more() -> None:

@@ -159,26 +159,6 @@ def test_nothing_is_decided_before_it_was_foretold(preset: str, mac: str, offers
     assert sorted(report.frame for report in reports) == list(range(len(offers)))
 
 
-@pytest.mark.parametrize(("preset", "mac"), MACS[1:])
-def test_retries_at_levels_that_do_not_change(preset: str, mac: str) -> None:
-    """However the channel is advanced, jammed or not."""
-    jammer = {"sources": [{"power_dbm": -10.0, "position": [60.0, 20.0, 0.0]}]}
-    whole = play(channel(preset, mac, jammer=jammer), unicast=True, frames=120)
-    air, fine = channel(preset, mac, jammer=jammer), []
-    rng = np.random.default_rng(6)
-    times = np.sort(rng.integers(0, 300 * MS, 120)).tolist()
-    senders, hops = rng.integers(0, 5, 120).tolist(), rng.integers(1, 5, 120).tolist()
-    now = 0
-    for at_ns, sender, hop in zip(times, senders, hops, strict=True):
-        while now < at_ns:
-            now = min(at_ns, now + MS // 3)
-            fine += air.advance(now)
-        message = Message(sender=NAMES[sender], body={}, size_bytes=90, to=NAMES[(sender + hop) % 5])
-        fine += air.send(at_ns, message, NAMES, PLACES)
-    fine += air.advance(10**12)
-    assert encode(sorted(fine, key=lambda report: report.frame)) == encode(whole)
-
-
 @pytest.mark.parametrize("path_loss", ["log_distance", "friis", "none"])
 @pytest.mark.parametrize(("preset", "mac"), MACS)
 def test_who_moves_and_sends_together_fares_as_each_for_itself(

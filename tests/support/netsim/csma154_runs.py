@@ -64,18 +64,6 @@ class World:
         """By attempt and radio."""
         return np.random.default_rng((number, 7)).standard_exponential((40, self.count))
 
-    def step(self) -> dict[int, Decided]:
-        """From one foretold time to the next: frames are decided at such times, and no other."""
-        found = {}
-        last = -1
-        while (time_ns := self.medium.next_ns()) is not None:
-            assert time_ns > last
-            last = time_ns
-            for each in self.medium.advance(time_ns):
-                assert each.end_ns == time_ns
-                found[each.number] = each
-        return found
-
     def finish(self) -> dict[int, Decided]:
         decided = self.medium.advance(10**12)
         assert [each.end_ns for each in decided] == sorted(each.end_ns for each in decided)

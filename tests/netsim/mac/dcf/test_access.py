@@ -160,20 +160,6 @@ def test_a_higher_priority_goes_first_and_equal_ones_in_their_order() -> None:
     assert [each.number for each in decided] == [2, 4, 3, 0, 1, 5]  # none had begun
 
 
-def test_levels_are_asked_for_when_a_frame_begins() -> None:
-    asked = []
-
-    def renew(attempt: int, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
-        asked.append((attempt, start_ns))
-        return all_equal(2), np.full(2, np.inf)
-
-    offered = frame(7, LATER, 0, all_equal(2))
-    lazy = type(offered)(7, LATER, 0, -1, 100, 0, None, None, renew)
-    (decided,) = run(open_air(2), [lazy], 1000 * MS)
-    assert asked == [(0, LATER + DIFS)]
-    assert decided.fate[1] == Fate.RECEIVED
-
-
 def test_only_the_phys_of_802_11_have_a_dcf() -> None:
     with pytest.raises(ScenarioError, match=r"dcf .* IEEE 802.11 and needs phy dsss or ofdm, not Ieee802154"):
         Dcf().open(Ieee802154(), 2, np.zeros(2, np.uint64), 1e-9)
@@ -220,18 +206,6 @@ def test_interference_counts_only_while_it_lasts() -> None:
     assert second.fate[1] == Fate.COLLISION  # the receiver was busy with the first
 
 
-def test_causes() -> None:
-    noise = 10 ** (Dsss().noise_dbm / 10)
-    too_weak, at_6_db = 10**-8.21, 4.0 * noise
-    deaf_to_it = run(open_air(2), [frame(0, LATER, 0, np.array([0, too_weak]))], 1000 * MS)
-    assert deaf_to_it[0].fate[1] == Fate.UNDETECTED
-    phy = Dsss(11e6, sensitivity_dbm=-100.0)
-    hazard = float(phy.errors.hazard(np.array([4.0]))[0]) * 1088
-    for patience, fate in ((0.5 * hazard, Fate.ERROR), (2.0 * hazard, Fate.RECEIVED)):
-        (decided,) = run(open_air(2, phy), [frame(0, LATER, 0, np.array([0, at_6_db]), patience=patience)], 1000 * MS)
-        assert decided.fate[1] == fate
-
-
 def test_of_frames_that_begin_together_the_stronger_is_received() -> None:
     loud, soft = np.array([0, STRONG, STRONG]), np.array([STRONG, 0, STRONG / 10])
     for first, second in ((soft, loud), (loud, soft)):
@@ -274,14 +248,6 @@ def test_frames_of_two_sizes_go_by_the_curves_of_their_sizes() -> None:
 ACK = 304 * US  # 14 bytes at 1 Mbit/s
 SIFS = 10 * US
 TIMEOUT = (10 + 20 + 192) * US  # SIFS, slot, preamble and header
-
-
-def test_a_unicast_frame_is_acknowledged() -> None:
-    (decided,) = run(open_air(3), [frame(0, LATER, 0, all_equal(3), to=2)], 1000 * MS)
-    assert decided.start_ns == LATER + DIFS
-    assert decided.end_ns == LATER + DIFS + AIR
-    assert decided.fate[2] == Fate.RECEIVED
-    assert decided.attempts == 1
 
 
 @pytest.mark.parametrize(

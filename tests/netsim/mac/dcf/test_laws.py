@@ -21,21 +21,6 @@ from vcmvsp.netsim.phy.ofdm import Ofdm
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("phy", PHYS, ids=str)
-@pytest.mark.parametrize("seed", range(5))
-def test_every_frame_is_decided_once_or_waits(phy: Dsss | Ofdm, seed: int) -> None:
-    frames = mixed(seed)
-    for until in (20 * MS, 50 * MS, UNTIL):
-        medium = open_air(6, phy, seed=seed)
-        decided = run(medium, [each for each in frames if each.time_ns <= until], until)
-        later = list(medium.advance(UNTIL))
-        assert sorted(each.number for each in [*decided, *later]) == [each.number for each in frames if each.time_ns <= until]
-        assert [each.end_ns for each in decided] == sorted(each.end_ns for each in decided)
-        assert all(each.end_ns <= until for each in decided)
-        assert all(each.end_ns > until for each in later)
-        assert medium.next_ns() is None
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_received_took_its_time_and_a_radio_sends_one_frame_at_a_time(seed: int) -> None:
     phy, frames = Dsss(11e6), mixed(seed, frames=200)
@@ -75,11 +60,17 @@ def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch, seed: int) -> Non
 
 
 @settings(max_examples=25)
-@given(cuts=st.lists(st.integers(0, 80 * MS), max_size=40), seed=st.integers(0, 9), peek=st.booleans())
-def test_steps_do_not_matter(cuts: list[int], seed: int, peek: bool) -> None:
+@given(
+    phy=st.sampled_from(PHYS), cuts=st.lists(st.integers(0, 80 * MS), max_size=40), seed=st.integers(0, 9), peek=st.booleans()
+)
+def test_every_frame_is_decided_once_in_its_step_however_time_is_cut(
+    phy: Dsss | Ofdm, cuts: list[int], seed: int, peek: bool
+) -> None:
     frames = mixed(seed, frames=40)
-    whole = run(open_air(6, seed=seed), frames, UNTIL)
-    medium = open_air(6, seed=seed)
+    whole = run(open_air(6, phy, seed=seed), frames, UNTIL)
+    assert sorted(each.number for each in whole) == list(range(40))
+    assert [each.end_ns for each in whole] == sorted(each.end_ns for each in whole)
+    medium, last = open_air(6, phy, seed=seed), -1
     decided: list[Decided] = []
     offered = 0
     for cut in [*sorted(cuts), UNTIL]:
@@ -89,8 +80,11 @@ def test_steps_do_not_matter(cuts: list[int], seed: int, peek: bool) -> None:
             if peek:
                 medium.next_ns()
         offered = max(offered, upto)
-        decided += medium.advance(cut)
+        now = list(medium.advance(cut))
+        assert all(last < each.end_ns <= cut for each in now)
+        decided, last = decided + now, cut
     assert bytes_of(decided) == bytes_of(whole)
+    assert medium.next_ns() is None
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -131,17 +125,6 @@ def test_for_broadcasts_in_one_domain_next_is_exact() -> None:
             idle += not more
     assert idle == 0
     assert len(decided) > 90
-
-
-def test_radios_that_nobody_hears_change_nothing_for_others() -> None:
-    """Each radio's backoffs are its own, whatever and whenever others send."""
-    levels = np.zeros((4, 4))
-    levels[:2, :2] = 1e-6
-    frames = [each for each in periodic(levels, 300.0, 200 * MS) if each.sender < 2]
-    strangers = [each for each in periodic(levels, 300.0, 200 * MS) if each.sender >= 2]
-    alone = run(open_air(4), frames, UNTIL)
-    together = run(open_air(4), sorted([*frames, *strangers], key=lambda one: one.time_ns), UNTIL)
-    assert bytes_of([each for each in together if each.number in {one.number for one in frames}]) == bytes_of(alone)
 
 
 @settings(max_examples=15)
