@@ -27,7 +27,6 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import msgspec
-import tomli_w
 
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.provenance import Source
@@ -35,7 +34,7 @@ from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.processes.child_process import ending
 from vcmvsp.cosim.types import Name
 from vcmvsp.cosim.util import limits
-from vcmvsp.cosim.util.documents import read_toml
+from vcmvsp.cosim.util.documents import read_toml, toml_line
 
 HERE = (sys.executable, "-P", "-m", "vcmvsp.cosim.cli.app")
 
@@ -90,7 +89,7 @@ class HostTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             insecure: dial without a certificate.
         """
         words = ["agent", *(f"--vehicle={vehicle}" for vehicle in self.vehicles), f"--connect={connect}", *code]
-        words += [f"--set={key}={toml(value)}" for key, value in self.set.items()]
+        words += [f"--set={key}={toml_line(value)}" for key, value in self.set.items()]
         words += ["--insecure"] if insecure else []
         return words
 
@@ -145,19 +144,6 @@ def _fault(host: HostTable, names: Mapping[str, int], hosted: Mapping[str, str])
     if not host.words or not host.words[0]:
         return "command", "must name a program"
     return None
-
-
-def toml(value: object) -> str:
-    """A value in one line of TOML, for ``--set``."""
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_scalar(str(key))} = {toml(each)}" for key, each in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(toml, value)) + "]"
-    return _scalar(value)
-
-
-def _scalar(value: object) -> str:
-    return tomli_w.dumps({"v": value}).removeprefix("v = ").rstrip("\n")
 
 
 def ssh(destination: str, options: Sequence[str] = ()) -> list[str]:

@@ -2,12 +2,10 @@
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import date, datetime, time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
-import tomli_w
 
 from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, cell, page
 from vcmvsp.cosim.report.run_page import FILE
@@ -15,6 +13,7 @@ from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.studies.plan import Plan
 from vcmvsp.cosim.studies.store import PLAN, so_far
 from vcmvsp.cosim.studies.summary import summarise, to_csv
+from vcmvsp.cosim.util.documents import toml_line
 from vcmvsp.cosim.util.files import write_whole
 
 if TYPE_CHECKING:
@@ -100,24 +99,9 @@ def command_of(plan: Plan) -> str:
 
 def toml_of(value: object) -> str:
     """A value as ``--set`` and ``--vary`` read it."""
-    if isinstance(value, str):
-        plain = value.replace("_", "").replace("-", "").isalnum() and loader.value_of(value) == value
-        return value if plain else _quoted(value)
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_quoted(str(key))} = {_inside(each)}" for key, each in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_inside(each) for each in value) + "]"
-    if isinstance(value, bool | int | float | date | datetime | time):
-        return tomli_w.dumps({"value": value}).removeprefix("value = ").strip()
-    return str(value)
-
-
-def _inside(value: object) -> str:
-    return _quoted(value) if isinstance(value, str) else toml_of(value)
-
-
-def _quoted(text: str) -> str:
-    return tomli_w.dumps({"value": text}).removeprefix("value = ").strip()
+    if isinstance(value, str) and value.replace("_", "").replace("-", "").isalnum() and loader.value_of(value) == value:
+        return value
+    return toml_line(value)
 
 
 def _page(table: pa.Table, summary: pa.Table, plan: Plan, drawings: Mapping[str, str], *, repeatable: bool) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import msgspec
+import tomli_w
 
 from vcmvsp.cosim.util import limits
 
@@ -38,6 +39,15 @@ def read_toml(text: str) -> dict[str, Any]:
         raise ValueError("a whole number has thousands of digits") from None
     check_depth(content)
     return content
+
+
+def toml_line(value: object) -> str:
+    """A value in one line of TOML, as ``--set`` reads it."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{toml_line(str(key))} = {toml_line(each)}" for key, each in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_line, value)) + "]"
+    return tomli_w.dumps({"value": value}).removeprefix("value = ").rstrip("\n")
 
 
 def read_json(data: bytes | str, kind: Any = Any, *, limit: int = limits.JSON_BYTES) -> Any:

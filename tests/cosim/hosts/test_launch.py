@@ -27,6 +27,7 @@ from tests.support.cosim.teams import FOLLOWER, LEADER, team
 from vcmvsp.cosim.errors import VcmvspError
 from vcmvsp.cosim.hosts import ssh_hosts
 from vcmvsp.cosim.scenario.loader import settings_of
+from vcmvsp.cosim.util.documents import toml_line
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
@@ -117,7 +118,7 @@ def gone(pid_file: Path) -> bool:
 
 def table(machine: Machine, **more: Any) -> str:
     """A ``[[host]]`` on that machine."""
-    lines = [f"{name} = {ssh_hosts.toml(value)}" for name, value in {**more, "ssh_options": machine.options}.items()]
+    lines = [f"{name} = {toml_line(value)}" for name, value in {**more, "ssh_options": machine.options}.items()]
     return "\n".join(["[[host]]", f"ssh = {json.dumps(machine.ssh)}", *lines, ""])
 
 
@@ -401,4 +402,4 @@ VALUES = st.recursive(
 @given(VALUES)
 def test_a_value_is_read_back_as_it_was_written(value: Any) -> None:
     with contextlib.suppress(VcmvspError):
-        assert settings_of([f"key={ssh_hosts.toml(value)}"]) == {"key": value}
+        assert settings_of([f"key={toml_line(value)}"]) == {"key": value}
