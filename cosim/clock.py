@@ -61,6 +61,11 @@ class Ticks(msgspec.Struct, frozen=True, order=True):
         """The first tick later than ``now_ns``; ticks start at 0, so any negative time gives 0."""
         return self.at(max(0, -(-(now_ns + 1) * self.per // self.ns)))
 
+    def between(self, from_ns: int, to_ns: int) -> range:
+        """The k of the ticks with ``from <= t < to``."""
+        first, stop = (-(-max(0, bound) * self.per // self.ns) for bound in (from_ns, to_ns))
+        return range(first, stop)
+
     def hits(self, now_ns: int) -> bool:
         """Whether ``now_ns`` is the time of a tick."""
         return self.after(now_ns - 1) == now_ns

@@ -20,7 +20,7 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.metrics.radio import quantiles
 from vcmvsp.cosim.recording.recorded_run import radio_columns
-from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
+from vcmvsp.cosim.tables.columns import code_of, codes_of, names_of, nulls, numbers
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import Array
 
@@ -95,7 +95,7 @@ class Log:
         if name not in self._columns:
             if name == "under_way":
                 outcome, names = self.column("outcome"), self.names["outcome"]
-                self._columns[name] = outcome == (names.index(UNDER_WAY) if UNDER_WAY in names else -1)
+                self._columns[name] = outcome == code_of(names, UNDER_WAY)
             else:
                 self._columns[name] = self._whole(name)[self._order]
         return self._columns[name]
@@ -267,14 +267,14 @@ def links_of(radio: pa.Table, vehicles: Sequence[str]) -> Links:
     (senders, by), (receivers, to), (outcomes, outcome) = (names_of(radio, name) for name in ("sender", "receiver", "outcome"))
     names = tuple(dict.fromkeys((*vehicles, *senders, *receivers)))
     n = len(names)
-    code = _among(names, senders)[by] * n + _among(names, receivers)[to]
+    code = codes_of(names, senders)[by] * n + codes_of(names, receivers)[to]
 
     def count(chosen: Array, weights: Array | None = None) -> Array:
         found = np.bincount(code[chosen], None if weights is None else weights[chosen], minlength=n * n)
         return np.asarray(found).reshape(n, n)
 
     def of(word: str) -> Array:
-        return np.asarray(outcome == outcomes.index(word)) if word in outcomes else np.zeros(len(code), np.bool_)
+        return np.asarray(outcome == code_of(outcomes, word))
 
     on_air = numbers(radio, "air_time_ns") > 0
     aired = count(on_air)
@@ -288,11 +288,6 @@ def links_of(radio: pa.Table, vehicles: Sequence[str]) -> Links:
         count(of(RECEIVED)),
         count(of(UNDER_WAY)),
         level,
-        np.bincount(_among(names, senders)[by][np.diff(numbers(radio, "frame"), prepend=-1) != 0], minlength=n),
+        np.bincount(codes_of(names, senders)[by][np.diff(numbers(radio, "frame"), prepend=-1) != 0], minlength=n),
         {cause: lost for cause, lost in sorted(losses.items(), key=lambda each: -int(each[1].sum())) if lost.any()},
     )
-
-
-def _among(names: Sequence[str], some: Sequence[str]) -> Array:
-    number = {name: i for i, name in enumerate(names)}
-    return np.array([number[name] for name in some], np.int64)

@@ -92,19 +92,15 @@ def _of_agent(presences: Sequence[Presence], train: Ticks, end_ns: int, until_ns
         if presence.state == "back":
             late, reconnects = late + presence.late, reconnects + 1
             if gone_ns is not None:
-                missed, lost_ns = missed + _count(train, gone_ns, presence.since_ns), lost_ns + presence.since_ns - gone_ns
+                missed += len(train.between(gone_ns, presence.since_ns))
+                lost_ns += presence.since_ns - gone_ns
             gone_ns = None
         elif gone_ns is None:
             gone_ns = presence.since_ns
     if gone_ns is not None:
-        missed, lost_ns = missed + _count(train, gone_ns, until_ns), lost_ns + max(0, end_ns - gone_ns)
+        missed += len(train.between(gone_ns, until_ns))
+        lost_ns += max(0, end_ns - gone_ns)
     return {"late": late, "missed": missed, "reconnects": reconnects, "lost_s": lost_ns / SECOND_NS}
-
-
-def _count(train: Ticks, from_ns: int, to_ns: int) -> int:
-    """Number of ticks t with from <= t < to."""
-    first, stop = (-(-time_ns * train.per // train.ns) for time_ns in (from_ns, to_ns))
-    return max(0, stop - first)
 
 
 def hardware_metrics(

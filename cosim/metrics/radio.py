@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.metrics.motion import FOREVER_NS, Window, followers, stretches, window_ns
-from vcmvsp.cosim.tables.columns import names_of, numbers
+from vcmvsp.cosim.tables.columns import codes_of, names_of, numbers
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.tables.schema import Placement
 from vcmvsp.cosim.types import Array
@@ -61,16 +61,10 @@ def informed(radio: pa.Table, got: Receptions) -> Receptions:
     (origins, by), (destinations, only) = names_of(radio, "origin"), names_of(radio, "destination")
     by, only = by[rows], only[rows]
     told, anybody = np.array(origins) != "", np.array(destinations) == ""
-    meant = told[by] & (_codes(got.receivers, origins)[by] != got.to)
-    meant &= anybody[only] | (_codes(got.receivers, destinations)[only] == got.to)
+    meant = told[by] & (codes_of(got.receivers, origins)[by] != got.to)
+    meant &= anybody[only] | (codes_of(got.receivers, destinations)[only] == got.to)
     sent_ns = numbers(radio, "origin_sent_ns")[rows]
     return Receptions(got.receivers, origins, got.to[meant], by[meant], sent_ns[meant], got.received_ns[meant])
-
-
-def _codes(names: Sequence[str], others: Sequence[str]) -> Array:
-    """Index of each of the others among the names; -1: not among them."""
-    numbered = {name: number for number, name in enumerate(names)}
-    return np.array([numbered.get(each, -1) for each in others], np.int32)
 
 
 def radio_metrics(radio: pa.Table, ages: dict[str, float | None]) -> dict[str, Any]:
@@ -199,19 +193,14 @@ def _stretches(
 
 def _at_ticks(counted: Sequence[_Stretch], ticks: Mapping[str, Ticks], window: Window, end_ns: int) -> Array:
     begin, last = window_ns(window)
-    train_of = {train: _train(train, begin, min(last + 1, end_ns)) for train in dict.fromkeys(ticks.values())}
-    own = {receiver: train_of[train] for receiver, train in ticks.items()}
+    train_of: dict[Ticks, Array] = {}
+    for train in dict.fromkeys(ticks.values()):
+        train_of[train] = np.array([train.at(k) for k in train.between(begin, min(last + 1, end_ns))], np.int64)
     parts = [np.empty(0, np.int64)]
     for each in counted:
-        train = own[each.receiver]
-        parts.append(each.link.age_ns(train[train.searchsorted(each.begin_ns) : train.searchsorted(each.end_ns)]))
+        at_ns = train_of[ticks[each.receiver]]
+        parts.append(each.link.age_ns(at_ns[at_ns.searchsorted(each.begin_ns) : at_ns.searchsorted(each.end_ns)]))
     return np.concatenate(parts) / SECOND_NS
-
-
-def _train(ticks: Ticks, begin_ns: int, end_ns: int) -> Array:
-    """The ticks with ``begin <= t < end``."""
-    first, stop = (-(-max(0, bound) * ticks.per // ticks.ns) for bound in (begin_ns, end_ns))
-    return np.array([ticks.at(k) for k in range(first, stop)], np.int64)
 
 
 SPAN_NS = SECOND_NS  # time covered by one graph
@@ -232,11 +221,7 @@ def connectivity_metrics(got: Receptions, vehicles: Sequence[str], window: Windo
 
 def adjacency(got: Receptions, vehicles: Sequence[str], begin_ns: int, graphs: int) -> Array:
     """Adjacency of the vehicles in each of ``graphs`` seconds, in either direction: (graphs, n, n) bool."""
-    n, number = len(vehicles), {name: i for i, name in enumerate(vehicles)}
-    to, by = (
-        np.array([number[name] for name in names], np.int64)[codes]
-        for names, codes in ((got.receivers, got.to), (got.senders, got.by))
-    )
+    n, to, by = len(vehicles), codes_of(vehicles, got.receivers)[got.to], codes_of(vehicles, got.senders)[got.by]
     when = (got.received_ns - begin_ns) // SPAN_NS
     counted = (when >= 0) & (when < graphs)
     heard = np.zeros(graphs * n * n, np.bool_)

@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.radio import quantiles
-from vcmvsp.cosim.tables.columns import column, name_column, names_of, nulls, numbers
+from vcmvsp.cosim.tables.columns import code_of, column, name_column, names_of, nulls, numbers
 from vcmvsp.cosim.types import Array, Routed
 
 COLUMNS = ("origin", "destination", "origin_sent_ns", "origin_number", "message")
@@ -99,15 +99,11 @@ def unreached_s(radio: pa.Table, receiver: str, origin: str) -> Array:
     """Sending times (s) of messages meant for a vehicle that never reached it over any relay."""
     (origins, by), (destinations, to) = names_of(radio, "origin"), names_of(radio, "destination")
     (receivers, at), (fates, fate) = names_of(radio, "receiver"), names_of(radio, "message")
-    own, its = by == _code(origins, origin), (to == _code(destinations, "")) | (to == _code(destinations, receiver))
-    meant = own & its & (fate == _code(fates, "over"))
-    came = own & (at == _code(receivers, receiver)) & ~nulls(radio, "received_ns")
+    own, its = by == code_of(origins, origin), (to == code_of(destinations, "")) | (to == code_of(destinations, receiver))
+    meant = own & its & (fate == code_of(fates, "over"))
+    came = own & (at == code_of(receivers, receiver)) & ~nulls(radio, "received_ns")
     number, sent_ns = numbers(radio, "origin_number", null=-1), numbers(radio, "origin_sent_ns")
     lost_ns = np.full(1 + number.max(initial=-1), -1)  # by number
     lost_ns[number[meant]] = sent_ns[meant]
     lost_ns[number[came]] = -1
     return np.asarray(np.sort(lost_ns[lost_ns >= 0]) / SECOND_NS)
-
-
-def _code(names: Sequence[str], name: str) -> int:
-    return names.index(name) if name in names else -1

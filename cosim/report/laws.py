@@ -18,7 +18,7 @@ from vcmvsp.cosim.analysis.links import RECEIVED, Links
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.formation import SETTLED_M
 from vcmvsp.cosim.metrics.motion import Motion, Window, window_ns
-from vcmvsp.cosim.tables.columns import names_of, numbers
+from vcmvsp.cosim.tables.columns import code_of, names_of, numbers
 from vcmvsp.cosim.tables.schema import Placement, Recording
 from vcmvsp.cosim.types import Array
 
@@ -207,7 +207,7 @@ def _bounds_s(run: MeasuredRun) -> tuple[float, float] | None:
 
 def _received(run: MeasuredRun) -> Array:
     outcomes, outcome = names_of(run.recording.radio, "outcome")
-    return np.asarray(outcome == outcomes.index(RECEIVED)) if RECEIVED in outcomes else np.zeros(len(outcome), np.bool_)
+    return np.asarray(outcome == code_of(outcomes, RECEIVED))
 
 
 def _counted(run: MeasuredRun) -> Array:

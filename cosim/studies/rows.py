@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from vcmvsp.cosim.studies.plan import Plan, Run, label
-from vcmvsp.cosim.tables.columns import column
+from vcmvsp.cosim.tables.columns import as_bits, column, texts
 from vcmvsp.cosim.types import Array
 
 LOSSES = "radio.losses."
@@ -80,7 +80,7 @@ class Column:
 
     def texts(self) -> "pa.Array[Any]":
         """Arrow array of texts, also without any value."""
-        return strings([self._texts.get(row) for row in range(len(self._valid))])
+        return texts([self._texts.get(row) for row in range(len(self._valid))])
 
 
 def table_of(plan: Plan, answers: Mapping[str, bytes]) -> pa.Table:
@@ -110,7 +110,7 @@ def table_of(plan: Plan, answers: Mapping[str, bytes]) -> pa.Table:
         if name.startswith(LOSSES):
             metric.fill(succeeded, 0)  # a loss cause that did not occur
         columns[name] = metric.arrow()
-    columns["error"] = strings(errors)
+    columns["error"] = texts(errors)
     columns["digest"] = digest.texts()
     return pa.table(columns)
 
@@ -127,19 +127,6 @@ def answers_of(table: pa.Table, keys: Sequence[str], *, failed: bool = False) ->
     return answers
 
 
-def strings(values: Sequence[str | None]) -> "pa.Array[Any]":
-    """An Arrow array of texts."""
-    encoded = [(value or "").encode() for value in values]
-    offsets = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
-    valid = np.array([value is not None for value in values], np.bool_)
-    buffers: list[pa.Buffer | None] = [_bits(valid), pa.py_buffer(offsets.tobytes()), pa.py_buffer(b"".join(encoded))]
-    return pa.Array.from_buffers(pa.string(), len(values), buffers)
-
-
-def _bits(values: Array) -> pa.Buffer:
-    return pa.py_buffer(np.packbits(values, bitorder="little").tobytes())
-
-
 def _natural(name: str) -> list[Any]:
     """Sort key of a name: ``car2`` before ``car10``."""
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", name)]
@@ -149,9 +136,9 @@ def _varied(values: Sequence[Any], all_values: Sequence[Any]) -> "pa.Array[Any]"
     """Column of a varied key, of the type of all its values in the plan; text for mixed types, lists and tables."""
     kinds = {type(value) for value in all_values}
     if kinds == {bool}:
-        return pa.Array.from_buffers(pa.bool_(), len(values), [None, _bits(np.array(values, np.bool_))])
+        return pa.Array.from_buffers(pa.bool_(), len(values), [None, as_bits(np.array(values, np.bool_))])
     if kinds == {int}:
         return column(np.array(values, np.int64))
     if kinds <= {int, float}:
         return column(np.array(values, np.float64))
-    return strings([label(value) for value in values])
+    return texts([label(value) for value in values])

@@ -15,16 +15,27 @@ from vcmvsp.cosim.types import Array
 
 def column(values: Array, valid: Array | None = None) -> "pa.Array[Any]":
     """An Arrow array of the values, null where not valid."""
-    bits = None if valid is None else pa.py_buffer(np.packbits(valid, bitorder="little").tobytes())
+    bits = None if valid is None else as_bits(valid)
     return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [bits, pa.py_buffer(values.tobytes())])
 
 
 def name_column(names: Sequence[str], codes: Array) -> "pa.Array[Any]":
     """An Arrow array in which row i is ``names[codes[i]]``."""
-    encoded = [name.encode() for name in names]
+    return pa.DictionaryArray.from_arrays(column(codes), texts(names))
+
+
+def texts(values: Sequence[str | None]) -> "pa.Array[Any]":
+    """An Arrow array of texts, null for None."""
+    encoded = [(value or "").encode() for value in values]
     offsets = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
-    buffers = [None, pa.py_buffer(offsets.tobytes()), pa.py_buffer(b"".join(encoded))]
-    return pa.DictionaryArray.from_arrays(column(codes), pa.Array.from_buffers(pa.string(), len(names), buffers))
+    bits = as_bits(np.array([value is not None for value in values], np.bool_)) if None in values else None
+    buffers = [bits, pa.py_buffer(offsets.tobytes()), pa.py_buffer(b"".join(encoded))]
+    return pa.Array.from_buffers(pa.string(), len(values), buffers)
+
+
+def as_bits(values: Array) -> pa.Buffer:
+    """Truth values as bits."""
+    return pa.py_buffer(np.packbits(values, bitorder="little").tobytes())
 
 
 def numbers(table: pa.Table, name: str, null: float = 0) -> Array:
@@ -38,6 +49,17 @@ def names_of(table: pa.Table, name: str) -> tuple[tuple[str, ...], Array]:
     chunks: Any = table[name].unify_dictionaries().chunks
     names = tuple(str(value) for value in chunks[0].dictionary) if chunks else ()
     return names, joined([_numbers(chunk.indices, 0) for chunk in chunks], (0,), np.int32)
+
+
+def code_of(names: Sequence[str], name: str) -> int:
+    """Index of a name among the names; -1: not among them."""
+    return names.index(name) if name in names else -1
+
+
+def codes_of(names: Sequence[str], others: Sequence[str]) -> Array:
+    """Index of each of the others among the names, as `code_of`."""
+    numbered = {name: number for number, name in enumerate(names)}
+    return np.array([numbered.get(each, -1) for each in others], np.int64)
 
 
 def nulls(table: pa.Table, name: str) -> Array:
