@@ -1,7 +1,9 @@
 """Text output of `cosim.analysis.links` for a terminal."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Any
+
+from vcmvsp.cosim.util.text import aligned
 
 Row = Mapping[str, Any]
 _MATRIX = 12  # maximum number of vehicles in a matrix
@@ -15,7 +17,7 @@ def overview_text(rows: Sequence[Row], vehicles: Sequence[str]) -> str:
         ratio = {(row["sender"], row["receiver"]): _percent(row["delivery_ratio"]) for row in rows}
         lines = [["from \\ to", *vehicles]]
         lines += [[a, *(ratio.get((a, b), "-") for b in vehicles)] for a in vehicles if any((a, b) in ratio for b in vehicles)]
-        parts.append("delivered, %\n" + _table(lines))
+        parts.append("delivered, %\n" + _table(lines, range(1, 1 + len(vehicles))))
     head = ["link", "frames", "delivered %", "distance m", "level dBm", "longest gap s", "lost to"]
     lines = [head]
     for row in rows[:_LINKS]:
@@ -23,7 +25,7 @@ def overview_text(rows: Sequence[Row], vehicles: Sequence[str]) -> str:
         link = f"{row['sender']}/{row['receiver']}"
         figures = [_figure(row[name], digits) for name, digits in (("distance_m", 1), ("rssi_dbm", 1), ("longest_gap_s", 3))]
         lines.append([link, str(row["frames"]), _percent(row["delivery_ratio"]), *figures, losses])
-    parts.append(_table(lines, left=(0, 6)))
+    parts.append(_table(lines, range(1, 6)))
     if len(rows) > _LINKS:
         parts.append(f"... and {len(rows) - _LINKS} links that deliver more; --json has them all\n")
     return "\n".join(parts)
@@ -56,7 +58,7 @@ def link_text(link: Row) -> str:
     gap_s, from_s = receptions["longest_gap_s"], receptions["gap_from_s"]
     lines.append(["longest gap", "-" if gap_s is None else f"{gap_s:.3f} s, from {from_s:.3f} s on"])
     lines.append(["received", f"first at {_figure(receptions['first_s'], 3)} s, last at {_figure(receptions['last_s'], 3)} s"])
-    return f"{link['sender']} -> {link['receiver']}\n\n" + _table(lines, left=(0, 1))
+    return f"{link['sender']} -> {link['receiver']}\n\n" + _table(lines, ())
 
 
 def frame_text(frame: Row) -> str:
@@ -87,14 +89,11 @@ def frame_text(frame: Row) -> str:
         items.append((budget["floor"].removeprefix("the "), budget["floor_dbm"], "dBm", beside))
     lines = [[name, _figure(value, 2), unit if value is not None else "", note] for name, value, unit, note in items]
     head = f"frame {frame['frame']}, {frame['sender']} -> {frame['receiver']}, {frame['size_bytes']} bytes"
-    return f"{head}, sent at {frame['sent_s']:.3f} s\n\n{_table(lines, left=(0, 2, 3))}\n{frame['why']}\n"
+    return f"{head}, sent at {frame['sent_s']:.3f} s\n\n{_table(lines, (1,))}\n{frame['why']}\n"
 
 
-def _table(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    marks = ["<" if column in left else ">" for column in range(len(widths))]
-    lines = ["  ".join(map("{:{}{}}".format, row, marks, widths)) for row in rows]
-    return "".join(f"{line.rstrip()}\n" for line in lines)
+def _table(rows: Sequence[Sequence[str]], right: Container[int]) -> str:
+    return "".join(f"{line}\n" for line in aligned(rows, right))
 
 
 def _percent(share: float | None) -> str:

@@ -4,7 +4,7 @@ import contextlib
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 
 Tell = Callable[[str], None]
 """Shows a line to the user."""
@@ -29,11 +29,12 @@ def plain(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> str:
     return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
-def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
-    """Rows of cells as lines, with columns of equal width two spaces apart."""
+def aligned(rows: Iterable[Sequence[str]], right: Container[int] = ()) -> list[str]:
+    """Rows of cells as lines, with columns of equal width two spaces apart; the columns ``right`` end at their right."""
     listed = list(rows)
     widths = [max(map(len, column)) for column in zip(*listed, strict=True)]
-    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in listed]
+    marks = [">" if column in right else "<" for column in range(len(widths))]
+    return ["  ".join(map("{:{}{}}".format, row, marks, widths)).rstrip() for row in listed]
 
 
 @contextlib.contextmanager

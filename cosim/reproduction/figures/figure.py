@@ -11,6 +11,7 @@ from typing import Literal
 from vcmvsp.cosim.reproduction.row import Row
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.files import to_json
+from vcmvsp.cosim.util.text import aligned
 
 # "dots": many small markers; "pose": a track with its two ends
 Style = Literal["line", "dashed", "dotted", "thin", "markers", "dots", "hollow", "pose", "both"]
@@ -89,9 +90,4 @@ def table(figure: Figure) -> str:
     """The rows as an aligned text table, each marked ``ok`` or ``MISSED``."""
     lines: list[tuple[str, ...]] = [("case", "expected", "measured", "tolerance", "")]
     lines += [(*row.cells, "ok" if row.ok else "MISSED") for row in figure.rows]
-    first, *widths, _ = (max(map(len, column)) for column in zip(*lines, strict=True))
-    text = ""
-    for case, *numbers, verdict in lines:
-        cells = [case.ljust(first), *map(str.rjust, numbers, widths), verdict]
-        text += "  ".join(cells).rstrip() + "\n"
-    return text
+    return "".join(f"{line}\n" for line in aligned(lines, range(1, 4)))
