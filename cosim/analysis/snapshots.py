@@ -328,7 +328,11 @@ class Share(NamedTuple):
 
     def plus(self, *answers: bool) -> "Share":
         """The share with further answers."""
-        return Share(self.part + sum(answers), self.of + len(answers))
+        return self.joined(Share(sum(answers), len(answers)))
+
+    def joined(self, other: "Share") -> "Share":
+        """The share of both totals together."""
+        return Share(self.part + other.part, self.of + other.of)
 
 
 NONE = Share(0, 0)
@@ -351,10 +355,8 @@ class Rates:
         """Count a picture. A target outside the examined area counts only if it is recognised."""
         held = [each.cell for each in taken.targets if each.cell is not None]
         there = np.isin(taken.cells, held)
-        self.p, self.q = (
-            Share(old.part + int(taken.hits[cells].sum()), old.of + int(cells.sum()))
-            for old, cells in ((self.p, there), (self.q, ~there))
-        )
+        self.p = self.p.plus(*taken.hits[there].tolist())
+        self.q = self.q.plus(*taken.hits[~there].tolist())
         left = list(taken.sightings)
         for target in taken.targets:
             near = [each for each in left if math.dist(each.place, target.place) <= NEAR * target.size_m]

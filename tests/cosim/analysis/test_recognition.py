@@ -104,6 +104,7 @@ def test_wilsons_interval() -> None:
     assert Share(0, 10).interval == pytest.approx((0.0, 0.2775), abs=5e-5)
     assert Share(81, 263).interval == pytest.approx((0.2553, 0.3662), abs=5e-5)
     assert Share(0, 0).interval == (0.0, 1.0)
+    assert math.isnan(Share(0, 0).value)
     assert (Share(0, 8).mean, Share(8, 8).mean) == (0.1, 0.9)
 
 

@@ -17,13 +17,8 @@ ALPHA, BRAVO = np.array([10.0, 20.0]), np.array([-30.0, 5.0])
 GOOD = MissionRun(
     TIME_S,
     np.stack([np.tile(ALPHA + 0.2, (200, 1)), np.tile(BRAVO, (200, 1))], axis=1),
-    {"alpha": 40.0, "bravo": 60.0},
-    2,
-    0,
-    0.9,
-    0,
-    1.5,
-    20.0,
+    {"found_s": {"alpha": 40.0, "bravo": 60.0}, "targets_tracked": 2, "false_finds": 0},
+    {"collisions": 0, "min_clearance_m": 1.5, "min_separation_m": 20.0},
 )
 
 
@@ -39,13 +34,13 @@ def test_a_good_run() -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"found_s": {"alpha": 40.0, "bravo": float("nan")}}, ["found", "last found"]),
-        ({"found_s": {"alpha": 40.0, "bravo": 190.0}}, ["last found"]),
-        ({"tracked": 1}, ["tracked"]),
-        ({"false_finds": 1}, ["no target"]),
-        ({"contacts": 1}, ["contacts"]),
-        ({"clearance_m": 0.4}, ["clearance"]),
-        ({"apart_m": 0.9}, ["apart"]),
+        ({"mission": {**GOOD.mission, "found_s": {"alpha": 40.0, "bravo": None}}}, ["found", "last found"]),
+        ({"mission": {**GOOD.mission, "found_s": {"alpha": 40.0, "bravo": 190.0}}}, ["last found"]),
+        ({"mission": {**GOOD.mission, "targets_tracked": 1}}, ["tracked"]),
+        ({"mission": {**GOOD.mission, "false_finds": 1}}, ["no target"]),
+        ({"safety": {**GOOD.safety, "collisions": 1}}, ["contacts"]),
+        ({"safety": {**GOOD.safety, "min_clearance_m": 0.4}}, ["clearance"]),
+        ({"safety": {**GOOD.safety, "min_separation_m": 0.9}}, ["apart"]),
         ({"place": GOOD.place + 2.0}, ["alpha", "bravo"]),
     ],
 )

@@ -50,8 +50,8 @@ def recognition(runner: Runner, frames: int = FRAMES) -> Figure:
     rows: list[Row] = []
     for height, (*_, each) in zip(HEIGHTS, by_height, strict=True):
         rows += [
-            absolute(f"made-up ground, {height:g} m: precision", 1.0, each.precision, 1.0 - PRECISION),
-            absolute(f"made-up ground, {height:g} m: recall", 1.0, each.recall, 1.0 - RECALL),
+            absolute(f"made-up ground, {height:g} m: precision", 1.0, each.precision.value, 1.0 - PRECISION),
+            absolute(f"made-up ground, {height:g} m: recall", 1.0, each.recall.value, 1.0 - RECALL),
             absolute(f"made-up ground, {height:g} m: median error of the angle, deg", 0.0, _degrees(each), ANGLE_DEG),
             absolute(f"made-up ground, {height:g} m: median error of the place, sides", 0.0, _sides(each), PLACE),
         ]
@@ -66,10 +66,10 @@ def recognition(runner: Runner, frames: int = FRAMES) -> Figure:
             absolute(f"town, {height:g} m: median error of the place, sides", 0.0, sides, PLACE),
         ]
     rows += [
-        absolute(f"stage {name}: precision", must, tally.precision, 0.15)
+        absolute(f"stage {name}: precision", must, tally.precision.value, 0.15)
         for name, must, tally in zip(STAGES, REFERENCE, of_stages, strict=True)
     ]
-    rows.append(absolute("stage and rings: recall", 1.0, of_stages[1].recall, 1.0 - RECALL))
+    rows.append(absolute("stage and rings: recall", 1.0, of_stages[1].recall.value, 1.0 - RECALL))
     panels = [
         _shares("Precision", by_height, cameras, PRECISION),
         _shares("Recall", by_height, cameras, RECALL),
@@ -95,7 +95,7 @@ def _sides(each: Tally) -> float:
 def _shares(title: str, by_height: list[list[Tally]], cameras: list[Rates], required: float) -> Panel:
     x, name = np.array(HEIGHTS), title.lower()
     curves = [
-        Curve(x, np.array([getattr(each[stage], name) for each in by_height]), STAGES[stage], 1 + stage, "both")
+        Curve(x, np.array([getattr(each[stage], name).value for each in by_height]), STAGES[stage], 1 + stage, "both")
         for stage in range(3)
     ]
     shares = [each.precision if name == "precision" else each.unoccluded for each in cameras]

@@ -4,7 +4,10 @@ The complete mission: bodies in Bullet, recognition in rendered pictures, maps o
 town. Both targets are found and tracked, each by one vehicle, without a contact.
 """
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -34,30 +37,19 @@ class MissionRun:
 
     time_s: Array  # (m,)
     place: Array  # (m, 2, 2) m, of the vehicles, in the plane
-    found_s: dict[str, float]  # by target; NaN: never
-    tracked: int
-    false_finds: int
-    seen: float  # share of the area
-    contacts: int
-    clearance_m: float
-    apart_m: float
+    mission: Mapping[str, Any]  # its metrics
+    safety: Mapping[str, Any]
+
+    @property
+    def found_s(self) -> dict[str, float]:
+        """Time by target; NaN: never found."""
+        return {name: math.nan if at_s is None else at_s for name, at_s in self.mission["found_s"].items()}
 
 
 def scouted(result: Result) -> MissionRun:
     """Read the data of a run."""
     movement = motion(result.states)
-    mission, safety = result.metrics["mission"], result.metrics["safety"]
-    return MissionRun(
-        movement.time_ns / 1e9,
-        places_of(movement, NAMES),
-        {name: float("nan") if at_s is None else at_s for name, at_s in mission["found_s"].items()},
-        mission["targets_tracked"],
-        mission["false_finds"],
-        mission["area_seen_ratio"],
-        int(safety["collisions"]),
-        float(safety["min_clearance_m"]),
-        float(safety["min_separation_m"]),
-    )
+    return MissionRun(movement.time_ns / 1e9, places_of(movement, NAMES), result.metrics["mission"], result.metrics["safety"])
 
 
 def fig_51(runner: Runner, seeds: tuple[int, ...] = SEEDS) -> Figure:
@@ -87,11 +79,11 @@ def rows_of(case: str, mission: MissionRun, once_s: float, away: dict[str, Array
     late = mission.time_s >= mission.time_s[-1] - LAST_S
     rows = [
         absolute(f"{case}: targets found", len(away), sum(np.isfinite(list(mission.found_s.values()))), 0.0),
-        absolute(f"{case}: targets tracked", len(away), mission.tracked, 0.0),
-        absolute(f"{case}: finds of what is no target", 0.0, mission.false_finds, 0.0),
-        absolute(f"{case}: contacts", 0.0, mission.contacts, 0.0),
-        at_least(f"{case}: least clearance, m", BODY_M, mission.clearance_m),
-        at_least(f"{case}: vehicles apart, m", 2.0 * BODY_M, mission.apart_m),
+        absolute(f"{case}: targets tracked", len(away), mission.mission["targets_tracked"], 0.0),
+        absolute(f"{case}: finds of what is no target", 0.0, mission.mission["false_finds"], 0.0),
+        absolute(f"{case}: contacts", 0.0, mission.safety["collisions"], 0.0),
+        at_least(f"{case}: least clearance, m", BODY_M, mission.safety["min_clearance_m"]),
+        at_least(f"{case}: vehicles apart, m", 2.0 * BODY_M, mission.safety["min_separation_m"]),
         absolute(f"{case}: last found, in times of one sweep of {once_s:.0f} s", 0.0, last / once_s, SLOW),
     ]
     rows += [

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.analysis.snapshots import Rates, Snapshots
+from vcmvsp.cosim.analysis.snapshots import NONE, Rates, Share, Snapshots
 from vcmvsp.cosim.assembly.parts.recognition import Detection, Detector, TargetPicture, ground
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.reproduction.figures.figure import Curve
@@ -28,9 +28,8 @@ KINDS = ("target", "mirrored", "scrambled", "solid", "recoloured", "other")
 class Tally:
     """Detection counts over pictures."""
 
-    targets: int = 0  # number of targets in the pictures
-    found: int = 0
-    false: int = 0
+    precision: Share = NONE  # of the detections, those that are right
+    recall: Share = NONE  # of the targets, those that are found
     angles: list[float] = field(default_factory=list)  # errors, rad
     places: list[float] = field(default_factory=list)  # errors, sides
 
@@ -39,33 +38,21 @@ class Tally:
         left = list(detections)
         for truth in truths:
             right = [one for one in left if one.target == truth.name and _apart(one, truth) < NEAR * side_px][:1]
-            self.targets, self.found = self.targets + 1, self.found + len(right)
+            self.recall = self.recall.plus(bool(right))
             for one in right:
                 left.remove(one)
+                self.precision = self.precision.plus(True)
                 self.angles.append(abs(wrap(one.angle - truth.angle)))
                 self.places.append(_apart(one, truth) / side_px)
-        self.false += len(left)
-
-    @property
-    def precision(self) -> float:
-        """Share of the detections that are right; NaN without detections."""
-        return self.found / (self.found + self.false) if self.found + self.false else math.nan
-
-    @property
-    def recall(self) -> float:
-        """Share of the targets that are found."""
-        return self.found / self.targets if self.targets else math.nan
+        self.precision = self.precision.plus(*(False for _ in left))
 
 
 def together(tallies: Iterable[Tally]) -> Tally:
     """Merge the tallies of several pictures."""
     total = Tally()
     for each in tallies:
-        total.targets, total.found, total.false = (
-            total.targets + each.targets,
-            total.found + each.found,
-            total.false + each.false,
-        )
+        total.precision = total.precision.joined(each.precision)
+        total.recall = total.recall.joined(each.recall)
         total.angles += each.angles
         total.places += each.places
     return total
