@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Pushed, Vec3, frozen
+from vcmvsp.cosim.util.polygons import overlap_m
 from vcmvsp.physics.dynamics.engine import BodyMotion, Touch, on_time, still
 from vcmvsp.physics.vehicles.specification import VehicleSpec
-from vcmvsp.physics.world.polygons import overlap_m
 from vcmvsp.physics.world.solids import Hull, rectangle
 from vcmvsp.physics.world.world import Movable, Moving, Scene, World
 

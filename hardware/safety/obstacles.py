@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.polygons import area_m2, problem_of
 
 Floats = NDArray[np.float64]
 
@@ -101,16 +102,12 @@ class Polygon:
     """Polygon with these corners ((x, y) m, world; at least three, in any order of rotation, without crossings)."""
 
     def __init__(self, corners: Sequence[tuple[float, float]]) -> None:
+        if problem := problem_of(corners):
+            raise ValueError(f"a fence {problem}: {list(corners)}")
         points = np.array(corners, float)
-        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3 or not np.isfinite(points).all():
-            raise ValueError(f"a fence needs at least three corners (x, y), all finite, not {list(corners)}")
-        x, y = points.T
-        area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-        if area < 0.0:
+        if area_m2(points) < 0.0:
             points = points[::-1].copy()  # so that outside is on the right of each side
         self.a, self.b = points, np.roll(points, -1, axis=0)
-        if area == 0.0 or bool((self.a == self.b).all(axis=1).any()) or _crosses(self.a, self.b):
-            raise ValueError(f"the sides of a fence must not cross, touch or be empty: {list(corners)}")
 
     def contains(self, x: float, y: float) -> bool:
         """Whether a point is inside: a ray to the east crosses an odd number of sides."""
@@ -155,25 +152,6 @@ class Outside:
 
 
 Obstacles = Stadiums | Outside
-
-
-def _crosses(a: Floats, b: Floats) -> bool:
-    """Whether two sides that are not neighbours have a point in common."""
-    n = len(a)
-    along = b - a
-
-    def side(points: Floats) -> Floats:  # of side i's line, point j's: -1, 0 or 1
-        to = points[None, :, :] - a[:, None, :]
-        return np.sign(along[:, None, 0] * to[:, :, 1] - along[:, None, 1] * to[:, :, 0])
-
-    def on(points: Floats) -> NDArray[np.bool_]:  # whether point j lies on side i
-        low, high = np.minimum(a, b)[:, None, :], np.maximum(a, b)[:, None, :]
-        return ((low <= points) & (points <= high)).all(axis=2) & (side(points) == 0.0)
-
-    apart = side(a) * side(b) < 0.0
-    meet = (apart & apart.T) | on(a) | on(b) | on(a).T | on(b).T
-    i, j = np.indices((n, n))
-    return bool(meet[(j - i) % n * ((i - j) % n) > n - 1].any())  # neighbours share a corner
 
 
 class Others(msgspec.Struct, frozen=True):

@@ -14,8 +14,8 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.estimation.tangent_plane import E2, A
 from vcmvsp.cosim.types import Array, FileName, NonNegative, Positive
 from vcmvsp.cosim.util.documents import read_json
+from vcmvsp.cosim.util.polygons import problem_of
 from vcmvsp.physics.importers.files import require_file, text_of
-from vcmvsp.physics.world.polygons import problem_of
 from vcmvsp.physics.world.solids import Color, Point2, Prism
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Surroundings

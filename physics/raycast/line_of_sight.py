@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.polygons import area_m2, is_convex, outward, width_m
 from vcmvsp.physics.raycast.caster import by_bearing
-from vcmvsp.physics.world.polygons import area_m2, is_convex, outward, width_m
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism
 from vcmvsp.physics.world.world import World, made_once
 

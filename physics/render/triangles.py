@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.polygons import outward
+from vcmvsp.cosim.util.polygons import outward
 from vcmvsp.physics.world.solids import Shapes, color_of, prism_triangles
 from vcmvsp.physics.world.world import Light, Scene, World, made_once
 

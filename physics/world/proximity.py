@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.polygons import overlap_m
+from vcmvsp.cosim.util.polygons import overlap_m
 from vcmvsp.physics.world.solids import Group, Shapes
 
 _STRETCH = 32  # places of a way that share a bounding box

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Positive, Vec3
-from vcmvsp.physics.world.polygons import convex_parts, problem_of
+from vcmvsp.cosim.util.polygons import convex_parts, problem_of
 
 _Level = Annotated[int, msgspec.Meta(ge=0, le=255)]
 Color = tuple[_Level, _Level, _Level]  # red, green, blue

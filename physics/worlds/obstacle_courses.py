@@ -10,7 +10,7 @@ import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array, Positive
-from vcmvsp.physics.world.polygons import overlap_m
+from vcmvsp.cosim.util.polygons import overlap_m
 from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder, Point2, Prism
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Surroundings

@@ -63,7 +63,7 @@ def test_ground_and_air_move_together_each_in_its_place(kind: type[Physics]) -> 
 
 @BOTH
 def test_a_way_point_for_a_vehicle_on_the_ground_is_refused_by_name(kind: type[Physics]) -> None:
-    with pytest.raises(FederateError, match=r"car was given a Waypoint but cannot fly: send Velocity"):
+    with pytest.raises(FederateError, match=r"car received a Waypoint but cannot fly: send Velocity"):
         flown(kind(world=World(), vehicles=[spec("car", P2DX())]), [(0.0, "car", Waypoint(position=(1.0, 0.0, 0.0)))], 1.0)
 
 

@@ -107,7 +107,7 @@ def test_who_is_halted_in_the_air_hovers_and_flies_on_to_its_waypoint(kind: type
 
 def test_commands_are_refused_from_who_is_halted_too() -> None:
     physics = KinematicPhysics(world=World(), vehicles=[spec("car1")])
-    with pytest.raises(FederateError, match="car1 was given a Waypoint but cannot fly"):
+    with pytest.raises(FederateError, match="car1 received a Waypoint but cannot fly"):
         run(physics, [halt(0.0, "car1"), fly(0.5, "car1", 1.0, 1.0, 1.0)], 1.0)
 
 
@@ -194,8 +194,8 @@ def test_a_quadrotor_meets_at_once_what_is_put_in_its_way() -> None:
         ("crat", (0.0, 0.0), 0.0, r"unknown movable 'crat'; did you mean 'crate'\? \(allowed: barrel, crate\)"),
         ("cart", (0.0, 0.0), 0.0, r"'cart' moves by its timetable; movable obstacles: barrel, crate"),
         ("crate", (math.nan, 0.0), 0.0, r"crate: position and yaw must be finite, not \(nan, 0\.0\), yaw 0\.0"),
-        ("crate", (0.0, 0.0), math.inf, r"crate needs a finite place"),
-        ("crate", (23.0, 0.0), 0.0, r"crate cannot stand at \(23, 0\): that is 3 m outside the world \(yard\)"),
+        ("crate", (0.0, 0.0), math.inf, r"crate: position and yaw must be finite"),
+        ("crate", (23.0, 0.0), 0.0, r"crate cannot stand at \(23, 0\): the place is 3 m outside the world \(yard\)"),
         ("crate", (1.75, 4.0), 0.0, r"crate cannot stand at \(1\.75, 4\): it would overlap .*box.* by 0\.05 m"),
     ],
 )

@@ -15,13 +15,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Vec3
+from vcmvsp.cosim.util.polygons import outward
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, UPRIGHT, p
 from vcmvsp.physics.dynamics.bullet.bodies import base_motion, rigid_body
 from vcmvsp.physics.dynamics.engine import BodyMotion, without_wheels
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.vehicles.models import Quadrotor
-from vcmvsp.physics.world.polygons import outward
 from vcmvsp.physics.world.solids import Shapes
 from vcmvsp.physics.world.world import rotations
 

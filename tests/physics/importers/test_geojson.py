@@ -10,8 +10,8 @@ import pytest
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.polygons import area_m2
 from vcmvsp.physics.importers.geojson import GeoJson, metres, metres_per_degree
-from vcmvsp.physics.world.polygons import area_m2
 from vcmvsp.physics.world.solids import Prism
 from vcmvsp.physics.world.world import World
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.polygons import problem_of
 from vcmvsp.physics.raycast.line_of_sight import SHEET_M, Sightline, is_closed, slab_m
-from vcmvsp.physics.world.polygons import problem_of
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism, rectangle
 from vcmvsp.physics.world.world import World
 

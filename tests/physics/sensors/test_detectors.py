@@ -153,7 +153,7 @@ def test_no_cell_lies_beyond_the_bounds() -> None:
 
 def test_more_cells_than_a_look_can_hold_are_refused_but_none_are_made_beyond_the_bounds() -> None:
     sensor = TargetSensor(reach_m=1e5, cell_m=0.1)
-    with pytest.raises(ScenarioError, match="make them larger") as caught:
+    with pytest.raises(ScenarioError, match="use larger cells") as caught:
         look(sensor, World(), 0.0, 0.0, 20.0)
     assert caught.value.key == "target_sensor.cell_m"
     assert len(look(sensor, world_of(bounds=(-5.0, -5.0, 5.0, 5.0)), 0.0, 0.0, 20.0).cells) == 100 * 100

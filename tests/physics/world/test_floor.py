@@ -90,7 +90,7 @@ def test_nowhere_is_it_faster_than_its_speed(way: Any, speed: float, loop: bool,
         ({"way": [[0, 0]], "speed": 1}, "at least two places"),
         ({"way": [[0, 0], [0, 0]], "speed": 1}, "different from the one before"),
         ({"way": [[0, 0], [1, 0]]}, "needs both way and speed"),
-        ({"place": [0, 0], "speed": 1}, "neither"),
+        ({"place": [0, 0], "speed": 1}, "at rest has no way"),
         ({"place": [0, 0], "loop": True}, "or loop"),
         ({}, "needs a place or a way"),
         ({"place": [0, 0], "size": 0}, "> 0"),
@@ -120,7 +120,7 @@ def test_a_picture_that_is_not_finite_anywhere_is_refused() -> None:
 def test_names_are_made_up_where_none_is_given_and_are_unique() -> None:
     world = of(DISC, GroundTarget(name="flag", place=(9.0, 0.0)), GroundTarget(place=(0.0, 9.0)))
     assert [each.name for each in world.targets] == ["target1", "flag", "target3"]
-    with pytest.raises(ScenarioError, match="two targets are called 'target2'"):
+    with pytest.raises(ScenarioError, match="two targets are named 'target2'"):
         of(GroundTarget(name="target2", place=(0.0, 0.0)), DISC)
 
 

@@ -13,8 +13,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.polygons import area_m2, overlap_m, problem_of
 from vcmvsp.physics.world.floor import GroundPicture, Mark
-from vcmvsp.physics.world.polygons import area_m2, overlap_m, problem_of
 from vcmvsp.physics.world.solids import MATERIAL_COLORS, AnySolid, Box, Cylinder, Mesh, Prism, color_of, rectangle
 from vcmvsp.physics.world.world import Light, Moving, World, Zone
 from vcmvsp.physics.worlds.surroundings import Boxes, Empty
@@ -143,7 +143,7 @@ def test_a_cylinder_is_a_polygon_just_inside_the_circle(radius: float) -> None:
         (lambda: Mesh(triangles=np.array([[(0, 0, 0)] * 3, [(0, 0, math.nan)] * 3])), "triangle 1 of a mesh"),
         (Mark, "one of"),
         (lambda: Mark(radius=1.0, outline=((0, 0), (1, 0), (0, 1))), "one of"),
-        (lambda: Mark(outline=((0, 0), (1, 0))), "three points"),
+        (lambda: Mark(outline=((0, 0), (1, 0))), "3 points"),
         (lambda: GroundPicture(size=(5000.0, 5000.0), marks=(Mark(radius=1.0),)), "resolution_m = 0.1"),
     ],
 )
@@ -228,7 +228,7 @@ def test_a_plain_ground_has_no_picture_and_files_are_checked(tmp_path: Path) -> 
     with pytest.raises(ValueError, match=r"there is no picture file .*nothing\.png"):
         _ = GroundPicture(picture=str(tmp_path / "nothing.png")).image
     (tmp_path / "text.png").write_text("text")
-    with pytest.raises(ValueError, match=r"text\.png is no picture"):
+    with pytest.raises(ValueError, match=r"text\.png is not a picture"):
         _ = GroundPicture(picture=str(tmp_path / "text.png")).image
 
 

@@ -18,9 +18,9 @@ from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.polygons import overlap_m
 from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.world.floor import GroundTarget
-from vcmvsp.physics.world.polygons import overlap_m
 from vcmvsp.physics.world.proximity import Blocking
 from vcmvsp.physics.world.solids import Box, Cylinder, Prism, rectangle
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World, Zone

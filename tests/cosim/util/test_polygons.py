@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.polygons import Point, area_m2, convex_parts, is_convex, outward, overlap_m, problem_of, width_m
+from vcmvsp.cosim.util.polygons import Point, area_m2, convex_parts, is_convex, outward, overlap_m, problem_of, width_m
 
 pytestmark = pytest.mark.slow
 
@@ -141,7 +141,7 @@ def test_corners_within_rounding_of_a_line() -> None:
         (((0, 0), (4, 0), (2, 0), (2, 2)), (), "crosses or touches itself"),
         (L_SHAPE, (((2, 2), (2.5, 2), (2.5, 2.5)),), "hole (number 0) outside its outline"),
         (L_SHAPE, (((0.5, 0.5), (2, 2), (0.5, 2)),), "edge 2 and edge 0 of hole 0"),
-        (PLUS, (((1.1, 1.1), (1.9, 1.1), (1.5, 1.9)), ((1.4, 1.2), (1.6, 1.2), (1.5, 1.4))), "hole, number"),
+        (PLUS, (((1.1, 1.1), (1.9, 1.1), (1.5, 1.9)), ((1.4, 1.2), (1.6, 1.2), (1.5, 1.4))), "hole (number 1) outside"),
     ],
 )
 def test_outlines_that_are_none(outline: tuple[Point, ...], holes: tuple[tuple[Point, ...], ...], problem: str) -> None:
