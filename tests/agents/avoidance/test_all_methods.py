@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from tests.support.agents.agent_loop import info
 from tests.support.agents.obstacle_fields import (
     DRONE,
     ROBOT,
@@ -29,12 +30,12 @@ from tests.support.agents.obstacle_fields import (
 )
 from tests.support.agents.obstacle_fields import there as reached
 from tests.support.agents.scans import view
-from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
+from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View
 from vcmvsp.agents.avoidance.gap import gaps_ahead
 from vcmvsp.agents.avoidance.method import Settings
 from vcmvsp.agents.avoidance.steering import AvoidanceSteering
-from vcmvsp.cosim.agent import Body, VehicleInfo
-from vcmvsp.cosim.types import Array, Scan
+from vcmvsp.cosim.agent import Body
+from vcmvsp.cosim.types import Array
 
 pytestmark = pytest.mark.slow
 
@@ -325,18 +326,12 @@ def test_by_vfh_it_gets_around_a_wall() -> None:
 # --- where beams point ---
 
 
-def ring(first: float, ranges: list[float]) -> View:
-    found = view_of(Scan(ranges=np.array(ranges), angle_min=first, angle_step=math.tau / len(ranges), range_max=20.0))
-    assert found is not None
-    return found
-
-
 @pytest.mark.parametrize("first", [0.0, -math.pi, 2.0, 5.0])
 def test_more_room_is_on_the_side_where_it_is_wherever_the_beams_begin(first: float) -> None:
     bearings = first + math.tau / 36 * np.arange(36)
     for side in (1, -1):
-        assert ring(first, np.where(side * np.sin(bearings) > 0.1, 5.0, 0.5).tolist()).roomier_side(1.4) == side
-    assert ring(first, [0.5] * 36).roomier_side(1.4) == 1
+        assert view(np.where(side * np.sin(bearings) > 0.1, 5.0, 0.5), math.tau, first).roomier_side(1.4) == side
+    assert view([0.5] * 36, math.tau, first).roomier_side(1.4) == 1
 
 
 @pytest.mark.parametrize("method", [Vfh(), DynamicWindow(), Gap()])
@@ -356,17 +351,15 @@ def test_where_there_is_no_way_it_turns_to_the_side_with_more_room(method: Setti
 @pytest.mark.parametrize("turns", [-1, 0, 1])
 def test_a_bearing_is_found_however_many_turns_away(turns: int) -> None:
     """A scanner that looks back, with a gap straight where one wants to go."""
-    first, step = math.radians(80.0), math.radians(1.0)
     ranges = np.full(181, 0.8)
     ranges[150:176] = 5.0  # 230 to 255 degrees
-    view = view_of(Scan(ranges=ranges, angle_min=first, angle_step=step, range_max=20.0))
-    assert view is not None
-    found, places = gaps_ahead(view, math.radians(-118.0) + math.tau * turns, 1.2)
+    back = view(ranges, first=math.radians(80.0))
+    found, places = gaps_ahead(back, math.radians(-118.0) + math.tau * turns, 1.2)
     assert np.degrees(found.bearing).tolist() == pytest.approx([242.5])
     assert np.degrees(places).tolist() == pytest.approx([242.5])
     for bearing in np.radians(range(-360, 361, 7)):
-        if view.sees(bearing):
-            assert len(gaps_ahead(view, bearing, 1.2)[0].begin) <= 2
+        if back.sees(bearing):
+            assert len(gaps_ahead(back, bearing, 1.2)[0].begin) <= 2
 
 
 # --- where the task goes slowly, or not at all ---
@@ -437,18 +430,7 @@ def test_a_scan_of_the_future_is_none() -> None:
 def test_one_whose_scanner_sits_behind_its_middle_keeps_as_far_away(method: Settings) -> None:
     """A wall across the way: with ranges taken for those from its middle, it would come nearer by how far that is off."""
     made, x, wall = AvoidanceSteering(method), 0.0, [((2.0, -5.0), (2.2, 5.0))]
-    made.start(
-        VehicleInfo(
-            name="a",
-            vehicles=("a",),
-            period_s=0.1,
-            latency_s=0.0,
-            seed=1,
-            body=WHEELS,
-            sensors=("scan",),
-            beside_m={"scan": 0.15},
-        )
-    )
+    made.start(info(body=WHEELS, sensors=("scan",), beside_m={"scan": 0.15}))
     for tick in range(300):
         scan = sweep((x - 0.15, 0.0, 0.0), wall, tick)
         x += 0.1 * made.drive(seen_from((x, 0.0, 0.0), scan, tick, 0.3), (0.3, 0.0)).velocity[0]

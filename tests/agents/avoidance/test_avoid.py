@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import vcmvsp
+from tests.support.agents.agent_loop import Uav, info
+from tests.support.agents.scans import ring
 from vcmvsp.agents.avoidance import PotentialField
 from vcmvsp.agents.avoidance.avoid import Avoid
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.frames import quaternion_from_yaw
-from vcmvsp.cosim.types import Follows, Scan, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.types import Follows, Velocity, Waypoint
 
 pytestmark = pytest.mark.slow
 
@@ -68,15 +69,13 @@ class Idle(Agent):
 def around(task: Agent, body: Body = WHEELS, goal: tuple[float, float] | None = None, **settings: Any) -> Avoid:
     made = Avoid({"kind": f"{HERE}:Forward"}, PotentialField(**settings), goal=goal)
     made.task = task
-    made.start(VehicleInfo(name="a", vehicles=("a", "b"), period_s=0.1, latency_s=0.0, seed=1, body=body))
+    made.start(info(body=body))
     return made
 
 
 def act(agent: Agent, ranges: tuple[float, ...] = FREE, at_ms: int = 0, yaw: float = 0.0, height: float = 0.0) -> Any:
-    scan = Scan(ranges=np.array(ranges), angle_min=0.0, angle_step=math.tau / 32, range_max=6.0, time_ns=at_ms * 1_000_000)
-    state = VehicleState(position=(0.0, 0.0, height), attitude=quaternion_from_yaw(yaw))
-    seen = Observation(vehicle="a", time_ns=at_ms * 1_000_000, state=state, readings={"scan": scan})
-    return agent.act(seen, Radio("a", ("a", "b")))
+    now_ns = at_ms * 1_000_000
+    return agent.act(Uav((0.0, 0.0, height), yaw).see(now_ns, scan=ring(ranges, now_ns)), Radio("a", ("a", "b")))
 
 
 # --- what is passed on ---
@@ -86,8 +85,7 @@ def test_the_task_is_started_asked_and_closed_and_all_it_says_is_passed_on() -> 
     task = Says(Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.1))
     made = around(task)
     radio = Radio("a", ("a", "b"))
-    state = VehicleState(position=(0.0, 0.0, 0.0))
-    made.act(Observation(vehicle="a", time_ns=0, state=state, readings={}), radio)
+    made.act(Uav((0.0, 0.0, 0.0)).see(0), radio)
     made.close()
     assert task.calls == ["start", "act", "close"]
     assert made.follows == Follows(leader="b")
@@ -247,7 +245,7 @@ def test_a_task_may_note_what_the_avoidance_notes() -> None:
 def test_avoidance_may_go_around_avoidance() -> None:
     inner = {"kind": f"{HERE}:Forward"}
     made = Avoid({"kind": "avoid", "task": inner, "avoidance": {"kind": "gap"}}, PotentialField())
-    made.start(VehicleInfo(name="a", vehicles=("a", "b"), period_s=0.1, latency_s=0.0, seed=1, body=WHEELS))
+    made.start(info(body=WHEELS))
     assert act(made) is not None
     assert made.drain_notes() == {"mode": "task", "level": 0.0}
 

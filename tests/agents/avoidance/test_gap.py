@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from tests.support.agents.scans import SMALL, Wall, bearings, box, ranges_of, view, wall_with_doors
+from tests.support.agents.scans import SMALL, Wall, bearings, ranges_of, sides, view, wall_with_doors
 from vcmvsp.agents.avoidance import Decision, Gap, Task
 from vcmvsp.agents.avoidance.gap import Gaps, gaps, gaps_ahead
 from vcmvsp.agents.avoidance.view import Point, View
@@ -73,7 +73,7 @@ def test_on_the_spot_anything_may_turn_that_goes_nowhere_in_sight() -> None:
 def test_with_an_aim_out_of_sight_the_way_ahead_counts() -> None:
     task = Task((0.3, 0.0), 0.5, at(120.0, 2.0))
     assert decide(seen([((0.8, -0.5), (0.8, 0.5))]), task).mode == "avoid"
-    assert decide(seen(box(*at(60.0, 0.8), 0.2)), task).mode == "task"
+    assert decide(seen(sides(at(57.1, 0.68), at(62.3, 0.93))), task).mode == "task"
 
 
 def test_on_its_way_around_something_it_wants_to_see_that_it_can_go_on() -> None:

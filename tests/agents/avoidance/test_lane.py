@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from tests.support.agents.scans import ranges_of, view
-from vcmvsp.agents.avoidance.view import ASIDE, Point, View, free_m, lane_free, view_of, ways
+from vcmvsp.agents.avoidance.view import ASIDE, Point, View, free_m, lane_free, ways
 from vcmvsp.cosim.frames import wrap
-from vcmvsp.cosim.types import Array, Scan
+from vcmvsp.cosim.types import Array
 
 Ranges = arrays.arrays(float, 36, elements=st.sampled_from([0.0, 0.5, math.inf]) | st.floats(0.0, 3.0))
 
@@ -47,8 +47,7 @@ def test_a_lane_is_free_of_returns(ranges: Array, bearing: float, half: float, l
 @given(Ranges, st.floats(0.05, 0.6), st.floats(0.1, 2.0), st.sampled_from([math.pi, math.tau]), st.sampled_from([0.0, 2.9]))
 def test_ways_are_those_that_a_disc_can_follow(ranges: Array, half: float, length: float, fov: float, first: float) -> None:
     """One beam after the other, and as far as a disc gets straight on."""
-    scan = view_of(Scan(ranges=ranges, angle_min=first, angle_step=fov / (36 if fov == math.tau else 35), range_max=20.0))
-    assert scan is not None
+    scan = view(ranges, fov, first)
     for bearing, free in zip(scan.bearings.tolist(), ways(scan, half, length).tolist(), strict=True):
         near = [(d, b) for d, b in zip(scan.ranges.tolist(), scan.bearings.tolist(), strict=True) if d <= length]
         room = [abs(wrap(b - bearing)) - math.asin(min(1.0, half / max(d, half))) for d, b in near]

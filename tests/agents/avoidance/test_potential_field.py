@@ -3,19 +3,18 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import msgspec
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.agents.obstacle_fields import PILLAR, Box, Point, Pose, Way, clearance, drive, fly, look
-from vcmvsp.agents.avoidance import PotentialField, Task, View, view_of
+from tests.support.agents.scans import view
+from vcmvsp.agents.avoidance import PotentialField, Task, View
 from vcmvsp.agents.avoidance.method import Method
 from vcmvsp.agents.avoidance.potential_field import repulsion
 from vcmvsp.agents.formation.followers.laws import axle_velocity
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.frames import rotate2, wrap
-from vcmvsp.cosim.types import Scan
 
 pytestmark = pytest.mark.slow
 
@@ -30,12 +29,8 @@ def field(body: Body = AIR, **settings: float) -> Method:
     return PotentialField(**settings).method(body, 0.1)  # type: ignore[arg-type]
 
 
-def seen(ranges: list[float], fov: float = math.tau) -> View:
-    n = len(ranges)
-    first, step = (0.0, math.tau / n) if fov >= math.tau else (-fov / 2, fov / (n - 1))
-    view = view_of(Scan(ranges=np.array(ranges), angle_min=first, angle_step=step, range_max=6.0))
-    assert view is not None
-    return view
+def seen(ranges: list[float]) -> View:
+    return view(ranges, math.tau, 0.0)
 
 
 def one(range_m: float, beam: int = 0, beams: int = 32) -> View:

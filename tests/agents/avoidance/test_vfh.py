@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.agents.obstacle_fields import DRONE, GOAL, ROBOT, Point, fly, there
+from tests.support.agents.obstacle_fields import DRONE, ROBOT
 from tests.support.agents.scans import view as scan
-from vcmvsp.agents.avoidance import Task, Vfh, View, view_of
+from vcmvsp.agents.avoidance import Task, Vfh, View
 from vcmvsp.agents.avoidance.vfh import _Vfh, histogram, openings
 from vcmvsp.cosim.frames import wrap
-from vcmvsp.cosim.types import Scan
 
 pytestmark = pytest.mark.slow
 
@@ -37,9 +36,7 @@ def posts(*places: tuple[float, float], beams: int = 361, fov: float = math.tau)
 def test_an_obstacle_stands_in_the_directions_in_which_a_disc_would_touch_it(
     distance: float, bearing: float, keep: float, sectors: int
 ) -> None:
-    view = view_of(Scan(ranges=np.array([distance, math.inf]), angle_min=bearing, angle_step=1.0, range_max=20.0))
-    assert view is not None
-    near = histogram(view, keep, sectors)
+    near = histogram(scan([distance, math.inf], 1.0, bearing), keep, sectors)
     for k in range(sectors):
         off = abs(wrap(math.tau * k / sectors - bearing))
         aside = distance * math.sin(off)  # how far the post is from the line that the disc goes along
@@ -47,11 +44,6 @@ def test_an_obstacle_stands_in_the_directions_in_which_a_disc_would_touch_it(
             continue
         touches = off < math.pi / 2 and aside < keep
         assert near[k] == (distance if touches else math.inf)
-
-
-def test_what_is_enlarged_covers_the_angle_whose_sine_is_radius_over_distance() -> None:
-    near = histogram(posts((1.0, 0.0), beams=720), 0.4, 720)
-    assert 0.5 * np.isfinite(near).sum() == pytest.approx(math.degrees(2.0 * math.asin(0.4)), abs=0.5)
 
 
 @given(st.lists(st.booleans(), min_size=8, max_size=40))
@@ -120,19 +112,6 @@ def test_a_moving_robot_does_not_turn_past_what_its_circle_touches() -> None:
     decision = Vfh().method(ROBOT, 0.1).decide(beside, moving)
     assert decision.mode == "avoid"
     assert decision.yaw_rate > -1.5 * math.radians(40.0)
-
-
-def test_in_the_air_it_gets_around_a_pillar() -> None:
-    for y in (-0.3, 0.0, 0.2):
-        for yaw in (0.0, 2.0):
-            way = fly(Vfh().method(DRONE, 0.1), (-3.0, y), lambda at: Task(_towards(at), 0.0, None), there, yaw=yaw)
-            assert there(way.end)
-            assert way.clearance > DRONE.radius_m + 0.05
-
-
-def _towards(place: Point) -> Point:
-    dx, dy = GOAL[0] - place[0], GOAL[1] - place[1]
-    return 0.3 * dx / math.hypot(dx, dy), 0.3 * dy / math.hypot(dx, dy)
 
 
 def test_settings_that_make_no_sense_are_refused() -> None:

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.aerial_loop import BODY, Drifter, T, Uav, fly, ring
-from tests.support.agents.agent_loop import received
+from tests.support.agents.aerial_loop import BODY, Drifter, fly
+from tests.support.agents.agent_loop import T, Uav, info, received, said
+from tests.support.agents.scans import ring
 from vcmvsp.agents.avoidance import PotentialField
 from vcmvsp.agents.formation.aerial import AerialFollower, AerialRoute, Airborne
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
@@ -17,10 +18,10 @@ from vcmvsp.agents.formation.reports.prediction import DeadReckoning, Hold
 from vcmvsp.agents.formation.reports.report import LeaderState, Report, parse
 from vcmvsp.agents.formation.reports.sending import Sending
 from vcmvsp.agents.formation.team.shape import Formation, Passage
-from vcmvsp.cosim.agent import Agent, Body, Radio, VehicleInfo
+from vcmvsp.cosim.agent import Agent, Body, Radio
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import rotate2
-from vcmvsp.cosim.types import Message, Reception, Vec3
+from vcmvsp.cosim.types import Reception, Vec3
 
 pytestmark = pytest.mark.slow
 
@@ -155,7 +156,7 @@ def test_straight_up_or_down_it_keeps_its_course_whatever_its_position_seems_to_
     """Errors of 5 cm move the next point, seen from above, to all sides; on the way up, and on the last 30 cm of a line."""
     rng = np.random.default_rng(1)
     agent, radio = AerialRoute(((2.0, 2.0, 1.0), (2.0, 2.0, 9.0), (0.0, 2.0, 9.0)), heading="course"), Radio("a", ("a",))
-    agent.start(VehicleInfo(name="a", vehicles=("a",), period_s=T, latency_s=0.0, seed=1, body=BODY))
+    agent.start(info(body=BODY))
     course = math.atan2(2.0, 2.0)
 
     def turns(at: Vec3, wanted: float, ticks: int = 30) -> None:
@@ -188,7 +189,7 @@ def test_what_pushes_does_so_in_the_world_whatever_the_heading(turn: int, at: in
         ranges = [math.inf] * 32
         ranges[(at - heading) % 32] = near
         agent = AerialRoute(course_deg=0.0, avoidance=PotentialField(level=1, tang=0.0))
-        agent.start(VehicleInfo(name="a", vehicles=("a",), period_s=T, latency_s=0.0, seed=1, body=BODY, sensors=("scan",)))
+        agent.start(info(body=BODY, sensors=("scan",)))
         commands.append(agent.act(Uav((0.0, 0.0, 2.0), heading * step).see(0, scan=ring(ranges)), Radio("a", ("a",))))
     push = 0.1 * (1.2 - max(near, 0.65)) / (max(near, 0.65) - 0.6)
     wanted = (0.3 - push * math.cos(at * step), -push * math.sin(at * step))
@@ -199,7 +200,7 @@ def test_what_pushes_does_so_in_the_world_whatever_the_heading(turn: int, at: in
 
 def test_a_vehicle_that_sees_nothing_does_not_climb_either() -> None:
     agent = AerialRoute(((5.0, 0.0, 9.0),), avoidance=PotentialField())
-    agent.start(VehicleInfo(name="a", vehicles=("a",), period_s=T, latency_s=0.0, seed=1, body=BODY, sensors=("scan",)))
+    agent.start(info(body=BODY, sensors=("scan",)))
     command = agent.act(Uav((0.0, 0.0, 2.0)).see(0), Radio("a", ("a",)))
     assert command.linear == (0.0, 0.0, 0.0)
     assert agent.drain_notes()["mode"] == "blind"
@@ -253,7 +254,7 @@ def test_one_in_the_air_follows_one_on_wheels() -> None:
     car, follower = Trajectory(path="circle", speed=0.3, yaw_rate=0.15), AerialFollower("car", (-0.5, 0.0, 2.0))
     radio = Radio("car", names)
     for name, agent in zip(names, (car, follower), strict=True):
-        agent.start(VehicleInfo(name=name, vehicles=names, period_s=T, latency_s=0.0, seed=1))
+        agent.start(info(name, names))
     car.act(Uav((0.0, 0.0, 0.0), 0.7).see(0), radio)
     (message,) = radio.drain()
     heard = Uav((5.0, 5.0, 1.0)).see(10**8, [received(message)])
@@ -284,9 +285,9 @@ def test_it_hovers_until_it_hears_and_when_it_hears_no_more() -> None:
 def test_one_that_was_busy_otherwise_stops_from_how_it_moves_and_not_from_what_it_was_told_long_ago() -> None:
     follower, radio = AerialFollower("lead", (-2.0, 0.0, 0.0), fade_s=1.0), Radio("f", ("lead", "f"))
     uav = Uav((-2.0, 0.0, 5.0))
-    follower.start(VehicleInfo(name="f", vehicles=("lead", "f"), period_s=T, latency_s=0.0, seed=1, body=BODY))
+    follower.start(info("f", ("lead", "f"), body=BODY))
     report = {"seq": 0, "t_ns": 0, "x": 0.0, "y": 0.0, "z": 5.0, "th": 0.0, "v": 4.0, "w": 0.0, "vx": 4.0, "vy": 0.0, "vz": 0.0}
-    heard = received(Message(sender="lead", body=report, size_bytes=9))
+    heard = said("lead", report)
     assert follower.act(uav.see(0, [heard]), radio).linear == (4.0, 0.0, 0.0)
     uav.velocity = (0.0, -1.0, 0.0)
     for tick in range(1, 50):
@@ -332,7 +333,7 @@ def test_members_keep_off_each_other_though_they_are_to_pass_through() -> None:
         of = Formation(spacing=2.0, members=names, passage=passage)
         radio = Radio("b", names)
         follower = AerialFollower(formation=of, max_speed=0.6, broadcast=True, avoidance=PotentialField())
-        follower.start(VehicleInfo(name="b", vehicles=names, period_s=T, latency_s=0.0, seed=1, body=BODY, sensors=("scan",)))
+        follower.start(info("b", names, body=BODY, sensors=("scan",)))
         heard = [reported("a", 5.0, 1.0), reported("c", 0.55, 0.0)]
         commands.append(follower.act(Uav((0.0, 0.0, 2.0)).see(10**8, heard, scan=near), radio).linear)
     assert commands[0] == commands[1]
@@ -341,7 +342,7 @@ def test_members_keep_off_each_other_though_they_are_to_pass_through() -> None:
 
 def reported(sender: str, x: float, y: float) -> Reception:
     body = {**dict.fromkeys(("seq", "t_ns"), 0), **dict.fromkeys(("th", "v", "w", "vx", "vy", "vz"), 0.0)}
-    return received(Message(sender=sender, body={**body, "x": x, "y": y, "z": 2.0, "cl": 1}, size_bytes=9))
+    return said(sender, {**body, "x": x, "y": y, "z": 2.0, "cl": 1})
 
 
 # --- what cannot be ---
@@ -374,11 +375,11 @@ def test_a_follower_that_is_told_nonsense_says_so(given: dict[str, Any], words: 
 )
 def test_a_follower_that_has_nobody_to_follow_says_so(agent: AerialFollower, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        agent.start(VehicleInfo(name="a", vehicles=("a", "b"), period_s=T, latency_s=0.0, seed=1))
+        agent.start(info())
 
 
 @pytest.mark.parametrize("agent", [AerialRoute(course_deg=0.0), AerialFollower("b", (0.0, 0.0, 0.0))])
 def test_a_vehicle_on_wheels_is_refused(agent: Agent) -> None:
     wheels = Body(width_m=0.3, radius_m=0.2)
     with pytest.raises(ValueError, match="a drives on wheels, but this agent is for vehicles that fly"):
-        agent.start(VehicleInfo(name="a", vehicles=("a", "b"), period_s=T, latency_s=0.0, seed=1, body=wheels))
+        agent.start(info(body=wheels))

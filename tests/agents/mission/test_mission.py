@@ -7,17 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.agents.aerial_loop import BODY
+from tests.support.agents.agent_loop import Uav, info, said
+from tests.support.agents.scans import scan_of
 from vcmvsp.agents.avoidance import Gap
 from vcmvsp.agents.mission.mission import SearchMission
 from vcmvsp.agents.reconnaissance.roster import Claim
-from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.agent import Agent, Observation, Radio
 from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.received import ReceivedMessages
-from vcmvsp.cosim.types import Message, Reception, Scan, Vec3, VehicleState, Velocity
+from vcmvsp.cosim.types import Vec3, Velocity
 
 T_NS = 100_000_000
-BODY = Body(width_m=0.5, radius_m=0.25, flies=True)
 HERE = "tests.agents.mission.test_mission"
 NAMES = ("a", "b", "c")
 
@@ -66,36 +67,17 @@ class Flown:
         algorithms = {"search": search or table(1.0)} | ({} if track is None else {"track": track})
         algorithms |= {"formation": FOLLOWS} if "sectors" in more else {}
         self.agent = SearchMission(algorithms, acceleration=1e9, yaw_acceleration=1e9, **more)
-        self.radio, self.name = Radio(name, NAMES), name
+        self.radio = Radio(name, NAMES)
         self.notes: list[dict[str, Any]] = []
         self.sent: list[list[Any]] = []
-        info = VehicleInfo(name=name, vehicles=NAMES, period_s=0.1, latency_s=0.0, seed=1, body=BODY, sensors=("scan",))
-        self.agent.start(info)
+        self.agent.start(info(name, NAMES, body=BODY, sensors=("scan",)))
 
     def tick(self, number: int, nearest: float = 9.0, *heard: tuple[str, Any], velocity: Vec3 = (1.0, 0.0, 0.0)) -> Any:
-        ranges = np.full(32, 9.0, np.float32)
+        ranges = np.full(32, 9.0)
         ranges[12:20] = nearest  # ahead
-        scan = Scan(
-            ranges=ranges,
-            angle_min=-3.0,
-            angle_step=6.0 / 31,
-            range_max=9.0,
-            time_ns=number * T_NS,
-        )
-        receptions = tuple(
-            Reception(message=Message(sender=sender, body=body, size_bytes=1), rssi_dbm=-50.0, sent_ns=0, received_ns=0)
-            for sender, body in heard
-        )
-        state = VehicleState(position=(0.0, 0.0, 20.0), velocity=velocity)
-        received = ReceivedMessages.of(receptions, number * T_NS)
-        obs = Observation(
-            vehicle=self.name,
-            time_ns=number * T_NS,
-            state=state,
-            readings={"scan": scan},
-            heard=received,
-        )
-        command = self.agent.act(obs, self.radio)
+        scan = scan_of(ranges, 6.0, time_ns=number * T_NS)
+        uav = Uav((0.0, 0.0, 20.0), velocity=velocity)
+        command = self.agent.act(uav.see(number * T_NS, [said(*each) for each in heard], scan=scan), self.radio)
         self.notes.append(self.agent.drain_notes())
         self.sent.append([message.body for message in self.radio.drain()])
         return command
@@ -181,7 +163,7 @@ def test_who_flies_along_finds_the_files_that_its_algorithm_names_in_the_folder_
     with registry.looking_in(tmp_path):
         agent = SearchMission({"search": table(1.0), "formation": formation}, sectors=(("a", "b"), ("c",)))
     for name, tasks in (("a", ["search"]), ("b", ["search", "formation"]), ("c", ["search"]), ("b", ["search", "formation"])):
-        agent.start(VehicleInfo(name=name, vehicles=NAMES, period_s=0.1, latency_s=0.0, seed=1, body=BODY, sensors=("scan",)))
+        agent.start(info(name, NAMES, body=BODY, sensors=("scan",)))
         assert list(agent._tasks) == tasks
 
 

@@ -10,18 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.agents.aerial_loop import BODY as WINGS
+from tests.support.agents.agent_loop import T, Uav, info, said
+from tests.support.agents.scans import ring
 from vcmvsp.agents.avoidance import PotentialField
 from vcmvsp.agents.mission.runner import AlgorithmRunner, Command, Guard
 from vcmvsp.agents.reconnaissance.state_table import MissionFacts, MissionState, step
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
-from vcmvsp.cosim.frames import quaternion_from_yaw
-from vcmvsp.cosim.received import ReceivedMessages
-from vcmvsp.cosim.types import Message, Reception, Scan, Vec3, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.types import Reception, Vec3, Velocity, Waypoint
 
 pytestmark = pytest.mark.slow
 
-T = 0.1
-WINGS, WHEELS = Body(width_m=0.5, radius_m=0.25, flies=True), Body(width_m=0.4, radius_m=0.25)
+WHEELS = Body(width_m=0.4, radius_m=0.25)
 POINT = Waypoint(position=(5.0, 0.0, 3.0))
 
 
@@ -72,7 +72,7 @@ def going(*linear: float, turn: float = 0.0) -> Velocity:
 
 def runner_of(*agents: Says, acceleration: float = 1.0, body: Body = WINGS) -> AlgorithmRunner:
     runner = AlgorithmRunner({agent.name: agent for agent in agents}, acceleration=acceleration, yaw_acceleration=2.0)
-    runner.start(VehicleInfo(name="a", vehicles=("a", "b"), period_s=T, latency_s=0.0, seed=1, body=body))
+    runner.start(info(body=body))
     return runner
 
 
@@ -91,10 +91,7 @@ def ask(
     yaw: float = 0.0,
     turning: float = 0.0,
 ) -> Any:
-    state = VehicleState(
-        position=(0.0, 0.0, 3.0), velocity=velocity, attitude=quaternion_from_yaw(yaw), angular_velocity=(0.0, 0.0, turning)
-    )
-    obs = Observation(vehicle="a", time_ns=tick * 100_000_000, state=state, readings={}, heard=ReceivedMessages.of(heard, 0))
+    obs = Uav((0.0, 0.0, 3.0), yaw, velocity, turning).see(tick * 100_000_000, heard)
     runner.look(obs)
     return runner.act(obs, RADIO, commander, task=task, why=why)
 
@@ -105,7 +102,7 @@ def ask(
 def test_the_commander_is_obeyed_and_the_others_hear_send_and_go_on() -> None:
     search, track = Says("search", going(1.0)), Waits("track", going(2.0))
     runner = runner_of(search, track)
-    message = Reception(message=Message(sender="b", body={}, size_bytes=0), rssi_dbm=-50.0, sent_ns=0, received_ns=0)
+    message = said("b", {})
     RADIO.drain()
     assert ask(runner, 0, "search", heard=(message,)) == going(1.0)
     ask(runner, 1, "track", heard=(message,))
@@ -160,7 +157,7 @@ def test_avoidance_gets_around_things_on_the_way_that_the_task_wants_by_then() -
 def test_one_agent_may_have_several_names_and_is_asked_once() -> None:
     around = Slower("avoid", going(1.0))
     runner = AlgorithmRunner({"avoid1": around, "avoid2": around}, acceleration=1.0, yaw_acceleration=1.0)
-    runner.start(VehicleInfo(name="a", vehicles=("a",), period_s=T, latency_s=0.0, seed=1, body=WINGS))
+    runner.start(info(body=WINGS))
     assert ask(runner, 0, "avoid1") == ask(runner, 1, "avoid2") == going(1.0)
     assert around.calls == ["start", "around None", "around None"]
 
@@ -192,16 +189,6 @@ def test_who_commands_since_when_and_why_is_noted_when_it_changes() -> None:
 
 
 # --- take-over ---
-
-
-def test_a_take_over_runs_up_at_the_acceleration_that_the_vehicle_has() -> None:
-    """From 0.4 m/s east to 0.3 m/s north is 0.5 m/s; at 1 m/s2 that takes five ticks, the yaw rate at 2 rad/s2 two."""
-    runner = runner_of(Says("search", going(0.4)), Says("track", going(0.0, 0.3, turn=-0.4)))
-    ask(runner, 0, "search")
-    commands = [ask(runner, tick, "track") for tick in range(1, 7)]
-    assert [each.linear[:2] for each in commands[:4]] == [pytest.approx((0.4 - 0.08 * n, 0.06 * n)) for n in (1, 2, 3, 4)]
-    assert [each.yaw_rate for each in commands[:2]] == pytest.approx([-0.2, -0.4])
-    assert commands[5] == going(0.0, 0.3, turn=-0.4)
 
 
 def test_once_it_has_got_there_the_commander_may_do_what_it_likes() -> None:
@@ -249,17 +236,17 @@ def wish(tick: int) -> tuple[float, float, float]:
 @pytest.mark.parametrize("wanted", [lambda tick: (2.0, -1.0, 0.5), wish])
 def test_a_run_up_ends_where_the_commander_wants(wanted: Callable[[int], Vec3]) -> None:
     """At one that holds after the way there at that acceleration; on the way it never gets further from what is wanted."""
-    track = Says("track", *(going(*wanted(tick)) for tick in range(100)))
+    track = Says("track", *(going(*wanted(tick), turn=-0.7) for tick in range(100)))
     runner = runner_of(Says("search", going(-1.0)), track, acceleration=2.0)
-    last = ask(runner, 0, "search").linear
+    last = ask(runner, 0, "search")
     for tick in range(1, 60):
-        command = ask(runner, tick, "track").linear
-        assert math.dist(command, wanted(tick)) <= max(0.0, math.dist(last, wanted(tick)) - 0.2) + 1e-9 or command == wanted(
-            tick
-        )
+        command, goal = ask(runner, tick, "track"), wanted(tick)
+        short, turning = math.dist(last.linear, goal), abs(last.yaw_rate + 0.7)
+        assert math.dist(command.linear, goal) <= max(0.0, short - 0.2) + 1e-9 or command.linear == goal
+        assert abs(command.yaw_rate + 0.7) <= max(0.0, turning - 0.2) + 1e-9
         last = command
     if wanted is not wish:
-        assert last == (2.0, -1.0, 0.5)
+        assert last == going(2.0, -1.0, 0.5, turn=-0.7)
 
 
 # --- no safety rests on who commands: whatever the table and the take-overs do, a vehicle comes no nearer than it may ---
@@ -271,24 +258,15 @@ SETTINGS = PotentialField(keep_m=KEEP)
 
 def guard_of(body: Body | None = WINGS, sensors: tuple[str, ...] = ("scan",)) -> Guard:
     guard = Guard(SETTINGS)
-    guard.start(info_of(body, sensors))
+    guard.start(info(body=body, sensors=sensors))
     return guard
-
-
-def info_of(body: Body | None = WINGS, sensors: tuple[str, ...] = ("scan",)) -> VehicleInfo:
-    return VehicleInfo(name="a", vehicles=("a",), period_s=T, latency_s=0.0, seed=1, body=body, sensors=sensors)
 
 
 def seen(ranges: Any, tick: int = 0, x: float = 0.0, velocity: float = 0.0, yaw: float = 0.0) -> Observation:
     """From a vehicle at x that moves along x, whatever its heading."""
-    readings: dict[str, Any] = {}
-    if ranges is not None:
-        step_rad = math.tau / len(ranges)
-        readings["scan"] = Scan(
-            ranges=np.array(ranges), angle_min=0.0, angle_step=step_rad, range_max=30.0, time_ns=tick * 100_000_000
-        )
-    state = VehicleState(position=(x, 0.0, 5.0), velocity=(velocity, 0.0, 0.0), attitude=quaternion_from_yaw(yaw))
-    return Observation(vehicle="a", time_ns=tick * 100_000_000, state=state, readings=readings)
+    now_ns = tick * 100_000_000
+    scan = None if ranges is None else ring(ranges, now_ns)
+    return Uav((x, 0.0, 5.0), yaw, (velocity, 0.0, 0.0)).see(now_ns, scan=scan)
 
 
 def limited(guard: Guard, obs: Observation, command: Any) -> Any:
@@ -375,8 +353,8 @@ def flown(facts: list[dict[str, Any]], speeds: tuple[float, float, float], *, li
     algorithms = {"search": search, "formation": search, "track": track, "avoid1": avoid, "avoid2": avoid}
     looks, guard = Guard(SETTINGS), Guard(SETTINGS) if limits else None
     runner = AlgorithmRunner(algorithms, acceleration=1.0, yaw_acceleration=1.0, guard=guard)
-    looks.start(info_of())
-    runner.start(info_of())
+    for each in (looks, runner):
+        each.start(info(body=WINGS, sensors=("scan",)))
     x, v, state, nearest, late, radio = 0.0, 0.0, MissionState(), math.inf, 0, Radio("a", ("a",))
     for tick in range(200):
         ranges = np.full(64, np.inf)

@@ -7,27 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.agents.agent_loop import Uav
+from tests.support.agents.agent_loop import said as reception
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster
 from vcmvsp.cosim.agent import Observation, Radio
-from vcmvsp.cosim.received import ReceivedMessages
-from vcmvsp.cosim.types import Message, Reception, VehicleState
 
 S = 1_000_000_000
 NAMES = ("a", "b", "c", "d")
 
 
 def seen(now_s: float, *heard: tuple[str, Any]) -> Observation:
-    receptions = [
-        Reception(message=Message(sender=sender, body=body, size_bytes=9), rssi_dbm=-50.0, sent_ns=0, received_ns=0)
-        for sender, body in heard
-    ]
-    return Observation(
-        vehicle="a",
-        time_ns=round(now_s * S),
-        state=VehicleState(position=(0.0, 0.0, 9.0)),
-        readings={},
-        heard=ReceivedMessages.of(receptions, round(now_s * S)),
-    )
+    return Uav((0.0, 0.0, 9.0)).see(round(now_s * S), [reception(*each) for each in heard])
 
 
 def said(name: str, now_s: float, task: Any = "search", claim: Claim | None = None) -> tuple[str, Any]:

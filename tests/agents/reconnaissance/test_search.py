@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from tests.support.agents import agent_loop
 from tests.support.agents.agent_loop import received
 from tests.support.agents.search_agents import GRID, REACH, TARGETS, Team, info, looks, of_map, searcher, see
 from vcmvsp.agents.reconnaissance.exchange import Ledger
@@ -162,8 +163,7 @@ def test_facts_name_the_surest_place_that_is_nobodys() -> None:
     first, second_place = (9.0, 31.0), (27.0, 13.0)
     assert facts == {"shared": False, "probability": pytest.approx(9**4 / (1 + 9**4)), "place": second_place}
     body = {"do": "track", "ms": 4000, "tg": "", "at": [28.0, 12.0], "since": 3000}
-    claim = received(Message(sender="b", body=body, size_bytes=50))
-    obs = see((10.0, 30.0, 20.0), 5 * S, claim)
+    obs = see((10.0, 30.0, 20.0), 5 * S, agent_loop.said("b", body))
     agent.roster.hear(obs)
     assert agent.roster.claims(5 * S) == {"b": Claim("", (28.0, 12.0), 3 * S)}
     assert agent.facts(obs)["place"] == first
@@ -269,7 +269,7 @@ def test_what_does_not_fit_itself_is_refused() -> None:
 def test_it_does_not_drive() -> None:
     body = Body(width_m=0.3, radius_m=0.2)
     with pytest.raises(ValueError, match="drives on wheels"):
-        searcher().start(VehicleInfo(name="a", vehicles=("a",), period_s=0.1, latency_s=0.0, seed=1, body=body))
+        searcher().start(agent_loop.info(body=body))
 
 
 class Sensorless(Search):

@@ -7,18 +7,18 @@ from typing import Any
 import pytest
 
 import vcmvsp
-from tests.support.agents.aerial_loop import BODY, T, Uav
+from tests.support.agents.aerial_loop import BODY
+from tests.support.agents.agent_loop import T, Uav, info, received, said
 from tests.support.agents.fake_cameras import T_NS, Eye, at_rest, keep_over, started
 from vcmvsp.agents.reconnaissance.roster import Roster
 from vcmvsp.agents.reconnaissance.track import CLIMB, TrackTarget
-from vcmvsp.cosim.agent import Radio, VehicleInfo
+from vcmvsp.cosim.agent import Radio
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.types import Message, Reception, Waypoint
+from vcmvsp.cosim.types import Reception, Waypoint
 
 
 def told(sender: str, tick: int, **body: Any) -> Reception:
-    message = Message(sender=sender, body={"do": "track", "ms": tick * 100, **body}, size_bytes=30)
-    return Reception(message=message, rssi_dbm=-50.0, sent_ns=(tick - 1) * T_NS, received_ns=tick * T_NS)
+    return said(sender, {"do": "track", "ms": tick * 100, **body})
 
 
 # --- the loop -----------------------------------------------------------------------------------------------------------------
@@ -64,7 +64,7 @@ def test_a_gain_that_cannot_settle_is_refused_at_the_start_by_its_key() -> None:
         track = TrackTarget(**params)  # type: ignore[arg-type]
         track.watch = Eye(at_rest())  # type: ignore[assignment]
         with pytest.raises(ValueError, match=r"gain = .*must lie between 0 and"):
-            track.start(VehicleInfo(name="me", vehicles=("me",), period_s=T, latency_s=latency, seed=1, body=BODY))
+            track.start(info("me", ("me",), latency_s=latency, body=BODY))
 
 
 # --- whose target -------------------------------------------------------------------------------------------------------------
@@ -176,7 +176,7 @@ def test_it_may_be_started_again_and_knows_nothing_of_what_was_before() -> None:
     track, ways = TrackTarget(), []
     for _ in range(2):
         track.watch = Eye(lambda time_s: {"alpha": (3.0, -2.0)} if time_s < 2.0 else {})  # type: ignore[assignment]
-        track.start(VehicleInfo(name="me", vehicles=("me", "other"), period_s=T, latency_s=0.0, seed=1, body=BODY))
+        track.start(info("me", ("me", "other"), body=BODY))
         ways.append(keep_over(track, Uav((0.0, 0.0, 30.0)), 200))
         assert track.roster is not None
         assert len(track.roster.given_up(0)) == 1
@@ -189,10 +189,7 @@ def test_it_tells_others_what_it_tracks() -> None:
     other = Roster("other", ("me", "other"))
     for tick in range(5):
         track.act(uav.see(tick * T_NS), radio)
-        heard = [
-            Reception(message=each, rssi_dbm=-50.0, sent_ns=tick * T_NS, received_ns=tick * T_NS) for each in radio.drain()
-        ]
-        other.hear(uav.see(tick * T_NS, heard))
+        other.hear(uav.see(tick * T_NS, [received(each) for each in radio.drain()]))
     claim = other.claims(5 * T_NS)["me"]
     assert claim.target == "alpha"
     assert claim.place == pytest.approx((3.0, -2.0))

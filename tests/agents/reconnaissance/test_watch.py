@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.agents.aerial_loop import BODY, T
+from tests.support.agents.aerial_loop import BODY
+from tests.support.agents.agent_loop import T, info
 from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, Poses, nadir_of
 from vcmvsp.agents.reconnaissance.recognition.ground import FOCAL_PX, SyntheticFrame, frame, glyph, tilted
 from vcmvsp.agents.reconnaissance.watch import GroundDisc, Wanted, Watch, Watching
-from vcmvsp.cosim.agent import Observation, VehicleInfo
+from vcmvsp.cosim.agent import Observation
 from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw
@@ -40,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def watch(folder: Path) -> Watch:
     with registry.looking_in(folder):
         made = Watch(Watching(targets=(Wanted(name="glyph", picture="glyph.png"),)))
-    made.start(VehicleInfo(name="me", vehicles=("me",), period_s=T, latency_s=0.0, seed=1, body=BODY, sensors=("camera",)))
+    made.start(info("me", body=BODY, sensors=("camera",)))
     return made
 
 
@@ -236,7 +237,7 @@ def test_where_targets_are_too_small_to_be_recognised_nothing_counts_as_looked_a
 
 def test_bad_cameras_are_refused(watch: Watch) -> None:
     with pytest.raises(ValueError, match=r"watching.camera = 'camera': me has no such sensor; its sensors: scan"):
-        watch.start(VehicleInfo(name="me", vehicles=("me",), period_s=T, latency_s=0.0, seed=1, sensors=("scan",)))
+        watch.start(info("me", sensors=("scan",)))
     scan = Scan(ranges=np.ones(3, np.float32), angle_min=0.0, angle_step=0.1, range_max=5.0)
     with pytest.raises(TypeError, match="gives a Scan, not pictures"):
         watch.look(seen(0, (0.0, 0.0, 5.0), camera=scan))

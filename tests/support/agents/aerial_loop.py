@@ -5,42 +5,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from tests.support.agents.agent_loop import received
+from tests.support.agents.agent_loop import T, Uav, info, received
 from vcmvsp.agents.formation.aerial import told
-from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
-from vcmvsp.cosim.frames import quaternion_from_yaw
-from vcmvsp.cosim.received import ReceivedMessages
-from vcmvsp.cosim.types import Reception, Scan, Vec3, VehicleState, Velocity
+from vcmvsp.cosim.agent import Agent, Body, Observation, Radio
+from vcmvsp.cosim.types import Reception, Vec3, Velocity
 
-T = 0.1
 BODY = Body(width_m=0.5, radius_m=0.25, flies=True)
-
-
-@dataclass
-class Uav:
-    """A point that moves exactly as it is told."""
-
-    position: Vec3
-    yaw: float = 0.0
-    velocity: Vec3 = (0.0, 0.0, 0.0)
-    yaw_rate: float = 0.0
-
-    def see(self, time_ns: int, heard: Sequence[Reception] = (), **readings: Any) -> Observation:
-        state = VehicleState(
-            position=self.position,
-            velocity=self.velocity,
-            attitude=quaternion_from_yaw(self.yaw),
-            angular_velocity=(0.0, 0.0, self.yaw_rate),
-        )
-        received = ReceivedMessages.of(heard, time_ns)
-        return Observation(vehicle="me", time_ns=time_ns, state=state, readings=readings, heard=received)
-
-    def move(self, command: Velocity) -> None:
-        self.velocity, self.yaw_rate = command.linear, command.yaw_rate
-        x, y, z = (p + T * v for p, v in zip(self.position, self.velocity, strict=True))
-        self.position, self.yaw = (x, y, z), self.yaw + T * self.yaw_rate
 
 
 class Drifter(Agent):
@@ -81,7 +51,7 @@ def fly(
     radios = {name: Radio(name, names) for name in names}
     uavs = dict(zip(names, starts, strict=True))
     for name, agent in agents.items():
-        agent.start(VehicleInfo(name=name, vehicles=names, period_s=T, latency_s=0.0, seed=1, body=BODY, sensors=("scan",)))
+        agent.start(info(name, names, body=BODY, sensors=("scan",)))
     seen = Flight(*({name: [] for name in names} for _ in range(5)))  # type: ignore[arg-type]
     air: list[Reception] = []
     for tick in range(ticks):
@@ -103,15 +73,3 @@ def fly(
             uavs[name].move(commands[-1])
         air = sent
     return seen
-
-
-def ring(ranges: Sequence[float], time_ns: int = 0) -> Scan:
-    """A scan all the way round."""
-    count = len(ranges)
-    return Scan(
-        time_ns=time_ns,
-        angle_min=0.0,
-        angle_step=math.tau / count,
-        range_max=6.0,
-        ranges=np.array(ranges, float),
-    )

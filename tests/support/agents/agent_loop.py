@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +12,9 @@ from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import arc, quaternion_from_yaw
 from vcmvsp.cosim.received import ReceivedMessages
-from vcmvsp.cosim.types import Follows, Message, Reception, VehicleState, Velocity
+from vcmvsp.cosim.types import Follows, Message, Reception, Vec3, VehicleState, Velocity
 
+T = 0.1
 Floats = NDArray[np.float64]
 Pose = tuple[float, float, float]
 Lost = Callable[[int, int], bool]  # (tick, follower) -> whether the report of that tick is lost on the way to that follower
@@ -44,22 +46,54 @@ class Vehicle:
             self.v, self.w = v + (self.v - v) * decay_v, w + (self.w - w) * decay_w
 
 
-def observe(pose: Pose, time_ns: int, heard: Sequence[Reception] = (), *, v: float = 0.0, w: float = 0.0) -> Observation:
-    """What a vehicle knows that sees itself as it is."""
+@dataclass
+class Uav:
+    """A point that moves exactly as it is told."""
+
+    position: Vec3
+    yaw: float = 0.0
+    velocity: Vec3 = (0.0, 0.0, 0.0)
+    yaw_rate: float = 0.0
+
+    def see(self, time_ns: int, heard: Sequence[Reception] = (), **readings: Any) -> Observation:
+        """What a vehicle knows that sees itself as it is; None: no such reading."""
+        state = VehicleState(
+            position=self.position,
+            velocity=self.velocity,
+            attitude=quaternion_from_yaw(self.yaw),
+            angular_velocity=(0.0, 0.0, self.yaw_rate),
+        )
+        there = {name: reading for name, reading in readings.items() if reading is not None}
+        messages = ReceivedMessages.of(heard, time_ns)
+        return Observation(vehicle="me", time_ns=time_ns, state=state, readings=there, heard=messages)
+
+    def move(self, command: Velocity) -> None:
+        self.velocity, self.yaw_rate = command.linear, command.yaw_rate
+        x, y, z = (p + T * v for p, v in zip(self.position, self.velocity, strict=True))
+        self.position, self.yaw = (x, y, z), self.yaw + T * self.yaw_rate
+
+
+def observe(
+    pose: Pose, time_ns: int, heard: Sequence[Reception] = (), *, v: float = 0.0, w: float = 0.0, **readings: Any
+) -> Observation:
+    """What a vehicle on wheels knows."""
     x, y, yaw = pose
-    state = VehicleState(
-        position=(x, y, 0.0),
-        velocity=(v * math.cos(yaw), v * math.sin(yaw), 0.0),
-        attitude=quaternion_from_yaw(yaw),
-        angular_velocity=(0.0, 0.0, w),
-    )
-    messages = ReceivedMessages.of(heard, time_ns)
-    return Observation(vehicle="me", time_ns=time_ns, state=state, readings={}, heard=messages)
+    return Uav((x, y, 0.0), yaw, (v * math.cos(yaw), v * math.sin(yaw), 0.0), w).see(time_ns, heard, **readings)
 
 
 def received(message: Message) -> Reception:
     """The message as heard; algorithms here look at nothing but its content."""
     return Reception(message=message, rssi_dbm=-50.0, sent_ns=0, received_ns=1)
+
+
+def said(sender: str, body: Any) -> Reception:
+    """A message with this content as heard."""
+    return received(Message(sender=sender, body=body, size_bytes=9))
+
+
+def info(name: str = "a", vehicles: Sequence[str] = ("a", "b"), **more: Any) -> VehicleInfo:
+    """What a vehicle is told when it starts."""
+    return VehicleInfo(**{"name": name, "vehicles": tuple(vehicles), "period_s": T, "latency_s": 0.0, "seed": 1, **more})
 
 
 def formation_error(leader: Floats, follower: Floats, follows: Follows) -> Floats:
@@ -111,7 +145,7 @@ def drive(
     names = [f"f{i}" for i in range(len(followers))]
     everybody = ("leader", *names)
     for name, agent in zip(everybody, (leader, *followers), strict=True):
-        agent.start(VehicleInfo(name=name, vehicles=everybody, period_s=period_s, latency_s=0.0, seed=1))
+        agent.start(info(name, everybody, period_s=period_s))
     front = Vehicle((0.0, 0.0, 0.0))
     cars = [Vehicle(pose, rolling, 0.0, *tau) for pose in starts]
     lead_radio, radios = Radio("leader", everybody), [Radio(name, everybody) for name in names]

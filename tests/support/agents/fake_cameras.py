@@ -5,12 +5,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from tests.support.agents.aerial_loop import BODY, T, Uav
+from tests.support.agents.aerial_loop import BODY
+from tests.support.agents.agent_loop import T, Uav, info
 from vcmvsp.agents.reconnaissance.ground_point import nadir_of
 from vcmvsp.agents.reconnaissance.roster import Roster
 from vcmvsp.agents.reconnaissance.track import TrackTarget
 from vcmvsp.agents.reconnaissance.watch import GroundDisc, WatchFrame, Watching
-from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
+from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.types import Image, Sighting, Waypoint
 
 T_NS = round(T * 1e9)
@@ -62,7 +63,7 @@ def started(track: TrackTarget, eye: Eye, members: tuple[str, ...] = ("me", "oth
     """The agent with that eye, told that it is ``me``."""
     track.watch = eye  # type: ignore[assignment]
     track.roster = None if alone else Roster("me", members)
-    track.start(VehicleInfo(name="me", vehicles=members, period_s=T, latency_s=0.0, seed=1, body=BODY))
+    track.start(info("me", members, body=BODY))
     return track
 
 

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from tests.support.agents.agent_loop import observe, received
+from tests.support.agents.agent_loop import info, observe, said
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.team.shape import Formation
-from vcmvsp.cosim.agent import Radio, VehicleInfo
+from vcmvsp.cosim.agent import Radio
 from vcmvsp.cosim.types import Message, Reception, Velocity
 
 CARS = ("car1", "car2", "car3", "car4")
@@ -15,7 +15,7 @@ COLUMN = {"shape": "column", "topology": "chain", "spacing": 0.8}
 
 def member(name: str, formation: dict[str, Any] | None = None, **params: Any) -> LeaderFollower:
     follower = LeaderFollower(formation=Formation(**(formation or COLUMN)), **params)
-    follower.start(VehicleInfo(name=name, vehicles=CARS, period_s=0.1, latency_s=0.0, seed=1))
+    follower.start(info(name, CARS))
     return follower
 
 
@@ -34,4 +34,4 @@ class Seat:
 
 def says(sender: str, tick: int, v: float = 0.3, **more: Any) -> Reception:
     body = {"seq": tick, "t_ns": tick * TICK_NS, "x": 0.03 * tick, "y": 0.0, "th": 0.0, "v": v, "w": 0.0, **more}
-    return received(Message(sender=sender, body=body, size_bytes=76))
+    return said(sender, body)

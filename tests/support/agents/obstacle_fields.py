@@ -7,20 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.agents.avoidance import view_of
+from tests.support.agents.agent_loop import T, info, observe
+from tests.support.agents.scans import Point, Pose, Wall, ranges_of, scan_of, sides, view
 from vcmvsp.agents.avoidance.method import Decision, Method, Settings, Task
 from vcmvsp.agents.avoidance.steering import AvoidanceSteering
 from vcmvsp.agents.avoidance.view import View
-from vcmvsp.cosim.agent import Body, Observation, VehicleInfo
-from vcmvsp.cosim.frames import arc, quaternion_from_yaw, rotate2, wrap
-from vcmvsp.cosim.types import Array, Scan, VehicleState
+from vcmvsp.cosim.agent import Body, Observation
+from vcmvsp.cosim.frames import arc, rotate2, wrap
+from vcmvsp.cosim.types import Array, Scan
 
-Point = tuple[float, float]
-Pose = tuple[float, float, float]
 Box = tuple[Point, Point]  # lower and upper corner, m
 
 PILLAR: Box = ((-0.25, -0.25), (0.25, 0.25))
-PERIOD_S = 0.1
 GOAL: Point = (3.0, 0.0)
 ROBOT, DRONE = Body(width_m=0.33, radius_m=0.216), Body(width_m=0.5, radius_m=0.25, flies=True)
 
@@ -42,26 +40,14 @@ def rooms(seed: int, beams: int = 181) -> Array:
     return np.repeat(rng.uniform(0.3, 2.5, 12), 16)[:beams] + rng.uniform(0.0, 0.05, beams)
 
 
-def look(pose: Pose, boxes: Sequence[Box], *, beams: int = 32, fov: float = math.tau, range_m: float = 6.0) -> View:
+def look(pose: Pose, boxes: Sequence[Box], *, beams: int = 32, fov: float = math.tau) -> View:
     """What a scanner without noise sees there; with a full turn beam 0 points ahead, else they go from right to left."""
-    whole = fov >= math.tau
-    first, step = (0.0, math.tau / beams) if whole else (-fov / 2, fov / (beams - 1))
-    angles = pose[2] + first + step * np.arange(beams)
-    view = view_of(Scan(ranges=cast(pose[:2], angles, boxes, range_m), angle_min=first, angle_step=step, range_max=range_m))
-    assert view is not None
-    return view
+    first = 0.0 if fov == math.tau else None
+    return view(ranges_of(walls_of(boxes), pose, beams, fov, first), fov, first)
 
 
-def cast(origin: Point, angles: Array, boxes: Sequence[Box], range_m: float) -> Array:
-    """Exact ranges from outside the boxes (a ray is in a box while it is between both pairs of its sides); inf beyond."""
-    rays = np.column_stack([np.cos(angles), np.sin(angles)])
-    found = np.full(len(angles), math.inf)
-    for box in boxes:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            sides = (np.array(box)[:, None, :] - origin) / rays
-        enters, leaves = np.fmin(*sides).max(axis=1), np.fmax(*sides).min(axis=1)
-        found = np.where((enters <= leaves) & (enters >= 0.0), np.minimum(found, enters), found)
-    return np.where(found <= range_m, found, math.inf)
+def walls_of(boxes: Sequence[Box]) -> list[Wall]:
+    return [side for box in boxes for side in sides(*box)]
 
 
 def clearance(place: Point, boxes: Sequence[Box]) -> float:
@@ -84,7 +70,7 @@ class Way:
 
     @property
     def seconds(self) -> float:
-        return PERIOD_S * len(self.decisions)
+        return T * len(self.decisions)
 
 
 def fly(
@@ -98,13 +84,13 @@ def fly(
 ) -> Way:
     """A vehicle of constant yaw past a pillar, whose velocity is the commanded one; its task is told in the world frame."""
     place, poses, decisions = start, [(*start, yaw)], list[Decision]()
-    while len(decisions) < seconds / PERIOD_S and not until(place):
+    while len(decisions) < seconds / T and not until(place):
         wish = task(place)
         now = (decisions[-1].velocity[0], decisions[-1].yaw_rate) if decisions else (0.0, 0.0)
         asked = wish._replace(velocity=rotate2(*wish.velocity, -yaw), now=now)
         decisions.append(method.decide(look((*place, yaw), [PILLAR]), asked))
         ux, uy = rotate2(*decisions[-1].velocity, yaw)
-        place = place[0] + ux * PERIOD_S, place[1] + uy * PERIOD_S
+        place = place[0] + ux * T, place[1] + uy * T
         poses.append((*place, yaw))
     return Way(poses, decisions, min(clearance(pose[:2], [PILLAR]) for pose in poses))
 
@@ -125,11 +111,11 @@ def drive(
     poses = [start]
     decisions: list[Decision] = []
     nearest = clearance(start[:2], boxes)
-    while len(decisions) < seconds / PERIOD_S and not until(pose):
+    while len(decisions) < seconds / T and not until(pose):
         now = (decisions[-1].velocity[0], decisions[-1].yaw_rate) if decisions else (0.0, 0.0)
         decision = method.decide(look(pose, boxes, beams=beams, fov=fov), task(pose)._replace(now=now))
         assert decision.velocity[1] == 0.0
-        pose = arc(pose, decision.velocity[0], decision.yaw_rate, PERIOD_S)
+        pose = arc(pose, decision.velocity[0], decision.yaw_rate, T)
         nearest = min(nearest, clearance(pose[:2], boxes))
         poses.append(pose)
         decisions.append(decision)
@@ -144,27 +130,20 @@ WHEELS, WINGS = Body(width_m=0.33, radius_m=0.18), Body(width_m=0.5, radius_m=0.
 def steering(settings: Settings, body: Body = WHEELS) -> AvoidanceSteering:
     """Of one vehicle, before its first tick."""
     made = AvoidanceSteering(settings)
-    made.start(VehicleInfo(name="a", vehicles=("a",), period_s=PERIOD_S, latency_s=0.0, seed=1, body=body, sensors=("scan",)))
+    made.start(info(body=body, sensors=("scan",)))
     return made
 
 
 def seen_from(pose: Pose, scan: Scan | None, tick: int, speed: float = 0.0) -> Observation:
     """What a vehicle is told there that moves along its heading."""
-    x, y, yaw = pose
-    state = VehicleState(
-        position=(x, y, 0.0), attitude=quaternion_from_yaw(wrap(yaw)), velocity=(*rotate2(speed, 0.0, yaw), 0.0)
-    )
-    return Observation(vehicle="a", time_ns=tick * 10**8, state=state, readings={} if scan is None else {"scan": scan})
+    return observe(pose, tick * 10**8, v=speed, scan=scan)
 
 
 def sweep(
     pose: Pose, boxes: Sequence[Box], tick: int = 0, *, beams: int = 181, fov: float = math.pi, first: float | None = None
 ) -> Scan:
     """A scan from there, whose first beam points to ``first``, rad; default: straight behind, or as far right as it looks."""
-    step = fov / (beams if fov == math.tau else beams - 1)
-    first = -0.5 * fov if first is None else first
-    ranges = cast(pose[:2], pose[2] + first + step * np.arange(beams), boxes, 20.0)
-    return Scan(ranges=ranges, angle_min=first, angle_step=step, range_max=20.0, time_ns=tick * 10**8)
+    return scan_of(ranges_of(walls_of(boxes), pose, beams, fov, first), fov, first, tick * 10**8)
 
 
 def steered(
@@ -184,7 +163,7 @@ def steered(
     """
     made, pose, way, nearest = steering(settings), start, [start], clearance(start[:2], boxes)
     decisions: list[Decision] = []
-    while len(decisions) < seconds / PERIOD_S and math.dist(pose[:2], goal) > 0.15:
+    while len(decisions) < seconds / T and math.dist(pose[:2], goal) > 0.15:
         tick = len(decisions)
         if tick % every == 0:
             scan = sweep(pose, boxes, tick, **scanner)
@@ -192,7 +171,7 @@ def steered(
         wish = (0.0 if abs(aside) > 0.8 else speed, max(-0.8, min(1.5 * aside, 0.8)))
         now = decisions[-1].velocity[0] if decisions else 0.0
         decisions.append(made.drive(seen_from(pose, scan, tick, now), wish, goal))
-        pose = arc(pose, decisions[-1].velocity[0], decisions[-1].yaw_rate, PERIOD_S)
+        pose = arc(pose, decisions[-1].velocity[0], decisions[-1].yaw_rate, T)
         way.append(pose)
         nearest = min(nearest, clearance(pose[:2], boxes))
     return Way(way, decisions, nearest), math.dist(pose[:2], goal) <= 0.15

@@ -7,8 +7,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from tests.support.agents import agent_loop
 from tests.support.agents.agent_loop import observe
 from tests.support.agents.formation_member import TICK_NS, says
+from tests.support.agents.scans import scan_of
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
 from vcmvsp.agents.formation.reports.report import ReportReceiver
@@ -16,7 +18,7 @@ from vcmvsp.agents.formation.team.passage import Lookout
 from vcmvsp.agents.formation.team.shape import Formation, Passage
 from vcmvsp.agents.formation.team.team import Team
 from vcmvsp.cosim.agent import Body, Observation, Radio, VehicleInfo
-from vcmvsp.cosim.types import Readings, Reception, Scan, Velocity
+from vcmvsp.cosim.types import Reception, Scan, Velocity
 
 CARS = ("car1", "car2", "car3")
 AMIGO = Body(width_m=0.28, radius_m=0.22)
@@ -25,8 +27,7 @@ SIDE = 0.5 + 0.14 + 0.1  # of the wedge of three, spacing 1 m: slots, half a bod
 
 
 def info(name: str = "car1", **more: Any) -> VehicleInfo:
-    known: dict[str, Any] = {"vehicles": CARS, "body": AMIGO, **more}
-    return VehicleInfo(name=name, period_s=0.1, latency_s=0.0, seed=1, **known)
+    return agent_loop.info(name, **{"vehicles": CARS, "body": AMIGO, **more})
 
 
 def formation(**passage: Any) -> Formation:
@@ -44,12 +45,11 @@ def scan(*points: tuple[float, float], time_ns: int = 0) -> Scan:
     ranges = np.full(BEAMS, np.inf, np.float32)
     for x, y in points:
         ranges[90 + round(math.degrees(math.atan2(y, x)))] = math.hypot(x, y)
-    return Scan(ranges=ranges, angle_min=-0.5 * math.pi, angle_step=math.pi / (BEAMS - 1), range_max=20.0, time_ns=time_ns)
+    return scan_of(ranges, time_ns=time_ns)
 
 
 def sees(reading: Any, tick: int = 0, *heard: Reception) -> Observation:
-    seen = observe((0.03 * tick, 0.0, 0.0), tick * TICK_NS, heard, v=0.3)
-    return msgspec.structs.replace(seen, readings=Readings({} if reading is None else {"scan": reading}))
+    return observe((0.03 * tick, 0.0, 0.0), tick * TICK_NS, heard, v=0.3, scan=reading)
 
 
 def free(

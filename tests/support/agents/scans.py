@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -17,30 +18,39 @@ Wall = tuple[Point, Point]
 SMALL = Body(width_m=0.33, radius_m=0.18)
 
 
-def view(ranges: Array, fov: float = math.pi) -> View:
-    """Of ranges that begin on the right; the whole turn begins straight behind."""
-    whole = fov == math.tau
-    found = view_of(
-        Scan(
-            ranges=np.asarray(ranges, float),
-            angle_min=-0.5 * fov,
-            angle_step=fov / (len(ranges) if whole else len(ranges) - 1),
-            range_max=20.0,
-        )
-    )
+def scan_of(ranges: Any, fov: float = math.pi, first: float | None = None, time_ns: int = 0) -> Scan:
+    """Of ranges that begin at ``first``, rad; default: on the right, a whole turn straight behind."""
+    first, step = -0.5 * fov if first is None else first, fov / (len(ranges) - (fov != math.tau))
+    return Scan(ranges=np.asarray(ranges, float), angle_min=first, angle_step=step, range_max=20.0, time_ns=time_ns)
+
+
+def ring(ranges: Sequence[float], time_ns: int = 0) -> Scan:
+    """All the way round, from straight ahead on."""
+    return scan_of(ranges, math.tau, 0.0, time_ns)
+
+
+def view(ranges: Any, fov: float = math.pi, first: float | None = None) -> View:
+    """What is seen in `scan_of` these."""
+    found = view_of(scan_of(ranges, fov, first))
     assert found is not None
     return found
 
 
 @cache
-def bearings(beams: int, fov: float) -> Array:
-    return view(np.full(beams, math.inf), fov).bearings
+def bearings(beams: int, fov: float, first: float | None = None) -> Array:
+    return view(np.full(beams, math.inf), fov, first).bearings
 
 
-def ranges_of(walls: Sequence[Wall], pose: Pose = (0.0, 0.0, 0.0), beams: int = 512, fov: float = math.pi) -> Array:
+def ranges_of(
+    walls: Sequence[Wall],
+    pose: Pose = (0.0, 0.0, 0.0),
+    beams: int = 512,
+    fov: float = math.pi,
+    first: float | None = None,
+) -> Array:
     """How far each beam gets, m; inf where it meets no wall."""
     x, y, yaw = pose
-    angles = yaw + bearings(beams, fov)[:, None]
+    angles = yaw + bearings(beams, fov, first)[:, None]
     ux, uy = np.cos(angles), np.sin(angles)
     ends = np.array(walls, float).reshape(-1, 2, 2)
     (ax, ay), (ex, ey) = (ends[:, 0] - (x, y)).T, (ends[:, 1] - ends[:, 0]).T
@@ -52,9 +62,10 @@ def ranges_of(walls: Sequence[Wall], pose: Pose = (0.0, 0.0, 0.0), beams: int = 
     return np.where(met, along, math.inf).min(axis=1, initial=math.inf)
 
 
-def box(x: float, y: float, side: float) -> list[Wall]:
-    h = 0.5 * side
-    corners = [(x - h, y - h), (x + h, y - h), (x + h, y + h), (x - h, y + h)]
+def sides(lower: Point, upper: Point) -> list[Wall]:
+    """Of the box between two corners."""
+    (left, right), (bottom, top) = zip(lower, upper, strict=True)
+    corners = [(left, bottom), (right, bottom), (right, top), (left, top)]
     return list(zip(corners, corners[1:] + corners[:1], strict=True))
 
 

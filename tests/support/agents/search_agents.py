@@ -7,25 +7,23 @@ from typing import Any
 
 import numpy as np
 
-from tests.support.agents.agent_loop import received
+from tests.support.agents import agent_loop
+from tests.support.agents.aerial_loop import BODY
+from tests.support.agents.agent_loop import T, Uav, received
 from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle
 from vcmvsp.agents.reconnaissance.search import Search
-from vcmvsp.cosim.agent import Body, Observation, Radio, VehicleInfo
-from vcmvsp.cosim.frames import quaternion_from_yaw
-from vcmvsp.cosim.received import ReceivedMessages
-from vcmvsp.cosim.types import Looks, Message, Reception, Vec3, VehicleState, Velocity
+from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
+from vcmvsp.cosim.types import Looks, Message, Reception, Vec3, Velocity
 
-T = 0.1
 S = 1_000_000_000
 SIDE = 40.0  # m
 GRID = Grid(Rectangle(0.0, 0.0, SIDE, SIDE), 2.0)
 REACH = 6.0  # m
 TARGETS = ((9.0, 31.0), (27.0, 13.0))
-BODY = Body(width_m=0.5, radius_m=0.25, flies=True)
 
 
 def info(name: str, names: tuple[str, ...], sensors: tuple[str, ...] | None = ("looks",)) -> VehicleInfo:
-    return VehicleInfo(name=name, vehicles=names, period_s=T, latency_s=0.0, seed=1, body=BODY, sensors=sensors)
+    return agent_loop.info(name, names, body=BODY, sensors=sensors)
 
 
 def searcher(**params: Any) -> Search:
@@ -42,8 +40,7 @@ def looks(x: float, y: float, time_ns: int, rng: np.random.Generator | None = No
 
 
 def see(position: Vec3, time_ns: int, *heard: Reception, yaw: float = 0.0, **readings: Any) -> Observation:
-    state = VehicleState(position=position, attitude=quaternion_from_yaw(yaw))
-    return Observation(vehicle="me", time_ns=time_ns, state=state, readings=readings, heard=ReceivedMessages.of(heard, time_ns))
+    return Uav(position, yaw).see(time_ns, heard, **readings)
 
 
 @dataclass
