@@ -17,8 +17,6 @@ from tests.support.agents.obstacle_fields import (
     WHEELS,
     WINGS,
     Box,
-    Point,
-    Pose,
     Way,
     drive,
     scattered,
@@ -29,7 +27,7 @@ from tests.support.agents.obstacle_fields import (
     to_goal,
 )
 from tests.support.agents.obstacle_fields import there as reached
-from tests.support.agents.scans import view
+from tests.support.agents.scans import Point, Pose, view
 from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View
 from vcmvsp.agents.avoidance.gap import gaps_ahead
 from vcmvsp.agents.avoidance.method import Settings
@@ -142,19 +140,6 @@ def test_what_vanishes_is_not_believed_wherever_the_speed_was_limited(speed: flo
     after = made.steer(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), [], 1, **RING), 1), task)
     assert made.level >= 1
     assert math.hypot(*after.velocity) <= math.hypot(*before.velocity) + 1e-9 < speed
-
-
-def test_what_a_method_takes_for_its_speed_is_what_was_commanded() -> None:
-    """Five seconds it stood, blind or with nowhere to go: the window begins at standstill."""
-    for stands in (None, sweep((0.0, 0.0, 0.0), [])):
-        made = steering(DynamicWindow())
-        for tick in range(30):
-            made.drive(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), [], tick), tick), (0.6, 0.0), (9.0, 0.0))
-        for tick in range(30, 80):
-            here = seen_from((0.0, 0.0, 0.0), stands and sweep((0.0, 0.0, 0.0), [], tick), tick)
-            made.limit(here, (0.0, 0.0))
-        here = seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), [((1.15, -0.25), (1.6, 0.25))], 80), 80)
-        assert made.drive(here, (0.05, 0.0), (9.0, 0.0)).velocity[0] <= 0.05 + 1e-9
 
 
 class Asked:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.agents.obstacle_fields import PILLAR, Box, Point, Pose, Way, clearance, drive, fly, look
-from tests.support.agents.scans import view
+from tests.support.agents.obstacle_fields import PILLAR, Box, Way, clearance, drive, fly, look
+from tests.support.agents.scans import Point, Pose, view
 from vcmvsp.agents.avoidance import PotentialField, Task, View
 from vcmvsp.agents.avoidance.method import Method
 from vcmvsp.agents.avoidance.potential_field import repulsion

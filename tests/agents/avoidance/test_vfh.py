@@ -115,7 +115,7 @@ def test_a_moving_robot_does_not_turn_past_what_its_circle_touches() -> None:
 
 
 def test_settings_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"freed_m = 1: must not be less than blocked_m = 1.2"):
+    with pytest.raises(ValueError, match=r"freed_m = 1 must not be less than blocked_m = 1.2"):
         Vfh(freed_m=1.0).method(ROBOT, 0.1)
     with pytest.raises(ValueError, match=r"blocked_m = 1.2 must exceed the distance kept from obstacles, 1.5 m"):
         Vfh(keep_m=1.5).method(ROBOT, 0.1)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.aerial_loop import Uav
+from tests.support.agents.agent_loop import Uav
 from tests.support.agents.fake_cameras import T_NS, Eye, at_rest, keep_over, started
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
 from vcmvsp.agents.reconnaissance.picture_recording import Mosaicking, Sheet

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import Floats, observe, received
+from tests.support.agents.agent_loop import Floats, info, observe, received
 from vcmvsp.agents.formation.followers.consensus import Consensus, Graph, neighbours_of
 from vcmvsp.agents.formation.followers.laws import axle_velocity, hand_point
 from vcmvsp.agents.formation.team.shape import Formation
-from vcmvsp.cosim.agent import Body, Radio, VehicleInfo
+from vcmvsp.cosim.agent import Body, Radio
 from vcmvsp.cosim.types import Follows, Message, Velocity
 
 pytestmark = pytest.mark.slow
@@ -44,13 +44,13 @@ def team(sides: Sides, period_ns: int = T_NS, **params: Any) -> list[Consensus]:
     everybody = names(len(sides))
     agents = [Consensus(neighbours=tuple(everybody[j] for j in each), **{"timeout_s": 1e9, **params}) for each in sides]
     for name, agent in zip(everybody, agents, strict=True):
-        agent.start(VehicleInfo(name=name, vehicles=everybody, period_s=period_ns / 1e9, latency_s=0.0, seed=0))
+        agent.start(info(name, everybody, period_s=period_ns / 1e9))
     return agents
 
 
 def alone(vehicles: Sequence[str] = ("m0", "m1"), **params: Any) -> Consensus:
     agent = Consensus(**params)
-    agent.start(VehicleInfo(name="m0", vehicles=tuple(vehicles), period_s=0.1, latency_s=0.0, seed=0))
+    agent.start(info("m0", tuple(vehicles)))
     return agent
 
 
@@ -195,7 +195,7 @@ def test_errors_are_measured_along_a_tree(graph: Graph) -> None:
     """Each against an earlier neighbour: nobody in a ring of errors, one alone without."""
     for member in range(6):
         agent = Consensus(graph=graph, formation=Formation(shape="column"), heading=1.0)
-        agent.start(VehicleInfo(name=f"m{member}", vehicles=names(6), period_s=0.1, latency_s=0.0, seed=0))
+        agent.start(info(f"m{member}", names(6)))
         if member == 0:
             assert agent.follows is None
         else:
@@ -208,10 +208,9 @@ def test_errors_are_measured_along_a_tree(graph: Graph) -> None:
 def test_on_wheels_errors_are_measured_where_all_head_the_same_way() -> None:
     column = Formation(shape="column")
     asked = {"formation": column, "graph": "path", "handle": 0.3, "heading": math.pi / 2}
-    info = VehicleInfo(name="m1", vehicles=names(2), period_s=0.1, latency_s=0.0, seed=0)
     standing, moving = Consensus(**asked), Consensus(**asked, velocity=(0.2, 0.0))  # type: ignore[arg-type]
-    standing.start(info)
-    moving.start(info)
+    standing.start(info("m1", names(2)))
+    moving.start(info("m1", names(2)))
     assert standing.follows is None
     assert moving.follows is not None
     assert moving.follows.slot == pytest.approx((0.0, -1.0))  # south of the first, which heads east
@@ -317,7 +316,7 @@ def test_only_as_much_of_the_own_past_is_kept_as_a_report_may_be_old() -> None:
     ("params", "problem"),
     [
         ({"formation": Formation(members=("m0", "m9"))}, "formation.members: unknown vehicle 'm9'"),
-        ({"formation": Formation(members=("m1", "m2"))}, "does not name m0"),
+        ({"formation": Formation(members=("m1", "m2"))}, "does not contain m0"),
         ({"formation": Formation(members=("m0", "m1", "m1"))}, "names m1 twice"),
         ({"neighbours": ("m7",)}, "'m7' is not another member"),
         ({"neighbours": ("m0",)}, "'m0' is not another member"),
@@ -329,9 +328,7 @@ def test_names_that_do_not_fit_are_refused(params: dict[str, Any], problem: str)
 
 
 def test_a_vehicle_on_wheels_needs_a_handle() -> None:
-    on_wheels = VehicleInfo(
-        name="m0", vehicles=("m0", "m1"), period_s=0.1, latency_s=0.0, seed=0, body=Body(width_m=0.4, radius_m=0.25)
-    )
+    on_wheels = info("m0", ("m0", "m1"), body=Body(width_m=0.4, radius_m=0.25))
     with pytest.raises(ValueError, match="handle is missing"):
         Consensus().start(on_wheels)
     Consensus(handle=0.3).start(on_wheels)

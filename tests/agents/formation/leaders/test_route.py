@@ -10,9 +10,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import Floats, Pose, Vehicle, observe
+from tests.support.agents.agent_loop import Floats, Pose, Vehicle, info, observe
 from vcmvsp.agents.formation.leaders.route import Point, Route
-from vcmvsp.cosim.agent import Radio, VehicleInfo
+from vcmvsp.cosim.agent import Radio
 
 T = 0.1
 
@@ -29,7 +29,7 @@ class Tour:
 
 
 def tour(agent: Route, duration_s: float, pose: Pose = (0.0, 0.0, 0.0), tau: tuple[float, float] = (0.0, 0.0)) -> Tour:
-    agent.start(VehicleInfo(name="car1", vehicles=("car1", "car2"), period_s=T, latency_s=0.0, seed=1))
+    agent.start(info("car1", ("car1", "car2")))
     car, radio = Vehicle(pose, 0.0, 0.0, *tau), Radio("car1", ("car1", "car2"))
     done = Tour(np.empty(0), np.empty(0), [], [], [])
     poses, commands = [], []

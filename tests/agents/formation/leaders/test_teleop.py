@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.agents.agent_loop import observe
+from tests.support.agents.agent_loop import info, observe
 from vcmvsp.agents.formation.leaders.teleop import Teleop
-from vcmvsp.cosim.agent import Radio, VehicleInfo
+from vcmvsp.cosim.agent import Radio
 
 pytestmark = pytest.mark.processes
 
-INFO = VehicleInfo(name="car1", vehicles=("car1", "car2"), period_s=0.1, latency_s=0.0, seed=1)
+INFO = info("car1", ("car1", "car2"))
 FAST: dict[str, Any] = {"acceleration": 1e3, "yaw_acceleration": 1e3, "max_reverse": 1.0}  # no ramp to be seen
 UP, DOWN, RIGHT, LEFT = b"\x1b[A", b"\x1b[B", b"\x1b[C", b"\x1b[D"
 

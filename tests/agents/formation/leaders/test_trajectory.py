@@ -5,14 +5,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.support.agents.agent_loop import Floats, Pose, observe, received
+from tests.support.agents.agent_loop import Floats, Pose, info, observe, received
 from tests.support.docs.readme_pages import block
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.leader import Leader
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
 from vcmvsp.agents.formation.team.shape import Formation
-from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
+from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Message
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 def commands(agent: Trajectory, duration_s: float, period_s: float = 0.1) -> Floats:
     """(ticks, 3): t in s, v in m/s, w in rad/s."""
-    agent.start(VehicleInfo(name="car1", vehicles=("car1",), period_s=period_s, latency_s=0.0, seed=1))
+    agent.start(info("car1", ("car1",), period_s=period_s))
     radio, rows = Radio("car1", ("car1",)), []
     for tick in range(round(duration_s / period_s)):
         now_ns = round(tick * period_s * 1e9)
@@ -85,7 +85,7 @@ def test_the_period_of_stop_and_go_can_be_set_and_it_can_go_straight() -> None:
 
 def reports(agent: Leader, duration_s: float, period_s: float = 0.1) -> list[dict[str, Any]]:
     """What a leader tells."""
-    agent.start(VehicleInfo(name="car1", vehicles=("car1", "car2"), period_s=period_s, latency_s=0.0, seed=1))
+    agent.start(info("car1", ("car1", "car2"), period_s=period_s))
     radio = Radio("car1", ("car1", "car2"))
     for tick in range(round(duration_s / period_s)):
         agent.act(observe((0.0, 0.0, 0.0), round(tick * period_s * 1e9)), radio)
@@ -177,7 +177,7 @@ def told_of_shapes(*heard: tuple[int, dict[str, Any]], formation: Formation = LI
     """Shape, number and order in each report of a leader of five, of which some are heard, by ticks."""
     names = tuple(f"car{number}" for number in range(1, 6))
     leader, radio = Trajectory("straight", formation=formation), Radio("car1", names)
-    leader.start(VehicleInfo(name="car1", vehicles=names, period_s=0.1, latency_s=0.0, seed=1))
+    leader.start(info("car1", names))
     for tick in range(15):
         came = [received(Message(sender=body["from"], body=body, size_bytes=60)) for at, body in heard if at == tick]
         leader.act(observe((1.0, 2.0, math.pi / 2), tick * 100_000_000, came), radio)
@@ -206,7 +206,7 @@ def test_places_are_dealt_out_by_where_members_were_heard_to_be() -> None:
 def test_only_the_first_of_a_formation_leads_it() -> None:
     leader = Trajectory(formation=Formation(members=("car2", "car1")))
     with pytest.raises(ValueError, match="formation: car1 does not lead this team, car2 does; put it first in members"):
-        leader.start(VehicleInfo(name="car1", vehicles=("car1", "car2"), period_s=0.1, latency_s=0.0, seed=1))
+        leader.start(info("car1", ("car1", "car2")))
 
 
 def test_wrong_paths_are_refused() -> None:

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import observe, received
+from tests.support.agents.agent_loop import info, observe, received
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.reports.report import ReportReceiver
-from vcmvsp.cosim.agent import Radio, VehicleInfo
+from vcmvsp.cosim.agent import Radio
 from vcmvsp.cosim.types import Message, Reception, Velocity
 
 pytestmark = pytest.mark.slow
@@ -162,7 +162,6 @@ def test_commands_keep_within_their_limits() -> None:
 
 @pytest.mark.parametrize("leader", ["car7", "car2"])
 def test_a_leader_that_is_not_another_vehicle_is_refused(leader: str) -> None:
-    info = VehicleInfo(name="car2", vehicles=("car1", "car2"), period_s=0.1, latency_s=0.0, seed=1)
-    with pytest.raises(ValueError, match=r"is not another vehicle of this run \(car1\)"):
-        LeaderFollower(leader).start(info)
-    LeaderFollower("car1").start(info)
+    with pytest.raises(ValueError, match="is not another vehicle of this run; other vehicles: car1"):
+        LeaderFollower(leader).start(info("car2", ("car1", "car2")))
+    LeaderFollower("car1").start(info("car2", ("car1", "car2")))

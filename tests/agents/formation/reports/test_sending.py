@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import drive, observe, received
+from tests.support.agents.agent_loop import drive, info, observe, received
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning, Estimator, Hold
 from vcmvsp.agents.formation.reports.report import LeaderState, Report
 from vcmvsp.agents.formation.reports.sending import REMEMBERED, Reporter, Sending, acknowledge
 from vcmvsp.agents.formation.team.shape import Formation
-from vcmvsp.cosim.agent import Radio, VehicleInfo
+from vcmvsp.cosim.agent import Radio
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Message
 
@@ -140,7 +140,7 @@ def test_the_listeners_can_change() -> None:
 def test_a_new_shape_is_told_at_once_and_until_it_is_confirmed() -> None:
     """The leader of a column stands still; after 0.5 s the team is to be a line."""
     leader = Trajectory("straight", speed=0.0, sending=NEEDED, formation=Formation(shape="column", changes=((0.5, "line"),)))
-    leader.start(VehicleInfo(name="leader", vehicles=NAMES, period_s=0.1, latency_s=0.0, seed=1))
+    leader.start(info("leader", NAMES))
     radio, told = Radio("leader", NAMES), []
     for tick in range(20):
         heard = [received(Message(sender=name, body={"ack": 0}, size_bytes=6)) for name in ("f0", "f1") if tick == 1]

@@ -18,7 +18,7 @@ from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.sending import Sending
 from vcmvsp.agents.formation.team.shape import Formation, Passage
 from vcmvsp.agents.formation.team.team import Team
-from vcmvsp.cosim.agent import Radio, VehicleInfo
+from vcmvsp.cosim.agent import Radio
 from vcmvsp.cosim.types import Message, Scan
 
 # --- the leader ---
@@ -159,7 +159,7 @@ def test_members_say_whether_they_are_clear() -> None:
 
 def test_without_a_passage_nobody_looks_and_nobody_says() -> None:
     follower, radio = LeaderFollower(formation=Formation(), broadcast=True), Radio("car2", CARS)
-    follower.start(VehicleInfo(name="car2", vehicles=CARS, period_s=0.1, latency_s=0.0, seed=1))
+    follower.start(info("car2", body=None))
     follower.act(sees(scan((0.5, 0.0))), radio)
     (message,) = radio.drain()
     assert isinstance(message.body, dict)

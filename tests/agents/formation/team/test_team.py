@@ -185,7 +185,7 @@ def test_when_the_leader_of_a_star_dies_the_lowest_living_leads() -> None:
     [
         ({"members": ("car1", "cra2")}, r"formation.members: unknown vehicle 'cra2'; did you mean 'car2'\?"),
         ({"members": ("car1", "car2", "car1")}, r"formation.members names car1 twice"),
-        ({"members": ("car1", "car3")}, r"formation.members \(car1, car3\) does not name car2"),
+        ({"members": ("car1", "car3")}, r"formation.members \(car1, car3\) does not contain car2"),
         ({"topology": "graph", "parents": {"car2": "car3", "car3": "car2"}}, r"car2 follows car3, car3 follows car2"),
         ({"shape": "own"}, r"needs offsets for all 3 members"),
         ({"changes": ((5.0, "own"),)}, r"needs offsets for all 3 members"),
