@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.agents.reconnaissance.ground_point import Nadir, nadir_of, turned
-from vcmvsp.cosim.frames import product, quaternion_from_yaw, rotate2
+from vcmvsp.cosim.frames import product, quaternion_from_yaw
 from vcmvsp.cosim.types import Image, VehicleState
 from vcmvsp.physics.sensors.camera import NadirCamera
 
@@ -32,13 +32,6 @@ def nadir(
     return Nadir((x, y, height), attitude_of(yaw, pitch, roll), F, WIDTH, HEIGHT)
 
 
-@given(st.floats(0.0, WIDTH - 1.0), st.floats(0.0, HEIGHT - 1.0), st.floats(1.0, 60.0), angles)
-def test_without_tilt_forward_is_up_in_the_picture_and_left_is_left(u: float, v: float, height: float, yaw: float) -> None:
-    forward, left = (239.5 - v) * height / F, (319.5 - u) * height / F
-    x, y = rotate2(forward, left, yaw)
-    assert nadir(3.0, -2.0, height, yaw).ground_point((u, v)) == pytest.approx((3.0 + x, y - 2.0), abs=1e-9)
-
-
 @given(places, angles, tilts, tilts, st.floats(2.0, 60.0))
 def test_the_pixel_of_a_place_shows_that_place_whatever_the_attitude(
     place: Point, yaw: float, pitch: float, roll: float, height: float
@@ -49,13 +42,6 @@ def test_the_pixel_of_a_place_shows_that_place_whatever_the_attitude(
         assert math.dist(place, (1.0, 2.0)) > height
     else:
         assert seen.ground_point(pixel) == pytest.approx(place, abs=1e-6 * height * (1.0 + max(map(abs, pixel)) / F) ** 2)
-
-
-def test_a_camera_whose_nose_is_down_looks_back_and_one_whose_left_side_is_up_looks_left() -> None:
-    """The optical axis meets the ground at h tan(tilt); a nose that goes down (pitch > 0) turns the belly backwards."""
-    middle = nadir().middle
-    assert nadir(pitch=0.2).ground_point(middle) == pytest.approx((-20.0 * math.tan(0.2), 0.0))
-    assert nadir(roll=0.2).ground_point(middle) == pytest.approx((0.0, 20.0 * math.tan(0.2)))
 
 
 def test_the_sky_is_no_place_and_neither_is_what_a_camera_in_the_ground_sees() -> None:

@@ -168,10 +168,6 @@ def test_level_2_ends_in_level_1_when_nothing_has_been_within_d2_and_15_cm_for_h
     assert run(state, 10.7, 11.2, nearest_m=9.0, seen_ns=10 * SECOND).name == before.name
 
 
-def test_level_1_gives_way_to_level_2() -> None:
-    assert run(avoiding(1, searching()), 10.1, 10.5, nearest_m=NEARER).name == "avoid2"
-
-
 def test_a_target_that_is_confirmed_on_the_way_around_is_tracked_after_it() -> None:
     state = at(avoiding(1, searching()), 10.1, nearest_m=NEAR, closing=True, recognised=True)
     assert (state.name, state.task) == ("avoid1", "track")

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import Floats, info, observe, received
+from tests.support.agents.agent_loop import Floats, info, observe, said
 from vcmvsp.agents.formation.followers.consensus import Consensus, Graph, neighbours_of
 from vcmvsp.agents.formation.followers.laws import axle_velocity, hand_point
 from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Body, Radio
-from vcmvsp.cosim.types import Follows, Message, Velocity
+from vcmvsp.cosim.types import Follows, Velocity
 
 pytestmark = pytest.mark.slow
 
@@ -56,7 +56,7 @@ def alone(vehicles: Sequence[str] = ("m0", "m1"), **params: Any) -> Consensus:
 
 def report(sender: str, tick: float, x: float, y: float = 0.0, **more: Any) -> Any:
     body = {"t_ns": round(tick * T_NS), "x": x, "y": y, **more}
-    return received(Message(sender=sender, body=body, size_bytes=0))
+    return said(sender, body)
 
 
 def drive(
@@ -76,7 +76,7 @@ def drive(
     for tick in range(ticks):
         here, now_ns = way[-1], tick * period_ns
         bodies = [{"t_ns": now_ns, "x": x, "y": y} for x, y in here.tolist()]
-        on_air.append([received(Message(sender=n, body=b, size_bytes=0)) for n, b in zip(everybody, bodies, strict=True)])
+        on_air.append([said(n, b) for n, b in zip(everybody, bodies, strict=True)])
         heard = on_air[tick - age] if tick >= age else []
         speeds = np.empty_like(here)
         for i, (agent, radio) in enumerate(zip(agents, radios, strict=True)):
@@ -276,7 +276,7 @@ def test_the_newest_report_wins_over_late_ones_copies_and_nonsense(
     ticks: list[int], garbage: list[Any], data: st.DataObject
 ) -> None:
     good = [report("m1", tick, float(tick), extra=1) for tick in ticks]
-    bad = [received(Message(sender="m1", body=body, size_bytes=0)) for body in garbage]
+    bad = [said("m1", body) for body in garbage]
     stranger = [report("somebody", 20, 99.0), report("m0", 20, 99.0)]
     agent = alone()
     mixed = data.draw(st.permutations(good + bad + stranger))

@@ -31,27 +31,10 @@ def report(state: LeaderState) -> Report:
     return Report(0, state, {})
 
 
-def on_circle(state: LeaderState, t: float) -> tuple[float, float, float]:
-    """Where constant speeds lead, from the centre of the circle (not from its chord)."""
-    x, y, th, v, w = state
-    if abs(w) < 1e-3:
-        raise ValueError("a straight line")
-    return x + v / w * (math.sin(th + w * t) - math.sin(th)), y - v / w * (math.cos(th + w * t) - math.cos(th)), th + w * t
-
-
-@given(state=STATES.filter(lambda state: abs(state.w) > 1e-3), age=st.floats(0.0, 2.0))
-def test_dead_reckoning_is_exact_on_circles_up_to_its_horizon(state: LeaderState, age: float) -> None:
-    then = DeadReckoning().predict(report(state), age)
-    assert then[:3] == pytest.approx(on_circle(state, age), abs=1e-9)
-    assert then[3:] == state[3:]
-
-
 @given(state=STATES, age=st.floats(0.0, 2.0))
-def test_dead_reckoning_is_exact_on_straight_lines(state: LeaderState, age: float) -> None:
-    straight = state._replace(w=0.0)
-    x, y, th, v, _ = straight
-    then = DeadReckoning().predict(report(straight), age)
-    assert then == pytest.approx((x + v * age * math.cos(th), y + v * age * math.sin(th), th, v, 0.0), abs=1e-12)
+def test_dead_reckoning_goes_on_at_both_speeds_up_to_its_horizon(state: LeaderState, age: float) -> None:
+    then = DeadReckoning().predict(report(state), age)
+    assert then == pytest.approx((*arc(state[:3], state.v, state.w, age), state.v, state.w), abs=1e-9)
 
 
 @pytest.mark.parametrize(("horizon_s", "fade_s"), [(2.0, 1.0), (0.0, 0.5), (1.0, 3.0)])

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import info, observe, received
+from tests.support.agents.agent_loop import info, observe, said
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.reports.report import ReportReceiver
 from vcmvsp.cosim.agent import Radio
-from vcmvsp.cosim.types import Message, Reception, Velocity
+from vcmvsp.cosim.types import Reception, Velocity
 
 pytestmark = pytest.mark.slow
 
@@ -22,7 +22,7 @@ SILENT = Radio("me", ("me",))
 
 
 def heard(body: Any, sender: str = "leader") -> Reception:
-    return received(Message(sender=sender, body=body, size_bytes=76))
+    return said(sender, body)
 
 
 def body_of(tick: int, **changes: Any) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import drive, info, observe, received
+from tests.support.agents.agent_loop import drive, info, observe, said
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning, Estimator, Hold
@@ -19,7 +19,6 @@ from vcmvsp.agents.formation.reports.sending import REMEMBERED, Reporter, Sendin
 from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Radio
 from vcmvsp.cosim.frames import arc
-from vcmvsp.cosim.types import Message
 
 NAMES = ("leader", "f0", "f1")
 NEEDED = Sending(when="needed")
@@ -37,7 +36,7 @@ class Sender:
     def __call__(self, state: LeaderState, *answers: tuple[str, Any]) -> dict[str, Any] | None:
         """The report of this tick, if there is one; ``answers``: who has just confirmed what."""
         self.tick += 1
-        heard = [received(Message(sender=name, body={"ack": number}, size_bytes=6)) for name, number in answers]
+        heard = [said(name, {"ack": number}) for name, number in answers]
         x, y, th, v, w = state
         self.reporter.tell(self.radio, observe((x, y, th), self.tick * 100_000_000, heard), v, w)
         sent = self.radio.drain()
@@ -143,7 +142,7 @@ def test_a_new_shape_is_told_at_once_and_until_it_is_confirmed() -> None:
     leader.start(info("leader", NAMES))
     radio, told = Radio("leader", NAMES), []
     for tick in range(20):
-        heard = [received(Message(sender=name, body={"ack": 0}, size_bytes=6)) for name in ("f0", "f1") if tick == 1]
+        heard = [said(name, {"ack": 0}) for name in ("f0", "f1") if tick == 1]
         leader.act(observe((0.0, 0.0, 0.0), tick * 100_000_000, heard), radio)
         bodies: list[Any] = [message.body for message in radio.drain()]
         told += [(tick, body["sn"]) for body in bodies if "sn" in body]
@@ -165,7 +164,7 @@ def test_answers_that_make_no_sense_change_nothing(answers: list[Any]) -> None:
 def test_other_messages_are_no_answers() -> None:
     reporter, radio = Reporter(NEEDED), Radio("leader", NAMES)
     bodies: list[Any] = [b"ack", {}, {"seq": 0, "x": 1.0}]
-    heard = [received(Message(sender="f0", body=body, size_bytes=3)) for body in bodies]
+    heard = [said("f0", body) for body in bodies]
     reporter.tell(radio, observe((0.0, 0.0, 0.0), 0, heard), 0.0, 0.0)
     assert len(radio.drain()) == 1
 

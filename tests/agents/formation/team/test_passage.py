@@ -9,9 +9,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import observe, received
+from tests.support.agents.agent_loop import observe, said
 from tests.support.agents.formation_member import TICK_NS, says
 from tests.support.agents.passage_team import BEAMS, CARS, SIDE, at, clear, formation, free, heard_of, info, lookout, scan, sees
+from tests.support.agents.scans import ring
 from vcmvsp.agents.avoidance import Gap, Vfh
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
@@ -19,8 +20,8 @@ from vcmvsp.agents.formation.reports.report import ReportReceiver
 from vcmvsp.agents.formation.team.passage import Lookout, Widening
 from vcmvsp.agents.formation.team.shape import Formation, Passage
 from vcmvsp.agents.formation.team.team import Team
-from vcmvsp.cosim.agent import Body, Observation, Radio
-from vcmvsp.cosim.types import Message, Readings, Scan, Velocity
+from vcmvsp.cosim.agent import Body, Radio
+from vcmvsp.cosim.types import Scan, Velocity
 
 # --- the lane ---
 
@@ -43,12 +44,8 @@ def test_the_lane_is_that_of_the_wide_shape_wherever_the_leader_is_in_it() -> No
 
 
 def test_what_is_behind_counts_as_far_as_the_lane_begins_there() -> None:
-    ring = np.full(360, np.inf, np.float32)
-    ring[180] = 0.29
-    whole = Scan(ranges=ring, angle_min=0.0, angle_step=math.tau / 360, range_max=6.0)
-    assert not free(whole)
-    ring[180] = 0.31
-    assert free(whole)
+    for behind_m, is_free in ((0.29, False), (0.31, True)):
+        assert free(ring([*[math.inf] * 180, behind_m, *[math.inf] * 179])) == is_free
 
 
 def ranges(values: Any, **more: Any) -> Scan:
@@ -127,14 +124,9 @@ def test_one_on_wheels_is_not_what_a_vehicle_in_the_air_sees() -> None:
 def test_a_report_is_reckoned_to_now_and_soon_hides_nothing() -> None:
     heard = heard_of(says("car2", 10, v=0.3, x=0.5))  # at 1 s, and at x = 1.25 m 2.5 s later
     looks = lookout()
-    assert looks.is_free(_moved(scan((1.1, 0.0), time_ns=3_500_000_000), 3.5), heard, DeadReckoning(9.0), 2.0)
-    assert not looks.is_free(_moved(scan((0.5, 0.0), time_ns=3_500_000_000), 3.5), heard, DeadReckoning(9.0), 2.0)
-    assert not looks.is_free(_moved(scan((1.1, 0.0), time_ns=3_600_000_000), 3.6), heard, DeadReckoning(9.0), 2.0)
-
-
-def _moved(reading: Scan, time_s: float) -> Observation:
-    seen = observe((0.0, 0.0, 0.0), round(time_s * 1e9))
-    return msgspec.structs.replace(seen, readings=Readings({"scan": reading}))
+    for x, now_ns, is_free in ((1.1, 3_500_000_000, True), (0.5, 3_500_000_000, False), (1.1, 3_600_000_000, False)):
+        seen = observe((0.0, 0.0, 0.0), now_ns, scan=scan((x, 0.0), time_ns=now_ns))
+        assert looks.is_free(seen, heard, DeadReckoning(9.0), 2.0) == is_free
 
 
 def test_what_is_too_near_to_be_measured_is_no_member() -> None:
@@ -213,8 +205,8 @@ def test_who_says_what_cannot_be_used_is_there_nevertheless(wrong: dict[str, Any
     answers = []
     for tick in range(130):
         body = {"seq": tick, "t_ns": tick * TICK_NS, "x": 0.0, "y": 0.0, "th": 0.0, "v": 0.3, "w": 0.0, "cl": 0}
-        message = Message(sender="car2", body={"?": 1} if wrong is None else body | wrong, size_bytes=9)
-        heard.take(sees(None, tick, received(message), clear("car3", tick)))
+        useless = said("car2", {"?": 1} if wrong is None else body | wrong)
+        heard.take(sees(None, tick, useless, clear("car3", tick)))
         answers.append(policy.widens(tick * TICK_NS, True, CARS[1:], heard))
     assert not any(answers)
 
@@ -229,8 +221,8 @@ def test_all_clear_widens_when_all_have_been_clear_for_half_a_second(ticks: list
     policy, heard = Widening(Passage(report_s=2.0)), ReportReceiver(CARS, 0.0)
     newest: dict[str, tuple[int, int]] = {}
     good = 0
-    for tick, (is_free, *said) in enumerate(ticks):
-        reports = {car: cl for car, cl in zip(CARS[1:], said, strict=True) if cl is not None}
+    for tick, (is_free, *told_clear) in enumerate(ticks):
+        reports = {car: cl for car, cl in zip(CARS[1:], told_clear, strict=True) if cl is not None}
         receptions = [says(car, tick) if cl == MUTE else clear(car, tick, cl) for car, cl in reports.items()]
         told = {car: int(cl == 1) for car, cl in reports.items()}
         heard.take(sees(None, tick, *receptions))

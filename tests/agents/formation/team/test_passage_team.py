@@ -6,11 +6,11 @@ from functools import partial
 from typing import Any
 
 import msgspec
-import numpy as np
 import pytest
 
 from tests.support.agents.formation_member import TICK_NS, says
 from tests.support.agents.passage_team import CARS, Front, at, clear, formation, info, scan, sees
+from tests.support.agents.scans import ring
 from vcmvsp.agents.avoidance import Gap
 from vcmvsp.agents.formation.aerial import AerialFollower, AerialRoute
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
@@ -19,7 +19,7 @@ from vcmvsp.agents.formation.reports.sending import Sending
 from vcmvsp.agents.formation.team.shape import Formation, Passage
 from vcmvsp.agents.formation.team.team import Team
 from vcmvsp.cosim.agent import Radio
-from vcmvsp.cosim.types import Message, Scan
+from vcmvsp.cosim.types import Message
 
 # --- the leader ---
 
@@ -133,9 +133,7 @@ def test_members_look_at_the_lane_of_the_shape_that_is_due_while_they_are_narrow
 
 def test_a_member_does_not_drive_back_into_one_that_its_avoidance_does_not_see() -> None:
     """Its place is behind it, and so is another one, 0.5 m away."""
-    ring = np.full(360, np.inf, np.float32)
-    ring[175:186] = 0.30
-    back = Scan(ranges=ring, angle_min=0.0, angle_step=math.tau / 360, range_max=6.0, time_ns=TICK_NS)
+    back = ring([*[math.inf] * 175, *[0.3] * 11, *[math.inf] * 174], TICK_NS)
     follower = LeaderFollower(formation=Formation(spacing=1.0, passage=Passage()), avoidance=Gap())
     follower.start(info("car2"))
     command = follower.act(sees(back, 1, at("car1", -0.6, 0.5, 1), at("car3", 0.03 - 0.5, 0.0, 1)), Radio("car2", CARS))
