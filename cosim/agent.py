@@ -148,10 +148,10 @@ class Radio:
             priority: a message of higher priority overtakes others in this radio's queue (macs ``dcf``, ``csma154``).
         """
         if to is not None and (to not in self._vehicles or to == self._vehicle):
-            raise ValueError(f"radio.send(to={to!r}): not another vehicle of this run ({', '.join(sorted(self._vehicles))})")
+            raise ValueError(f"radio.send(to={to!r}): unknown receiver; other vehicles: {', '.join(sorted(self._vehicles))}")
         if isinstance(body, bytes):
             if values:
-                raise TypeError("radio.send(): give either bytes or named values, not both")
+                raise TypeError("radio.send(): pass either bytes or named values, not both")
             content: dict[str, Any] | bytes = bytes(body)
             natural = len(body)
         else:
@@ -264,11 +264,11 @@ def unfit(value: Shown) -> str:
         return "no cells"
     if isinstance(value, Mosaic):
         fits = cells.ndim == 3 and cells.shape[2] == 3 and cells.dtype == np.uint8
-        return "" if fits else f"pixels {cells.shape} of {cells.dtype}, which are to be (rows, columns, 3) of uint8"
+        return "" if fits else f"pixels {cells.shape} of {cells.dtype}; they must be (rows, columns, 3) of uint8"
     same = cells.ndim == 2 and cells.shape == value.seen.shape
     if same and cells.dtype == np.uint8 and value.seen.dtype == np.bool_:
         return ""
-    return "cells that are not (rows, columns) of uint8 and of bool"
+    return "cells that must be (rows, columns) of uint8 and of bool"
 
 
 def check_body(body: Mapping[str, Any]) -> None:
@@ -276,7 +276,7 @@ def check_body(body: Mapping[str, Any]) -> None:
     text = msgspec.json.encode(body)
     # The number of brackets bounds the depth; texts may contain brackets, too, so the count alone cannot refuse it.
     if text.count(b"{") + text.count(b"[") > DEEPEST and _depth(body) > DEEPEST:
-        raise ValueError(f"a message may have {DEEPEST} lists and mappings inside one another, not {_depth(body)}")
+        raise ValueError(f"a message may nest at most {DEEPEST} lists and mappings, not {_depth(body)}")
 
 
 def _depth(value: object) -> int:

@@ -20,7 +20,7 @@ def said_by(error: BaseException) -> str:
     try:
         return str(error)
     except BaseException:
-        return "(it fails to say what)"
+        return "(its text cannot be read)"
 
 
 def words_of(error: BaseException) -> str:

@@ -118,7 +118,7 @@ def coverage(
         raise UsageError(f"a resolution of {resolution_m:g} m: must be a positive number")
     folder = Path(what) if isinstance(what, str | Path) and Path(what).is_dir() else None
     if folder is not None and not (folder / "scenario.toml").is_file():
-        raise UsageError(f"{folder}: no scenario.toml here; name a scenario, or the directory that a run left")
+        raise UsageError(f"{folder}: no scenario.toml here; name a scenario, or the folder of a run")
     parsed, source = scenario.load(folder / "scenario.toml" if folder else what, settings=set, seed=seed)
     with only(None if trust or folder is None else NO_CODE):
         site = _site(folder, parsed, source)
@@ -126,7 +126,7 @@ def coverage(
         raise UsageError(binding.unknown("vehicle", vehicle, site.places))
     if at_s is not None:
         if folder is None:
-            raise UsageError("a time can be given for a run only: name the directory that a run left")
+            raise UsageError("a time needs a recorded run: name the folder of a run, or leave it out")
         site = msgspec.structs.replace(site, places=_places_at(folder, at_s))
     return _map(site, parsed, vehicle, size_bytes, height_m, resolution_m)
 
@@ -177,7 +177,7 @@ def _grid(site: Site, range_m: float | None, vehicle: str, resolution_m: float |
     count = np.ceil(high / step) - first + 1.0
     if not count.prod() <= MOST_PLACES:
         columns, rows = (f"{each:.0f}" for each in count)
-        raise UsageError(f"a place every {step:g} m makes {columns} x {rows} of them; at most {MOST_PLACES} can be drawn")
+        raise UsageError(f"a step of {step:g} m gives {columns} x {rows} places; use a larger one (at most {MOST_PLACES})")
     x, y = (step * (first[axis] + np.arange(count[axis])) for axis in (0, 1))
     return x, y
 
@@ -223,14 +223,14 @@ def summary(found: Map) -> str:
     """The map as a few lines of text."""
     width, height = (float(np.ptp(axis)) for axis in (found.x, found.y))
     lines = [
-        f"{found.scenario}: {found.vehicle} is heard at {found.floor_dbm:.1f} dBm or more in "
+        f"{found.scenario}: the level of {found.vehicle} is {found.floor_dbm:.1f} dBm or more in "
         f"{100.0 * heard_share(found):.1f} % of {width:g} x {height:g} m; "
-        f"{100.0 * found.success.mean():.1f} % of its frames of {found.size_bytes} bytes arrive, all places taken together"
+        f"{100.0 * found.success.mean():.1f} % of its frames of {found.size_bytes} bytes arrive, averaged over all places"
     ]
     lines += [f"  {name}: {level:.1f} dBm, {100.0 * success:.1f} % arrive" for name, (level, success) in found.others.items()]
     if found.not_executed:
         own = ", ".join(found.not_executed)
         lines.append(
-            f"  not executed: the classes of {own}; in their place: the preset's layers, the world as recorded, of concrete"
+            f"  not executed: the classes of {own}; used instead: the preset's layers, and the recorded world in concrete"
         )
     return "\n".join(lines) + "\n"

@@ -69,11 +69,11 @@ def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True
 def _find(log: Log, frames: LinkFrames, pair: Pair, which: str) -> int:
     link, numbers = "/".join(pair), frames["frame"]
     if not len(frames):
-        raise UsageError(f"--frame {which}: {pair[0]} sent no frame that was meant for {pair[1]}")
+        raise UsageError(f"--frame {which}: {pair[0]} sent no frame to {pair[1]}")
     if which == "worst":
         on_air = np.where(frames["air_time_ns"] > 0, frames["sinr_db"], np.nan)
         if np.isnan(on_air).all():
-            raise UsageError(f"--frame worst: no frame on {link} has a SINR: name one by its number, or ask for the first lost")
+            raise UsageError(f"--frame worst: no frame on {link} has a SINR: give a frame number, or --frame lost")
         return int(np.nanargmin(on_air))
     if which == "lost":
         lost = np.flatnonzero(~frames["under_way"] & (frames["received_ns"] < 0))
@@ -86,9 +86,9 @@ def _find(log: Log, frames: LinkFrames, pair: Pair, which: str) -> int:
     if not found.size:
         whole = Log(log.folder)
         others = [each for each in whole.pairs() if each != pair and (whole.frames(each)["frame"] == int(which)).any()]
-        where = f"{others[0][0]} sent it to {', '.join(to for _, to in others)}" if others else "there is none"
+        where = f"{others[0][0]} sent it to {', '.join(to for _, to in others)}" if others else "no such frame"
         has = f"{link} has {len(frames)} frames, from {numbers.min()} to {numbers.max()}"
-        raise UsageError(f"--frame {which}: is not on this link: {where}; {has}")
+        raise UsageError(f"--frame {which}: not a frame of this link: {where}; {has}")
     return int(found[0])
 
 
@@ -109,7 +109,7 @@ def _radio(log: Log, pair: Pair) -> dict[str, Any] | None:
         "power_dbm": phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm,
         "gains_dbi": (sender.antenna_gain_dbi, receiver.antenna_gain_dbi),
         "floor_dbm": max(sensitivity, preamble_dbm := hearing.noise_dbm + hearing.preamble_db),
-        "floor": "the sensitivity" if sensitivity >= preamble_dbm else "what the preamble needs",
+        "floor": "the sensitivity" if sensitivity >= preamble_dbm else "the preamble's threshold",
         "errors": getattr(phy, "errors", None),
     }
 
@@ -155,9 +155,9 @@ def why(report: Report) -> str:
     """The outcome as a sentence, with the change that would have reversed it."""
     outcome = report["outcome"]
     if outcome == UNDER_WAY:
-        return "under way: the run ended before it had arrived"
+        return "under way: the run ended before the frame arrived"
     if not report["air_time_s"]:
-        return f"lost: {outcome}: it had waited {1e3 * report['queue_s']:.3f} ms and was never sent"
+        return f"lost: {outcome}: it waited {1e3 * report['queue_s']:.3f} ms and was not sent"
     if outcome == "received":
         return _received(report)
     return f"lost: {outcome}: {_CAUSES.get(outcome, _behind)(report)}"
@@ -184,10 +184,10 @@ def _without(item: str, words: Callable[[Report], str], later: Sequence[str] = (
         level_dbm = budget["rssi_dbm"] - budget[item]
         name = f"without {words(report)} ({-budget[item]:.1f} dB)"
         if not later or budget["floor_dbm"] is None or level_dbm >= budget["floor_dbm"]:
-            return f"{name} it would have been {level_dbm:.1f} dBm{_beside(level_dbm, budget)}"
+            return f"{name} the level would be {level_dbm:.1f} dBm{_beside(level_dbm, budget)}"
         level_dbm -= sum(budget[each] for each in later)
         also = " and ".join(f"{each[:-3]} ({-budget[each]:.1f} dB)" for each in later)
-        return f"{name}, and without {also}, it would have been {level_dbm:.1f} dBm{_beside(level_dbm, budget)}"
+        return f"{name}, and without {also}, the level would be {level_dbm:.1f} dBm{_beside(level_dbm, budget)}"
 
     return say
 
@@ -199,17 +199,17 @@ def _walls(report: Report) -> str:
 
 def _disturbed(report: Report) -> str:
     budget = report["budget"]
-    return f"its SNR of {budget['snr_db']:.1f} dB became a SINR of {_sinr(budget)}"
+    return f"interference reduced its SNR of {budget['snr_db']:.1f} dB to a SINR of {_sinr(budget)}"
 
 
 def _error(report: Report) -> str:
     survival = report["survival"]
     chance = "" if survival is None else f", which {100.0 * survival:.1f} % of such frames survive"
-    return f"bits were wrong at a SINR of {_sinr(report['budget'])}{chance}"
+    return f"bit errors at a SINR of {_sinr(report['budget'])}{chance}"
 
 
 def _behind(report: Report) -> str:
-    return f"not the radio's doing, which had received it at {_level(report)}"
+    return f"lost behind the radio, which received it at {_level(report)}"
 
 
 _CAUSES: Mapping[str, Callable[[Report], str]] = {
@@ -217,13 +217,13 @@ _CAUSES: Mapping[str, Callable[[Report], str]] = {
     "walls": _without("walls_db", _walls, ("shadowing_db", "fading_db")),
     "shadowing": _without("shadowing_db", lambda _: "the shadowing", ("fading_db",)),
     "fading": _without("fading_db", lambda _: "the fading"),
-    "script": lambda report: f"a change of the script left {_level(report)}",
-    "trace": lambda report: f"the trace says {_level(report)}",
-    "outage": lambda report: f"the operator had cut off its sender or receiver; the frame came at {_level(report)}",
+    "script": lambda report: f"with the change of the script, the level was {_level(report)}",
+    "trace": lambda report: f"the level of the trace was {_level(report)}",
+    "outage": lambda report: f"the operator had cut off its sender or receiver; the level was {_level(report)}",
     "collision": _disturbed,
     "jammed": _disturbed,
     "packet error": _error,
-    "receiver transmitting": lambda report: f"it was sending itself when the frame came at {_level(report)}",
+    "receiver transmitting": lambda report: f"the receiver was transmitting; the level was {_level(report)}",
 }
 
 

@@ -27,7 +27,7 @@ def overview_text(rows: Sequence[Row], vehicles: Sequence[str]) -> str:
         lines.append([link, str(row["frames"]), _percent(row["delivery_ratio"]), *figures, losses])
     parts.append(_table(lines, range(1, 6)))
     if len(rows) > _LINKS:
-        parts.append(f"... and {len(rows) - _LINKS} links that deliver more; --json has them all\n")
+        parts.append(f"... and {len(rows) - _LINKS} links with a higher share; --json prints all\n")
     return "\n".join(parts)
 
 

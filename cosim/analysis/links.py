@@ -46,14 +46,14 @@ class Log:
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda _: None) -> None:
         if not folder.is_dir():
-            raise UsageError(f"{folder}: is no directory of a run; for a scenario, ask for --coverage VEHICLE")
+            raise UsageError(f"{folder}: not the folder of a run; for a scenario, use --coverage VEHICLE")
         try:
             self.facts, names, self._read = radio_columns(folder, tell)
         except (OSError, ValueError) as error:  # a damaged table
             raise UsageError(f"{folder} cannot be read: {error}") from error
         missing = [name for name in (*_NAMES, *NUMBERS) if name not in names]
         if missing:
-            raise UsageError(f"{folder}: radio.parquet has no {missing[0]}: it was written by another version; run it again")
+            raise UsageError(f"{folder}: radio.parquet of another version has no {missing[0]}: run the scenario again")
         self.folder, self.vehicles = folder, self.facts.vehicles
         self._columns: dict[str, Array] = {}  # cached columns, sorted by link
         self.names: dict[str, tuple[str, ...]] = {}
@@ -75,7 +75,7 @@ class Log:
         senders, receivers = ([name for name in self.vehicles if fnmatchcase(name, part)] for part in (sender, receiver))
         meant = [(a, b) for a in senders for b in receivers if a != b]
         if not meant:
-            alone = f"{self.folder}: {self.vehicles[0]} was the only vehicle, and there is no link"
+            alone = f"{self.folder}: a run with one vehicle, {self.vehicles[0]}, has no links"
             raise UsageError(alone if len(self.vehicles) == 1 else f"--link {link}: a vehicle has no link to itself")
         return meant
 

@@ -97,7 +97,7 @@ class Snapshots:
         wanted = self._watch.names
         self._targets = [each for each in self.world.targets if each.name in wanted]
         if not self._targets:
-            problem = f"none of what {self.vehicle} looks for ({', '.join(wanted)}) lies in this world"
+            problem = f"no target of {self.vehicle} ({', '.join(wanted)}) is in this world: add one"
             raise ScenarioError(problem, key="world.targets", source=self._source.of("world"))
 
     def take(self, number: int, of: int) -> Snapshot:
@@ -128,8 +128,7 @@ class Snapshots:
             if self._params(each).get("watching") is not None:
                 own = each.agent is not None and "watching" in each.agent.params
                 return each, f"vehicle.{each.name}.agent.watching" if own else "agents.watching"
-        who = name or "no vehicle"
-        problem = f"is missing: {who} recognises {'nothing' if name else 'anything'}; give a camera and targets to look for"
+        problem = "is missing: set the camera and the targets to look for"
         key = f"vehicle.{name}.agent.watching" if name else "agents.watching"
         raise ScenarioError(problem, key=key, source=self._source.name)
 
@@ -154,7 +153,7 @@ class Snapshots:
         self._camera: recognition.Camera
         self._camera, _ = registry.build("sensor", sensor, key=f"{where}.{settings.camera}", source=self._source)
         if not hasattr(self._camera, "focal_px"):
-            raise self._source.error("must take pictures", f"{where}.{settings.camera}.kind")
+            raise self._source.error("must be a camera", f"{where}.{settings.camera}.kind")
         self._watch.start(VehicleInfo(name=vehicle.name, vehicles=(vehicle.name,), period_s=1.0, latency_s=0.0, seed=0))
 
     def _said(self, search: Mapping[str, Any], name: str, annotation: object, default: object) -> Any:
@@ -166,7 +165,7 @@ class Snapshots:
         if height_m is None:
             height_m = float(self._said(search, "height", float, vehicle.start[0][2]))
             if "height" not in search and not height_m > 0.0:
-                problem = f"{self.vehicle} begins on the ground, and its search says no height: give one"
+                problem = f"{self.vehicle} starts on the ground, and its search has no height: set one"
                 raise ScenarioError(problem, key=f"vehicle.{self.vehicle}.position", source=self._source.name)
         mount, ground_m = self._watch.settings.mount, self._watch.settings.ground_m
         if not height_m + mount[2] > ground_m:
@@ -177,7 +176,7 @@ class Snapshots:
     def _area(self, search: Mapping[str, Any]) -> Area:
         found = self._said(search, "area", tuple[float, float, float, float], self.world.bounds)
         if found is None:
-            problem = f"{self.vehicle} has no area to search, and the world has no end"
+            problem = f"is missing: {self.vehicle} has no search area, and the world has no bounds"
             raise ScenarioError(problem, key=f"{self.table}.area", source=self._source.name)
         left, bottom, right, top = map(float, found)
         if not (left < right and bottom < top):
@@ -188,7 +187,7 @@ class Snapshots:
     def _cells(self) -> Grid:
         grid = Grid(Rectangle(*self.area), self.cell_m)
         if grid.rows * grid.columns > MOST_CELLS:
-            problem = f"of {self.cell_m:g} m there are more than {MOST_CELLS} cells in the area: make them larger"
+            problem = f"{self.cell_m:g} m gives more than {MOST_CELLS} cells in the area: use larger cells"
             raise ScenarioError(problem, key=f"{self.table}.cell_m", source=self._source.of(self.table))
         return grid
 
@@ -213,7 +212,7 @@ class Snapshots:
             corners = np.array([(x + i * ROOM_M, y + j * ROOM_M) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
             if self.world.blocking(corners, self.height_m - ROOM_M, self.height_m + ROOM_M) is None:
                 return VehicleState(position=(x, y, self.height_m), attitude=attitude)
-        problem = f"no place over the area at {self.height_m:g} m is free{' and shows a target' if with_target else ''}"
+        problem = f"no free place{' with a target in view' if with_target else ''} over the area at {self.height_m:g} m"
         raise self._source.error(problem, "world")
 
     def _over(self, attitude: Quaternion) -> recognition.Nadir:

@@ -96,7 +96,7 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> "lis
         kind = kind_of(name, content)
         door, full = resolution.component("door", {**content, "kind": kind}, key)
         if getattr(door, "only_one", False) and (first := alone.setdefault(type(door), key)) != key:
-            raise source.error(f"a run has one door of kind {kind} at most, and {first} is one: leave one of the two out", key)
+            raise source.error(f"a run has at most one gateway of kind {kind}, and {first} is one: leave one out", key)
         try:
             door.check(names)
         except ValueError as error:
@@ -116,7 +116,7 @@ def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, t
         if name not in names:
             raise source.error(binding.unknown("vehicle", name, names), key)
         if wanted.vehicles.count(name) > 1:
-            raise source.error(f"names {name} twice; each has one program", key)
+            raise source.error(f"contains {name} twice; a vehicle has one program", key)
     if not wanted.vehicles:
         return None
     from vcmvsp.netsim.sockets.federate import Programs

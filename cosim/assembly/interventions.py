@@ -58,7 +58,7 @@ class Operator:
         """
         raw = msgspec.to_builtins(intervention)
         if (bad := unfit_number(raw)) is not None:
-            raise ValueError(f"every number {problem_of(bad)}")
+            raise ValueError(f"all numbers: {problem_of(bad)}")
         checked = msgspec.convert(raw, type(intervention))  # checks ranges; the constructor does not
         self._check(checked, self._asked)
         match checked:
@@ -92,7 +92,7 @@ class Operator:
     def _check_alone(self, move: MoveTable) -> None:
         """Reject a second move at one instant: checks use current positions, so both might claim one place."""
         if any(isinstance(each, MoveTable) and each.obstacle != move.obstacle for each in self._asked):
-            raise ValueError(f"{move.obstacle} stays: another obstacle is moved at this instant, let the run go on first")
+            raise ValueError(f"{move.obstacle} was not moved: another obstacle moves at this instant; move one at a time")
 
     def _check_planned(self, change: SetTable) -> None:
         """Reject a change that would make a planned change impossible."""
@@ -102,7 +102,7 @@ class Operator:
                 try:
                     self._check(each, before)
                 except ValueError as error:
-                    raise ValueError(f"what is planned at {each.at_s:g} s could not be done then: {error}") from error
+                    raise ValueError(f"the change planned at {each.at_s:g} s would become impossible: {error}") from error
                 before.append(each)
 
     def _next(self) -> int | None:

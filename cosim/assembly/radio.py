@@ -169,4 +169,4 @@ def _check_names(layers: Mapping[str, Any], vehicles: Sequence[str], key: str, s
                 raise source.error(binding.unknown("vehicle", name, vehicles), binding.join(key, layer))
     for expression in getattr(layers["script"], "unmatched", lambda _: ())(vehicles):
         where = binding.join(key, "script.changes")
-        raise source.error(f"links = {expression!r} stands for no link; vehicles: {', '.join(vehicles)}", where)
+        raise source.error(f"links = {expression!r} matches no link; vehicles: {', '.join(vehicles)}", where)

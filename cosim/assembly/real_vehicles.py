@@ -106,7 +106,7 @@ def _check_addresses(found: Sequence[RealVehicle], source: Source) -> None:
             for name in sorted(ADDRESSES & {*params}):
                 address, key = with_slash(str(params[name])), f"vehicle.{each.name}.{table_}.{name}"
                 if address in taken and address != "emulated" and not address.endswith(":0"):
-                    raise source.error(f"'{address}' is that of {taken[address]}, too: each vehicle needs one of its own", key)
+                    raise source.error(f"'{address}' is also used by {taken[address]}: each vehicle needs its own", key)
                 taken[address] = each.name
 
 
@@ -119,7 +119,7 @@ def _builder(
     def build(group: str, content: Mapping[str, Any], key: str) -> tuple[str, dict[str, Any]]:
         built, full = resolution.component(group, content, key, offered=offered)
         if flies and getattr(built, "ground_only", False):
-            raise source.error(f"drives robots on the ground, and {vehicle} flies", f"{key}.kind")
+            raise source.error(f"is for robots on the ground, but {vehicle} flies", f"{key}.kind")
         return full.pop("kind"), full
 
     return build
@@ -132,7 +132,7 @@ def _check_nothing_lost(vehicle: VehicleTable, source: Source) -> None:
             continue
         if getattr(vehicle, name):
             key = f"vehicle.{vehicle.name}.{name}"
-            raise source.error("counts for a real vehicle only: give it a driver, or leave this out", key)
+            raise source.error("is only for real vehicles: add a driver, or leave it out", key)
 
 
 def _safety(shared: SafetyTable, vehicle: VehicleTable, model: "Vehicle", source: Source) -> SafetyTable:

@@ -40,7 +40,7 @@ def world_in(folder: Path, scenario: Scenario, source: Source) -> World:
     try:
         return drawn_in(folder / FILE)
     except (OSError, ValueError, IndexError) as error:
-        raise UsageError(f"{folder / FILE}: the world cannot be read: {error}") from error
+        raise UsageError(f"{folder / FILE}: cannot read the world: {error}") from error
 
 
 def drawn_in(recording: Path) -> World:

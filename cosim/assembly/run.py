@@ -239,11 +239,11 @@ def clock_of(scenario: Scenario, speed: float | None, *, replayed: bool) -> Cloc
         replayed: robots and programs come from a recording, which needs no wall clock.
     """
     if speed is not None and not SLOWEST <= speed <= 1.0 / SLOWEST:
-        problem = f"must be a positive number, from {SLOWEST:g} to {1.0 / SLOWEST:g}; without it a run is as fast as possible"
+        problem = f"must be from {SLOWEST:g} to {1.0 / SLOWEST:g}; leave it out to run as fast as possible"
         raise UsageError(f"--realtime {speed:g}: {problem}")
     if scenario.real and not replayed and speed not in (None, 1.0):
         names = ", ".join(scenario.real)
-        raise UsageError(f"--realtime {speed:g}: real vehicles ({names}) keep to the wall clock, at speed 1")
+        raise UsageError(f"--realtime {speed:g}: real vehicles ({names}) need speed 1")
     live = not replayed and (scenario.real or scenario.bridge.doors)
     return WallClock(speed or 1.0) if live or speed is not None else SimClock()
 

@@ -88,7 +88,7 @@ class Fleet:
         for name, content in vehicle.sensors.items():
             where = f"vehicle.{vehicle.name}.sensors.{name}"
             if not name.replace("_", "").replace("-", "").isalnum() or name in TOPICS:
-                problem = f"a sensor cannot be called '{name}': letters, digits, _ and -, and none of {', '.join(TOPICS)}"
+                problem = f"'{name}' is not a valid sensor name: use letters, digits, _ and -, but none of {', '.join(TOPICS)}"
                 raise self._source.error(problem, where)
             fitted[name], tables[name] = self._resolution.component("sensor", content, where, offered=wheels)
         self._resolution.sensors[vehicle.name] = tables
@@ -128,12 +128,12 @@ class Fleet:
         for name in self._scenario.vehicles:
             if name not in VehicleTable.__struct_fields__ and name not in known:
                 key, allowed = f"vehicles.{name}", {*known, *binding.parameters(VehicleTable)} - _NOT_SHARED
-                raise self._source.error(f"no vehicle takes this default: {binding.unknown('key', name, allowed)}", key)
+                raise self._source.error(f"no vehicle has this parameter: {binding.unknown('key', name, allowed)}", key)
 
     def _check_recorded(self) -> None:
         fitted = {name for each in self.sensors.values() for name in each}
         if unfit := [name for name in self._scenario.record.sensors if name not in fitted | {"*"}]:
-            problem = f"no vehicle carries it: {binding.unknown('sensor', unfit[0], fitted | {'*'})}"
+            problem = f"no vehicle has this sensor: {binding.unknown('sensor', unfit[0], fitted | {'*'})}"
             raise self._source.error(problem, "record.sensors")
 
 
@@ -182,11 +182,11 @@ class Placement:
             if name not in taken:
                 key = f"agents.{name}"
                 known = {each for info in infos for each in info.known}
-                why = f"every agent that has it sets its own '{name}'" if name in known or name == "kind" else None
+                why = f"all agents with this parameter set their own '{name}'" if name in known or name == "kind" else None
                 if not infos:
-                    why = "no vehicle has an agent (a vehicle gets one by an agent table, which may be empty: agent = {})"
+                    why = "no vehicle has an agent (add an agent table, which may be empty: agent = {})"
                 allowed = {*known, *binding.parameters(AgentsTable), "kind"} - {"defaults"}
-                raise self._source.error(f"no agent takes this default: {why or binding.unknown('key', name, allowed)}", key)
+                raise self._source.error(f"this default has no effect: {why or binding.unknown('key', name, allowed)}", key)
 
     def _place(self, vehicle: VehicleTable, runs: str | None) -> str | None:
         """Where a vehicle's agent runs; None: it has no agent, or with ``here`` no known class."""

@@ -38,7 +38,7 @@ def world_of(what: str, settings: Mapping[str, Any]) -> "tuple[World, str]":
         table_, name, seed, settings = dict(parsed.world), parsed.name, parsed.seed, {}
     else:
         known = binding.unknown("world", what, [*builtin_kinds.KINDS["world"], *scenarios.names()])
-        raise UsageError(f"{known}; or give a file: a world or scenario (.toml), a map (.yaml), GeoJSON, or a mesh")
+        raise UsageError(f"{known}; or name a file: a world or scenario (.toml), a map (.yaml), GeoJSON, or a mesh")
     world, _ = build({**table_, **settings}, source, seed=seed)
     return world, name
 

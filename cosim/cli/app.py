@@ -145,7 +145,7 @@ def main(arguments: list[str] | None = None) -> None:
     except VcmvspError as error:
         say(f"vcmvsp: {' '.join(str(error).splitlines())}")
         if error.result is not None:
-            say(f"vcmvsp: what was recorded until then is in {error.result.folder}")
+            say(f"vcmvsp: the recording until then is in {error.result.folder}")
         raise SystemExit(error.exit_code) from None
     except KeyboardInterrupt:
         say("vcmvsp: interrupted")

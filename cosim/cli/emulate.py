@@ -87,7 +87,7 @@ def robot_command(
     from vcmvsp.cosim.scenario import loader as scenarios
 
     if scenario is None and (vehicle is not None or set_):
-        raise UsageError("--vehicle and --set are about a scenario: add --scenario")
+        raise UsageError("--vehicle and --set need a scenario: add --scenario")
     errors = {"fix_hz": fix_hz, "sigma_m": sigma_m, "outliers": outliers, "drop_outs": drop_outs, "latency_s": fix_latency_s}
     tags = emulators.tags_of(ubisense=ubisense, dwm1001=dwm1001, tag=tag, seed=seed, option=None, **errors)
     chosen = emulators.RobotOptions(
@@ -250,17 +250,17 @@ def _urls(about: Mapping[str, Any]) -> list[str]:
 def _words(happened: Mapping[str, Any]) -> str:
     lines = []
     if "commands" in happened:
-        lines.append(f"{happened['commands']} commands heard, {happened['packets']} information packets sent")
+        lines.append(f"{happened['commands']} commands received, {happened['packets']} information packets sent")
         lines.append(
             f"{happened['bytes_lost']} bytes lost and {happened['bytes_changed']} changed on the line, "
-            f"{happened['bytes_unread']} read by nobody"
+            f"{happened['bytes_unread']} not read"
         )
-        lines.append(f"it went to x {happened['x_m']:.2f} m, y {happened['y_m']:.2f} m by its wheels")
+        lines.append(f"position by its wheels: x {happened['x_m']:.2f} m, y {happened['y_m']:.2f} m")
     if (lateness := happened.get("lateness")) and lateness["over_one_period"]:
         lines.append(f"the simulation was late {lateness['over_one_period']} times, by {lateness['max_s']:.2f} s at most")
     if "messages" in happened:
         lines.append(f"{happened['messages']} messages heard")
-        lines.append(f"it is at x {happened['x_m']:.2f} m, y {happened['y_m']:.2f} m, z {happened.get('z_m', 0.0):.2f} m")
+        lines.append(f"position: x {happened['x_m']:.2f} m, y {happened['y_m']:.2f} m, z {happened.get('z_m', 0.0):.2f} m")
     if "mode" in happened:
         lines.append(f"it is {'' if happened['armed'] else 'not '}armed, in {happened['mode']}")
     lines += [f"{count} fixes of {name}" for name, count in happened["fixes"].items()]

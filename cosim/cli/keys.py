@@ -76,7 +76,7 @@ def vehicle_command(
     from vcmvsp.cosim.security import authority
 
     if as_ is None and len(vehicle) > 1:
-        raise UsageError("several vehicles: give their machine a name, with --as HOST")
+        raise UsageError("several vehicles need a name for their machine: add --as HOST")
     bundle = authority.issue(keys, as_ or vehicle[0], vehicle, days=days, out=out, force=force)
     _say_bundle(
         bundle, f"there: vcmvsp agent --vehicle {' --vehicle '.join(bundle.vehicles)} --connect", " [MODULE_OR_FILE:Class]"
@@ -133,16 +133,14 @@ def revoke_command(
     from vcmvsp.cosim.security import authority
 
     entry = authority.revoke(keys, name)
-    sys.stdout.write(f"{entry.name} is revoked: runs that begin from now on do not let it in\n")
+    sys.stdout.write(f"{entry.name} is revoked: runs that start from now on reject it\n")
 
 
 def _say_hub(keys: "Keys") -> None:
-    sys.stdout.write(
-        f"{keys.folder}: valid until {keys.until:%Y-%m-%d}; this machine may be dialled as {', '.join(keys.names)}\n"
-    )
+    sys.stdout.write(f"{keys.folder}: valid until {keys.until:%Y-%m-%d}; names of this machine: {', '.join(keys.names)}\n")
     sys.stdout.write(f"next, for each machine: vcmvsp keys vehicle NAME --keys {keys.folder}\n")
 
 
 def _say_bundle(bundle: "Bundle", then: str, last: str = "") -> None:
-    sys.stdout.write(f"{bundle.path}: valid until {bundle.until:%Y-%m-%d}; it is a secret; copy it to its machine\n")
+    sys.stdout.write(f"{bundle.path}: valid until {bundle.until:%Y-%m-%d}; copy it to its machine and keep it secret\n")
     sys.stdout.write(f"{then} tls/HOST:PORT --keys {bundle.path.name}{last}\n")

@@ -66,7 +66,7 @@ def show_command(
 
     if kind is not None or what in GROUPS.values():
         if set_ or resolved:
-            raise UsageError("--set and --resolved go with a scenario")
+            raise UsageError("--set and --resolved need a scenario")
         about = parameters_of(what, kind)
         sys.stdout.write(to_json(about) if json else _text(about))
         return
@@ -97,7 +97,7 @@ def reference_command(
         from vcmvsp.cosim.reference.json_schema import scenario_schema
 
         if section:
-            raise UsageError(f"--json-schema is about a whole scenario: leave {section} out")
+            raise UsageError(f"--json-schema prints the schema of a whole scenario: leave {section} out")
         sys.stdout.write(to_json(scenario_schema()))
         return
     if json:
@@ -226,14 +226,14 @@ def names_of(part: str, name: str) -> tuple[str, str]:
     """
     here = f"vcmvsp new {part} {name}"
     if Path(name).name != name or "\\" in name:
-        raise UsageError(f"{here}: is a path; give a name, and the folder with --out DIR")
+        raise UsageError(f"{here}: is a path; give only a name, and the folder with --out DIR")
     if not NAME.fullmatch(name) or len(name) > LONGEST:
-        words = "begins with a letter and has letters, digits, - and _ only"
+        words = "starts with a letter and has only letters, digits, - and _"
         raise UsageError(f"{here}: a name {words}, {LONGEST} at most, such as follow-wall")
     snake = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).replace("-", "_").lower()
     camel = "".join(each.capitalize() for each in snake.split("_"))
     if keyword.iskeyword(snake) or keyword.iskeyword(camel):
-        raise UsageError(f"{here}: is a word of Python; give another name, such as my-{name}")
+        raise UsageError(f"{here}: is a keyword of Python; choose another name, such as my-{name}")
     return snake, camel
 
 
@@ -256,7 +256,7 @@ def write(texts: Mapping[str, str], folder: Path) -> None:
         raise UsageError(f"--out {folder}: is a file, not a folder")
     for file in texts:
         if os.path.lexists(folder / file):
-            raise UsageError(f"{folder / file}: is there already, and stays as it is; give another name, or --out DIR")
+            raise UsageError(f"{folder / file}: already exists; choose another name, or --out DIR")
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for file, text in texts.items():
@@ -274,16 +274,14 @@ def _refuse_taken(part: str, snake: str, camel: str, folder: Path) -> None:
     groups = {"channel": layers, "scenario": []}.get(part, [part])
     built_in = scenarios.names() if part == "scenario" else [kind for group in groups for kind in builtin_kinds.KINDS[group]]
     if snake in {each.replace("-", "_") for each in built_in}:
-        raise UsageError(f"{here}: there is a built-in {part} of that name; give another one, such as my-{snake}")
+        raise UsageError(f"{here}: a built-in {part} has this name; choose another one, such as my-{snake}")
     if part == "scenario":
         return
     if part == "channel" and snake == "received":  # in recordings the name of the outcome "not lost"
-        raise UsageError(f"{here}: losses would count as received; give another name, such as my-{snake}")
+        raise UsageError(f"{here}: losses with this cause would count as received; choose another name, such as my-{snake}")
     spec = importlib.util.find_spec(snake)
     if spec is not None and spec.origin != str((folder / f"{snake}.py").resolve()):
-        raise UsageError(
-            f"{here}: {snake}.py would hide a module that Python or vcmvsp has; give another name, such as my-{snake}"
-        )
+        raise UsageError(f"{here}: {snake}.py would hide a module of Python or vcmvsp; choose another name, such as my-{snake}")
     used = "".join((TEMPLATES / f"{each}.py.tmpl").read_text("utf-8") for each in (part, f"{part}_test"))
     if re.search(rf"\b{camel}\b", used):
-        raise UsageError(f"{here}: its file uses '{camel}' for something else; give another name, such as my-{snake}")
+        raise UsageError(f"{here}: the template already uses '{camel}'; choose another name, such as my-{snake}")

@@ -100,7 +100,7 @@ def exec_command(
     space = network.space(vehicle)
     if space is None:
         there = ", ".join(each.vehicle for each in network.spaces)
-        raise UsageError(f"{vehicle}: run {network.run} has no machine for such a vehicle; there are {there}")
+        raise UsageError(f"{vehicle}: run {network.run} has no namespace for this vehicle; vehicles: {there}")
     sys.stdout.flush()
     try:
         networks.run_inside(network, space, command)
@@ -120,7 +120,7 @@ def status_command(json: AsJson = False) -> None:
     try:
         known = networks.networks()
     except OSError as error:  # a file of another user, not readable
-        raise UsageError(f"{error.filename}: {error.strerror}: ask as root (sudo)") from error
+        raise UsageError(f"{error.filename}: {error.strerror}: repeat as root (sudo)") from error
     if json:
         sys.stdout.write(f"{jsons.dumps(msgspec.to_builtins(known))}\n")
     elif known:
@@ -149,10 +149,10 @@ def down_command(
         try:
             networks.clear(each.run, force=force)
         except OSError as error:
-            raise UsageError(f"the network of {each.run} cannot be cleared away: {error}") from error
+            raise UsageError(f"the network of {each.run} cannot be removed: {error}") from error
         sys.stdout.write(f"{each.run}: gone\n")
     if not chosen:
-        sys.stdout.write("there is nothing to clear away\n")
+        sys.stdout.write("no network to remove\n")
 
 
 def _check_rights() -> None:
@@ -173,11 +173,11 @@ def _chosen(run: str | None) -> "RunNetwork":
     if not alive:
         raise UsageError("no run has a network on this machine: start one with 'vcmvsp net up SCENARIO'")
     names = ", ".join(each.run for each in alive)
-    raise UsageError(f"--run {run}: there is no such run; there are {names}" if run else f"say whose: --run is one of {names}")
+    raise UsageError(f"--run {run}: no such run; runs: {names}" if run else f"several runs: add --run with one of {names}")
 
 
 def _lines(network: "RunNetwork") -> Iterator[str]:
-    state = f"alive, process {network.pid}" if network.alive else "killed; clear it away with 'vcmvsp net down'"
+    state = f"alive, process {network.pid}" if network.alive else "killed; remove it with 'vcmvsp net down'"
     yield f"{network.run}: {state}"
     lines = aligned((each.vehicle, *each.addresses) for each in network.spaces)
     for each, line in zip(network.spaces, lines, strict=True):

@@ -39,8 +39,8 @@ Trust = Annotated[
 ]
 DATA = "A folder of results is data: nothing of it is executed."
 PROGRAM = (
-    "A scenario is a program: the classes that it names are imported and may do whatever you may. "
-    "Give none of people whose programs you would not start."
+    "A scenario is a program: its classes are imported and run with your rights. "
+    "Do not run scenarios of people whose programs you would not start."
 )
 """Help texts on trust: `DATA` for commands that read a run's files, `PROGRAM` for those that import a scenario's classes."""
 

@@ -59,10 +59,10 @@ def report_command(
 
     if not folder.is_dir():
         raise UsageError(
-            f"{folder}: {'is no folder' if folder.exists() else 'does not exist'}; name the folder of a run or a study"
+            f"{folder}: {'is not a folder' if folder.exists() else 'does not exist'}; name the folder of a run or a study"
         )
     if out is not None and out.is_dir():
-        raise UsageError(f"--out {out}: is a folder; name a file, e.g. {out / 'report.html'}")
+        raise UsageError(f"--out {out}: is a folder; give a file name, e.g. {out / 'report.html'}")
     with writing(out or folder):
         path = outputs.report_again(folder, out) if (folder / PLAN).is_file() else _of_run(folder, out, trust=trust)
     sys.stdout.write(f"{path}\n")

@@ -60,11 +60,11 @@ def radio_command(
     given: dict[str, Any] = {name: value for name, value in of_map.items() if value is not None}
     if coverage is None:
         if given:
-            raise UsageError(f"--{next(iter(given))} goes with --coverage VEHICLE")
+            raise UsageError(f"--{next(iter(given))} needs --coverage VEHICLE")
         answer, text = _explained(Path(what), link, frame, trust=trust)
     else:
         if link is not None or frame is not None:
-            raise UsageError("--coverage draws a map; --link and --frame ask about a run: give one or the other")
+            raise UsageError("--coverage draws a map; --link and --frame query a run: use either the one or the others")
         for name, value in given.items():
             if isinstance(value, float) and not (math.isfinite(value) and (name != "resolution" or value > 0.0)):
                 raise UsageError(f"--{name} {value}: must be a {'positive' if name == 'resolution' else 'finite'} number")
@@ -158,7 +158,7 @@ def pathloss_command(
 
     distance_m = curves.grid(distance, "--distance")
     if distance_m.min() < 0.0:
-        raise UsageError(f"--distance {distance}: no distance is negative")
+        raise UsageError(f"--distance {distance}: distances must not be negative")
     channel = _channel(preset, set_)[0]
     _print({"preset": preset}, curves.mean_levels(channel.budgets.path_loss, channel.phy, distance_m), json=json)
 
@@ -176,7 +176,7 @@ def _explained(folder: Path, link: str | None, frame: str | None, *, trust: bool
         from vcmvsp.cosim.analysis.link_budget import frame_report
 
         if not single:
-            raise UsageError(f"--frame {frame} needs one link: give --link SENDER/RECEIVER")
+            raise UsageError(f"--frame {frame} needs one link: add --link SENDER/RECEIVER")
         report = frame_report(log, pairs[0], frame, trust=trust)
         return {**head, "frame": report}, link_text.frame_text(report)
     if single:
@@ -324,7 +324,7 @@ def calibrate_command(
         if value is not None and not math.isfinite(value):
             raise UsageError(f"{option} {value}: must be a finite number")
     if out is not None and out.exists() and not out.is_dir():
-        raise UsageError(f"--out {out}: there is a file of that name; name a folder")
+        raise UsageError(f"--out {out}: is a file; name a folder")
     sightline = None if world is None else sightline_of(world)
     log, calibration = calibrate_file(
         links, tx_power_dbm=tx_power, reference_distance_m=reference_distance, sensitivity_dbm=sensitivity, sightline=sightline
@@ -404,8 +404,8 @@ def _text(about: dict[str, Any], rates: "Rates", taken: "Snapshots") -> str:
         "",
     ]
     named: dict[str, Share] = {
-        "p, looks at cells with a target that say so": rates.p,
-        "q, looks at cells without one that say target": rates.q,
+        "p, share of hits in looks at cells with a target": rates.p,
+        "q, share of hits in looks at cells without a target": rates.q,
         "precision": rates.precision,
         "recall": rates.recall,
         "recall, unoccluded": rates.unoccluded,
@@ -414,7 +414,7 @@ def _text(about: dict[str, Any], rates: "Rates", taken: "Snapshots") -> str:
     lines += aligned((name, _words(each)) for name, each in named.items())
     lines += ["", f"[{taken.table}]", f"p = {_number(rates.p.mean)}", f"q = {_number(rates.q.mean)}", ""]
     if rates.p.mean <= rates.q.mean:
-        lines += ["# p must be greater than q: the map learns nothing from these looks", ""]
+        lines += ["# p must be greater than q: these looks carry no information for the map", ""]
     return "\n".join(lines)
 
 

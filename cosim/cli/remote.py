@@ -260,7 +260,7 @@ def doctor_command(
     Example: vcmvsp doctor --connect tls/192.168.1.10:7447 --keys car2.keys
     """
     if connect is None and (keys is not None or insecure):
-        raise UsageError("--keys and --insecure say how to reach a run: add --connect ENDPOINT")
+        raise UsageError("--keys and --insecure need a run to connect to: add --connect ENDPOINT")
     checks = installation() if connect is None else connection(connect, keys, insecure=insecure, secret=secret)
     if json:
         with stdout_to_stderr():

@@ -55,7 +55,7 @@ def figure_command(
         sys.stdout.write(f"{figure.title}\n\n{table(figure)}\n{paths}\n")
     if not figure.ok:
         missed = sum(not row.ok for row in figure.rows)
-        sys.stderr.write(f"vcmvsp: {missed} of {len(figure.rows)} numbers are not within their tolerance\n")
+        sys.stderr.write(f"vcmvsp: {missed} of {len(figure.rows)} numbers are outside their tolerance\n")
         raise SystemExit(1)
 
 
@@ -110,7 +110,7 @@ def _checked(out: Path, jobs: int | None) -> int:
     if jobs is not None and jobs < 1:
         raise UsageError(f"--jobs {jobs}: must be 1 or more")
     if out.exists() and not out.is_dir():
-        raise UsageError(f"--out {out}: there is a file of that name; name a folder")
+        raise UsageError(f"--out {out}: is a file; name a folder")
     return jobs or cores()
 
 

@@ -15,7 +15,7 @@ from vcmvsp.cosim.cli.options import AsJson, Changes, DialInsecurely, KeysOfVehi
 if TYPE_CHECKING:
     from vcmvsp.cosim.assembly.parts.stations import StationAnswer
 
-NOBODY = "no robot is driven on this machine by you"
+NOBODY = "you drive no robot on this machine"
 
 
 def robot_command(
@@ -124,7 +124,7 @@ def line(answer: "StationAnswer") -> str:
     """A station's answer as a line of text."""
     match answer.state:
         case "silent":
-            return f"{answer.vehicle}: DOES NOT ANSWER (process {answer.pid}): look after the robot\n"
+            return f"{answer.vehicle}: DOES NOT ANSWER (process {answer.pid}): stop the robot by hand\n"
         case "ended":
-            return f"{answer.vehicle}: not driven any more\n"
+            return f"{answer.vehicle}: no longer driven\n"
     return f"{answer.vehicle}: {answer.state} (run {answer.run})\n"

@@ -206,7 +206,7 @@ def conduct(
     from vcmvsp.cosim.util.files import to_json
 
     if out is not None and str(out) == ".":
-        raise UsageError("--out: name a folder; the current one is not a good place for the files of a run")
+        raise UsageError("--out: name a folder; the files of a run cannot go into the current folder")
     settings = scenarios.settings_of(sets)
     loaded = scenarios.load(scenario, settings=settings, seed=seed)
     parsed = loaded.scenario
@@ -295,7 +295,7 @@ def study_command(
     from vcmvsp.cosim.util.files import to_json
 
     if out is not None and str(out) == ".":
-        raise UsageError("--out: name a folder; the current one is not a good place for the files of a study")
+        raise UsageError("--out: name a folder; the files of a study cannot go into the current folder")
     settings = scenarios.settings_of(simulated(scenario, set_ or []) if twin else set_ or [])
     with stdout_to_stderr(), StudyProgress(quiet=quiet) as progress:
         studied = engine.conduct(

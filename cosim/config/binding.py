@@ -185,7 +185,7 @@ def _path(kind: type, value: object) -> Path:
 def _text(value: object) -> str:
     if isinstance(value, Path):
         return str(value)
-    raise TypeError(f"{type(value).__name__} is nothing that TOML has")
+    raise TypeError(f"{type(value).__name__} is not a type of TOML")
 
 
 def plain(value: object) -> Any:
@@ -340,7 +340,7 @@ def show(value: object) -> str:
     try:
         text = repr(value)
     except Exception:
-        text = f"a {type(value).__name__} that cannot be shown"
+        text = f"a {type(value).__name__} without a printable form"
     return text if len(text) <= 60 else text[:57] + "..."
 
 

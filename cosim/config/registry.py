@@ -98,7 +98,7 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
         raise origin.error(f"'{where}' has no class '{name}'", key)
     lacking = [verb for verb in re.findall(r"\w+(?:\(.*?\))?", VERBS[group]) if not hasattr(found, verb.partition("(")[0])]
     if aim != NOTHING and (lacking or not callable(found)):
-        problem = f"'{kind}' is no {group.replace('_', '-')}: it has no {', '.join(lacking) or VERBS[group]}"
+        problem = f"'{kind}' is not a {group.replace('_', '-')}: it lacks {', '.join(lacking) or VERBS[group]}"
         raise origin.error(problem, key)
     return found
 
@@ -276,19 +276,19 @@ class OwnCode:
             ScenarioError: the user has not allowed this class.
         """
         if self is NO_CODE:
-            raise ScenarioError(f"'{kind}' is not built in, and reading results executes nothing of theirs; --trust does")
+            raise ScenarioError(f"'{kind}' is user code, which is not executed when results are read; --trust allows it")
         if ":" not in kind:
             return None
         known, own = kind in self._kinds, Path(kind.rpartition(":")[0])
         if not is_file_kind(kind):
             if not known:
-                raise ScenarioError(f"the run asks for '{kind}', which this host's command line does not allow: --allow {kind}")
+                raise ScenarioError(f"the run requests '{kind}', which this host does not allow: add --allow {kind}")
             return None
         if known and (own.is_file() or self._folder is None):
             return own.resolve()
         if self._folder is None:
             raise ScenarioError(
-                f"the run asks for '{kind}', and this host has no folder of files to run: --folder DIR with {own.name}"
+                f"the run requests '{kind}', but this host has no folder of code: add --folder DIR with {own.name}"
             )
         return (self._folder / own.name).resolve()
 

@@ -172,7 +172,7 @@ class Fusion:
         """Position of the robot at that time, with standard deviation sigma_m of x and of y."""
         _check(x, y, sigma_m)
         if sigma_m <= 0.0:
-            raise ValueError(f"a position's sigma_m must be positive, not {sigma_m}")
+            raise ValueError(f"sigma_m of a position must be positive, not {sigma_m}")
         return self._insert(_LogEntry(time_ns, self._begin, MeasuredPosition(x, y, sigma_m)))
 
     def estimate(self, now_ns: int) -> FusedPose | None:

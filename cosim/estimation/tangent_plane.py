@@ -48,7 +48,7 @@ class TangentPlane:
 
     def __init__(self, latitude_deg: float, longitude_deg: float, height_m: float = 0.0) -> None:
         if not -90.0 <= latitude_deg <= 90.0:
-            raise ValueError(f"a latitude is from -90 to 90 degrees, not {latitude_deg}")
+            raise ValueError(f"a latitude must be from -90 to 90 degrees, not {latitude_deg}")
         self._origin = to_earth(latitude_deg, longitude_deg, height_m)
         phi, lam = math.radians(latitude_deg), math.radians(longitude_deg)
         sp, cp, sl, cl = math.sin(phi), math.cos(phi), math.sin(lam), math.cos(lam)

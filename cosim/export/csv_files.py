@@ -142,7 +142,7 @@ def _write_radio(source: Source, path: Path, count: int, end_ns: int) -> None:
 
 
 def _write_recorded(source: Source, path: Path, count: int, end_ns: int, why: str) -> None:
-    source.tell(f"{source.folder}: {why}: {RADIO}.csv is without frames of programs, and without routes")
+    source.tell(f"{source.folder}: {why}: {RADIO}.csv lacks frames of programs, and routes")
     frames, values = Frames(source.vehicles), Values()
     said = (each for each in source.only(lambda topic, _: topic == FRAMES) if each.topic)
     frames.extend(map(values.of, islice(said, count)))

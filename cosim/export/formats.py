@@ -48,12 +48,12 @@ def export(
     wanted = {"rosbag2": rosbag2, "csv": csv, "mp4": mp4, "layout": layout}
     paths = {name: Path(path) for name, path in wanted.items() if path is not None}
     if not paths:
-        raise UsageError("nothing to export: give --rosbag2, --csv, --mp4, --layout, or several of them")
+        raise UsageError("nothing to export: add at least one of --rosbag2, --csv, --mp4 and --layout")
     folder = Path(run_dir)
     for name, path in paths.items():
         _check(name, path, folder, force=force)
     if len({path.resolve() for path in paths.values()}) < len(paths):
-        raise UsageError("two exports of the same name: give each a file or folder of its own")
+        raise UsageError("two exports have the same path: use different ones")
     source = Source(folder, tell)
     for name, path in paths.items():
         how_far = functools.partial(progress, name)
@@ -91,19 +91,19 @@ def _check(name: str, path: Path, run_dir: Path, *, force: bool) -> None:
     if name == "mp4" and path.suffix.lower() != ".mp4":
         raise UsageError(f"{path}: the name must end in .mp4")
     if not path.name:
-        raise UsageError(f"{path}: names no {'folder' if is_folder else 'file'} of its own")
+        raise UsageError(f"{path}: not the name of a {'folder' if is_folder else 'file'}")
     try:
         if path.is_dir() and not is_folder:
             raise UsageError(f"{path}: is a folder, not a file")
         if path.exists() and not path.is_dir() and is_folder:
             raise UsageError(f"{path}: is a file, not a folder")
         if is_folder and path.is_dir() and path.samefile(run_dir):
-            raise UsageError(f"{path}: is the run's own folder; give another one")
+            raise UsageError(f"{path}: is the folder of the run; choose another one")
         if path.is_file() and (run_dir / FILE).is_file() and path.samefile(run_dir / FILE):
-            raise UsageError(f"{path}: is the recording itself; give another name")
+            raise UsageError(f"{path}: is the recording itself; choose another name")
         if not force and path.exists() and (not is_folder or any(path.iterdir())):
-            problem = "is not empty" if is_folder else "is there already"
-            raise UsageError(f"{path}: {problem}; give another folder (--out), or --force to overwrite")
+            problem = "is not empty" if is_folder else "already exists"
+            raise UsageError(f"{path}: {problem}; choose another folder (--out), or add --force to overwrite")
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}") from error
 

@@ -96,7 +96,7 @@ class Bag:
             self._connections[name] = topic, made
         of, connection = self._connections[name]
         if of != topic and name not in {"/tf", "/rosout"}:
-            raise UsageError(f"--rosbag2: {of} and {topic} would both be {name}, as ROS has no other signs: rename a vehicle")
+            raise UsageError(f"--rosbag2: {of} and {topic} would both become the ROS topic {name}: rename a vehicle")
         self._writer.write(connection, time_ns, ros.store().serialize_cdr(message, kind))
 
     def _take_transforms(self, said: Recorded, value: messages.FrameTransforms) -> None:

@@ -66,7 +66,7 @@ class _Film:
         self._read(source)
         self._arrays = {name: ([at for at, _ in way], np.array([pose for _, pose in way])) for name, way in self._ways.items()}
         if not any(np.isfinite(poses).any() for _, poses in self._arrays.values()):
-            raise UsageError("--mp4: the recording shows no vehicle")
+            raise UsageError("--mp4: the recording contains no vehicle")
         self.step_ns = max(SECOND_NS // FPS, -(-self._end_ns // MOST_FRAMES))
         self.count = self._end_ns // self.step_ns + 1
         self._lay_out()

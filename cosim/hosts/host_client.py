@@ -31,7 +31,7 @@ Another thread writes, so the link stays alive while a callback waits for an age
 """
 Secret = str | None
 """Secret of a run; empty: the run requires none."""
-NO_RUN = "what listens there is no run of this user; --secret FILE or --insecure joins another's"
+NO_RUN = "no run of this user listens there; add --secret FILE or --insecure to join a run of another user"
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # reconnection of a broken link
 
 
@@ -74,7 +74,7 @@ class Desk:
     def _answer(self, question: protocol.Question) -> protocol.Answer:
         if isinstance(question, protocol.Build):
             if self._federate is not None:
-                raise FederateError("host", "was asked to build twice")
+                raise FederateError("host", "received a second build request")
             self._federate = self._builds("host", question.specs)
             code = {spec.vehicle: fingerprint(spec) for spec in question.specs}
             return protocol.Built(self._federate.agents, self._federate.reads, self._federate.latest, code)
@@ -83,7 +83,7 @@ class Desk:
             self.close()
             return protocol.Ended()
         if self._federate is None:
-            raise FederateError("host", "was asked to step before it was told what to build")
+            raise FederateError("host", "received a step before a build request")
         if isinstance(question, protocol.Begin):
             self._federate.start(question.run)
             return protocol.Stepped([])
@@ -166,9 +166,9 @@ def _answer(
             # Presence of the hub; a host that was suspended for a while may have missed a change.
             was, there = there, hub_of(session) != "" if question is None else question
             if was and not there and desk.ended is None:
-                on_state(f"the run is out of reach; waiting for at most {patience_s:g} s")
+                on_state(f"the run is unreachable; waiting for at most {patience_s:g} s")
             if there and desk.ended is None and hub_of(session) not in (hub, ""):
-                raise FederateError("the run", "is gone: another one listens there now; start this host again")
+                raise FederateError("the run", "is gone: another run listens there now; start this host again")
         elif answer := answers.to(question.payload.to_bytes()):
             says.put(protocol.sealed(welcome.seal, answer) if welcome.seal else answer)
 
@@ -262,18 +262,18 @@ def dialling(endpoint: str, bundle: "Bundle | None", secret: Secret) -> dict[str
 def _join(session: zenoh.Session, name: str, hello: protocol.Hello) -> protocol.Welcome:
     greeting = protocol.encode(hello)
     if len(greeting) > access_control.MAX_JOIN:
-        raise UsageError(f"the greeting is too long ({len(greeting)} bytes; at most {access_control.MAX_JOIN}): fewer --set")
+        raise UsageError(f"join request too long ({len(greeting)} bytes; at most {access_control.MAX_JOIN}): use fewer --set")
     last = time.monotonic() + JOIN_S
     while True:
         for reply in session.get(key_names.join_key(name), payload=greeting, timeout=_NO_TIMEOUT_S):
             if reply.ok is not None:
                 welcome = protocol.welcomes.decode(reply.ok.payload.to_bytes())
                 if welcome.refused:
-                    raise UsageError(f"the run refuses this host: {welcome.refused}")
+                    raise UsageError(f"the run rejects this host: {welcome.refused}")
                 return welcome
         if time.monotonic() > last:
             break
         time.sleep(_DIAL_S)
     if name == key_names.OPEN:
-        raise FederateError("the run", "ended before it let this host in")
+        raise FederateError("the run", "ended before it admitted this host")
     raise UsageError(access_control.silence(name))

@@ -50,7 +50,7 @@ _QUEUE = {
 QUEUES: dict[str, Any] = {"transport": {"link": {"tx": {"queue": _QUEUE}}}}
 """Transmit queues of the hub: an observer that stops reading pictures delays the run by 5 ms, not 50."""
 _DOOR = 64  # join requests that may wait
-BEGUN = "it has begun, and nobody is missing"
+BEGUN = "it has started, and no host is missing"
 
 
 class LinkCallbacks(NamedTuple):
@@ -164,7 +164,7 @@ class ZenohLink:
         if answer is None:
             self._failed = True
             deadline_s = oldest.deadline_s if self._there else min(oldest.deadline_s, self._cut_deadline_s)
-            gone = "" if self._cut is None else ": it left the run, or is cut off from it"
+            gone = "" if self._cut is None else ": it left the run, or its connection is lost"
             raise LateError(f"did not answer within the deadline of {deadline_s:g} s{gone}")
         return answer
 
@@ -294,7 +294,7 @@ class Hub:
             key = key_names.host_key(*machine, "ask")
             protocol.check_greeting(hello)
         except ValueError:
-            self._reply(query, "that was no greeting of a vcmvsp host")
+            self._reply(query, "that is not the join request of a vcmvsp host")
             return None
 
         denied, seal = None, secrets.token_bytes(protocol.SEAL) if self._strangers else b""
@@ -364,7 +364,7 @@ class Hub:
         elif self._joins.qsize() < _DOOR:
             self._joins.put(query)
         else:
-            self._reply(query, "too many knock at once; try again")
+            self._reply(query, "too many join requests at once; try again")
 
     def _reply(self, query: zenoh.Query, refused: str | None, *, seal: bytes = b"") -> None:
         welcome = protocol.Welcome(refused, self._patience_s, b"" if refused else seal)
@@ -378,7 +378,7 @@ class Hub:
                 locators: list[str] = json.loads(reply.ok.payload.to_string())["locators"]
                 if locators:
                     return locators[0]
-        raise UsageError("the Zenoh session does not say where it listens")
+        raise UsageError("the Zenoh session has no listening endpoint")
 
 
 def _opened(stack: contextlib.ExitStack, path: Path) -> int:

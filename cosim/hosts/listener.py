@@ -37,7 +37,7 @@ def refusal(hello: Hello, waiting: Mapping[str, AgentSpec], expected: Collection
         if vehicle not in expected:
             return f"{binding.unknown('vehicle', vehicle, expected)}, or its agent runs elsewhere"
         if vehicle not in waiting:
-            return f"the agent of '{vehicle}' has joined already, or is not to come back"
+            return f"the agent of '{vehicle}' has already joined, or may not return"
         if hello.kind is None and not waiting[vehicle].kind:
             return f"the scenario names no agent for '{vehicle}': start the host with MODULE_OR_FILE:Class"
     return None if hello.vehicles else "it names no vehicle"
@@ -57,10 +57,10 @@ def late_refusal(hello: Hello, specs: Mapping[str, AgentSpec], lost: Collection[
     for vehicle in hello.vehicles:
         spec = specs[vehicle]
         if hello.kind is not None and _target(hello.kind) != _target(spec.kind):
-            return f"the run has begun with {spec.kind} for '{vehicle}', and takes no other agent"
+            return f"the run started with {spec.kind} for '{vehicle}' and accepts no other agent"
         if any(spec.params.get(name) != value for name, value in hello.params.items()):
-            return "the run has begun, and takes no other parameters: leave out --set"
-    return None if together else f"the run has begun with {', '.join(hello.vehicles)} at several hosts: start one for each"
+            return "the run has started and accepts no other parameters: leave out --set"
+    return None if together else f"the run started with {', '.join(hello.vehicles)} at several hosts: start one for each"
 
 
 def as_host_says(spec: AgentSpec, hello: Hello, kinds: dict[str, str]) -> AgentSpec:
@@ -120,7 +120,7 @@ class Entrance:
             if secret:
                 stack.enter_context(endpoints.published(self.hub.endpoint, secret))
             elif not self._certified:
-                tell(f"caution: whoever can reach {self.hub.endpoint} can host agents of this run and watch it (--insecure)")
+                tell(f"caution: anyone who can reach {self.hub.endpoint} can host agents of this run and watch it (--insecure)")
             self.topics = Topics(self.hub.session, about, self._certified)  # publishes the run's events to observers
             stack.callback(self.topics.close)
             threading.Thread(target=self._tell_news, daemon=True).start()
@@ -148,7 +148,7 @@ class Entrance:
     def let_in(self, knock: "Knock", refusal: str | None) -> "ZenohLink | None":
         """Admit a host (returns its link) or refuse it; the reason goes to the host and, once, to the user."""
         if why := knock.denied or refusal:
-            words = f"refused a host{f' with the certificate of {knock.machine[0]}' if self._keys else ''}: {why}"
+            words = f"rejected a host{f' with the certificate of {knock.machine[0]}' if self._keys else ''}: {why}"
             if words not in self._refused and len(self._refused) < MOST_TOLD:
                 self._refused.add(words)
                 self._tell(words)
@@ -157,7 +157,7 @@ class Entrance:
         who = ", ".join(knock.hello.vehicles)
 
         def noticed(there: bool) -> None:
-            self._news.put(f"the host of {who} is {'back' if there else 'out of reach'}")
+            self._news.put(f"the host of {who} is {'back' if there else 'unreachable'}")
 
         def forged() -> None:
             self._news.put(f"another session answers in place of the host of {who}: its answers are dropped and counted")
@@ -207,7 +207,7 @@ def knocking(
             cause = f"did not join within {timeout_s:g} s (agents.join_timeout_s)"
             if needed := tuple(filter(indispensable, vehicles)):
                 raise AgentError(needed, "host", cause)
-            tell(f"the host of {', '.join(vehicles)} {cause}; the run begins without")
+            tell(f"the host of {', '.join(vehicles)} {cause}; the run starts without it")
             return
         if knock := hub.next_hello(POLL_S):
             yield knock

@@ -91,7 +91,7 @@ class Hosts:
         """Events in hosts that a repetition of the run does not reproduce."""
         lost = [loss for host in self.federates if isinstance(host, RemoteHost) for loss in host.losses]
         return [
-            *(f"the host of {vehicle} ran other code: {how}" for vehicle, how in sorted(self._other_code.items())),
+            *(f"the host of {vehicle} ran different code: {how}" for vehicle, how in sorted(self._other_code.items())),
             *(f"the host of {vehicles} was lost at {time_s:g} s: {cause}" for vehicles, time_s, cause in lost),
         ]
 
@@ -112,8 +112,8 @@ class Hosts:
             start[where](group)
         if self._observed and self.entrance is None:
             endpoint = self.listen().hub.endpoint
-            nobody = 'no agent has runs = "zenoh" (--agents zenoh), so that the run waits for no host'
-            self._tell(f"{endpoint} is for vcmvsp watch alone: {nobody}")
+            nobody = 'no agent has runs = "zenoh" (--agents zenoh), so the run waits for no host'
+            self._tell(f"{endpoint} serves vcmvsp watch only: {nobody}")
 
     @property
     def topics(self) -> "Topics | None":
@@ -178,7 +178,7 @@ class Hosts:
                 for left in joined.pop(host)[1]:
                     waiting[left.vehicle] = wanted[left.vehicle]
                     self.kinds.pop(left.vehicle, None)
-                    self._tell(f"the host of {left.vehicle} has left; waiting for another")
+                    self._tell(f"the host of {left.vehicle} disconnected; waiting for another")
 
         def missing() -> list[str]:
             last = time.monotonic() - self._agents.deadline_s  # hosts unreachable since before then are given up
@@ -220,9 +220,9 @@ class Hosts:
                 asked_for = [self._wanted.get(vehicle) for vehicle in crew.vehicles]
                 if not all(spec is not None and not indispensable(spec) for spec in asked_for):
                     for other in crews:
-                        other.release(f"the run cannot begin: {error}")
+                        other.release(f"the run cannot start: {error}")
                     raise
-                self._tell(f"{error}; the run begins without")
+                self._tell(f"{error}; the run starts without it")
                 crew.dismiss(str(error))
                 late = [*late, *(spec for spec in asked_for if spec is not None)]
                 for vehicle in crew.vehicles:
@@ -257,7 +257,7 @@ class Hosts:
             how = difference(fingerprint(own), code)
             if how and self._other_code.get(vehicle) != how:
                 self._other_code[vehicle] = how
-                self._tell(f"the host of {vehicle} runs other code than this machine: {how}")
+                self._tell(f"the code at the host of {vehicle} differs from this machine's: {how}")
 
     def _add(self, host: "HostFederate") -> None:
         self.federates.append(host)

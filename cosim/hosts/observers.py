@@ -72,11 +72,11 @@ def watch(
         try:
             zenoh.KeyExpr(key_names.TOPIC + topic)
         except zenoh.ZError as error:
-            problem = "must be a key like car2/command, with * for one part and ** for many"
+            problem = "must be a topic such as car2/command, with * for one part and ** for any number"
             raise UsageError(f"--topic {topic}: {problem}") from error
     if bundle is not None and bundle.role != "observer":
         owner = ", ".join(bundle.vehicles)
-        raise UsageError(f"{bundle.path}: is for the host of {owner}; to watch use what 'vcmvsp keys observer NAME' makes")
+        raise UsageError(f"{bundle.path}: is for the host of {owner}; to watch, use a file made by 'vcmvsp keys observer NAME'")
     with dial(endpoint, bundle, on_state, secret=secret) as session:
         name = key_names.OPEN if bundle is None else bundle.name
         about = greeted(session, name)
@@ -99,7 +99,7 @@ def watch(
             over = run.is_over()  # asked first, so that events received until then are still returned
             if batch := _batch(inbox, every_s):
                 yield batch
-        on_state("the run has ended, or is out of reach" + (f"; {lost} events came too fast to be shown" if lost else ""))
+        on_state("the run has ended, or is unreachable" + (f"; {lost} events were dropped: too fast to print" if lost else ""))
 
 
 class _Presence:
@@ -177,7 +177,7 @@ def greeted(session: zenoh.Session, name: str) -> About:
     last = time.monotonic() + PATIENCE_S
     while (about := ask(session, name)) is None:
         if time.monotonic() > last:
-            outdated = "what listens there does not say what run it is: use the same vcmvsp version at both ends"
+            outdated = "the listener there does not identify its run: use the same vcmvsp version at both ends"
             raise UsageError(outdated if name == key_names.OPEN else access_control.silence(name))
         time.sleep(POLL_S)
     return about
@@ -204,11 +204,11 @@ def examine(endpoint: str, bundle: "Bundle | None", secret: str | None = None) -
     refusal = zenoh_session.diagnose(endpoint, bundle)
     session = None if refusal else _session(endpoint, bundle, secret)
     if session is None:
-        why = refusal.why if refusal else "it breaks off every connection" if bundle else NO_RUN
+        why = refusal.why if refusal else "it closes every connection" if bundle else NO_RUN
         yield ("endpoint", False, f"{endpoint}: {why}")
         return
     with session:
-        yield ("endpoint", True, f"{endpoint}: a run answers there" if bundle else f"{endpoint}: something listens there")
+        yield ("endpoint", True, f"{endpoint}: a run answers there" if bundle else f"{endpoint}: the port is open")
         if bundle is not None:
             yield _certificate_of_run(endpoint, bundle, session)
         yield from _questions(session, bundle)
@@ -279,14 +279,14 @@ def _times(session: zenoh.Session, name: str) -> Iterator[Check]:
         about = ask(session, name)
         took = time.perf_counter_ns() - began
         if about is None:
-            yield ("round trip", False, f"the run answered {len(trips)} of {len(trips) + 1} questions")
+            yield ("round trip", False, f"the run answered {len(trips)} of {len(trips) + 1} requests")
             return
         trips.append((took, about.wall_ns - (begin + took / 2)))
     cuts = statistics.quantiles([took / 1e6 for took, _ in trips], n=100, method="inclusive")
     yield ("round trip", True, f"{cuts[49]:.2f} ms median, {cuts[98]:.2f} ms at the 99th percentile, of {ROUNDS}")
     took, offset = min(trips)
     direction = "ahead of" if offset > 0 else "behind"
-    words = f"the run's is {abs(offset) / 1e6:.2f} ms {direction} ours, give or take {took / 2e6:.2f} ms"
+    words = f"the run's clock is {abs(offset) / 1e6:.2f} ms {direction} this machine's, +- {took / 2e6:.2f} ms"
     yield ("clocks", True, words)
 
 
@@ -305,9 +305,9 @@ def _access(session: zenoh.Session, name: str, bundle: "Bundle | None") -> Check
         hears = False
     subscriber.undeclare()  # type: ignore[no-untyped-call]
     speaks = ask(session, _SOMEBODY) is not None
-    topics = "hears what the run shows" if hears else "does not hear what the run shows"
-    others = "may speak for others" if speaks else "speaks for itself alone"
+    topics = "receives the topics of the run" if hears else "does not receive the topics of the run"
+    others = "may act for other vehicles" if speaks else "acts only for itself"
     if bundle is None:
-        return ("access", True, f"no certificates are asked for: whoever reaches this endpoint {topics} and {others}")
+        return ("access", True, f"no certificates are required: anyone in reach of this endpoint {topics} and {others}")
     right = hears == (bundle.role == "observer") and not speaks
-    return ("access", right, f"'{name}' {topics} and {others}" + ("" if right else f", which is not right for a {bundle.role}"))
+    return ("access", right, f"'{name}' {topics} and {others}" + ("" if right else f", which is wrong for a {bundle.role}"))

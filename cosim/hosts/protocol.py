@@ -207,10 +207,10 @@ def check_events(stepped: Sequence[Event], vehicles: Mapping[str, int], names: f
         vehicle, _, what = key.partition("/")
         due_ns = vehicles.get(vehicle)
         if due_ns is None:
-            raise ValueError(f"it speaks for {plain(vehicle, LONGEST_NAME)}")
+            raise ValueError(f"an event of {plain(vehicle, LONGEST_NAME)}, which is not one of its vehicles")
         kinds = _KINDS.get(what)
         if kinds is None:
-            raise ValueError(f"{plain(key, LONGEST_NAME)}, which is not for an agent to say")
+            raise ValueError(f"{plain(key, LONGEST_NAME)}, a topic that agents may not publish")
         if event.time_ns != due_ns:
             raise ValueError(f"{key} at {event.time_ns} ns, expected {due_ns} ns")
         value = event.value
@@ -230,15 +230,15 @@ def check_events(stepped: Sequence[Event], vehicles: Mapping[str, int], names: f
 
 def _message(message: Message, vehicle: str, names: frozenset[str]) -> None:
     if message.sender != vehicle:
-        raise ValueError(f"a message from {plain(message.sender, LONGEST_NAME)} as one from {vehicle}")
+        raise ValueError(f"a message of {vehicle} with the sender {plain(message.sender, LONGEST_NAME)}")
     if message.to == vehicle:
         raise ValueError("a message to itself")
     if message.to is not None and message.to not in names:
-        raise ValueError(f"a message to {plain(message.to, LONGEST_NAME)}, which is no vehicle of this run")
+        raise ValueError(f"a message to {plain(message.to, LONGEST_NAME)}, which is not a vehicle of this run")
     if not 0 <= message.size_bytes <= LARGEST_MESSAGE_BYTES:
         raise ValueError(f"a message of {message.size_bytes} bytes; allowed are 0 to {LARGEST_MESSAGE_BYTES}")
     if message.priority not in _INT64:
-        raise ValueError(f"a message of priority {message.priority}, which is beyond 64 bits")
+        raise ValueError(f"a message of priority {message.priority}, which exceeds 64 bits")
     if type(message.body) is dict:
         try:
             check_body(message.body)
@@ -259,7 +259,7 @@ def _command(command: Velocity | Waypoint) -> None:
 
 def _rare(value: object, vehicle: str, due_ns: int, names: frozenset[str]) -> None:
     if type(value) is Follows and value.leader is not None and (value.leader not in names or value.leader == vehicle):
-        raise ValueError(f"it follows {plain(value.leader, LONGEST_NAME)}, which is not another vehicle of this run")
+        raise ValueError(f"a leader {plain(value.leader, LONGEST_NAME)}, which is not another vehicle of this run")
     if type(value) is Presence:
         if value.state == "back" or value.late or not 0 <= value.since_ns <= due_ns:
             raise ValueError(f"{vehicle}/host since {value.since_ns} ns, {value.state}, {value.late} late, at {due_ns} ns")
@@ -275,7 +275,7 @@ def check_built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
     found = sorted(info.vehicle for info in answer.agents)
     if found != sorted(wanted):
         names = plain(", ".join(found) or "none", LONGEST_LINE)
-        raise ValueError(f"agents for other vehicles than it was asked to: {names}; expected {', '.join(wanted)}")
+        raise ValueError(f"agents for {names}; expected {', '.join(wanted)}")
     for info in answer.agents:
         try:
             _agent(info, wanted[info.vehicle])
@@ -286,15 +286,15 @@ def check_built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
     for keys, allowed in ((answer.reads, {RECEPTIONS}), (answer.latest, sees)):
         for key in keys:
             if key not in allowed:
-                raise ValueError(f"it wants to listen to {plain(key, LONGEST_NAME)}, which is not for its agents")
+                raise ValueError(f"a subscription to {plain(key, LONGEST_NAME)}, which its agents may not read")
         if len(set(keys)) < len(keys):
-            raise ValueError(f"it wants to listen to {next(key for key in keys if keys.count(key) > 1)} twice")
+            raise ValueError(f"two subscriptions to {next(key for key in keys if keys.count(key) > 1)}")
 
 
 def _code(code: Mapping[str, Mapping[str, str]], wanted: Collection[str]) -> None:
     for vehicle, files in code.items():
         if vehicle not in wanted or len(files) > 2 * MOST_FILES:
-            raise ValueError(f"source code of {plain(vehicle, LONGEST_NAME)} that was not asked for, or of too many files")
+            raise ValueError(f"source code of {plain(vehicle, LONGEST_NAME)} that was not requested, or of too many files")
         if any(plain(text, LONGEST_LINE) != text for text in (*files, *files.values())):
             raise ValueError(f"source code of {vehicle} with names that are too long or cannot be shown")
 
@@ -311,12 +311,12 @@ def _agent(info: AgentInfo, spec: AgentSpec) -> None:
         if len(names) > 1000 or any(plain(name, LONGEST_NAME) != name for name in names):
             raise ValueError(f"{what} that are too many, too long or cannot be shown")
     if strange := [name for name in info.params if name not in info.known or name in _OF_SCENARIO]:
-        raise ValueError(f"a parameter that it cannot have: {plain(strange[0], LONGEST_NAME)}")
+        raise ValueError(f"an unknown parameter: {plain(strange[0], LONGEST_NAME)}")
     try:
         text = tomli_w.dumps(info.params)
         read_toml(text)
     except (TypeError, ValueError, RecursionError, AttributeError) as error:
-        raise ValueError(f"parameters that a scenario cannot say: {plain(str(error))}") from None
+        raise ValueError(f"parameters that a scenario cannot express: {plain(str(error))}") from None
     if len(text) > LARGEST_PARAMS_BYTES:
         raise ValueError(f"parameters of {len(text)} characters; at most {LARGEST_PARAMS_BYTES}")
 

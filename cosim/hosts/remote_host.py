@@ -228,9 +228,9 @@ class Crew:
         return answer
 
     def _unreadable(self, why: str) -> AgentError:
-        self.release(f"it does not accept what this host answers: {why}")
+        self.release(f"the run rejects the answer of this host: {why}")
         self.alive = False  # the host may still answer
-        return self.error(f"gave an answer that is refused: {why}")
+        return self.error(f"sent an invalid answer: {why}")
 
 
 class RemoteHost:
@@ -372,7 +372,7 @@ class RemoteHost:
     def welcome(self, crew: Crew) -> None:
         """Accept a replacement for a lost host; it receives steps once its agents are built."""
         for lost in [each for each in self._others if not set(each.vehicles).isdisjoint(crew.vehicles)]:
-            self._dismiss(lost, "another host has come in its place")
+            self._dismiss(lost, "another host has replaced it")
         self._others.append(crew)
 
     def _lose(self, crew: Crew, now_ns: int, error: FederateError) -> list[Event]:
@@ -428,7 +428,7 @@ class RemoteHost:
                 for info in crew.built(answer).agents:
                     expected = self._infos[info.vehicle]
                     if msgspec.structs.replace(info, agent=expected.agent) != expected:
-                        raise crew.error("is not the agent that the run began with: its parameters or its period differ")
+                        raise crew.error("differs from the agent at the start of the run in its parameters or period")
                 crew.send(protocol.Begin(self._run))
         return True
 

@@ -132,15 +132,15 @@ def read(path: Path) -> HostsTable:
 def _fault(host: HostTable, names: Mapping[str, int], hosted: Mapping[str, str]) -> tuple[str, str] | None:
     """Key and problem of a host that contradicts itself or earlier hosts, or None."""
     if not host.vehicles or len({*host.vehicles}) < len(host.vehicles):
-        return "vehicles", "must name at least one vehicle, and none twice"
+        return "vehicles", "must contain at least one vehicle, each only once"
     if taken := [vehicle for vehicle in host.vehicles if vehicle in hosted]:
-        return "vehicles", f"'{taken[0]}' has a host already, '{hosted[taken[0]]}'"
+        return "vehicles", f"'{taken[0]}' already has a host, '{hosted[taken[0]]}'"
     if host.called in names:
-        return "name", f"host[{names[host.called]}] is called '{host.called}' too: give them names that differ"
+        return "name", f"host[{names[host.called]}] is also named '{host.called}': use distinct names"
     if host.ssh.startswith("-") or re.search(r"\s", host.ssh):
-        return "ssh", f"must be a destination that ssh takes, e.g. 'anna@laptop', not {binding.show(host.ssh)}"
+        return "ssh", f"must be a destination for ssh, e.g. 'anna@laptop', not {binding.show(host.ssh)}"
     if host.keys and host.copy:
-        return "keys", "is a file that is there already; copy sends one: leave one of them out"
+        return "keys", "names a file on the host, and copy = true sends one: leave one of them out"
     if not host.words or not host.words[0]:
         return "command", "must name a program"
     return None

@@ -139,7 +139,7 @@ class LocalLink:
         except OSError as error:
             if error.errno != errno.EMSGSIZE:
                 raise
-            raise ValueError(f"a message of {len(message)} bytes is longer than the link takes") from None
+            raise ValueError(f"a message of {len(message)} bytes is too long for the link") from None
         return True
 
     def receive(self) -> list[bytes]:

@@ -156,7 +156,7 @@ class Pool:
                     if self._stopped:
                         worker.kill()
                 return worker
-        raise VcmvspError(f"{STARTS} workers, one after the other, were killed while they started")
+        raise VcmvspError(f"{STARTS} workers in a row were killed during their start")
 
     def _left(self, worker: Worker | None) -> None:
         if worker is not None:

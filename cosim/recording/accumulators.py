@@ -165,7 +165,7 @@ class Accumulators:
         vehicle = vehicle_of(key)
         if follows.leader is not None and follows.leader not in self._run.vehicles:
             known = ", ".join(self._run.vehicles)
-            raise ScenarioError(f"{vehicle} follows {follows.leader!r}, which is no vehicle of this run ({known})")
+            raise ScenarioError(f"{vehicle} follows {follows.leader!r}, which is not a vehicle of this run; vehicles: {known}")
         self._follows.append(Placement(time_ns, vehicle, follows))
 
     def _take_note(self, key: str, time_ns: int, note: types.Note) -> None:

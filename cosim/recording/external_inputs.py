@@ -100,8 +100,8 @@ def read_inputs(path: str | Path, *, tell: Callable[[str], None] = lambda _: Non
         raise UsageError(f"{path}: {error.strerror}") from error
     except ValueError as error:
         if not inputs:
-            raise UsageError(f"{path}: nothing in it can be read ({error})") from error
-        tell(f"{path} is damaged ({error}): what it tells ends at {inputs[-1][1] / SECOND_NS:.3f} s")
+            raise UsageError(f"{path}: cannot be read ({error})") from error
+        tell(f"{path} is damaged ({error}): it can be read up to {inputs[-1][1] / SECOND_NS:.3f} s")
     return inputs
 
 

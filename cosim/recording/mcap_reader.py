@@ -93,7 +93,7 @@ def contents(
         for each in inside:
             if isinstance(each, records.Message):
                 if each.channel_id not in topics:
-                    raise ValueError(f"a message of channel {each.channel_id}, which there is not")
+                    raise ValueError(f"a message of the unknown channel {each.channel_id}")
                 if each.channel_id not in passed:
                     yield Recorded(*topics[each.channel_id], each.log_time, each.data)
             elif isinstance(each, records.Channel):
@@ -106,7 +106,7 @@ def contents(
 def _next(counts: Iterator[dict[int, int]]) -> dict[int, int]:
     for each in counts:
         return each
-    raise ValueError("a part of it that its index does not have")
+    raise ValueError("a chunk that is missing in its index")
 
 
 def indexed(stream: BinaryIO) -> Iterator[dict[int, int]]:
@@ -148,11 +148,11 @@ def unpacked(data: bytes, compression: str, size: int, crc: int) -> bytes:
     """
     limits.within(size, limits.CHUNK_BYTES, "bytes in a chunk")
     if compression not in ("", "zstd"):
-        raise ValueError(f"a chunk is packed with {compression!r}, not with zstd")
+        raise ValueError(f"a chunk is compressed with {compression!r}, not zstd")
     if compression:
         data = pa.Codec("zstd").decompress(data, size, asbytes=True)
     if len(data) != size or (crc and zlib.crc32(data) != crc):
-        raise ValueError("a chunk has another checksum than it says")
+        raise ValueError("the checksum of a chunk is wrong")
     return data
 
 
@@ -186,11 +186,11 @@ def _inside(data: bytes, most: int, passed: Container[int]) -> Iterator[records.
         opcode, length = _RECORD.unpack_from(data, end)
         start, end = end + _RECORD.size, end + _RECORD.size + length
         if end > len(data):
-            raise ValueError("a chunk ends too soon")
+            raise ValueError("a chunk is truncated")
         if opcode == message:
             number += 1
             if number > most:
-                raise ValueError("a chunk holds more messages than its index says")
+                raise ValueError("a chunk contains more messages than its index")
             channel, sequence, time_ns, published_ns = _MESSAGE.unpack_from(data, start)
             if channel in passed:
                 last_ns = max(last_ns, time_ns)
@@ -209,7 +209,7 @@ def _records(stream: BinaryIO) -> Iterator[records.McapRecord]:
         try:
             record = next(found)
         except (EndOfFile, struct.error) as error:
-            raise ValueError("it ends too soon") from error
+            raise ValueError("it is truncated") from error
         except Exception as error:  # the library raises many types, also those of other libraries
             raise ValueError(f"{type(error).__name__}: {error}") from error
         if isinstance(record, records.DataEnd):

@@ -75,9 +75,9 @@ class Source:
         except OSError as error:
             problem = "there is no such folder" if not run_dir.is_dir() else f"no {FILE} here"
             why = problem if isinstance(error, FileNotFoundError | NotADirectoryError) else f"{FILE}: {error.strerror}"
-            raise UsageError(f"{run_dir}: {why}; name the folder that a run left (runs/NAME-SEED, or its --out)") from error
+            raise UsageError(f"{run_dir}: {why}; name the folder of a run (runs/NAME-SEED, or its --out)") from error
         if "vehicles" not in said:
-            raise UsageError(f"{self._path}: is no recording of a run, or is damaged from its beginning on")
+            raise UsageError(f"{self._path}: not a recording of a run, or damaged from the beginning")
         self.scenario, self.seed = said["scenario"], said["seed"]
         self.vehicles = tuple(said["vehicles"].split())
 
@@ -99,7 +99,7 @@ class Source:
         except ValueError as error:
             if not self._told:
                 self._told = True
-                self.tell(f"{self._path} is damaged ({error}): what is exported ends at {last_ns / SECOND_NS:.3f} s")
+                self.tell(f"{self._path} is damaged ({error}): the export ends at {last_ns / SECOND_NS:.3f} s")
         except OSError as error:
             raise UsageError(f"{self._path}: {error.strerror}") from error
 
@@ -137,7 +137,7 @@ class Values:
         try:
             return msgspec.convert(_with_nan(read_json(message.data)), kind, dec_hook=_array)
         except ValueError as error:
-            raise UsageError(f"{FILE}: a message of {message.topic} is no {message.schema}: {error}") from error
+            raise UsageError(f"{FILE}: a message of {message.topic} does not match {message.schema}: {error}") from error
 
 
 def _with_nan(said: object) -> object:
@@ -208,12 +208,12 @@ def _recorded(folder: Path, absent: str, tell: Tell, *, with_frames: bool = True
         elif what == "follows":
             follows.append(schema.Placement(said.time_ns, vehicle, read_json(said.data, types.Follows)))
     if not instants:
-        raise UsageError(f"{source.folder}: the run was cut, or looked at, before its {FILE} had anything to show")
+        raise UsageError(f"{source.folder}: {FILE} is still empty: the run was killed early, or has just started")
     facts = schema.RunFacts(
         scenario=source.scenario, seed=int(source.seed), end_ns=end_ns, vehicles=source.vehicles, follows=tuple(follows)
     )
-    reached = f"{FILE} has, up to {end_ns / SECOND_NS:.3f} s, without frames of programs and without routes"
-    tell(f"{folder}: no {absent} here, as the run goes on or was cut: what is shown is what {reached}")
+    reached = f"up to {end_ns / SECOND_NS:.3f} s, without frames of programs and routes"
+    tell(f"{folder}: no {absent} here (the run continues or was killed): data come from {FILE}, {reached}")
     return schema.states_table([(time_ns, states_of(states)) for time_ns, states in instants.items()], facts), frames, facts
 
 

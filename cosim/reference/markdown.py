@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None, page: Path = PAGE, index: Path 
         if write:
             path.write_text(new, "utf-8")
         elif new != old:
-            sys.exit(f"{path} is not what the code says; update it: {UPDATE}")
+            sys.exit(f"{path} differs from the code; update it: {UPDATE}")
 
 
 def tables(*paths: str, kinds: Collection[str] = ()) -> str:
@@ -165,7 +165,7 @@ def _layers() -> str:
         kinds_of = builtin_kinds.KINDS[layer]
         about = inspect.getmodule(registry.find(layer, next(iter(kinds_of))))
         rows.append([f"`{layer}`", markdown(summary(about)), ", ".join(f"`{kind}`" for kind in kinds_of)])
-    return grid(["layer", "what it is about", "kinds"], rows)
+    return grid(["layer", "meaning", "kinds"], rows)
 
 
 def _presets() -> str:
@@ -180,7 +180,7 @@ def _presets() -> str:
     same = "; ".join(f"{layer.replace('_', ' ')} is {_setting(layer, first[layer])}" for layer in alike)
     return (
         f"{grid(['preset', *(layer.replace('_', ' ') for layer in differ), 'range'], rows)}\n\n"
-        f"What is not said is the kind's default. In all presets {same}. The range is the distance over which half of all "
+        f"Other keys have the default of their kind. In all presets {same}. The range is the distance over which half of all "
         f"frames with {RANGE_BYTES} bytes are received where nothing but distance weakens them and nobody else sends."
     )
 

@@ -211,7 +211,7 @@ def extra_keys(place: Place) -> Iterator[Key]:
             required=False,
             default="ideal",
             without="",
-            meaning=f"fills all layers; a table of a layer changes some of its keys: {', '.join(PRESETS)}",
+            meaning=f"sets all layers; the table of a layer changes some of its keys: {', '.join(PRESETS)}",
         )
 
 

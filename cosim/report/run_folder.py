@@ -59,7 +59,7 @@ class Left:
 def left_in(folder: Path) -> Left:
     """Read the folder of a run; an empty one is a UsageError."""
     if not any((folder / name).is_file() for name in FILES):
-        raise UsageError(f"{folder}: no run or study has left anything here; name its folder (runs/<name>-<seed> or its --out)")
+        raise UsageError(f"{folder}: no results of a run or study here; name its folder (runs/<name>-<seed> or its --out)")
     missing = {name: "is not there" for name in FILES if not (folder / name).is_file()}
 
     def read(name: str, reader: Callable[[Path], T], otherwise: T) -> T:

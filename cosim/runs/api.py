@@ -72,7 +72,7 @@ class SlowAgents:
                 tick, since, told = (who, self._now_ns()), time.monotonic(), False
             elif who and not told and (for_s := time.monotonic() - since) > self._deadline_s:
                 told = True
-                self._tell(f"{who} has computed for {for_s:.0f} s, and still does ({where}); Ctrl-C twice ends the run at once")
+                self._tell(f"{who} has been computing for {for_s:.0f} s ({where}); Ctrl-C twice ends the run at once")
 
 
 def computing(frame: FrameType | None) -> tuple[str, str]:
@@ -159,7 +159,7 @@ class Simulation:
                 signal.default_int_handler(number, frame)
             kernel.stop = True
             if self._over:
-                self._tell(f"the run is over, its files are written; Ctrl-C once more stops that: {self._left()}")
+                self._tell(f"the run has ended and its files are being written; another Ctrl-C stops that: {self._left()}")
 
         if threading.current_thread() is threading.main_thread():  # other threads receive no signals
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -401,7 +401,7 @@ def run(
         raise UsageError(f"agents: must be {binding.describe(Runs)}, not {runs!r}")
     folder = None if out is None else Folder(Path(out), force=force, numbered=numbered)
     if folder and not mcap:
-        raise UsageError("mcap = False: what is written into a folder includes the MCAP file")
+        raise UsageError("mcap = False: a run with a folder always writes run.mcap; leave out one of the two")
     loaded = scenario if isinstance(scenario, scenarios.Loaded) else scenarios.load(scenario, settings=set, seed=seed)
     parsed, source = loaded
     started, cpu = datetime.now(UTC), time.process_time()

@@ -169,10 +169,10 @@ class Fleet:
 def _why(host: HostTable, code: int, last: Sequence[str]) -> str:
     how = f"{ending(code)} before the run began"
     if host.ssh and code == ssh_hosts.SSH_FAILED:
-        how = f"ssh cannot reach it, or has lost it (exit code {code})"
+        how = f"ssh cannot connect, or lost the connection (exit code {code})"
     elif code == ssh_hosts.NOT_FOUND:
         how = f"has no '{host.words[0]}' (exit code {code}; command = in its [[host]] says where it is)"
-    return f"{host.where}: {how}: {' | '.join(last) or 'it said nothing'}"
+    return f"{host.where}: {how}: {' | '.join(last) or 'no output'}"
 
 
 def _placing(path: Path, listed: HostsTable, parsed: Scenario) -> dict[str, Any]:
@@ -186,7 +186,7 @@ def _placing(path: Path, listed: HostsTable, parsed: Scenario) -> dict[str, Any]
             raise UsageError(f"{path}: '{vehicle}' has no agent in the scenario (agent = {{}} gives it the default one)")
     remote = [name for name, agent in agents.items() if agent and (agent.runs or parsed.agents.runs) == "zenoh"]
     if missing := [name for name in remote if name not in named]:
-        hint = "name them in a [[host]] (without ssh = it is a process of this machine)"
+        hint = "add them to a [[host]] (without ssh: a process on this machine)"
         raise UsageError(f"{path}: no host runs the agents of {', '.join(missing)}: {hint}")
     return {f"vehicle.{name}.agent.runs": "zenoh" for name in named if name not in remote}
 
@@ -214,12 +214,12 @@ def _plan(
         keys = certificates.load(folder)
     listen = endpoint_rules(listen, keys, insecure=insecure)
     if listen.endswith(":0"):
-        raise UsageError(f"--listen {listen}: hosts cannot know which port that will be: name one")
+        raise UsageError(f"--listen {listen}: hosts need a known port: choose one")
     dialled = [_dialled(path, host, host.connect or listed.connect, listen) for host in listed.host]
     for host, connect in zip(listed.host, dialled, strict=True):
         _check_dialling(f"{path}: {host.where}", host, connect, listen, keys, insecure=insecure)
     if any(host.ssh for host in listed.host) and shutil.which("ssh") is None:
-        raise UsageError(f"{path}: this machine has no ssh; install the client of OpenSSH")
+        raise UsageError(f"{path}: ssh is missing on this machine; install the OpenSSH client")
     plans = []
     for host, connect in zip(listed.host, dialled, strict=True):
         bundle = _bundle(keys, host, tell) if keys and host.copy else ""
@@ -248,7 +248,7 @@ def _dialled(path: Path, host: HostTable, connect: str | None, listen: str) -> s
         return f"{protocol}/{everywhere.get(name, name)}:{port}"
     if name in everywhere or is_loopback(name.strip("[]")):
         example = f'connect = "{protocol}/ADDRESS:{port}"'
-        raise UsageError(f"{path}: {host.where} cannot dial {listen}: say where it reaches this machine, with {example}")
+        raise UsageError(f"{path}: {host.where} cannot connect to {listen}: set the address of this machine, with {example}")
     return listen
 
 
@@ -256,11 +256,11 @@ def _check_dialling(what: str, host: HostTable, connect: str, listen: str, keys:
     """Raise `UsageError` if this host could not join: wrong protocol, or keys missing or superfluous."""
     protocol, used = connect.partition("/")[0], bool(host.keys or host.copy)
     if protocol != listen.partition("/")[0]:
-        raise UsageError(f"{what} dials {connect}, but the run listens at {listen}")
+        raise UsageError(f"{what} connects to {connect}, but the run listens at {listen}: use one protocol for both")
     if used and keys is None:
-        raise UsageError(f"{what} has keys, but the run has none: add --keys DIR, or take them away")
+        raise UsageError(f"{what} has keys, but the run has none: add --keys DIR, or remove them")
     if keys and not used:
-        raise UsageError(f"{what} has no keys: copy = true sends it some, keys = FILE is a file that it has already")
+        raise UsageError(f"{what} has no keys: set copy = true to send them, or keys = FILE for a file on the host")
     endpoint_rules(connect, keys, insecure=insecure, side="host")
 
 
@@ -274,7 +274,7 @@ def _bundle(keys: "Keys", host: HostTable, tell: Tell) -> str:
         bundle.speaks_for(host.vehicles)
     elif keys.index.find(host.called):
         again = f"vcmvsp keys vehicle {' '.join(host.vehicles)} --as {host.called} --keys {keys.folder} --force"
-        raise UsageError(f"{path}: is not there, though '{host.called}' has a certificate; make it again with: {again}")
+        raise UsageError(f"{path}: missing, although '{host.called}' has a certificate; make it again with: {again}")
     else:
         bundle = authority.issue(keys.folder, host.called, host.vehicles)
         tell(f"{path}: a new certificate for {', '.join(host.vehicles)}, valid until {bundle.until:%Y-%m-%d}")

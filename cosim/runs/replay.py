@@ -59,14 +59,14 @@ def replay(
     driven = [name for name in loaded.scenario.real if twin or name not in real]
     if driven:
         raise UsageError(
-            f"--set: a replay drives nobody, and {', '.join(driven)} was not real in {folder}: leave its driver out"
+            f"--set: a replay cannot add drivers, and {', '.join(driven)} was not real in {folder}: leave them out"
         )
     if twin and not real:
-        raise UsageError(f"--twin: no vehicle of {folder} was real: leave it out")
+        raise UsageError(f"--twin: no vehicle of {folder} was real; leave the option out")
     outside = (() if twin else real) + (("its programs",) if parsed.bridge.doors else ())
     if outside and not (folder / FILE).is_file():
-        what = f"{folder} has no {FILE}, which says what {', '.join(outside)} did"
-        raise UsageError(f"{what}: replay with simulated ones instead (--twin)" if real and not twin else what)
+        what = f"{folder} has no {FILE} with the inputs of {', '.join(outside)}"
+        raise UsageError(f"{what}: replay with simulated vehicles (--twin)" if real and not twin else what)
     return api.run(
         loaded,
         agents=agents,  # type: ignore[arg-type]  # `run` checks them
@@ -82,13 +82,13 @@ def comparison(run_dir: str | Path, result: api.Result) -> tuple[bool, str]:
     """Compare an unchanged replay with its run: whether no difference was found, and a line that says so."""
     before, about = (_content(Path(run_dir) / name) for name in ("metrics.json", "about.json"))
     if "digest" not in before or about.get("error"):
-        return True, f"not compared: {run_dir} did not come to its end"
+        return True, f"not compared: {run_dir} is incomplete"
     if before["digest"] == result.metrics["digest"]:
-        return True, f"same: the digest is that of {run_dir}"
+        return True, f"same digest as {run_dir}"
     causes = list(map(str, about.get("unrepeatable", ())))
     then, now = about.get("versions", {}), result.about["versions"]
     causes += [f"{name} was {then[name]}, is {now.get(name)}" for name in then if then[name] != now.get(name)]
-    return False, f"differs from {run_dir}: {'; '.join(causes) or 'for no reason that the run has recorded'}"
+    return False, f"differs from {run_dir}: {'; '.join(causes) or 'no recorded cause'}"
 
 
 def beside(run_dir: Path) -> Path:
@@ -113,10 +113,10 @@ def check(folder: Path, out: str | Path | None, radio: str) -> None:
     """Reject a folder that lacks files for the replay, and the folder itself as output."""
     if not (folder / "scenario.toml").is_file():
         problem = "there is no such folder" if not folder.is_dir() else "has no scenario.toml"
-        raise UsageError(f"{folder}: {problem}; name the folder that a run left (runs/NAME-SEED, or its --out)")
+        raise UsageError(f"{folder}: {problem}; name the folder of a run (runs/NAME-SEED, or its --out)")
     if radio not in ("drawn", "recorded"):
         raise UsageError(f"--radio {radio}: must be drawn or recorded")
     if radio == "recorded" and not (folder / RADIO_FILE).is_file():
-        raise UsageError(f"{folder} has no {RADIO_FILE}, which says what became of its frames: replay with --radio drawn")
+        raise UsageError(f"{folder} has no {RADIO_FILE} with its receptions: replay with --radio drawn")
     if out is not None and Path(out).resolve() == folder.resolve():
-        raise UsageError(f"--out {out}: is the run that is replayed; give another folder")
+        raise UsageError(f"--out {out}: is the replayed run itself; choose another folder")

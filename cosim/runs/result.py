@@ -109,14 +109,14 @@ class Result:
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write all files of the run into a folder."""
         if self._mcap is None and self.folder is None:
-            raise UsageError("a run with mcap = False cannot be saved: it has no recording")
+            raise UsageError("a run with mcap = False has no recording and cannot be saved")
         with writing(Path(folder)):
             path = Folder(Path(folder), force=force).claim()
             if self._mcap is not None:
                 write_whole(path / "run.mcap", self._mcap.getvalue())
             elif self.folder is not None and not path.samefile(self.folder):
                 if to_json(self.about) != (self.folder / "about.json").read_text("utf-8"):
-                    raise UsageError(f"{self.folder} holds another run by now, and the recording of this one was there")
+                    raise UsageError(f"{self.folder} now contains another run; the recording of this one is gone")
                 for name in ("run.mcap", FILE):
                     if (self.folder / name).is_file():
                         with replacing(path / name) as place:

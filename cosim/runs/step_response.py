@@ -50,10 +50,10 @@ def command_of(text: str, heading: float, *, flies: bool) -> Velocity | Waypoint
     """
     values = _numbers(text)
     if not flies and (others := {*values} - {"v", "w"}):
-        raise UsageError(f"--command {text}: {', '.join(sorted(others))} are for vehicles that fly; give v and w")
+        raise UsageError(f"--command {text}: {', '.join(sorted(others))} are for flying vehicles; use v and w")
     if {*values} <= {*_VELOCITY}:
         if "v" in values and {"vx", "vy"} & {*values}:
-            raise UsageError(f"--command {text}: either v, or vx and vy")
+            raise UsageError(f"--command {text}: use either v, or vx and vy")
         v = values.get("v", 0.0)
         x, y = (values.get("vx", 0.0), values.get("vy", 0.0)) if "v" not in values else (v, 0.0)
         if flies and "v" in values:
@@ -63,7 +63,7 @@ def command_of(text: str, heading: float, *, flies: bool) -> Velocity | Waypoint
         place = values["x"], values["y"], values["z"]
         return Waypoint(position=place, yaw=values.get("yaw"), speed=values.get("speed"))
     raise UsageError(
-        f"--command {text}: give a velocity ({', '.join(_VELOCITY)}) or a way-point (x, y, z and perhaps yaw, speed > 0)"
+        f"--command {text}: must be a velocity ({', '.join(_VELOCITY)}) or a waypoint (x, y, z, optionally yaw, speed > 0)"
     )
 
 
@@ -77,7 +77,7 @@ def _numbers(text: str) -> dict[str, float]:
             value = math.nan
         if name not in (*_VELOCITY, *_WAYPOINT) or not abs(value) <= LARGEST:
             allowed = ", ".join((*_VELOCITY, *_WAYPOINT))
-            raise UsageError(f"--command {text}: '{part.strip()}' is none of NAME=NUMBER with {allowed}")
+            raise UsageError(f"--command {text}: '{part.strip()}' must be NAME=NUMBER with {allowed}")
         if name in values:
             raise UsageError(f"--command {text}: {name} is given twice")
         values[name] = value

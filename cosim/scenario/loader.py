@@ -48,7 +48,7 @@ def repeated(listed: Sequence[Any], source: Source) -> list[Any]:
     """The vehicles, with one copy per ``count`` of repeated ones."""
     counts = [one.get("count", 1) if isinstance(one, dict) else 1 for one in listed]
     if (total := sum(each for each in counts if isinstance(each, int))) > MOST:
-        raise source.error(f"there may be {MOST} vehicles in all, not {total}: give fewer, or a smaller count", "vehicle")
+        raise source.error(f"{total} vehicles are too many (at most {MOST}): lower the counts", "vehicle")
     return [each for one in listed for each in (_copies(one, source) if isinstance(one, dict) else [one])]
 
 
@@ -70,7 +70,7 @@ def _copies(one: dict[str, Any], source: Source) -> list[dict[str, Any]]:
     if not said:
         return [one]
     if "count" not in said:
-        raise source.error("means nothing without a count", f"{key}.{next(iter(said))}")
+        raise source.error("needs a count", f"{key}.{next(iter(said))}")
     repeat = binding.call(Repeat, said, key=key, origin=source)
     rest = {name: value for name, value in one.items() if name not in KEYS}
     place = next((name for name in _PLACES if name in rest), "position")
@@ -134,7 +134,7 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
     if not isinstance(listed, list) or not listed:
         raise source.error("needs at least one [[vehicle]]", "vehicle")
     if own := {"name", "pose", "position", "agent", "driver", "localisation"} & {*defaults}:
-        raise source.error(f"may not hold {' or '.join(sorted(own))}, which each vehicle has its own", "vehicles")
+        raise source.error(f"must not contain {' or '.join(sorted(own))}: set it per vehicle", "vehicles")
     for index, each in enumerate(listed):
         _check_named(each, index, source)
     listed = repeated(listed, source)
@@ -321,9 +321,9 @@ def _unique(vehicle_names: Sequence[str], source: Source) -> None:
     for index, name in enumerate(vehicle_names):
         key, problem = f"vehicle.{name}.name", ""
         if name in RESERVED:
-            problem = f"'{name}' is a topic of its own; call the vehicle something else"
+            problem = f"'{name}' is a reserved topic; choose another name"
         elif name in vehicle_names[:index]:
-            problem = f"two vehicles are called '{name}'; every name may be used once"
+            problem = f"two vehicles are named '{name}'; use distinct names"
         if problem:
             raise source.error(problem, key)
 
@@ -332,7 +332,7 @@ def _used(defaults: Mapping[str, Any], listed: Sequence[Mapping[str, Any]], sour
     for name in defaults:
         if all(name in each for each in listed):
             key = f"vehicles.{name}"
-            problem = f"no vehicle takes this default: every one sets its own '{name}' (change vehicle.NAME.{name} instead)"
+            problem = f"this default has no effect: all vehicles set their own '{name}' (change vehicle.NAME.{name} instead)"
             raise source.error(problem, key)
 
 

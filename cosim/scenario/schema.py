@@ -67,7 +67,7 @@ class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.pose is not None and (any(self.position) or self.heading):
-            raise ValueError("either pose, or position and heading: not both")
+            raise ValueError("use either pose, or position and heading, not both")
 
     @property
     def is_real(self) -> bool:

@@ -34,7 +34,7 @@ def init(folder: Path, names: Sequence[str] = (), *, days: int = HUB_DAYS, force
     """
     if (folder / INDEX).exists():
         if not force:
-            raise UsageError(f"{folder}: holds an authority; --force makes a new one, and all certificates of the old one void")
+            raise UsageError(f"{folder}: already contains an authority; --force replaces it and voids all its certificates")
     elif folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
         raise UsageError(f"{folder}: is not empty; name a new folder")
     _check_days(days)
@@ -81,15 +81,15 @@ def issue(
     keys = load(folder)
     for each in (name, *vehicles):
         if not _NAME.fullmatch(each):
-            raise UsageError(f"'{each}' is no name: letters, digits, '_' and '-', at most 64")
+            raise UsageError(f"'{each}' is not a valid name: use at most 64 letters, digits, '_' and '-'")
     if name == HUB:
-        raise UsageError(f"'{HUB}' is the name of the run itself: choose another")
+        raise UsageError(f"'{HUB}' is reserved for the run: choose another name")
     _check_days(days)
     entry = Entry(name, "host" if vehicles else "observer", tuple(dict.fromkeys(vehicles)), certificates.now())
     _check_free(keys.index.find(name), entry, force)
     target = folder / f"{name}{SUFFIX}" if out is None else out / f"{name}{SUFFIX}" if out.is_dir() else out
     if target.exists() and not force:
-        raise UsageError(f"{target}: exists; --force writes over it")
+        raise UsageError(f"{target}: already exists; add --force to overwrite it")
     says = [f"{ROLE}{entry.role}", *(f"{VEHICLE}{vehicle}" for vehicle in entry.vehicles)]
     with _writing(target):
         signed = certificates.sign(_authority(folder), name, says, server=False, days=days)
@@ -104,7 +104,7 @@ def revoke(folder: Path, name: str) -> Entry:
     keys = load(folder)
     if (entry := keys.index.find(name)) is None:
         known = ", ".join(each.name for each in keys.index.issued) or "nobody"
-        raise UsageError(f"{folder}: has given no certificate to '{name}' (but to: {known})")
+        raise UsageError(f"{folder}: no certificate for '{name}'; certificates: {known}")
     entry = msgspec.structs.replace(entry, revoked=True)
     with _writing(folder):
         _write_index(folder, keys.index.put(entry))
@@ -127,13 +127,13 @@ def _check_free(had: Entry | None, new: Entry, force: bool) -> None:
         return
     if had.revoked:
         raise UsageError(
-            f"'{new.name}' was revoked, and a new certificate would make the old one good again: choose another name"
+            f"'{new.name}' was revoked, and a new certificate would make the old one valid again: choose another name"
         )
     if (had.role, set(had.vehicles)) != (new.role, set(new.vehicles)):
         meant = f"is for {', '.join(had.vehicles)}" if had.vehicles else "is an observer's"
         raise UsageError(f"the certificate of '{new.name}' {meant}: choose another name (for a vehicle with --as)")
     if not force:
-        raise UsageError(f"'{new.name}' has a certificate until {had.until:%Y-%m-%d}; --force makes another")
+        raise UsageError(f"'{new.name}' already has a certificate until {had.until:%Y-%m-%d}; --force issues another")
 
 
 def _authority(folder: Path) -> certificates.Signed:

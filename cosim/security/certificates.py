@@ -100,7 +100,7 @@ def sign(authority: Signed, name: str, others: Iterable[str], *, server: bool, d
     ca = x509.load_pem_x509_certificate(authority.certificate_pem.encode())
     ca_key = serialization.load_pem_private_key(authority.key_pem.encode(), None)
     if not isinstance(ca_key, ec.EllipticCurvePrivateKey) or ca_key.public_key() != ca.public_key():
-        raise ValueError("the key of the authority is not that of its certificate")
+        raise ValueError("the key of the authority does not match its certificate")
     if now() + dt.timedelta(days=days) > ca.not_valid_after_utc:
         raise ValueError(f"{days} days are too many: the authority is valid until {ca.not_valid_after_utc:%Y-%m-%d}")
     purpose = ExtendedKeyUsageOID.SERVER_AUTH if server else ExtendedKeyUsageOID.CLIENT_AUTH
@@ -126,9 +126,9 @@ def facts(certificate_pem: str) -> Facts:
     try:
         others = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName)
     except x509.ExtensionNotFound as error:
-        raise ValueError("the certificate says not what it is for") from error
+        raise ValueError("the certificate has no purpose") from error
     if len(names) != 1:
-        raise ValueError("the certificate has not one common name")
+        raise ValueError("the certificate must have exactly one common name")
     since, until = certificate.not_valid_before_utc, certificate.not_valid_after_utc
     return Facts(str(names[0].value), tuple(str(each.value) for each in others.value), since, until)
 
@@ -139,7 +139,7 @@ def check_together(signed: Signed, ca_pem: str) -> None:
     certificate = x509.load_pem_x509_certificate(signed.certificate_pem.encode())
     key = serialization.load_pem_private_key(signed.key_pem.encode(), None)
     if not isinstance(key, ec.EllipticCurvePrivateKey) or certificate.public_key() != key.public_key():
-        raise ValueError("the key is not that of the certificate")
+        raise ValueError("the key does not match the certificate")
     try:
         certificate.verify_directly_issued_by(x509.load_pem_x509_certificate(ca_pem.encode()))
     except (InvalidSignature, TypeError) as error:
@@ -274,7 +274,7 @@ class Bundle(msgspec.Struct, frozen=True):
     def speaks_for(self, vehicles: Iterable[str]) -> None:
         """Raise `UsageError` if this certificate is not for all these vehicles."""
         if self.role != "host":
-            raise UsageError(f"{self.path}: is for watching only; for a vehicle use what 'vcmvsp keys vehicle NAME' makes")
+            raise UsageError(f"{self.path}: is for watching only; for a vehicle, use a file made by 'vcmvsp keys vehicle NAME'")
         if foreign := [vehicle for vehicle in vehicles if vehicle not in self.vehicles]:
             raise UsageError(f"{self.path}: is for {', '.join(self.vehicles)}, not for {', '.join(foreign)}")
 
@@ -282,9 +282,9 @@ class Bundle(msgspec.Struct, frozen=True):
 def load(folder: Path) -> Keys:
     """Read the folder of an authority. Raises `UsageError` (no authority, or a damaged one)."""
     if folder.is_file():
-        raise UsageError(f"{folder}: is a file; name the folder that 'vcmvsp keys init' has made")
+        raise UsageError(f"{folder}: is a file; name a folder made by 'vcmvsp keys init'")
     if not (folder / INDEX).exists():
-        raise UsageError(f"{folder}: holds no authority; make one with: vcmvsp keys init {folder}")
+        raise UsageError(f"{folder}: contains no authority; make one with: vcmvsp keys init {folder}")
     try:
         index = read_json(limits.read_bytes(folder / INDEX), Index)
         ca, hub, key = (limits.read_text(folder / name) for name in ("ca.pem", "hub.pem", "hub.key"))
@@ -308,8 +308,8 @@ def load_bundle(path: Path) -> Bundle:
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
-        hint = "use one that 'vcmvsp keys vehicle' or 'vcmvsp keys observer' has made"
-        raise UsageError(f"{path}: is no file of a machine, or damaged: {hint}") from error
+        hint = "use a file made by 'vcmvsp keys vehicle' or 'vcmvsp keys observer'"
+        raise UsageError(f"{path}: not a key file, or damaged: {hint}") from error
     return Bundle(path, name, role, vehicles, since, until, ca, certificate, key)
 
 

@@ -83,7 +83,7 @@ def connect(vehicle: str, endpoint: str | None = None, *, timeout_s: float = 60.
             raise
         stream.socket.close()
         if time.monotonic() > until:
-            raise ConnectionError(f"whoever listens at {where} is no run that waits for programs")
+            raise ConnectionError(f"the listener at {where} is not a run that waits for programs")
         time.sleep(PAUSE_S)
 
 
@@ -175,9 +175,9 @@ class Socket:
         if not self._heard and for_ns != 0:
             self._pass(for_ns, hears=True)
         if not self._heard and timeout is None:
-            self._end(ConnectionError("the run goes on though nothing was heard"))
+            self._end(ConnectionError("the run continues without an answer to this program"))
         if not self._heard:
-            raise TimeoutError(f"nothing was heard for {timeout:g} s")
+            raise TimeoutError(f"no message was received for {timeout:g} s")
         data, sender = self._heard.popleft()
         self._held -= len(data) + EACH
         return data, sender
@@ -213,7 +213,7 @@ class Socket:
         if isinstance(word, Over):
             self._end(RunOver("the run is over"))
         if not isinstance(word, Go):
-            self._end(ConnectionError("the run has said something that is no answer"))
+            self._end(ConnectionError("the run sent an invalid answer"))
         self._now_ns, self._position = word.time_ns, word.position
         self._heard.extend(word.heard)
         self._held += sum(len(data) + EACH for data, _ in word.heard)
@@ -229,7 +229,7 @@ class Socket:
     def _next(self) -> Down:
         try:
             if (message := self._stream.receive()) is None:
-                raise ConnectionError("it has gone")
+                raise ConnectionError("the run closed it")
             return down(message)
         except (OSError, WireError) as error:
             self._end(ConnectionError(f"the connection to the run is lost: {error}"))
@@ -256,7 +256,7 @@ def _greeted(stream: Stream, vehicle: str) -> Welcome | None:
         return None
     stream.socket.settimeout(None)
     if isinstance(word, Refused):
-        raise ConnectionRefusedError(f"the run does not want a program of '{vehicle}': {word.why}")
+        raise ConnectionRefusedError(f"the run rejects the program of '{vehicle}': {word.why}")
     return word if isinstance(word, Welcome) else None
 
 
@@ -271,7 +271,7 @@ def _dialled(endpoint: str, until: float) -> sockets.socket:
         except OSError as error:
             if time.monotonic() > until:
                 problem = f"no run waits for programs at {endpoint} ({error.strerror or error})"
-                raise ConnectionRefusedError(f"{problem}: start it, or say where it is, here or in ${VARIABLE}") from None
+                raise ConnectionRefusedError(f"{problem}: start the run, or set its endpoint, here or in ${VARIABLE}") from None
         time.sleep(PAUSE_S)
 
 

@@ -103,7 +103,7 @@ class Frames:
             return None
         end = 4 + int.from_bytes(self._bytes[:4], "big")
         if end - 4 > self._longest:
-            raise WireError(f"a message of {end - 4} bytes, of which none has more than {self._longest}")
+            raise WireError(f"a message of {end - 4} bytes (at most {self._longest})")
         if len(self._bytes) < end:
             return None
         message = bytes(self._bytes[4:end])

@@ -190,11 +190,11 @@ def _check_arguments(jobs: int | None, cluster: object, out: Path | None, *, res
     if jobs is not None and jobs < 1:
         raise UsageError(f"--jobs {jobs}: must be at least 1")
     if jobs is not None and cluster is not None:
-        raise UsageError("--jobs and --cluster exclude each other: a cluster knows how many workers it has")
+        raise UsageError("--jobs and --cluster exclude each other: the cluster sets the number of workers")
     if resume and out is None:
-        raise UsageError("--resume: --out says which study is to go on")
+        raise UsageError("--resume needs --out with the folder of the study")
     if resume and force:
-        raise UsageError("--resume and --force exclude each other: go on, or begin anew?")
+        raise UsageError("--resume (continue) and --force (start again) exclude each other: leave one out")
 
 
 def _about(plan: Plan, started: datetime, wall_s: float, made: int, *, cluster: object, jobs: int | None) -> dict[str, Any]:
@@ -266,9 +266,9 @@ def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes
     try:
         parsed, source = loader.load(base.asked, settings=settings, seed=plan.seeds[0])
         if parsed.bridge.doors or parsed.sockets.vehicles:
-            raise UsageError("a study has no programs to talk to: leave [bridge] and [sockets] out")
+            raise UsageError("a study cannot run external programs: leave [bridge] and [sockets] out")
         if parsed.real:
-            raise UsageError(f"a study drives no real vehicles ({', '.join(parsed.real)}): simulate them with --twin")
+            raise UsageError(f"a study cannot drive real vehicles ({', '.join(parsed.real)}): simulate them with --twin")
         with assemble(parsed, source, runs="inprocess" if _by_hand(parsed) else "here") as assembled:
             assembled.resolved()  # only now all files are known
             files = assembled.files

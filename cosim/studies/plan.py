@@ -35,7 +35,7 @@ def vary_of(arguments: Sequence[str]) -> dict[str, list[Any]]:
         if not equals or not key:
             raise UsageError(f"--vary {argument}: write KEY=VALUES, e.g. {EXAMPLE}")
         if key in vary:
-            raise UsageError(f"--vary {argument}: {key} is varied already; give all of its values at once")
+            raise UsageError(f"--vary {argument}: {key} is already varied; give all its values in one option")
         try:
             vary[key] = values_of(text)
         except ValueError as error:
@@ -101,7 +101,7 @@ def _range(item: str, *ends: str | None) -> list[int] | list[float]:
     if not all(math.isfinite(float(end)) for end in (start, stop, step)):
         raise ValueError(f"{item}: must be finite")
     if not step or (stop - start) * step < 0:
-        raise ValueError(f"{item}: with this step nothing leads from {start} to {stop}")
+        raise ValueError(f"{item}: this step does not lead from {start} to {stop}")
     if abs(stop - start) >= MOST * abs(step):
         raise ValueError(f"{item}: more than {MOST} values")
     steps = range(int((stop - start) / step) + 1)
@@ -222,7 +222,7 @@ def make(
     said = parsed.study
     full = _vary(vary) if vary else stored.vary if stored else _vary(said.vary)
     if not full:
-        raise UsageError(f"nothing is varied: the scenario has no [study] table, so say what, e.g. {EXAMPLE}")
+        raise UsageError(f"nothing is varied: the scenario has no [study] table; add e.g. {EXAMPLE}")
     for key, values in full.items():
         _check_values(key, values, settings)
     count = seeds if seeds is not None else len(stored.seeds) if stored else said.seeds
@@ -230,7 +230,7 @@ def make(
         raise UsageError(f"--seeds {count}: must be at least 1")
     first = parsed.seed if seed is not None or not stored else stored.seeds[0]
     if count * math.prod(map(len, full.values())) > MOST:
-        raise UsageError(f"more than {MOST} runs: give fewer values or --seeds")
+        raise UsageError(f"more than {MOST} runs: use fewer values or --seeds")
     binding.convert(first + count - 1, Seed, key="--seed plus --seeds")
     return Plan(
         scenario=parsed.name if isinstance(base.asked, Mapping) else str(base.asked),
@@ -284,17 +284,17 @@ def _plain(value: object) -> object:
     """Convert a Python or NumPy value to TOML types."""
     found = binding.plain(value.tolist() if hasattr(value, "tolist") else value)
     if found is None:
-        raise ValueError(f"{binding.show(value)} is no value that a scenario can have")
+        raise ValueError(f"{binding.show(value)} is not a valid value of a scenario")
     return found
 
 
 def _check_values(key: str, values: Sequence[Any], settings: Mapping[str, Any]) -> None:
     if key in settings:
-        raise UsageError(f"{key} is both set and varied; which is it?")
+        raise UsageError(f"{key} is both set and varied; leave one of them out")
     if key in OWN_COLUMNS:
-        raise UsageError(f"{key} cannot be varied; --seeds says how many seeds there are, --seed which is the first")
+        raise UsageError(f"{key} cannot be varied; --seeds sets the number of seeds, --seed the first one")
     if not values:
-        raise UsageError(f"{key} is varied over no values")
+        raise UsageError(f"{key} is varied without values; add at least one")
     seen: set[str] = set()
     for value in values:
         if (bad := binding.unfit_number(value)) is not None:

@@ -80,12 +80,12 @@ def begun(folder: Path, *, resume: bool, force: bool) -> Plan | None:
         Folder(folder, force=True)  # checks that it is writable
         return None
     if PLAN not in there:
-        why = "holds no study" if resume else "is not empty; give another folder, or --force to overwrite"
+        why = "contains no study" if resume else "is not empty; choose another folder, or add --force to overwrite"
         raise UsageError(f"--out {folder}: {why}")
     plan = Plan.read(folder / PLAN)
     if not resume:
-        what = "--resume to go on with it, --force to begin anew"
-        raise UsageError(f"--out {folder}: holds a study of {plan.scenario} already: {what}, or give another folder")
+        what = "add --resume to continue it, --force to start again"
+        raise UsageError(f"--out {folder}: already contains a study of {plan.scenario}: {what}, or choose another folder")
     return plan
 
 
@@ -207,7 +207,7 @@ def _opened(path: Path, mode: str) -> IO[bytes]:
     except OSError as error:
         if error.errno != errno.ELOOP:
             raise
-        raise UsageError(f"{path}: is a link, which no study writes through: remove it") from error
+        raise UsageError(f"{path}: is a symbolic link, which studies do not follow: remove it") from error
 
 
 @contextlib.contextmanager

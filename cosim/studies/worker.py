@@ -61,13 +61,13 @@ def run_one(work: Work, job: Job) -> bytes:
     """Execute a run and return its `Row` as JSON. Every error becomes a row with ``error``; nothing is raised."""
     try:
         if version() != work.version:
-            return failed(f"this worker has vcmvsp {version()}, the study {work.version}")
+            return failed(f"this worker has vcmvsp {version()}, the study {work.version}: install the same version")
         with _one_at_a_time, _in(work.folder):
             result = api.run(_content(work.scenario_toml), seed=job.seed, set=job.settings, agents=work.agents, mcap=False)
         for name, text in result.files.items():
             used = hashlib.sha256(text).hexdigest()
             if used not in work.files.get(name, used):
-                return failed(f"{name} was changed while the study ran")
+                return failed(f"{name} changed during the study")
         return encode(Row(flat(result.metrics)))
     except KeyboardInterrupt:
         raise

@@ -153,7 +153,7 @@ def _checked(about: pq.FileMetaData, name: str) -> list[str]:
     limits.within(about.num_rows, limits.ROWS, f"rows in {name}")
     columns = [about.schema.column(number) for number in range(about.num_columns)]
     if strange := [each.path for each in columns if each.max_repetition_level or each.physical_type not in _PHYSICAL]:
-        raise ValueError(f"its column {strange[0]} holds neither numbers nor texts")
+        raise ValueError(f"its column {strange[0]} contains neither numbers nor texts")
     texts = [number for number, each in enumerate(columns) if each.physical_type == "BYTE_ARRAY"]
     groups = [about.row_group(number) for number in range(about.num_row_groups)] if texts else []
     packed = sum(group.column(number).total_uncompressed_size for group in groups for number in texts)
@@ -177,7 +177,7 @@ def load_tables(folder: Path, radio: Collection[str] | None = None) -> Recording
     """Read both tables of a run directory, without its metrics; ``radio``: the columns of that table to read, if not all."""
     for name in ("states.parquet", "radio.parquet"):
         if not (folder / name).is_file():
-            raise UsageError(f"{folder}: no {name} here; name the directory that a run left (runs/<name>-<seed> or its --out)")
+            raise UsageError(f"{folder}: no {name} here; name the folder of a run (runs/<name>-<seed> or its --out)")
     states = read_table(folder / "states.parquet")
     facts = (states.schema.metadata or {}).get(FACTS)
     if facts is None:

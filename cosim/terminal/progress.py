@@ -287,14 +287,14 @@ def _of_mission(mission: Mapping[str, Any]) -> str:
 
 def _of_real(real: Mapping[str, Any]) -> str:
     age_s, fixes = real["age_s"]["p50"], real["fixes"]
-    words = [f"real, {1000 * age_s:.0f} ms old" if age_s is not None else "real, never heard"]
+    words = [f"real, {1000 * age_s:.0f} ms old" if age_s is not None else "real, no message received"]
     if fixes:
-        words.append(f"{fixes} positions ({real['gated']} did not fit)")
+        words.append(f"{fixes} positions ({real['gated']} rejected)")
     if real["limited_s"]:
         from vcmvsp.cosim.recording.event_text import of_limits  # here, because it loads NumPy
 
-        words.append(f"held back for {real['limited_s']:.1f} s ({of_limits(real['limited_by_s'])})")
+        words.append(f"limited for {real['limited_s']:.1f} s ({of_limits(real['limited_by_s'])})")
     words += [f"stopped {count} x: {cause}" for cause, count in real["stops"].items()]
     if real["frames_too_early"]:
-        words.append(f"{real['frames_too_early']} frames were received after less than that: no real link is so quick")
+        words.append(f"{real['frames_too_early']} frames were received after less than that, faster than any real link")
     return ", ".join(words)

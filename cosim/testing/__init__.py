@@ -43,13 +43,13 @@ def check_agent(
     """
     shown = [_observation(vehicle, others, tick) for tick in range(ticks)]
     plain = _play(make(), vehicle, others, shown)
-    _require(plain == _play(make(), vehicle, others, shown), "two agents that saw the same did not do the same")
+    _require(plain == _play(make(), vehicle, others, shown), "two agents with equal inputs acted differently")
     fresh = [_observation(vehicle, others, tick) for tick in range(ticks)]
     wire = [encode(list(each.heard)) for each in shown]
-    _require(wire == [encode(list(each.heard)) for each in fresh], "the agent changed what it was shown")
+    _require(wire == [encode(list(each.heard)) for each in fresh], "the agent modified its observation")
     received = [ReceivedMessages.of(_receptions.decode(each), seen.time_ns) for each, seen in zip(wire, shown, strict=True)]
     wired = [msgspec.structs.replace(seen, heard=each) for each, seen in zip(received, shown, strict=True)]
-    _require(plain == _play(make(), vehicle, others, wired), "the agent does something else when it runs in another process")
+    _require(plain == _play(make(), vehicle, others, wired), "the agent acts differently in another process")
 
 
 def check_channel(layer: Any, *, reciprocal: bool = True) -> None:
@@ -66,7 +66,7 @@ def check_channel(layer: Any, *, reciprocal: bool = True) -> None:
         "delay_ns": _check_drawn,
     }
     found = [verb for verb in verbs if callable(getattr(layer, verb, None))]
-    _require(bool(found), f"{type(layer).__name__} has none of the verbs of a layer: {', '.join(verbs)}")
+    _require(bool(found), f"{type(layer).__name__} has none of the methods of a layer: {', '.join(verbs)}")
     for verb in found:
         verbs[verb](layer, verb)
     if "loss_db" in found and reciprocal:
@@ -85,7 +85,7 @@ def check_federate(make: Callable[[], Federate], run: RunInfo, inputs: Sequence[
         inputs: events, delivered at their time if the federate subscribes to them.
     """
     first, second = _step_through(make(), run, inputs), _step_through(make(), run, inputs)
-    _require(first == second, "two federates that got the same gave different events")
+    _require(first == second, "two federates with equal inputs returned different events")
 
 
 def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Observation]) -> bytes:
@@ -162,7 +162,7 @@ def _check_reciprocity(layer: "PathLoss") -> None:
     rng = np.random.default_rng(3)
     for a, b in rng.uniform(-300.0, 300.0, (50, 2, 3)):
         there, back = layer.loss_db(Paths.between(a, b[None])), layer.loss_db(Paths.between(b, a[None]))
-        law = f"loss from {a} to {b} is {there}, back {back}; pass reciprocal=False if meant"
+        law = f"loss from {a} to {b} is {there}, back {back}; pass reciprocal=False if this is intended"
         _require(there.tolist() == back.tolist(), law)
 
 
@@ -224,17 +224,15 @@ def _step_through(federate: Federate, run: RunInfo, inputs: Sequence[Event]) -> 
 
 
 def _check_step(step: Step, now: int) -> None:
-    _require(
-        step.next_ns is None or step.next_ns > now, f"stepped at {now} ns, it wants to be stepped next at {step.next_ns} ns"
-    )
+    _require(step.next_ns is None or step.next_ns > now, f"the step at {now} ns requested the next step at {step.next_ns} ns")
     for event in step.events:
-        _require(event.time_ns >= now, f"{event.key} of {event.time_ns} ns was given at {now} ns")
+        _require(event.time_ns >= now, f"{event.key} with the time {event.time_ns} ns was returned at {now} ns")
         _require(all(event.key.split("/")) and not set(event.key) & set("*$#?"), f"'{event.key}' is no valid key")
         try:
             again = _events.decode(encode([event]))
         except (msgspec.MsgspecError, TypeError) as error:
             raise AssertionError(f"the value of {event.key} cannot be sent: {error}") from error
-        _require(encode(again) == encode([event]), f"the value of {event.key} changes on its way")
+        _require(encode(again) == encode([event]), f"the value of {event.key} changes when it is encoded and decoded")
 
 
 def _any(expressions: Sequence[str], key: str) -> bool:

@@ -40,7 +40,7 @@ def admission(keys: "Keys", name: str, vehicles: Iterable[str]) -> str | None:
     """Reason to refuse that a machine of this name speaks for these vehicles, or None."""
     entry = keys.index.find(name)
     if entry is None:
-        return f"no certificate was given to '{name}'"
+        return f"'{name}' has no certificate of this run"
     if entry.revoked:
         return f"the certificate of '{name}' has been revoked"
     if entry.role != "host":
@@ -52,7 +52,7 @@ def admission(keys: "Keys", name: str, vehicles: Iterable[str]) -> str | None:
 
 def silence(name: str) -> str:
     """The message for a join request that ends without a reply although the connection stands."""
-    return f"the run's rules do not know '{name}': its certificate was revoked, or made after the run had begun to listen"
+    return f"'{name}' is unknown to this run: its certificate was revoked, or issued after the start of the run"
 
 
 def hub_security(keys: "Keys") -> Config:
@@ -131,7 +131,7 @@ def check_hub(identifiers: Iterable[str | None]) -> None:
 
     for name in identifiers:
         if name != HUB:
-            raise UsageError(f"what answers there is '{name}', not a run")
+            raise UsageError(f"the listener there is '{name}', not a run")
 
 
 def _transport(ca_pem: str, own: Mapping[str, str]) -> Config:

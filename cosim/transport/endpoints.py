@@ -55,12 +55,12 @@ def endpoint_rules(
     if protocol == "tls" and keys is None:
         raise UsageError(f"{endpoint}: TLS needs certificates: add {how} ({command})")
     if protocol == "tls" and not listens and ":" in host:
-        raise UsageError(f"{endpoint}: Zenoh dials no IPv6 address with TLS: use a host name (vcmvsp keys hub --name adds it)")
+        raise UsageError(f"{endpoint}: Zenoh has no TLS for IPv6 addresses: use a host name (vcmvsp keys hub --name adds it)")
     if protocol == "tcp" and keys is not None:
         raise UsageError(f"{endpoint}: plain TCP uses no certificates: write {tls}, or leave out {without}")
     if protocol == "tcp" and not insecure and not is_loopback(host):
-        problem = "plain TCP lets in everybody who can reach that address"
-        raise UsageError(f"{endpoint}: {problem}: use {tls} {how} ({command}), or add {anyway} where you trust everybody")
+        problem = "plain TCP admits anyone who can reach that address"
+        raise UsageError(f"{endpoint}: {problem}: use {tls} {how} ({command}), or add {anyway} in a trusted network")
     return endpoint
 
 
@@ -79,8 +79,8 @@ def check_interfaces(host: str, *, insecure: bool) -> None:
     except OSError:  # a host name
         return
     if not insecure and ipaddress.ip_address(str(numeric).partition("%")[0]).is_unspecified:
-        problem = f"{host} lets in everybody who can reach any address of this machine"
-        raise ValueError(f"{problem}: listen at the address of one interface, or add insecure = true where you trust everybody")
+        problem = f"{host} admits anyone who can reach any address of this machine"
+        raise ValueError(f"{problem}: listen at the address of one interface, or add insecure = true in a trusted network")
 
 
 def parts(endpoint: str) -> tuple[str, str, int]:
@@ -102,7 +102,7 @@ def published(endpoint: str, secret: str) -> Iterator[None]:
     try:
         write_whole(path, secret, 0o600)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror}; set XDG_RUNTIME_DIR to a folder of yours") from error
+        raise UsageError(f"{path}: cannot be written: {error.strerror}; set XDG_RUNTIME_DIR to your own folder") from error
     try:
         yield
     finally:
@@ -149,5 +149,5 @@ def _path(endpoint: str) -> Path:
         folder.mkdir(0o700)
     about = folder.lstat()
     if about.st_uid != os.getuid() or not stat.S_ISDIR(about.st_mode) or about.st_mode & 0o077:
-        raise UsageError(f"{folder}: must be a folder that you alone can use (chmod 700); set XDG_RUNTIME_DIR to another")
+        raise UsageError(f"{folder}: must be accessible to you only (chmod 700); or set XDG_RUNTIME_DIR to another folder")
     return folder / f"{parts(endpoint)[2]}.secret"

@@ -95,9 +95,9 @@ def diagnose(endpoint: str, bundle: "Bundle | None") -> Refusal | None:
         with socket.create_connection((host, port), timeout=PROBE_S) as connection:
             return _probe(connection, host) if bundle is None else _probe_tls(connection, host, bundle)
     except socket.gaierror:
-        return Refusal(f"no machine is known by the name '{host}'", final=False)
+        return Refusal(f"the host name '{host}' is unknown", final=False)
     except OSError as error:
-        return Refusal(f"nobody listens there ({error.strerror or 'timed out'})", final=False)
+        return Refusal(f"no program listens there ({error.strerror or 'timed out'})", final=False)
 
 
 def shown(endpoint: str, bundle: "Bundle") -> PeerCertificate:
@@ -126,7 +126,7 @@ def _probe(connection: socket.socket, host: str) -> Refusal | None:
         context.wrap_socket(connection, server_hostname=host).close()
     except OSError:  # includes a failed or timed out handshake
         return None
-    return Refusal("that run wants certificates: dial tls/... and add --keys FILE", final=True)
+    return Refusal("that run requires certificates: connect to tls/... and add --keys FILE", final=True)
 
 
 def _probe_tls(connection: socket.socket, host: str, bundle: "Bundle") -> Refusal | None:
@@ -136,9 +136,9 @@ def _probe_tls(connection: socket.socket, host: str, bundle: "Bundle") -> Refusa
     except ssl.SSLCertVerificationError as error:
         return Refusal(_fault_of_hub(error, host, bundle), final=True)
     except TimeoutError:  # a plain listener of Zenoh, or a run that is being flooded
-        return Refusal("what listens there does not answer in TLS; is it a run with --listen tcp/...?", final=False)
+        return Refusal("the listener there does not use TLS; is it a run with --listen tcp/...?", final=False)
     except OSError as error:
-        return Refusal(f"what listens there broke off the handshake ({getattr(error, 'reason', None) or error})", final=False)
+        return Refusal(f"the listener there aborted the handshake ({getattr(error, 'reason', None) or error})", final=False)
     with tls:
         try:
             tls.recv(1)  # in TLS 1.3 the hub checks the client's certificate after the handshake, and sends only an alert
@@ -159,7 +159,7 @@ def _fault_of_hub(error: ssl.SSLCertVerificationError, host: str, bundle: "Bundl
         case 18 | 19 | 20 | 21:
             return f"the run's certificate is of another authority than {bundle.path}: use a file made with the run's own keys"
         case 26:
-            return "what listens there is no run: its certificate is that of a host"
+            return "the listener there is not a run: its certificate is that of a host"
         case 62 | 64:
             return f"the run's certificate is not for '{host}'; on its machine: vcmvsp keys hub --name {host} --keys DIR"
     return f"the run's certificate is bad: {error.verify_message}"

@@ -39,7 +39,7 @@ def type_of(name: str) -> np.dtype[Any]:
     """The array type of this exact name; `ValueError` if such arrays cannot be encoded."""
     dtype = _TYPES.get(name)
     if dtype is None:  # a dtype may be falsy
-        raise ValueError(f"arrays of {name!r} do not travel")
+        raise ValueError(f"arrays of {name!r} cannot be sent")
     return dtype
 
 
@@ -85,7 +85,7 @@ def _array(_: type, value: Any) -> Array:
     if shape != [len(array)]:
         array = array.reshape(shape)
         if list(array.shape) != shape:  # e.g. a size of -1, which NumPy would infer
-            raise ValueError(f"{name!r} of shape {shape!r} is no array's own description")
+            raise ValueError(f"{name!r} of shape {shape!r} is not a valid description of an array")
     return array
 
 
@@ -154,13 +154,13 @@ class Unpacker(Generic[T]):
             content, self._arrays = _apart(memoryview(data))
             value = self._decoder.decode(content)
             if next(self._arrays, None) is not None:
-                raise ValueError("an array that belongs nowhere")
+                raise ValueError("an array without a reference")
             return value
 
     def _next(self, _: type, place: object) -> Array:
         array = next(self._arrays, None)
         if place != 0 or array is None:
-            raise ValueError("an array that is not there")
+            raise ValueError("a missing array")
         return array
 
 
@@ -181,5 +181,5 @@ def _apart(data: memoryview) -> tuple[memoryview, Iterator[Array]]:
         blocks.append(block if kind.shape else (each.reshape(()) for each in block.reshape(-1, 1)))
         raw = raw[size:]
     if raw:
-        raise ValueError("more arrays than it says")
+        raise ValueError("more arrays than announced")
     return content, chain.from_iterable(blocks)

@@ -36,7 +36,7 @@ def read_toml(text: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError:
         raise
     except ValueError:  # Python limits the digits of an integer
-        raise ValueError("a whole number has thousands of digits") from None
+        raise ValueError("an integer has thousands of digits") from None
     check_depth(content)
     return content
 
@@ -101,7 +101,7 @@ def toml_tokens(text: str) -> Iterator[tuple[str, int]]:
             yield match[0], line
 
 
-_TOO_DEEP = f"more than {DEEPEST} tables and lists are inside one another"
+_TOO_DEEP = f"tables and lists are nested more than {DEEPEST} deep"
 
 
 def _inside(value: object) -> list[object]:

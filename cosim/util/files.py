@@ -48,12 +48,12 @@ class Folder:
             if self.path.exists() and not self.path.is_dir():
                 raise UsageError(f"--out {self.path}: is a file, not a folder")
             if self.path.is_dir() and any(self.path.iterdir()) and not self.force:
-                raise UsageError(f"--out {self.path}: is not empty; give another folder, or --force to overwrite")
+                raise UsageError(f"--out {self.path}: is not empty; choose another folder, or add --force to overwrite")
             parent = next(each for each in (self.path, *self.path.absolute().parents) if each.exists())
         except OSError as error:
             raise UsageError(f"--out {self.path}: {error.strerror}") from error
         if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
-            raise UsageError(f"--out {self.path}: {parent} cannot be written to")
+            raise UsageError(f"--out {self.path}: no write access to {parent}")
 
 
 def _make(path: Path) -> bool:

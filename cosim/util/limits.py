@@ -31,7 +31,7 @@ if not IS_OFF:
 def within(amount: int, limit: int, what: str) -> None:
     """Check an amount. Raises `ValueError` (it exceeds the limit, and limits are not lifted)."""
     if amount > limit and not IS_OFF:
-        raise ValueError(f"{what}: {amount}, and at most {limit} are read; VCMVSP_LIMITS=off in the environment lifts limits")
+        raise ValueError(f"{what}: {amount} exceeds the limit of {limit}; VCMVSP_LIMITS=off in the environment lifts limits")
 
 
 def read_bytes(path: Path, limit: int = JSON_BYTES) -> bytes:

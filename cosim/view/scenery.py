@@ -140,7 +140,7 @@ def recorded_stage(
     """
     scenario, source = scenarios.load(path)
     if tuple(each.name for each in scenario.vehicle) != tuple(vehicles):
-        raise ValueError(f"{path} is of another run than the recording beside it")
+        raise ValueError(f"{path} does not belong to the recording beside it")
     with only(None if trust else NO_CODE):
         world = recorded_world.world_in(path.parent, scenario, source)
         return scenery_of(scenario, source, world=world, may=RECORDED, drawn=_drawn(vehicles, drawing)), world

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 ENTRY = (Path(__file__).parent / "entry.html").read_text("utf-8")
 PAGE = "/page"  # path of viser's page
-NO_TOKEN = "Open the URL that was printed, with its token.\n"  # noqa: S105  a sentence
+NO_TOKEN = "Open the printed URL, including its token.\n"  # noqa: S105  a sentence
 MOST_PAGES = 32  # maximum number of connected pages
 ANYWHERE = ("0.0.0.0", "::")  # noqa: S104  a word of the user's
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -67,7 +67,7 @@ _logger.propagate = False  # errors of unknown clients do not belong on the term
 
 def caution(host: str) -> str:
     """Warning for a page that is visible to other machines; empty if it is not."""
-    return "" if host in LOOPBACK else f"{host}: whoever reads along on the network can see the page: it is plain HTTP\n"
+    return "" if host in LOOPBACK else f"{host}: the page is unencrypted (plain HTTP): anyone on the network can read it\n"
 
 
 def new_token() -> str:
@@ -120,10 +120,10 @@ class Gate:
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         upgrade = bool(headers.get_all("Upgrade"))
         if len(hosts) != 1 or not self._is_ours(hosts[0]):
-            return connection.respond(HTTPStatus.FORBIDDEN, "This page goes by another name: open the URL as it was printed.\n")
+            return connection.respond(HTTPStatus.FORBIDDEN, "This page has another host name: open the URL as printed.\n")
         own = {f"{scheme}://{hosts[0]}" for scheme in ("http", "https")}
         if not own.issuperset(origins) or len(origins) > 1 or (upgrade and not origins):
-            return connection.respond(HTTPStatus.FORBIDDEN, "A page from elsewhere may not connect to this one.\n")
+            return connection.respond(HTTPStatus.FORBIDDEN, "Pages of other sites may not connect to this one.\n")
         if upgrade:
             return self._connecting(connection, headers)
         path = request.path.partition("?")[0]
@@ -133,7 +133,7 @@ class Gate:
         if not self._has_token("Bearer ", *headers.get_all("Authorization")):
             return connection.respond(HTTPStatus.FORBIDDEN, NO_TOKEN)
         if path != PAGE:
-            return connection.respond(HTTPStatus.NOT_FOUND, "There is no such page.\n")
+            return connection.respond(HTTPStatus.NOT_FOUND, "Page not found.\n")
         return _html(connection, HTTPStatus.OK, self._page)
 
     def _connecting(self, connection: "ServerConnection", headers: "Headers") -> "Response | None":
@@ -141,9 +141,9 @@ class Gate:
         if not self._has_token("token.", *offered):
             return connection.respond(HTTPStatus.FORBIDDEN, NO_TOKEN)
         if self._protocol not in offered or headers.get_all("Upgrade") != ["websocket"]:
-            return connection.respond(HTTPStatus.BAD_REQUEST, f"This page speaks {self._protocol}: load it again.\n")
+            return connection.respond(HTTPStatus.BAD_REQUEST, f"This server uses {self._protocol}: reload the page.\n")
         if len(connection.server.connections) >= MOST_PAGES:
-            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_PAGES} pages are connected: close one.\n")
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_PAGES} pages are already connected: close one.\n")
         return None
 
     def _is_ours(self, host: str) -> bool:
@@ -258,13 +258,13 @@ def quiet() -> Iterator[None]:
 def _bound(host: str, port: int) -> socket.socket:
     """A listening socket; viser would silently choose another port."""
     if not 0 <= port < 1 << 16:
-        raise UsageError(f"the view cannot listen on port {port}: ports go from 0, any that is free, to 65535")
+        raise UsageError(f"the view cannot listen on port {port}: use 1 to 65535, or 0 for any free port")
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
         return socket.create_server(address[:2], family=family, backlog=MOST_SOCKETS)
     except OSError as error:
         reason = error.strerror if isinstance(error, socket.gaierror) or error.errno is None else os.strerror(error.errno)
-        raise UsageError(f"the view cannot listen on {host}:{port}: {reason}; give another host or port") from error
+        raise UsageError(f"the view cannot listen on {host}:{port}: {reason}; choose another host or port") from error
 
 
 def _connection() -> type["ServerConnection"]:
@@ -321,4 +321,4 @@ def _try_gate(host: str, port: int) -> None:
         finally:
             connection.close()
         if status != HTTPStatus.FORBIDDEN:
-            raise UsageError(f"the view cannot be guarded ({status}); install the version of viser that vcmvsp was made with")
+            raise UsageError(f"the view cannot protect its page ({status}); install the version of viser that vcmvsp requires")

@@ -92,7 +92,7 @@ def test_what_is_sent_is_a_copy() -> None:
 
 @pytest.mark.parametrize("to", ["car9", "car1", "", "*"])
 def test_only_another_vehicle_of_the_run_can_be_addressed(to: str) -> None:
-    with pytest.raises(ValueError, match="not another vehicle of this run") as caught:
+    with pytest.raises(ValueError, match="unknown receiver; other vehicles: ") as caught:
         sent(x=1, to=to)
     assert all(name in str(caught.value) for name in (repr(to), "car2", "car3"))
 
@@ -193,8 +193,8 @@ UNFIT: list[tuple[Any, str]] = [
     (sightings(a_sighting(target="\ud800")), "surrogates not allowed"),
     (sightings(time_ns=None), "Expected `int`, got `None`"),
     (sightings(width=0), "a picture of 0 x 6 pixels"),
-    (a_map(seen=np.zeros((2, 2), np.bool_)), "cells that are not (rows, columns) of uint8 and of bool"),
-    (a_map(probability=np.zeros((2, 3))), "cells that are not (rows, columns) of uint8 and of bool"),
+    (a_map(seen=np.zeros((2, 2), np.bool_)), "cells that must be (rows, columns) of uint8 and of bool"),
+    (a_map(probability=np.zeros((2, 3))), "cells that must be (rows, columns) of uint8 and of bool"),
     (a_map(probability=np.zeros((0, 3), np.uint8), seen=np.zeros((0, 3), np.bool_)), "no cells"),
     (a_map(left=math.inf), "cells of 0.5 m from (inf, 2) m"),
     (a_map(cell_m=1e300), "cells of 1e+300 m from (1, 2) m"),

@@ -39,7 +39,7 @@ def test_what_is_no_address(text: str) -> None:
 @BOTH
 def test_each_place_takes_both(between: str, tmp_path: Path) -> None:
     assert endpoint_rules(f"tcp{between}127.0.0.1:7447") == "tcp/127.0.0.1:7447"
-    with pytest.raises(UsageError, match=r"tcp/10\.0\.0\.1:7447: plain TCP lets in everybody .*: use tls/10\.0\.0\.1:7447 "):
+    with pytest.raises(UsageError, match=r"tcp/10\.0\.0\.1:7447: plain TCP admits anyone .*: use tls/10\.0\.0\.1:7447 "):
         endpoint_rules(f"tcp{between}10.0.0.1:7447")
     assert parsed(f"tcp{between}[::1]:7550") == ("::1", 7550)
     assert parsed(f"unix{between}/run/it") == "/run/it"
@@ -59,7 +59,7 @@ def test_the_same_port_is_the_same_in_either_spelling(between: str) -> None:
         return {"name": name, "kind": "amigobot", "pose": place, "driver": {"kind": "arcos", "port": port}}
 
     vehicles = [robot("car1", "tcp/robot:8101"), robot("car2", f"tcp{between}robot:8101")]
-    with pytest.raises(ScenarioError, match="is that of car1, too"):
+    with pytest.raises(ScenarioError, match="is also used by car1"):
         api.check({"name": "two", "duration_s": 1.0, "vehicle": vehicles})
 
 

@@ -67,7 +67,7 @@ class Shouting(Agent):
 
 
 @pytest.mark.parametrize(
-    ("make", "law"), [(Moody, "did not do the same"), (Trusting, "raised"), (Shouting, "must return a Velocity")]
+    ("make", "law"), [(Moody, "acted differently"), (Trusting, "raised"), (Shouting, "must return a Velocity")]
 )
 def test_an_agent_that_breaks_a_law_is_refused(make: Callable[[], Agent], law: str) -> None:
     with pytest.raises(AssertionError, match=law):
@@ -203,7 +203,7 @@ class Unseeded(Stuck):
 
 
 @pytest.mark.parametrize(
-    ("make", "law"), [(Looping, "stepped next"), (Backdating, "was given at"), (Unseeded, "different events")]
+    ("make", "law"), [(Looping, "requested the next step"), (Backdating, "was returned at"), (Unseeded, "different events")]
 )
 def test_a_federate_that_breaks_a_law_is_refused(make: Callable[[], Federate], law: str) -> None:
     check_federate(Stuck, RUN)

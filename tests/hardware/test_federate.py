@@ -322,9 +322,9 @@ def test_a_fence_holds_in_a_run_and_all_that_it_leaves_tells_what_held_the_robot
         ({"safety": {"max_speed": -1.0}}, "safety.max_speed: must be a number > 0"),
         (
             {"vehicle": [{**BENCH["vehicle"][0], "kind": "quadrotor"}]},
-            "driver.kind: drives robots on the ground, and car1 flies",
+            "driver.kind: is for robots on the ground, but car1 flies",
         ),
-        ({"vehicle": [at("car1", "/dev/x"), at("car2", "/dev/x")]}, "car2.driver.port: '/dev/x' is that of car1, too"),
+        ({"vehicle": [at("car1", "/dev/x"), at("car2", "/dev/x")]}, "car2.driver.port: '/dev/x' is also used by car1"),
         ({"clock": {"late": "never"}}, "clock.late: must be one of 'slip', 'stop'"),
     ],
 )
@@ -337,13 +337,13 @@ def test_what_is_wrong_is_found_before_anything_is_connected(changes: dict[str, 
 def test_a_simulated_vehicle_has_nothing_of_a_real_one(key: str) -> None:
     tables = {"localisation": {"kind": "ubisense"}, "safety": {"max_speed": 1.0}, "fusion": {"gate": 0.9}}
     plain = {"name": "car1", "kind": "kinematic", key: tables[key]}
-    with pytest.raises(ScenarioError, match=f"vehicle.car1.{key}: counts for a real vehicle only"):
+    with pytest.raises(ScenarioError, match=f"vehicle.car1.{key}: is only for real vehicles"):
         api.check(scenario(vehicle=[plain]))
     api.check(scenario(vehicle=[{**BENCH["vehicle"][0], "driver": {"kind": "none"}, key: tables[key]}]))
 
 
 def test_real_vehicles_keep_to_the_wall_clock() -> None:
-    with pytest.raises(UsageError, match="--realtime 2: real vehicles \\(car1\\) keep to the wall clock"):
+    with pytest.raises(UsageError, match="--realtime 2: real vehicles \\(car1\\) need speed 1"):
         vcmvsp.run(scenario(), realtime=2.0)
     begin = time.monotonic()
     vcmvsp.run(scenario(duration_s=1.0))

@@ -102,8 +102,8 @@ def test_readings_do_not_depend_on_who_else_carries_sensors() -> None:
         ({"cam": {"kind": "camera", "width": 0}}, "vehicle.a.sensors.cam.width", ""),
         ({"gps": {"kind": "gps", "drop_out": 1.5}}, "vehicle.a.sensors.gps.drop_out", "<= 1"),
         ({"imu": {"kind": "imu", "latency_s": -1.0}}, "vehicle.a.sensors.imu.latency_s", ">= 0"),
-        ({"heard": {"kind": "imu"}}, "vehicle.a.sensors.heard", "cannot be called 'heard'"),
-        ({"map": {"kind": "imu"}}, "vehicle.a.sensors.map", "cannot be called 'map'"),  # what agents show is called so
+        ({"heard": {"kind": "imu"}}, "vehicle.a.sensors.heard", "'heard' is not a valid sensor name"),
+        ({"map": {"kind": "imu"}}, "vehicle.a.sensors.map", "'map' is not a valid sensor name"),  # a topic of agents
     ],
 )
 def test_bad_sensors_are_refused_by_name(sensors: Any, key: str, words: str) -> None:

@@ -122,7 +122,7 @@ class Feed:
         try:
             self._take_reading(key, self._later.pop(key).get())
         except Exception as error:  # the error recurs where the run itself uses the reading
-            self.say("error", f"{key} could not be worked out: {type(error).__name__}: {error}")
+            self.say("error", f"{key} could not be computed: {type(error).__name__}: {error}")
         return True
 
     def _write_if_due(self) -> None:
@@ -149,7 +149,7 @@ class Feed:
             return protocol.fitting(codec.encode(self._update(pace)))
         except ValueError as error:  # from a user's own class, or for a vast mosaic
             self._forget()
-            self.say("error", f"what has happened cannot be shown: {error}")
+            self.say("error", f"the view cannot show an event: {error}")
             return codec.encode(PageUpdate(time_ns=self._now_ns, lines=tuple(self._state.lines), pace=pace))
 
     def _update(self, pace: Pace) -> PageUpdate:
@@ -202,7 +202,7 @@ class Feed:
             try:
                 order = protocol.answers.decode(message)
             except ValueError:
-                self.say("warning", "the control station asked for what is no order")
+                self.say("warning", "the control station sent an invalid command")
                 continue
             if isinstance(order, Sensors):
                 self._ask(order.names)

@@ -135,14 +135,14 @@ class Live:
         self._feed.pace(Pace(paused=paused, speed=self.clock.speed))
         if not self._feed.open and not self._alone:
             self._alone = True
-            self._tell(f"the control station has gone{self._feed.problem and f': {self._feed.problem}'}; the run goes on")
+            self._tell(f"the control station disconnected{self._feed.problem and f': {self._feed.problem}'}; the run continues")
             if isinstance(self.clock, LiveClock) and self.clock.paused:  # no viewer is left to resume the run
                 self.clock.go(paused=False, speed=self.clock.speed)
 
     def _obey(self, order: Order) -> None:
         if isinstance(order, Go):
             if not isinstance(self.clock, LiveClock):
-                raise ValueError("robots and programs outside keep to the wall clock")  # noqa: TRY004  it is a wish, not a type
+                raise ValueError("robots and external programs need the wall clock")  # noqa: TRY004  it is a wish, not a type
             self.clock.go(paused=order.paused, speed=_checked(order.speed), step_ns=max(0, order.step_ns))
         elif isinstance(order, End):
             self._stop()
@@ -152,7 +152,7 @@ class Live:
 
 def _checked(speed: float | None) -> float | None:
     if speed is not None and not 1e-3 <= speed <= 1e6:
-        raise ValueError(f"a speed of {speed:g}: it must be between 0.001 and 1 000 000")
+        raise ValueError(f"the speed must be between 0.001 and 1 000 000, not {speed:g}")
     return speed
 
 
@@ -168,5 +168,5 @@ def _up(process: ChildProcess, pipe: protocol.Pipe, start: protocol.Start) -> pr
                 raise UsageError(answer.problem)
         if not pipe.open:
             ended = process.why_ended(LEAVE_S) or "has gone"
-            raise UsageError(f"the process of the view {ended} before its page was there")
-    raise UsageError(f"the page of the view was not there within {START_S:g} s")
+            raise UsageError(f"the process of the view {ended} before its page was ready")
+    raise UsageError(f"the page of the view was not ready within {START_S:g} s")

@@ -21,7 +21,7 @@ from vcmvsp.cosim.recording import mcap_reader
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 KEPT_BYTES = 32 << 20  # chunks kept for repeated access
-TOO_SOON = "it ends too soon: its run goes on, or was killed"
+TOO_SOON = "it is truncated: its run continues, or was killed"
 _RECORD = struct.Struct("<BQ")  # opcode, length of the rest
 _CHUNK = struct.Struct("<QQQII")  # first and last time; size and checksum of the content; length of the codec's name
 _MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
@@ -109,7 +109,7 @@ class Messages:
         stream.seek(0)
         place = len(MAGIC)
         if stream.read(place) != MAGIC:
-            return "it is no MCAP file" if size >= place else TOO_SOON
+            return "it is not an MCAP file" if size >= place else TOO_SOON
         while len(head := stream.read(_START)) == _START:
             opcode, length = _RECORD.unpack(head)
             place += _START + length
@@ -172,7 +172,7 @@ class Messages:
             if opcode == MESSAGE:
                 left -= 1
                 if left < 0:
-                    raise ValueError("a chunk holds more messages than its index says")
+                    raise ValueError("a chunk contains more messages than its index")
                 channel, _, time_ns = head(raw, place + _START)
                 if (known := channels[channel]) is not None:
                     topic, taker = known

@@ -70,7 +70,7 @@ class Recording:
         damage = file.read(_is_wanted, collected.taker)
         self.vehicles, self.end_ns = collected.vehicles, file.end_ns
         if not self.vehicles or not file.topics:
-            raise UsageError(f"{self._folder / FILE}: nothing in it can be read: {damage or 'it holds no run'}")
+            raise UsageError(f"{self._folder / FILE}: cannot be read: {damage or 'it contains no run'}")
         collected.counts.close()
         self.troubles = [f"{FILE} can be read up to {self.end_ns / SECOND_NS:.3f} s: {damage}"] if damage else []
         self.ending = damage or (collected.lines[-1].text if collected.lines else "the recording ends here")
@@ -132,7 +132,7 @@ class Recording:
 
     def _staged(self) -> Scenery:
         """The scenery of the run; without its scenario or its world, only the vehicles."""
-        path, why = self._folder / "scenario.toml", "there is no scenario.toml (yet)"
+        path, why = self._folder / "scenario.toml", "scenario.toml is missing"
         topic = self._file.topics.get(SCENE)
         drawing = None if topic is None else self._content(topic, 0)
         if path.is_file():
@@ -156,7 +156,7 @@ class Recording:
         try:
             return self._file.get(topic, number)
         except (OSError, ValueError) as error:
-            said = f"{self._folder / FILE}: a message of {topic.name} cannot be read any more, or is of another version"
+            said = f"{self._folder / FILE}: a message of {topic.name} is damaged or of another version"
             raise UsageError(f"{said}: {error}") from error
 
     def _value(self, topic: Topic, number: int) -> Any:
@@ -221,7 +221,7 @@ def _opened(folder: Path) -> Messages:
     path = folder / FILE
     if not path.is_file():
         problem = f"has no {FILE}" if folder.is_dir() else "there is no such folder"
-        raise UsageError(f"{folder}: {problem}; name the folder that a run left (runs/NAME-SEED, or its --out)")
+        raise UsageError(f"{folder}: {problem}; name the folder of a run (runs/NAME-SEED, or its --out)")
     try:
         return Messages(path)
     except OSError as error:

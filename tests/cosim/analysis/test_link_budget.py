@@ -142,15 +142,12 @@ def test_a_loss_is_explained_by_what_caused_it(log: explain.Log, folder: Path) -
 @pytest.mark.parametrize(
     ("outcome", "words"),
     [
-        ("collision", "its SNR of 20.0 dB became a SINR of 3.0 dB"),
-        ("jammed", "its SNR of 20.0 dB became a SINR of 3.0 dB"),
-        ("packet error", "bits were wrong at a SINR of 3.0 dB, which 25.0 % of such frames survive"),
-        ("receiver transmitting", "it was sending itself when the frame came at -74.0 dBm, 8.0 dB above the sensitivity"),
-        (
-            "outage",
-            "the operator had cut off its sender or receiver; the frame came at -74.0 dBm, 8.0 dB above the sensitivity",
-        ),
-        ("traced loss", "not the radio's doing, which had received it at -74.0 dBm, 8.0 dB above the sensitivity"),
+        ("collision", "interference reduced its SNR of 20.0 dB to a SINR of 3.0 dB"),
+        ("jammed", "interference reduced its SNR of 20.0 dB to a SINR of 3.0 dB"),
+        ("packet error", "bit errors at a SINR of 3.0 dB, which 25.0 % of such frames survive"),
+        ("receiver transmitting", "the receiver was transmitting; the level was -74.0 dBm, 8.0 dB above the sensitivity"),
+        ("outage", "the operator had cut off its sender or receiver; the level was -74.0 dBm, 8.0 dB above the sensitivity"),
+        ("traced loss", "lost behind the radio, which received it at -74.0 dBm, 8.0 dB above the sensitivity"),
     ],
 )
 def test_other_losses_in_words(log: explain.Log, outcome: str, words: str) -> None:
@@ -158,7 +155,7 @@ def test_other_losses_in_words(log: explain.Log, outcome: str, words: str) -> No
     budget = report["budget"] | {"rssi_dbm": -74.0, "snr_db": 20.0, "sinr_db": 3.0, "margin_db": 8.0}
     assert why({**report, "budget": budget, "outcome": outcome, "survival": 0.25}) == f"lost: {outcome}: {words}"
     never = why({**report, "outcome": "queue full", "air_time_s": 0.0, "queue_s": 0.5})
-    assert never == "lost: queue full: it had waited 500.000 ms and was never sent"
+    assert never == "lost: queue full: it waited 500.000 ms and was not sent"
 
 
 def test_interference_follows_from_snr_and_sinr(log: explain.Log) -> None:
@@ -227,7 +224,7 @@ def test_text_and_json_of_a_run(folder: Path) -> None:
         (["--link", "car1/car2", "--frame", "best"], "must be a frame's number"),
         (["--link", "car1/*", "--frame", "0"], "needs one link"),
         (["--frame", "0"], "needs one link"),
-        (["--resolution", "5"], "goes with --coverage"),
+        (["--resolution", "5"], "needs --coverage"),
         (["--coverage", "car9"], "unknown vehicle 'car9'"),
         (["--coverage", "car1", "--frame", "1"], "one or the other"),
         (["--coverage", "car1", "--resolution", "0"], "must be a positive number"),
@@ -245,13 +242,10 @@ def test_what_is_wrong_is_said_by_name(folder: Path, arguments: list[str], words
 
 
 def test_what_is_no_run(folder: Path, tmp_path: Path) -> None:
-    assert "is no directory of a run" in vcmvsp_command("radio", "formation-circle").err
+    assert "not the folder of a run" in vcmvsp_command("radio", "formation-circle").err
     assert "no states.parquet here" in vcmvsp_command("radio", str(tmp_path)).err
     assert "no scenario.toml here" in vcmvsp_command("radio", str(tmp_path), "--coverage", "car1").err
-    assert (
-        "a time can be given for a run only"
-        in vcmvsp_command("radio", "formation-circle", "--coverage", "car1", "--at", "1").err
-    )
+    assert "a time needs a recorded run" in vcmvsp_command("radio", "formation-circle", "--coverage", "car1", "--at", "1").err
     for damage in (slice(-20, None), slice(1000, 3000)):
         for name in ("radio.parquet", "states.parquet"):
             content = bytearray((folder / name).read_bytes())
@@ -266,5 +260,5 @@ def test_who_is_alone_has_no_links(tmp_path: Path) -> None:
     assert run.folder is not None
     outcome = vcmvsp_command("radio", str(run.folder))
     assert (outcome.code, outcome.out) == (2, "")
-    assert "was the only vehicle, and there is no link" in outcome.err
+    assert "has no links" in outcome.err
     assert "--link" not in outcome.err

@@ -19,7 +19,7 @@ def test_a_second_door_of_a_kind_of_which_there_is_one_is_refused_where_it_stand
     (tmp_path / "s.toml").write_text(two_cars() + DOORS.format(kind=kind))
     outcome = vcmvsp_command("check", "s.toml")
     assert (outcome.code, outcome.out) == (2, "")
-    problem = f"bridge.lab: a run has one door of kind {kind} at most, and bridge.ip is one: leave one of the two out"
+    problem = f"bridge.lab: a run has at most one gateway of kind {kind}, and bridge.ip is one: leave one out"
     assert problem in outcome.err
     assert "s.toml" in outcome.err
 

@@ -90,7 +90,7 @@ def test_a_folder_that_is_not_empty_is_left_alone_unless_forced(folder: Path) ->
     ("out", "words"),
     [
         ("file", "--out file: is a file, not a folder"),
-        ("file/below", "cannot be written to"),
+        ("file/below", "no write access to"),
         ("/proc/vcmvsp/out", "/proc/vcmvsp/out"),
         ("dangling", "dangling"),
         pytest.param("x" * 300, "xxx"),
@@ -114,10 +114,10 @@ def test_a_folder_that_cannot_be_written_is_refused(folder: Path, out: str, word
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--realtime", "0"], "--realtime 0: must be a positive number"),
-        (["--realtime=-1"], "must be a positive number"),
-        (["--realtime", "nan"], "--realtime nan: must be a positive number"),
-        (["--realtime", "inf"], "--realtime inf: must be a positive number"),
+        (["--realtime", "0"], "--realtime 0: must be from 1e-06"),
+        (["--realtime=-1"], "must be from 1e-06"),
+        (["--realtime", "nan"], "--realtime nan: must be from 1e-06"),
+        (["--realtime", "inf"], "--realtime inf: must be from 1e-06"),
         (["--agents", "nonsense"], "agents: must be one of 'inprocess', 'process', 'zenoh', not 'nonsense'"),
         (["--seed", "-1"], "--seed -1: seed: must be a whole number >= 0 and"),
         (["--seed", "1.5"], "--seed"),
@@ -257,7 +257,7 @@ def test_a_command_that_is_none_names_agent_and_vehicle(folder: Path, returned: 
     assert code == 3
     assert err.startswith("vcmvsp: agent odd.py:A of vehicle car2: ")
     assert words in err
-    assert err.splitlines()[1:] == ["vcmvsp: what was recorded until then is in out"]
+    assert err.splitlines()[1:] == ["vcmvsp: the recording until then is in out"]
 
 
 # --- list, show, check, doctor ----------------------------------------------------------------------------------------------

@@ -76,7 +76,7 @@ def test_a_host_finds_all_well(keys: Keys, stack: contextlib.ExitStack) -> None:
     assert f"valid until {keys.until:%Y-%m-%d}" in words["run's certificate"]
     assert words["run"] == "here (2 vehicles), not begun yet"
     assert words["versions"].endswith(f"protocol {protocol.PROTOCOL} at both ends")
-    assert words["access"] == "'laptop' does not hear what the run shows and speaks for itself alone"
+    assert words["access"] == "'laptop' does not receive the topics of the run and acts only for itself"
     assert words["vehicles"] == "car1, car2; still missing: car2"
 
 
@@ -84,7 +84,7 @@ def test_an_observer_finds_all_well(keys: Keys, stack: contextlib.ExitStack) -> 
     endpoint, file = shows(stack, keys), str(keys.folder / "anna.keys")
     code, checks = examined(endpoint, "--keys", file)
     assert code == 0
-    assert checks["access"] == (True, "'anna' hears what the run shows and speaks for itself alone")
+    assert checks["access"] == (True, "'anna' receives the topics of the run and acts only for itself")
     code, out, _ = vcmvsp_command("doctor", "--connect", endpoint, "--keys", file)
     assert code == 0
     assert [line[:7] for line in out.splitlines()] == ["ok     "] * 9
@@ -93,7 +93,7 @@ def test_an_observer_finds_all_well(keys: Keys, stack: contextlib.ExitStack) -> 
 def test_without_certificates_it_says_so(stack: contextlib.ExitStack) -> None:
     code, checks = examined(shows(stack))
     assert code == 0
-    assert checks["access"][1].startswith("no certificates are asked for: whoever reaches this endpoint hears")
+    assert checks["access"][1].startswith("no certificates are required: anyone in reach of this endpoint receives")
 
 
 def test_access_that_is_not_right_is_found(keys: Keys, stack: contextlib.ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,7 +106,7 @@ def test_access_that_is_not_right_is_found(keys: Keys, stack: contextlib.ExitSta
     monkeypatch.setattr(access_control, "hub_security", lax)
     code, checks = examined(shows(stack, keys), "--keys", str(keys.folder / "laptop.keys"))
     assert code == 1
-    words = "'laptop' hears what the run shows and may speak for others, which is not right for a host"
+    words = "'laptop' receives the topics of the run and may act for other vehicles, which is wrong for a host"
     assert checks["access"] == (False, words)
 
 
@@ -122,10 +122,10 @@ def test_what_is_wrong_is_named_and_ends_the_examination(
         authority.issue(foreign, "old", days=1)
     nobody = f"tls/127.0.0.1:{stack.enter_context(reserved())}"
     for where, file, name, words in (
-        (nobody, keys.folder / "anna.keys", "endpoint", "nobody listens there (Connection refused)"),
+        (nobody, keys.folder / "anna.keys", "endpoint", "no program listens there (Connection refused)"),
         (endpoint, foreign / "anna.keys", "endpoint", "is of another authority than"),
         (endpoint, foreign / "old.keys", "certificate", "the certificate of 'old' expired on"),
-        (endpoint, keys.folder / "gone.keys", "run", "the run's rules do not know 'gone': its certificate was revoked"),
+        (endpoint, keys.folder / "gone.keys", "run", "'gone' is unknown to this run: its certificate was revoked"),
     ):
         code, checks = examined(where, "--keys", str(file))
         assert code == 1
@@ -133,7 +133,7 @@ def test_what_is_wrong_is_named_and_ends_the_examination(
         assert [ok for ok, _ in checks.values()] == [True] * (len(checks) - 1) + [False]
         assert words in checks[name][1]
     code, checks = examined(endpoint.replace("tls/", "tcp/"))
-    assert checks["endpoint"][1].endswith("that run wants certificates: dial tls/... and add --keys FILE")
+    assert checks["endpoint"][1].endswith("that run requires certificates: connect to tls/... and add --keys FILE")
 
 
 @pytest.mark.parametrize("off_s", [-3600.0, 5.0])
@@ -160,7 +160,7 @@ def test_the_other_clock_and_the_other_version(stack: contextlib.ExitStack, off_
 def test_a_run_that_says_nothing(stack: contextlib.ExitStack) -> None:
     code, checks = examined(opened_hub(stack).endpoint)
     assert code == 1
-    assert checks["run"] == (False, "what listens there does not say what run it is: use the same vcmvsp version at both ends")
+    assert checks["run"] == (False, "the listener there does not identify its run: use the same vcmvsp version at both ends")
 
 
 @pytest.mark.parametrize(
@@ -168,9 +168,9 @@ def test_a_run_that_says_nothing(stack: contextlib.ExitStack) -> None:
     [
         (["--connect", "nonsense"], "'nonsense': must be tcp/HOST:PORT or tls/HOST:PORT"),
         (["--connect", "tls/127.0.0.1:7447"], "TLS needs certificates: add --keys FILE"),
-        (["--connect", "tcp/192.0.2.1:7447"], "plain TCP lets in everybody"),
+        (["--connect", "tcp/192.0.2.1:7447"], "plain TCP admits anyone"),
         (["--connect", "tls/127.0.0.1:7447", "--keys", "nobody.keys"], "nobody.keys: cannot be read"),
-        (["--keys", "anna.keys"], "--keys and --insecure say how to reach a run: add --connect ENDPOINT"),
+        (["--keys", "anna.keys"], "--keys and --insecure need a run to connect to: add --connect ENDPOINT"),
         (["--insecure"], "add --connect ENDPOINT"),
     ],
 )

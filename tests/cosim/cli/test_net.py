@@ -119,8 +119,8 @@ def test_a_pipe_that_ends_ends_the_program(network: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (("car9",), "car9: run {run} has no machine for such a vehicle; there are car1, car2\n"),
-        (("car1", "--run", "elsewhere"), r"--run elsewhere: there is no such run; there are (\w+, )*{run}(, \w+)*\n"),
+        (("car9",), "car9: run {run} has no namespace for this vehicle; vehicles: car1, car2\n"),
+        (("car1", "--run", "elsewhere"), r"--run elsewhere: no such run; runs: (\w+, )*{run}(, \w+)*\n"),
     ],
 )
 def test_where_there_is_no_such_machine_the_message_says_which_there_are(
@@ -144,7 +144,7 @@ def test_of_two_runs_one_must_be_named(network: str) -> None:
     finally:
         other.end()
     assert outcome.code == 2
-    assert "say whose: --run is one of" in outcome.err
+    assert "several runs: add --run with one of" in outcome.err
     assert {NAME, f"{NAME}other"} <= set(re.findall(r"\w+", outcome.err))
 
 
@@ -177,7 +177,7 @@ def test_a_second_run_of_the_same_name_is_refused_before_it_begins(network: str,
 def test_without_a_name_all_that_are_dead_are_cleared_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(networks, "FOLDER", tmp_path / "net")
     assert vcmvsp_command("net", "status").out == "no run has a network on this machine\n"
-    assert vcmvsp_command("net", "down").out == "there is nothing to clear away\n"
+    assert vcmvsp_command("net", "down").out == "no network to remove\n"
     leases = {name: networks.Lease(name) for name in ("alive", "dead")}
     for name, lease in leases.items():
         lease.tell(networks.RunNetwork(run=name, pid=os.getpid(), spaces=()))
@@ -254,10 +254,10 @@ def test_what_a_killed_run_has_left_is_shown_and_cleared_away(tmp_path: Path) ->
         end = time.monotonic() + READY_S
         while any(each.alive for each in networks.networks() if each.run == name):
             assert time.monotonic() < end
-        assert f"{name}: killed; clear it away with 'vcmvsp net down'" in vcmvsp_command("net", "status").out
+        assert f"{name}: killed; remove it with 'vcmvsp net down'" in vcmvsp_command("net", "status").out
         assert len(list(namespaces.NAMES.glob(f"vcmvsp-{name}-*"))) == 2
         assert f"{name}: gone" in vcmvsp_command("net", "down", name).out
-        assert vcmvsp_command("net", "down", name).out == "there is nothing to clear away\n"
+        assert vcmvsp_command("net", "down", name).out == "no network to remove\n"
         assert not list(namespaces.NAMES.glob(f"vcmvsp-{name}-*"))
 
 

@@ -73,29 +73,29 @@ def test_nothing_of_the_template_is_left_over(part: str) -> None:
     [
         (("planet", "mars"), "unknown part 'planet'"),
         (("agnet", "mine"), "did you mean 'agent'?"),
-        (("agent", "3d"), "a name begins with a letter"),
-        (("agent", "my agent"), "a name begins with a letter"),
-        (("agent", "schön"), "a name begins with a letter"),
-        (("agent", "mine.py"), "a name begins with a letter"),
-        (("agent", ""), "a name begins with a letter"),
+        (("agent", "3d"), "a name starts with a letter"),
+        (("agent", "my agent"), "a name starts with a letter"),
+        (("agent", "schön"), "a name starts with a letter"),
+        (("agent", "mine.py"), "a name starts with a letter"),
+        (("agent", ""), "a name starts with a letter"),
         (("agent", "a" * 61), "60 at most"),
-        (("agent", "sub/mine"), "is a path; give a name, and the folder with --out DIR"),
-        (("agent", ".."), "a name begins with a letter"),
+        (("agent", "sub/mine"), "is a path; give only a name, and the folder with --out DIR"),
+        (("agent", ".."), "a name starts with a letter"),
         (("agent", "sub\\mine"), "is a path"),
-        (("agent", "class"), "is a word of Python"),
-        (("agent", "none"), "is a word of Python"),
-        (("agent", "leader-follower"), "there is a built-in agent of that name"),
-        (("vehicle", "urdf_quadrotor"), "there is a built-in vehicle of that name"),
-        (("channel", "Rayleigh"), "there is a built-in channel of that name"),
-        (("channel", "gudmundson"), "there is a built-in channel of that name"),
-        (("sensor", "lms"), "there is a built-in sensor of that name"),
-        (("driver", "ros2"), "there is a built-in driver of that name"),
-        (("scenario", "formation-circle"), "there is a built-in scenario of that name"),
-        (("channel", "received"), "losses would count as received"),
+        (("agent", "class"), "is a keyword of Python"),
+        (("agent", "none"), "is a keyword of Python"),
+        (("agent", "leader-follower"), "a built-in agent has this name"),
+        (("vehicle", "urdf_quadrotor"), "a built-in vehicle has this name"),
+        (("channel", "Rayleigh"), "a built-in channel has this name"),
+        (("channel", "gudmundson"), "a built-in channel has this name"),
+        (("sensor", "lms"), "a built-in sensor has this name"),
+        (("driver", "ros2"), "a built-in driver has this name"),
+        (("scenario", "formation-circle"), "a built-in scenario has this name"),
+        (("channel", "received"), "losses with this cause would count as received"),
         (("agent", "random"), "random.py would hide a module"),
         (("sensor", "numpy"), "numpy.py would hide a module"),
-        (("agent", "velocity"), "its file uses 'Velocity' for something else"),
-        (("driver", "loopback"), "its file uses 'Loopback' for something else"),
+        (("agent", "velocity"), "the template already uses 'Velocity'"),
+        (("driver", "loopback"), "the template already uses 'Loopback'"),
         (("agent", "mine", "--out", "a-file"), "--out a-file: is a file, not a folder"),
         (("agent", "mine", "--out", "a-file/below"), "cannot write into a-file/below"),
     ],
@@ -119,7 +119,7 @@ def test_a_file_that_is_there_stays_and_nothing_is_written_beside_it(folder: Pat
     before = contents(folder)
     code, _, err = vcmvsp_command("new", "agent", "mine")
     assert (code, err.count("\n")) == (2, 1)
-    assert f"{taken}: is there already" in err
+    assert f"{taken}: already exists" in err
     assert contents(folder) == before
 
 

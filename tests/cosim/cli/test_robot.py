@@ -62,7 +62,7 @@ def test_the_address_goes_where_a_driver_wants_it() -> None:
         ({"driver": "missing.py:Rover"}, "there is no file"),
         ({"connect": "7448"}, "must be tcp/HOST:PORT or tls/HOST:PORT"),
         ({"connect": "tls/10.0.0.1:7448"}, "TLS needs certificates: add --keys FILE"),
-        ({"connect": "tcp/10.0.0.1:7448"}, "add --insecure where you trust everybody"),
+        ({"connect": "tcp/10.0.0.1:7448"}, "add --insecure in a trusted network"),
         ({"vehicle": "car/3"}, "letters, digits, _ and -"),
     ],
 )
@@ -105,7 +105,7 @@ def test_it_waits_for_a_run_until_it_is_ended(number: int, stack: ExitStack) -> 
     process = subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.PIPE, text=True)
     try:
         assert process.stderr is not None
-        assert process.stderr.readline().startswith(f"car3: waiting for a run at {endpoint}: nobody listens there")
+        assert process.stderr.readline().startswith(f"car3: waiting for a run at {endpoint}: no program listens there")
         time.sleep(0.3)
         process.send_signal(number)
         _, rest = process.communicate(timeout=500)

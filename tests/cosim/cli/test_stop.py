@@ -95,7 +95,7 @@ def test_one_is_stopped_and_one_that_is_not_there_is_said() -> None:
 def test_there_is_none() -> None:
     done = vcmvsp_command("stop")
     assert (done.stdout, done.returncode) == ("", 1)
-    assert done.stderr == "vcmvsp: no robot is driven on this machine by you\n"
+    assert done.stderr == "vcmvsp: you drive no robot on this machine\n"
 
 
 def test_what_a_killed_station_left_behind_is_removed(alone: Path) -> None:

@@ -109,7 +109,7 @@ def test_a_recording_that_was_cut_is_shown_and_said_to_be(run_dir: Path, tmp_pat
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     assert [line.partition(": ")[0] for line in err.splitlines()] == [str(tmp_path)] * 2
-    assert "it ends too soon" in err
+    assert "it is truncated" in err
 
 
 def test_a_browser_shows_the_vehicles_where_they_were(run_dir: Path) -> None:

@@ -57,7 +57,7 @@ def test_every_kind_is_listed_and_each_of_its_parameters_is_shown_with_a_meaning
         (("list", "cars"), "allowed: agents, drivers, localisations, scenarios, sensors, vehicles, worlds"),
         (("show", "vehicle"), "which one? (p2dx,"),
         (("show", "vehicle", "p2dy"), "did you mean 'p2dx'?"),
-        (("show", "vehicle", "p2dx", "--resolved"), "go with a scenario"),
+        (("show", "vehicle", "p2dx", "--resolved"), "need a scenario"),
         (("world", "labratory"), "did you mean 'laboratory'?"),
         (("world", "pillar", "--set", "radios=1"), "world.radios: unknown key 'radios'; did you mean 'radius'?"),
         (("world", "pillar", "--png", "p.jpg"), "must end in .png"),

@@ -67,14 +67,14 @@ def test_a_class_of_ones_own_is_shown_with_its_comments(folder: Path) -> None:
     [
         (("check", "s.toml", "--set", "world.kind=own.py:Broken"), "Broken.build raised RuntimeError: no trees today"),
         (("world", "own.py:Nothing"), "Nothing.build must return a World, not 3"),
-        (("check", "s.toml", "--set", "record.sensors=['skan']"), "record.sensors: no vehicle carries it"),
+        (("check", "s.toml", "--set", "record.sensors=['skan']"), "record.sensors: no vehicle has this sensor"),
         (("check", "s.toml", "--set", "world.kind=urban", "--set", "world.size=[1e6, 1e6]"), "world.size: a town of"),
         (("check", "s.toml", "--set", "world={kind='boxes', boxes=[], ground={pictur='a'}}"), "did you mean 'picture'?"),
         (("check", "s.toml", "--set", "vehicle.a.count=1000000"), "vehicle.a.count"),
-        (("drive", "s.toml", "--vehicle", "a", "--command", "x=1,y=2,z=3"), "are for vehicles that fly; give v and w"),
-        (("drive", "s.toml", "--vehicle", "a", "--command", "vz=1"), "vz are for vehicles that fly"),
+        (("drive", "s.toml", "--vehicle", "a", "--command", "x=1,y=2,z=3"), "are for flying vehicles; use v and w"),
+        (("drive", "s.toml", "--vehicle", "a", "--command", "vz=1"), "vz are for flying vehicles"),
         (("drive", "s.toml", "--vehicle", "a", "--command", "v=1,v=2"), "v is given twice"),
-        (("drive", "s.toml", "--vehicle", "a", "--command", "v=1e300"), "none of NAME=NUMBER"),
+        (("drive", "s.toml", "--vehicle", "a", "--command", "v=1e300"), "must be NAME=NUMBER"),
     ],
 )
 def test_it_is_refused_in_one_line(folder: Path, arguments: tuple[str, ...], words: str) -> None:

@@ -196,9 +196,9 @@ def leaves(node: Any) -> list[str]:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((), "nothing to export: give --rosbag2, --csv, --mp4, --layout, or several of them"),
-        (("--csv", "--out", "full"), "full/csv: is not empty; give another folder (--out), or --force to overwrite"),
-        (("--layout", "--out", "full"), "full/layout.json: is there already; give another folder (--out), or --force"),
+        ((), "nothing to export: add at least one of --rosbag2, --csv, --mp4 and --layout"),
+        (("--csv", "--out", "full"), "full/csv: is not empty; choose another folder (--out), or add --force to overwrite"),
+        (("--layout", "--out", "full"), "full/layout.json: already exists; choose another folder (--out), or add --force"),
         (("--csv", "--layout", "--out", "full/layout.json"), "full/layout.json/csv: "),
     ],
 )
@@ -232,7 +232,7 @@ def test_a_file_is_no_folder_nor_a_folder_a_file(name: str, path: str, force: bo
 
 
 def test_two_outputs_need_two_names(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="two exports of the same name"):
+    with pytest.raises(UsageError, match="two exports have the same path"):
         export(export_runs.run_of("lab-patrol"), csv=tmp_path / "x", rosbag2=tmp_path / "x")
 
 
@@ -242,7 +242,7 @@ def test_a_folder_without_a_recording_is_named(tmp_path: Path) -> None:
         assert (outcome.code, outcome.out) == (2, "")
         assert words in outcome.err
     (tmp_path / "run.mcap").write_bytes(b"no recording")
-    assert "is no recording of a run" in vcmvsp_command("export", str(tmp_path), "--csv", "--out", str(tmp_path / "out")).err
+    assert "not a recording of a run" in vcmvsp_command("export", str(tmp_path), "--csv", "--out", str(tmp_path / "out")).err
     assert not (tmp_path / "out").exists()
 
 
@@ -251,7 +251,7 @@ def test_the_recording_itself_is_never_overwritten(tmp_path: Path) -> None:
     before = (folder / "run.mcap").read_bytes()
     with pytest.raises(UsageError, match="is the recording itself"):
         export(folder, layout=folder / "run.mcap", force=True)
-    with pytest.raises(UsageError, match="is the run's own folder"):
+    with pytest.raises(UsageError, match="is the folder of the run"):
         export(folder, csv=folder, force=True)
     assert (folder / "run.mcap").read_bytes() == before
 
@@ -298,8 +298,8 @@ def test_of_a_run_that_was_killed_all_is_exported_that_is_there(part: float, tmp
     whole = recorded("lab-patrol", "ugv1/state")
     assert 0 < len(left) // 3 <= len(whole)
     if part < 0.9:  # else it is the index that is missing, and no message
-        assert outcome.err.count("is damaged (it ends too soon): what is exported ends at ") == 1
-    assert outcome.err.count("no radio.parquet here: radio.csv is without frames of programs, and without routes") == 1
+        assert outcome.err.count("is damaged (it is truncated): the export ends at ") == 1
+    assert outcome.err.count("no radio.parquet here: radio.csv lacks frames of programs, and routes") == 1
     assert left[3]["x_m"] == str(whole[1][1]["position"][0])
     assert all(path.exists() for path in outputs.values())
 
@@ -310,7 +310,7 @@ def test_of_a_run_that_was_killed_while_it_wrote_the_radio_what_was_recorded_of_
     (folder / "radio.parquet").write_bytes(whole[: len(whole) // 2])
     told: list[str] = []
     export(folder, csv=tmp_path / "csv", tell=told.append)
-    assert [line for line in told if "radio.parquet cannot be read: radio.csv is without frames of programs" in line]
+    assert [line for line in told if "radio.parquet cannot be read: radio.csv lacks frames of programs" in line]
     export(export_runs.run_of("a crossing cart"), csv=tmp_path / "whole")
     for row, known in zip(rows(tmp_path / "csv/radio.csv"), rows(tmp_path / "whole/radio.csv"), strict=True):
         assert row == known or row["outcome"] == "under way"  # at the end of what was recorded

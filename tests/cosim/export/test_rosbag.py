@@ -172,7 +172,7 @@ def test_rerun_understands_pictures_cameras_maps_and_transforms(bags: dict[str, 
 def test_names_that_would_be_one_in_ros_are_refused(tmp_path: Path) -> None:
     assert (ros_name("car-1/state"), ros_name("/tf"), ros_name("2nd/scan")) == ("/car_1/state", "/tf", "/_2nd/scan")
     twin = _Twins(export_runs.run_of("a crossing cart"))
-    with pytest.raises(UsageError, match=r"car-1/state/path and car_1/state/path would both be /car_1/state/path"):
+    with pytest.raises(UsageError, match=r"car-1/state/path and car_1/state/path would both become .* /car_1/state/path"):
         write_bag(twin, tmp_path / "bag")
 
 

@@ -107,7 +107,7 @@ def test_nonsense_for_a_greeting_is_answered_and_the_next_host_is_heard() -> Non
                 assert hub.next_hello(10.0) is None
                 reply = replies.recv().ok
                 assert reply is not None
-                assert wire.welcomes.decode(reply.payload.to_bytes()).refused == "that was no greeting of a vcmvsp host"
+                assert wire.welcomes.decode(reply.payload.to_bytes()).refused == "that is not the join request of a vcmvsp host"
             replies = session.get(key_names.join_key("anyone"), payload=honest, timeout=10.0)
             knock = hub.next_hello(10.0)
             assert knock is not None

@@ -155,13 +155,13 @@ def test_other_source_code_than_the_runs_own_is_named_and_recorded(place: Place)
     assert code == 0, said
     said = ended_with(0, place.run)
     why = "helper.py differs"
-    assert f"the host of car2 runs other code than this machine: {why}" in said
+    assert f"the code at the host of car2 differs from this machine's: {why}" in said
     about = json.loads((place.out / "about.json").read_text())
-    assert about["unrepeatable"] == [f"the host of car2 ran other code: {why}"]
+    assert about["unrepeatable"] == [f"the host of car2 ran different code: {why}"]
     assert why in (place.out / "report.html").read_text()
     (place.out / "helper.py").write_text(HELPER.format(speed=0.3))
     said = ended_with(1, place.start("replay", "out", "--agents", "inprocess"))
-    assert f"differs from out: the host of car2 ran other code: {why}" in said
+    assert f"differs from out: the host of car2 ran different code: {why}" in said
 
 
 def test_the_same_source_code_is_not_remarked(place: Place) -> None:
@@ -172,4 +172,4 @@ def test_the_same_source_code_is_not_remarked(place: Place) -> None:
     code, said = ended(place.run)
     assert (code, "other code" in said) == (0, False)
     said = ended_with(0, place.start("replay", "out", "--agents", "inprocess"))
-    assert "same: the digest is that of out" in said
+    assert "same digest as out" in said

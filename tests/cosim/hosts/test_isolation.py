@@ -167,7 +167,7 @@ def test_a_result_can_be_saved_where_it_is_and_elsewhere(tmp_path: Path) -> None
     assert (tmp_path / "a" / "run.mcap").read_bytes() == (tmp_path / "b" / "run.mcap").read_bytes()
     second = vcmvsp.run(alone(), out=tmp_path / "d")
     vcmvsp.run(alone(), out=tmp_path / "d", force=True, set={"duration_s": 0.5})
-    with pytest.raises(vcmvsp.UsageError, match="holds another run by now"):
+    with pytest.raises(vcmvsp.UsageError, match="now contains another run"):
         second.save(tmp_path / "c")
 
 

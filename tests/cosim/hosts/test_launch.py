@@ -266,7 +266,7 @@ def test_a_machine_that_ssh_cannot_reach_ends_the_waiting(stage: Launching) -> N
     connect = f'connect = "tcp/127.0.0.1:{stage.port}"\n'
     stage.hosts(f'{connect}[[host]]\nssh = "127.0.0.1"\nssh_options = {options}\nvehicles = ["car2", "car3"]\n')
     said = ended_with(3, stage.launch())
-    assert "host 127-0-0-1 (ssh 127.0.0.1): ssh cannot reach it, or has lost it (exit code 255): ssh: connect to host" in said
+    assert "host 127-0-0-1 (ssh 127.0.0.1): ssh cannot connect, or lost the connection (exit code 255): ssh: " in said
 
 
 def test_a_host_that_is_killed_later_is_named(stage: Launching) -> None:
@@ -295,12 +295,12 @@ def test_a_host_that_is_killed_later_is_named(stage: Launching) -> None:
             "line 3: host[1]: unknown key 'vehicels'; did you mean 'vehicles'?",
         ),
         ("[[host]]\nvehicles = ['car2']\nset = 3", (), "line 3: host[0].set: must be a table, not 3"),
-        ("[[host]]\nvehicles = []", (), "line 2: host[0].vehicles: must name at least one"),
+        ("[[host]]\nvehicles = []", (), "line 2: host[0].vehicles: must contain at least one"),
         ("[[host]]\nvehicles = ['a/b']", (), "line 2: host[0].vehicles"),
         (
             "[[host]]\nvehicles = ['car2']\n[[host]]\nname = 'x'\nvehicles = ['car2']",
             (),
-            "line 5: host[1].vehicles: 'car2' has a host already, 'car2'",
+            "line 5: host[1].vehicles: 'car2' already has a host, 'car2'",
         ),
         (
             "[[host]]\nname = 'x'\nvehicles = ['car2']\n[[host]]\nname = 'x'\nvehicles = ['car3']",
@@ -308,23 +308,23 @@ def test_a_host_that_is_killed_later_is_named(stage: Launching) -> None:
             "line 5: host[1].name: host[0] is called 'x' too",
         ),
         ("[[host]]\nvehicles = ['car2']\nssh = '-oProxyCommand=x'", (), "line 3: host[0].ssh: must be a destination"),
-        ("[[host]]\nvehicles = ['car2']\nkeys = 'x'\ncopy = true", (), "line 3: host[0].keys: is a file that is there already"),
+        ("[[host]]\nvehicles = ['car2']\nkeys = 'x'\ncopy = true", (), "line 3: host[0].keys: names a file on the host"),
         ("[[host]]\nvehicles = ['car2']\ncommand = []", (), "line 3: host[0].command: must name a program"),
         ("[[host]]\nvehicles = ['car2', 'car4']", (), "unknown vehicle 'car4'; did you mean"),
-        ("[[host]]\nvehicles = ['car2']", (), "hosts.toml: no host runs the agents of car3: name them in a [[host]]"),
+        ("[[host]]\nvehicles = ['car2']", (), "hosts.toml: no host runs the agents of car3: add them to a [[host]]"),
         ("[[host]]\nvehicles = ['car2', 'car3', 'rock']", (), "'rock' has no agent in the scenario"),
         (
             "[[host]]\nvehicles = ['car2', 'car3']\nssh = 'far'",
             (),
             "host far (ssh far) cannot dial tcp/127.0.0.1:7447: say where",
         ),
-        ("[[host]]\nvehicles = ['car2', 'car3']", ("--listen", "tcp/127.0.0.1:0"), "hosts cannot know which port that will be"),
+        ("[[host]]\nvehicles = ['car2', 'car3']", ("--listen", "tcp/127.0.0.1:0"), "hosts need a known port"),
         ("[[host]]\nvehicles = ['car2', 'car3']", ("--listen", "tcp/0.0.0.0:7447"), "or add --insecure"),
         ("[[host]]\nvehicles = ['car2', 'car3']\ncopy = true", (), "host car2 has keys, but the run has none: add --keys DIR"),
         (
             "[[host]]\nvehicles = ['car2', 'car3']\nname = 'a'\ncopy = true",
             ("--keys", "none"),
-            "none: holds no authority; make one",
+            "none: contains no authority; make one",
         ),
         (
             "[[host]]\nvehicles = ['car2', 'car3']\nconnect = 'tls/x:1'",

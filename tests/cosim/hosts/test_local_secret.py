@@ -73,7 +73,7 @@ def test_a_host_does_not_join_a_stranger_that_listens_where_a_run_was(place: Pla
     waiting.kill()
     assert ended(place.host("--insecure"))[0] == 0
     said = ended_with(0, run)
-    assert "caution: whoever can reach" in said
+    assert "caution: anyone who can reach" in said
 
 
 def test_the_file_is_for_its_user_alone_and_goes_with_the_run(place: Place, tmp_path: Path) -> None:

@@ -235,10 +235,10 @@ def test_a_host_that_hangs_goes_on_where_it_was(stage: ByHand) -> None:
 
 def test_a_host_may_come_late(stage: ByHand) -> None:
     run = stage.run("agents.join_timeout_s=0.1")
-    said_by(run, "the host of car2 did not join within 0.1 s (agents.join_timeout_s); the run begins without")
+    said_by(run, "the host of car2 did not join within 0.1 s (agents.join_timeout_s); the run starts without")
     said_by(run, "car2 has lost its agent: it has no host yet")
     code, said = ended(stage.host("--set", "at=7.0"))
-    assert (code, "takes no other parameters: leave out --set" in said) == (2, True)
+    assert (code, "accepts no other parameters: leave out --set" in said) == (2, True)
     late = stage.host()
     said_by(run, "car2 has its agent again")
     _, metrics, _ = stage.finish(run)
@@ -254,7 +254,7 @@ def test_who_was_removed_does_not_come_back(stage: ByHand) -> None:
     first.kill()
     said_by(run, "car2 is without an agent for good")
     said = ended_with(2, stage.host())
-    assert "the run refuses this host: it has begun, and nobody is missing" in said
+    assert "the run rejects this host: it has started, and no host is missing" in said
     _, metrics, events = stage.finish(run)
     assert metrics["reconnects"] == 0
     assert [each[2]["state"] for each in events] == ["removed"]
@@ -266,14 +266,14 @@ def test_a_run_listens_for_nobody_whom_it_cannot_use(stage: ByHand) -> None:
     run, first = stage.run(), stage.host()
     wait_for(stage.out / "run.mcap")
     code, said = ended(stage.host())
-    assert (code, "it has begun, and nobody is missing" in said) == (2, True)
+    assert (code, "it has started, and no host is missing" in said) == (2, True)
     run.kill()
     ended(run)
     other = stage.start(
         "run", "formation-circle", "--listen", stage.endpoint, "--agents", "zenoh", "--insecure", "--out", "other"
     )
     said = ended_with(3, first)
-    assert "the run: is gone: another one listens there now; start this host again" in said
+    assert "the run: is gone: another run listens there now; start this host again" in said
     older = (
         "import sys; from vcmvsp.cosim.hosts import protocol as wire; import vcmvsp.agents.host_process as serve\n"
         "serve.PROTOCOL = 1\n"
@@ -314,7 +314,7 @@ def test_a_host_that_cannot_start_costs_the_run_its_vehicle_alone(stage: ByHand)
     run, bad = stage.run(), stage.host("nobody.py:Nobody")
     code, said = ended(bad)
     assert (code, "nobody.py" in said) == (2, True)
-    said_by(run, "the run begins without")
+    said_by(run, "the run starts without")
     said_by(run, "car2 has lost its agent")
     elsewhere = stage.folder / "elsewhere"
     elsewhere.mkdir()

@@ -87,10 +87,10 @@ def test_a_certificate_speaks_for_its_own_vehicles_alone(place: Place) -> None:
         [sys.executable, "-c", forged], check=False, capture_output=True, text=True, cwd=place.folder, timeout=500
     )
     refusal = "the certificate of 'one' is for car2, not for car3"
-    assert f"the run refuses this host: {refusal}" in liar.stderr
+    assert f"the run rejects this host: {refusal}" in liar.stderr
     hosts = [place.host("car2", mine, place.port), place.host("car3", theirs, place.port)]
     said = ended_with(0, run)
-    assert f"refused a host with the certificate of one: {refusal}" in said
+    assert f"rejected a host with the certificate of one: {refusal}" in said
     assert [ended(host)[0] for host in hosts] == [0, 0]
 
 

@@ -170,8 +170,8 @@ def test_with_certificates_only_observers_watch(theatre: Theatre) -> None:
     anna = theatre.watch("anna", "--keys", "keys/anna.keys", "--json")
     said_by(anna, "watching")
     refusals = {
-        "keys/laptop.keys": "is for the host of car1, car2; to watch use what 'vcmvsp keys observer NAME' makes",
-        "keys/gone.keys": "the run's rules do not know 'gone': its certificate was revoked",
+        "keys/laptop.keys": "is for the host of car1, car2; to watch, use a file made by 'vcmvsp keys observer NAME'",
+        "keys/gone.keys": "'gone' is unknown to this run: its certificate was revoked",
         "other/anna.keys": "the run's certificate is of another authority",
         "keys/nobody.keys": "nobody.keys: cannot be read: No such file",
     }
@@ -191,7 +191,7 @@ def test_topics_are_key_expressions(topic: str) -> None:
     code, _, said = vcmvsp_command("watch", "tcp/127.0.0.1:1", "--topic", topic)
     assert (code, said) == (
         2,
-        f"vcmvsp: --topic {topic}: must be a key like car2/command, with * for one part and ** for many\n",
+        f"vcmvsp: --topic {topic}: must be a topic such as car2/command, with * for one part and ** for any number\n",
     )
 
 

@@ -37,7 +37,7 @@ def test_who_does_not_read_holds_up_nobody(ends: tuple[LocalLink, socket.socket]
 
 def test_a_message_that_is_too_long_is_refused_and_is_no_end(ends: tuple[LocalLink, socket.socket]) -> None:
     here, there = ends[0], LocalLink(ends[1])
-    with pytest.raises(ValueError, match="a message of 10000000 bytes is longer than the link takes"):
+    with pytest.raises(ValueError, match="a message of 10000000 bytes is too long for the link"):
         here.send(bytes(10_000_000))
     assert here.send(b"short")
     assert there.receive() == [b"short"]

@@ -28,7 +28,7 @@ def test_the_whole_recording_gives_the_tables_that_the_run_has_left(run: str, tm
 
 def test_a_run_that_was_cut_is_explained_and_drawn_as_far_as_it_goes(tmp_path: Path) -> None:
     folder = export_runs.cut(RUN, tmp_path / "cut", 0.7)
-    words = r"no states.parquet here, as the run goes on or was cut: what is shown is what run.mcap has, up to [0-2]\.\d{3} s, "
+    words = r"no states.parquet here \(the run continues or was killed\): data come from run.mcap, up to [0-2]\.\d{3} s, "
     for command in (("radio", str(folder)), ("radio", str(folder), "--link", "car-1/car-2"), ("plot", str(folder))):
         outcome = vcmvsp_command(*command)
         assert outcome.code == 0, outcome.err
@@ -49,7 +49,7 @@ def test_a_recording_of_nothing_is_named(tmp_path: Path) -> None:
     for command in ("radio", "plot"):
         outcome = vcmvsp_command(command, str(folder))
         assert (outcome.code, outcome.out) == (2, "")
-        assert "before its run.mcap had anything to show" in outcome.err
+        assert "run.mcap is still empty" in outcome.err
 
 
 def _reads(folder: Path, whole: Path, size: int) -> bool:
@@ -58,5 +58,5 @@ def _reads(folder: Path, whole: Path, size: int) -> bool:
     try:
         tables_of(folder)
     except UsageError as error:
-        return "anything to show" in str(error)
+        return "is still empty" in str(error)
     return False

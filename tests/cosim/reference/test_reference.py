@@ -115,14 +115,14 @@ def test_a_page_that_is_not_is_noticed_and_repaired(tmp_path: Path, change: tupl
     page.write_text(fresh.replace(*change, 1), "utf-8")
     assert page.read_text("utf-8") != fresh
     with pytest.raises(
-        SystemExit, match=re.escape("is not what the code says; update it: python -m vcmvsp.cosim.reference.markdown --write")
+        SystemExit, match=re.escape("differs from the code; update it: python -m vcmvsp.cosim.reference.markdown --write")
     ):
         reference.main([], page, index)
     reference.main(["--write"], page, index)
     assert (page.read_text("utf-8"), index.read_text("utf-8")) == (fresh, reference.index_text())
     reference.main([], page, index)
     index.write_text("seed\n")
-    with pytest.raises(SystemExit, match="is not what the code says"):
+    with pytest.raises(SystemExit, match="differs from the code"):
         reference.main([], page, index)
 
 

@@ -160,7 +160,7 @@ def test_the_exit_code_says_whether_all_came_out(made_up: types.ModuleType, tmp_
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [(("--jobs", "0"), "--jobs 0: must be 1 or more"), (("--out", __file__), "there is a file of that name")],
+    [(("--jobs", "0"), "--jobs 0: must be 1 or more"), (("--out", __file__), "is a file; name a folder")],
 )
 def test_bad_arguments_end_before_the_first_run(made_up: types.ModuleType, arguments: tuple[str, ...], words: str) -> None:
     made_up.make = pytest.fail  # type: ignore[attr-defined]

@@ -122,7 +122,7 @@ def test_checks_in_processes_give_the_same() -> None:
     [
         (("--only", "path-los"), "did you mean 'path-loss'"),
         (("--jobs", "0"), "--jobs 0: must be 1 or more"),
-        (("--out", __file__), "there is a file of that name"),
+        (("--out", __file__), "is a file; name a folder"),
     ],
 )
 def test_bad_arguments_end_before_the_first_check(arguments: tuple[str, ...], words: str) -> None:

@@ -94,7 +94,7 @@ def test_ctrl_c_while_files_are_written_says_so_and_they_are_written(tmp_path: P
     monkeypatch.setattr(Result, "write", interrupted)
     vcmvsp.run(two(), out=tmp_path / "run", tell=told.append)
     words = f"run.mcap in {tmp_path / 'run'} is whole"
-    assert told == [f"the run is over, its files are written; Ctrl-C once more stops that: {words}"]
+    assert told == [f"the run has ended and its files are being written; another Ctrl-C stops that: {words}"]
     assert (tmp_path / "run" / "report.html").exists()
 
 

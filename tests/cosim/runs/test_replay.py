@@ -126,7 +126,7 @@ def test_classes_in_files_are_those_that_the_run_kept(tmp_path: Path) -> None:
 
 
 def test_folders_that_are_no_run_are_refused(recorded: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="there is no such folder; name the folder that a run left"):
+    with pytest.raises(UsageError, match="there is no such folder; name the folder of a run"):
         replay(tmp_path / "nowhere")
     with pytest.raises(UsageError, match=r"has no scenario\.toml"):
         replay(tmp_path)
@@ -137,7 +137,7 @@ def test_folders_that_are_no_run_are_refused(recorded: Path, tmp_path: Path) -> 
         replay(tmp_path, radio="guessed")
     with pytest.raises(UsageError, match=r"--twin: no vehicle of .* was real"):
         replay(tmp_path, twin=True)
-    with pytest.raises(UsageError, match="is the run that is replayed"):
+    with pytest.raises(UsageError, match="is the replayed run itself"):
         replay(recorded, out=recorded, force=True)
 
 
@@ -198,7 +198,7 @@ def test_a_twin_goes_on_to_fuse(real: Path) -> None:
 
 
 def test_without_its_recording_a_real_vehicle_cannot_be_replayed(real: Path) -> None:
-    with pytest.raises(UsageError, match=r"has no hardware\.mcap, which says what car1 did.*--twin"):
+    with pytest.raises(UsageError, match=r"has no hardware\.mcap with the inputs of car1.*--twin"):
         replay(real)
 
 
@@ -210,7 +210,7 @@ def test_it_goes_beside_the_run() -> None:
 def test_the_command(recorded: Path) -> None:
     recorded.with_name("first-replay").mkdir()
     again = vcmvsp_command("replay", str(recorded), "--radio", "recorded", "--agents", "inprocess", "--json")
-    assert again == (0, (recorded / "metrics.json").read_text(), f"same: the digest is that of {recorded}\n")
+    assert again == (0, (recorded / "metrics.json").read_text(), f"same digest as {recorded}\n")
     assert files(recorded.with_name("first-replay-2")) == files(recorded)
     nothing = vcmvsp_command("replay", str(recorded.parent))
     assert nothing.code == 2

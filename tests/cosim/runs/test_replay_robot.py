@@ -97,6 +97,6 @@ def test_of_a_run_that_was_killed_what_was_written_is_replayed(tmp_path: Path) -
     end_ns = read_inputs(path)[-1][1]
     assert end_ns > 0
     again = replay(tmp_path / "run", set={"duration_s": 20.0}, tell=told.append)
-    assert told[0].startswith(f"{path} is damaged (it ends too soon)")
+    assert told[0].startswith(f"{path} is damaged (it is truncated)")
     assert told[-1] == f"the recording ends at {end_ns / 1e9:.3f} s: car1 stands still from then on"
     assert again.metrics["duration_s"] == 20.0

@@ -96,7 +96,7 @@ def test_an_expired_certificate_is_refused_though_the_clock_of_its_owner_is_late
 
 
 def test_without_a_certificate_nobody_comes_in(hub: Hub, keys: Keys) -> None:
-    assert "wants certificates" in refused(hub.endpoint.replace("tls/", "tcp/"), None)
+    assert "requires certificates" in refused(hub.endpoint.replace("tls/", "tcp/"), None)
     rules = access_control.machine_security(bundle(keys, "car2"))
     for part in ("connect_private_key_base64", "connect_certificate_base64", "enable_mtls"):
         del rules["transport"]["link"]["tls"][part]
@@ -118,8 +118,8 @@ def test_a_host_cannot_pose_as_a_run(keys: Keys, stack: contextlib.ExitStack) ->
     own = {"listen_private_key_base64": posing.key_pem, "listen_certificate_base64": posing.certificate_pem}
     rules = merge(rules, {"transport": {"link": {"tls": {name: access_control._base64(pem) for name, pem in own.items()}}}})
     impostor = stack.enter_context(Hub(rules))
-    assert "no run: its certificate is that of a host" in refused(impostor.endpoint, bundle(keys, "car2"))
-    with pytest.raises(UsageError, match="what answers there is 'car3', not a run"):
+    assert "not a run: its certificate is that of a host" in refused(impostor.endpoint, bundle(keys, "car2"))
+    with pytest.raises(UsageError, match="the listener there is 'car3', not a run"):
         access_control.check_hub(["hub", "car3"])
 
 
@@ -141,7 +141,7 @@ def test_tls_to_a_run_without_is_refused(keys: Keys, stack: contextlib.ExitStack
     endpoint = plain.endpoint.replace("tcp/", "tls/")
     with pytest.raises(zenoh.ZError, match="Unable to connect"):
         dial(endpoint, bundle(keys, "car2"))
-    silent = "what listens there does not answer in TLS; is it a run with --listen tcp/...?"
+    silent = "the listener there does not use TLS; is it a run with --listen tcp/...?"
     assert zenoh_session.diagnose(endpoint, bundle(keys, "car2")) == zenoh_session.Refusal(silent, final=False)
     assert zenoh_session.diagnose(plain.endpoint, None) is None
 
@@ -150,9 +150,9 @@ def test_where_nobody_listens_one_may_wait(keys: Keys, stack: contextlib.ExitSta
     port = stack.enter_context(reserved())
     for machine, protocol in ((bundle(keys, "car2"), "tls"), (None, "tcp")):
         found = zenoh_session.diagnose(f"{protocol}/127.0.0.1:{port}", machine)
-        assert found == zenoh_session.Refusal("nobody listens there (Connection refused)", final=False)
+        assert found == zenoh_session.Refusal("no program listens there (Connection refused)", final=False)
         found = zenoh_session.diagnose(f"{protocol}/nobody.invalid:{port}", machine)
-        assert found == zenoh_session.Refusal("no machine is known by the name 'nobody.invalid'", final=False)
+        assert found == zenoh_session.Refusal("the host name 'nobody.invalid' is unknown", final=False)
 
 
 HUB_PROCESS = """
@@ -262,4 +262,4 @@ def test_between_machines(other_machine: tuple[str, str], tmp_path: Path, foreig
             assert greet(host, "car2") == [b"welcome"]
             assert greet(host, "car3") == []
         assert "another authority than" in refused(endpoint, bundle(foreign, "car2"))
-        assert "wants certificates" in refused(endpoint.replace("tls/", "tcp/"), None)
+        assert "requires certificates" in refused(endpoint.replace("tls/", "tcp/"), None)

@@ -216,7 +216,7 @@ def test_a_revoked_machine_is_answered_by_silence_that_has_words(hub: Hub, keys:
         assert greet(session, "gone") == []
         assert hub.seen == {}
     assert access_control.admission(keys, "gone", ["gone"]) == "the certificate of 'gone' has been revoked"
-    assert "'gone': its certificate was revoked, or made after the run had begun" in access_control.silence("gone")
+    assert "'gone' is unknown to this run: its certificate was revoked" in access_control.silence("gone")
 
 
 def test_where_all_are_revoked_nobody_is_let_in(keys: Keys, stack: contextlib.ExitStack) -> None:
@@ -233,7 +233,7 @@ def test_the_key_says_whose_vehicles_they_are(keys: Keys) -> None:
     assert access_control.admission(keys, "car2", ["car2"]) is None
     assert access_control.admission(keys, "car2", ["car2", "car3"]) == "the certificate of 'car2' is for car2, not for car3"
     assert access_control.admission(keys, "anna", ["car2"]) == "the certificate of 'anna' is for watching only"
-    assert access_control.admission(keys, "stranger", ["car2"]) == "no certificate was given to 'stranger'"
+    assert access_control.admission(keys, "stranger", ["car2"]) == "'stranger' has no certificate of this run"
 
 
 def test_wildcards_of_ones_own_are_nobodys_key(hub: Hub, keys: Keys) -> None:

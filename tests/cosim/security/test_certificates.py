@@ -181,7 +181,7 @@ def test_a_machine_that_expired_serves_nobody(keys: Path, at: Callable[[dt.timed
 
 def test_nothing_is_written_over_unless_that_is_wanted(keys: Path, tmp_path: Path) -> None:
     ca = (keys / "ca.pem").read_text()
-    with pytest.raises(UsageError, match="holds an authority; --force"):
+    with pytest.raises(UsageError, match="already contains an authority; --force"):
         authority.init(keys)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").touch()
@@ -189,7 +189,7 @@ def test_nothing_is_written_over_unless_that_is_wanted(keys: Path, tmp_path: Pat
         authority.init(tmp_path / "other", force=True)
     authority.issue(keys, "car2", ["car2"])
     first = (keys / "car2.keys").read_text()
-    with pytest.raises(UsageError, match=r"'car2' has a certificate until .* --force makes another"):
+    with pytest.raises(UsageError, match=r"'car2' already has a certificate until .* --force makes another"):
         authority.issue(keys, "car2", ["car2"], out=tmp_path / "else.keys")
     taken = tmp_path / "taken.keys"
     taken.write_text("precious")
@@ -223,24 +223,24 @@ def test_a_name_means_one_thing_for_good(keys: Path) -> None:
     assert authority.revoke(keys, "laptop").revoked
     assert certificates.load(keys).members == ()
     assert certificates.load(keys).lacking(["car3"]) == ["car3"]
-    with pytest.raises(UsageError, match="'laptop' was revoked, and a new certificate would make the old one good again"):
+    with pytest.raises(UsageError, match="'laptop' was revoked, and a new certificate would make the old one valid again"):
         authority.issue(keys, "laptop", ["car3", "car4"], force=True)
-    with pytest.raises(UsageError, match=r"has given no certificate to 'car9' \(but to: laptop\)"):
+    with pytest.raises(UsageError, match=r"no certificate for 'car9'; certificates: laptop"):
         authority.revoke(keys, "car9")
 
 
 @pytest.mark.parametrize("name", ["", "a b", "../x", "car*", "a/b", "\u00e4", "x" * 65, "a\n", "@a", "$*"])
 def test_names_that_could_be_more_than_a_name_are_refused(keys: Path, name: str) -> None:
     before = sorted(path.name for path in keys.iterdir())
-    with pytest.raises(UsageError, match="is no name"):
+    with pytest.raises(UsageError, match="is not a valid name"):
         authority.issue(keys, name)
-    with pytest.raises(UsageError, match="is no name"):
+    with pytest.raises(UsageError, match="is not a valid name"):
         authority.issue(keys, "host", ["car2", name])
     assert sorted(path.name for path in keys.iterdir()) == before
 
 
 def test_the_hubs_name_is_nobody_elses(keys: Path) -> None:
-    with pytest.raises(UsageError, match="'hub' is the name of the run itself"):
+    with pytest.raises(UsageError, match="'hub' is reserved for the run"):
         authority.issue(keys, "hub", ["hub"])
     for name in ("tls/10.0.0.1:7447", "a b", "-x", "10.0.0.1:7447", "*.example.org"):
         with pytest.raises(UsageError, match="must be a host name or an IP address"):
@@ -293,9 +293,9 @@ def test_a_clock_that_is_wrong_is_named(shared: Path, at: Callable[[dt.timedelta
 def test_a_folder_is_no_file_and_a_file_no_folder(shared: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"is a folder; name the file of this machine, e.g. .*/keys/car2\.keys"):
         certificates.load_bundle(shared)
-    with pytest.raises(UsageError, match="is a file; name the folder"):
+    with pytest.raises(UsageError, match="is a file; name a folder"):
         certificates.load(shared / "car2.keys")
-    with pytest.raises(UsageError, match="holds no authority; make one with: vcmvsp keys init"):
+    with pytest.raises(UsageError, match="contains no authority; make one with: vcmvsp keys init"):
         certificates.load(tmp_path)
     with pytest.raises(UsageError, match="No such file"):
         certificates.load_bundle(tmp_path / "none.keys")
@@ -307,10 +307,10 @@ def test_parts_that_do_not_belong_together_are_refused(shared: Path, keys: Path,
     for parts in ([other[0], *one[1:]], [*one[:2], other[2]], one[:2], [*one, *one], []):
         mixed = tmp_path / "mixed.keys"
         mixed.write_text("".join(parts))
-        with pytest.raises(UsageError, match="is no file of a machine, or damaged"):
+        with pytest.raises(UsageError, match="not a key file, or damaged"):
             certificates.load_bundle(mixed)
     (keys / "hub.key").write_text((shared / "hub.key").read_text())
-    with pytest.raises(UsageError, match="the key is not that of the certificate"):
+    with pytest.raises(UsageError, match="the key does not match the certificate"):
         certificates.load(keys)
     (keys / "ca.key").write_text((shared / "ca.key").read_text())
     with pytest.raises(UsageError):
@@ -324,7 +324,7 @@ def test_a_curve_that_nobody_knows_is_damage(shared: Path, tmp_path: Path) -> No
         content = base64.b64decode("".join(lines)).replace(P_256, P_256[:-1] + b"\x41")
         text = "\n".join([head, base64.b64encode(content).decode(), tail, ""])
         damaged.write_text("".join([*parts[:number], text, *parts[number + 1 :]]))
-        with pytest.raises(UsageError, match="is no file of a machine, or damaged"):
+        with pytest.raises(UsageError, match="not a key file, or damaged"):
             certificates.load_bundle(damaged)
 
 
@@ -378,14 +378,14 @@ def test_the_command_line_from_init_to_revoke(tmp_path: Path, monkeypatch: pytes
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["init", "keys"], "holds an authority"),
+        (["init", "keys"], "already contains an authority"),
         (["init", "new", "--name", "http://x"], "must be a host name or an IP address"),
-        (["vehicle", "a", "b"], "give their machine a name, with --as HOST"),
-        (["vehicle", "a/b"], "is no name"),
+        (["vehicle", "a", "b"], "need a name for their machine: add --as HOST"),
+        (["vehicle", "a/b"], "is not a valid name"),
         (["vehicle", "car2", "--out", "nowhere/car2.keys"], "No such file or directory"),
         (["vehicle", "car2", "--keys", "nowhere"], "make one with: vcmvsp keys init nowhere"),
-        (["observer", "hub"], "is the name of the run itself"),
-        (["revoke", "car9"], "has given no certificate to 'car9'"),
+        (["observer", "hub"], "is reserved for the run"),
+        (["revoke", "car9"], "no certificate for 'car9'"),
         (["hub", "--days", "0"], "must be from 1 to 3650"),
     ],
 )

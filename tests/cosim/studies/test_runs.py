@@ -169,7 +169,7 @@ def test_a_worker_that_is_killed_while_it_starts_costs_no_run(
         if deaths < worker_pool.STARTS:
             assert list(pool.answers([(0, -7)], 1)) == [(0, 7)]
         else:
-            with pytest.raises(VcmvspError, match="were killed while they started"):
+            with pytest.raises(VcmvspError, match="were killed during their start"):
                 list(pool.answers([(0, -7)], 1))
 
 
@@ -298,7 +298,7 @@ def test_seeds_are_counted(seeds: float) -> None:
 def test_a_file_that_changes_while_the_study_runs_makes_no_rows(tmp_path: Path) -> None:
     scenario = mine(tmp_path).read_text()
     now = hashlib.sha256((tmp_path / "mine.py").read_bytes()).hexdigest()
-    for known, problem in ((now, None), ("0" * 64, "mine.py was changed while the study ran")):
+    for known, problem in ((now, None), ("0" * 64, "mine.py changed during the study")):
         work = Work(scenario, str(tmp_path), version(), files={"mine.py": known})
         assert rows.decode(run_one(work, Job(0, {}))).error == problem
 

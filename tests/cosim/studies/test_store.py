@@ -209,7 +209,7 @@ def test_a_folder_that_holds_something_needs_a_word(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").touch()
     for folder, resume, words in (
-        ("s", False, "holds a study of two"),
+        ("s", False, "already contains a study of two"),
         ("other", False, "not empty"),
         ("other", True, "no study"),
     ):
@@ -285,7 +285,7 @@ def test_a_link_in_the_place_of_a_file_is_not_written_through(tmp_path: Path, na
     victim = tmp_path / "victim"
     victim.write_bytes(b"mine")
     (tmp_path / "s" / name).symlink_to(victim)
-    with pytest.raises(UsageError, match=f"{name}: is a link"), Store(tmp_path / "s", plan_of(), resume=True, force=False):
+    with pytest.raises(UsageError, match=f"{name}: is a symb"), Store(tmp_path / "s", plan_of(), resume=True, force=False):
         pass
     assert victim.read_bytes() == b"mine"
 

@@ -84,7 +84,7 @@ def test_zenoh_dials_no_ipv6_address_with_tls(keys: Keys) -> None:
             dial(hub.endpoint, bundle(keys, "car2"))
     endpoint_rules(hub.endpoint, keys)
     for side in ("host", "observer"):
-        with pytest.raises(UsageError, match="dials no IPv6 address with TLS: use a host name"):
+        with pytest.raises(UsageError, match="has no TLS for IPv6 addresses: use a host name"):
             endpoint_rules(hub.endpoint, bundle(keys, "car2"), side=side)
 
 

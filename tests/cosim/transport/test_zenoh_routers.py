@@ -70,4 +70,4 @@ def test_with_certificates_a_router_is_no_way_in(stage: Stage) -> None:
         code, said = ended(host)
         assert run.poll() is None
     assert code == 2
-    assert "the run's rules do not know 'both'" in said
+    assert "'both' is unknown to this run" in said

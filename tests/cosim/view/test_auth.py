@@ -261,7 +261,7 @@ def test_a_place_that_is_none_is_said(host: str, port: int) -> None:
 
 def test_a_gate_that_does_not_hold_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(web_server.Gate, "_answer", lambda *_: None)
-    with pytest.raises(UsageError, match=r"cannot be guarded \(426\)"):
+    with pytest.raises(UsageError, match=r"cannot protect its page \(426\)"):
         web_server.open_server("127.0.0.1", 0, TOKEN)
 
 

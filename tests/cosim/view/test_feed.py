@@ -274,7 +274,7 @@ def test_a_reading_that_fails_is_said_and_hurts_nobody(reader: Reader) -> None:
     reader.wait()
     reader.on(1, "a/scan", Later(fail))
     reader.wait(1.0)
-    assert [line.text for line in reader.known().lines] == ["a/scan could not be worked out: RuntimeError: no light"]
+    assert [line.text for line in reader.known().lines] == ["a/scan could not be computed: RuntimeError: no light"]
 
 
 def test_orders_come_in_order_and_what_is_none_is_said(reader: Reader) -> None:
@@ -286,7 +286,7 @@ def test_orders_come_in_order_and_what_is_none_is_said(reader: Reader) -> None:
     assert reader.feed.orders() == orders
     assert reader.feed.orders() == []
     reader.wait()
-    assert {line.text for line in reader.known().lines} == {"the control station asked for what is no order"}
+    assert {line.text for line in reader.known().lines} == {"the control station sent an invalid command"}
 
 
 def test_orders_that_nobody_takes_do_not_pile_up(reader: Reader) -> None:
@@ -361,7 +361,7 @@ def test_what_cannot_be_told_is_said_and_the_run_goes_on(reader: Reader) -> None
     reader.on(0, "a/note", Note(values={"odd": object()}))  # type: ignore[dict-item]  # of somebody's own federate
     reader.wait()
     (line,) = reader.known().lines
-    assert line.text.startswith("what has happened cannot be shown")
+    assert line.text.startswith("the view cannot show an event")
     reader.on(1, "world/states", at(1.0))
     reader.wait()
     assert reader.known().states is not None

@@ -99,7 +99,7 @@ def test_a_run_does_not_stand_still_for_one_who_has_gone() -> None:
     told: list[str] = []
     result = run({0.5: [Go(paused=True, speed=1.0)], 3.0: GONE}, tell=told.append)
     assert result.metrics["duration_s"] == 2.0
-    assert any("the run goes on" in line for line in told)
+    assert any("the run continues" in line for line in told)
 
 
 def test_what_is_ordered_while_it_stands_still_is_done_when_it_goes_on() -> None:

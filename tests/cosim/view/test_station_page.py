@@ -174,7 +174,7 @@ def test_the_token_stays_in_its_tab_and_with_its_port(page: Page, chromium: Any)
     assert page.page.evaluate("sessionStorage.getItem('token')") == TOKEN
     stranger = chromium.new_page()
     stranger.goto(page.looked.url)
-    stranger.get_by_text("Open the URL that was printed, with its token.").wait_for(timeout=PATIENCE_S * 1e3)
+    stranger.get_by_text("Open the printed URL, including its token.").wait_for(timeout=PATIENCE_S * 1e3)
     stranger.close()
 
 

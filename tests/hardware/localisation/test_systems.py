@@ -488,6 +488,6 @@ def test_the_sessions_that_zenoh_opens_are_closed() -> None:
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "0", "[::]", "[::0]"])
 def test_all_interfaces_must_be_asked_for(host: str) -> None:
-    with pytest.raises(ValueError, match=r"lets in everybody .* add insecure = true"):
+    with pytest.raises(ValueError, match=r"admits anyone .* add insecure = true"):
         Ubisense(listen=f"udp://{host}:5010")
     Ubisense(listen=f"udp://{host}:5010", insecure=True)

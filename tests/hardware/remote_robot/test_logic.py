@@ -299,7 +299,7 @@ def test_it_is_a_driver_and_being_made_does_nothing() -> None:
     ("options", "problem"),
     [
         ({"listen": "tls/0.0.0.0:7448"}, 'TLS needs certificates: add keys = "DIR"'),
-        ({"listen": "tcp/0.0.0.0:7448"}, "add insecure = true where you trust everybody"),
+        ({"listen": "tcp/0.0.0.0:7448"}, "add insecure = true in a trusted network"),
         ({"listen": "tcp/127.0.0.1:7448", "keys": "keys"}, "write tls/127.0.0.1:7448, or leave out keys"),
         ({"listen": "tls/0.0.0.0:7448", "keys": "keys", "insecure": True}, "exclude one another"),
         ({"listen": "7448"}, "must be tcp/HOST:PORT or tls/HOST:PORT"),

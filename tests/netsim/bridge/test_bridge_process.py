@@ -209,7 +209,7 @@ def test_that_a_message_was_too_long_can_be_said(
 ) -> None:
     (tmp_path / "probe.py").write_text(PROBE.replace('return ["probe is open"]', 'return ["x" * 1_000_000]'))
     started.append(process := BridgeClient.start(opening(probe, folder=tmp_path)))
-    with pytest.raises(FederateError, match=r"bridge: ValueError: a message of 1000\d+ bytes is longer than the link takes"):
+    with pytest.raises(FederateError, match=r"bridge: ValueError: a message of 1000\d+ bytes is too long for the link"):
         process.wait_ready()
 
 

@@ -331,5 +331,5 @@ def test_a_rover_takes_forward_speed_and_tells_a_global_position() -> None:
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "[::]"])
 def test_all_interfaces_must_be_asked_for(host: str) -> None:
-    with pytest.raises(PortError, match=r"lets in everybody .* add insecure = true"):
+    with pytest.raises(PortError, match=r"admits anyone .* add insecure = true"):
         open_link(f"udpin:{host}:14540", 57_600)
