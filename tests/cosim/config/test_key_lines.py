@@ -105,7 +105,7 @@ def test_every_key_of_a_document_has_the_line_at_which_it_was_written(written: t
 
 
 @pytest.mark.parametrize(
-    ("key", "line"),
+    ("key", "line"),  # 0: nothing of it is in the file
     [
         ("intervention[0].kind", 8),
         ("intervention[1].at_s", 11),
@@ -116,6 +116,7 @@ def test_every_key_of_a_document_has_the_line_at_which_it_was_written(written: t
         ("vehicle.uav1.pose", 14),
         ("vehicle.uav12.sensors.gps.rate_hz", 20),  # a default of all
         ("vehicle[1].kind", 22),
+        ("metrics.from_s", 0),
     ],
 )
 def test_a_key_has_its_line_also_in_lists_and_in_one_table_for_many(key: str, line: int) -> None:
@@ -142,4 +143,4 @@ rate_hz = 5
 [[vehicle]]
 kind = "point"
 """
-    assert Source("s.toml", Path(), text).of(key) == f"s.toml line {line}"
+    assert Source("s.toml", Path(), text).of(key) == (f"s.toml line {line}" if line else "s.toml")

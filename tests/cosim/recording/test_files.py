@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from mcap.reader import NonSeekingReader, make_reader
+from mcap.reader import make_reader
 
 from tests.support.cosim.recordings import follows, states
 from tests.support.cosim.recordings import recorded as plainly
@@ -246,29 +246,6 @@ def test_close_may_be_called_again() -> None:
     recorder.close(0)
     assert len(stream.getvalue()) == size
     assert recorder.metrics(window=(0.0, None))["duration_s"] == 1.0
-
-
-def test_a_viewer_may_jump_to_any_time_and_topic() -> None:
-    """The index at the end of the file leads to the same messages as reading it through."""
-    stream = io.BytesIO()
-    recorded(stream, seconds=60.0)
-    reader = make_reader(io.BytesIO(stream.getvalue()), validate_crcs=True)
-    summary = reader.get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
-    assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 3
-    through = NonSeekingReader(io.BytesIO(stream.getvalue()), validate_crcs=True)
-    everything = [(c.topic, m.log_time, m.data) for _, c, m in through.iter_messages(log_time_order=False)]
-    assert [time_ns for _, time_ns, _ in everything] == sorted(time_ns for _, time_ns, _ in everything)
-    assert summary.statistics.message_count == len(everything)
-    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (0, 60 * SECOND_NS + 1000)
-    assert [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()] == everything
-    begin, end = 30 * SECOND_NS, 31 * SECOND_NS
-    part = reader.iter_messages(topics=["car2/heard"], starting_at=begin, ending_before=end)
-    expected = [row for row in everything if row[0] == "car2/heard" and begin <= row[1] < end]
-    assert [(c.topic, m.log_time, m.data) for _, c, m in part] == expected
-    assert len(expected) == 10  # ticks
-    assert next(iter(reader.iter_metadata())).metadata == {"scenario": "files", "seed": "5", "vehicles": "car1 car2"}
 
 
 def test_equal_runs_leave_equal_bytes_and_no_library_version(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.errors import ScenarioError, UsageError
+from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.loader import load, settings_of, value_of
 
@@ -110,35 +110,6 @@ def test_settings_reach_every_depth(file: Path) -> None:
     assert (two.name, two.agent.params) == ("last", {"leader": "car9"})
 
 
-@pytest.mark.parametrize(
-    ("key", "where"),
-    [
-        ("duration_s", "line 3"),
-        ("radio.preset", "line 6"),
-        ("radio.loss", "line 7"),
-        ("radio.loss.probability", "line 8"),
-        ("radio.loss.rate", "line 7"),  # not in the file: the table it would stand in
-        ("vehicles.kind", "line 11"),
-        ("agents.k1", "line 14"),
-        ("vehicle.car1.name", "line 18"),
-        ("vehicle.car1.agent", "line 19"),
-        ("vehicle.car1.agent.path", "line 19"),  # inside braces: the line of the table
-        ("vehicle.car2.pose", "line 22"),  # a key before the name
-        ("vehicle.car2.kind", "line 24"),
-        ("vehicle.car2.mass_kg", "line 21"),
-        ("metrics.from_s", ""),  # nothing of it is in the file
-    ],
-)
-def test_a_key_has_its_line(file: Path, key: str, where: str) -> None:
-    _, source = load(file)
-    assert source.of(key) == f"{file} {where}".rstrip()
-
-
-def test_a_key_in_a_table_of_a_vehicle_has_its_line(file: Path) -> None:
-    _, source = load(file)
-    assert source.of("vehicle.car2.agent.leader") == f"{file} line 27"
-
-
 def test_a_setting_is_its_own_place(file: Path) -> None:
     _, source = load(file, settings={"radio.loss": {"probability": 0.5}}, seed=2)
     assert source.of("radio.loss.probability") == "--set radio.loss={'probability': 0.5}"
@@ -175,12 +146,6 @@ def test_a_setting_is_toml_if_it_can_be_and_else_a_word(text: str, value: Any) -
     assert read == value
     assert type(read) is type(value)
     assert settings_of([f"a.b={text}"]) == {"a.b": value}
-
-
-@pytest.mark.parametrize("argument", ["abc", "=3", " = 3", ""])
-def test_a_setting_needs_a_key_and_an_equals_sign(argument: str) -> None:
-    with pytest.raises(UsageError, match="KEY=VALUE"):
-        settings_of([argument])
 
 
 def test_the_last_of_two_settings_wins() -> None:
