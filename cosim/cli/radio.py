@@ -219,27 +219,20 @@ def _channel(
     from vcmvsp.cosim.assembly.parts.presets import LAYERS
     from vcmvsp.cosim.config import binding
     from vcmvsp.cosim.config.provenance import Source
-    from vcmvsp.cosim.scenario.loader import value_of
+    from vcmvsp.cosim.scenario.loader import assign, settings_of
 
     source = Source("the radio", Path())
     source.note_set("preset", f"--preset {preset}")
     tables: dict[str, Any] = {"preset": preset}
     for argument in arguments or []:
-        key, equals, text = (part.strip() for part in argument.partition("="))
-        if not equals or not key:
-            raise UsageError(f"--set {argument}: write KEY=VALUE, e.g. --set path_loss.exponent=2.5")
+        ((key, value),) = settings_of([argument], "path_loss.exponent=2.5").items()
         source.note_set(key, f"--set {argument}")
-        layer, *inner = key.split(".")
+        layer, _, inner = key.partition(".")
         if layer not in LAYERS:
             raise source.error(binding.unknown("layer", layer, LAYERS), key)
         if not inner:
             raise source.error(f"write LAYER.KEY=VALUE, e.g. {layer}.kind=...", key)
-        here = tables.setdefault(layer, {})
-        for part in inner[:-1]:
-            here = here.setdefault(part, {})
-            if not isinstance(here, dict):
-                raise source.error(f"'{part}' is a value, not a table", key)
-        here[inner[-1]] = value_of(text)
+        assign(tables, key, value, source)
     channel, resolved = radio.build(tables, source, key="", vehicles=vehicles)
     return channel, resolved, source
 

@@ -115,7 +115,7 @@ def load(
             raise ScenarioError(f"the key has more than {DEEPEST} parts", source=f"--set {binding.show(key)}")
         value = settings[key]
         source.note_set(key, f"--set {key}={value if isinstance(value, str) and len(value) < 60 else binding.show(value)}")
-        _assign(raw, key, value, source)
+        assign(raw, key, value, source)
     if seed is not None:
         source.note_set("seed", f"--seed {seed}")
         raw["seed"] = seed
@@ -224,13 +224,13 @@ def value_of(text: str) -> Any:
     return parsed["value"] if len(parsed) == 1 else text
 
 
-def settings_of(arguments: Sequence[str]) -> dict[str, Any]:
+def settings_of(arguments: Sequence[str], example: str = "radio.loss.probability=0.3") -> dict[str, Any]:
     """Parse ``--set`` arguments into a mapping."""
     settings = {}
     for argument in arguments:
         key, equals, text = argument.partition("=")
         if not equals or not key.strip():
-            raise UsageError(f"--set {argument}: write KEY=VALUE, e.g. --set radio.loss.probability=0.3")
+            raise UsageError(f"--set {argument}: write KEY=VALUE, e.g. --set {example}")
         settings[key.strip()] = value_of(text.strip())
     return settings
 
@@ -260,7 +260,7 @@ def _number(value: object) -> object:
     raise ScenarioError(f"holds a {type(value).__name__}, {binding.show(value)}, which is no value that TOML could say")
 
 
-def _assign(raw: dict[str, Any], key: str, value: object, source: Source) -> None:
+def assign(raw: dict[str, Any], key: str, value: object, source: Source) -> None:
     """Set one key path; ``vehicle.NAME`` finds a vehicle by its name."""
     *parents, last = key.split(".")
     if key.startswith("vehicle") and (parents[:1] == ["vehicle"] or last == "vehicle"):

@@ -8,7 +8,7 @@ import numpy as np
 
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.metrics.motion import motion
-from vcmvsp.cosim.reproduction.figures.scenarios import V, W, fleet
+from vcmvsp.cosim.reproduction.figures.scenarios import V, W, fleet, scene
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_most, relative
 from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.runs.step_response import drive
@@ -182,15 +182,9 @@ def _readings(
     drives: Mapping[str, Any] = STILL,
     duration_s: float = 0.3,
 ) -> list[Any]:
-    scenario = {
-        "name": "sensing",
-        "duration_s": duration_s,
-        "physics": {"kind": "kinematic"},
-        "world": world,
-        "record": {"sensors": ["it"]},
-        "vehicles": {"kind": "kinematic", "sensors": {"it": {"rate_hz": 10.0, **sensor}}},
-        "vehicle": [{"name": "car", "pose": pose, "agent": {"kind": "trajectory", **drives}}],
-    }
+    car = {"name": "car", "pose": pose, "agent": {"kind": "trajectory", **drives}}
+    kind = {"kind": "kinematic", "sensors": {"it": {"rate_hz": 10.0, **sensor}}}
+    scenario = scene("sensing", duration_s, [car], world=world, record={"sensors": ["it"]}, vehicles=kind)
     readings: list[Any] = []
 
     def observe(event: Event) -> None:

@@ -13,6 +13,7 @@ from vcmvsp.cosim.assembly.parts import channel_trial
 from vcmvsp.cosim.assembly.parts.radio import Channel
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.reproduction.figures.scenarios import scene
 from vcmvsp.cosim.reproduction.row import Row, absolute, relative
 from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.tables.columns import numbers
@@ -170,15 +171,14 @@ def walls() -> Sequence[Row]:
         for hz, loss_db in zip((2.437e9, 5.2e9), expected, strict=True):
             box = {"center": (5.0, 0.0, 1.0), "size": (thick, 8.0, 2.0), "material": material}
             still = {"kind": "trajectory", "speed": 0.0}
-            scenario = {
-                "name": "wall",
-                "duration_s": 0.2,
-                "physics": {"kind": "kinematic"},
-                "world": {"kind": "boxes", "boxes": [box]},
-                "radio": {"preset": "wifi-b-1", "walls": {"kind": "itu", "frequency_hz": hz}},
-                "vehicles": {"kind": "kinematic"},
-                "vehicle": [{"name": "a", "agent": still}, {"name": "b", "pose": (10.0, 0.0, 0.0), "agent": still}],
-            }
+            scenario = scene(
+                "wall",
+                0.2,
+                [{"name": "a", "agent": still}, {"name": "b", "pose": (10.0, 0.0, 0.0), "agent": still}],
+                world={"kind": "boxes", "boxes": [box]},
+                radio={"preset": "wifi-b-1", "walls": {"kind": "itu", "frequency_hz": hz}},
+                vehicles={"kind": "kinematic"},
+            )
             measured = numbers(run(scenario, mcap=False).radio, "wall_loss_db")
             rows.append(absolute(f"{material}, {1000 * thick:g} mm, {hz / 1e9:g} GHz: loss, dB", loss_db, measured[0], 0.051))
     return rows

@@ -29,6 +29,7 @@ from vcmvsp.cosim.types import Array
 
 NAMES = ("leader", "follower 1", "follower 2")
 SIDES = (ASIDE, -ASIDE)
+AWAY = ({**RIGHT_BEHIND, "pose": (-1.6, -0.9, 0.4)}, {**LEFT_BEHIND, "pose": (-1.3, 0.9, -0.4)})  # from their slots
 GAIN, SPAN_S = 1.0, 0.5  # of the proof: k1 = k2, 1/s; duration of its runs
 STARTS, PARTS = 200, 4  # number of its starts, and of runs that share them
 
@@ -36,9 +37,8 @@ STARTS, PARTS = 200, 4  # number of its starts, and of runs that share them
 def fig_24(runner: Runner) -> Figure:
     """Figure 24: the triangle on a circle of 2 m; all errors converge to zero, and circles match the closed forms."""
     short = [{**place, "handle": 0.3} for place in (RIGHT_BEHIND, LEFT_BEHIND)]
-    starts = [{**RIGHT_BEHIND, "pose": (-1.6, -0.9, 0.4)}, {**LEFT_BEHIND, "pose": (-1.3, 0.9, -0.4)}]
     steady, handle, *proofs = runner(
-        [track(fleet(90.0, starts)), track(fleet(90.0, short)), *(_proof(part) for part in range(PARTS))]
+        [track(fleet(90.0, AWAY)), track(fleet(90.0, short)), *(_proof(part) for part in range(PARTS))]
     )
     rows = [absolute("|z| after 90 s, m", 0.0, steady.error[-1].max(), 1e-6), *_on_circle(steady)]
     for number, side in enumerate(SIDES):
@@ -67,8 +67,7 @@ def fig_24(runner: Runner) -> Figure:
 
 def fig_25(runner: Runner) -> Figure:
     """Figure 25: limited accelerations and lags; commands are constant on a circle, so no error remains."""
-    places = [{**RIGHT_BEHIND, "pose": (-1.6, -0.9, 0.4)}, {**LEFT_BEHIND, "pose": (-1.3, 0.9, -0.4)}]
-    (steady,) = runner([track(fleet(90.0, places, kind="inertial"))])
+    (steady,) = runner([track(fleet(90.0, AWAY, kind="inertial"))])
     late = steady.error[steady.time_s >= 60.0]
     rows = [at_most("|z| from 60 s on, m", 1e-3, late.max()), *_on_circle(steady, 1e-3)]
     return Figure("Fig. 25: the triangle on a circle of 2 m, inertial vehicles", _panels(steady), rows)

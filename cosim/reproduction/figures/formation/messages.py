@@ -201,7 +201,7 @@ def delay(runner: Runner) -> Figure:
         curves.append(Curve(d, dr.max(axis=-1), "dr", 2, "markers"))
         panels.append(Panel(f"Leader on a {path.replace('straight', 'straight line')}", "delay [s]", "|z| [m]", curves))
     errors = [by_estimator(each) for each in runs[len(exact) :]]
-    more, compared = _curved(errors, both, "closed forms")
+    more, compared = _curved(errors, both)
     rows += compared
     return Figure("Formation error by delay (points: runs)", [*panels, *more], rows)
 
@@ -210,7 +210,7 @@ def estimators(runner: Runner) -> Figure:
     """RMS of |z| over a constant delay of all messages, for all estimators."""
     names = loss_integration.ESTIMATORS
     runs = runner([team(path, radio(delay_s=d), 2, names) for path in loss_integration.PATHS for d in DELAYS_S])
-    panels, rows = _curved([by_estimator(each) for each in runs], names, "log")
+    panels, rows = _curved([by_estimator(each) for each in runs], names, log_y=True)
     return Figure("Estimators of the leader's present state, by delay (points: runs)", panels, rows)
 
 
@@ -247,7 +247,7 @@ def loss_delay(runner: Runner, followers: int = CELL_FOLLOWERS) -> Figure:
     return Figure("Formation error by loss and delay, leader on a slalom", panels, rows, columns=3)
 
 
-def _curved(errors: list[dict[str, float]], names: tuple[str, ...], scale: str) -> tuple[list[Panel], list[Row]]:
+def _curved(errors: list[dict[str, float]], names: tuple[str, ...], *, log_y: bool = False) -> tuple[list[Panel], list[Row]]:
     panels, rows = [], []
     parts = [errors[: len(DELAYS_S)], errors[len(DELAYS_S) :]]
     for path, part in zip(loss_integration.PATHS, parts, strict=True):
@@ -268,7 +268,7 @@ def _curved(errors: list[dict[str, float]], names: tuple[str, ...], scale: str) 
             for d, each in zip(DELAYS_S, part, strict=True)
             if d <= 0.5
         ]
-        panels.append(Panel(TITLES[path], "delay [s]", "RMS |z| [m]", curves, log_y=scale == "log"))
+        panels.append(Panel(TITLES[path], "delay [s]", "RMS |z| [m]", curves, log_y=log_y))
     return panels, rows
 
 
