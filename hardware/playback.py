@@ -8,13 +8,13 @@ import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
+from vcmvsp.cosim.federate import Event, RunInfo, Step
 from vcmvsp.cosim.frames import Quaternion
-from vcmvsp.cosim.recording.external_inputs import REFLECTED, Input
+from vcmvsp.cosim.recording.external_inputs import REFLECTED, EventPlayback, Input
 from vcmvsp.cosim.types import ORIGIN, Odometry, Outage, Vec3, VehicleState
 
 
-class Playback:
+class Playback(EventPlayback):
     """The federate ``hardware`` (`cosim.federate.ExternalVehicles`) from ``hardware.mcap``. Commands have no effect.
 
     Each event is published again at its time. Physics gets the recorded state of each instant; between two instants, if a
@@ -25,16 +25,10 @@ class Playback:
     once more, at rest, and one message says so.
     """
 
-    name = "hardware"
-    slot = Slot.WORLD
-    wake_slot = Slot.APPLY
-    reads: tuple[str, ...] = ()
-    latest: tuple[str, ...] = ()
-    wakes: tuple[str, ...] = ()
-
     def __init__(
         self, names: tuple[str, ...], inputs: Sequence[Input], *, tell: Callable[[str], None] = lambda _: None
     ) -> None:
+        super().__init__("hardware", [])
         self.names, self._tell = names, tell
         self._tracks = {name: _Trajectory() for name in names}
         self._recorded: list[Event] = []
@@ -55,24 +49,17 @@ class Playback:
 
     def start(self, run: RunInfo) -> int | None:
         """Time of the first event."""
-        self._given = 0
-        self._events = [*self._recorded]
+        self.events = [*self._recorded]
         if self._end_ns < run.duration_ns:
-            self._events += [Event(key, self._end_ns + 1, value) for key, value in self._at_rest().items()]
-        return self._events[0].time_ns if self._events else None
+            self.events += [Event(key, self._end_ns + 1, value) for key, value in self._at_rest().items()]
+        return super().start(run)
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Events of this instant."""
-        first, events = self._given, self._events
-        while self._given < len(events) and events[self._given].time_ns <= now_ns:
-            self._given += 1
         if now_ns > self._end_ns:
             who, verb = ", ".join(self.names), "stands" if len(self.names) == 1 else "stand"
             self._tell(f"the recording ends at {self._end_ns / SECOND_NS:.3f} s: {who} {verb} still from then on")
-        return Step(events[first : self._given], events[self._given].time_ns if self._given < len(events) else None)
-
-    def close(self) -> None:
-        """Nothing to release."""
+        return super().step(now_ns, inbox)
 
     def states(self, now_ns: int) -> list[VehicleState]:
         """Recorded states, in the order of ``names``."""

@@ -7,13 +7,14 @@ from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.clock import WallClock
 from vcmvsp.cosim.config import binding, builtin_kinds
 from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.federate import Log
-from vcmvsp.cosim.recording.external_inputs import Input
+from vcmvsp.cosim.federate import Event, Log
+from vcmvsp.cosim.recording.external_inputs import EventPlayback, Input
 from vcmvsp.cosim.scenario.schema import Scenario
+from vcmvsp.cosim.types import Datagrams
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
-    from vcmvsp.netsim.bridge.federate import Bridge, BridgePlayback
+    from vcmvsp.netsim.bridge.federate import Bridge
     from vcmvsp.netsim.bridge.messages import GatewaySpec
     from vcmvsp.netsim.federate import RadioFederate
     from vcmvsp.netsim.sockets.federate import Programs
@@ -24,7 +25,7 @@ class ProgramFederates(NamedTuple):
 
     in_run_time: "Programs | None"  # programs in simulated time
     bridge: "Bridge | None"  # programs in wall time
-    playback: "BridgePlayback | None"  # recorded datagrams of such programs
+    playback: EventPlayback | None  # recorded datagrams of such programs
 
 
 def of_scenario(
@@ -50,9 +51,8 @@ def of_scenario(
     programs = programs_of(scenario, source, resolution, tell=tell, connect=connect or bridged is not None)
     doors = doors_of(scenario, source, resolution)
     if bridged is not None:
-        from vcmvsp.netsim.bridge.federate import BridgePlayback
-
-        return ProgramFederates(programs, None, BridgePlayback(bridged))
+        datagrams = [Event(key, time_ns, value) for key, time_ns, value in bridged if isinstance(value, Datagrams)]
+        return ProgramFederates(programs, None, EventPlayback("bridge", datagrams))
     if not doors:
         return ProgramFederates(programs, None, None)
     from vcmvsp.netsim.bridge.federate import Bridge

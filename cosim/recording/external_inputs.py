@@ -12,7 +12,7 @@ this file is for `cosim.runs.replay`.
 """
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, get_args, get_origin, get_type_hints
 
@@ -20,6 +20,7 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.recording.mcap_reader import messages
 from vcmvsp.cosim.recording.mcap_writer import Form, McapLog, Schema
 from vcmvsp.cosim.types import AnyValue, Later
@@ -103,6 +104,34 @@ def read_inputs(path: str | Path, *, tell: Callable[[str], None] = lambda _: Non
             raise UsageError(f"{path}: cannot be read ({error})") from error
         tell(f"{path} is damaged ({error}): it can be read up to {inputs[-1][1] / SECOND_NS:.3f} s")
     return inputs
+
+
+class EventPlayback:
+    """A federate that publishes recorded ``events``, in order, each at its time."""
+
+    slot = Slot.WORLD
+    wake_slot = Slot.APPLY
+    reads: tuple[str, ...] = ()
+    latest: tuple[str, ...] = ()
+    wakes: tuple[str, ...] = ()
+
+    def __init__(self, name: str, events: Sequence[Event]) -> None:
+        self.name, self.events = name, events
+
+    def start(self, run: RunInfo) -> int | None:
+        """Time of the first event."""
+        self._next = 0
+        return self.events[0].time_ns if self.events else None
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        """The events of this instant."""
+        first, events = self._next, self.events
+        while self._next < len(events) and events[self._next].time_ns <= now_ns:
+            self._next += 1
+        return Step(events[first : self._next], events[self._next].time_ns if self._next < len(events) else None)
+
+    def close(self) -> None:
+        """Nothing to release."""
 
 
 def _words(hint: object) -> str:
