@@ -1,18 +1,20 @@
-"""Simulated sensors and their errors, one sensor a file. Geometry of beams and images is in `physics.raycast` and `render`.
+"""Simulated sensors and their errors. Geometry of beams and images is in `physics.raycast` and `physics.render`.
 
 =================================  ========  ===================================================================
 class                              reading   quantity
 =================================  ========  ===================================================================
-`gps.Gps`                          Fix       position outdoors: slow and white errors, late
-`uwb.Uwb`                          Fix       position indoors: biases near walls, geometry of anchors
+`positioning.Gps`                  Fix       position outdoors: slow and white errors, late
+`positioning.Uwb`                  Fix       position indoors: biases near walls, geometry of anchors
 `positioning.PositioningSensor`    Fix       position and heading with white errors
-`imu.InertialUnit`                 Imu       specific force and angular velocity in the body frame
-`wheel_odometry.WheelOdometry`     Odometry  pose and speeds from the turns of two wheels
-`bumper.Bumper`                    Measured  contact of each segment of the hull, 0 or 1
-`neighbour_range.NeighbourRange`   Measured  distance to each other vehicle within reach, m, by its name
-`altimeter.Altimeter`              Measured  ``height_m`` above the floor
-`compass.Compass`                  Measured  ``yaw_rad`` from east
-`target_detector.TargetSensor`     Looks     detections of targets in the ground cells within reach
+`motion.InertialUnit`              Imu       specific force and angular velocity in the body frame
+`motion.WheelOdometry`             Odometry  pose and speeds from the turns of two wheels
+`motion.Altimeter`                 Measured  ``height_m`` above the floor
+`motion.Compass`                   Measured  ``yaw_rad`` from east
+`detectors.Bumper`                 Measured  contact of each segment of the hull, 0 or 1
+`detectors.NeighbourRange`         Measured  distance to each other vehicle within reach, m, by its name
+`detectors.TargetSensor`           Looks     detections of targets in the ground cells within reach
+`range_scanner.RangeScanner`       Scan      length of beams, m
+`camera.Camera`                    Image     picture of what is ahead, with depths on request
 =================================  ========  ===================================================================
 
 All take the rate, phase, latency and drop-out of `physics.sensors.sensor.Sensor`. Fixes contain the standard deviation of their

@@ -3,8 +3,6 @@
 It has the behaviour that a driver relies on and must survive: refused modes (PX4: OFFBOARD before set-points have come for a
 second), a pilot who switches (`pilot_switches`), arming and its refusal, the end of OFFBOARD without set-points, telemetry on
 request.
-
-It moves on its own (`VehicleMotion`), or, with ``start=None``, the caller reads `commanded` and sets ``state``.
 """
 
 import math
@@ -196,7 +194,7 @@ class Vehicle:
         autopilot: its modes and its rules for set-points.
         kind: of the vehicle.
         system_id: its number.
-        start: x, y, z (m, world) and yaw (rad); None: the caller moves it.
+        start: x, y, z (m, world) and yaw (rad).
         origin: of its local frame in the world, m; at `SITE` on the earth.
         mode: initial mode; None: POSITION (PX4) or LOITER (ArduPilot).
         armed: whether it starts armed.
@@ -211,7 +209,7 @@ class Vehicle:
         autopilot: protocol.Kind = "px4",
         kind: Literal["quadrotor", "rover"] = "quadrotor",
         system_id: int = 1,
-        start: tuple[float, float, float, float] | None = (0.0, 0.0, 0.0, 0.0),
+        start: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
         origin: Vec3 = (0.0, 0.0, 0.0),
         mode: str | None = None,
         armed: bool = False,
@@ -225,9 +223,9 @@ class Vehicle:
         self.armed, self.can_arm, self.old = armed, can_arm, old
         self.heard: deque[tuple[int, Message]] = deque(maxlen=10_000)
         self.blind = False
-        x, y, z, yaw = start or (*origin, 0.0)
+        x, y, z, yaw = start
         self.state = VehicleState(position=(x, y, z), attitude=quaternion_from_yaw(yaw))
-        self.motion = VehicleMotion(self.state, on_ground=kind == "rover") if start is not None else None
+        self.motion = VehicleMotion(self.state, on_ground=kind == "rover")
         self._flies = kind != "rover"
         self._encode = protocol.Encoder(protocol.Sender(system=system_id, component=mavlink.MAV_COMP_ID_AUTOPILOT1))
         self._reader = protocol.MessageReader()
@@ -312,8 +310,7 @@ class Vehicle:
             self._rise_to = None
             if self.mode == "TAKEOFF":
                 self._enter("HOLD")
-        if self.motion is not None:
-            self.state = self.motion.step(self.commanded(), TICK_NS / SECOND_NS)
+        self.state = self.motion.step(self.commanded(), TICK_NS / SECOND_NS)
         if self.mode == "LAND" and self.armed and self.landed:
             self.armed = False
 

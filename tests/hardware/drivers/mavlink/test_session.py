@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from vcmvsp.cosim.frames import quaternion_from_yaw
-from vcmvsp.cosim.types import VehicleState, Velocity
+from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.mavlink.link import VehicleSearch
 from vcmvsp.hardware.drivers.mavlink.protocol import Encoder, Message, MessageReader, Sender, mavlink
@@ -258,14 +257,3 @@ def test_numbers_that_are_none_and_commands_to_others_change_nothing() -> None:
     other = mavlink.MAVLink_command_long_message(9, 1, 400, 0, 1.0, *[0.0] * 6)
     assert results(sent(vehicle, other)) == []
     assert (vehicle.mode, vehicle.armed) == ("POSITION", False)
-
-
-def test_it_can_be_moved_by_somebody_else() -> None:
-    vehicle = Vehicle(start=None, origin=(10.0, 20.0, 0.0), mode="OFFBOARD", armed=True)
-    state = VehicleState(position=(11.0, 22.0, 3.0), velocity=(1.0, 2.0, 3.0), attitude=quaternion_from_yaw(0.0))
-    vehicle.state = state
-    told = [each for each in MessageReader().feed(vehicle.advance(SECOND)) if each.get_type() == "LOCAL_POSITION_NED"]
-    assert (told[-1].x, told[-1].y, told[-1].z, told[-1].vx) == (2.0, 1.0, -3.0, 2.0)
-    assert len(told) == pytest.approx(50, abs=1)
-    assert vehicle.state == state
-    assert vehicle.commanded() == Velocity()
