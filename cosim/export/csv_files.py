@@ -9,6 +9,7 @@ do not fit into rows.
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import islice
@@ -21,12 +22,14 @@ import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
 
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.foxglove import PoseInFrame
 from vcmvsp.cosim.recording.mcap_reader import Recorded
-from vcmvsp.cosim.recording.recorded_run import Source, Values, is_known
+from vcmvsp.cosim.recording.recorded_run import FILE, Source, Values, is_known
 from vcmvsp.cosim.tables.radio_frames import Frames
 from vcmvsp.cosim.tables.schema import PART_ROWS, RunFacts, parts_of_table, radio_table
 from vcmvsp.cosim.types import Imu, Incident, Odometry, RealStatus, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.util import limits
 
 AXES = "xyz"
 TURN = ("qw", "qx", "qy", "qz")  # world_from_body
@@ -48,8 +51,15 @@ OPTIONS = arrow_csv.WriteOptions(quoting_style="needed")
 
 
 def write_csv(source: Source, folder: Path) -> None:
-    """Write the files into ``folder``, which exists and is empty."""
-    headers, count, until = _headers(source)
+    """Write the files into ``folder``, which exists and is empty.
+
+    Raises:
+        UsageError: a file would have more cells than `limits` allow.
+    """
+    try:
+        headers, count, until = _headers(source)
+    except ValueError as error:
+        raise UsageError(f"--csv: {error}") from error
     with ExitStack() as stack:
         writers = {}
         for name, header in headers.items():
@@ -72,11 +82,17 @@ def _read(source: Source) -> Iterator[tuple[Recorded, Any]]:
 def _headers(source: Source) -> tuple[dict[str, list[str]], int, tuple[int, int]]:
     """The columns of each file, from all values to be written; numbers of messages and frames, and the last time, ns."""
     found: dict[str, dict[str, None]] = {}
+    rows = Counter[str]()
     count = frames = end_ns = 0
     for said, value in _read(source):
         count, frames, end_ns = count + 1, frames + (said.topic == FRAMES), max(end_ns, said.time_ns)
         if (row := _row(value)) is not None:
-            found.setdefault(_place(said.topic)[1], {}).update(dict.fromkeys(row))
+            name = _place(said.topic)[1]
+            rows[name] += 1
+            found.setdefault(name, {}).update(dict.fromkeys(row))
+    most = max(limits.CELLS, (source.folder / FILE).stat().st_size)
+    for name, columns in found.items():
+        limits.within(rows[name] * len(columns), most, f"cells of {name}.csv")
     return {name: list(columns) for name, columns in found.items()}, count, (frames, end_ns)
 
 
@@ -146,7 +162,7 @@ def _write_recorded(source: Source, path: Path, count: int, end_ns: int, why: st
     frames, values = Frames(source.vehicles), Values()
     said = (each for each in source.only(lambda topic, _: topic == FRAMES) if each.topic)
     frames.extend(map(values.of, islice(said, count)))
-    facts = RunFacts(scenario=source.scenario, seed=int(source.seed), end_ns=end_ns, vehicles=source.vehicles)
+    facts = RunFacts(scenario=source.scenario, seed=source.seed, end_ns=end_ns, vehicles=source.vehicles)
     table = radio_table(frames, facts)
     _write_parts((table.slice(row, PART_ROWS) for row in range(0, max(1, table.num_rows), PART_ROWS)), path)
 

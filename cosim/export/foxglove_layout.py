@@ -24,7 +24,7 @@ DRAWN = ("foxglove.SceneUpdate", "foxglove.LaserScan", "foxglove.PoseInFrame")
 PICTURES = ("foxglove.RawImage", "foxglove.CompressedImage")
 Panels = str | dict[str, Any]  # name of a panel, or two parts and the division of the space
 MOST_CURVES, MOST_PICTURES = 24, 4
-LEAST_VIEW_M = 4.0
+LEAST_VIEW_M, FARTHEST_M = 4.0, 1e8
 
 
 def write_layout(source: Source, path: Path) -> None:
@@ -72,7 +72,7 @@ class _Seen:
             elif what == "state" and isinstance(state := values.of(said), VehicleState):
                 low, high = np.fmin(low, state.position[:2]), np.fmax(high, state.position[:2])
         self.noted: Mapping[str, Mapping[str, Any]] = noted
-        known = np.isfinite(low).all() and np.isfinite(high).all()
+        known = (np.abs([low, high]) < FARTHEST_M).all()
         self.middle: list[float] = (0.5 * (low + high)).tolist() if known else [0.0, 0.0]
         self.size_m = max(LEAST_VIEW_M, float((high - low).max())) if known else LEAST_VIEW_M
         told = [name for name in WORDS if any(isinstance(values.get(name), str) for values in noted.values())][:1]

@@ -26,6 +26,7 @@ Messages carry their time of measurement, and their log time in the bag is the t
 """
 
 import re
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,7 @@ class Bag:
         value = self._values.of(said)
         taker = self._takers.get(type(value))
         if taker is None:
-            self._put(said, ros.string(said.data.decode()))
+            self._put(said, ros.string(said.data.decode(errors="replace")))
         else:
             taker(said, value)
 
@@ -97,7 +98,11 @@ class Bag:
         of, connection = self._connections[name]
         if of != topic and name not in {"/tf", "/rosout"}:
             raise UsageError(f"--rosbag2: {of} and {topic} would both become the ROS topic {name}: rename a vehicle")
-        self._writer.write(connection, time_ns, ros.store().serialize_cdr(message, kind))
+        try:
+            data = ros.store().serialize_cdr(message, kind)
+        except (struct.error, OverflowError) as error:
+            raise UsageError(f"--rosbag2: {topic} at {time_ns} ns does not fit into {kind}: {error}") from error
+        self._writer.write(connection, time_ns, data)
 
     def _take_transforms(self, said: Recorded, value: messages.FrameTransforms) -> None:
         if said.time_ns != self._clock_ns:

@@ -25,6 +25,7 @@ FPS = 20
 MOST_FRAMES = 1800
 LONGER_PX, MARGIN_PX, CAPTION_PX = 960, 40, 28
 LEAST_M = 2.0  # least extent of the world along each side
+FARTHEST_M = 1e8  # distance from the origin up to which places are shown
 TRAIL_NS = 20 * SECOND_NS
 LOST_NS = SECOND_NS // 2  # display time of a lost frame
 MOST_LINKS = 150  # links displayed at once, the newest ones
@@ -65,7 +66,7 @@ class _Film:
         self._end_ns = 0
         self._read(source)
         self._arrays = {name: ([at for at, _ in way], np.array([pose for _, pose in way])) for name, way in self._ways.items()}
-        if not any(np.isfinite(poses).any() for _, poses in self._arrays.values()):
+        if not any(_is_shown(poses[:, :2]).any() for _, poses in self._arrays.values()):
             raise UsageError("--mp4: the recording contains no vehicle")
         self.step_ns = max(SECOND_NS // FPS, -(-self._end_ns // MOST_FRAMES))
         self.count = self._end_ns // self.step_ns + 1
@@ -114,7 +115,7 @@ class _Film:
         met = [(x + side * room, y + side * room) for x, y in there for side in (-1.0, 1.0)]
         ways = [poses[:, :2] for _, poses in self._arrays.values()]
         places = np.concatenate([*ways, self._corners[..., :2].reshape(-1, 2), np.array(met).reshape(-1, 2)])
-        places = places[np.isfinite(places).all(axis=1)]
+        places = places[_is_shown(places)]
         low, high = places.min(axis=0), places.max(axis=0)
         middle, extent = 0.5 * (low + high), np.maximum(high - low, LEAST_M)
         self._scale = (LONGER_PX - 2 * MARGIN_PX) / float(extent.max())  # px/m
@@ -180,7 +181,7 @@ class _Film:
         number, color = self._vehicles.index(name), _bgr(rgb_of(self._vehicles.index(name)))
         first, last = bisect_right(time_ns, now_ns - TRAIL_NS), bisect_right(time_ns, now_ns)
         trail = poses[first:last, :2]
-        cv2.polylines(picture, [self._px(trail[np.isfinite(trail).all(axis=1)])], False, color, 1, cv2.LINE_AA)
+        cv2.polylines(picture, [self._px(trail[_is_shown(trail)])], False, color, 1, cv2.LINE_AA)
         x, y, yaw = self._place(name, now_ns).tolist()
         if not np.isfinite([x, y, yaw]).all():
             return
@@ -208,6 +209,12 @@ class _Film:
     def _point(self, place: Array) -> tuple[int, int]:
         x, y = self._px(place[:2]).tolist()
         return x, y
+
+
+def _is_shown(places: Array) -> Array:
+    """Whether each of n places (n, 2) m is known, and near enough for a picture, (n,) bool."""
+    near: Array = np.abs(places) < FARTHEST_M
+    return near[:, 0] & near[:, 1]
 
 
 def _outline(entity: SceneEntity) -> Array:

@@ -29,6 +29,7 @@ LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}  # foxglo
 UINT8 = 1  # foxglove.NumericType
 LINE_LOOP = 2  # foxglove.PointsAnnotationType
 PICTURE = "picture"  # suffix of the key of the sightings
+MAP, MOSAIC = ("probability", "seen"), ("red", "green", "blue", "alpha")  # fields of a `Grid`
 FONT_PX = 16.0
 
 
@@ -191,6 +192,12 @@ class TriangleListPrimitive(FoxgloveMessage, frozen=True):
     indices: list[int]
     colors: list[Color] = []
 
+    def __post_init__(self) -> None:
+        """Refuse indices that are not three per triangle, or name no point."""
+        lowest, highest = min(self.indices, default=0), max(self.indices, default=-1)
+        if len(self.indices) % 3 or lowest < 0 or highest >= len(self.points):
+            raise ValueError(f"{len(self.indices)} indices of {len(self.points)} points")
+
 
 class SceneEntity(Stamped, frozen=True):
     """An object to draw that moves with its frame."""
@@ -257,6 +264,11 @@ class RawImage(Stamped, frozen=True):
     encoding: str
     step: int  # bytes per row
     data: bytes
+
+    def __post_init__(self) -> None:
+        """Refuse data that are not ``height`` rows of ``width`` pixels."""
+        if self.width < 0 or self.step != 3 * self.width or len(self.data) != self.step * self.height:
+            raise ValueError(f"{self.width} x {self.height} pixels in {len(self.data)} bytes")
 
     @classmethod
     def of(cls, image: Image, vehicle: str, time_ns: int) -> "RawImage":
@@ -326,6 +338,12 @@ class Grid(Stamped, frozen=True):
     fields: list[PackedElementField]
     data: bytes
 
+    def __post_init__(self) -> None:
+        """Refuse fields of neither a map nor a mosaic, and data that are not whole rows of cells with one byte per field."""
+        names, row_bytes = tuple(each.name for each in self.fields), self.column_count * self.cell_stride
+        if names not in (MAP, MOSAIC) or self.cell_stride != len(names) or row_bytes <= 0 or len(self.data) % row_bytes:
+            raise ValueError(f"rows of {self.column_count} cells with {len(names)} fields in {len(self.data)} bytes")
+
     @property
     def cells(self) -> Array:
         """The cell values, (rows, columns, fields) uint8."""
@@ -335,7 +353,7 @@ class Grid(Stamped, frozen=True):
     def shown(self) -> ProbabilityMap | Mosaic:
         """The vehicle's map or mosaic that the grid was made from."""
         place = {"left": self.pose.position.x, "bottom": self.pose.position.y, "cell_m": self.cell_size.x}
-        if self.fields[0].name == "probability":
+        if len(self.fields) == len(MAP):
             return ProbabilityMap(**place, probability=frozen(self.cells[..., 0]), seen=frozen(self.cells[..., 1] != 0))
         return Mosaic(**place, pixels=frozen(self.cells[..., :3]))
 
@@ -407,10 +425,10 @@ def messages_of(
 ) -> Iterator[tuple[str, FoxgloveMessage]]:
     """Topic and messages for data that a vehicle shows; ``color`` is the number of the vehicle."""
     if isinstance(value, ProbabilityMap):
-        yield key, _grid(value, ("probability", "seen"), np.dstack((value.probability, value.seen)), time_ns)
+        yield key, _grid(value, MAP, np.dstack((value.probability, value.seen)), time_ns)
     elif isinstance(value, Mosaic):
         alpha = np.uint8(255) * value.pixels.any(axis=2)
-        yield key, _grid(value, ("red", "green", "blue", "alpha"), np.dstack((value.pixels, alpha)), time_ns)
+        yield key, _grid(value, MOSAIC, np.dstack((value.pixels, alpha)), time_ns)
     else:
         yield key, _annotations(value, Color(*rgb_of(color)))
         if value.jpeg:

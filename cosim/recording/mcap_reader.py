@@ -22,6 +22,7 @@ _RECORD = struct.Struct("<BQ")  # opcode, length of the rest
 _CHUNK = struct.Struct("<QQQI")  # first and last time; size and checksum of the content
 _INDEX = struct.Struct("<HI")  # channel, bytes of entries
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, log time, publish time
+_LAST_NS = 2**63 - 1
 _PASSED = -1  # channel of the placeholder for skipped messages
 _ENTRY_BYTES, _LEAST_BYTES = 16, 31  # index entry of a message; smallest message
 
@@ -92,8 +93,8 @@ def contents(
             inside = _unpacked(record, sum(channels.values()), passed)
         for each in inside:
             if isinstance(each, records.Message):
-                if each.channel_id not in topics:
-                    raise ValueError(f"a message of the unknown channel {each.channel_id}")
+                if each.channel_id not in topics or each.log_time > _LAST_NS:
+                    raise ValueError(f"a message of the unknown channel {each.channel_id}, or at an impossible time ({each.log_time} ns)")
                 if each.channel_id not in passed:
                     yield Recorded(*topics[each.channel_id], each.log_time, each.data)
             elif isinstance(each, records.Channel):

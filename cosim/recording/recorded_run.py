@@ -4,6 +4,7 @@ import contextlib
 import math
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,16 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording import foxglove
 from vcmvsp.cosim.recording.mcap_reader import Recorded, about, contents
-from vcmvsp.cosim.tables import schema
-from vcmvsp.cosim.tables.radio_frames import Frames
+from vcmvsp.cosim.tables import radio_frames, schema
+from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import json_reader, read_json
 from vcmvsp.cosim.util.text import Tell
 
 FILE = "run.mcap"
 TOLD_EVERY = 500  # messages
+_INT64 = range(-(2**63), 2**63)
+_NUMBERS_OF = attrgetter(*radio_frames.PER_FRAME)
+_COLUMNS_OF = attrgetter(*radio_frames.PER_ROW, *radio_frames.BUDGET, "outcome", "wall_materials")
 
 
 class Noted(msgspec.Struct, tag="note"):
@@ -76,10 +80,11 @@ class Source:
             problem = "there is no such folder" if not run_dir.is_dir() else f"no {FILE} here"
             why = problem if isinstance(error, FileNotFoundError | NotADirectoryError) else f"{FILE}: {error.strerror}"
             raise UsageError(f"{run_dir}: {why}; name the folder of a run (runs/NAME-SEED, or its --out)") from error
-        if "vehicles" not in said:
-            raise UsageError(f"{self._path}: not a recording of a run, or damaged from the beginning")
-        self.scenario, self.seed = said["scenario"], said["seed"]
-        self.vehicles = tuple(said["vehicles"].split())
+        try:
+            self.scenario, self.seed = said["scenario"], int(said["seed"])
+        except (KeyError, ValueError):
+            raise UsageError(f"{self._path}: not a recording of a run, or damaged from the beginning") from None
+        self.vehicles = vehicles_of(said, self._path)
 
     def __iter__(self) -> Iterator[Recorded]:
         """All messages in order of time; of a damaged recording, those before the damage."""
@@ -102,6 +107,16 @@ class Source:
                 self.tell(f"{self._path} is damaged ({error}): the export ends at {last_ns / SECOND_NS:.3f} s")
         except OSError as error:
             raise UsageError(f"{self._path}: {error.strerror}") from error
+
+
+def vehicles_of(about: Mapping[str, str], path: Path) -> tuple[str, ...]:
+    """The vehicles of a run, from the metadata of its recording. Raises `UsageError` (more than `limits.VEHICLES`)."""
+    names = tuple(about.get("vehicles", "").split())
+    try:
+        limits.within(len(names), limits.VEHICLES, "vehicles")
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from error
+    return names
 
 
 def is_known(schema: str) -> bool:
@@ -132,12 +147,22 @@ class Values:
         decode = self._decoders.get(message.schema)
         if decode is None:
             decode = self._decoders[message.schema] = json_reader(kind, _array)
-        with contextlib.suppress(ValueError):
-            return decode(message.data)
         try:
-            return msgspec.convert(_with_nan(read_json(message.data)), kind, dec_hook=_array)
+            return _checked(decode(message.data))
         except ValueError as error:
+            with contextlib.suppress(ValueError):
+                return _checked(msgspec.convert(_with_nan(read_json(message.data)), kind, dec_hook=_array))
             raise UsageError(f"{FILE}: a message of {message.topic} does not match {message.schema}: {error}") from error
+
+
+def _checked(value: Any) -> Any:
+    """The value. Raises `ValueError` (a frame with columns of different lengths, or with numbers beyond 64 bits)."""
+    if isinstance(value, types.FrameReport):
+        if any(each is not None and len(each) != len(value.receivers) for each in _COLUMNS_OF(value)):
+            raise ValueError("its columns differ in length")
+        if not all(each in _INT64 for each in _NUMBERS_OF(value)):
+            raise ValueError("it has numbers of more than 64 bits")
+    return value
 
 
 def _with_nan(said: object) -> object:
@@ -150,7 +175,13 @@ def _with_nan(said: object) -> object:
 
 def _array(_: type, numbers: Sequence[float | None]) -> types.Array:
     whole = {int}.issuperset(map(type, numbers))
-    return np.array(numbers, np.int64 if whole else np.float64)
+    try:
+        array = np.array(numbers, np.int64 if whole else np.float64)
+    except OverflowError as error:
+        raise ValueError("it has numbers of more than 64 bits") from error
+    if array.ndim != 1:
+        raise ValueError("it has lists of lists")
+    return array
 
 
 def tables_of(
@@ -188,11 +219,13 @@ def _absent(folder: Path) -> str:
     return absent[0] if absent and (folder / FILE).is_file() else ""
 
 
-def _recorded(folder: Path, absent: str, tell: Tell, *, with_frames: bool = True) -> tuple[pa.Table, Frames, schema.RunFacts]:
+def _recorded(
+    folder: Path, absent: str, tell: Tell, *, with_frames: bool = True
+) -> tuple[pa.Table, radio_frames.Frames, schema.RunFacts]:
     source = Source(folder, lambda _: None)
     values, end_ns = Values(), 0
     instants: dict[int, dict[str, types.VehicleState]] = {}
-    frames = Frames(source.vehicles)
+    frames = radio_frames.Frames(source.vehicles)
     follows: list[schema.Placement] = []
 
     def is_wanted(topic: str, _: str) -> bool:
@@ -210,7 +243,7 @@ def _recorded(folder: Path, absent: str, tell: Tell, *, with_frames: bool = True
     if not instants:
         raise UsageError(f"{source.folder}: {FILE} is still empty: the run was killed early, or has just started")
     facts = schema.RunFacts(
-        scenario=source.scenario, seed=int(source.seed), end_ns=end_ns, vehicles=source.vehicles, follows=tuple(follows)
+        scenario=source.scenario, seed=source.seed, end_ns=end_ns, vehicles=source.vehicles, follows=tuple(follows)
     )
     reached = f"up to {end_ns / SECOND_NS:.3f} s, without frames of programs and routes"
     tell(f"{folder}: no {absent} here (the run continues or was killed): data come from {FILE}, {reached}")

@@ -19,6 +19,8 @@ CSV_BYTES = 1 << 29
 FILE_BYTES = 1 << 29  # of meshes, pictures and archives
 CHUNK_BYTES = 1 << 27  # of an unpacked recording: a chunk holds at least one message, and a raw 8K picture has 133 MB
 UNPACKED_BYTES, UNPACKED_RATIO = 1 << 32, 1000  # of a recording: exceeding both is refused; plain pictures compress very well
+VEHICLES = 2000  # of a recording: the view counts the frames of each pair
+CELLS = 50_000_000  # of an exported table: exceeding both this and one cell per byte of the recording is refused
 MESSAGES = 1_000_000  # of a recording: exceeding both this and one message per byte of the file is refused
 PIXELS = 1 << 27  # pixels of a picture
 PICTURE = "" if IS_OFF else f", or has more than {PIXELS} pixels (VCMVSP_LIMITS=off lifts the limit)"

@@ -40,8 +40,8 @@ _read_note = json_reader(_Names)
 class Collected:
     """Collects such values while a file is indexed."""
 
-    def __init__(self, about: Mapping[str, str]) -> None:
-        self.vehicles = tuple(about.get("vehicles", "").split())
+    def __init__(self, vehicles: tuple[str, ...]) -> None:
+        self.vehicles = vehicles
         self.counts = Counts(self.vehicles)
         self.lines: list[LogLine] = []
         self.notes: dict[str, Notes] = {}  # by topic

@@ -12,7 +12,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.recording.foxglove import PICTURE, ImageAnnotations
 from vcmvsp.cosim.recording.mcap_reader import Recorded
-from vcmvsp.cosim.recording.recorded_run import FILE, Values, states_of
+from vcmvsp.cosim.recording.recorded_run import FILE, Values, states_of, vehicles_of
 from vcmvsp.cosim.recording.run_mcap import CALIBRATION, MOVING, SCENE
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Fix, Sightings, States
@@ -57,9 +57,9 @@ class Recording:
         self._folder, self._trust = Path(run_dir), trust
         self._file = _opened(self._folder)
         self._values = Values(decoding.ALSO)
-        self._collected = Collected(self._file.about)
         self._world: worlds.World | None = None  # if it can be built
         try:
+            self._collected = Collected(vehicles_of(self._file.about, self._folder / FILE))
             self._read()
         except BaseException:
             self.close()

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -335,13 +336,53 @@ def test_of_a_run_that_goes_on_all_is_exported_that_was_there_at_first(
     assert {path.name: path.read_bytes() for path in (tmp_path / "now").iterdir()} == left
 
 
-def test_numbers_that_json_cannot_say_are_read_as_nan_and_what_is_no_message_is_named() -> None:
+STATE = {
+    "type": "state",
+    "position": [0.0, 0.0, 0.0],
+    "velocity": [0.0, 0.0, 0.0],
+    "attitude": [1.0, 0.0, 0.0, 0.0],
+    "angular_velocity": [0.0, 0.0, 0.0],
+}
+AT = {"timestamp": {"sec": 0, "nsec": 0}, "frame_id": "world"}
+PIXEL = {**AT, "width": 1, "height": 1, "encoding": "rgb8", "step": 3, "data": "AAAA"}
+CELL = {"pose": {}, "column_count": 1, "cell_size": {"x": 1.0, "y": 1.0}, "row_stride": 2, "cell_stride": 2, "data": "AAA="}
+CELLS = {**AT, **CELL, "fields": [{"name": name, "offset": at} for at, name in enumerate(("probability", "seen"))]}
+FRAME = {"type": "frame", "frame": 0, "sender": "car1", "sent_ns": 0, "size_bytes": 1, "receivers": ["car2"]}
+HEARD = {**FRAME, "distance_m": [1.0], "rssi_dbm": [0.0], "received_ns": [1], "outcome": ["received"]}
+TRIANGLE = {"pose": {}, "points": [{}, {}, {}], "color": {"r": 0.0, "g": 0.0, "b": 0.0, "a": 1.0}, "indices": [0, 1, 2]}
+
+
+def drawn(**triangle: object) -> dict[str, object]:
+    entity = {**AT, "id": "x", "lifetime": {}, "frame_locked": False, "triangles": [{**TRIANGLE, **triangle}]}
+    return {"entities": [entity], "deletions": []}
+
+
+def test_numbers_that_json_cannot_say_are_read_as_nan() -> None:
     values = Values()
-    fields = {"velocity": [0.0, 0.0, 0.0], "attitude": [1.0, 0.0, 0.0, 0.0], "angular_velocity": [0.0, 0.0, 0.0]}
-    lost = json.dumps({"type": "state", "position": [None, 1.0, 0.0], **fields}).encode()
+    lost = json.dumps({**STATE, "position": [None, 1.0, 0.0]}).encode()
     position = values.of(Recorded("car1/state", "vcmvsp.VehicleState", 0, lost)).position
     assert math.isnan(position[0])
     assert position[1:] == (1.0, 0.0)
     assert values.of(Recorded("car1/else", "vcmvsp.Follows", 0, b"{}")) is None
-    with pytest.raises(UsageError, match=r"a message of car1/state is no vcmvsp\.VehicleState"):
-        values.of(Recorded("car1/state", "vcmvsp.VehicleState", 0, b'{"type":"state"}'))
+
+
+@pytest.mark.parametrize(
+    ("schema", "whole", "changes"),
+    [
+        ("vcmvsp.VehicleState", STATE, [{"position": [0.0, 1.0]}, {"type": "frame"}]),
+        ("foxglove.RawImage", PIXEL, [{"height": 1 << 31}, {"width": -1, "height": -1, "step": -3}, {"step": 1}]),
+        ("foxglove.Grid", CELLS, [{"column_count": 0, "data": ""}, {"column_count": 1 << 31}, {"fields": []}]),
+        ("foxglove.SceneUpdate", drawn(), [drawn(indices=[0, 1, 3]), drawn(indices=[0, -1, 2]), drawn(indices=[0, 1])]),
+        (
+            "vcmvsp.Frame",
+            HEARD,
+            [{"receivers": ["a", "b"]}, {"received_ns": [1 << 63]}, {"sent_ns": 1 << 63}, {"snr_db": [[1]]}],
+        ),
+    ],
+)
+def test_what_is_no_message_is_named(schema: str, whole: dict[str, Any], changes: list[dict[str, Any]]) -> None:
+    values = Values()
+    values.of(Recorded("car1/x", schema, 0, json.dumps(whole).encode()))
+    for each in changes:
+        with pytest.raises(UsageError, match=rf"a message of car1/x does not match {re.escape(schema)}: "):
+            values.of(Recorded("car1/x", schema, 0, json.dumps({**whole, **each}).encode()))
