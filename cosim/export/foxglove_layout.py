@@ -124,8 +124,8 @@ def _scene(seen: _Seen) -> dict[str, Any]:
     """The 3D panel, with an oblique view of all tracks from above."""
     topics: dict[str, Any] = {topic: {"visible": True} for topic, schema in seen.topics.items() if schema in DRAWN}
     for topic, schema in seen.topics.items():
-        if schema == "foxglove.LaserScan":
-            topics[topic] |= {"colorMode": "flat", "flatColor": color_of(seen.vehicles.index(topic.partition("/")[0]))}
+        if schema == "foxglove.LaserScan" and (vehicle := topic.partition("/")[0]) in seen.vehicles:
+            topics[topic] |= {"colorMode": "flat", "flatColor": color_of(seen.vehicles.index(vehicle))}
         elif schema == "foxglove.Grid":
             colors = {"colorMode": "rgba-fields"} if topic.endswith("/mosaic") else {"colorField": "probability"}
             topics[topic] = {"visible": False, **colors}

@@ -42,6 +42,7 @@ from vcmvsp.cosim.recording.mcap_reader import Recorded
 from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.recording.run_mcap import CALIBRATION
 from vcmvsp.cosim.types import Imu, Odometry, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.util import limits
 
 LATCHED = ("world/solids", "world/scene")  # latched: late subscribers receive the newest message
 _FOREVER = QosTime(2147483647, 4294967295)
@@ -71,6 +72,11 @@ class Bag:
             CompressedImage: lambda said, value: self._put(said, ros.compressed_image(value, said.topic), "/compressed"),
             Grid: self._take_grid,
         }
+
+    @property
+    def topics(self) -> int:
+        """Number of topics so far."""
+        return len(self._connections)
 
     def path(self, vehicle: str, places: list[tuple[int, VehicleState]]) -> None:
         """Write the complete track of a vehicle at the beginning."""
@@ -128,7 +134,7 @@ def write_bag(source: Source, folder: Path) -> None:
     """Write a bag into ``folder``, which must not exist.
 
     Raises:
-        UsageError: two topics would have the same name in ROS.
+        UsageError: two topics would have the same name in ROS, or there are more than `limits` allow.
     """
     values = Values()
     ways: dict[str, list[tuple[int, VehicleState]]] = {name: [] for name in source.vehicles}
@@ -144,6 +150,10 @@ def write_bag(source: Source, folder: Path) -> None:
             bag.path(vehicle, places)
         for said in source:
             bag.take(said)
+            try:
+                limits.within(bag.topics, limits.TOPICS, "topics")
+            except ValueError as error:
+                raise UsageError(f"--rosbag2: {error}") from error
 
 
 def ros_name(topic: str) -> str:

@@ -125,7 +125,7 @@ class _Film:
 
     def _px(self, places: Array) -> Array:
         """Convert positions (..., 2) m to picture coordinates, px."""
-        along = (places - self._middle) * self._scale * (1.0, -1.0)  # rows count downwards
+        along = (places.clip(-FARTHEST_M, FARTHEST_M) - self._middle) * self._scale * (1.0, -1.0)  # rows count downwards
         along += (0.5 * self._width, 0.5 * (self._height + CAPTION_PX))
         return np.nan_to_num(along, nan=-1e4).clip(-1e4, 1e4).round().astype(np.int32)
 

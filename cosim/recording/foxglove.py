@@ -23,6 +23,7 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.types import Array, Image, Mosaic, ProbabilityMap, Scan, Sighting, Sightings, frozen
+from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.palette import rgb_of
 
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}  # foxglove.LogLevel
@@ -226,6 +227,11 @@ class SceneUpdate(FoxgloveMessage, frozen=True):
 
     entities: list[SceneEntity]
     deletions: list[SceneEntityDeletion] = []
+
+    def __post_init__(self) -> None:
+        """Refuse more triangles than `limits.TRIANGLES`."""
+        indices = sum(len(part.indices) for entity in self.entities for part in entity.triangles)
+        limits.within(indices // 3, limits.TRIANGLES, "triangles")
 
 
 class Log(FoxgloveMessage, frozen=True):

@@ -15,11 +15,12 @@ from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.metrics.mission import Target
 from vcmvsp.cosim.recording import foxglove as fg
 from vcmvsp.cosim.types import Array, Follows, Pushed, Vec3
+from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.palette import TARGET, rgb, rgb_of
 
 TARGET_HEIGHT_M = 0.05
 DEFAULT_RADIUS_M = 0.25  # of a vehicle whose radius is unknown
-MOST_TRIANGLES = 200_000  # limit for drawing a world; more are some 30 MB of JSON before compression
+MOST_TRIANGLES = limits.TRIANGLES  # limit for drawing a world; more are some 30 MB of JSON before compression
 DIGITS = 4  # of coordinates, m: a tenth of a millimetre
 OBSTACLE_OPACITY = 0.9
 OBSTACLE, TARGET_ID = "obstacle/", "target/"  # prefixes of entity names

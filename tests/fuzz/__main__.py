@@ -6,6 +6,7 @@ A case fails with a traceback, an exit code that is not documented, more than 10
 
 import argparse
 import contextlib
+import gc
 import importlib
 import pkgutil
 import shlex
@@ -70,6 +71,7 @@ def _import_all() -> None:
         if not module.name.endswith("__main__") and "reproduction" not in module.name:
             with contextlib.suppress(ImportError):
                 importlib.import_module(module.name)
+    gc.freeze()  # a collection in a forked process would copy all that it visits
 
 
 if __name__ == "__main__":

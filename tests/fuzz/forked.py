@@ -93,7 +93,7 @@ def _watch_writes(allowed: Path) -> None:
     def hook(event: str, arguments: tuple[Any, ...]) -> None:
         for path in _written(event, arguments):
             place = os.path.realpath(os.fsdecode(path))
-            if not place.startswith((root, "/dev/", "/proc/")) and not place.endswith(".pyc"):
+            if not place.startswith((root, "/dev/", "/proc/")) and "/__pycache__/" not in place:
                 print(f"{_OUTSIDE}{event} {place}", file=sys.stderr)  # noqa: T201
 
     sys.addaudithook(hook)

@@ -1,7 +1,7 @@
 """Every reader answers to what unpacks to gigabytes in a few seconds and a gigabyte: with a result, or with one line."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -13,38 +13,62 @@ from tests.support.cosim.measured_commands import Measured, answered, measured
 
 pytestmark = pytest.mark.processes
 
-READERS = ("report", "plot", "radio", "export --csv --force")
 TREE = b"[" * bombs.DEEP
 Make = Callable[[Path], object]
+FRAME = "radio {} --link car1/car2 --frame worst"
+TABLE = ("report {}", "plot {}", "radio {} --link car1/car2")
+RADIO = (*TABLE, "export {} --csv --out {}/x", "replay {} --radio recorded --out {}/x")
+EXPORTS = tuple(f"export {{}} --{output} --out {{}}/x" for output in ("csv", "layout", "mp4", "rosbag2"))
+RECORDING = ("view {}", "report {}", *EXPORTS)
+ALONE = (*TABLE, *RECORDING)
+NUMBERS = ("report {}", "replay {} --out {}/x")
+SCENARIO = (*NUMBERS, "view {}", FRAME, "radio {} --coverage car1 --out {}/x.png")
 
 
-def recording_of(chunks: Callable[[], object]) -> Make:
-    return lambda folder: bombs.recording(folder / "run.mcap", chunks(), "car1 car2")  # type: ignore[arg-type]
+def recording_of(chunks: Callable[[], Iterable[bytes]], vehicles: str = "car1 car2") -> Make:
+    return lambda folder: bombs.recording(folder / "run.mcap", iter(chunks()), vehicles)
 
 
-IN_RESULTS: dict[str, Make] = {
-    "radio rows": lambda folder: bombs.rows(folder / "radio.parquet", folder / "radio.parquet"),
-    "state rows": lambda folder: bombs.rows(folder / "states.parquet", folder / "states.parquet"),
-    "long word": lambda folder: bombs.long_text(folder / "radio.parquet", folder / "radio.parquet"),
-    "long messages": recording_of(bombs.zeros),
-    "large chunk": recording_of(lambda: bombs.zeros(part=1_000_000_000)),
-    "many messages": recording_of(bombs.many),
-    "deep note": recording_of(lambda: bombs.one("car1/note", "vcmvsp.Note", b'{"values":' + TREE)),
-    "deep line": recording_of(lambda: bombs.one("log", "foxglove.Log", b'{"x":' + TREE)),
-    "deep frame": recording_of(lambda: bombs.one("radio/frame", "vcmvsp.Frame", b'{"x":' + TREE)),
-    "empty note": recording_of(lambda: bombs.one("car1/note", "vcmvsp.Note", b"")),
-    "empty frame": recording_of(lambda: bombs.one("radio/frame", "vcmvsp.Frame", b"")),
-    "deep metrics": lambda folder: (folder / "metrics.json").write_bytes(TREE),
-    "deep about": lambda folder: (folder / "about.json").write_bytes(TREE),
-    "deep scenario": lambda folder: (folder / "scenario.toml").write_bytes(b"a = " + TREE),
-    "long metrics": lambda folder: bombs.sparse(folder / "metrics.json"),
-    "long about": lambda folder: bombs.sparse(folder / "about.json"),
-    "long scenario": lambda folder: bombs.sparse(folder / "scenario.toml"),
+def state(time_ns: int, x_m: float = 0.0) -> Iterator[bytes]:
+    """A vehicle that is there then."""
+    still = b'"velocity":[0,0,0],"attitude":[1,0,0,0],"angular_velocity":[0,0,0]'
+    position = f'{{"type":"state","position":[{x_m},0,0],'.encode()
+    yield bombs.head("car1/state", "vcmvsp.VehicleState") + bombs.message(position + still + b"}", time_ns)
+
+
+def names() -> Iterator[bytes]:
+    """Notes of a thousand names each, of which no two are the same: a table of 300 million cells."""
+    notes = ("{" + ",".join(f'"{row}_{name}":1' for name in range(1000)) + "}" for row in range(550))
+    yield bombs.head("car1/note", "vcmvsp.Note") + b"".join(bombs.message(f'{{"values":{each}}}'.encode()) for each in notes)
+
+
+IN_RESULTS: dict[str, tuple[Make, tuple[str, ...]]] = {
+    "radio rows": (lambda folder: bombs.rows(folder / "radio.parquet", folder / "radio.parquet"), RADIO),
+    "state rows": (lambda folder: bombs.rows(folder / "states.parquet", folder / "states.parquet"), TABLE),
+    "long word": (lambda folder: bombs.long_text(folder / "radio.parquet", folder / "radio.parquet"), RADIO),
+    "long messages": (recording_of(bombs.zeros), ALONE),
+    "large chunk": (recording_of(lambda: bombs.zeros(part=1_000_000_000)), RECORDING),
+    "many messages": (recording_of(bombs.many), ALONE),
+    "many names": (recording_of(names), RECORDING),
+    "many vehicles": (recording_of(lambda: state(0), " ".join(f"car{k}" for k in range(100_000))), RECORDING),
+    "late message": (recording_of(lambda: state(2**64 - 1)), ALONE),
+    "last second": (recording_of(lambda: state(2**62)), ("export {} --rosbag2 --out {}/x",)),
+    "far away": (recording_of(lambda: [*state(0, -1.7e308), *state(0, 1.7e308)]), EXPORTS),
+    "deep note": (recording_of(lambda: bombs.one("car1/note", "vcmvsp.Note", b'{"values":' + TREE)), RECORDING),
+    "deep line": (recording_of(lambda: bombs.one("log", "foxglove.Log", b'{"x":' + TREE)), RECORDING),
+    "deep frame": (recording_of(lambda: bombs.one("radio/frame", "vcmvsp.Frame", b'{"x":' + TREE)), ALONE),
+    "empty note": (recording_of(lambda: bombs.one("car1/note", "vcmvsp.Note", b"")), RECORDING),
+    "empty frame": (recording_of(lambda: bombs.one("radio/frame", "vcmvsp.Frame", b"")), ALONE),
+    "no text": (recording_of(lambda: bombs.one("car1/else", "x", b"\xff")), ("export {} --rosbag2 --out {}/x",)),
+    "deep metrics": (lambda folder: (folder / "metrics.json").write_bytes(TREE), NUMBERS),
+    "deep about": (lambda folder: (folder / "about.json").write_bytes(TREE), NUMBERS),
+    "deep scenario": (lambda folder: (folder / "scenario.toml").write_bytes(b"a = " + TREE), SCENARIO),
+    "long metrics": (lambda folder: bombs.sparse(folder / "metrics.json"), NUMBERS),
+    "long about": (lambda folder: bombs.sparse(folder / "about.json"), NUMBERS),
+    "long scenario": (lambda folder: bombs.sparse(folder / "scenario.toml"), SCENARIO),
 }
-
-
-WITHOUT_TABLES = ("long messages", "many messages", "deep frame", "empty frame")
-"""Of these the tables are missing, as if the run were cut: all readers read the recording."""
+"""What the folder of a run is made to hold, and the commands that read it. `ALONE`: as if the run were cut, without tables."""
+CASES = [(name, reader) for name, (_, readers) in IN_RESULTS.items() for reader in readers]
 
 
 @pytest.fixture(scope="module")
@@ -53,17 +77,16 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], M
     runs = tmp_path_factory.mktemp("runs")
     (runs / "s.toml").write_text(two_cars())
     vcmvsp.run(runs / "s.toml", out=runs / "run", set={"duration_s": 1.0})
-    asked = {}
-    for name, make in IN_RESULTS.items():
-        folder = Path(shutil.copytree(runs / "run", runs / name.replace(" ", "-")))
+    asked = []
+    for number, (make, readers) in enumerate(IN_RESULTS.values()):
+        folder = Path(shutil.copytree(runs / "run", runs / str(number)))
         make(folder)
-        for path in folder.glob("*.parquet") if name in WITHOUT_TABLES else ():
+        for path in folder.glob("*.parquet") if readers is ALONE else ():
             path.unlink()
-        asked.update({(name, reader): f"{reader} {folder}" for reader in READERS})
-    return dict(zip(asked, measured(list(asked.values())), strict=True))
+        asked += [reader.replace("{}", str(folder)) for reader in readers]
+    return dict(zip(CASES, measured(asked), strict=True))
 
 
-@pytest.mark.parametrize("reader", READERS)
-@pytest.mark.parametrize("name", IN_RESULTS)
+@pytest.mark.parametrize(("name", "reader"), CASES)
 def test_results_are_read_or_refused_at_little_cost(name: str, reader: str, answers: dict[tuple[str, str], Measured]) -> None:
     answered(answers[name, reader])

@@ -372,7 +372,11 @@ def test_numbers_that_json_cannot_say_are_read_as_nan() -> None:
         ("vcmvsp.VehicleState", STATE, [{"position": [0.0, 1.0]}, {"type": "frame"}]),
         ("foxglove.RawImage", PIXEL, [{"height": 1 << 31}, {"width": -1, "height": -1, "step": -3}, {"step": 1}]),
         ("foxglove.Grid", CELLS, [{"column_count": 0, "data": ""}, {"column_count": 1 << 31}, {"fields": []}]),
-        ("foxglove.SceneUpdate", drawn(), [drawn(indices=[0, 1, 3]), drawn(indices=[0, -1, 2]), drawn(indices=[0, 1])]),
+        (
+            "foxglove.SceneUpdate",
+            drawn(),
+            [drawn(indices=[0, 1, 2] * 200_001), drawn(indices=[0, 1, 3]), drawn(indices=[0, -1, 2]), drawn(indices=[0, 1])],
+        ),
         (
             "vcmvsp.Frame",
             HEARD,

@@ -21,6 +21,7 @@ from vcmvsp.cosim.export.formats import export
 from vcmvsp.cosim.export.rosbag import ros_name, write_bag
 from vcmvsp.cosim.frames import product
 from vcmvsp.cosim.recording import recorded_run
+from vcmvsp.cosim.util import limits
 
 pytestmark = pytest.mark.processes
 
@@ -174,6 +175,12 @@ def test_names_that_would_be_one_in_ros_are_refused(tmp_path: Path) -> None:
     twin = _Twins(export_runs.run_of("a crossing cart"))
     with pytest.raises(UsageError, match=r"car-1/state/path and car_1/state/path would both become .* /car_1/state/path"):
         write_bag(twin, tmp_path / "bag")
+
+
+def test_a_bag_of_too_many_topics_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "TOPICS", 3)
+    with pytest.raises(UsageError, match="--rosbag2: topics: 4, and at most 3"):
+        write_bag(recorded_run.Source(export_runs.run_of("a crossing cart"), lambda _: None), tmp_path / "bag")
 
 
 class _Twins(recorded_run.Source):

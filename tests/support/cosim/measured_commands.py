@@ -1,9 +1,11 @@
 """Commands in processes of their own: what each answered, and what CPU time and memory it took.
 
 As a program: the commands, one per argument; one line of JSON for all. Each is a fork of this process, which has imported what
-they need, so that this is not done again for each. Of ``view`` the page is left out, which has no end.
+they need, so that this is not done again for each. Of ``view`` the page is left out, which has no end; what it would show first
+and last is made. Runs draw no figures.
 """
 
+import gc
 import importlib
 import json
 import os
@@ -15,11 +17,17 @@ import tempfile
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from vcmvsp.cosim.runs.result import Result
+from vcmvsp.cosim.view.messages import Seek
+from vcmvsp.cosim.view.player.recording import Player, Recording
+
 SHARED = (
     "vcmvsp.cosim.cli.app",
     *("vcmvsp.cosim.runs.api", "vcmvsp.cosim.report.run_page", "vcmvsp.cosim.plots.run_plots", "vcmvsp.cosim.plots.style"),
     *("vcmvsp.cosim.analysis.links", "vcmvsp.cosim.export.formats", "vcmvsp.cosim.studies.outputs"),
-    *("vcmvsp.cosim.cli.outputs", "vcmvsp.cosim.view.player.recording"),
+    *("vcmvsp.cosim.cli.outputs", "vcmvsp.cosim.view.player.recording", "vcmvsp.cosim.runs.replay"),
+    *("vcmvsp.cosim.export.csv_files", "vcmvsp.cosim.export.video", "vcmvsp.cosim.export.rosbag"),
+    *("vcmvsp.cosim.export.foxglove_layout", "vcmvsp.cosim.analysis.coverage", "vcmvsp.cosim.analysis.link_budget"),
 )
 """Modules that the readers of results import."""
 CPU_S, MOST_BYTES = 10, 1 << 30
@@ -64,8 +72,16 @@ def _run(command: str) -> Measured:
     return Measured(os.waitstatus_to_exitcode(status), err, used.ru_utime + used.ru_stime, 1024 * used.ru_maxrss)
 
 
+def _show(player: Player, recording: Recording, *_: object, **__: object) -> None:
+    player.show()
+    player.order(Seek(time_ns=recording.end_ns))
+    player.show()
+
+
 if __name__ == "__main__":
     for _name in SHARED:
         importlib.import_module(_name)
-    sys.modules["vcmvsp.cosim.cli.outputs"]._serve = lambda player, *_, **__: player.show()  # type: ignore[attr-defined]
+    gc.freeze()  # a collection in a forked process would copy all that it visits
+    sys.modules["vcmvsp.cosim.cli.outputs"]._serve = _show  # type: ignore[attr-defined]
+    Result._figures = lambda self, shown: {}  # type: ignore[method-assign]
     sys.stdout.write(json.dumps([_run(each) for each in sys.argv[1:]]))

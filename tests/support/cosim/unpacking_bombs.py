@@ -83,9 +83,9 @@ def head(topic: str, schema: str) -> bytes:
     return _bytes(kind) + _bytes(records.Channel(id=1, topic=topic, message_encoding="json", metadata={}, schema_id=1))
 
 
-def message(data: bytes) -> bytes:
+def message(data: bytes, time_ns: int = 0) -> bytes:
     """A message of channel 1."""
-    return _bytes(records.Message(channel_id=1, data=data, log_time=0, publish_time=0, sequence=0))
+    return _bytes(records.Message(channel_id=1, data=data, log_time=time_ns, publish_time=time_ns, sequence=0))
 
 
 def png(path: Path, side: int = 40_000) -> None:
