@@ -94,7 +94,7 @@ def contents(
         for each in inside:
             if isinstance(each, records.Message):
                 if each.channel_id not in topics or each.log_time > _LAST_NS:
-                    raise ValueError(f"a message of the unknown channel {each.channel_id}, or at an impossible time ({each.log_time} ns)")
+                    raise ValueError(f"a message of channel {each.channel_id} at {each.log_time} ns: no such channel or time")
                 if each.channel_id not in passed:
                     yield Recorded(*topics[each.channel_id], each.log_time, each.data)
             elif isinstance(each, records.Channel):

@@ -179,7 +179,7 @@ def test_names_that_would_be_one_in_ros_are_refused(tmp_path: Path) -> None:
 
 def test_a_bag_of_too_many_topics_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "TOPICS", 3)
-    with pytest.raises(UsageError, match="--rosbag2: topics: 4, and at most 3"):
+    with pytest.raises(UsageError, match="--rosbag2: topics: 4 exceeds the limit of 3"):
         write_bag(recorded_run.Source(export_runs.run_of("a crossing cart"), lambda _: None), tmp_path / "bag")
 
 
