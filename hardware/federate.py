@@ -84,7 +84,7 @@ class Hardware:
         """Connect to all robots, which then stand; `ScenarioError`: they cannot keep away from a vehicle of unknown radius."""
         for name in run.vehicles:
             if self.names != (name,) and not 0.0 < (radius_m := self._radius_m.get(name, 0.0)) < np.inf:
-                problem = f"{name} has a radius of {radius_m:g} m: real vehicles cannot keep away from it; give its kind a hull"
+                problem = f"{name} has a radius of {radius_m:g} m, so real vehicles cannot avoid it: give its kind a hull"
                 raise ScenarioError(problem, key=f"vehicle.{name}.kind")
         self._needed, self._end_ns = Needed(run), run.duration_ns
         if self._connect:
@@ -203,7 +203,7 @@ class VehicleProxy:
     def command(self, event: Event) -> None:
         """Store a command of the agent."""
         if isinstance(event.value, types.Waypoint):
-            problem = "was given a Waypoint, which real vehicles do not take: send Velocity"
+            problem = "received a Waypoint, which real vehicles do not accept: send Velocity"
             raise FederateError(self.vehicle.name, problem)
         if isinstance(event.value, Velocity):
             self._command = event.value, self._clock.monotonic_ns(event.time_ns), event.time_ns
@@ -253,8 +253,8 @@ class VehicleProxy:
             self._heard_ns = now_ns
         self._looked_ns = now_ns
         if now_ns - self._heard_ns > SILENT_NS:
-            happened = f"its station has said nothing for {SILENT_NS / SECOND_NS:g} s"
-            advice = "it hangs; look after the robot, which its watchdog stops"
+            happened = f"no message of its station for {SILENT_NS / SECOND_NS:g} s"
+            advice = "the station hangs: secure the robot, which its watchdog stops"
             self._lose(FederateError(self.vehicle.name, f"{happened}: {advice}"))
 
     def _lose(self, error: VcmvspError) -> None:

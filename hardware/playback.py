@@ -45,7 +45,7 @@ class Playback(EventPlayback):
                 self._recorded.append(Event("operator/outage" if isinstance(value, Outage) else key, time_ns, value))
         if missing := [name for name, track in self._tracks.items() if not track.times_ns]:
             there = ", ".join(sorted({key.partition("/")[0] for key, _, _ in inputs})) or "nobody"
-            raise UsageError(f"the recording does not say where {', '.join(missing)} was; it has {there}")
+            raise UsageError(f"the recording has no positions of {', '.join(missing)}; it has {there}")
 
     def start(self, run: RunInfo) -> int | None:
         """Time of the first event."""

@@ -22,7 +22,7 @@ READY_S = 60.0  # longer than a station allows its driver
 CLOSE_S = 15.0  # longer than a station needs to stop its robot and to close its driver
 DYING_S = 2.0  # from the end of a link to that of the process
 PAUSE_S = 0.05  # between two attempts to send to a station that does not read
-WATCHDOG = "the robot's own watchdog stops it, if it has one: look after the robot"
+WATCHDOG = "the robot's own watchdog stops it, if it has one: secure the robot"
 
 
 class StationError(DriverError):
@@ -63,8 +63,8 @@ class Station:
             self._read(until - time.monotonic())
             if time.monotonic() >= until and not self._waiting and self._failure is None:
                 self._end(patient=False)
-                happened = "its station did not say in time that the robot is connected"
-                self._failure = StationError(self.vehicle, happened, "look at what it says above, at the robot and at its port")
+                happened = "its station did not connect to the robot in time"
+                self._failure = StationError(self.vehicle, happened, "see its messages above; check the robot and its port")
         if self._failure is not None:
             raise self._failure
 
@@ -106,7 +106,7 @@ class Station:
             return
         self._is_closed = True
         if not self._process.close(DYING_S if patient and self._link.ended else 0.0):
-            happened = "its station did not end by itself and was killed"
+            happened = "its station did not end in time and was killed"
             self._waiting.append(StationReport(number=0, time_ns=time.monotonic_ns(), failed=happened, advice=WATCHDOG))
         self._link.close()
 
@@ -119,13 +119,13 @@ class Station:
             try:
                 report = messages.reports.decode(message)
             except (ValueError, msgspec.MsgspecError) as error:
-                happened = f"its station said something that cannot be read ({error})"
+                happened = f"its station sent an invalid message ({error})"
                 report = StationReport(number=0, time_ns=time.monotonic_ns(), failed=happened, advice="report this")
             self._waiting.append(report)
             if report.failed:
                 self._failure = StationError(self.vehicle, report.failed, report.advice)
         if self._link.ended and self._failure is None and not self._leaving:
-            ended = self._process.why_ended(DYING_S) or "has hung up"
+            ended = self._process.why_ended(DYING_S) or "closed its connection"
             self._failure = StationError(self.vehicle, f"its station {ended}", WATCHDOG)
 
 
@@ -198,7 +198,7 @@ def check_safety(vehicle: RealVehicle) -> None:
     fence = vehicle.safety.fence
     if fence is not None and not Polygon(fence).contains(x, y):
         where = f"{vehicle.name} starts outside the fence, at x = {x:g} m, y = {y:g} m"
-        raise ValueError(f"{where}: it would stand there; start it inside, or make safety.fence wider")
+        raise ValueError(f"{where}: it could not move; start it inside, or enlarge safety.fence")
 
 
 def mission(vehicle: RealVehicle, run: str, period_s: float = 0.0) -> StationMission:

@@ -119,7 +119,7 @@ class Driver(Protocol):
 def finite(velocity: Velocity) -> Velocity:
     """The command itself; `ValueError` for NaN and infinity."""
     if not all(map(isfinite, (*velocity.linear, velocity.yaw_rate))):
-        raise ValueError(f"a robot cannot follow {velocity.linear} m/s and {velocity.yaw_rate} rad/s: all must be finite")
+        raise ValueError(f"the command {velocity.linear} m/s, {velocity.yaw_rate} rad/s must be finite")
     return velocity
 
 
@@ -127,7 +127,7 @@ def checked(velocity: Velocity) -> tuple[float, float]:
     """Forward speed, m/s, and yaw rate, rad/s, of a command for a ground robot; `ValueError` for NaN and infinity."""
     v, w = velocity.linear[0], velocity.yaw_rate
     if not (isfinite(v) and isfinite(w)):
-        raise ValueError(f"a robot cannot follow v = {v} m/s, w = {w} rad/s: both must be finite")
+        raise ValueError(f"the command v = {v} m/s, w = {w} rad/s must be finite")
     return v, w
 
 
@@ -158,8 +158,8 @@ def within(seconds: float, device: str, doing: str, abort_reason: Callable[[], s
         if reason := abort_reason():
             raise DriverError(device, reason, f"it was {doing}")
         if ticks <= 0:
-            happened = f"it hangs: {doing} took longer than {seconds:g} s"
-            raise DriverError(device, happened, "unplug it and plug it in again, and look at its driver")
+            happened = f"the driver hangs: {doing} took longer than {seconds:g} s"
+            raise DriverError(device, happened, "unplug the device and plug it in again; check its driver")
 
     before = signal.signal(signal.SIGALRM, tick)
     signal.setitimer(signal.ITIMER_REAL, TICK_S, TICK_S)

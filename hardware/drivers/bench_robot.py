@@ -146,7 +146,7 @@ class Bench:
             if not self._lost:
                 self._lost = True
                 self._notice("lost", "unplugged_s has passed")
-            raise LinkLost(self.device, "the link is lost", "it was meant to be: see unplugged_s")
+            raise LinkLost(self.device, "the link is lost", "unplugged_s asks for this")
         return now_ns
 
     def _move(self, dt: float) -> None:

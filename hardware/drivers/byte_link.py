@@ -27,7 +27,7 @@ _GROUP = "join the group that owns it (usually: sudo usermod -aG dialout $USER, 
 _PROBLEMS = {  # errors: problem, and advice; empty: the ports that are there
     (errno.ENOENT, errno.ENODEV): ("there is no such port", ""),
     (errno.ENXIO,): ("there is no device behind this port", ""),
-    (errno.EACCES, errno.EPERM): ("it may not be opened by you", _GROUP),
+    (errno.EACCES, errno.EPERM): ("access is denied", _GROUP),
     (errno.EBUSY, errno.EAGAIN): ("it is in use", "close the other program that has it open"),
     (errno.ENOTTY, errno.EISDIR): ("it is not a serial port", ""),
 }
@@ -60,7 +60,7 @@ def open_line(url: str, baud: int) -> ByteLink:
     if with_slash(url).startswith(("socket/", "tcp/")):
         return _TcpLink(url)
     if "://" in url:
-        raise PortError(url, "this kind of port is not known", "give a serial port such as /dev/ttyUSB0, or socket://host:port")
+        raise PortError(url, "unknown kind of port", "give a serial port such as /dev/ttyUSB0, or socket://host:port")
     return _SerialLink(url, baud)
 
 
@@ -94,7 +94,7 @@ class _SerialLink:
             while data := data[self._written(data) :]:
                 remaining_s = until - time.monotonic()
                 if remaining_s <= 0.0 or not writable(self.fileno(), remaining_s):
-                    raise LinkLost(self._path, "the port takes no more bytes", "look at cable and radio")
+                    raise LinkLost(self._path, "the port accepts no more bytes", "check cable and radio")
         except OSError:
             raise _unplugged(self._path) from None
 
@@ -118,15 +118,15 @@ class _TcpLink:
         self._url = url
         _, host, port = endpoint_of(url) or ("", "", None)
         if not host or not port:
-            raise PortError(url, "this is no address", "write socket://host:port, such as socket://localhost:8101")
+            raise PortError(url, "not an address", "write socket://host:port, such as socket://localhost:8101")
         try:
             self._socket = socket.create_connection((host, port), OPEN_S)
         except TimeoutError:
-            raise PortError(url, f"{host} does not answer", "is it on, and in this network?") from None
+            raise PortError(url, f"{host} does not answer", "check that it is on, and in this network") from None
         except ConnectionRefusedError:
             raise PortError(url, f"nothing listens on port {port} of {host}", "start the robot's simulator or server") from None
         except OSError as error:
-            raise PortError(url, f"no connection ({error.strerror or error})", "look at host name and network") from None
+            raise PortError(url, f"no connection ({error.strerror or error})", "check host name and network") from None
         self._socket.settimeout(WRITE_S)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
@@ -148,7 +148,7 @@ class _TcpLink:
         try:
             self._socket.sendall(data)
         except TimeoutError:
-            raise LinkLost(self._url, "the connection takes no more bytes", "look at network and server") from None
+            raise LinkLost(self._url, "the connection accepts no more bytes", "check network and server") from None
         except OSError:
             raise _hung_up(self._url) from None
 
@@ -165,11 +165,11 @@ class _TcpLink:
 
 
 def _hung_up(url: str) -> LinkLost:
-    return LinkLost(url, "the other side closed the connection", "is the robot's simulator or server still running?")
+    return LinkLost(url, "the other side closed the connection", "check that the robot's simulator or server is running")
 
 
 def _unplugged(path: str) -> LinkLost:
-    return LinkLost(path, "the port is gone: unplugged, or switched off", "plug it in again")
+    return LinkLost(path, "the port has disappeared (unplugged or switched off)", "plug it in again")
 
 
 def _port_error(path: str, error: Exception) -> PortError:
@@ -179,4 +179,4 @@ def _port_error(path: str, error: Exception) -> PortError:
     there = ", ".join(sorted(each.device for each in comports())) or "none"
     unknown = (os.strerror(number) if number else str(error), "")
     problem, advice = next((texts for numbers, texts in _PROBLEMS.items() if number in numbers), unknown)
-    return PortError(path, problem, advice or f"ports that are there: {there}")
+    return PortError(path, problem, advice or f"available ports: {there}")

@@ -113,7 +113,7 @@ class ThreadedDriver:
     def open(self, start: Vec3 = ORIGIN) -> None:
         """Connect to the robot, which stands at ``start`` (x m, y m, yaw rad)."""
         if self._thread is not None:
-            raise RuntimeError(f"{self.device} is open already")
+            raise RuntimeError(f"{self.device} is already open")
         self._sample = self._failure = None
         self._closing, self._ready = threading.Event(), threading.Event()
         self._prepare(start)
@@ -179,7 +179,7 @@ class ThreadedDriver:
 
     def _hangs(self) -> DriverError:
         """Error of a thread that is not ready in time."""
-        return HandshakeError(self.device, "the connection hangs", "look at the network")
+        return HandshakeError(self.device, "the connection hangs", "check the network")
 
     def _check(self) -> None:
         """Raise why the robot cannot be driven (lock held)."""
@@ -221,13 +221,13 @@ class ThreadedDriver:
             self._work()
         except ClosedByCaller:
             if not self._ready.is_set():
-                self._failure = HandshakeError(self.device, "it was closed while it was being connected", "open it again")
+                self._failure = HandshakeError(self.device, "the driver was closed while connecting", "connect again")
             self._say_goodbye()
         except DriverError as error:
             self._failure = error
             self._give_up()
         except Exception as error:  # any error: for the caller, and the robot must stop
-            self._failure = DriverError(self.device, f"the driver failed ({words_of(error)})", "report this")
+            self._failure = DriverError(self.device, f"the driver failed ({words_of(error)})", "report this error")
         finally:
             try:
                 self._hang_up()
@@ -277,7 +277,7 @@ class ReconnectingDriver(ThreadedDriver):
         self._woken, self._waker = os.pipe()
 
     def _hangs(self) -> DriverError:
-        return LinkLost(self.device, "the port hangs", "unplug it and plug it in again")
+        return LinkLost(self.device, "the port hangs", "unplug the device and plug it in again")
 
     def _wake(self) -> None:
         with self._lock:
@@ -315,7 +315,7 @@ class ReconnectingDriver(ThreadedDriver):
                 self._hang_up()
         if not self._reconnect_s:
             raise lost
-        happened = f"{lost.happened}, and it was not back within {self._reconnect_s:g} s ({last})"
+        happened = f"{lost.happened}, and the link did not return within {self._reconnect_s:g} s ({last})"
         raise LinkLost(self.device, happened, lost.advice)
 
     def _wait(self, descriptor: int, until_ns: int) -> bool:

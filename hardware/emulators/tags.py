@@ -103,7 +103,7 @@ def ubisense_port(host: str, port: int) -> UdpPort:
     try:
         return UdpPort((host, port), "udp://")
     except OSError as error:
-        raise UsageError(f"udp://{host}:{port}: {error.strerror or error}; give the name or number of a host") from None
+        raise UsageError(f"udp://{host}:{port}: {error.strerror or error}; use a host name or an IP address") from None
 
 
 def dwm1001_port(link: Path | None = None) -> Pty:

@@ -138,7 +138,7 @@ class Dwm1001(PortSource):
         turn_rad: float = 0.0,
     ) -> None:
         words = Advice(
-            "is the module on, and is this its port?", "bytes come but none are lines of a DWM1001: wrong port or baud rate?"
+            "check that the module is on, and its port", "the bytes are not lines of a DWM1001: check port and baud rate"
         )
         transform = WorldTransform(tag=tag, sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
         super().__init__(port, LineReader(decode, LONGEST_BYTES), transform, words)

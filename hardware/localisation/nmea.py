@@ -81,7 +81,7 @@ class NmeaReader(LineReader):
             raise ValueError("a valid position has both coordinates and their directions")
         latitude, longitude = float(sentence.latitude), float(sentence.longitude)
         if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(height_m)):
-            raise ValueError("no place on the earth")
+            raise ValueError("not a place on the earth")
         return self.plane.enu(latitude, longitude, height_m)
 
     def _sigma(self, dilution: float) -> float:
@@ -141,7 +141,7 @@ class Nmea(PortSource):
         range_sigma_m: Positive = 4.0,
         latency_s: NonNegative = 0.2,
     ) -> None:
-        words = Advice("is the receiver on, and is this its port?", "bytes come but none are NMEA: wrong baud rate?")
+        words = Advice("check that the receiver is on, and its port", "the bytes are not NMEA: check the baud rate")
         reader = NmeaReader(TangentPlane(latitude_deg, longitude_deg, height_m), range_sigma_m)
         transform = WorldTransform(sigma_m=range_sigma_m, latency_s=latency_s)
         super().__init__(port, reader, transform, words)

@@ -24,8 +24,8 @@ class Datagrams:
         try:
             family, kind, protocol, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         except OSError:
-            advice = "give an address of this machine, or 0.0.0.0 for all"
-            raise PortError(url, f"no address is known for {host}", advice) from None
+            advice = "use an address of this machine, or 0.0.0.0 for all"
+            raise PortError(url, f"the host name {host} is unknown", advice) from None
         self._socket = socket.socket(family, kind, protocol)
         try:
             self._socket.bind(where)
@@ -58,21 +58,21 @@ def address(url: str) -> tuple[str, int]:
     """Host and port of ``udp://host:port``; `ValueError`: the text has another form."""
     protocol, host, port = endpoint_of(url) or ("", "", None)
     if protocol != "udp" or not host or port is None:
-        raise ValueError(f"listen = '{url}': an address to listen on is written udp://host:port, such as udp://0.0.0.0:5010")
+        raise ValueError(f"listen = '{url}': must be udp://host:port, such as udp://0.0.0.0:5010")
     return host, port
 
 
 def _problem(url: str, host: str, port: int, error: OSError) -> PortError:
-    other = "close the other program that listens there, or have positions sent to another"
+    other = "close the other program that listens there, or send positions to another port"
     known = {
         errno.EADDRINUSE: (f"port {port} is in use", other),
         errno.EADDRNOTAVAIL: (
             f"this machine has no interface with the address {host}",
-            "take one of its own, or 0.0.0.0 for all",
+            "use one of its own addresses, or 0.0.0.0 for all",
         ),
-        errno.EACCES: (f"port {port} may not be opened by you", "take one above 1023"),
+        errno.EACCES: (f"no permission to open port {port}", "use one above 1023"),
     }
-    unknown = f"nothing can listen there ({error.strerror or error})", "look at address and network"
+    unknown = f"cannot listen there ({error.strerror or error})", "check address and network"
     return PortError(url, *known.get(error.errno or 0, unknown))
 
 

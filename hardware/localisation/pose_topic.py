@@ -87,10 +87,10 @@ class ExternalPose(PositionSource):
         try:
             self._key = zenoh.KeyExpr(key)
         except zenoh.ZError:
-            raise ValueError(f"a key is made of words and slashes, such as mocap/car1, not '{key}'") from None
+            raise ValueError(f"a key must consist of words and slashes, such as mocap/car1, not '{key}'") from None
         words = Advice(
-            f"does a bridge publish poses under {key} at {endpoint}?",
-            f'what comes under {key} are no poses: write {{"t": s, "x": m, "y": m}}, with "z", "yaw", "sigma" where known',
+            f"check that a bridge publishes poses under {key} at {endpoint}",
+            f'messages under {key} are not poses; format: {{"t": s, "x": m, "y": m}}, with "z", "yaw", "sigma" if known',
         )
         transform = WorldTransform(sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
         super().__init__(f"{key} at {endpoint}", PoseReader(sigma_rad), transform, words)
@@ -101,7 +101,7 @@ class ExternalPose(PositionSource):
         """Connect, or listen, and subscribe; `PortError`: no router is there, or the address cannot be bound."""
         self._begin()
         config: dict[str, Any] = {"mode": "router", "listen": {"endpoints": [self._endpoint]}}
-        advice = "take a free port of this machine"
+        advice = "use a free port of this machine"
         if self._mode == "connect":
             connect = {"endpoints": [self._endpoint], "timeout_ms": _CONNECT_MS, "exit_on_failure": True, "retry": _RETRY}
             config = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
@@ -114,7 +114,7 @@ class ExternalPose(PositionSource):
             self._session.declare_subscriber(self._key, Callback(self._on_sample, indirect=False))
         except zenoh.ZError as error:
             self.close()
-            raise PortError(self.device, f"nothing can be heard there ({error})", "open it again") from None
+            raise PortError(self.device, f"cannot receive there ({error})", "connect again") from None
 
     def close(self) -> None:
         """Leave. May be called twice."""

@@ -240,7 +240,7 @@ class PositionSource:
                 jumps = self._transform.jumps
                 fix = self._transform.place(located, arrived_ns)
                 if self._transform.jumps > jumps:
-                    self._notice("warned", "the clock that stamps the positions has jumped; their times are estimated anew")
+                    self._notice("warned", "the clock of the position stamps has jumped; clock offset is estimated again")
                 if fix is not None and self._is_ours(arrived_ns):
                     self._fixes.append(fix)
                     self._good(arrived_ns)
@@ -259,7 +259,7 @@ class PositionSource:
 
     def failed(self, error: Exception) -> None:
         """Report that no further reading will come."""
-        failure = DriverError(self.device, f"its reader raised {words_of(error)}", "please report this")
+        failure = DriverError(self.device, f"its reader raised {words_of(error)}", "report this error")
         with self._lock:
             self._failure = error if isinstance(error, DriverError) else failure
 
@@ -292,7 +292,7 @@ class PositionSource:
         waited = now_ns - self._first_tag_ns >= CENSUS_S * SECOND_NS
         if waited and len(transform.tags) > 1 and self._failure is None:
             happened = f"positions of {len(transform.tags)} tags come: {_listed(transform.tags)}"
-            self._failure = HandshakeError(self.device, happened, "name the vehicle's: tag = ...")
+            self._failure = HandshakeError(self.device, happened, "choose the vehicle's: tag = ...")
         return waited and len(transform.tags) == 1
 
     def _look(self, now_ns: int) -> None:
@@ -312,12 +312,12 @@ class PositionSource:
             return self._words.unreadable
         if rejected["far"]:
             far = f"positions are more than {FARTHEST_M / 1000.0:g} km from the world's origin"
-            return f"{far}; are the origin, and the offset of the system's frame, right?"
+            return f"{far}; check the origin, and the offset of the system's frame"
         if rejected["old"]:
-            return f"positions are more than {OLDEST_S:g} s old by the clock that stamps them; does it stand still?"
+            return f"position stamps are more than {OLDEST_S:g} s old; check that their clock runs"
         if rejected["others"] and not rejected["unknown"]:
-            return f"tag {self._transform.tag} is not among those that are heard: {_listed(self._transform.tags)}"
-        return "the system says that it has none; is there an anchor, or a satellite, that is not in sight?"
+            return f"no position of tag {self._transform.tag}; received tags: {_listed(self._transform.tags)}"
+        return "the system reports none; check the line of sight to anchors or satellites"
 
     def _notice(self, what: Literal["connected", "lost", "warned"], cause: str) -> None:
         self._notices.append(Notice(time_ns=time.monotonic_ns(), what=what, cause=cause))

@@ -81,8 +81,8 @@ class Ubisense(PortSource):
     ) -> None:
         check_interfaces(address(listen)[0], insecure=insecure)
         words = Advice(
-            f"does the location engine send datagrams to {listen}, and is the tag awake?",
-            "datagrams come but none are Ubisense's: does something else send to this port?",
+            f"check that the location engine sends datagrams to {listen}, and that the tag is awake",
+            "the datagrams are not Ubisense's: check which program sends to this port",
         )
         transform = WorldTransform(
             tag=tag, sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad, normal=_normal

@@ -167,7 +167,7 @@ class Deadman:
     def __init__(self, safety: Safety, latched: tuple[Cause, ...] = LATCHED) -> None:
         seconds = {cause: getattr(safety, f"{cause}_s") for cause in (*SOURCES, Cause.CLOCK)}
         if wrong := [f"{cause}_s={each}" for cause, each in seconds.items() if each is not None and not 0.0 < each <= 1e6]:
-            raise ValueError(f"a time-out must be above 0 and at most 1e6 s, or None: {', '.join(wrong)}")
+            raise ValueError(f"timeouts must be above 0 and at most 1e6 s, or None: {', '.join(wrong)}")
         self._limits_ns = {cause: round(each * SECOND_NS) for cause, each in seconds.items() if each is not None}
         self._may_latch, self._held = latched, set[Cause]()
         self._last_ns: int | None = None

@@ -70,11 +70,11 @@ class StationProcess:
         except ScenarioError as error:
             failed, advice = str(error), "correct the scenario"
         except Exception as error:
-            failed, advice = f"{words_of(error)}{place_of(error)}", "report this to who wrote the driver"
+            failed, advice = f"{words_of(error)}{place_of(error)}", "report this to the author of the driver"
         finally:
             halted = self._controller.halted if self._controller is not None else ""
             for problem in self._close(failed or halted or self._ending or "the station ends"):
-                failed, advice = failed or problem, advice or "look after the robot"
+                failed, advice = failed or problem, advice or "secure the robot"
         if self._leaves and self._controller is None:
             failed = ""  # the run ended before the robot was open
         elif not failed and not self._leaves:
@@ -90,7 +90,7 @@ class StationProcess:
         self._link.wait(MISSION_S)
         messages = self._link.receive()
         if not messages:
-            raise DriverError("station", "nobody told it what to do", "stations are started by runs")
+            raise DriverError("station", "the station received no instructions", "stations are started by runs")
         mission = missions.decode(messages[0])
         self._vehicle, self._run = mission.vehicle, mission.run
         for message in messages[1:]:
@@ -169,7 +169,7 @@ class StationProcess:
         for message in self._link.receive():
             self._obey(message)
         if self._link.ended and not self._ending:
-            self._ending = "its run has ended without a word"
+            self._ending = "its run has ended without notice"
             self._halt(self._ending)
 
     def _obey(self, message: bytes) -> None:
@@ -177,7 +177,7 @@ class StationProcess:
         try:
             order = messages.orders.decode(message)
         except ValueError as error:
-            raise DriverError(self._vehicle, f"the run gave an order that cannot be read ({error})", "report this") from None
+            raise DriverError(self._vehicle, f"the run sent an invalid order ({error})", "report this error") from None
         self._halt(order.stop)
         if order.leave:
             self._leaves = True

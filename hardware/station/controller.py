@@ -151,9 +151,9 @@ class StationController:
             jump_m = math.dist(before, self._place) if before else 0.0
             jumped = f"its position jumped by {jump_m:.1f} m"
             if jump_m > self._mission.safety.jump_m:
-                self.halt(f"{jumped}: carried off, or is the positioning system astray?")
+                self.halt(f"{jumped}: the robot was carried, or the positioning system is wrong")
             else:
-                self._note("warned", f"{jumped}: the estimate begins again from what the fixes say")
+                self._note("warned", f"{jumped}: the estimate restarts from the measured positions")
 
     def _is_stuck(self, now_ns: int, command: Velocity | None) -> bool:
         """Whether the robot was commanded to drive for `STUCK_S` and its odometry shows none; until the command is to stand."""
@@ -177,7 +177,7 @@ class StationController:
         causes = tuple(each.value for each in decision.causes)
         if not self.halted and not self._mission.flies and self._is_stuck(now_ns, order.command):
             if self._sent:
-                self._stop(f"it was told to drive for {STUCK_S:g} s, and its odometry says that it stands")
+                self._stop(f"commanded to drive for {STUCK_S:g} s, but its odometry shows no motion")
             self._sent = 0.0
             return Velocity(), (STUCK, *causes)
         if self.halted:
@@ -246,21 +246,21 @@ class StationController:
         safety = self._mission.safety
         match cause:
             case Cause.OPERATOR:
-                return f"nothing was heard of the operator for {safety.operator_s:g} s"
+                return f"no message of the operator for {safety.operator_s:g} s"
             case Cause.COMMAND if self._order.command is None:
-                return "there is no command"
+                return "no command yet"
             case Cause.COMMAND:
                 late = f": the run is late by {self._late_s:.2f} s" if self._late_s > RUN_LATE_S else ""
                 return f"no command for {safety.command_s:g} s{late}"
             case Cause.POSITIONING:
                 limit = f" (time-out {safety.positioning_s:g} s)" if safety.positioning_s else ""
-                return f"its position is not known: positions or odometry stay away{limit}"
+                return f"its position is unknown: no positions or odometry{limit}"
             case Cause.FEDERATION:
-                return f"nothing was heard of the run for {safety.federation_s:g} s"
+                return f"no message of the run for {safety.federation_s:g} s"
             case Cause.CLOCK:
-                return "the station was held up, or its clock jumped"
+                return "the station was delayed, or its clock jumped"
             case Cause.NOT_FINITE:
-                return "a command or another vehicle's position is not a number"
+                return "a command or a position of another vehicle is not a number"
             case _:
                 return cause.value
 

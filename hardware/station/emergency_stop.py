@@ -70,14 +70,14 @@ class StopListener:
         try:
             folder.mkdir(mode=0o700, exist_ok=True)
             if not _ours(folder):
-                raise PermissionError("it belongs to somebody else, or others may enter it")
+                raise PermissionError("it belongs to another user, or others may enter it")
             self._path = folder / f"{os.getpid()}-{vehicle[:LONGEST_NAME]}.sock"
             self._path.unlink(missing_ok=True)  # of an ended process with the same number
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
             self._socket.bind(str(self._path))
         except OSError as error:
             happened = f"'vcmvsp stop' could not reach it: {folder}: {error.strerror or error}"
-            raise DriverError(vehicle, happened, "remove that folder, or set XDG_RUNTIME_DIR to one of your own") from None
+            raise DriverError(vehicle, happened, "remove that folder, or set XDG_RUNTIME_DIR to your own folder") from None
         self._socket.setblocking(False)
 
     def fileno(self) -> int:

@@ -146,7 +146,7 @@ def test_vehicles_that_are_not_named_are_left_out() -> None:
 
 
 def test_somebody_who_is_not_in_the_recording_is_named() -> None:
-    with pytest.raises(UsageError, match="does not say where car7 was; it has car1, car2"):
+    with pytest.raises(UsageError, match="has no positions of car7; it has car1, car2"):
         Playback(("car1", "car7"), recording(100, ("car1", "car2")))
     with pytest.raises(UsageError, match="it has nobody"):
         Playback(("car1",), [])

@@ -143,7 +143,7 @@ def test_each_fix_is_given_once_at_the_time_of_the_run_and_none_of_before_it() -
 
 def test_ranges_and_incidents_of_all_reports_since_the_last_instant_are_given() -> None:
     made, station = seat()
-    lost = Notice(time_ns=START_NS - SECOND_NS, what="lost", cause="the port is gone")
+    lost = Notice(time_ns=START_NS - SECOND_NS, what="lost", cause="the port has disappeared")
     station.saying = [
         report(0.02, None, sonar=((10, 1.0), (2, 2.0)), notices=(lost,)),
         report(0.04, None, sonar=((2, 2.5),), causes=("limits",)),
@@ -187,7 +187,7 @@ def test_a_command_is_said_again_with_the_time_at_which_it_was_given() -> None:
 
 def test_a_real_vehicle_takes_no_way_points() -> None:
     made, _ = seat(flies=True)
-    with pytest.raises(FederateError, match="car1: was given a Waypoint"):
+    with pytest.raises(FederateError, match="car1: received a Waypoint"):
         made.command(Event("car1/command", 0, Waypoint(position=(0.0, 0.0, 1.0))))
 
 

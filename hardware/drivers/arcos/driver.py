@@ -219,8 +219,8 @@ class ArcosDriver(ReconnectingDriver):
                 if self._take(self._reader.feed(line.read())):
                     last_packet_ns = time.monotonic_ns()
             elif time.monotonic_ns() >= last_packet_ns + silence_ns:
-                happened = f"nothing was heard for {self._silence_s:g} s"
-                raise LinkLost(self.device, happened, "look at the robot's battery, its cable and its radio")
+                happened = f"no packet was received for {self._silence_s:g} s"
+                raise LinkLost(self.device, happened, "check the robot's battery, cable and radio")
 
     def _take(self, packets: list[bytes]) -> bool:
         sips = _sips(packets)

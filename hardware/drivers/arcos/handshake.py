@@ -166,30 +166,30 @@ class Handshake:
         try:
             robot = robot_of(subclass)
         except ValueError:
-            happened = f"it is {family or 'a robot'} {subclass!r}, whose parameters are not known"
-            raise HandshakeError(self._device, happened, f"robots that can be driven: {', '.join(ROBOTS)}") from None
+            happened = f"the robot is {family or 'a robot'} {subclass!r}, whose parameters are unknown"
+            raise HandshakeError(self._device, happened, f"supported robots: {', '.join(ROBOTS)}") from None
         if self._kind and robot.kind != self._kind.lower():
-            happened = f"it is of kind {robot.kind}{self.name and f' ({self.name})'}, not {self._kind}"
+            happened = f"the robot is of kind {robot.kind}{self.name and f' ({self.name})'}, not {self._kind}"
             raise HandshakeError(self._device, happened, f"set robot = {robot.kind!r}, or connect to the other robot")
         return robot
 
     def _looped(self) -> HandshakeError:
-        happened = "what is sent comes back unchanged"
-        return HandshakeError(self._device, happened, "look for a loop-back plug, or a radio modem without its partner")
+        happened = "the link echoes all bytes"
+        return HandshakeError(self._device, happened, "check for a loop-back plug, or a radio modem without its partner")
 
     def _error(self) -> HandshakeError:
         if not self._bytes:
-            happened = f"nothing was heard for {self._give_up_s:.2g} s"
-            advice = "is the robot on, the cable or radio in its host port, and no other client connected?"
+            happened = f"no byte was received for {self._give_up_s:.2g} s"
+            advice = "check that the robot is on, the cable or radio is in its host port, and no other client is connected"
         elif not self._packets:
-            happened = f"{self._bytes} bytes came, and no packet among them"
+            happened = f"{self._bytes} bytes were received, but no packet"
             others = ", ".join(str(each) for each in BAUDS if each != self._baud)
             wrong = f"the baud rate may be wrong (it is {self._baud}; try {others}), or " if self._baud else ""
-            advice = f"{wrong}this is not a robot that speaks ARCOS, P2OS or AmigOS"
+            advice = f"{wrong}the robot does not use ARCOS, P2OS or AmigOS"
         elif self._phase == "enable":
             happened = "its motors stay off"
             advice = "release the stop button, switch the motors on, or charge the battery"
         else:
-            happened = f"{self._packets} packets came, but no connection in {self._give_up_s:.2g} s"
+            happened = f"{self._packets} packets were received, but no connection was made within {self._give_up_s:.2g} s"
             advice = "another client may be connected, or the line is bad: close the other, or switch the robot off and on"
         return HandshakeError(self._device, happened, advice)

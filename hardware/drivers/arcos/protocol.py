@@ -363,7 +363,7 @@ def setting_warnings(config: Config, robot: Robot, max_speed: float | None, max_
     """Settings of the robot on which a driver relies and that differ from what was requested (m/s, rad/s), as sentences."""
     problems = []
     if config.watchdog == 0:
-        failing = "nothing stops it where the driver or the line fails"
+        failing = "the robot does not stop if the driver or the line fails"
         problems.append(f"its watchdog is off: {failing}; switch it on in its parameters")
     elif config.watchdog is not None and config.watchdog > 1e3 * robot.watchdog_s:
         problems.append(f"its watchdog waits for {1e-3 * config.watchdog:g} s before it stops it, not {robot.watchdog_s:g} s")

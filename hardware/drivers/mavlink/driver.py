@@ -86,11 +86,11 @@ class MavlinkDriver(ReconnectingDriver):
         command_timeout_s: CommandTimeout = COMMAND_TIMEOUT_S,
     ) -> None:
         if arm and not switch_mode:
-            raise ScenarioError("arm = true needs switch_mode = true: in any other mode it would obey somebody else", key="arm")
+            raise ScenarioError("arm = true needs switch_mode = true: this driver commands only in that mode", key="arm")
         if takeoff_m is not None and not arm:
-            raise ScenarioError("takeoff_m needs arm = true: only what the driver has armed does it let rise", key="takeoff_m")
+            raise ScenarioError("takeoff_m needs arm = true: the driver lifts only vehicles that it has armed", key="takeoff_m")
         if system_id == own_id:
-            raise ScenarioError(f"own_id must differ from system_id, which is {system_id} too", key="own_id")
+            raise ScenarioError(f"own_id must differ from system_id = {system_id}", key="own_id")
         try:
             self._plane = None if geodetic_origin is None else TangentPlane(*geodetic_origin)
         except ValueError as error:
@@ -172,11 +172,11 @@ class MavlinkDriver(ReconnectingDriver):
     def _make_ready(self, session: MavlinkSession, name: str, deadline_ns: int) -> None:
         while not session.ready:
             if session.interrupted:
-                happened = f"{name} was not made ready: {session.interrupted}"
-                raise HandshakeError(self.device, happened, "open it again when it is free")
+                happened = f"{name} did not become ready: {session.interrupted}"
+                raise HandshakeError(self.device, happened, "connect again when the vehicle is free")
             if time.monotonic_ns() >= deadline_ns:
-                happened = f"{name} did not do what was asked; waited for {session.waits_for}"
-                raise HandshakeError(self.device, happened, "look at what its ground station says of it, or raise connect_s")
+                happened = f"{name} did not follow a request; waited for {session.waits_for}"
+                raise HandshakeError(self.device, happened, "check its messages at the ground station, or raise connect_s")
             self._exchange(deadline_ns)
 
     def _converse(self) -> None:
@@ -188,10 +188,10 @@ class MavlinkDriver(ReconnectingDriver):
             position_ns = now_ns if samples else position_ns
             message_ns = now_ns if messages else message_ns
             if now_ns >= position_ns + silence_ns:
-                what, where = "it told no position", "its GPS or other positioning"
+                what, where = "no position was received", "its GPS or other positioning"
                 if now_ns >= message_ns + silence_ns:
-                    what, where = "nothing was heard", "the vehicle's battery, its cable and its radio"
-                raise LinkLost(self.device, f"{what} for {self._silence_s:g} s", f"look at {where}")
+                    what, where = "no message was received", "the vehicle's battery, cable and radio"
+                raise LinkLost(self.device, f"{what} for {self._silence_s:g} s", f"check {where}")
 
     def _exchange(self, until_ns: int) -> tuple[int, int]:
         """Send what is due, and receive until this time; number of messages and of samples."""
@@ -239,7 +239,7 @@ class MavlinkDriver(ReconnectingDriver):
         except LinkLost:
             return  # it has gone by itself
         if not session.ready:
-            self._notice("warned", f"it was left while we waited for {session.waits_for}: take it over")
+            self._notice("warned", f"the driver left the vehicle while waiting for {session.waits_for}: take over control")
 
     def _hang_up(self) -> None:
         """Release the port, with zero speed as the last message."""

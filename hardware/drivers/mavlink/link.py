@@ -51,14 +51,14 @@ class UdpLink:
             family, _, _, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
         except OSError as error:
-            raise PortError(address, f"no address ({error.strerror or error})", "look at host name and network") from None
+            raise PortError(address, f"no address ({error.strerror or error})", "check host name and network") from None
         self.fileno, self.close = self._socket.fileno, self._socket.close
         try:
             self._socket.setblocking(False)
             (self._socket.bind if listens else self._socket.connect)(where)
         except OSError as error:
             self._socket.close()
-            advice = "close the other program that has it open, or give another port" if listens else "look at the network"
+            advice = "close the other program that has it open, or choose another port" if listens else "check the network"
             raise PortError(address, error.strerror or str(error), advice) from None
 
     def read(self) -> Chunks:
@@ -108,11 +108,11 @@ def open_link(address: str, baud: int, *, insecure: bool = False) -> MavlinkLink
     match = _NETWORK.fullmatch(address)
     if match is None:
         if ":" in address or not address:
-            raise PortError(address or "''", "this is no address", _ADVICE)
+            raise PortError(address or "''", "not an address", _ADVICE)
         return StreamLink(open_line(address, baud))
     scheme, host, port = match[1], match[2].strip("[]"), int(match[3])
     if not 0 < port < 65_536:
-        raise PortError(address, f"there is no port {port}", "ports are from 1 to 65535")
+        raise PortError(address, f"invalid port {port}", "ports are from 1 to 65535")
     if scheme in ("tcp", "socket"):
         return StreamLink(open_line(f"socket://{match[2]}:{port}", baud))
     if scheme == "udpin":
@@ -181,11 +181,11 @@ class VehicleSearch:
         if len(self._found) > 1:
             systems = sorted({sender.system for sender, _ in self._found})
             if len(systems) == 1:
-                happened = f"system {systems[0]} speaks from more than one place"
-                raise HandshakeError(self._device, happened, "give each vehicle a number of its own, or a port of its own")
+                happened = f"system {systems[0]} sends from more than one address"
+                raise HandshakeError(self._device, happened, "give each vehicle its own system id or its own port")
             listed = f"{', '.join(map(str, systems[:-1]))} and {systems[-1]}"
             happened = f"systems {listed} speak here"
-            raise HandshakeError(self._device, happened, f"say which one is meant: system_id = {systems[0]}")
+            raise HandshakeError(self._device, happened, f"choose one, e.g. system_id = {systems[0]}")
         ((sender, source), heartbeat), *_ = self._found.items()
         return self._peer(sender, source, heartbeat)
 
@@ -200,18 +200,18 @@ class VehicleSearch:
         """Error of a search without result."""
         waited = f"within {waited_s:g} s"
         if not self._heard:
-            return HandshakeError(self._device, f"nothing was heard {waited}", self._advice())
+            return HandshakeError(self._device, f"no byte was received {waited}", self._advice())
         if not any(reader.messages for reader in self._readers.values()):
-            happened = f"{self._heard} bytes were heard {waited}, and no MAVLink among them"
-            return HandshakeError(self._device, happened, "look at baud and at what is connected there")
+            happened = f"{self._heard} bytes were received {waited}, but no MAVLink message"
+            return HandshakeError(self._device, happened, "check baud and the connected device")
         if not self._others:
-            happened = f"no heartbeat was heard {waited}"
+            happened = f"no heartbeat was received {waited}"
             return HandshakeError(self._device, happened, "let the autopilot send HEARTBEAT on this port")
         there = ", ".join(f"system {each} ({self._others[each]})" for each in sorted(self._others))
         if self._system_id:
-            happened = f"system {self._system_id} was not heard {waited}, only {there}"
-            return HandshakeError(self._device, happened, "set system_id to that of the vehicle, or switch the vehicle on")
-        return HandshakeError(self._device, f"no vehicle was heard {waited}, only {there}", "switch the vehicle on")
+            happened = f"system {self._system_id} was not received {waited}, only {there}"
+            return HandshakeError(self._device, happened, "set system_id to the id of the vehicle, or switch the vehicle on")
+        return HandshakeError(self._device, f"no vehicle was received {waited}, only {there}", "switch the vehicle on")
 
     def _take(self, heartbeat: Message, source: str, now_ns: int) -> None:
         sender = protocol.sender_of(heartbeat)
@@ -227,9 +227,9 @@ class VehicleSearch:
         kind = self._kind or announced
         if kind is None:
             happened = f"the autopilot of system {sender.system} is neither PX4 nor ArduPilot (number {heartbeat.autopilot})"
-            raise HandshakeError(self._device, happened, 'if it behaves like one of them, set autopilot = "px4" or "ardupilot"')
+            raise HandshakeError(self._device, happened, 'if compatible with one, set autopilot = "px4" or "ardupilot"')
         if announced not in (None, kind):
-            happened = f'system {sender.system} says that its autopilot is "{announced}", not "{kind}"'
+            happened = f'system {sender.system} announces the autopilot "{announced}", not "{kind}"'
             raise HandshakeError(self._device, happened, 'correct the parameter autopilot, or leave it at "auto"')
         if heartbeat.type not in protocol.COPTERS | protocol.GROUND:
             happened = f"system {sender.system} is of type {type_name(heartbeat.type)}"
@@ -241,5 +241,5 @@ class VehicleSearch:
         if self._device.startswith("udpin"):
             return "let the autopilot, its simulator or a MAVLink router send to this port"
         if ":" in self._device:
-            return "is the vehicle or its simulator running, and is this its port?"
-        return "look at battery and cable, and at baud (often 57600 for radios, 115200 or 921600 for companion ports)"
+            return "check that the vehicle or its simulator is running, and that this is its port"
+        return "check battery, cable and baud (often 57600 for radios, 115200 or 921600 for companion ports)"

@@ -119,7 +119,7 @@ TEXT = 50  # characters of a STATUSTEXT; a longer text comes in pieces
 REPEAT_NS = 10_000_000_000  # before a text is reported again
 
 _RESULTS = {
-    mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "refused for now",
+    mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "temporarily rejected",
     mavlink.MAV_RESULT_DENIED: "refused",
     mavlink.MAV_RESULT_UNSUPPORTED: "not known",
     mavlink.MAV_RESULT_FAILED: "failed",
@@ -343,7 +343,7 @@ class MavlinkSession:
             self._repeater.stop(f"it has just been switched to {self._mode}")  # old commands do not count
             self.news.append(("connected", f"it is in {self._mode}: it follows commands"))
         elif self.in_command and not follows:
-            self._halt(f"it was switched to {self._mode}, by its pilot or by itself: it is left to them")
+            self._halt(f"its pilot or the autopilot switched it to {self._mode}: the driver releases control")
         self.in_command = follows
 
     def _halt(self, cause: str) -> None:

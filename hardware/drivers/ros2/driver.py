@@ -217,7 +217,7 @@ class Ros2Driver(ThreadedDriver):
     def _check(self) -> None:
         super()._check()
         if self._lost and time.monotonic_ns() >= self._lost_ns + self._reconnect_ns:
-            raise LinkLost(self.device, self._lost, "look at the robot's nodes, its router and its radio")
+            raise LinkLost(self.device, self._lost, "check the robot's nodes, router and radio")
 
     def _work(self) -> None:
         with contextlib.closing(Node(self._endpoint, self._mode, self._mapping, (self._command, self._odometry))) as node:
@@ -276,7 +276,7 @@ class Ros2Driver(ThreadedDriver):
         except _LeftOut as left_out:
             self.refused[left_out.cause] += 1
             if self.refused[left_out.cause] == 1:
-                self._notice("warned", f"a message on {self._odometry.topic} is left out: {left_out}")
+                self._notice("warned", f"a message on {self._odometry.topic} is ignored: {left_out}")
             return None
 
     def _checked(self, message: ReceivedMessage) -> OdometryMessage:
@@ -287,7 +287,7 @@ class Ros2Driver(ThreadedDriver):
         except ValueError as error:
             raise _LeftOut("content", str(error)) from None
         if not 0 <= odometry.stamp_ns < STAMPS_END_NS:
-            raise _LeftOut("stamp", "its stamp is no time")
+            raise _LeftOut("stamp", "its stamp is not a time")
         if self._frame and odometry.frame != self._frame:
             raise _LeftOut("frame", f"it is in the frame '{odometry.frame}', not '{self._frame}'")
         if not self._presence.hear(message.sender, message.arrived_ns):
@@ -315,21 +315,21 @@ class Ros2Driver(ThreadedDriver):
     def _nobody(self, node: Node, silent: bool, unheard: bool) -> HandshakeError:
         missing = []
         if silent:
-            refused = f" ({self.refused.total()} messages were left out)" if self.refused else ""
-            missing.append(f"no odometry came on {self._odometry.topic}{refused}")
+            refused = f" ({self.refused.total()} messages were ignored)" if self.refused else ""
+            missing.append(f"no odometry was received on {self._odometry.topic}{refused}")
         if unheard:
-            missing.append(f"nothing listens to {self._command.topic} as {self._command.type}")
+            missing.append(f"no node subscribes to {self._command.topic} as {self._command.type}")
         others = node.others()
         if unheard and any(each.topic == self._command.topic and each.type == TWIST_STAMPED for each in others):
-            advice = "it wants TwistStamped: set stamped = true"
+            advice = "the node expects TwistStamped: set stamped = true"
         elif unheard and any(each.topic == self._command.topic and each.type == TWIST for each in others):
-            advice = "it wants Twist: set stamped = false, or it is of another release: see release"
+            advice = "the node expects Twist: set stamped = false, or correct release"
         elif others:
             does = {"MP": "publishes", "MS": "hears"}
             there = ", ".join(f"somebody {does[kind]} {topic} ({name})" for kind, topic, name in others[:_SHOWN])
-            advice = f"look at topics, namespace and release: {there}"
+            advice = f"check topics, namespace and release: {there}"
         else:
-            advice = "is the robot running, with the same domain, and connected to the same router?"
+            advice = "check that the robot is running, with this domain, and connected to this router"
         return HandshakeError(self.device, f"{' and '.join(missing)} within {self._connect_s:g} s", advice)
 
 

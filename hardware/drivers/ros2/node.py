@@ -157,7 +157,7 @@ def _session(endpoint: str, mode: Mode) -> zenoh.Session:
     except UsageError as error:
         happened = str(error).removeprefix("Zenoh: ").rstrip("! ")
         if mode == "connect":
-            advice = "start rmw_zenohd or zenoh-bridge-ros2dds there, or be the router by mode = 'listen'"
+            advice = "start rmw_zenohd or zenoh-bridge-ros2dds there, or make this driver the router: mode = 'listen'"
         else:
             advice = "end the other router there, or use mode = 'connect'"
         raise PortError(endpoint, f"no session ({happened})", advice) from None

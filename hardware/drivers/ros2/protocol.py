@@ -124,7 +124,7 @@ def decode_odometry(data: bytes) -> OdometryMessage:
     _check_finite("the velocity", *linear, *angular)
     norm = sqrt(w * w + x * x + y * y + z * z)
     if not abs(norm - 1.0) <= UNIT_WITHIN:  # written so that infinity is refused
-        raise ValueError("its orientation is no rotation")
+        raise ValueError("its orientation is not a rotation")
     return OdometryMessage(
         position=position,
         attitude=(w / norm, x / norm, y / norm, z / norm),
@@ -159,7 +159,7 @@ def _decoded(data: bytes, name: str) -> Any:
     try:
         return _store().deserialize_cdr(data, name)
     except SerdeError:
-        raise ValueError(f"{len(data)} bytes are no {name}") from None
+        raise ValueError(f"{len(data)} bytes are not a valid {name}") from None
 
 
 def _tuple(vector: Any) -> Vec3:
@@ -309,9 +309,9 @@ def gid_of(token: str) -> bytes:
 def topic_of(namespace: str, topic: str) -> str:
     """Name of a topic, without leading slash; one with a leading slash is in no namespace. `ValueError`: it is invalid."""
     if not _NAME.fullmatch(topic):
-        raise ValueError(f"'{topic}' is no topic: write letters, digits, _ and /, such as cmd_vel or /robot1/cmd_vel")
+        raise ValueError(f"'{topic}' is not a topic: use letters, digits, _ and /, such as cmd_vel or /robot1/cmd_vel")
     if namespace.strip("/") and not _NAME.fullmatch(namespace.rstrip("/")):
-        raise ValueError(f"'{namespace}' is no namespace: write letters, digits, _ and /, such as robot1")
+        raise ValueError(f"'{namespace}' is not a namespace: use letters, digits, _ and /, such as robot1")
     parts = [namespace.strip("/"), topic] if not topic.startswith("/") else [topic[1:]]
     return "/".join(part for part in parts if part)
 

@@ -41,7 +41,7 @@ class Emulated:
     def __init__(self, vehicle: RealVehicle) -> None:
         if vehicle.driver != "arcos":
             key = f"vehicle.{vehicle.name}.driver.port"
-            raise ScenarioError(f"'{EMULATED}' is known to the driver arcos alone, not to {vehicle.driver}", key=key)
+            raise ScenarioError(f"'{EMULATED}' works only with the driver arcos, not with {vehicle.driver}", key=key)
         localisation = dict(vehicle.localisation_params)
         ubisense = None
         if vehicle.localisation == "ubisense":
@@ -66,7 +66,7 @@ class Emulated:
         if not messages:
             late = "" if self._link.ended else f" within {READY_S:g} s"
             self.close()
-            raise UsageError(f"the emulated robot did not start{late}; look at what it says above")
+            raise UsageError(f"the emulated robot did not start{late}; see its messages above")
         return messages[0].decode()
 
     def close(self) -> None:

@@ -90,7 +90,7 @@ def faults_of(text: str, seed: int) -> Faults:
     for part in filter(None, text.split(",")):
         name, equals, value = part.partition("=")
         if not equals or name not in ("drop", "flip", "split", "gap_ms"):
-            raise UsageError(f"--faults {text}: '{part}' is none of drop=P, flip=P, split=P, gap_ms=T")
+            raise UsageError(f"--faults {text}: '{part}' must be drop=P, flip=P, split=P or gap_ms=T")
         values[name] = _number(value, f"--faults {text}: {name}")
     gap_ns = round(1e6 * values.pop("gap_ms", 30.0))
     if gap_ns < 0:
@@ -149,7 +149,7 @@ def _number(text: str, where: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise UsageError(f"{where}: '{text}' is no number")
+        raise UsageError(f"{where}: '{text}' is not a number")
     return number
 
 
@@ -176,7 +176,7 @@ def serve(device: Device, chosen: RobotOptions) -> ArcosServer:
             return serve_tcp(device, host=port.host, port=port.port, faults=chosen.faults, paced=chosen.paced)
         return serve_pty(device, link=port.link, faults=chosen.faults, paced=chosen.paced)
     except FileExistsError:
-        raise UsageError(f"--port {port[0]}: is there already; remove it, or give another path") from None
+        raise UsageError(f"--port {port[0]}: already exists; remove it, or choose another path") from None
     except OSError as error:
         where = f"tcp://{port.host}:{port.port}" if isinstance(port, HostPort) else port.link or "PTY"
         raise UsageError(f"--port {where}: {error.strerror or error}") from None

@@ -152,7 +152,7 @@ def emulate(
     robot = parameters(name, chosen)
     own = vehicle_of(parsed, vehicle, KINDS[name])
     if flies(registry.find("vehicle", own.kind, folder=source.folder, origin=source)):
-        raise UsageError(f"vehicle {own.name} flies, and the {name} does not: choose another one with --vehicle")
+        raise UsageError(f"vehicle {own.name} flies, but the {name} does not: choose another vehicle with --vehicle")
     period_s = period_of(parsed)
     changes = {**(settings or {}), **changes_of(parsed, own, robot, period_s, pose)}
     changes["duration_s"] = math.ceil(10.0 * (chosen.duration_s or ENDLESS_S)) / 10.0  # physics ends with a whole step
@@ -188,7 +188,7 @@ def vehicle_of(parsed: Scenario, name: str | None, kind: str) -> VehicleTable:
     own_kind = "p2dx" if kind == "p2dx" else "amigobot"
     alike = [each for each in parsed.vehicle if each.kind == own_kind] or list(parsed.vehicle)
     if len(alike) > 1:
-        raise UsageError(f"which vehicle is it? Choose with --vehicle NAME: {', '.join(each.name for each in alike)}")
+        raise UsageError(f"several vehicles match; choose one with --vehicle NAME: {', '.join(each.name for each in alike)}")
     return alike[0]
 
 

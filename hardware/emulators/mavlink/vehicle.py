@@ -264,7 +264,7 @@ class Vehicle:
     def pilot_switches(self, mode: str) -> None:
         """Another transmitter or ground station selects a mode."""
         if mode not in self.autopilot.modes:
-            raise ValueError(f"{self.autopilot.name} has no mode {mode}, only {', '.join(self.autopilot.modes)}")
+            raise ValueError(f"{self.autopilot.name} has no mode {mode}; modes: {', '.join(self.autopilot.modes)}")
         self._enter(mode)
 
     def pilot_arms(self, armed: bool = True) -> None:

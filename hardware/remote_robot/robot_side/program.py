@@ -111,8 +111,8 @@ class RobotProgram:
                 self._tell("the run is back")
                 watchdog.meet()
             else:
-                self._tell(f"a run has come ({self._endpoint})")
-                watchdog.close("another run has come", say)
+                self._tell(f"connected to a run ({self._endpoint})")
+                watchdog.close("another run has connected", say)
                 watchdog.open(welcome.run, welcome.start, lambda: self._given_up(connection))
             ended = self._drive(connection)
             watchdog.stop(ended if ended in (LEFT, self._ending) else f"the link to the run is lost ({ended})")
@@ -130,7 +130,7 @@ class RobotProgram:
             self._tell(LEFT)
         else:
             self._lost_ns = time.monotonic_ns()
-            self._tell(f"the link to the run is lost ({ended}); the robot stands")
+            self._tell(f"the link to the run is lost ({ended}); the robot stops")
 
     def _greeted(self, connection: RunConnection) -> RobotWelcome | None:
         """Request until the run accepts this robot; None: no answer, or the run ended."""
@@ -151,7 +151,7 @@ class RobotProgram:
                 return welcome
             if welcome is not None:
                 if welcome.final:
-                    raise UsageError(f"the run refuses this robot: {plain(welcome.refused)}")
+                    raise UsageError(f"the run rejects this robot: {plain(welcome.refused)}")
                 self._say_once(f"waiting: {plain(welcome.refused)}")
             elif time.monotonic() > until:
                 unknown = "what listens there does not answer robots: another vcmvsp version,"
@@ -184,14 +184,14 @@ class RobotProgram:
                 news = connection.next(POLL_S)
                 now_ns = time.monotonic_ns()
                 if news == "gone":
-                    return "it has ended, or the network broke"
+                    return "the run has ended, or the network failed"
                 if news is not None and (order := self._taken(news)) is not None:
                     heard_ns = now_ns
                     if order.leave:
                         return LEFT
                     watchdog.follow(order, now_ns)
                 if now_ns > heard_ns + seconds_to_ns(SILENCE_S):
-                    return f"nothing was heard for {SILENCE_S:g} s"
+                    return f"no message was received for {SILENCE_S:g} s"
                 sample = watchdog.turn(now_ns)
                 if sample is not None or now_ns >= self._said_ns + seconds_to_ns(SAY_S):
                     self._say(connection, sample)
@@ -204,7 +204,7 @@ class RobotProgram:
         try:
             order = messages.downs.decode(news[0])
         except ValueError:
-            self._say_once("the run says something that cannot be read: use the same vcmvsp version")
+            self._say_once("the run sent an invalid message: use the same vcmvsp version on both machines")
             return None
         if order.number <= self._echo[0]:
             return None
@@ -284,7 +284,7 @@ def robot(
     try:
         key_names.robot_key(key_names.OPEN, vehicle, "0", "up")
     except ValueError:
-        raise UsageError(f"--vehicle {vehicle!r}: a name has letters, digits, _ and -") from None
+        raise UsageError(f"--vehicle {vehicle!r}: a name has only letters, digits, _ and -") from None
     bundle, foreign = _bundle(keys, vehicle, tell)
     connect = endpoints.endpoint_rules(connect, bundle, insecure=insecure, side="robot")
     program = RobotProgram(vehicle, built(driver, params or {}), connect, bundle, pose=pose, foreign=foreign, tell=tell)
@@ -318,15 +318,15 @@ def built(text: str, params: dict[str, Any]) -> Driver:
     kind, address = kind_of(text)
     origin = Source("--set")
     if kind == "zenoh":
-        raise ScenarioError("zenoh is the run's end of this program: name the driver of the robot itself", source="--driver")
+        raise ScenarioError("zenoh is the run's side of this program: name the driver of the robot itself", source="--driver")
     driver_class = registry.find("driver", kind, key="", origin=Source("--driver"))
     if address:
         where = next((each for each in ADDRESSES if each in binding.parameters(driver_class)), None)
         if where is None:
-            problem = f"'{kind}' takes no address; leave ':{address}' out (parameters come by --set KEY=VALUE)"
+            problem = f"'{kind}' has no address; leave ':{address}' out (set parameters by --set KEY=VALUE)"
             raise ScenarioError(problem, source="--driver")
         if where in params:
-            raise ScenarioError(f"the address is there twice, as {where} and behind --driver {kind}:", source="--set")
+            raise ScenarioError(f"the address is given twice, as {where} and behind --driver {kind}:", source="--set")
         params = {where: address, **params}
     return binding.call(driver_class, params, origin=origin)
 

@@ -64,7 +64,7 @@ class DriverWatchdog:
     def meet(self) -> None:
         """The link to the run is new: stand until the run has commanded to stand."""
         self._stood = False
-        self.stop("its run has just come")
+        self.stop("its run has just connected")
 
     def follow(self, order: RobotOrder, now_ns: int) -> None:
         """Obey an order; a velocity that may be too old, by this clock, is ignored."""
@@ -77,7 +77,7 @@ class DriverWatchdog:
             self._stood = True
             self.stop(plain(order.stop) or NOT_YET)
         elif not all(map(math.isfinite, (*order.velocity.linear, order.velocity.yaw_rate))):
-            self.stop("a velocity of the run is no number")
+            self.stop("a velocity of the run is not a number")
         elif self._stood and self._is_fresh(order, now_ns):
             self._stopped, self._velocity_ns = "", now_ns
             self._driver.write(order.velocity)
@@ -139,7 +139,7 @@ class DriverWatchdog:
         try:
             new = self._driver.notices()
         except Exception as error:
-            self._tell(f"its driver cannot say what happened: {error}")
+            self._tell(f"the failure of its driver cannot be read: {error}")
             return
         new = [msgspec.structs.replace(each, cause=plain(each.cause)) for each in new]
         for each in new:
@@ -152,8 +152,8 @@ class DriverWatchdog:
         fresh = order.yours_ns > 0 and now_ns - order.yours_ns <= _DEADMAN_NS
         if not fresh and not self._late:
             self._late = True
-            way = f"{(now_ns - order.yours_ns) / 1e9:.1f} s for both ways" if order.yours_ns else "nothing of ours was heard"
-            cause = f"velocities come too late and do not count: {way}"
+            way = f"{(now_ns - order.yours_ns) / 1e9:.1f} s for both ways" if order.yours_ns else "the run received nothing"
+            cause = f"velocities arrive too late and are ignored: {way}"
             self._tell(f"warned: {cause}")
             self._notices.append(Notice(time_ns=time.monotonic_ns(), what="warned", cause=cause))
         return fresh
@@ -162,7 +162,7 @@ class DriverWatchdog:
 def _failure(device: str, error: Exception) -> Failure:
     if not isinstance(error, DriverError):
         happened = plain(f"its driver failed ({words_of(error)})")
-        return Failure(kind="driver", device=plain(device), happened=happened, advice="report this to who wrote the driver")
+        return Failure(kind="driver", device=plain(device), happened=happened, advice="report this to the author of the driver")
     kind = next(word for word, each in FAILURES.items() if isinstance(error, each))
     device, happened, advice = map(plain, (error.device, error.happened, error.advice))
     return Failure(kind=kind, device=device, happened=happened, advice=advice)

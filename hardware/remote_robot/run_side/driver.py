@@ -74,7 +74,7 @@ class Admission:
         if keys is not None and (denied := access_control.admission(keys, name, [vehicle])):
             return denied
         if hello.vehicle != self._vehicle:
-            return f"this is the port of {self._vehicle}, not of {vehicle}"
+            return f"this port belongs to {self._vehicle}, not to {vehicle}"
         return ""
 
 
@@ -83,7 +83,7 @@ GRACE_S = 2.0  # for a robot, beyond its driver's own deadlines
 LONGEST_CLOSE_S = 30.0  # upper bound
 FAREWELL_S = 0.5  # for a robot to receive the end, after a failure
 WAITING, AT_THE_DOOR = 256, 16  # limits of waiting messages: in all, and for requests; others are dropped
-_ADVICE = "look at the program 'vcmvsp robot' on the robot's computer, and at the network"
+_ADVICE = "check the program 'vcmvsp robot' on the robot's computer, and the network"
 INVITE_S = 2.0  # before a message to the user
 
 
@@ -118,7 +118,7 @@ class ZenohDriver(ThreadedDriver):
         folder: str = "",
     ) -> None:
         if vehicle and not re.fullmatch(r"[A-Za-z0-9_-]+", vehicle):
-            raise ScenarioError(f"must have letters, digits, _ and - only, not {vehicle!r}", key="vehicle")
+            raise ScenarioError(f"must have only letters, digits, _ and -, not {vehicle!r}", key="vehicle")
         try:
             if keys and insecure:
                 raise UsageError("keys and insecure exclude one another: leave one of them out")
@@ -145,7 +145,7 @@ class ZenohDriver(ThreadedDriver):
 
     def _prepare(self, start: Vec3) -> None:
         if not self._vehicle:
-            raise HandshakeError(self.device, "it was not told whose robot is to come", "give it a vehicle")
+            raise HandshakeError(self.device, "the driver has no vehicle", "set its vehicle")
         self._news: queue.SimpleQueue[News | None] = queue.SimpleQueue()
         self._woken = threading.Event()
         self._sampler, self._repeater = RemoteSampler(start), CommandState(self._timeout_s)
@@ -219,7 +219,7 @@ class ZenohDriver(ThreadedDriver):
         try:
             status = messages.ups.decode(message.data)
         except ValueError as error:
-            self._warn_once(f"a message of the robot is left out: {error}")
+            self._warn_once(f"a message of the robot is ignored: {error}")
             return
         self._heard_ns, self._yours_ns = message.arrived_ns, status.said_ns
         with self._lock:
@@ -314,7 +314,7 @@ class ZenohDriver(ThreadedDriver):
             if keys is not None and (warning := keys.check()):
                 self._notice("warned", warning)
         except UsageError as error:
-            raise PortError(self.device, str(error), "name the folder of the authority, keys = 'DIR'") from None
+            raise PortError(self.device, str(error), "set the folder of the authority, keys = 'DIR'") from None
         return keys
 
     def _converse(self, open_until_ns: int) -> None:
@@ -335,15 +335,15 @@ class ZenohDriver(ThreadedDriver):
             elif isinstance(news, RobotGreeting):
                 self._greeted(news)
             elif isinstance(news, LinkEnded) and news.peer == self._peer:
-                self._let_go("the robot's program has ended, or its link broke")
+                self._let_go("the robot's program has ended, or its link is lost")
             elif isinstance(news, RobotMessage) and news.peer == self._peer:
                 self._heard(news)
         if not self._ready.is_set():
-            raise HandshakeError(self.device, "it was closed while its robot was waited for", "open it again")
+            raise HandshakeError(self.device, "the driver was closed while waiting for the robot", "connect again")
 
     def _watch(self, now_ns: int, open_until_ns: int) -> None:
         if self._peer is not None and now_ns >= self._heard_ns + self._silence_ns:
-            self._let_go(f"nothing was heard for {self._silence_s:g} s")
+            self._let_go(f"no message was received for {self._silence_s:g} s")
         if not self._ready.is_set():
             if now_ns >= open_until_ns:
                 raise self._nobody()
@@ -352,7 +352,7 @@ class ZenohDriver(ThreadedDriver):
                 sys.stderr.write(f"waiting for the robot of {self._vehicle} at {self._listen}; there: {self.invitation}\n")
                 sys.stderr.flush()
         elif self._lost is not None and now_ns >= self._lost_ns + seconds_to_ns(self._reconnect_s):
-            lost, back = self._lost, f"and it was not back within {self._reconnect_s:g} s"
+            lost, back = self._lost, f"and the robot did not return within {self._reconnect_s:g} s"
             raise LinkLost(self.device, f"{lost.happened}, {back}", lost.advice) if self._reconnect_s else lost
 
     def _greeted(self, greeting: RobotGreeting) -> None:
@@ -361,16 +361,16 @@ class ZenohDriver(ThreadedDriver):
             peer = Peer(greeting.name, hello.session)
             key_names.robot_key(peer.name, self._vehicle, peer.session, "up")
         except ValueError:
-            greeting.answer(RobotWelcome(refused="that was no greeting of a robot of this version", final=True))
+            greeting.answer(RobotWelcome(refused="not a greeting of a robot of this version", final=True))
             return
         final = self._admission.refusal(greeting.name, hello)
         if refused := final or self._waits(greeting.name, hello):
             self._refused = refused
-            self._warn_once(f"a robot was sent away: {refused}")
+            self._warn_once(f"a robot was rejected: {refused}")
             greeting.answer(RobotWelcome(refused=refused, final=bool(final)))
             return
         if self._peer is not None and self._peer != peer:
-            self._let_go("the robot has dialled anew")
+            self._let_go("the robot has connected again")
         if self._peer is None:
             self._follow(peer, hello)
         greeting.answer(RobotWelcome(run=self._run_name, start=self._sampler.pose))
@@ -381,15 +381,15 @@ class ZenohDriver(ThreadedDriver):
         if self._closing.is_set():
             return "the run is over"
         if self._peer is not None and hello_before is not None and (self._peer.name, hello_before.robot) != (name, hello.robot):
-            return f"another program drives {self._vehicle} already"
+            return f"another program already drives {self._vehicle}"
         return ""
 
     def _nobody(self) -> HandshakeError:
         within = f"within {self._open_s:g} s"
         if self._peer is not None and self._hello is not None:
-            happened = f"the robot has come, but its own driver ({plain(self._hello.device)}) is not open {within}"
-            advice = f"look at the robot; it may take {self._hello.open_s:g} s: open_deadline_s"
+            happened = f"the robot has connected, but its own driver ({plain(self._hello.device)}) did not open {within}"
+            advice = f"check the robot; its driver may need {self._hello.open_s:g} s: raise open_deadline_s"
             return HandshakeError(self.device, happened, advice)
-        refusal = f"; one was sent away: {self._refused}" if self._refused else ""
-        happened = f"the robot of {self._vehicle} did not come {within}{refusal}"
+        refusal = f"; a robot was rejected: {self._refused}" if self._refused else ""
+        happened = f"the robot of {self._vehicle} did not connect {within}{refusal}"
         return HandshakeError(self.device, happened, f"start on its own computer: {self.invitation}")

@@ -68,8 +68,8 @@ class RobotListener:
             self._session = opened({"mode": "router", "listen": {"endpoints": [listen]}}, secure, "Zenoh")
         except UsageError as error:
             happened = str(error).removeprefix("Zenoh: ")
-            advice = "is another run using this port? Give each vehicle a port of its own"
-            raise PortError(listen, f"nothing can listen there ({happened})", advice) from None
+            advice = "check that no other run uses this port, and give each vehicle its own port"
+            raise PortError(listen, f"cannot listen there ({happened})", advice) from None
         alive, watch = f"vcmvsp/robot/*/{vehicle}/*/alive", Callback(self._on_token, indirect=False)
         self._kept: list[Any] = [
             self._session.liveliness().declare_subscriber(alive, watch),

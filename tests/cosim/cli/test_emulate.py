@@ -334,7 +334,7 @@ def test_a_port_that_is_taken_is_said_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "robot").touch()
     outcome = vcmvsp_command("emulate", "amigobot", "--port", str(tmp_path / "robot"))
     assert (outcome.code, outcome.err.count("\n")) == (2, 1)
-    assert "is there already" in outcome.err
+    assert "already exists" in outcome.err
     with socket.create_server(("127.0.0.1", 0)) as taken:
         outcome = vcmvsp_command("emulate", "amigobot", "--port", f"tcp://:{taken.getsockname()[1]}")
     assert (outcome.code, outcome.err.count("\n")) == (2, 1)

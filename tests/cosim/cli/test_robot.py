@@ -49,16 +49,16 @@ def test_the_address_goes_where_a_driver_wants_it() -> None:
     assert made.device == "socket://localhost:8101"
     assert built("mavlink:udpin:0.0.0.0:14540", {}).device == "udpin:0.0.0.0:14540"
     assert isinstance(built("bench", {"rate_hz": 50}), Bench)
-    with pytest.raises(ScenarioError, match="the address is there twice"):
+    with pytest.raises(ScenarioError, match="the address is given twice"):
         built("arcos:/dev/ttyUSB0", {"port": "/dev/ttyUSB1"})
 
 
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        ({"driver": "bench:/dev/ttyUSB0"}, "'bench' takes no address"),
+        ({"driver": "bench:/dev/ttyUSB0"}, "'bench' has no address"),
         ({"driver": "arcsos:/dev/ttyUSB0"}, "unknown driver kind 'arcsos'; did you mean 'arcos'?"),
-        ({"driver": "zenoh"}, "is the run's end of this program"),
+        ({"driver": "zenoh"}, "is the run's side of this program"),
         ({"driver": "missing.py:Rover"}, "there is no file"),
         ({"connect": "7448"}, "must be tcp/HOST:PORT or tls/HOST:PORT"),
         ({"connect": "tls/10.0.0.1:7448"}, "TLS needs certificates: add --keys FILE"),

@@ -131,7 +131,7 @@ def test_robots_drive_while_there_is_an_operator() -> None:
         drive(run)
         operator.send_signal(signal.SIGSTOP)  # as Ctrl-Z does
         report = run.until(lambda each: "operator" in each.causes, v=0.4)
-        assert ("stopped", "nothing was heard of the operator for 2 s") in run.notices
+        assert ("stopped", "no message of the operator for 2 s") in run.notices
         operator.send_signal(signal.SIGCONT)
         end = time.monotonic() + 0.4
         report = run.until(lambda _: time.monotonic() > end, v=0.4)

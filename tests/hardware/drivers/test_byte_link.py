@@ -44,7 +44,7 @@ def test_bytes_go_both_ways_and_nothing_is_waited_for(ends: tuple[ByteLink, int]
 
 def test_who_does_not_read_is_not_waited_for_for_ever(ends: tuple[ByteLink, int]) -> None:
     line, _ = ends
-    with pytest.raises(LinkLost, match="takes no more bytes"):
+    with pytest.raises(LinkLost, match="accepts no more bytes"):
         line.write(bytes(10_000_000))
 
 

@@ -83,7 +83,7 @@ def test_what_ended_it_is_raised_and_forgotten_when_it_is_opened_again() -> None
         driver.open()
     driver.fails = None
     driver.open()
-    with pytest.raises(RuntimeError, match="nowhere is open already"):
+    with pytest.raises(RuntimeError, match="nowhere is already open"):
         driver.open()
     driver.close()  # with a sample that nobody has read
     driver.fails = PortError("nowhere", "it is gone", "look for it")
@@ -94,7 +94,7 @@ def test_what_ended_it_is_raised_and_forgotten_when_it_is_opened_again() -> None
 
 def test_one_that_is_not_ready_in_time_hangs_and_is_closed() -> None:
     driver, before = Fake(hangs=True), threading.active_count()
-    with pytest.raises(HandshakeError, match="the connection hangs; look at the network"):
+    with pytest.raises(HandshakeError, match="the connection hangs; check the network"):
         driver.open()
     assert threading.active_count() == before
 

@@ -364,7 +364,7 @@ def test_its_clock_may_say_anything(tmp_path: Path, port: int, ahead_s: float | 
 
 def test_a_second_program_waits_its_turn(tmp_path: Path, port: int) -> None:
     with driven_alone(tmp_path / "first", port) as (first, made), program(tmp_path / "second", port) as second:
-        second.until("waiting: another program drives car3 already")
+        second.until("waiting: another program already drives car3")
         drive(made, lambda each: each.odometry.v > 0.1)
         first.process.kill()
         drive(made, lambda each: each.link >= 2)
@@ -386,7 +386,7 @@ def test_a_robot_that_its_own_driver_has_lost_may_come_back_or_ends_the_run(tmp_
 def test_who_is_missing_is_said_with_what_starts_it(port: int) -> None:
     made = ZenohDriver(listen=f"tcp/127.0.0.1:{port}", vehicle="car3", open_deadline_s=0.2)
     with pytest.raises(
-        HandshakeError, match=rf"robot of car3 did not come within 0.2 s; .*vcmvsp robot --vehicle car3 .*:{port}"
+        HandshakeError, match=rf"robot of car3 did not connect within 0.2 s; .*vcmvsp robot --vehicle car3 .*:{port}"
     ):
         made.open()
     made.close()
@@ -398,7 +398,7 @@ def test_who_is_missing_is_said_with_what_starts_it(port: int) -> None:
 def test_a_port_that_is_taken(port: int) -> None:
     with socket.create_server(("127.0.0.1", port)):
         made = ZenohDriver(listen=f"tcp/127.0.0.1:{port}", vehicle="car3")
-        with pytest.raises(PortError, match="nothing can listen there"):
+        with pytest.raises(PortError, match="cannot listen there"):
             made.open()
 
 
@@ -448,7 +448,7 @@ def test_the_wrong_certificate_is_named_at_both_ends(tmp_path: Path, port: int, 
         made.close()
         thread.join(PATIENCE_S)
     causes = [each.cause for each in made.notices()]
-    assert "a robot was sent away: the certificate of 'car2' is for car2, not for car3" in causes
+    assert "a robot was rejected: the certificate of 'car2' is for car2, not for car3" in causes
     assert isinstance(failed[0], HandshakeError)
 
 

@@ -244,8 +244,8 @@ def test_velocities_that_may_be_old_count_for_nothing() -> None:
     robot.hear(AHEAD, old_s=0.6)
     assert robot.speed() == 0.0
     robot.hear(AHEAD, old_s=0.6)
-    assert [each for each in robot.said if "come too late" in each] == [
-        "warned: velocities come too late and do not count: 0.6 s for both ways"
+    assert [each for each in robot.said if "arrive too late" in each] == [
+        "warned: velocities arrive too late and are ignored: 0.6 s for both ways"
     ]
     robot.hear(AHEAD, old_s=0.4)
     assert robot.speed() == pytest.approx(0.3)
@@ -314,7 +314,7 @@ def test_what_cannot_be_is_said(options: dict[str, Any], problem: str) -> None:
 
 def test_it_must_know_whose_robot_it_waits_for() -> None:
     made = ZenohDriver(listen="tcp/127.0.0.1:7448")
-    with pytest.raises(Exception, match="not told whose robot"):
+    with pytest.raises(Exception, match="has no vehicle"):
         made.open()
 
 

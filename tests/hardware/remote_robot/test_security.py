@@ -218,7 +218,7 @@ def test_who_is_sent_away_is_told_why(keys: certificates.Keys) -> None:
     assert refusal("car3") == refusal("laptop") == ""
     assert refusal("car2") == "the certificate of 'car2' is for car2, not for car3"
     assert (
-        refusal("car2", "car2") == refusal("laptop", "car4").replace("car4", "car2") == "this is the port of car3, not of car2"
+        refusal("car2", "car2") == refusal("laptop", "car4").replace("car4", "car2") == "this port belongs to car3, not to car2"
     )
     assert refusal("gone") == "the certificate of 'gone' has been revoked"
     assert refusal("anna") == "the certificate of 'anna' is for watching only"

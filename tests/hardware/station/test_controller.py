@@ -178,7 +178,7 @@ def test_without_a_word_of_the_run_the_robot_stops_until_it_is_back() -> None:
     assert stopped.time_ns - before_ns <= 500 * MS + TURN_MS * MS
     assert station.driver.pose[0] < 0.4 * 1.0 + 0.4 * 0.52 + 0.4**2 / 4.0 + 0.02
     assert station.drive(1.0, v=0.4).causes == ()
-    assert station.stops == ["nothing was heard of the run for 0.5 s"]
+    assert station.stops == ["no message of the run for 0.5 s"]
 
 
 def test_a_command_that_is_old_stops_the_robot_until_there_is_a_new_one() -> None:
@@ -243,7 +243,7 @@ def test_an_operator_who_falls_silent_stops_it_for_good(operator: float | None) 
         assert station.drive(1.0, v=0.4, each=station.onboard.operator_heard).causes == ()
         station.drive(1.0, v=0.4)
         assert station.drive(1.0, v=0.4, each=station.onboard.operator_heard).causes == ("operator",)
-        assert station.stops == ["nothing was heard of the operator for 0.5 s"]
+        assert station.stops == ["no message of the operator for 0.5 s"]
 
 
 def test_the_first_halt_counts_and_stays() -> None:
@@ -273,7 +273,7 @@ def test_a_station_that_was_held_up_stops_its_robot_first() -> None:
     station.ns += 2_000 * MS
     assert "clock" in station.drive(0.02, v=0.4).causes
     assert station.drive(0.5, v=0.4).causes == ()
-    assert station.stops.count("the station was held up, or its clock jumped") == 1
+    assert station.stops.count("the station was delayed, or its clock jumped") == 1
 
 
 def test_rows_of_others_must_be_rows() -> None:
@@ -405,7 +405,7 @@ def test_without_positions_the_robot_stops_until_they_are_back() -> None:
     guided.drive(2.0, v=0.3)
     guided.fixes = False
     assert guided.drive(1.5, v=0.3).causes == ("positioning",)
-    assert guided.station.stops == ["its position is not known: positions or odometry stay away (time-out 1 s)"]
+    assert guided.station.stops == ["its position is unknown: no positions or odometry (time-out 1 s)"]
     guided.fixes = True
     assert guided.drive(1.0, v=0.3).causes == ()
 
@@ -440,7 +440,7 @@ def test_a_robot_that_is_kept_from_driving_from_the_beginning_says_why() -> None
     station = Station(mission(operator_s=0.5))
     station.drive(1.0, v=0.0)
     station.drive(3.0, v=0.4)
-    assert station.stops == ["nothing was heard of the operator for 0.5 s"]
+    assert station.stops == ["no message of the operator for 0.5 s"]
 
 
 def test_a_position_that_jumps_a_little_is_left_out_and_then_believed_with_a_notice() -> None:

@@ -135,7 +135,7 @@ def test_an_order_that_cannot_be_read_stops_the_robot_and_ends_the_station() -> 
     with serve_pty(Device(PATIENT)) as served, driven(mission(arcos(served))) as run:
         run.until(drives, v=0.2)
         assert run.station._link.send(b"\x81\xa3bad")
-        with pytest.raises(DriverError, match="an order that cannot be read"):
+        with pytest.raises(DriverError, match="an invalid order"):
             run.until(lambda _: False, v=None)
         eventually(lambda: not served.device.is_open)
         assert served.device.motion.wanted(0.0) == (0.0, 0.0)
@@ -186,7 +186,7 @@ def test_a_driver_that_hangs_is_given_up(hanging: Callable[..., StationMission])
 def test_a_station_that_does_not_say_that_it_is_ready_is_ended(hanging: Callable[..., StationMission]) -> None:
     stuck = Station.start(hanging("open", open_s=60.0))
     os.kill(stuck.pid, signal.SIGSTOP)
-    with pytest.raises(DriverError, match="did not say in time"):
+    with pytest.raises(DriverError, match="did not connect to the robot in time"):
         stuck.wait_ready(time.monotonic() + 0.3)
     assert stuck.close()[-1].failed
 
@@ -233,7 +233,7 @@ def test_nothing_waits_for_a_station_that_hangs() -> None:
         os.kill(run.station.pid, signal.SIGSTOP)
         for _ in range(2000):  # more than the link holds
             run.order(0.4)
-        assert run.station.close(time.monotonic() + 0.5)[-1].failed == "its station did not end by itself and was killed"
+        assert run.station.close(time.monotonic() + 0.5)[-1].failed == "its station did not end in time and was killed"
 
 
 RUN = """

@@ -149,7 +149,7 @@ def test_what_comes_while_a_program_sleeps_waits_for_it_in_the_order_of_arrival(
     def late(end: Socket) -> None:
         end.sleep(0.5)
         heard.extend(end.recvfrom(0) for _ in range(6))
-        with pytest.raises(TimeoutError, match="nothing was heard for 0 s"):
+        with pytest.raises(TimeoutError, match="no message was received for 0 s"):
             end.recvfrom(0)
         assert end.time() == 0.5
 

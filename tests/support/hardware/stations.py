@@ -16,7 +16,7 @@ BENCH = PartSpec(
     kind="bench",
     params={"latency_s": 0.01, "rate_hz": 50.0, "accel": 2.0, "decel": 2.0, "command_timeout_s": 2.0},
 )
-HELD_UP = ("stopped", "the station was held up, or its clock jumped")
+HELD_UP = ("stopped", "the station was delayed, or its clock jumped")
 
 
 def safety(**changed: Any) -> Safety:

@@ -181,14 +181,14 @@ def test_not_back_in_time() -> None:
     served = serve_tcp(Device(ROBOTS["amigo"]))
     with connected(served.url, reconnect_s=0.7) as driver:
         served.close()
-        with pytest.raises(LinkLost, match=r"closed the connection, and it was not back within 0.7 s \(nothing listens"):
+        with pytest.raises(LinkLost, match=r"connection, and the link did not return within 0.7 s \(nothing listens"):
             drive(driver, 10.0)
 
 
 def test_a_robot_that_falls_silent() -> None:
     with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url, silence_s=0.5) as driver:
         drive(driver, 0.3)
-        with served.lock, pytest.raises(LinkLost, match=r"nothing was heard for 0\.5 s; look at the robot's battery"):
+        with served.lock, pytest.raises(LinkLost, match=r"no packet was received for 0\.5 s; check the robot's battery"):
             drive(driver, 10.0)  # who holds the lock, holds the robot
 
 
@@ -219,7 +219,7 @@ def refused(port: str, **options: Any) -> DriverError:
 def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
     missing = refused(str(tmp_path / "ttyUSB7"))
     assert isinstance(missing, PortError)
-    assert "there is no such port; ports that are there: " in str(missing)
+    assert "there is no such port; available ports: " in str(missing)
     plain = tmp_path / "plain"
     plain.write_text("x")
     assert "not a serial port" in refused(str(plain)).happened
@@ -238,7 +238,7 @@ def test_a_port_that_belongs_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("serial.serialposix.os.open", deny)
     error = refused("/dev/ttyUSB0")
-    assert "it may not be opened by you; join the group that owns it" in str(error)
+    assert "access is denied; join the group that owns it" in str(error)
 
 
 def test_a_port_may_not_be_used_twice() -> None:
@@ -247,7 +247,7 @@ def test_a_port_may_not_be_used_twice() -> None:
         assert isinstance(error, PortError)
         assert "it is in use; close the other program" in str(error)
         assert drive(driver, 0.3)
-        with pytest.raises(RuntimeError, match="open already"):
+        with pytest.raises(RuntimeError, match="already open"):
             driver.open()
 
 
@@ -255,7 +255,7 @@ def test_the_wrong_robot() -> None:
     with serve_pty(Device(ROBOTS["p2dx"])) as served:
         error = refused(served.url, robot="amigo")
         assert isinstance(error, HandshakeError)
-        assert "it is of kind p2dx (emulated), not amigo" in error.happened
+        assert "the robot is of kind p2dx (emulated), not amigo" in error.happened
         with connected(served.url, robot="p2dx") as driver:  # the port is free again
             assert driver.robot is ROBOTS["p2dx"]
 
@@ -298,7 +298,7 @@ def test_closing_does_not_wait_for_a_robot_that_does_not_answer() -> None:
         driver.close()
         assert time.monotonic() - begin < driver.close_deadline_s
         opening.join(5.0)
-        assert errors == ["it was closed while it was being connected"]
+        assert errors == ["the driver was closed while connecting"]
 
 
 def test_a_process_that_forgets_to_close_ends_and_its_robot_stops() -> None:

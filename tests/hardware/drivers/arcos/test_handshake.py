@@ -119,7 +119,7 @@ def test_settings_are_told_in_the_units_of_the_robot() -> None:
 
 
 def test_the_kind_must_be_the_one_that_was_meant() -> None:
-    with pytest.raises(HandshakeError, match=r"/dev/x: it is of kind amigo \(rosa\), not p2dx; set robot = 'amigo'"):
+    with pytest.raises(HandshakeError, match=r"/dev/x: the robot is of kind amigo \(rosa\), not p2dx; set robot = 'amigo'"):
         shake_hands(handshake(kind="p2dx"), Device(ROBOTS["amigo"], name="rosa"))
 
 
@@ -132,9 +132,9 @@ def test_kinds_are_compared_without_case_and_unknown_ones_are_named() -> None:
         return client
 
     assert connect(b"x\0Pioneer\0P2DX\0").robot is ROBOTS["p2dx"]
-    with pytest.raises(HandshakeError, match=r"Pioneer 'peoplebot', whose parameters are not known; .*p2dx, amigo, amigo-sh"):
+    with pytest.raises(HandshakeError, match=r"Pioneer 'peoplebot', whose parameters are unknown; .*p2dx, amigo, amigo-sh"):
         connect(b"x\0Pioneer\0peoplebot\0")
-    with pytest.raises(HandshakeError, match="comes back unchanged; look for a loop-back"):
+    with pytest.raises(HandshakeError, match="the link echoes all bytes; check for a loop-back"):
         connect(b"")
 
 
@@ -155,10 +155,8 @@ def fails(heard: bytes) -> str:
 
 
 def test_why_there_is_no_connection() -> None:
-    assert "nothing was heard for 10 s; is the robot on" in fails(b"")
-    assert "no packet among them; the baud rate may be wrong (it is 9600; try 19200, 38400, 57600, 115200)" in fails(
-        b"\x80\xff\x00"
-    )
+    assert "no byte was received for 10 s; check that the robot is on" in fails(b"")
+    assert "but no packet; the baud rate may be wrong (it is 9600; try 19200, 38400, 57600, 115200)" in fails(b"\x80\xff\x00")
     assert "another client may be connected" in fails(frame(b"\x32" + bytes(24)))
 
 

@@ -146,7 +146,7 @@ def test_parameters_that_do_not_fit(options: dict[str, Any]) -> None:
 def test_arming_that_is_refused_says_why() -> None:
     with MavlinkServer(Vehicle(autopilot="ardupilot", can_arm=False, **QUICK), UdpPort()) as served:
         driver = MavlinkDriver(address=served.url, system_id=1, switch_mode=True, arm=True, connect_s=1.0)
-        with pytest.raises(HandshakeError, match=r"waited for it to arm \(COMPONENT_ARM_DISARM: refused for now") as caught:
+        with pytest.raises(HandshakeError, match=r"waited for it to arm \(COMPONENT_ARM_DISARM: temporarily") as caught:
             driver.open()
         assert "Arming denied: no position estimate, no valid heading and no battery to speak of" in str(caught.value)
         eventually(lambda: served.vehicle.mode == "BRAKE")
@@ -160,7 +160,7 @@ def test_the_pilot_takes_over_and_gives_back() -> None:
         with served.lock:
             served.vehicle.pilot_switches("LOITER")
         eventually(lambda: "LOITER" in fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].stopped)
-        eventually(notice(driver, "stopped", "it was switched to LOITER"))
+        eventually(notice(driver, "stopped", "switched it to LOITER"))
         fly(driver, 0.5, 1.0, 0.0, 0.0)
         assert served.vehicle.mode == "LOITER"  # it was not fought
         assert not commands(served, mavlink.MAV_CMD_DO_SET_MODE)
@@ -201,7 +201,7 @@ def test_a_vehicle_that_falls_silent_and_comes_back_gets_zero_first() -> None:
 
         def lost() -> bool:
             seen.extend(f"{each.what} {each.cause}" for each in driver.notices())
-            return any("lost nothing was heard for 0.5 s" in each for each in seen)
+            return any("lost no message was received for 0.5 s" in each for each in seen)
 
         eventually(lost)
         with served.lock:
@@ -260,7 +260,7 @@ def test_a_position_that_is_no_number_is_no_sample() -> None:
             assert sample is None or all(map(math.isfinite, sample.state.position))  # type: ignore[union-attr]
             return False
 
-        with pytest.raises(LinkLost, match=r"it told no position for 0.5 s; look at its GPS"):
+        with pytest.raises(LinkLost, match=r"no position was received for 0.5 s; check its GPS"):
             eventually(flies)
         eventually(lambda: points(served)[-1].vy == 0.0)  # the last words
         assert [vy for vy, _ in itertools.groupby(each.vy for each in points(served))][-2:] == [1.0, 0.0]
@@ -288,13 +288,13 @@ def test_garbage_and_strangers_on_the_port_change_nothing() -> None:
 def test_wrong_ids_and_addresses(stack: ExitStack) -> None:
     nobody = stack.enter_context(reserved())
     with MavlinkServer(Vehicle(system_id=3, **QUICK), UdpPort()) as served:
-        with pytest.raises(HandshakeError, match=r"system 1 was not heard within 0.8 s, only system 3"):
+        with pytest.raises(HandshakeError, match=r"system 1 was not received within 0.8 s, only system 3"):
             MavlinkDriver(address=served.url, system_id=1, connect_s=0.8).open()
-        with pytest.raises(HandshakeError, match=r"nothing was heard within 0.2 s; let the autopilot"):
+        with pytest.raises(HandshakeError, match=r"no byte was received within 0.2 s; let the autopilot"):
             MavlinkDriver(address=f"udpin:127.0.0.1:{free_ports(1)}", connect_s=0.2).open()
     for address, message in {
-        "udp:1.2.3.4:5": "this is no address; write udpin",
-        "udpin:127.0.0.1:99999": "there is no port 99999",
+        "udp:1.2.3.4:5": "not an address; write udpin",
+        "udpin:127.0.0.1:99999": "invalid port 99999",
         f"tcp:127.0.0.1:{nobody}": "nothing listens",
         "/dev/no-such-port": "there is no such port",
     }.items():
@@ -324,7 +324,7 @@ def test_a_rover_takes_forward_speed_and_tells_a_global_position() -> None:
             eventually(lambda: fly(driver, 0.1, 0.0, 0.0, 0.0, yaw_rate=0.5)[-1].odometry.w > 0.45)
             turning = fly(driver, 0.3, 0.0, 0.0, 0.0, yaw_rate=0.5)[-1]
             assert turning.odometry.w == pytest.approx(0.5, abs=0.08)
-            with pytest.raises(RuntimeError, match="open already"):
+            with pytest.raises(RuntimeError, match="already open"):
                 driver.open()
     assert served.vehicle.mode == "HOLD"
 

@@ -115,20 +115,20 @@ def test_each_wrong_thing_has_its_message() -> None:
     station = heartbeat(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID)
     plane = heartbeat(mavlink.MAV_TYPE_FIXED_WING)
     odd = heartbeat(autopilot=mavlink.MAV_AUTOPILOT_GENERIC)
-    assert "nothing was heard within 10 s" in failed()
-    assert "500 bytes were heard within 10 s, and no MAVLink among them" in failed(("a", b"hello" * 100))
-    assert "no heartbeat was heard" in failed(("a", STREAM))
-    assert "no vehicle was heard within 10 s, only system 255 (gcs)" in failed(("a", said(255, station)))
-    assert "system 9 was not heard within 10 s, only system 1 (quadrotor)" in failed(("a", said(1, heartbeat())), system_id=9)
-    with pytest.raises(HandshakeError, match="systems 1, 2 and 3 speak here; say which one is meant: system_id = 1"):
+    assert "no byte was received within 10 s" in failed()
+    assert "500 bytes were received within 10 s, but no MAVLink message" in failed(("a", b"hello" * 100))
+    assert "no heartbeat was received" in failed(("a", STREAM))
+    assert "no vehicle was received within 10 s, only system 255 (gcs)" in failed(("a", said(255, station)))
+    assert "9 was not received within 10 s, only system 1 (quadrotor)" in failed(("a", said(1, heartbeat())), system_id=9)
+    with pytest.raises(HandshakeError, match="systems 1, 2 and 3 speak here; choose one, e.g. system_id = 1"):
         found(("a", said(1, heartbeat()) + said(3, heartbeat()) + said(2, heartbeat())))
-    with pytest.raises(HandshakeError, match="system 1 speaks from more than one place"):
+    with pytest.raises(HandshakeError, match="system 1 sends from more than one address"):
         found(("a", said(1, heartbeat())), ("b", said(1, heartbeat())))
     with pytest.raises(HandshakeError, match="system 1 is of type fixed wing"):
         found(("a", said(1, plane)))
     with pytest.raises(HandshakeError, match="neither PX4 nor ArduPilot"):
         found(("a", said(1, odd)))
-    with pytest.raises(HandshakeError, match='its autopilot is "px4", not "ardupilot"'):
+    with pytest.raises(HandshakeError, match='the autopilot "px4", not "ardupilot"'):
         found(("a", said(1, heartbeat())), kind="ardupilot")
     assert found(("a", said(1, odd)), kind="px4") is not None
 

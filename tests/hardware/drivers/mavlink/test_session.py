@@ -133,7 +133,7 @@ def test_an_old_command_does_not_move_it_when_it_is_given_back() -> None:
     flight.run(1.0, EAST)
     flight.vehicle.pilot_switches("POSITION")
     flight.run(1.5, EAST)
-    assert "it was switched to POSITION, by its pilot or by itself: it is left to them" in flight.causes()
+    assert "its pilot or the autopilot switched it to POSITION: the driver releases control" in flight.causes()
     flight.vehicle.pilot_switches("OFFBOARD")
     flight.run(1.5)
     assert flight.vehicle.commanded() == Velocity()
@@ -147,7 +147,7 @@ def test_a_pilot_who_takes_over_during_the_take_off_ends_it() -> None:
         flight.run(0.1)
     flight.vehicle.pilot_switches("POSITION")
     flight.run(1.5)
-    assert "switched to POSITION" in flight.pilot.interrupted
+    assert "switched it to POSITION" in flight.pilot.interrupted
     asked = len(flight.asked(mavlink.MAV_CMD_DO_SET_MODE))
     flight.pilot.leave()
     flight.run(2.0)

@@ -106,7 +106,7 @@ def test_what_is_not_finite_is_refused(bad: float) -> None:
 
 def test_a_quaternion_that_is_no_rotation_is_refused() -> None:
     for attitude in (0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.5):
-        with pytest.raises(ValueError, match="no rotation"):
+        with pytest.raises(ValueError, match="not a rotation"):
             decode_odometry(encode_odometry(OdometryMessage((0.0, 0.0, 0.0), attitude)))
 
 
@@ -125,7 +125,7 @@ def test_garbage_is_a_value_error_and_nothing_else() -> None:
             refused += 1
     assert refused > 2500
     for length in range(len(good) - 8):
-        with pytest.raises(ValueError, match="no nav_msgs"):
+        with pytest.raises(ValueError, match="not a valid nav_msgs"):
             decode_odometry(good[:length])
 
 
