@@ -120,7 +120,7 @@ def test_each_wrong_thing_has_its_message() -> None:
     assert "no heartbeat was received" in failed(("a", STREAM))
     assert "no vehicle was received within 10 s, only system 255 (gcs)" in failed(("a", said(255, station)))
     assert "9 was not received within 10 s, only system 1 (quadrotor)" in failed(("a", said(1, heartbeat())), system_id=9)
-    with pytest.raises(HandshakeError, match="systems 1, 2 and 3 speak here; choose one, e.g. system_id = 1"):
+    with pytest.raises(HandshakeError, match=r"systems 1, 2 and 3 speak here; choose one, e.g. system_id = 1"):
         found(("a", said(1, heartbeat()) + said(3, heartbeat()) + said(2, heartbeat())))
     with pytest.raises(HandshakeError, match="system 1 sends from more than one address"):
         found(("a", said(1, heartbeat())), ("b", said(1, heartbeat())))
