@@ -142,8 +142,7 @@ def assemble(
 
     Args:
         clock: paces the run (`clock_of`).
-        runs: where all agents run, overriding the scenario; ``"encoded"``: in this process, through the wire encoding;
-            ``"here"``: in this process if the scenario names their class.
+        runs: where all agents run, overriding the scenario; ``"here"``: in this process if the scenario names their class.
         listen: endpoint for manually started hosts, overriding ``agents.listen``.
         keys, insecure: admission of hosts on other machines (`cosim.hosts.manager.Hosts`).
         connect: drive the real vehicles and open the bridge; False only checks the scenario.

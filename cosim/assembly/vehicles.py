@@ -142,11 +142,11 @@ class Placement:
 
     Args:
         objects: existing agents, by vehicle; they run in this process. Also an attribute.
-        runs: where all run, overriding the scenario; ``"encoded"``: in this process, through the wire encoding; ``"here"``: in
-            this process if the scenario names their class. None: as in the scenario.
+        runs: where all run, overriding the scenario; ``"here"``: in this process if the scenario names their class. None: as in
+            the scenario.
 
     Attributes:
-        specs: agent specifications for the hosts, by place: ``inprocess``, ``encoded``, ``process`` or ``zenoh``.
+        specs: agent specifications for the hosts, by place: ``inprocess``, ``process`` or ``zenoh``.
         where: place by vehicle.
         kinds: classes of the given objects, which replace the scenario's, by vehicle.
 

@@ -17,7 +17,7 @@ from vcmvsp.cosim.federate import Federate
 from vcmvsp.cosim.hosts import listener
 from vcmvsp.cosim.hosts.listener import Entrance, cut_deadline_s, indispensable, knocking, patience_s, telling_of
 from vcmvsp.cosim.hosts.protocol import Built, Machine
-from vcmvsp.cosim.hosts.remote_host import Crew, MemoryLink, RemoteHost, SessionLink
+from vcmvsp.cosim.hosts.remote_host import Crew, RemoteHost, SessionLink
 from vcmvsp.cosim.scenario.schema import AgentsTable
 from vcmvsp.cosim.util.text import Tell
 
@@ -99,12 +99,11 @@ class Hosts:
         """Start the hosts of all agents, or wait for them.
 
         Args:
-            specs: the agents by placement: ``inprocess``, ``encoded``, ``process`` or ``zenoh``.
+            specs: the agents by placement: ``inprocess``, ``process`` or ``zenoh``.
             objects: agents that exist already, by vehicle.
         """
         start: dict[str, Callable[[Sequence[AgentSpec]], None]] = {
             "inprocess": lambda group: self._add(self._builder("agents", group, objects)),
-            "encoded": self.run_encoded,
             "process": self.run_in_processes,
             "zenoh": self.await_by_hand,
         }
@@ -125,15 +124,6 @@ class Hosts:
         self.entrance = Entrance(self._agents, specs, self._tell, keys=self._keys, insecure=self._insecure, about=self._about)
         self._stack.callback(self.entrance.close)
         return self.entrance
-
-    def run_encoded(self, specs: Sequence[AgentSpec]) -> None:
-        """Host agents in this process behind encoded messages (for tests of the protocol)."""
-        from vcmvsp.cosim.hosts.host_client import Desk
-
-        desk = Desk(self._builder)
-        self._stack.callback(desk.close)
-        crew = self._crew(MemoryLink(desk.handle), specs)
-        self._add(RemoteHost("agents", [crew], [crew.build()]))
 
     def run_in_processes(self, specs: Sequence[AgentSpec]) -> None:
         """Spawn child processes, distribute the agents over them in order, and wait until all have joined."""

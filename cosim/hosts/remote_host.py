@@ -81,31 +81,6 @@ class SessionLink(Protocol):
         """Release the host."""
 
 
-class MemoryLink:
-    """A `SessionLink` within the process that encodes and decodes every message."""
-
-    leaving = False
-
-    def __init__(self, handle: Callable[[bytes], bytes]) -> None:
-        self._handle = handle
-        self._answers: list[bytes] = []
-
-    def ask(self, question: bytes, deadline_s: float) -> None:
-        """Answer the question at once."""
-        self._answers.append(self._handle(question))
-
-    def answer(self) -> bytes:
-        """The answer to the oldest open question."""
-        return self._answers.pop(0)
-
-    def look(self) -> bytes | None:
-        """The answer to the oldest open question, or None without a question."""
-        return self._answers.pop(0) if self._answers else None
-
-    def close(self) -> None:
-        """Do nothing: there is no host process."""
-
-
 class Crew:
     """Session with one host: its agents and its open questions.
 

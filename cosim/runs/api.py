@@ -397,7 +397,7 @@ def run(
         UsageError: an argument is invalid, or ``out`` already holds a run.
     """
     objects, runs = (None, agents) if agents is None or isinstance(agents, str) else (agents, None)
-    if runs is not None and runs not in (*get_args(Runs), "encoded"):  # "encoded": for tests of the wire encoding
+    if runs is not None and runs not in get_args(Runs):
         raise UsageError(f"agents: must be {binding.describe(Runs)}, not {runs!r}")
     folder = None if out is None else Folder(Path(out), force=force, numbered=numbered)
     if folder and not mcap:

@@ -15,6 +15,7 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.command_line import contents
+from tests.support.cosim.memory_links import behind_the_wire
 from tests.support.netsim.gateway_context import free_ports
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
@@ -74,7 +75,8 @@ def test_the_resolved_scenario_gives_the_run_again(reference: dict[str, bytes], 
 
 
 def test_behind_the_bytes_of_the_wire(reference: dict[str, bytes], tmp_path: Path) -> None:
-    vcmvsp.run("formation-circle", set=SHORT, agents="encoded", out=tmp_path / "out")  # type: ignore[arg-type]
+    with behind_the_wire():
+        vcmvsp.run("formation-circle", set=SHORT, agents="inprocess", out=tmp_path / "out")
     assert_same(tmp_path / "out", reference)
 
 
@@ -110,8 +112,10 @@ def test_with_latency_below_and_above_the_period(
     """The kernel does not wait at t for what takes effect at t + latency, and yet nothing changes."""
     monkeypatch.setattr(Result, "_figures", lambda result, shown: {})  # they would be drawn from the tables that are compared
     settings = {**SHORT, "physics.kind": "kinematic", "agents.latency_s": latency_s, "agents.processes": 2}
-    for where in ("inprocess", "encoded", "process"):
-        vcmvsp.run("formation-circle", set=settings, agents=where, out=tmp_path / where)  # type: ignore[arg-type]
+    vcmvsp.run("formation-circle", set=settings, agents="inprocess", out=tmp_path / "inprocess")
+    vcmvsp.run("formation-circle", set=settings, agents="process", out=tmp_path / "process")
+    with behind_the_wire():
+        vcmvsp.run("formation-circle", set=settings, agents="inprocess", out=tmp_path / "encoded")
     here = contents(tmp_path / "inprocess")
     assert here["states.parquet"] != reference["states.parquet"]
     assert_same(tmp_path / "encoded", here)

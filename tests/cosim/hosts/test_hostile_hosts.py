@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 import vcmvsp
+from tests.support.cosim.memory_links import MemoryLink, behind_the_wire
 from vcmvsp.agents.federate import AgentHost
 from vcmvsp.cosim.agent import AgentSpec
 from vcmvsp.cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.hosts import manager, protocol, remote_host
+from vcmvsp.cosim.hosts import protocol, remote_host
 from vcmvsp.cosim.hosts.host_client import Desk
 from vcmvsp.cosim.hosts.remote_host import RemoteHost
 from vcmvsp.cosim.types import VehicleState
@@ -167,7 +168,7 @@ NONSENSE: dict[Callable[[random.Random, Sequence[bytes]], bytes], int] = {
 def ask(turn: int, nonsense: bytes) -> list[Event]:
     """Have a host answer honestly for so many turns, and then with nonsense."""
     answers = iter([*HONEST[:turn], nonsense, *HONEST[turn + 1 : 5]])
-    crew = remote_host.Crew(remote_host.MemoryLink(lambda _: next(answers)), [SPEC], deadline_s=2.0, build_s=2.0)
+    crew = remote_host.Crew(MemoryLink(lambda _: next(answers)), [SPEC], deadline_s=2.0, build_s=2.0)
     host = RemoteHost("agents", [crew], [crew.build()])
     host.start(RUN)
     events = [*host.step(0, INBOX).events, *host.step(10**8, []).events]
@@ -231,7 +232,7 @@ def test_nonsense_takes_no_memory_beyond_its_own_size() -> None:
     assert peak < 200 * size
 
 
-class Hostile(remote_host.MemoryLink):
+class Hostile(MemoryLink):
     """Answers honestly until it is told what else to say, and when."""
 
     turn, nonsense = -1, b""
@@ -249,25 +250,25 @@ class Hostile(remote_host.MemoryLink):
 def run(**more: Any) -> vcmvsp.Result:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of numbers beyond all sense, which are an agent's to command
-        return vcmvsp.run(SCENARIO, agents="encoded", **more)  # type: ignore[arg-type]  # for tests alone
+        return vcmvsp.run(SCENARIO, **more)
 
 
 @pytest.fixture
-def said(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
+def said() -> Iterator[list[bytes]]:
     """What the host of an honest run says; from then on hosts are `Hostile`."""
     heard: list[bytes] = []
 
-    class Listening(remote_host.MemoryLink):
+    class Listening(MemoryLink):
         def answer(self) -> bytes:
             heard.append(super().answer())
             return heard[-1]
 
-    monkeypatch.setattr(manager, "MemoryLink", Listening)
-    reference = run().metrics["digest"]
-    monkeypatch.setattr(manager, "MemoryLink", Hostile)
-    monkeypatch.setattr(Hostile, "turn", -1)
-    assert run().metrics["digest"] == reference
-    return heard
+    with behind_the_wire(Listening):
+        reference = run().metrics["digest"]
+    Hostile.turn = -1
+    with behind_the_wire(Hostile):
+        assert run().metrics["digest"] == reference
+        yield heard
 
 
 def test_a_run_with_a_hostile_host_ends_with_its_error_and_a_readable_recording(said: list[bytes], tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 import vcmvsp
+from tests.support.cosim.memory_links import behind_the_wire
 from tests.support.cosim.run_processes import Stage, ended, ended_with, said_by, wait_for
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.hosts import protocol
@@ -117,9 +118,13 @@ def test_an_agent_that_fails_leaves_the_same_bytes_wherever_it_runs(
     assert (said[0], said[1]) == ("car2/host", 1.0 + latency_s)
     assert said[2]["state"] == ("lost" if policy == "hold" else "removed")
     assert said[2]["since_ns"] == SECOND_NS
-    for place in ("process", "encoded") if latency_s else ("encoded",):
-        there = tmp_path / place
-        vcmvsp.run(scenario, set=settings, agents=place, out=there)  # type: ignore[arg-type]
+    places = [tmp_path / "encoded"]
+    with behind_the_wire():
+        vcmvsp.run(scenario, set=settings, out=places[0])
+    if latency_s:
+        places.append(tmp_path / "process")
+        vcmvsp.run(scenario, set=settings, agents="process", out=places[1])
+    for there in places:
         for name in ("run.mcap", "states.parquet", "radio.parquet", "metrics.json", "scenario.toml"):
             assert (there / name).read_bytes() == (tmp_path / "here" / name).read_bytes(), name
     again = vcmvsp.run(tmp_path / "here" / "scenario.toml")
