@@ -39,7 +39,7 @@ class DynamicWindow(Settings, frozen=True, kw_only=True, tag="dynamic_window"):
 
     REACH = "lookahead_m"
 
-    lookahead_m: Positive = 1.2  # clearances beyond that are all the same
+    lookahead_m: Positive = 1.2  # clearances beyond this count as equal
     acceleration: Positive = 0.5  # m/s2: how far the window reaches in speed
     turn_acceleration: Positive = 1.05  # rad/s2: and in rate of turning; 60 degrees/s2
     max_yaw_rate: Positive = 1.2  # rad/s

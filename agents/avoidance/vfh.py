@@ -39,7 +39,7 @@ class Vfh(Settings, frozen=True, kw_only=True, tag="vfh"):
     REACH = "freed_m"
 
     sectors: Annotated[int, msgspec.Meta(ge=8, le=720)] = 72  # of the histogram, around a full turn: 5 degrees each
-    blocked_m: Positive = 1.2  # a sector is blocked when something in it comes nearer than that (the high threshold)
+    blocked_m: Positive = 1.2  # a sector with an obstacle nearer than this is blocked (high threshold)
     freed_m: Positive = 1.4  # and is free again when nothing in it is nearer than that (the low threshold)
     wide_deg: Angle = 80.0  # from half of that beside an obstacle on, openings are entered anywhere; narrower: in the middle
     target_weight: NonNegative = 5.0  # of a direction's angle to where the task goes

@@ -112,7 +112,7 @@ class AerialRoute(Leader):
     Args:
         way: points, x, y, z, m, world; default: none.
         course_deg: in place of a way: the direction of flight, degrees counter-clockwise from east.
-        loop: after the last point comes the first again.
+        loop: after the last point, fly to the first again.
         speed: m/s.
         arrive_m: a point is reached from this near.
         heading: ``keep`` that of the start, or turn to the ``course``.

@@ -53,7 +53,7 @@ class Mosaicking(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     area: Rectangle  # left, bottom, right, top, m, world
     cell_m: Positive = 0.25  # edge of a pixel of it
-    every_s: Annotated[float, msgspec.Meta(ge=1)] = 10.0  # it is shown so often
+    every_s: Annotated[float, msgspec.Meta(ge=1)] = 10.0  # period of display
 
 
 class Sheet:

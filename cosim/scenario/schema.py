@@ -22,14 +22,14 @@ class AgentsTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[agents]``: where agents run and how fast; every other key is a default for agents that take such a parameter."""
 
     runs: Runs = "inprocess"  # inprocess | process (child processes) | zenoh (hosts that are started by hand)
-    processes: Count | None = None  # with runs = "process": how many share the agents; default: one each
-    listen: str = "tcp/127.0.0.1:7447"  # with runs = "zenoh": the endpoint that hosts dial
+    processes: Count | None = None  # with runs = "process": number of processes for the agents; default: one each
+    listen: str = "tcp/127.0.0.1:7447"  # with runs = "zenoh": endpoint to which hosts connect
     deadline_s: Period = 2.0  # wall-clock time within which a remote agent must answer
     join_timeout_s: Period = 60.0  # wall-clock time within which all hosts must have joined
     period_s: Period | None = None  # s between ticks; default: the agent's own period
     latency_s: Seconds = 0.0  # s from an observation to the effect of the command
-    on_lost: OnLost = "stop"  # agent fails, or its host or robot is lost: stop (the run) | hold (its last command) | remove
-    hold_s: Seconds = 1.0  # with on_lost = "hold": for so long, then the vehicle stands still
+    on_lost: OnLost = "stop"  # reaction to a lost agent, host or robot: stop (the run) | hold (the last command) | remove
+    hold_s: Seconds = 1.0  # with on_lost = "hold": time after which the vehicle stops
     defaults: Mapping[str, Any] = {}
 
 
@@ -40,7 +40,7 @@ class AgentTable(msgspec.Struct, frozen=True, kw_only=True):
     runs: Runs | None = None  # default: agents.runs
     period_s: Period | None = None
     latency_s: Seconds | None = None
-    fails_s: Seconds | None = None  # from then on it is dead: its vehicle stands still and sends nothing
+    fails_s: Seconds | None = None  # time at which it fails: from then on its vehicle stands still and sends nothing
     on_lost: OnLost | None = None  # default: agents.on_lost
     hold_s: Seconds | None = None  # s; default: agents.hold_s
     params: Mapping[str, Any] = {}
@@ -84,33 +84,33 @@ class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SafetyTable(msgspec.Struct, frozen=True, kw_only=True):
-    """``[safety]``: what every real vehicle keeps to, whatever it is told."""
+    """``[safety]``: limits that every real vehicle keeps, whatever its commands."""
 
     max_speed: Positive | None = None  # m/s; default: the kind's, and at most 1
     max_yaw_rate: Positive | None = None  # rad/s; default: the kind's, and at most 2
     accel: Positive | None = None  # m/s2; default: the kind's, else 0.3
-    decel: Positive | None = None  # m/s2, that it is sure to reach when it brakes; default: the kind's, else 0.3
+    decel: Positive | None = None  # m/s2, deceleration guaranteed when braking; default: the kind's, else 0.3
     yaw_accel: Positive | None = None  # rad/s2, also of slowing down; default: the kind's, else 1.5
-    max_climb: Positive = 1.0  # m/s, up and down, of what flies
+    max_climb: Positive = 1.0  # m/s, up and down, of flying vehicles
     radius_m: Positive | None = None  # of a circle around the body; default: around its hull
-    fence: tuple[tuple[float, float], ...] | None = None  # corners (x, y), m: none is left; default: no fence
+    fence: tuple[tuple[float, float], ...] | None = None  # corners (x, y) of the allowed area, m; default: no fence
     fence_margin_m: NonNegative = 0.1  # between body and fence: for the error of the pose
-    floor_m: float | None = None  # least height of what flies
-    ceiling_m: float | None = None  # and the greatest
+    floor_m: float | None = None  # minimum height of flying vehicles
+    ceiling_m: float | None = None  # maximum height of flying vehicles
     separation_m: NonNegative = 0.3  # between bodies
-    jump_m: Positive = 1.0  # a position that jumps further, against all odometry, stops it until the run ends
-    reaction_s: Positive = 0.25  # from a command to when the next one acts: with the delays of pose and link
-    operator_s: Positive | None = None  # for how long `vcmvsp operator` may be silent; default: nobody waits for it
-    command_s: Positive | None = None  # for how long there may be no command; default: 0.5, or 2.5 periods of its agent
-    positioning_s: Positive = 1.5  # for how long nothing may tell where it is
-    federation_s: Positive = 0.5  # for how long the run may be silent
+    jump_m: Positive = 1.0  # a position jump beyond this, against odometry, stops the vehicle until the run ends
+    reaction_s: Positive = 0.25  # time from a command to the effect of the next one, including delays of pose and link
+    operator_s: Positive | None = None  # longest silence of `vcmvsp operator`; default: not required
+    command_s: Positive | None = None  # longest time without a command; default: 0.5, or 2.5 periods of its agent
+    positioning_s: Positive = 1.5  # longest time without a position
+    federation_s: Positive = 0.5  # longest silence of the run
 
 
 class ClockTable(msgspec.Struct, frozen=True, kw_only=True):
-    """``[clock]``: how a run keeps to the wall clock, with real vehicles or ``--realtime``."""
+    """``[clock]``: synchronisation with the wall clock, with real vehicles or ``--realtime``."""
 
-    late: Literal["slip", "stop"] = "slip"  # when an instant is too late: "slip": so are all after it; "stop": the run ends
-    tolerance_s: Positive | None = None  # later than this is too late; default: one period of the quickest agent
+    late: Literal["slip", "stop"] = "slip"  # effect of a late instant: "slip" delays all later ones; "stop" ends the run
+    tolerance_s: Positive | None = None  # lateness that counts as late; default: one period of the quickest agent
 
 
 class BridgeTable(msgspec.Struct, frozen=True, kw_only=True):

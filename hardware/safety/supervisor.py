@@ -66,7 +66,7 @@ class Limits(Value, frozen=True, kw_only=True):
 class Safety(Limits, frozen=True, kw_only=True):
     """Limits, fence, distances and time-outs; lengths in m, times in s. None: not checked."""
 
-    max_climb: float = 1.0  # m/s, up and down, of what flies
+    max_climb: float = 1.0  # m/s, up and down, of flying vehicles
     radius_m: float  # of a circle around the body, centred at the pose
     fence: tuple[tuple[float, float], ...] | None = None  # corners x, y, world
     floor_m: float | None = None  # minimum height in the air; a vehicle below may climb

@@ -30,9 +30,9 @@ class Emitter(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         vehicle: the vehicle that carries it; None: no vehicle does.
         path: pairs of time and place, ``[t, x, y, z]`` in s and m, world: straight lines at constant speed between them; it
             waits at the first until then, and stays at the last; None: it has none.
-        from_s: it begins.
-        to_s: it is over; None: at the end of the run.
-        duty: share of each period in which it is on, from the period's beginning; with 1 all the time.
+        from_s: start.
+        to_s: end; None: at the end of the run.
+        duty: fraction of each period in which it is on, from the start of the period; 1: always.
         period_s: from pulse to pulse, the first begins at ``from_s``; None: it does not pulse.
     """
 

@@ -19,13 +19,13 @@ class Change(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Some links are different for some time.
 
     Args:
-        from_s: it begins.
-        to_s: it is over; None: at the end of the run.
+        from_s: start.
+        to_s: end; None: at the end of the run.
         links: key expressions of ``sender/receiver``: ``car1/car2`` is that direction alone, ``car1/*`` all that car1 sends,
             ``*/car1`` all that is sent to it, ``**`` every link.
         loss: probability that a frame is lost; None: none is.
-        attenuation_db: how much weaker frames are received, negative: stronger; None: 0.
-        delay_s: from the end of the frame to its reception; None: 0.
+        attenuation_db: additional attenuation; negative: stronger signal; None: 0.
+        delay_s: additional time from the end of the frame to its reception; None: 0.
     """
 
     from_s: Seconds
@@ -58,7 +58,7 @@ class Script:
     vehicle matches nothing (see `unmatched`).
     """
 
-    changes: tuple[Change, ...] = ()  # what is different, when, on which links
+    changes: tuple[Change, ...] = ()  # changes of links in time
     cause: ClassVar[str] = "scripted outage"
 
     def gain_db(self, frame: Frame, draw: Draw) -> Floats:

@@ -284,9 +284,9 @@ class Radio:
 
     tx_power_dbm: Decibels | None = None  # transmitted power; None: the phy's
     sensitivity_dbm: Decibels | None = None  # weakest level at which it notices a frame; None: the phy's
-    antenna_gain_dbi: Decibels = 0.0  # of what it sends, and of what it hears
+    antenna_gain_dbi: Decibels = 0.0  # gain for sending and receiving
     antenna_height_m: NonNegative = 0.5  # above the vehicle's position
-    body_loss_db: NonNegative = 0.0  # of links between others that pass through this vehicle
+    body_loss_db: NonNegative = 0.0  # loss of links between other vehicles through this body
     body_radius_m: NonNegative = 0.3  # of its body, an upright cylinder that begins at its position
     body_height_m: NonNegative = 0.6  # of that cylinder
 

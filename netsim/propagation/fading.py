@@ -47,7 +47,7 @@ class Nakagami:
     1.5 up to 80 m and 0.75 beyond. In time it is the Rayleigh process carried over from quantile to quantile.
     """
 
-    m: Shape = 1.5  # shape: 1 is Rayleigh, less is worse, more comes nearer to no fading
+    m: Shape = 1.5  # shape: 1 is Rayleigh; smaller: more fading, larger: less fading
     doppler_hz: Doppler | None = None  # greatest shift, v f / c; None: frames fade independently
 
     def gain_db(self, frame: Frame, draw: Draw) -> Floats:
@@ -64,7 +64,7 @@ class Rician:
     ``k_factor`` is a ratio, not dB (10 is 10 dB). In time the direct path stands still and h has the Doppler spread.
     """
 
-    k_factor: NonNegative = 4.0  # power of the direct path over that of all others, a ratio
+    k_factor: NonNegative = 4.0  # power of the direct path divided by that of all other paths
     doppler_hz: Doppler | None = None  # greatest shift, v f / c; None: frames fade independently
 
     def gain_db(self, frame: Frame, draw: Draw) -> Floats:

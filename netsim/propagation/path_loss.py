@@ -44,9 +44,9 @@ class LogDistance:
     by_distance: ClassVar[bool] = True
 
     exponent: Exponent = 3.0  # N: 2 in free space, about 3 among obstacles
-    reference_distance_m: Positive = 1.0  # d0: nearer than that, the loss stays what it is there
+    reference_distance_m: Positive = 1.0  # d0: distance at which the loss is L0
     reference_loss_db: Decibels = 40.052  # L0: loss at d0
-    clamp: bool = True  # false: nearer than d0 the loss goes on falling
+    clamp: bool = True  # true: constant loss below d0; false: the loss also falls below d0
 
     def loss_db(self, paths: Paths | ArrayLike) -> Floats:
         """Loss of each path, or over each distance in m, (n,) dB."""
@@ -87,7 +87,7 @@ class TwoRayGround:
     """
 
     frequency_hz: Frequency = 2.4e9  # of the carrier
-    antenna_height_m: NonNegative = 0.5  # where only distances are known; vehicles have antennas of their own
+    antenna_height_m: NonNegative = 0.5  # height if only distances are known; vehicles have their own antenna heights
 
     def loss_db(self, paths: Paths | ArrayLike) -> Floats:
         """Loss of each path, or over each distance in m between two antennas of ``antenna_height_m``, (n,) dB."""

@@ -40,7 +40,7 @@ class Shadowing:
 
     sigma_db: Spread = 4.0  # standard deviation
     correlation_distance_m: Positive = 10.0  # when one end has moved so far, the correlation is 1/e
-    waves: Waves = 256  # of which the field is the sum
+    waves: Waves = 256  # number of waves whose sum is the field
 
     @property
     def nothing(self) -> bool:

@@ -109,7 +109,7 @@ class ItuWalls(_Walls):
 
     sightline: Sightline
     frequency_hz: Frequency = 2.4e9  # of the carrier
-    cap_db: NonNegative = _DARK_DB  # of all walls together: more finds a way round
+    cap_db: NonNegative = _DARK_DB  # maximum of all walls together: beyond it, signals arrive around the walls
 
     def __post_init__(self) -> None:
         for material in self.sightline.materials:
@@ -132,7 +132,7 @@ class FixedWalls(_Walls):
     sightline: Sightline
     wall_db: NonNegative = 6.325  # loss of each obstacle
     materials_db: dict[str, NonNegative] | None = None  # by material: ``{ brick = 3.5 }``; None: all are alike
-    cap_db: NonNegative = _DARK_DB  # of all walls together: more finds a way round
+    cap_db: NonNegative = _DARK_DB  # maximum of all walls together: beyond it, signals arrive around the walls
 
     @cached_property
     def _walls_db(self) -> Floats:

@@ -35,8 +35,8 @@ class GeoJson(Surroundings):
     # longitude, latitude, degrees (metric: x, y, m) of the world's origin; None: the middle of all
     origin: Point2 | None = None
     metric: bool = False  # whether coordinates are metres already
-    default_height: Positive = 6.0  # of buildings that tell none, m
-    skip_invalid: bool = False  # whether to leave out footprints that cross themselves; else they are refused
+    default_height: Positive = 6.0  # height of buildings without one, m
+    skip_invalid: bool = False  # true: footprints that cross themselves are left out; false: they are an error
     material: str = "concrete"  # of all buildings
     color: Color | None = None  # of all buildings; None: that of the material
 

@@ -23,7 +23,7 @@ class Positioning:
     rate_hz: Rate = 10.0  # fixes a second
     sigma_m: NonNegative = 0.15  # standard deviation of x and of y, m
     sigma_rad: NonNegative = 0.05  # standard deviation of the yaw, rad
-    heading: bool = True  # whether a fix tells the yaw; that of a single tag does not
+    heading: bool = True  # whether fixes contain the yaw; fixes of a single tag do not
     outlier_probability: Probability = 0.0  # of a fix to be displaced (a reflection taken for the direct path)
     outlier_m: NonNegative = 2.0  # how far an outlier is displaced, m, in a random direction
 
@@ -115,10 +115,10 @@ class Uwb(Sensor):
     sigma_m: NonNegative = 0.15  # standard deviation of x and of y, or of a range, m; 0.1 to 0.3 are usual indoors
     sigma_z_m: NonNegative = 0.3  # standard deviation of the height, m; with anchors: of what is known of it beforehand
     wall_bias_m: NonNegative = 0.3  # error at the face of a solid, m; assumed
-    wall_reach_m: Positive = 1.0  # how far from it there is any, m; assumed
+    wall_reach_m: Positive = 1.0  # distance from a solid up to which there is an error, m; assumed
     outlier_probability: Probability = 0.0  # of a fix to be displaced (a reflection taken for the direct path)
     outlier_m: NonNegative = 2.0  # how far an outlier is displaced, m, in a random direction
-    anchors: tuple[Vec3, ...] = ()  # where they are, m, world; none: the precision is the same everywhere
+    anchors: tuple[Vec3, ...] = ()  # positions of the anchors, m, world; none: uniform precision
     blocked_bias_m: NonNegative = 0.3  # error of a range through a solid, m; assumed
     mount: Vec3 = (0.0, 0.0, 0.0)  # of the tag, m, body frame
 

@@ -44,12 +44,12 @@ class RangeScanner(Sensor):
 
     beams: Beams  # how many
     field_of_view: Opening  # angle from the first beam to the last, rad; 6.2832: all the way round
-    range_min: NonNegative = 0.0  # what is nearer is not measured, m
-    range_max: Positive  # how far it sees, m
+    range_min: NonNegative = 0.0  # minimum range, m
+    range_max: Positive  # maximum range, m
     position: Vec3 = (0.0, 0.0, 0.0)  # of the scanner, from the vehicle's reference point, m, body frame
     # direction of the middle of the field of view (of the first beam of a full turn), rad, to the left of ahead
     yaw: float = 0.0
-    pitch: Tilt = 0.0  # by how much that direction looks down, rad
+    pitch: Tilt = 0.0  # angle of that direction below the horizontal, rad
     sigma_m: NonNegative = 0.0  # standard deviation of a range, m
     quantum_m: NonNegative = 0.0  # ranges are whole multiples of this, m; 0: any
     no_return: Probability = 0.0  # probability of a beam to return nothing
@@ -134,7 +134,7 @@ class Lms(RangeScanner):
 
     beams: Beams = 512  # how many
     field_of_view: Opening = math.pi  # angle from the first beam to the last, rad; 6.2832: all the way round
-    range_max: Positive = 20.0  # how far it sees, m
+    range_max: Positive = 20.0  # maximum range, m
     position: Vec3 = (0.0, 0.0, 0.1)  # of the scanner, from the vehicle's reference point, m, body frame
     sigma_m: NonNegative = 0.008  # that of a SICK LMS5xx from 10 to 20 m (SICK support)
     quantum_m: NonNegative = 0.01  # assumed
@@ -146,7 +146,7 @@ class Ring(RangeScanner):
 
     beams: Beams = 32  # how many
     field_of_view: Opening = math.tau  # angle from the first beam to the last, rad; 6.2832: all the way round
-    range_max: Positive = 6.0  # how far it sees, m
+    range_max: Positive = 6.0  # maximum range, m
     sigma_m: NonNegative = 0.01  # assumed
 
 

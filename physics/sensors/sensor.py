@@ -66,7 +66,7 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     1974, chapter 3). The walk is a Wiener process that begins at 0: its variance after t seconds is ``walk^2 t``.
     """
 
-    bias: float = 0.0  # the same in every reading
+    bias: float = 0.0  # constant error of all readings
     bias_sd: NonNegative = 0.0  # standard deviation of a further bias, drawn once a run: from turn-on to turn-on
     drift_sd: NonNegative = 0.0  # standard deviation of a bias that wanders about 0
     drift_time_s: Positive = 100.0  # ... and its correlation time, s

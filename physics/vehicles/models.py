@@ -221,14 +221,14 @@ class Quadrotor:
     motor_lag_s: Positive = 0.05  # first-order lag of the rotor speed; assumed
     drag: tuple[NonNegative, NonNegative, NonNegative] = (0.25, 0.25, 0.35)  # N s/m, along x, y, z, against the air; assumed
     ground_effect: bool = False  # more thrust close above the floor, see `physics.dynamics.wind`
-    downwash: bool = False  # blown down by those above it, see `physics.dynamics.wind`
+    downwash: bool = False  # thrust lost below other quadrotors, see `physics.dynamics.wind`
 
     max_speed: Positive = 8.0  # m/s, horizontal, of its autopilot; assumed
     max_climb: Positive = 3.0  # m/s, up and down; assumed
     max_yaw_rate: Positive = 2.0  # rad/s; assumed
     max_tilt_rad: Positive = 0.4363  # from upright, 25 degrees; assumed
-    max_thrust: Positive = 0.9  # of what the rotors can, in steady flight: the rest is for turning; assumed
-    braking: Positive = 2.0  # m/s2, that it counts on when it comes to a way-point; assumed
+    max_thrust: Positive = 0.9  # fraction of the rotors' thrust in steady flight: the rest is for turning; assumed
+    braking: Positive = 2.0  # m/s2, planned deceleration at a waypoint; assumed
     position_gain: Positive = 0.8  # 1/s, speed towards a way-point for each metre; tuned
     velocity_gain: Positive = 3.0  # 1/s, acceleration for each m/s of error; tuned
     velocity_integral: NonNegative = 3.2  # 1/s2, what acceleration grows by for each m/s of error; tuned

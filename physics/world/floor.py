@@ -52,7 +52,7 @@ class GroundPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     picture: FileName = ""  # an image file; its upper edge is north. Empty: the plain color
     center: Point2 = (0.0, 0.0)  # of the picture, x, y, m
     size: tuple[Positive, Positive] = (1.0, 1.0)  # of the picture, east-west and north-south, m
-    color: Color = (196, 196, 188)  # of all that the picture does not cover
+    color: Color = (196, 196, 188)  # of the floor outside the picture
     resolution_m: Positive = 0.1  # edge of a pixel, where there is no picture file but marks
     marks: tuple[Mark, ...] = ()  # painted over it, one after the other, as far as the picture reaches
 
@@ -180,15 +180,15 @@ def around(marks: Sequence[Mark], color: Color) -> GroundPicture:
 class GroundTarget(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A target of a search, flat on the ground: a picture or a disc, at rest or moving."""
 
-    name: str = ""  # its label; empty: target1, target2 and so on
+    name: str = ""  # label; empty: target1, target2, ...
     picture: FileName = ""  # an image file, made square; its upper edge is north before it is turned. Empty: a disc
     color: Color = (224, 32, 160)  # of the disc
     size: Positive = 2.0  # edge of the picture or diameter of the disc, m
     place: Point2 | None = None  # where its middle lies, x, y, m; default: somewhere on a street of a town
     yaw_rad: float = 0.0  # the picture is turned by this, counter-clockwise, and stays so on its way
-    way: tuple[Point2, ...] = ()  # it moves instead: from the first of these places, x, y, m, straight to the next, and so on
+    way: tuple[Point2, ...] = ()  # places of a moving target, x, y, m: straight lines from one to the next
     speed: Positive | None = None  # along its way, m/s; default: it has none
-    loop: bool = False  # from the last place it goes back to the first, and so on; else it stays there
+    loop: bool = False  # true: from the last place back to the first, repeatedly; false: it stays at the last
 
     def __post_init__(self) -> None:
         numbers = (*(self.place or ()), self.yaw_rad, *(value for place in self.way for value in place))

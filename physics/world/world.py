@@ -30,9 +30,9 @@ class Zone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     center: tuple[float, float]  # x, y, m
     size: tuple[float, float]  # length and width, m, before it is turned
     yaw_rad: float = 0.0  # turned by this
-    # multiplies that of robots on it, in place of the floor's; movables and quadrotors keep to the floor's
+    # factor on the friction of robots on it, instead of the floor's; not for movables and quadrotors
     friction: NonNegative
-    color: Color | None = None  # it is painted in, if at all
+    color: Color | None = None  # colour; default: not painted
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (*self.center, *self.size, self.yaw_rad))) or min(self.size) <= 0.0:
@@ -43,7 +43,7 @@ class Wind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Air that moves: the same everywhere, steady or in gusts."""
 
     velocity: Vec3 = (0.0, 0.0, 0.0)  # of the mean wind, m/s, world
-    gust: NonNegative = 0.0  # standard deviation of what is added to each horizontal component, m/s (half of it vertically)
+    gust: NonNegative = 0.0  # standard deviation of each horizontal component, m/s (half of it for the vertical one)
     gust_time_s: Positive = 2.0  # correlation time of the gusts
 
 
@@ -75,10 +75,10 @@ class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """An obstacle that follows a time-table regardless of other bodies: at ``way[i]`` at ``times_s[i]``, straight between."""
 
     name: str  # unique in the world
-    solid: Box | Cylinder  # a `Box` or a `Cylinder`; where it says it is does not matter
+    solid: Box | Cylinder  # a `Box` or a `Cylinder`; its own place is ignored
     times_s: tuple[float, ...]  # increasing
     way: tuple[tuple[float, float, float, float], ...]  # centre of the solid, x, y, z m, and its yaw, rad, at each of the times
-    loop: bool = False  # begin again after the last time; else it stays there
+    loop: bool = False  # true: repeat after the last time; false: it stays there
 
     def __post_init__(self) -> None:
         rising = all(a < b for a, b in zip(self.times_s, self.times_s[1:], strict=False))
@@ -126,7 +126,7 @@ class World:
 
     solids: tuple[AnySolid, ...] = ()  # what stands still
     movables: tuple[Movable, ...] = ()  # bodies that can be pushed
-    moving: tuple[Moving, ...] = ()  # obstacles that keep to a time-table
+    moving: tuple[Moving, ...] = ()  # obstacles that move by a timetable
     targets: tuple[PlacedTarget, ...] = ()  # flat things on the floor that somebody is to find
     floor_friction: NonNegative = 1.0  # multiplies the friction of what rolls or slides on it
     zones: tuple[Zone, ...] = ()  # parts of the floor with another friction

@@ -26,9 +26,9 @@ class Surroundings:
     cylinders: tuple[Cylinder, ...] = ()  # further cylinders: ``[{ center = [2, 0, 0.5], radius = 0.1, height = 1 }]``
     prisms: tuple[Prism, ...] = ()  # further outlines, raised: ``[{ outline = [[0, 0], [2, 0], [0, 2]], height = 3 }]``
     movables: tuple[Movable, ...] = ()  # bodies that can be pushed
-    moving: tuple[Moving, ...] = ()  # obstacles that keep to a time-table
-    targets: tuple[GroundTarget, ...] = ()  # lie on the ground and are to be found: ``[{ name = "flag", place = [3, 4] }]``
-    floor_friction: NonNegative = 1.0  # multiplies the friction of what rolls or slides on the floor
+    moving: tuple[Moving, ...] = ()  # obstacles that move by a timetable
+    targets: tuple[GroundTarget, ...] = ()  # targets on the ground for a search: ``[{ name = "flag", place = [3, 4] }]``
+    floor_friction: NonNegative = 1.0  # factor on the friction of bodies on the floor
     zones: tuple[Zone, ...] = ()  # parts of the floor with another friction
     wind: Wind = CALM  # air that moves: ``{ velocity = [3, 0, 0], gust = 1 }``
     light: Light = DAYLIGHT  # where the sun is: ``{ direction = [0.3, 0.2, 1], ambient = 0.6 }``

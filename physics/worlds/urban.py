@@ -42,10 +42,10 @@ class Urban(Surroundings):
     street: Positive = 10.0  # width of a street, m
     lots: Annotated[int, msgspec.Meta(ge=1, le=20)] = 2  # along each edge of a block, one building on each
     gap: NonNegative = 4.0  # between lots of a block, at least, m
-    density: Probability = 0.85  # chance that a lot is built on; else it is a small park
+    density: Probability = 0.85  # probability that a lot has a building; otherwise it is a small park
     height_min: Positive = 4.0  # of a building, m
     height_max: Positive = 24.0  # of a building, m
-    storey: NonNegative = 0.0  # heights are rounded to multiples of it, m; 0: they are not
+    storey: NonNegative = 0.0  # heights are rounded to multiples of it, m; 0: not rounded
     seed: Seed | None = None  # of everything random here; None: that of the run
 
     def __post_init__(self) -> None:

@@ -34,7 +34,7 @@ class Route(Leader):
 
     Args:
         way: points, x and y, m, world; the first line begins at the start position.
-        loop: after the last point comes the first again.
+        loop: after the last point, drive to the first again.
         speed: m/s, on straight lines.
         yaw_rate: fastest turning, rad/s; narrow curves are driven more slowly.
         lookahead_m: a shorter one follows the path closely, a longer one is smoother and bears more lag: at least ``speed``

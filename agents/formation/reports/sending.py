@@ -28,7 +28,7 @@ class Sending(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     when: Literal["always", "needed"] = "always"  # at every tick, or when the followers' prediction is off by the threshold
     threshold: Positive = 0.02  # of "needed": m; an error of the heading counts half a metre a radian
-    silence_s: Positive = 2.0  # of "needed": it sends at least so often, s
+    silence_s: Positive = 2.0  # of "needed": longest time between two reports, s
     acknowledge: bool = True  # of "needed": followers confirm what they hear, and it is sent again until they do
     answer_s: NonNegative = 0.2  # of "needed": how long an answer takes; it counts as given until then, s
 

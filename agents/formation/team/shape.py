@@ -62,7 +62,7 @@ class Passage(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     timer_s: NonNegative = 3.0  # of "timer": for how long the leader's lane must have been free
     steady_s: NonNegative = 0.5  # of "all-clear": for how long all lanes must have been clear
     member_m: NonNegative = 0.2  # a member is seen no further from where its report puts it, m, besides its radius
-    report_s: Positive = 2.5  # what a report older than this says does not count
+    report_s: Positive = 2.5  # reports older than this are ignored
     silence_s: Positive = 10.0  # a member that has been silent for so long is not waited for
     stale_s: Positive = 0.5  # a scan older than that is none: more than the period of the scanner
 

@@ -366,22 +366,22 @@ class Csma154Medium:
 class Csma154:
     """Unslotted CSMA/CA of IEEE 802.15.4 at 2.4 GHz, as ns-3.44 ``LrWpanMac`` and ``LrWpanPhy``.
 
-    The sensitivity is no threshold of reception: it sets the noise (`ThermalNoise.ieee802154`). Messages that
-    need several frames contend once, and are received or lost as one.
+    The sensitivity is not a threshold of reception: it sets the noise (`ThermalNoise.ieee802154`). A message of several
+    frames contends once, and is received or lost as a whole.
 
     Args:
         min_be: exponent of the first backoff (macMinBE).
-        max_be: of the longest (macMaxBE).
-        max_backoffs: a frame that finds the air busy this often and once more is given up (macMaxCSMABackoffs).
-        acknowledge: unicast frames are acknowledged, and repeated where no acknowledgement comes.
-        max_retries: how often (macMaxFrameRetries).
-        queue_frames: that may wait at a sender, with the one that is being sent; None: no limit.
-        lifetime_s: a frame that has waited longer when its turn comes is not sent; None: no limit.
-        cca_above_sensitivity_db: level of all frames together, above the phy's sensitivity, at which the air is busy; it is so
-            too to a radio that is receiving a frame.
+        max_be: exponent of the longest backoff (macMaxBE).
+        max_backoffs: a frame is dropped when the channel was busy more often than this (macMaxCSMABackoffs).
+        acknowledge: unicast frames are acknowledged, and repeated without an acknowledgement.
+        max_retries: maximum number of retries (macMaxFrameRetries).
+        queue_frames: maximum number of frames at a sender, with the frame on the air; None: no limit.
+        lifetime_s: longest time of a frame in the queue; older frames are dropped; None: no limit.
+        cca_above_sensitivity_db: total level of all frames, above the phy's sensitivity, at which the channel is busy; it is
+            also busy for a radio that is receiving a frame.
         preamble_snr_db: least ratio to noise and interference at which a frame is noticed.
-        forget_interference: a disturbance that is over before another frame begins or this one ends has no effect, as in
-            ns-3.44; false: it counts.
+        forget_interference: interference that ends before another frame begins or this one ends has no effect, as in
+            ns-3.44; false: it has.
     """
 
     min_be: Exponent = 3

@@ -53,15 +53,15 @@ class Dcf:
     slot_us: Micros | None = None  # unit of backoffs; None: the standard's
     sifs_us: Micros | None = None  # from a frame to its acknowledgement; None: the standard's
     cw_min: Count | None = None  # a backoff is 0 to this many slots; None: the standard's
-    cw_max: Count = 1023  # the same at most, after failures
+    cw_max: Count = 1023  # largest contention window after failed attempts, in slots
     cca_threshold_dbm: Decibels = -82.0  # sum of powers at which the medium is busy
-    energy_threshold_dbm: Decibels = -62.0  # the same, for a radio that has not heard the frames begin
+    energy_threshold_dbm: Decibels = -62.0  # as `cca_threshold_dbm`, for a radio that missed the start of the frames
     preamble_time_us: Micros = 4.0  # from the start of a frame until it is noticed
-    capture_margin_db: Margin | None = None  # a later frame so much stronger takes the receiver over; None: none does
-    capture_window_us: Micros = 16.0  # within this time from when the first was noticed
-    queue_frames: Count = 500  # that may wait at a sender
-    lifetime_s: Period = 0.5  # of a frame in the queue
-    attempts: Attempts = 7  # to send a unicast frame
+    capture_margin_db: Margin | None = None  # a later frame that is stronger by this captures the receiver; None: no capture
+    capture_window_us: Micros = 16.0  # time after the first frame was noticed in which capture is possible
+    queue_frames: Count = 500  # maximum number of frames in the queue of a sender
+    lifetime_s: Period = 0.5  # longest time of a frame in the queue; older frames are dropped
+    attempts: Attempts = 7  # maximum number of transmissions of a unicast frame
 
     def __post_init__(self) -> None:
         if self.cw_min is not None and self.cw_min > self.cw_max:
