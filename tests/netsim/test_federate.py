@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.cosim.receptions import receptions_in
-from tests.support.netsim.channels import make_channel
+from tests.support.netsim.channels import make_channel, standing
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event, RunInfo, Step
 from vcmvsp.cosim.types import Array, FrameReport, Message, Reception, States
@@ -20,12 +20,7 @@ RUN = RunInfo(scenario="test", seed=4, duration_ns=10**10, vehicles=NAMES)
 
 
 def states(time_ns: int, *x: float) -> Event:
-    n = len(x)
-    position = np.array([(each, 0.0, 0.0) for each in x])
-    zero = np.zeros((n, 3))
-    attitude = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-    value = States(names=NAMES[:n], position=position, velocity=zero, attitude=attitude, angular_velocity=zero)
-    return Event("world/states", time_ns, value)
+    return Event("world/states", time_ns, standing(NAMES[: len(x)], [(each, 0.0, 0.0) for each in x]))
 
 
 def sends(time_ns: int, sender: str, to: str | None = None) -> Event:

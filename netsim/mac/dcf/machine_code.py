@@ -13,7 +13,6 @@ import inspect
 import os
 import tempfile
 from collections.abc import Callable, Sequence
-from functools import cache
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
@@ -91,12 +90,6 @@ def linked(modules: Sequence[ModuleType], make: Callable[[FunctionType], Any]) -
         if isinstance(value, FunctionType) and value.__module__ in {module.__name__ for module in modules}:
             names[name] = make(FunctionType(names.get(f"{name}_loop", value).__code__, names, name))
     return names[ENTRY]
-
-
-@cache
-def looped(modules: tuple[ModuleType, ...]) -> Callable[..., int]:
-    """The loops of `Compiled` in plain Python, faster than NumPy for arrays of a few numbers."""
-    return linked(modules, lambda source: source)
 
 
 class MachineCode:

@@ -14,13 +14,12 @@ from vcmvsp.netsim.interfaces.layers import BACKOFF_SLOT, Floats, Ints, Keys
 from vcmvsp.netsim.interfaces.medium import Answer, Decided, DecidedFrames, Offered, Renew
 from vcmvsp.netsim.mac.dcf import access, capture
 from vcmvsp.netsim.mac.dcf.access import DRAWS, LEVELS, OUTPUT
-from vcmvsp.netsim.mac.dcf.machine_code import Compiled, available, is_cached, is_loaded, looped
+from vcmvsp.netsim.mac.dcf.machine_code import Compiled, available, is_cached, is_loaded
 from vcmvsp.netsim.mac.dcf.state import (
     ARRIVED,
     DECIDED,
     DECISION,
     EXPIRED,
-    FEW,
     NEVER,
     NOBODY,
     OFFERED,
@@ -68,7 +67,7 @@ class DcfMedium:
         compile_core: bool | None = None,
     ) -> None:
         self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
-        self._run: Callable[[DcfState, DcfRules, int], int] = looped(CORE) if count <= FEW else access.run
+        self._run: Callable[[DcfState, DcfRules, int], int] = access.run
         self._done, self._faster_at = 0, LOAD_AFTER if compile_core is None and available() else None  # frames
         self._curves = list(curves)  # of the rows of `DcfState.tables`
         self._state = new_state(rules, count, sensitivity_mw, np.stack([each.table for each in curves]))

@@ -11,7 +11,6 @@ import numpy as np
 from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
-FEW = 5  # radios up to which loops over plain numbers are faster than NumPy
 NEVER = 1 << 62
 NOBODY = -1
 

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.netsim.channels import standing
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.received import receptions_at
-from vcmvsp.cosim.types import RECEPTIONS, Array, Datagrams, Message, Reception, States, Traffic
-from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.types import RECEPTIONS, Array, Datagrams, Message, Reception, Traffic
 from vcmvsp.netsim.bridge import messages
 from vcmvsp.netsim.bridge.deliveries import Columns, Lateness
 from vcmvsp.netsim.bridge.federate import AGAIN_NS, BEHIND_NS, PATIENCE_NS, Bridge
@@ -157,34 +157,16 @@ def test_at_any_speed_what_counts_is_how_late_the_run_is_on_the_wall_clock(monke
     assert sent(bridge, now_ns) == []
 
 
-def test_levels_of_many_vehicles_are_told_in_pieces_that_a_message_holds() -> None:
-    n = 400
-    levels = np.arange(n * n, dtype=np.float64).reshape(n, n)
-    air: Any = Levels(levels)
-    names = tuple(f"v{k}" for k in range(n))
-    bridge = bridge_of(names, air.levels_dbm, Clock())
+def test_levels_are_told_as_they_are_when_they_are_asked_for() -> None:
+    bridge = bridge_of(("a", "b"), lambda states: states.position[:, None, 0] + states.position[:, 0], Clock())
     bridge.start(RUN)
     process: Any = Beside()
     bridge._process = process
     process.says = [messages.LevelsRequest()]
     bridge.poll(MS)
-    none = np.zeros((n, 3))
-    states = States(names=names, position=none, velocity=none, attitude=np.zeros((n, 4)), angular_velocity=none)
-    bridge.step(MS, [Event("world/states", 0, states)])
-    assert len(process.heard) > 1
-    assert max(len(encode(each)) for each in process.heard) < 100_000
-    assert [each.first for each in process.heard] == np.cumsum([0, *(len(each.dbm) for each in process.heard)])[:-1].tolist()
-    assert (np.concatenate([each.dbm for each in process.heard]) == levels).all()
-
-
-class Levels:
-    """In the place of the radio."""
-
-    def __init__(self, dbm: Array) -> None:
-        self.dbm = dbm
-
-    def levels_dbm(self, states: States) -> Array:
-        return self.dbm
+    bridge.step(MS, [Event("world/states", 0, standing(("a", "b"), [(1.0, 0.0, 0.0), (5.0, 0.0, 0.0)]))])
+    (told,) = process.heard
+    assert (told.first, told.dbm.tolist()) == (0, [[2.0, 6.0], [6.0, 10.0]])
 
 
 def heard_by_b(message: Message, at_ns: int) -> Event:

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from scipy.stats import ks_2samp
 
 from tests.support.cosim.receptions import receptions_in
-from tests.support.netsim.channels import make_channel
+from tests.support.netsim.channels import make_channel, standing
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
-from vcmvsp.cosim.types import FrameReport, Message, States
+from vcmvsp.cosim.types import FrameReport, Message
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.federate import RadioFederate
@@ -209,14 +209,11 @@ def test_the_federate_is_stepped_twice_a_frame_and_hears_at_its_end() -> None:
     """Once to send it and once when it ends; the handing over may need one step more."""
     radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}))
     radio.start(RunInfo(scenario="test", seed=1, duration_ns=10**12, vehicles=NAMES))
-    zero = np.zeros((6, 3))
-    attitude = np.tile([1.0, 0.0, 0.0, 0.0], (6, 1))
-    states = States(names=NAMES, position=PLACES, velocity=zero, attitude=attitude, angular_velocity=zero)
     steps = 0
     for k in range(50):
         now = k * 100 * MS
         sends = [Event(f"{name}/send", now, Message(sender=name, body={"k": k}, size_bytes=60)) for name in NAMES]
-        step = radio.step(now, [Event("world/states", now, states), *sends])
+        step = radio.step(now, [Event("world/states", now, standing(NAMES, PLACES)), *sends])
         reports, due = [], step.next_ns
         while due is not None:
             step, steps = radio.step(due, []), steps + 1

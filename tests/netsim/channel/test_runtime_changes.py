@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.netsim.channels import make_channel
+from tests.support.netsim.channels import make_channel, standing
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table, write_table
-from vcmvsp.cosim.types import Changed, FrameReport, Message, Outage, Probability, States
+from vcmvsp.cosim.types import Changed, FrameReport, Message, Outage, Probability
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel, RuntimeChanges
 from vcmvsp.netsim.channel.replayed import RecordedFrames
@@ -43,12 +43,7 @@ OFFERS = st.lists(
 
 
 def where() -> Event:
-    zero, n = np.zeros((len(NAMES), 3)), len(NAMES)
-    position = np.array([(0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 50.0, 0.0), (70.0, 0.0, 0.0)])
-    attitude = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-    return Event(
-        "world/states", 0, States(names=NAMES, position=position, velocity=zero, attitude=attitude, angular_velocity=zero)
-    )
+    return Event("world/states", 0, standing(NAMES, [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 50.0, 0.0), (70.0, 0.0, 0.0)]))
 
 
 def sends(offers: Sequence[tuple[int, str, str | None]]) -> list[Event]:

@@ -216,7 +216,7 @@ def test_a_run_that_breaks_off_leaves_what_was_there_before(tmp_path: Path) -> N
     assert path.read_text() == "old"
 
 
-@pytest.mark.parametrize(("name", "problem"), [(".", "is a folder"), ("no/rows.parquet", "there is no folder")])
+@pytest.mark.parametrize(("name", "problem"), [(".", "is a folder"), ("no/rows.parquet", "does not exist; create it first")])
 def test_a_place_where_no_file_can_be_is_refused(name: str, problem: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=problem), RowFile(tmp_path / name, facts_of(plan(places(3)))):
         pass

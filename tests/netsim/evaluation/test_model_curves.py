@@ -41,7 +41,7 @@ def test_positions_come_with_or_without_a_header(head: str, tmp_path: Path) -> N
     [
         ("", "has no positions"),
         ("x,y,z\n", "has no positions"),
-        ("1,2,3\n4,5\n", "line 2: must have 3 columns, x,y,z, not 2: 4,5"),
+        ("1,2,3\n4,5\n", "line 2: must have 3 columns (x,y,z), not 2: 4,5"),
         ("1,2\n", "line 1: must have 3 columns"),
         ("1,2,3,4\n", "line 1: must have 3 columns"),
         ("x,y\n1,2\n", "line 1: the columns must be x,y,z, not x,y"),
@@ -252,13 +252,6 @@ def test_rayleigh_fading_over_a_threshold_in_closed_form() -> None:
     antennas = np.array([(d, 0.0, 0.0) for d in np.geomspace(1.0, 500.0, 200)])
     found = coverage(make(phy=phy, fading={"kind": "rayleigh"}), "car", np.zeros(3), antennas)
     np.testing.assert_allclose(found.success, np.exp(-(10.0 ** ((-82.0 - found.level_dbm) / 10.0))), atol=1.0 / 233)
-
-
-def test_levels_are_the_same_in_both_directions() -> None:
-    channel, rng = make(**SHADOWED), np.random.default_rng(2)
-    for a, b in zip(rng.uniform(-30.0, 50.0, (20, 3)), rng.uniform(-30.0, 50.0, (20, 3)), strict=True):
-        forth = coverage(channel, "car", a, b[None], seed=SEED).level_dbm
-        assert forth == pytest.approx(coverage(channel, "car", b, a[None], seed=SEED).level_dbm, abs=1e-9)
 
 
 def test_a_place_is_the_same_whatever_else_is_asked() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.support.netsim.channels import make_channel
+from tests.support.netsim.channels import make_channel, standing
 from tests.support.netsim.gateway_context import PATIENCE_S, free_ports
 from vcmvsp.cosim.clock import SECOND_NS, Clock, WallClock
 from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
@@ -35,11 +35,7 @@ class Standing:
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        n = len(self._names)
-        zero, x = np.zeros((n, 3)), np.zeros((n, 3))
-        x[:, 0] = 10.0 * np.arange(n)
-        attitude = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-        states = States(names=self._names, position=x, velocity=zero, attitude=attitude, angular_velocity=zero)
+        states = standing(self._names, [(10.0 * row, 0.0, 0.0) for row in range(len(self._names))])
         events = [Event("world/states", 0, states)] if now_ns == 0 else []
         return Step(events, now_ns + SECOND_NS // 10 if now_ns < self._end_ns else None)
 

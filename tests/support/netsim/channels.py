@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.assembly import radio
 from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.types import FrameReport, Message
+from vcmvsp.cosim.types import FrameReport, Message, States
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.interfaces.layers import Floats, Frame, Keys, Paths, SenderLinks
 from vcmvsp.netsim.phy.error_rate import ErrorRate
@@ -43,6 +43,13 @@ def one(reports: list[FrameReport]) -> FrameReport:
     """The only report of a frame whose fate was known at once."""
     (report,) = reports
     return report
+
+
+def standing(names: Sequence[str], position: Sequence[Sequence[float]] | Floats) -> States:
+    """Vehicles at these places, level and at rest."""
+    zero, attitude = np.zeros((len(names), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(names), 1))
+    places = np.array(position, np.float64)
+    return States(names=tuple(names), position=places, velocity=zero, attitude=attitude, angular_velocity=zero)
 
 
 def make_frame(*shape: int) -> Frame:

@@ -3,13 +3,11 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from tests.support.cosim.receptions import receptions_in
-from tests.support.netsim.channels import make_channel
+from tests.support.netsim.channels import make_channel, standing
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.kernel import Kernel
-from vcmvsp.cosim.types import FrameReport, Message, Reception, Receptions, Routed, States, Traffic
+from vcmvsp.cosim.types import FrameReport, Message, Reception, Receptions, Routed, Traffic
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.netsim.routing.router import Routing
 
@@ -51,17 +49,14 @@ class World:
     wakes: tuple[str, ...] = ()
 
     def __init__(self, position: Sequence[Sequence[float]], said: Sequence[Event]) -> None:
-        self._position, self._said = np.array(position, np.float64), said
+        self._position, self._said = position, said
 
     def start(self, run: RunInfo) -> int | None:
         self._names = run.vehicles
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        zero, attitude = np.zeros((len(self._names), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(self._names), 1))
-        position = np.zeros((len(self._names), 3))
-        position[:, : self._position.shape[1]] = self._position
-        states = States(names=self._names, position=position, velocity=zero, attitude=attitude, angular_velocity=zero)
+        states = standing(self._names, [(*place, 0.0)[:3] for place in self._position])
         return Step([Event("world/states", 0, states), *self._said])
 
     def close(self) -> None:
