@@ -300,7 +300,7 @@ def test_a_log_is_read_whatever_the_order_of_columns_and_times(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("lines", "header", "message"),
     [
-        (["0,0,0,0,1,0,0,-50"], "time,ax,ay,bx,by,bz,rssi_dbm", "no column az; required: time, ax, .*; found: time, ax, ay, bx"),
+        (["0,0,0,0,1,0,0,-50"], "time,ax,ay,bx,by,bz,rssi_dbm", "no column az; required: time, ax, .*; found: time, ax, ay"),
         (["0,0,0,0,1,0,0,-50,1"], HEADER + ",ax", "column ax appears twice"),
         ([], HEADER, "no rows below the header"),
         (["0,0,0,0,1,0,0,-50", "0,0,nan,0,1,0,0,-50"], HEADER, "line 3: ay is 'nan'; it must be a finite number"),
