@@ -18,26 +18,26 @@ Port = Annotated[
     str,
     typer.Option(
         metavar="PORT",
-        help="PTY (a pseudo-terminal), tcp://HOST:8101 (without HOST: for this machine alone), or a path that leads to a PTY.",
+        help="PTY (a pseudo-terminal), tcp://HOST:8101 (without HOST: for this machine alone), or a path for a link to a PTY.",
     ),
 ]
-Pose = Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where it starts, m, m, rad [0,0,0, or the scenario's].")]
-Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Of faults and of errors of positioning.")]
-Duration = Annotated[float | None, typer.Option("--duration", metavar="S", help="End after so long [at Ctrl-C].")]
+Pose = Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Start pose, m, m, rad [0,0,0, or the scenario's].")]
+Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Seed of faults and of positioning errors.")]
+Duration = Annotated[float | None, typer.Option("--duration", metavar="S", help="Duration, s [until Ctrl-C].")]
 TagName = Annotated[str, typer.Option("--tag", metavar="HEX", help="Number of the tag.")]
 FixHz = Annotated[float, typer.Option("--fix-hz", metavar="HZ", help="Fixes a second.")]
 SigmaM = Annotated[float, typer.Option("--sigma-m", metavar="M", help="Standard deviation of each coordinate of a fix.")]
-Outliers = Annotated[float, typer.Option(metavar="P", help="Probability of a fix to be 1 to 3 m off.")]
-DropOuts = Annotated[float, typer.Option("--drop-outs", metavar="P", help="Probability that there is no position.")]
-FixLatency = Annotated[float, typer.Option("--fix-latency-s", metavar="S", help="From measuring a fix to telling it.")]
+Outliers = Annotated[float, typer.Option(metavar="P", help="Probability that a fix is 1 to 3 m off.")]
+DropOuts = Annotated[float, typer.Option("--drop-outs", metavar="P", help="Probability that a fix is missing.")]
+FixLatency = Annotated[float, typer.Option("--fix-latency-s", metavar="S", help="Time from measurement to output of a fix, s.")]
 Circle = Annotated[
-    str | None, typer.Option(metavar="R,SPEED", help="Go round to the left, m, m/s; R < 0: to the right [it stands].")
+    str | None, typer.Option(metavar="R,SPEED", help="Drive a circle to the left, m, m/s; R < 0: to the right [at rest].")
 ]
 
 emulate_app = typer.Typer(
     name="emulate",
-    help="Devices in software at a real port: robots, autopilots and tags of positioning.\n\n"
-    "The first line on stdout is what to connect to. Ctrl-C ends it.\n\nStart with: vcmvsp emulate amigobot",
+    help="Software emulations of robots, autopilots and positioning tags at a real port.\n\n"
+    "The first line on stdout is the address to connect to. Ctrl-C ends it.\n\nStart with: vcmvsp emulate amigobot",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -47,20 +47,18 @@ def robot_command(
     context: typer.Context,
     port: Port = "PTY",
     pose: Pose = None,
-    rate_hz: Annotated[float, typer.Option(metavar="HZ", help="Information packets a second.")] = 10.0,
+    rate_hz: Annotated[float, typer.Option(metavar="HZ", help="Information packets per second.")] = 10.0,
     faults: Annotated[
-        str, typer.Option(metavar="NAME=P,...", help="For each byte on the line: drop=0.01,flip=0.001,split=0.2,gap_ms=30.")
+        str, typer.Option(metavar="NAME=P,...", help="Faults per byte on the line: drop=0.01,flip=0.001,split=0.2,gap_ms=30.")
     ] = "",
-    paced: Annotated[bool, typer.Option("--paced", help="Bytes take as long as the baud rate says.")] = False,
+    paced: Annotated[bool, typer.Option("--paced", help="Transfer bytes at the baud rate.")] = False,
     baud: Annotated[int, typer.Option(metavar="N", help="Baud rate, until the client sets another one.")] = 9600,
-    ping_ms: Annotated[int, typer.Option(metavar="T", help="From ping to ping of an array of 8 sonars.")] = 40,
+    ping_ms: Annotated[int, typer.Option(metavar="T", help="Time between pings of an array of 8 sonars, ms.")] = 40,
     no_watchdog: Annotated[bool, typer.Option("--no-watchdog", help="Do not stop after 2 s without a command.")] = False,
     ubisense: Annotated[
-        str | None, typer.Option(metavar="udp://HOST:PORT", help="It carries a tag: Ubisense datagrams go there.")
+        str | None, typer.Option(metavar="udp://HOST:PORT", help="Add a positioning tag that sends Ubisense datagrams there.")
     ] = None,
-    dwm1001: Annotated[
-        str | None, typer.Option(metavar="PTY|PATH", help="It carries a DWM1001 tag, whose serial port is there.")
-    ] = None,
+    dwm1001: Annotated[str | None, typer.Option(metavar="PTY|PATH", help="Add a DWM1001 tag with this serial port.")] = None,
     tag: TagName = "1",
     fix_hz: FixHz = 5.0,
     sigma_m: SigmaM = 0.15,
@@ -68,9 +66,9 @@ def robot_command(
     drop_outs: DropOuts = 0.0,
     fix_latency_s: FixLatency = 0.0,
     scenario: Annotated[
-        str | None, typer.Option(metavar="SCENARIO", help="Drive in its world, with its other vehicles, at wall pace.")
+        str | None, typer.Option(metavar="SCENARIO", help="Drive in its world with its other vehicles, in real time.")
     ] = None,
-    vehicle: Annotated[str | None, typer.Option(metavar="NAME", help="Which vehicle of the scenario it is.")] = None,
+    vehicle: Annotated[str | None, typer.Option(metavar="NAME", help="Vehicle of the scenario.")] = None,
     set_: Annotated[Changes, changes("Change a key of the scenario.")] = None,
     seed: Seed = 0,
     duration: Duration = None,
@@ -121,7 +119,7 @@ for _name in ("amigobot", "p2dx", "amigo-sh"):
 
 @emulate_app.command("ubisense", short_help="A Ubisense positioning system over UDP")
 def ubisense_command(
-    port: Annotated[str, typer.Option(metavar="udp://HOST:PORT", help="Where datagrams go.")],
+    port: Annotated[str, typer.Option(metavar="udp://HOST:PORT", help="Destination of the datagrams.")],
     pose: Pose = None,
     circle: Circle = None,
     tag: TagName = "1",
@@ -147,7 +145,7 @@ def ubisense_command(
 
 @emulate_app.command("dwm1001", short_help="A DWM1001 positioning tag at a serial port")
 def dwm1001_command(
-    port: Annotated[str, typer.Option(metavar="PTY|PATH", help="A pseudo-terminal, or a path that leads to one.")] = "PTY",
+    port: Annotated[str, typer.Option(metavar="PTY|PATH", help="A pseudo-terminal, or a path for a link to one.")] = "PTY",
     pose: Pose = None,
     circle: Circle = None,
     tag: TagName = "1",
@@ -174,12 +172,12 @@ def dwm1001_command(
 @emulate_app.command("mavlink", short_help="A vehicle with MAVLink over UDP or TCP")
 def mavlink_command(
     port: Annotated[
-        str, typer.Option(metavar="PORT", help="udp://HOST:PORT, where its messages go, or tcp://HOST:PORT, where it listens.")
+        str, typer.Option(metavar="PORT", help="udp://HOST:PORT (it sends there) or tcp://HOST:PORT (it listens there).")
     ] = "udp://127.0.0.1:14540",
-    autopilot: Annotated[str, typer.Option(metavar="px4|ardupilot", help="Whose modes and rules it has.")] = "px4",
-    kind: Annotated[str, typer.Option(metavar="quadrotor|rover", help="What it is.")] = "quadrotor",
+    autopilot: Annotated[str, typer.Option(metavar="px4|ardupilot", help="Autopilot that it emulates.")] = "px4",
+    kind: Annotated[str, typer.Option(metavar="quadrotor|rover", help="Type of vehicle.")] = "quadrotor",
     system_id: Annotated[int, typer.Option("--system-id", metavar="N", help="Its number.")] = 1,
-    armed: Annotated[bool, typer.Option("--armed", help="Its motors may turn from the beginning.")] = False,
+    armed: Annotated[bool, typer.Option("--armed", help="Start with armed motors.")] = False,
     pose: Pose = None,
     duration: Duration = None,
     json: AsJson = False,
@@ -201,10 +199,10 @@ def mavlink_command(
 
 @emulate_app.command("ros2", short_help="A robot with ROS 2 over rmw_zenoh")
 def ros2_command(
-    port: Annotated[str, typer.Option(metavar="tcp/HOST:PORT", help="Endpoint of Zenoh, where it listens.")] = (
+    port: Annotated[str, typer.Option(metavar="tcp/HOST:PORT", help="Zenoh endpoint that it listens on.")] = (
         "tcp/127.0.0.1:7447"
     ),
-    stamped: Annotated[bool, typer.Option("--stamped", help="It hears TwistStamped, not Twist.")] = False,
+    stamped: Annotated[bool, typer.Option("--stamped", help="Subscribe to TwistStamped instead of Twist.")] = False,
     pose: Pose = None,
     duration: Duration = None,
     json: AsJson = False,

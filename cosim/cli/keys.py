@@ -12,13 +12,13 @@ from vcmvsp.cosim.errors import UsageError
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle, Keys
 
-KeysDir = Annotated[Path, typer.Option("--keys", metavar="DIR", help="What 'vcmvsp keys init' has made.")]
+KeysDir = Annotated[Path, typer.Option("--keys", metavar="DIR", help="Folder made by 'vcmvsp keys init'.")]
 Names = Annotated[
     list[str] | None,
-    typer.Option("--name", metavar="NAME_OR_IP", help="Under which other machines dial this one, if it does not know itself."),
+    typer.Option("--name", metavar="NAME_OR_IP", help="Name or address by which other machines reach this one."),
 ]
 Out = Annotated[Path | None, typer.Option(metavar="FILE", help="File or folder to write to [DIR/NAME.keys].")]
-Force = Annotated[bool, typer.Option("--force", help="Make it again.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an existing one.")]
 HERE = Path("keys")
 
 keys_app = typer.Typer(
@@ -31,10 +31,10 @@ keys_app = typer.Typer(
 
 @keys_app.command("init", short_help="Make an authority, which signs certificates")
 def init_command(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder; it stays on this machine.")] = HERE,
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder; keep it on this machine.")] = HERE,
     name: Names = None,
-    days: Annotated[int, typer.Option(metavar="N", help="How long the certificate of runs on this machine is valid.")] = 365,
-    force: Annotated[bool, typer.Option("--force", help="A new authority; all certificates of the old one are void.")] = False,
+    days: Annotated[int, typer.Option(metavar="N", help="Validity of the certificate of this machine's runs, days.")] = 365,
+    force: Annotated[bool, typer.Option("--force", help="Replace the authority; its certificates become invalid.")] = False,
 ) -> None:
     """Make an authority, which signs certificates, and the certificate of runs on this machine.
 
@@ -49,7 +49,7 @@ def init_command(
 def hub_command(
     name: Names = None,
     keys: KeysDir = HERE,
-    days: Annotated[int, typer.Option(metavar="N", help="How long it is valid.")] = 365,
+    days: Annotated[int, typer.Option(metavar="N", help="Validity, days.")] = 365,
 ) -> None:
     """Make the certificate of runs on this machine again: for more names, or because it ends.
 
@@ -62,9 +62,9 @@ def hub_command(
 
 @keys_app.command("vehicle", short_help="Make the key file of a machine that hosts agents")
 def vehicle_command(
-    vehicle: Annotated[list[str], typer.Argument(metavar="NAME...", help="The vehicles whose agents the machine may run.")],
+    vehicle: Annotated[list[str], typer.Argument(metavar="NAME...", help="Vehicles whose agents the machine may run.")],
     keys: KeysDir = HERE,
-    as_: Annotated[str | None, typer.Option("--as", metavar="HOST", help="A name for the machine [the one vehicle's].")] = None,
+    as_: Annotated[str | None, typer.Option("--as", metavar="HOST", help="Name of the machine [the vehicle's].")] = None,
     days: Annotated[int, typer.Option(metavar="N", help="How long the certificate is valid.")] = 90,
     out: Out = None,
     force: Force = False,
@@ -85,7 +85,7 @@ def vehicle_command(
 
 @keys_app.command("observer", short_help="Make the key file of an observer")
 def observer_command(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Who will watch.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the observer.")],
     keys: KeysDir = HERE,
     days: Annotated[int, typer.Option(metavar="N", help="How long the certificate is valid.")] = 90,
     out: Out = None,
@@ -124,7 +124,7 @@ def list_command(keys: KeysDir = HERE, json: AsJson = False) -> None:
 
 @keys_app.command("revoke", short_help="Revoke the certificate of a machine")
 def revoke_command(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="As 'vcmvsp keys list' shows it.")], keys: KeysDir = HERE
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name as in 'vcmvsp keys list'.")], keys: KeysDir = HERE
 ) -> None:
     """Let a machine in no more. Its name is not given again.
 

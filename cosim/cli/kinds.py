@@ -52,9 +52,9 @@ def list_command(
 
 def show_command(
     what: Annotated[str, typer.Argument(metavar="SCENARIO | GROUP KIND", help="What to print.")],
-    kind: Annotated[str | None, typer.Argument(metavar="[KIND]", help="Of a vehicle, world, sensor, ..., e.g. p2dx.")] = None,
+    kind: Annotated[str | None, typer.Argument(metavar="[KIND]", help="Kind of vehicle, world, sensor ..., e.g. p2dx.")] = None,
     set_: Annotated[Changes, changes("Change a key, e.g. radio.loss.probability=0.3.")] = None,
-    resolved: Annotated[bool, typer.Option("--resolved", help="With every key and default filled in.")] = False,
+    resolved: Annotated[bool, typer.Option("--resolved", help="Include all keys and defaults.")] = False,
     json: AsJson = False,
 ) -> None:
     """Print a scenario as it is written, or with everything filled in; or every parameter of a kind.
@@ -114,7 +114,7 @@ def reference_command(
 
 
 def world_command(
-    world: Annotated[str, typer.Argument(metavar="NAME|FILE|SCENARIO", help="A kind of world, a file of one, or a scenario.")],
+    world: Annotated[str, typer.Argument(metavar="NAME|FILE|SCENARIO", help="A kind of world, a world file, or a scenario.")],
     png: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw it from above and in perspective [NAME.png].")
     ] = None,
@@ -182,12 +182,12 @@ def _strong(word: str) -> str:
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 PARTS: Mapping[str, str] = {
-    "scenario": "three robots and the tables that people change",
+    "scenario": "three robots and the most common tables",
     "agent": "an algorithm, one object per vehicle",
-    "channel": "a layer of the radio that loses messages",
-    "vehicle": "a kind of robot with numbers of its own",
-    "sensor": "something else that a vehicle carries",
-    "driver": "the way to a real robot, and a robot in software to try it on",
+    "channel": "a radio layer that loses messages",
+    "vehicle": "a kind of robot with its own parameters",
+    "sensor": "a sensor of a vehicle",
+    "driver": "a driver of a real robot, and an emulated robot to test it",
 }
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*([-_][A-Za-z0-9]+)*")
 LONGEST = 60  # characters of a name; file names are longer
@@ -195,8 +195,8 @@ LONGEST = 60  # characters of a name; file names are longer
 
 def new_command(
     part: Annotated[str, typer.Argument(metavar="PART", help="scenario, agent, channel, vehicle, sensor or driver.")],
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Of your own, e.g. follow-wall: its class is FollowWall.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write it.")] = Path(),
+    name: Annotated[str, typer.Argument(metavar="NAME", help="A new name, e.g. follow-wall: the class is FollowWall.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")] = Path(),
 ) -> None:
     """Write a starting point of your own, with a scenario and a test; nothing is overwritten.
 

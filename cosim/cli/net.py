@@ -18,13 +18,13 @@ from vcmvsp.cosim.view import HOST, PORT
 if TYPE_CHECKING:
     from vcmvsp.cosim.assembly.parts.networks import RunNetwork
 
-RunName = Annotated[str | None, typer.Option("--run", metavar="NAME", help="Whose network, if there are several.")]
+RunName = Annotated[str | None, typer.Option("--run", metavar="NAME", help="Run whose network is meant, if there are several.")]
 NEEDS = "network namespaces need {}: start it as root (sudo), or in a container with --privileged"
 
 net_app = typer.Typer(
     name="net",
-    help="A network of vehicles for programs as they are: each vehicle is a machine with an address of its own.\n\n"
-    "What its programs send is sent by its radio. Needs Linux, and root.\n\nStart with: vcmvsp net up formation-circle",
+    help="A network of the vehicles for unchanged programs: each vehicle is a network namespace with its own address.\n\n"
+    "Its radio carries what programs send. Needs Linux and root.\n\nStart with: vcmvsp net up formation-circle",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -34,10 +34,10 @@ net_app = typer.Typer(
 def up_command(
     scenario: ScenarioName,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", help="How long it lasts, if Ctrl-C does not end it [the scenario's].")
+        float | None, typer.Option(metavar="S", help="Duration, s; Ctrl-C ends it earlier [the scenario's].")
     ] = None,
     network: Annotated[
-        str | None, typer.Option(metavar="ADDRESS/BITS", help="Of all vehicles, IPv4 [the scenario's, or 10.77.0.0/16].")
+        str | None, typer.Option(metavar="ADDRESS/BITS", help="IPv4 network of all vehicles [the scenario's, or 10.77.0.0/16].")
     ] = None,
     seed: Seed = None,
     set_: Sets = None,
@@ -83,7 +83,7 @@ def up_command(
 
 @net_app.command("exec", short_help="Start a program in a vehicle's namespace")
 def exec_command(
-    vehicle: Annotated[str, typer.Argument(metavar="VEHICLE", help="On whose machine.")],
+    vehicle: Annotated[str, typer.Argument(metavar="VEHICLE", help="Vehicle in whose namespace it runs.")],
     command: Annotated[list[str], typer.Argument(metavar="-- COMMAND...", help="The program and its arguments.")],
     run: RunName = None,
 ) -> None:
@@ -132,7 +132,7 @@ def status_command(json: AsJson = False) -> None:
 @net_app.command("down", short_help="Remove the networks of killed runs")
 def down_command(
     run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="Whose [all].")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Also that of a run that is alive, which ends.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Also end runs that are alive, and remove their networks.")] = False,
 ) -> None:
     """Clear away what killed runs have left of their networks; those of runs that are alive stay.
 

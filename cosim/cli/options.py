@@ -30,13 +30,11 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout and n
 KeysOfVehicle = Annotated[
     Path | None, typer.Option(metavar="FILE", help="This machine's certificate ('vcmvsp keys vehicle NAME').")
 ]
-DialInsecurely = Annotated[bool, typer.Option("--insecure", help="Dial without certificate or secret, whoever listens.")]
+DialInsecurely = Annotated[bool, typer.Option("--insecure", help="Connect without certificate or secret, to any listener.")]
 SecretOfRun = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Secret of a run without certificates; default: of your own runs here.")
+    Path | None, typer.Option(metavar="FILE", help="Secret of a run without certificates [of your own runs on this machine].")
 ]
-Trust = Annotated[
-    bool, typer.Option("--trust", help="Execute classes of its own that the folder's scenario names, where these tell more.")
-]
+Trust = Annotated[bool, typer.Option("--trust", help="Execute user classes of the scenario in the folder, for more details.")]
 DATA = "A folder of results is data: nothing of it is executed."
 PROGRAM = (
     "A scenario is a program: its classes are imported and run with your rights. "

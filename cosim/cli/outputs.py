@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.view.player.recording import Player, Recording
 
 
-RunDir = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left.")]
+RunDir = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of a run.")]
 
 
 def plot_command(
     run_dir: RunDir,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to put the figures [RUN_DIR].")] = None,
-    svg: Annotated[bool, typer.Option("--svg", help="As drawings (SVG) instead of pictures (PNG).")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the figures [RUN_DIR].")] = None,
+    svg: Annotated[bool, typer.Option("--svg", help="Write SVG instead of PNG.")] = False,
     trust: Trust = False,
 ) -> None:
     """Draw the figures of a run again; also of one that was killed, as far as its recording goes.
@@ -39,12 +39,8 @@ def plot_command(
 
 
 def report_command(
-    folder: Annotated[
-        Path, typer.Argument(metavar="RUN_OR_STUDY_DIR", help="A folder that 'vcmvsp run' or 'vcmvsp study' has left.")
-    ],
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where to put the page [report.html in that folder].")
-    ] = None,
+    folder: Annotated[Path, typer.Argument(metavar="RUN_OR_STUDY_DIR", help="Folder of a run or study.")],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="File for the page [report.html in that folder].")] = None,
     trust: Trust = False,
 ) -> None:
     """Make report.html of a run or a study again, in one file: figures, numbers, losses and why, how to repeat it.
@@ -74,10 +70,10 @@ def export_command(
     csv: Annotated[bool, typer.Option("--csv", help="csv/: tables of states, radio, commands and sensors.")] = False,
     mp4: Annotated[bool, typer.Option("--mp4", help="run.mp4: a film of the run from above.")] = False,
     layout: Annotated[
-        bool, typer.Option("--layout", help="layout.json: for Foxglove and Lichtblick, which fits its run.mcap.")
+        bool, typer.Option("--layout", help="layout.json: a Foxglove and Lichtblick layout for its run.mcap.")
     ] = False,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to put them [RUN_DIR].")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over what is there.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the exports [RUN_DIR].")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Write a run's recording in the formats of other tools; also of a run that was killed, as far as it goes.
@@ -114,9 +110,9 @@ PERIOD_S = 1.0 / 30.0  # between two updates of the page
 
 
 def view_command(
-    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left, or still writes.")],
-    port: Annotated[int, typer.Option(metavar="PORT", min=0, max=65535, help="Where the page is; 0: any that is free.")] = PORT,
-    host: Annotated[str, typer.Option(metavar="HOST", help="Address of this machine on which it is.")] = HOST,
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of a run, finished or still running.")],
+    port: Annotated[int, typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port.")] = PORT,
+    host: Annotated[str, typer.Option(metavar="HOST", help="Address of this machine for the page.")] = HOST,
     json: AsJson = False,
     trust: Trust = False,
 ) -> None:

@@ -29,24 +29,22 @@ Size = Annotated[int, typer.Option(metavar="BYTES", help="Payload of a frame; th
 
 
 def radio_command(
-    what: Annotated[
-        str, typer.Argument(metavar="RUN_DIR|SCENARIO", help="A folder that 'vcmvsp run' has left; or a scenario.")
-    ],
+    what: Annotated[str, typer.Argument(metavar="RUN_DIR|SCENARIO", help="Folder of a run, or a scenario.")],
     link: Annotated[
         str | None, typer.Option(metavar="A/B", help="Links from A to B, e.g. car1/car2, or 'car1/*' for all that car1 sends.")
     ] = None,
     frame: Annotated[
-        str | None, typer.Option(metavar="N", help="The link budget of frame N; of the first one 'lost'; of the 'worst'.")
+        str | None, typer.Option(metavar="N", help="Link budget of frame N, of the first 'lost' or of the 'worst' frame.")
     ] = None,
-    coverage: Annotated[str | None, typer.Option(metavar="VEHICLE", help="Draw a map of where this vehicle is heard.")] = None,
-    at: Annotated[float | None, typer.Option(metavar="S", help="Map: of a run, when [at its start].")] = None,
+    coverage: Annotated[str | None, typer.Option(metavar="VEHICLE", help="Draw a coverage map of this vehicle.")] = None,
+    at: Annotated[float | None, typer.Option(metavar="S", help="Map: time in the run, s [at its start].")] = None,
     size: Annotated[int | None, typer.Option(metavar="BYTES", min=0, help="Map: payload of the frames [100].")] = None,
-    height: Annotated[float | None, typer.Option(metavar="M", help="Map: of the receivers' antennas [0.5].")] = None,
+    height: Annotated[float | None, typer.Option(metavar="M", help="Map: height of the receivers' antennas [0.5].")] = None,
     resolution: Annotated[
-        float | None, typer.Option(metavar="M", help="Map: from place to place [about 150 along the longer side].")
+        float | None, typer.Option(metavar="M", help="Map: distance of places [about 150 along the longer side].")
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Map: where to put it [coverage-VEHICLE.png].")] = None,
-    seed: Annotated[int | None, typer.Option(help="Map: instead of the scenario's.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Map: file [coverage-VEHICLE.png].")] = None,
+    seed: Annotated[int | None, typer.Option(help="Map: seed [the scenario's].")] = None,
     set_: Annotated[Changes, changes("Map: change a key of the scenario.")] = None,
     json: AsJson = False,
     trust: Trust = False,
@@ -75,11 +73,11 @@ def radio_command(
 def channel_command(
     preset: Preset,
     positions: Annotated[Path, typer.Option(metavar="FILE.csv", help="A line x,y,z (m) for each vehicle's antenna.")],
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Frames a second of each vehicle.")],
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Frames per second of each vehicle.")],
     size: Size,
     duration: Annotated[float, typer.Option(metavar="S", help="Frames are sent at 0 <= t < S.")],
     set_: OfLayer = None,
-    seed: Annotated[int, typer.Option(help="Of all random numbers.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE.parquet", help="Also write a row per frame and receiver, as in radio.parquet.")
     ] = None,
@@ -123,7 +121,7 @@ def channel_command(
 
 def per_command(
     preset: Preset,
-    snr: Annotated[str, typer.Option(metavar="START:STOP:STEP", help="Signal over noise, dB.")],
+    snr: Annotated[str, typer.Option(metavar="START:STOP:STEP", help="Signal-to-noise ratio, dB.")],
     size: Size,
     model: Annotated[
         str, typer.Option(metavar="NAME", help="wifi-g-*, wifi-a-*: table, yans, nist; wifi-b-*: dsss; zigbee: oqpsk.")
@@ -146,7 +144,7 @@ def per_command(
 
 def pathloss_command(
     preset: Preset,
-    distance: Annotated[str, typer.Option(metavar="START:STOP:STEP", help="Between two antennas, m.")],
+    distance: Annotated[str, typer.Option(metavar="START:STOP:STEP", help="Distance of two antennas, m.")],
     set_: OfLayer = None,
     json: AsJson = False,
 ) -> None:
@@ -290,13 +288,13 @@ def calibrate_command(
     links: Annotated[
         Path, typer.Argument(metavar="LINKS.csv", help="Columns time,ax,ay,az,bx,by,bz,rssi_dbm[,received], in s, m, dBm.")
     ],
-    tx_power: Annotated[float, typer.Option(metavar="DBM", help="What was sent, antenna gains included.")] = 0.0,
-    reference_distance: Annotated[float, typer.Option(metavar="M", help="Where the level is stated.")] = 1.0,
+    tx_power: Annotated[float, typer.Option(metavar="DBM", help="Transmitted power, including antenna gains.")] = 0.0,
+    reference_distance: Annotated[float, typer.Option(metavar="M", help="Distance of the reference level, m.")] = 1.0,
     sensitivity: Annotated[
-        float | None, typer.Option(metavar="DBM", help="Weaker frames are lost [the least level that was received].")
+        float | None, typer.Option(metavar="DBM", help="Sensitivity: weaker frames are lost [the least received level].")
     ] = None,
     world: Annotated[
-        str | None, typer.Option(metavar="SCENARIO", help="Whose walls stood there: the loss of each material is fitted.")
+        str | None, typer.Option(metavar="SCENARIO", help="Scenario with the walls: fit the loss of each material.")
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for radio.toml and calibration.png.")] = None,
     json: AsJson = False,
@@ -346,12 +344,12 @@ def write_calibration(folder: Path, calibration: "Calibration", figure_data: dic
 def calibrate_recognition_command(
     scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A built-in scenario, or a file.")],
     vehicle: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Whose camera [the first that looks for targets].")
+        str | None, typer.Option(metavar="NAME", help="Vehicle with the camera [the first that searches targets].")
     ] = None,
-    height: Annotated[float | None, typer.Option(metavar="M", help="Of the vehicle [at which it searches].")] = None,
-    frames: Annotated[int, typer.Option(metavar="N", help="How many pictures; every other one shows a target.")] = 200,
-    cell: Annotated[float | None, typer.Option(metavar="M", help="Side of a cell of the map [that of its search].")] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the places; that of the world is the scenario's.")] = 0,
+    height: Annotated[float | None, typer.Option(metavar="M", help="Height of the vehicle [of its search].")] = None,
+    frames: Annotated[int, typer.Option(metavar="N", help="Number of pictures; every other one shows a target.")] = 200,
+    cell: Annotated[float | None, typer.Option(metavar="M", help="Edge of a map cell [of its search].")] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the places; the world keeps the scenario's seed.")] = 0,
     set_: Annotated[Changes, changes("Change a key, e.g. world.seed=3.")] = None,
     json: AsJson = False,
     quiet: Quiet = False,

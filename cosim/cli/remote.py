@@ -30,17 +30,17 @@ Fields = Mapping[str, Any]
 
 
 def agent_command(
-    vehicle: Annotated[list[str], typer.Option(metavar="NAME", help="Whose agent to run; repeat for several.")],
+    vehicle: Annotated[list[str], typer.Option(metavar="NAME", help="Vehicle whose agent to run; repeat for several.")],
     connect: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the run listens, e.g. tls/192.168.1.10:7447.")],
     kind: Annotated[
-        str | None, typer.Argument(metavar="[MODULE_OR_FILE:Class]", help="The agent's class; without it: the scenario's.")
+        str | None, typer.Argument(metavar="[MODULE_OR_FILE:Class]", help="Class of the agent [the scenario's].")
     ] = None,
     set_: Annotated[Changes, changes("A parameter of the agent, instead of the scenario's.")] = None,
     folder: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Python files here may run if the run asks for them by file name.")
+        Path | None, typer.Option(metavar="DIR", help="Folder of Python files that the run may request by name.")
     ] = None,
     allow: Annotated[
-        list[str] | None, typer.Option(metavar="CLASS", help="Another MODULE_OR_FILE:Class that the run may ask for.")
+        list[str] | None, typer.Option(metavar="CLASS", help="Another MODULE_OR_FILE:Class that the run may request.")
     ] = None,
     keys: KeysOfVehicle = None,
     insecure: DialInsecurely = False,
@@ -78,10 +78,10 @@ def watch_command(
     insecure: DialInsecurely = False,
     secret: SecretOfRun = None,
     topic: Annotated[
-        list[str] | None, typer.Option(metavar="KEYEXPR", help="What to hear, e.g. 'car2/*'; repeat for several [**].")
+        list[str] | None, typer.Option(metavar="KEYEXPR", help="Topics, e.g. 'car2/*'; repeat for several [**].")
     ] = None,
     json: AsJson = False,
-    count: Annotated[int | None, typer.Option(metavar="N", min=1, help="Leave after so many lines.")] = None,
+    count: Annotated[int | None, typer.Option(metavar="N", min=1, help="Stop after N lines.")] = None,
 ) -> None:
     """Watch a run from here, or from another machine, until it ends.
 
@@ -248,7 +248,7 @@ _WORDS: dict[str, Callable[[Any], str]] = {
 
 def doctor_command(
     connect: Annotated[
-        str | None, typer.Option(metavar="ENDPOINT", help="Check the way to a run that listens there, instead.")
+        str | None, typer.Option(metavar="ENDPOINT", help="Check the connection to a run at this endpoint instead.")
     ] = None,
     keys: Annotated[Path | None, typer.Option(metavar="FILE", help="This machine's certificate, for --connect.")] = None,
     insecure: DialInsecurely = False,

@@ -20,9 +20,7 @@ def figure_command(
         str | None, typer.Argument(metavar="[NAME]", help="A number of the thesis or a name; without it: the list.")
     ] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for data, pictures and rows.")] = Path("figures"),
-    jobs: Annotated[
-        int | None, typer.Option(metavar="N", help="Runs at a time, each in a process of its own [all processors].")
-    ] = None,
+    jobs: Annotated[int | None, typer.Option(metavar="N", help="Number of parallel processes [all processors].")] = None,
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -64,11 +62,9 @@ def validate_command(
         "validation"
     ),
     only: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="This check alone, e.g. path-loss, figure-24; repeat for several.")
+        list[str] | None, typer.Option(metavar="NAME", help="Only this check, e.g. path-loss, figure-24; repeat for several.")
     ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(metavar="N", help="Checks at a time, each in a process of its own [all processors].")
-    ] = None,
+    jobs: Annotated[int | None, typer.Option(metavar="N", help="Number of parallel processes [all processors].")] = None,
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:

@@ -19,22 +19,20 @@ NOBODY = "you drive no robot on this machine"
 
 
 def robot_command(
-    vehicle: Annotated[str, typer.Option(metavar="NAME", help="Whose robot this is.")],
+    vehicle: Annotated[str, typer.Option(metavar="NAME", help="Vehicle that this robot is.")],
     driver: Annotated[
         str,
         typer.Option(
-            metavar="KIND[:ADDRESS]", help="How it is driven from here: arcos:/dev/ttyUSB0, bench, my_robot.py:Rover, ..."
+            metavar="KIND[:ADDRESS]", help="Driver on this computer: arcos:/dev/ttyUSB0, bench, my_robot.py:Rover, ..."
         ),
     ],
     connect: Annotated[
         str,
-        typer.Option(
-            metavar="ENDPOINT", help="Where the run waits for it (its driver's 'listen'), e.g. tls/192.168.1.10:7448."
-        ),
+        typer.Option(metavar="ENDPOINT", help="Endpoint of the run (the 'listen' of its driver), e.g. tls/192.168.1.10:7448."),
     ],
     set_: Annotated[Changes, changes("A parameter of the driver, e.g. robot=amigo.")] = None,
     pose: Annotated[
-        str | None, typer.Option(metavar="X,Y,YAW", help="Where it stands, m, m, rad [as the run supposes].")
+        str | None, typer.Option(metavar="X,Y,YAW", help="Pose of the robot, m, m, rad [the start pose of the run].")
     ] = None,
     keys: KeysOfVehicle = None,
     insecure: DialInsecurely = False,
@@ -62,7 +60,7 @@ def robot_command(
 
 
 def stop_command(
-    vehicle: Annotated[list[str] | None, typer.Argument(metavar="[VEHICLE]...", help="Which ones [all].")] = None,
+    vehicle: Annotated[list[str] | None, typer.Argument(metavar="[VEHICLE]...", help="Vehicles [all].")] = None,
     json: AsJson = False,
 ) -> None:
     """Stop all robots that you drive on this machine, or these; they stand until their run ends.
@@ -83,7 +81,7 @@ def stop_command(
 
 
 def operator_command(
-    rate_hz: Annotated[float, typer.Option(metavar="HZ", min=1, max=100, help="How often robots are told.")] = 10.0,
+    rate_hz: Annotated[float, typer.Option(metavar="HZ", min=1, max=100, help="Rate of messages to the robots.")] = 10.0,
 ) -> None:
     """Be the operator: robots with safety.operator_s drive only while this runs; Ctrl-C stops all.
 

@@ -20,25 +20,25 @@ if TYPE_CHECKING:
 
 
 ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A name that 'vcmvsp list' shows, or a .toml file.")]
-Seed = Annotated[int | None, typer.Option(help="Instead of the scenario's.")]
+Seed = Annotated[int | None, typer.Option(help="Seed [the scenario's].")]
 WhereAgents = Annotated[
-    str | None, typer.Option(metavar="WHERE", help="Where agents run: inprocess, process, or zenoh (hosts started by hand).")
+    str | None, typer.Option(metavar="WHERE", help="Place of the agents: inprocess, process, or zenoh (hosts started by hand).")
 ]
-Listen = Annotated[str | None, typer.Option(metavar="ENDPOINT", help="Where hosts of agents dial in, e.g. tls/0.0.0.0:7447.")]
+Listen = Annotated[str | None, typer.Option(metavar="ENDPOINT", help="Endpoint for hosts of agents, e.g. tls/0.0.0.0:7447.")]
 KeysOfRun = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Certificates for hosts on other machines ('vcmvsp keys init').")
 ]
-Insecure = Annotated[bool, typer.Option("--insecure", help="Let anybody who can reach this machine host agents.")]
+Insecure = Annotated[bool, typer.Option("--insecure", help="Accept hosts without certificates from anyone in reach.")]
 Realtime = Annotated[
     float | None, typer.Option(metavar="[SPEED]", help="Keep to the wall clock: SPEED simulated seconds per second (1).")
 ]
 Twin = Annotated[bool, typer.Option("--twin", help="Simulate the scenario's real vehicles.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [runs/NAME-SEED].")]
 Force = Annotated[bool, typer.Option("--force", help="Write into DIR even if it is not empty.")]
-View = Annotated[bool, typer.Option("--view", help="Show the run in the browser while it goes on, at real-time pace.")]
-ViewHost = Annotated[str, typer.Option(metavar="HOST", help="What the page is served on; other machines see it unencrypted.")]
-ViewPort = Annotated[int, typer.Option(metavar="PORT", min=0, max=65535, help="Likewise; 0: any that is free.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")]
+View = Annotated[bool, typer.Option("--view", help="Show the run live in the browser, in real time.")]
+ViewHost = Annotated[str, typer.Option(metavar="HOST", help="Address of the page; connections are not encrypted.")]
+ViewPort = Annotated[int, typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 
 
 def run_command(
@@ -71,7 +71,7 @@ def run_command(
 
 def launch_command(
     scenario: ScenarioName,
-    hosts: Annotated[Path, typer.Option(metavar="FILE", help="Which machines host which vehicles' agents, e.g. hosts.toml.")],
+    hosts: Annotated[Path, typer.Option(metavar="FILE", help="File with the hosts of the agents, e.g. hosts.toml.")],
     seed: Seed = None,
     set_: Sets = None,
     listen: Listen = None,
@@ -97,13 +97,13 @@ def launch_command(
 
 
 def replay_command(
-    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left.")],
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of a run.")],
     seed: Seed = None,
     set_: Sets = None,
     agents: WhereAgents = None,
-    twin: Annotated[bool, typer.Option("--twin", help="Simulate the vehicles that were real.")] = False,
+    twin: Annotated[bool, typer.Option("--twin", help="Simulate vehicles that were real in the run.")] = False,
     radio: Annotated[
-        str, typer.Option(metavar="HOW", help="What becomes of frames: drawn anew, or recorded: as it was then.")
+        str, typer.Option(metavar="HOW", help="Receptions: drawn (simulated again) or recorded (as in the run).")
     ] = "drawn",
     listen: Listen = None,
     keys: KeysOfRun = None,
@@ -148,7 +148,7 @@ def drive_command(
             metavar="COMMAND", help="v=0.3,w=0.5 (forward, yaw rate), vx=,vy=,vz=,w= or x=,y=,z=[,yaw=][,speed=] in the air."
         ),
     ],
-    seconds: Annotated[float, typer.Option(metavar="S", help="For how long.")] = 10.0,
+    seconds: Annotated[float, typer.Option(metavar="S", help="Duration, s.")] = 10.0,
     set_: Sets = None,
     json: AsJson = False,
 ) -> None:
@@ -263,21 +263,19 @@ def study_command(
             metavar="KEY=VALUES", help="KEY=a,b,c or KEY=start:stop:step; repeat for a grid [the scenario's [study] table]."
         ),
     ] = None,
-    seeds: Annotated[int | None, typer.Option(metavar="N", help="Runs of each point of the grid [20].")] = None,
+    seeds: Annotated[int | None, typer.Option(metavar="N", help="Runs per point of the grid [20].")] = None,
     metric: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="What is drawn and summarised, e.g. formation.rms_m; repeat for several."),
+        typer.Option(metavar="NAME", help="Metric to plot and summarise, e.g. formation.rms_m; repeat for several."),
     ] = None,
     set_: Annotated[Changes, changes("Change a key of the scenario for all runs.")] = None,
-    seed: Annotated[int | None, typer.Option(help="The first seed, instead of the scenario's.")] = None,
-    jobs: Annotated[int | None, typer.Option(metavar="N", help="Runs at once [as many as there are cores].")] = None,
+    seed: Annotated[int | None, typer.Option(help="First seed [the scenario's].")] = None,
+    jobs: Annotated[int | None, typer.Option(metavar="N", help="Number of parallel runs [number of cores].")] = None,
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Run on the workers of this Dask scheduler, e.g. tcp://10.0.0.1:8786.")
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [runs/NAME-study].")] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with the study in DIR; values and seeds may be added.")
-    ] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the study in DIR; values and seeds may be added.")] = False,
     force: Force = False,
     twin: Twin = False,
     json: AsJson = False,

@@ -90,7 +90,7 @@ def test_a_module_that_the_run_names_is_not_imported(place: Place) -> None:
     place.run_with("vehicle.car2.agent.estimator=mine:Own")
     code, said = place.host()
     assert code != 0
-    assert "the run asks for 'mine:Own'" in said
+    assert "the run requests 'mine:Own'" in said
     assert "--allow mine:Own" in said
     assert not place.canary.exists()
     ended(place.run)
