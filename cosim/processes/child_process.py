@@ -50,10 +50,9 @@ class ChildProcess:
         files: Sequence[int] = (),
         stdin: int = subprocess.PIPE,  # descriptor of its standard input; default: a pipe
         stdout: int | None = None,
-        boot: str = BOOT,  # the program that reads the module paths and calls ``main``
     ) -> None:
         output = sys.__stderr__ if stdout is None else stdout
-        command = [sys.executable, "-P", "-c", boot.format(module=module), *arguments]
+        command = [sys.executable, "-P", "-c", BOOT.format(module=module), *arguments]
         self._process = subprocess.Popen(command, stdin=stdin, stdout=output, pass_fds=files, process_group=0)
         if self._process.stdin:
             with contextlib.suppress(BrokenPipeError):

@@ -21,7 +21,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from vcmvsp.cosim.errors import VcmvspError, words_of
-from vcmvsp.cosim.processes.child_process import BOOT, ChildProcess
+from vcmvsp.cosim.processes.child_process import ChildProcess
 
 ATTEMPTS = 2  # attempts of a call
 STARTS = 10  # of a worker, before repeated kills count as an error
@@ -43,7 +43,7 @@ class Worker:
             ours, theirs = socket.socketpair()
             self._pipe: Connection[Any, Any] = Connection(ours.detach())
             with theirs:
-                self._process = ChildProcess(MODULE, stdin=theirs.fileno(), stdout=subprocess.DEVNULL, boot=BOOT)
+                self._process = ChildProcess(MODULE, stdin=theirs.fileno(), stdout=subprocess.DEVNULL)
         except OSError as error:
             raise VcmvspError(f"cannot start a worker: {error.strerror or error}") from error
         try:

@@ -88,11 +88,6 @@ class Stage:
         return self.seen["anna hears truth"]
 
 
-def test_a_run_works_under_the_rules(keys: Keys, stack: contextlib.ExitStack) -> None:
-    stage = Stage(keys, access_control.hub_security(keys), stack)
-    assert stage.everything() == ALL
-
-
 def _grants() -> list[tuple[str, str]]:
     """Every message of every rule of a host and an observer."""
     rules = access_control._access(["car2"], ["anna"])["rules"]
