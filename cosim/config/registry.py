@@ -98,7 +98,8 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
         raise origin.error(f"'{where}' has no class '{name}'", key)
     lacking = [verb for verb in re.findall(r"\w+(?:\(.*?\))?", VERBS[group]) if not hasattr(found, verb.partition("(")[0])]
     if aim != NOTHING and (lacking or not callable(found)):
-        problem = f"'{kind}' is not a {group.replace('_', '-')}: it lacks {', '.join(lacking) or VERBS[group]}"
+        article = "an" if group[0] in "aeiou" else "a"
+        problem = f"'{kind}' is not {article} {group.replace('_', '-')}: it lacks {', '.join(lacking) or VERBS[group]}"
         raise origin.error(problem, key)
     return found
 

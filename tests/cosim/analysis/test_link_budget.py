@@ -219,7 +219,7 @@ def test_text_and_json_of_a_run(folder: Path) -> None:
         (["--link", "car9/car2"], "unknown vehicle 'car9'; did you mean"),
         (["--link", "car1"], "must be SENDER/RECEIVER"),
         (["--link", "car1/car1"], "no link to itself"),
-        (["--link", "car1/car2", "--frame", "99999"], "there is none"),
+        (["--link", "car1/car2", "--frame", "99999"], "no such frame"),
         (["--link", "car1/car2", "--frame", "1"], "sent it to car1, car3, car4"),
         (["--link", "car1/car2", "--frame", "best"], "must be a frame's number"),
         (["--link", "car1/*", "--frame", "0"], "needs one link"),

@@ -308,8 +308,10 @@ nothing = 3
             "no colon", "vehicle.car2.agent.kind=mine.py", "unknown agent kind 'mine.py'", "module:Class or file.py:Class"
         ),
         set_case("no module", "vehicle.car2.agent.kind=no.such:A", "'no.such' cannot be imported", "No module named 'no'"),
-        set_case("class without act", "vehicle.car2.agent.kind=mine.py:Mute", "'mine.py:Mute' is no agent", "act(obs, radio)"),
-        set_case("number for class", "vehicle.car2.agent.kind=mine.py:nothing", "is no agent", "act(obs, radio)"),
+        set_case(
+            "class without act", "vehicle.car2.agent.kind=mine.py:Mute", "'mine.py:Mute' is not an agent", "act(obs, radio)"
+        ),
+        set_case("number for class", "vehicle.car2.agent.kind=mine.py:nothing", "is not an agent", "act(obs, radio)"),
         set_case("act of the base class", "vehicle.car2.agent.kind=mine.py:Unfinished", "act"),
         set_case("constructor refuses", "vehicle.car2.agent.kind=mine.py:Picky", "n = 1 is not my number"),
         set_case("constructor fails", "vehicle.car2.agent.kind=mine.py:Broken", "mine.py line 11", "AttributeError"),
