@@ -114,13 +114,13 @@ def hovering(method: Settings, task: Task, boxes: list[Box]) -> float:
 
 @pytest.mark.parametrize("method", [Gap(), Vfh()])
 @pytest.mark.parametrize("yaw_rate", [0.0, 1e-6, 0.1])
-def test_whoever_hovers_goes_on_hovering(method: Settings, yaw_rate: float) -> None:
+def test_a_hovering_vehicle_goes_on_hovering(method: Settings, yaw_rate: float) -> None:
     for aim, leader in ((None, None), ((3.0, 0.0), None), ((0.02, 0.0), (1.0, 0.0))):
         assert hovering(method, Task((0.0, 0.0), yaw_rate, aim, leader), AHEAD) == 0.0
 
 
 @pytest.mark.parametrize("method", [Gap(), Vfh()])
-def test_whoever_keeps_a_place_in_the_air_stays_near_it(method: Settings) -> None:
+def test_a_vehicle_that_keeps_a_place_in_the_air_stays_near_it(method: Settings) -> None:
     """Its place is 2 cm off, and something stands 0.7 m away: no reason to go elsewhere, nor to hurry."""
     for aside in np.linspace(-math.pi, math.pi, 9):
         aim = 0.02 * math.cos(aside), 0.02 * math.sin(aside)
@@ -351,7 +351,7 @@ def test_a_bearing_is_found_however_many_turns_away(turns: int) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
-def test_whoever_turns_on_the_spot_before_it_ever_drove_only_turns(method: Settings) -> None:
+def test_a_turn_on_the_spot_stays_one(method: Settings) -> None:
     walls = [*AHEAD, ((-1.0, -0.1), (-0.55, 0.1))]
     made = steering(method)
     for tick in range(10):

@@ -117,7 +117,7 @@ def test_in_the_air_they_are_of_the_world_and_the_height_is_the_tasks() -> None:
     assert (*near.linear, near.yaw_rate) == pytest.approx((0.2, 0.4 * 0.17, 0.1, 0.3), abs=1e-6)
 
 
-def test_who_does_not_see_hovers() -> None:
+def test_without_a_usable_scan_a_vehicle_hovers() -> None:
     made = around(Says(Velocity(linear=(0.2, 0.5, 0.1), yaw_rate=0.3)), WINGS)
     assert act(made, (0.0,) * 32) == Velocity()
 

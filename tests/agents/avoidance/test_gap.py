@@ -134,14 +134,14 @@ def test_towards_a_goal_the_gap_is_taken_that_ends_nearest_to_it(fov: float) -> 
         assert math.copysign(1.0, decision.yaw_rate) == side
 
 
-def test_one_that_roams_goes_on_as_straight_as_it_can() -> None:
+def test_without_a_goal_the_straightest_gap_is_taken() -> None:
     walls, task = wall_with_doors(0.8, [(0.1, 0.8), (-1.2, -0.4)]), Task((0.3, 0.0))
     near, far = 0.5 * (math.atan2(0.1, 0.8) + 0.25 * math.pi), -0.5 * (math.atan2(0.4, 0.8) + math.atan2(1.2, 0.8))
     assert decide(seen(walls), task, lookahead_m=1.6, top=4).yaw_rate == pytest.approx(1.5 * near, abs=0.02)
     assert decide(seen(walls), task, lookahead_m=1.6).yaw_rate == pytest.approx(1.5 * far, abs=0.02)  # one of the widest
 
 
-def test_ties_go_to_the_wider() -> None:
+def test_equal_gaps_the_wider_one_is_taken() -> None:
     first, last = -0.5 * math.pi, 0.5 * math.pi
     angles = np.linspace(first, last, 181)
     ranges = np.full(181, 0.9)
@@ -167,7 +167,7 @@ def test_a_gap_must_have_room_for_the_body_and_the_margins(body: Body, half: flo
         assert decide(seen(walls, beams=4096), Task((0.3, 0.0), 0.0, (3.0, 0.0)), body, lookahead_m=1.5).mode == mode
 
 
-def test_whoever_keeps_more_needs_more() -> None:
+def test_a_larger_distance_needs_a_wider_gap() -> None:
     assert Gap().kept_m(SMALL) == pytest.approx(0.225)
     walls = [*wall_with_doors(0.8, [(0.2, 0.9)], half=1.0), ((-0.2, -1.0), (0.8, -1.0)), ((-0.2, 1.0), (0.8, 1.0))]
     assert decide(seen(walls), Task((0.3, 0.0)), lookahead_m=1.25).mode == "avoid"
@@ -185,7 +185,7 @@ def test_one_that_flies_goes_sideways() -> None:
     assert decision.yaw_rate == 0.1
 
 
-def test_around_something_nobody_hurries_but_to_catch_up() -> None:
+def test_only_a_follower_that_lags_speeds_up_around_obstacles() -> None:
     scan, aim, leader = seen([((0.8, -0.5), (0.8, 0.3))]), (3.0, 0.0), (3.5, 0.0)
     for speed, of, behind in ((0.2, 0.2, None), (0.9, 0.5, None), (0.2, 0.5, leader), (0.9, 0.5, leader)):
         decision = decide(scan, Task((speed, 0.0), 0.0, aim, behind, 0.5), DRONE)

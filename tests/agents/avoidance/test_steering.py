@@ -101,14 +101,14 @@ def test_level_2_begins_for_the_fastest_of_task_decision_and_own_motion() -> Non
         assert made.level == 2  # 0.5 + 1 / 0.6 m
 
 
-def test_whoever_comes_to_rest_is_limited_but_not_led() -> None:
+def test_limits_apply_without_the_method() -> None:
     made = steering(Asked(answer=(9.0, 9.0, 9.0)), WHEELS)
     assert made.limit(obs(scan(ahead(0.8))), (1.0, 0.1)).velocity == pytest.approx((0.4 * 0.27, 0.0), abs=1e-6)
     assert made.limit(obs(scan(ahead(0.5))), (1.0, 0.1)) == Decision((0.0, 0.0), 0.1, "task")
     assert made.limit(obs(None), (1.0, 0.1)) == Decision((0.0, 0.0), 0.0, "blind")
 
 
-def test_only_news_is_noted() -> None:
+def test_notes_contain_only_changes() -> None:
     made, told = steering(), []
     for tick, reading in enumerate([FREE, FREE, ahead(1.1), ahead(0.7), ahead(0.7), [], FREE]):
         made.steer(obs(scan(reading, 100 * tick), 100 * tick), Task((0.1, 0.0)))
@@ -189,7 +189,7 @@ BAD: dict[str, Any] = {
 
 @pytest.mark.parametrize("what", BAD)
 @pytest.mark.parametrize("level", [1, 2])
-def test_who_does_not_see_stands(what: str, level: int) -> None:
+def test_without_a_usable_scan_the_vehicle_stops(what: str, level: int) -> None:
     made = steering(PotentialField(level=level))
     made.steer(obs(scan(ahead(3.0))), GO)
     assert made.steer(obs(BAD[what], 100), GO) == Decision((0.0, 0.0), 0.0, "blind")
@@ -217,14 +217,14 @@ def test_where_something_was_near_and_all_is_gone_at_once_it_is_not_believed_for
     assert levels[-1] == 0 or level == 2  # which ends later
 
 
-def test_neither_do_blind_ticks_between_make_it_believed() -> None:
+def test_blind_ticks_do_not_make_an_empty_scan_believed() -> None:
     made = steering()
     made.steer(obs(scan(ahead(0.8))), GO)
     assert made.steer(obs(None, 100), GO).velocity == (0.0, 0.0)
     assert made.steer(obs(scan(FREE, 200), 200), GO).velocity == (0.0, 0.0)
 
 
-def test_what_was_far_may_vanish() -> None:
+def test_far_returns_may_vanish_at_once() -> None:
     made = steering()
     made.steer(obs(scan(ahead(4.0))), Task((0.2, 0.0)))
     assert made.steer(obs(scan(FREE, 100), 100), GO).velocity == (1.0, 0.0)

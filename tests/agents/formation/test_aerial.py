@@ -361,7 +361,7 @@ def reported(sender: str, x: float, y: float) -> Reception:
         ({"formation": Formation(), "heartbeat_s": 1.0, "sending": Sending(when="needed")}, "heartbeat_s = 1.0 s"),
     ],
 )
-def test_a_follower_that_is_told_nonsense_says_so(given: dict[str, Any], words: str) -> None:
+def test_bad_parameters_of_a_follower_are_refused(given: dict[str, Any], words: str) -> None:
     with pytest.raises((ValueError, ScenarioError), match=words):
         AerialFollower(**given)
 
@@ -373,7 +373,7 @@ def test_a_follower_that_is_told_nonsense_says_so(given: dict[str, Any], words: 
         (AerialFollower(formation=Formation()), "leads it: give it a leader agent"),
     ],
 )
-def test_a_follower_that_has_nobody_to_follow_says_so(agent: AerialFollower, words: str) -> None:
+def test_a_follower_without_a_leader_is_refused(agent: AerialFollower, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         agent.start(info())
 

@@ -167,7 +167,7 @@ def test_who_flies_along_finds_the_files_that_its_algorithm_names_in_the_folder_
         assert list(agent._tasks) == tasks
 
 
-def test_what_cannot_be_a_mission_is_refused() -> None:
+def test_missions_without_a_meaning_are_refused() -> None:
     with pytest.raises(ScenarioError, match="an algorithm for search is missing"):
         SearchMission({"track": table(1.0)})
     with pytest.raises(ScenarioError, match="serach"):

@@ -124,7 +124,7 @@ def test_a_suspended_algorithm_has_its_state_afterwards() -> None:
     assert commands == [going(0.01 * n) if c == "search" else going() for n, c in enumerate(commanders)]
 
 
-def test_who_leaves_the_last_command_in_force_means_its_own() -> None:
+def test_no_command_keeps_the_commanders_own_last_one() -> None:
     search, track = Says("search", going(0.05), None), Says("track", going(-0.05))
     runner = runner_of(search, track)
     assert [ask(runner, n, c) for n, c in enumerate(("search", "track", "search"))] == [going(0.05), going(-0.05), going(0.05)]
@@ -162,7 +162,7 @@ def test_one_agent_may_have_several_names_and_is_asked_once() -> None:
     assert around.calls == ["start", "around None", "around None"]
 
 
-def test_what_they_look_at_and_what_they_note() -> None:
+def test_sensors_and_notes_of_all_algorithms_are_collected() -> None:
     search, track = Says("search", going()), Says("track", going())
     track.sensors = ("camera", "gps")
     runner = runner_of(search, track)
@@ -174,7 +174,7 @@ def test_what_they_look_at_and_what_they_note() -> None:
     assert runner.sensors is None
 
 
-def test_who_commands_since_when_and_why_is_noted_when_it_changes() -> None:
+def test_a_change_of_the_commander_is_noted_with_its_reason() -> None:
     runner = runner_of(Says("search", going()), Says("track", going()))
     notes = []
     for tick, commander in enumerate(("search", "search", "track", "search")):
@@ -324,7 +324,7 @@ def test_it_tells_how_near_things_are_and_whether_the_vehicle_closes_on_them() -
     assert (guard.nearest_m, guard.closing) == (math.inf, False)
 
 
-def test_what_it_cannot_work_without_is_refused() -> None:
+def test_a_vehicle_without_a_size_or_a_scanner_is_refused() -> None:
     with pytest.raises(ValueError, match="has no body"):
         guard_of(None)
     with pytest.raises(ValueError, match="no such sensor"):

@@ -151,7 +151,7 @@ HOSTILE: tuple[Any, ...] = (
 
 
 @pytest.mark.parametrize("body", HOSTILE)
-def test_nonsense_is_no_claim(body: Any) -> None:
+def test_malformed_messages_are_no_claims(body: Any) -> None:
     roster = Roster("a", NAMES)
     roster.hear(seen(1.0, ("b", body), *((name, body) for name in ("a", "stranger"))))
     assert not roster.claims(S)
@@ -172,7 +172,7 @@ def test_whatever_is_heard_nothing_is_raised(sender: str, body: Any) -> None:
     assert roster.alive(S) == NAMES
 
 
-def test_errors_name_what_is_wrong() -> None:
+def test_bad_members_and_sectors_are_refused() -> None:
     with pytest.raises(ValueError, match="members must include e"):
         Roster("e", NAMES)
     with pytest.raises(ValueError, match=r"sectors: .*'x'"):

@@ -120,7 +120,7 @@ def test_it_says_no_more_than_it_may_and_counts_what_it_says() -> None:
 
 
 @pytest.mark.parametrize("exchange", ["none", "delta", "consensus"])
-def test_other_exchanges(exchange: Any) -> None:
+def test_maps_agree_with_every_exchange_but_none(exchange: Any) -> None:
     team = Team({name: searcher(exchange=exchange, scaled=True, most=100) for name in ("a", "b")})
     team.run(40.0)
     a, b = (agent.map.odds for agent in team.agents.values())
@@ -266,7 +266,7 @@ def test_what_does_not_fit_itself_is_refused() -> None:
         Search((10.0, 0.0, 0.0, 10.0), sensor="looks", swath_m=1.0)
 
 
-def test_it_does_not_drive() -> None:
+def test_vehicles_on_wheels_are_refused() -> None:
     body = Body(width_m=0.3, radius_m=0.2)
     with pytest.raises(ValueError, match="drives on wheels"):
         searcher().start(agent_loop.info(body=body))

@@ -31,7 +31,7 @@ def test_strips_lie_in_the_order_in_which_people_count() -> None:
     assert list(strips(AREA, reversed(names))) == names
 
 
-def test_nobody_combs_nothing() -> None:
+def test_without_members_there_are_no_strips() -> None:
     assert strips(AREA, []) == {}
 
 
@@ -134,7 +134,7 @@ def test_a_way_point_that_nobody_gets_to_is_left_out() -> None:
     assert comb.came is None
 
 
-def test_who_asks_is_not_dead() -> None:
+def test_a_vehicle_always_counts_itself_as_living() -> None:
     assert Comb("a", AREA, 8.0).goal((0.0, 0.0), []) == lanes(AREA, 8.0)[0]
 
 

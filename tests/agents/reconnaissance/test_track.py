@@ -218,7 +218,7 @@ def test_nobody_loses_a_target_on_the_way_to_where_it_is_said_to_be() -> None:
     assert 29 <= tick - arrived <= 31
 
 
-def test_nor_does_it_try_to_get_there_for_ever() -> None:
+def test_the_way_to_a_reported_place_has_a_time_limit() -> None:
     track = started(TrackTarget(max_speed=4.0), Eye(at_rest()), alone=False)
     uav = Uav((0.0, 0.0, 30.0))
     track.facts(uav.see(0))

@@ -112,7 +112,7 @@ def hear(process: BridgeClient, kind: type, seconds: float = PATIENCE_S) -> Any:
     raise AssertionError(f"no {kind.__name__}")
 
 
-def test_a_door_of_ones_own_hears_what_is_due_what_is_lost_and_how_strong_others_are(
+def test_a_custom_gateway_gets_deliveries_losses_and_levels(
     probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
 ) -> None:
     def said() -> list[str]:
@@ -181,7 +181,7 @@ class Deaf:
         return self.reads
 
 
-def test_what_is_counted_while_the_run_does_not_read_is_said_once_when_it_does() -> None:
+def test_counts_are_sent_once_when_the_run_reads_again() -> None:
     async def trial() -> tuple[int, list[messages.Up]]:
         link: Any = Deaf(opening())
         process = BridgeProcess(link, asyncio.get_running_loop())
@@ -204,7 +204,7 @@ def test_what_is_counted_while_the_run_does_not_read_is_said_once_when_it_does()
     assert len(said) == 2
 
 
-def test_that_a_message_was_too_long_can_be_said(
+def test_a_message_too_long_for_the_link_is_an_error(
     probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
 ) -> None:
     (tmp_path / "probe.py").write_text(PROBE.replace('return ["probe is open"]', 'return ["x" * 1_000_000]'))
@@ -213,7 +213,7 @@ def test_that_a_message_was_too_long_can_be_said(
         process.wait_ready()
 
 
-def test_what_is_counted_for_many_vehicles_fits_into_messages() -> None:
+def test_counts_of_many_vehicles_are_split_into_messages() -> None:
     async def trial() -> list[bytes]:
         names = tuple(f"vehicle{k}" for k in range(3000))
         link: Any = Deaf(messages.Opening(run="test", folder=".", vehicles=names, gateways=(), payloads=False))
@@ -247,13 +247,13 @@ def test_an_error_of_a_gateway_that_delivers_ends_the_bridge_with_its_name(
         hear(process, messages.Delivered)
 
 
-def test_a_kind_that_there_is_not_is_named(started: list[BridgeClient]) -> None:
+def test_an_unknown_kind_of_gateway_is_refused(started: list[BridgeClient]) -> None:
     started.append(process := BridgeClient.start(opening(messages.GatewaySpec(name="udp", kind="udb", params={}))))
     with pytest.raises(FederateError, match=r"bridge.udp.kind: unknown door kind 'udb'; did you mean 'udp'\?"):
         process.wait_ready()
 
 
-def test_a_batch_waits_until_the_one_before_was_taken_and_what_there_is_no_room_for_is_kept_outside(
+def test_batches_wait_for_the_one_before_and_the_excess_stays_in_the_socket(
     started: list[BridgeClient],
 ) -> None:
     first = free_ports(300)
@@ -280,7 +280,7 @@ def test_a_batch_waits_until_the_one_before_was_taken_and_what_there_is_no_room_
     assert numbers == list(range(MOST + 1000))
 
 
-def test_it_ends_with_the_run_however_that_ended(started: list[BridgeClient]) -> None:
+def test_the_process_ends_with_the_run_however_that_ended(started: list[BridgeClient]) -> None:
     first = free_ports(300)
     process = BridgeClient.start(opening(udp(first)))
     process.wait_ready()
@@ -293,7 +293,9 @@ def test_it_ends_with_the_run_however_that_ended(started: list[BridgeClient]) ->
 @pytest.mark.parametrize(
     ("number", "words"), [(signal.SIGKILL, "was killed by SIGKILL"), (signal.SIGTERM, "it received SIGTERM")]
 )
-def test_that_it_has_gone_is_said(number: signal.Signals, words: str, started: list[BridgeClient]) -> None:
+def test_the_end_of_the_process_is_reported_with_its_signal(
+    number: signal.Signals, words: str, started: list[BridgeClient]
+) -> None:
     started.append(process := BridgeClient.start(opening(udp(free_ports(300)))))
     process.wait_ready()
     os.kill(process.pid, number)
@@ -301,7 +303,7 @@ def test_that_it_has_gone_is_said(number: signal.Signals, words: str, started: l
         hear(process, messages.NewDatagrams)
 
 
-def test_ctrl_c_is_not_for_it(started: list[BridgeClient]) -> None:
+def test_ctrl_c_does_not_end_the_process(started: list[BridgeClient]) -> None:
     started.append(process := BridgeClient.start(opening(udp(first := free_ports(300)))))
     process.wait_ready()
     os.kill(process.pid, signal.SIGINT)
@@ -310,7 +312,7 @@ def test_ctrl_c_is_not_for_it(started: list[BridgeClient]) -> None:
     assert hear(process, messages.NewDatagrams).number.tolist() == [0]
 
 
-def test_it_can_be_let_go_of_before_its_doors_are_open(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_process_can_be_closed_before_its_gateways_are_open(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vcmvsp.netsim.bridge.process_client.CLOSE_S", PATIENCE_S)  # a process may be slow to begin
     process = BridgeClient.start(opening(udp(free_ports(300))))
     process.leave()
@@ -318,7 +320,7 @@ def test_it_can_be_let_go_of_before_its_doors_are_open(monkeypatch: pytest.Monke
     assert process._process.returncode == 0
 
 
-def test_one_that_does_not_read_holds_up_nobody_and_is_ended(started: list[BridgeClient]) -> None:
+def test_a_process_that_does_not_read_is_ended_and_never_blocks_the_run(started: list[BridgeClient]) -> None:
     process = BridgeClient.start(opening(udp(free_ports(300))))
     process.wait_ready()
     os.kill(process.pid, signal.SIGSTOP)
@@ -368,7 +370,7 @@ def silent() -> tuple[BridgeClient, Silent]:
     return BridgeClient(cast("Any", process), opening), link
 
 
-def test_doors_that_do_not_open_are_said_when_time_is_over(slow_clock: None) -> None:
+def test_gateways_that_do_not_open_in_time_are_reported(slow_clock: None) -> None:
     waiting, link = silent()
     with pytest.raises(FederateError, match="its gateways did not open within 60 s"):
         waiting.wait_ready()
@@ -376,7 +378,7 @@ def test_doors_that_do_not_open_are_said_when_time_is_over(slow_clock: None) -> 
     assert min(link.waits) > 0.0
 
 
-def test_one_that_does_not_leave_is_killed_when_time_is_over(slow_clock: None) -> None:
+def test_a_process_that_does_not_end_in_time_is_killed(slow_clock: None) -> None:
     waiting, link = silent()
     assert waiting.close() == []
     assert waiting.killed

@@ -15,7 +15,7 @@ def finish(store: DatagramStore, numbers: list[int]) -> None:
         store.settle(number)
 
 
-def test_a_vehicle_has_room_for_so_many_and_others_have_theirs() -> None:
+def test_each_vehicle_has_room_for_its_own_number_of_datagrams() -> None:
     store = DatagramStore(2)
     assert sum(put(store) for _ in range(MOST + 10)) == MOST
     assert put(store, sender=1)
@@ -24,7 +24,7 @@ def test_a_vehicle_has_room_for_so_many_and_others_have_theirs() -> None:
     assert not put(store)
 
 
-def test_a_vehicle_has_room_for_so_many_bytes() -> None:
+def test_each_vehicle_has_room_for_its_own_number_of_bytes() -> None:
     store = DatagramStore(1)
     most = MOST_BYTES // 65_535
     assert sum(put(store, size=65_535) for _ in range(most + 10)) == most
@@ -48,7 +48,7 @@ def test_what_is_not_settled_or_has_not_left_counts_as_held() -> None:
     assert put(store)
 
 
-def test_all_have_a_part_in_a_batch_and_nobody_more_than_so_much() -> None:
+def test_batches_are_shared_fairly_among_vehicles() -> None:
     store = DatagramStore(20)
     for sender in range(20):
         for _ in range(2 if sender == 7 else 300):
@@ -81,7 +81,7 @@ def test_where_bytes_go_along_a_batch_is_short_unless_one_datagram_is_long() -> 
     assert len(store.batch()) == 1
 
 
-def test_one_that_was_meant_for_one_vehicle_and_arrives_nowhere_is_told() -> None:
+def test_a_lost_unicast_datagram_is_reported() -> None:
     store = DatagramStore(3)
     put(store, to=1)
     put(store, to=2)

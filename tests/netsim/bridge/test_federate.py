@@ -137,7 +137,7 @@ def test_a_run_that_is_behind_catches_up_before_it_takes_more(monkeypatch: pytes
     assert [each.taken for each in process.heard] == [1, 2, 3]
 
 
-def test_at_any_speed_what_counts_is_how_late_the_run_is_on_the_wall_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lateness_is_measured_on_the_wall_clock_at_any_speed(monkeypatch: pytest.MonkeyPatch) -> None:
     bridge, process, clock = made()
     clock.speed = 10
     wall_ns, now_ns = 500 * MS, 5_000 * MS
@@ -174,7 +174,7 @@ def heard_by_b(message: Message, at_ns: int) -> Event:
     return Event(RECEPTIONS, at_ns, receptions_at("b", [reception], ("a", "b")))
 
 
-def test_what_an_agent_says_that_no_datagram_holds_is_counted() -> None:
+def test_messages_of_agents_too_long_for_a_datagram_are_counted() -> None:
     bridge, process, _ = made(agents=True)
     process.says = [messages.Counts(counts={"a": {"of the process": 1}}), messages.Counts(counts={"b": {"of the process": 2}})]
     bridge.poll(MS)
@@ -200,9 +200,7 @@ def test_what_an_agent_says_that_no_datagram_holds_is_counted() -> None:
         ),
     ],
 )
-def test_a_process_that_had_to_be_killed_is_told_of_and_how_to_clear_up_behind_it(
-    killed: bool, kind: str, words: list[str]
-) -> None:
+def test_a_killed_process_is_reported_with_the_command_that_cleans_up(killed: bool, kind: str, words: list[str]) -> None:
     none: Any = None
     told: list[str] = []
     gateways = [messages.GatewaySpec(name=kind, kind=kind, params={})]
@@ -214,7 +212,7 @@ def test_a_process_that_had_to_be_killed_is_told_of_and_how_to_clear_up_behind_i
     assert told == words
 
 
-def test_what_a_program_said_is_told_from_what_an_agent_said_though_it_is_the_same() -> None:
+def test_equal_payloads_of_a_program_and_an_agent_are_told_apart() -> None:
     bridge, process, _ = made(agents=True)
     process.says = [msgspec.structs.replace(came(0, (0, 0)), payloads=(b"same",))]
     bridge.poll(MS)
@@ -240,7 +238,7 @@ def test_what_a_program_said_is_told_from_what_an_agent_said_though_it_is_the_sa
     assert len([each for each in process.heard if isinstance(each, messages.AgentDatagram)]) == 2
 
 
-def test_nothing_enters_at_the_end() -> None:
+def test_datagrams_at_the_end_of_the_run_are_not_sent() -> None:
     bridge, process, _ = made()
     process.says = [came(0, (0, 0))]
     assert not bridge.poll(RUN.duration_ns)
@@ -267,7 +265,7 @@ def test_datagrams_are_sent_when_they_came_however_late_the_instant_is_in_order_
             newest[sender] = sent_ns
 
 
-def test_while_it_catches_up_it_asks_for_one_instant_however_often_it_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_catches_up_asks_for_one_instant_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each that it asked for would be one in which it is asked again."""
     bridge, process, clock = made()
     wall_ns = 5_000 * MS
@@ -338,7 +336,7 @@ def test_deliveries_are_told_with_what_carried_them_and_how_late_they_were() -> 
     assert (third["number"], third["frame"], third["late_s"]) == (1, 42, None)  # the run ended before
 
 
-def test_lost_is_a_datagram_at_a_vehicle_that_it_was_meant_for_however_often_it_came_to_others() -> None:
+def test_losses_are_counted_for_each_vehicle_a_datagram_was_meant_for() -> None:
     lateness = Lateness(tuple("abcd"))
     to_all, to_one = -1, 2
     lateness.sent(ints(0, 1, 2), ints(0, 0, 0), ints(0, 0, 0), ints(to_all, to_one, to_all), ints(1, 2, 3))

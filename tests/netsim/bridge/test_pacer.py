@@ -46,7 +46,7 @@ steps = st.lists(
 
 
 @given(steps)
-def test_all_leave_once_never_early_and_those_that_are_due_together_in_order(given_: list) -> None:  # type: ignore[type-arg]
+def test_deliveries_leave_once_never_early_and_in_order(given_: list) -> None:  # type: ignore[type-arg]
     loop, left = Turning(), list[TimedDelivery]()
     pacer = Pacer(loop, left.append, lambda: loop.now_ns)  # type: ignore[arg-type]
     added: list[TimedDelivery] = []
@@ -62,7 +62,7 @@ def test_all_leave_once_never_early_and_those_that_are_due_together_in_order(giv
     assert len(left) == len(added)
 
 
-def test_one_whose_door_fails_holds_up_none_of_the_others() -> None:
+def test_a_delivery_that_fails_delays_no_other() -> None:
     loop, left = Turning(), list[int]()
 
     def leave(delivery: TimedDelivery) -> None:
@@ -81,7 +81,7 @@ def test_one_whose_door_fails_holds_up_none_of_the_others() -> None:
     assert left == [0, 1, 2]
 
 
-def test_many_that_are_late_leave_in_order_and_others_have_their_turn() -> None:
+def test_late_deliveries_leave_in_order_and_let_other_tasks_run() -> None:
     async def trial() -> tuple[list[TimedDelivery], int]:
         left: list[TimedDelivery] = []
         loop = asyncio.get_running_loop()

@@ -89,7 +89,7 @@ def test_the_ten_lines_of_the_radios_page(capsys: pytest.CaptureFixture[str], mo
     assert [(report.sender, report.receivers) for report in run.reports] == [("car1", ("car2",)), ("car2", ("car1",))]
 
 
-def test_the_door_of_ones_own(tmp_path: Path) -> None:
+def test_the_custom_gateway_of_the_page_works(tmp_path: Path) -> None:
     space: dict[str, Any] = {}
     exec(compile(block(PAGE, "class RollCall"), "README.md", "exec", dont_inherit=True), space)
     path = tmp_path / "heard.txt"
@@ -107,6 +107,6 @@ def test_the_door_of_ones_own(tmp_path: Path) -> None:
     assert sorted(asyncio.run(trial())) == [f"{x} heard {y}" for x in "abc" for y in "abc" if x != y]
 
 
-def test_every_door_has_its_part() -> None:
+def test_every_gateway_has_a_section() -> None:
     for kind in builtin_kinds.KINDS["door"]:
         assert f"`[bridge.{kind}]`" in README

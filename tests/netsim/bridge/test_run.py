@@ -115,7 +115,7 @@ def test_datagrams_enter_when_they_came_in_order_and_none_before_the_beginning_o
     assert [value for *_, value in run.logged] == [value for _, value in run.sent]
 
 
-def test_one_that_floods_leaves_what_others_say_whole() -> None:
+def test_a_flooding_program_costs_others_no_datagram() -> None:
     run = BridgeRun("a", "b", "c", "d")
     flood = textwrap.dedent("""
         import socket, sys
@@ -214,7 +214,7 @@ def test_what_agents_said_is_delivered_once_for_each_time_that_it_was_heard() ->
         assert what_is_there(c) == []
 
 
-def test_a_run_of_many_messages_is_said_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_deliveries_are_split_into_messages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vcmvsp.netsim.bridge.messages.MOST_DUE", 3)
     names = [f"v{k}" for k in range(8)]
     run = BridgeRun(*names)
@@ -276,7 +276,7 @@ class Halting:
         pass
 
 
-def test_what_comes_while_the_run_stands_is_of_the_time_at_which_it_stood() -> None:
+def test_datagrams_during_a_pause_get_the_time_of_the_pause() -> None:
     halting = Halting()
     run = BridgeRun("a", "b", agents=[halting], delay={"seconds": 0.1})
     run.kernel._tolerance_ns = 100 * MS

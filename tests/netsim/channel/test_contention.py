@@ -75,7 +75,7 @@ def test_every_frame_is_reported_once_however_the_channel_is_advanced(
 
 
 @pytest.mark.parametrize(("preset", "mac"), MACS)
-def test_one_who_is_out_of_reach_changes_nothing(preset: str, mac: str) -> None:
+def test_a_radio_out_of_reach_changes_nothing(preset: str, mac: str) -> None:
     rng = np.random.default_rng(4)
     offers = sorted((int(t), int(s), int(s)) for t, s in zip(rng.integers(0, 200_000, 80), rng.integers(0, 6, 80), strict=True))
     few = play(contended(preset, mac), offers, [])
@@ -194,7 +194,7 @@ def test_where_nothing_fades_an_acknowledgement_is_as_strong_as_the_frame() -> N
     assert mac.offered[0].answer is None
 
 
-def test_what_the_end_cuts_off_is_reported_as_under_way() -> None:
+def test_frames_cut_off_by_the_end_are_reported_as_under_way() -> None:
     channel = contended("wifi-b-1", "dcf")
     for _ in range(3):
         channel.send(100 * MS, Message(sender="car0", body={}, size_bytes=100), NAMES, PLACES)

@@ -135,7 +135,7 @@ def test_a_delay_is_queue_and_access_and_air(preset: str, mac: str, changes: dic
         max_size=12,
     ).map(sorted)
 )
-def test_nothing_is_decided_before_it_was_foretold(preset: str, mac: str, offers: list[tuple[int, int, int, int]]) -> None:
+def test_no_frame_is_decided_before_the_predicted_time(preset: str, mac: str, offers: list[tuple[int, int, int, int]]) -> None:
     """Frames of all sizes, among radios that do not all hear each other, on their way to the radio for different times."""
     air = channel(preset, mac, path_loss={"exponent": 4.0})
     sent, told = 0, None
@@ -161,7 +161,7 @@ def test_nothing_is_decided_before_it_was_foretold(preset: str, mac: str, offers
 
 @pytest.mark.parametrize("path_loss", ["log_distance", "friis", "none"])
 @pytest.mark.parametrize(("preset", "mac"), MACS)
-def test_who_moves_and_sends_together_fares_as_each_for_itself(
+def test_frames_sent_together_get_the_budgets_of_frames_sent_alone(
     preset: str, mac: str, path_loss: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Budgets of those who send at one instant are worked out at once: the same to the last bit."""

@@ -171,7 +171,7 @@ def test_from_a_change_on_a_run_is_one_that_always_had_that_number(
 @MACS
 @settings(max_examples=15)
 @given(offers=OFFERS, cuts=st.lists(st.integers(0, 90_000_000), max_size=8))
-def test_it_makes_no_difference_when_the_radio_hears_of_it(
+def test_changes_apply_at_their_time_whenever_the_radio_hears_of_them(
     preset: str, mac: str, offers: list[tuple[int, str, str | None]], cuts: list[int]
 ) -> None:
     told = [outage(11 * MS + 1, 23 * MS, "car2"), changed(20 * MS, "radio.loss.probability", 0.9)]
@@ -278,7 +278,7 @@ def test_what_may_change_are_the_numbers_of_the_layers_that_there_are(made: Radi
         ("loss", 0.1, "loss cannot change during a run; keys that can: radio.loss"),
     ],
 )
-def test_what_cannot_be_is_refused_and_changes_nothing(key: str, value: float, words: str) -> None:
+def test_bad_changes_are_refused_and_change_nothing(key: str, value: float, words: str) -> None:
     made = layered(Bernoulli(0.1), GammaDelay(0.05, 0.02))
     before = made.adjustable()
     with pytest.raises(ValueError, match=r".") as raised:

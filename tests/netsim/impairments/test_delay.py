@@ -63,7 +63,7 @@ def test_reception_is_later_than_sending_by_the_air_time_at_least(
             assert now < free <= received <= max(free, now + latest)
 
 
-def test_null_delay_asks_for_nothing() -> None:
+def test_fixed_delays_need_no_random_numbers() -> None:
     def never() -> np.ndarray:
         raise AssertionError
 
@@ -81,13 +81,13 @@ def seconds(layer: Delay) -> Floats:
     return np.asarray(delay * 1e-9, np.float64)
 
 
-def test_uniform() -> None:
+def test_uniform_delays_have_their_quantiles_and_spread() -> None:
     delay = seconds(UniformDelay(0.01, 0.05))
     assert np.percentile(delay, [0, 25, 50, 100]) == pytest.approx([0.01, 0.02, 0.03, 0.05], abs=1e-6)
     assert delay.std() == pytest.approx(0.04 / math.sqrt(12), rel=1e-4)
 
 
-def test_normal() -> None:
+def test_normal_delays_have_their_quantiles_and_are_never_negative() -> None:
     delay = seconds(NormalDelay(0.1, 0.01))
     assert np.percentile(delay, [2.275, 15.866, 50, 84.134, 97.725]) == pytest.approx([0.08, 0.09, 0.1, 0.11, 0.12], abs=2e-4)
     assert (delay.mean(), delay.std()) == pytest.approx((0.1, 0.01), rel=5e-3)
@@ -95,7 +95,7 @@ def test_normal() -> None:
 
 
 @pytest.mark.parametrize(("mean_s", "sigma_s"), [(0.02, 0.02), (0.02, 0.005), (0.02, 0.04), (0.02, 0.001)])
-def test_gamma(mean_s: float, sigma_s: float) -> None:
+def test_gamma_delays_have_their_mean_and_spread(mean_s: float, sigma_s: float) -> None:
     delay = seconds(GammaDelay(mean_s, sigma_s, fixed_s=0.003)) - 0.003
     assert delay.min() >= 0.0
     assert (delay.mean(), delay.std()) == pytest.approx((mean_s, sigma_s), rel=2e-3)
@@ -103,7 +103,7 @@ def test_gamma(mean_s: float, sigma_s: float) -> None:
         assert np.percentile(delay, [10, 50, 99]) == pytest.approx(-mean_s * np.log([0.9, 0.5, 0.01]), rel=1e-3)
 
 
-def test_as_measured() -> None:
+def test_measured_quantiles_are_interpolated() -> None:
     delay = seconds(MEASURED)
     assert np.percentile(delay, [25, 50, 74.5, 99, 99.5]) == pytest.approx([0.003, 0.004, 0.017, 0.03, 0.115], rel=1e-3)
     assert delay.min() >= 0.002
@@ -116,7 +116,7 @@ def test_no_draw_gives_a_delay_before_the_sending(layer: Delay) -> None:
     assert (layer.delay_ns(make_frame(3), lambda: edges) >= 0).all()
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_delay_parameters_without_a_meaning_are_refused() -> None:
     with pytest.raises(ScenarioError, match=r"to_s.*not be less than from_s"):
         UniformDelay(0.2, 0.1)
     for mean_s, sigma_s in ((0.1, 0.0), (0.0, 0.0), (0.0, 0.1), (0.1, 10.0)):
@@ -156,7 +156,7 @@ times = st.lists(st.integers(-1, 20 * MS), max_size=40)
 
 
 @given(times)
-def test_by_default_nothing_changes(received_ns: list[int]) -> None:
+def test_delivery_without_parameters_changes_nothing(received_ns: list[int]) -> None:
     assert one_link(opened(), received_ns) == (received_ns, [-1] * len(received_ns))
 
 
@@ -244,14 +244,14 @@ def test_links_do_not_know_of_each_other(sent: list[tuple[int, list[int], int]])
             assert [int(each[place]) for each in all_at_once] == [int(each[0]) for each in alone]
 
 
-def test_opened_anew_it_has_forgotten_all_frames() -> None:
+def test_delivery_opened_again_starts_empty() -> None:
     layer = opened(rate_bps=1e6, reorder=False)
     first = one_link(layer, [5, 5, 5])
     layer.open(2)
     assert one_link(layer, [5, 5, 5]) == first
 
 
-def test_what_it_is_given_stays_as_it_is() -> None:
+def test_delivery_does_not_change_its_arguments() -> None:
     received = np.array([5, -1, 7])
     received.flags.writeable = False
     layer = opened(4, rate_bps=1e6, duplicate=1.0, reorder=False)
@@ -269,7 +269,7 @@ def test_what_it_is_given_stays_as_it_is() -> None:
         ({"rate": 1e6}, "rate", r"unknown key 'rate'; did you mean 'rate_bps'\?"),
     ],
 )
-def test_errors_by_name(parameters: dict[str, Any], key: str, message: str) -> None:
+def test_bad_parameters_are_refused_with_their_key(parameters: dict[str, Any], key: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=message) as raised:
         binding.call(Delivery, parameters, key="radio.delivery")
     assert raised.value.key == f"radio.delivery.{key}"

@@ -33,18 +33,18 @@ def on(source: Emitter, at_ns: int, air_ns: int) -> bool:
     return heard(source, at_ns=at_ns, air_ns=air_ns)[0] > 0.0
 
 
-def test_power_less_loss() -> None:
+def test_a_jammer_arrives_with_its_power_less_the_path_loss() -> None:
     """20 dBm less 60, 80 and 100 dB at 10, 100 and 1000 m: -40, -60, -80 dBm."""
     assert heard(Emitter(power_dbm=20.0, position=(0.0, 0.0, 0.0))) == pytest.approx([1e-4, 1e-6, 1e-8], rel=1e-12)
 
 
-def test_powers_add_and_nothing_is_nothing() -> None:
+def test_powers_of_jammers_add_up() -> None:
     one, two = Emitter(power_dbm=20.0, position=(3.0, 0.0, 0.0)), Emitter(power_dbm=-7.0, position=(0.0, 90.0, 5.0))
     assert heard(one, two) == pytest.approx(np.add(heard(one), heard(two)), rel=1e-12)
     assert heard() == [0.0, 0.0, 0.0]
 
 
-def test_a_vehicle_carries_it() -> None:
+def test_a_jammer_on_a_vehicle_is_where_the_vehicle_is() -> None:
     riding = Emitter(power_dbm=20.0, vehicle="car4")
     for place in ((1.0, 2.0, 3.0), (-40.0, 7.0, 0.0)):
         assert heard(riding, cars={"car4": place}) == heard(Emitter(power_dbm=20.0, position=place))
@@ -63,7 +63,7 @@ def test_a_vehicle_carries_it() -> None:
         (99.0, (20.0, 10.0, -2.0)),
     ],
 )
-def test_it_moves_along_its_path(t_s: float, place: tuple[float, float, float]) -> None:
+def test_a_jammer_moves_along_its_path(t_s: float, place: tuple[float, float, float]) -> None:
     path = ((10.0, 0.0, 0.0, 0.0), (15.0, 20.0, 0.0, 0.0), (20.0, 20.0, 10.0, -2.0))
     moving, standing = Emitter(power_dbm=20.0, path=path), Emitter(power_dbm=20.0, position=place)
     assert heard(moving, at_ns=round(t_s * 1e9)) == pytest.approx(heard(standing), rel=1e-9)
@@ -120,7 +120,7 @@ HERE: dict[str, Any] = {"power_dbm": 20.0, "position": [0.0, 0.0, 0.0]}
         ({"position": [0, 0, 0]}, r"power_dbm is missing"),
     ],
 )
-def test_errors_by_name(source: dict[str, Any], message: str) -> None:
+def test_bad_parameters_are_refused_with_their_key(source: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message) as raised:
         binding.call(Jammer, {"sources": [source]}, key="radio.jammer")
     assert raised.value.key == "radio.jammer.sources[0]" + (".duty" if "must be a number" in message else "")

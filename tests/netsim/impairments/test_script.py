@@ -37,7 +37,7 @@ def struck(script: Script, sent: Frame) -> list[str]:
     ("at_s", "touches"),
     [(9.998, False), (9.999, False), (9.999_000_001, True), (10.0, True), (19.999_999_999, True), (20.0, False), (30.0, False)],
 )
-def test_from_then_till_then_for_frames_that_touch_it(at_s: float, touches: bool) -> None:
+def test_a_change_applies_to_frames_that_overlap_its_time(at_s: float, touches: bool) -> None:
     """The frame is 1 ms long; the change is [10 s, 20 s)."""
     script = Script((Change(from_s=10.0, to_s=20.0, loss=1.0, attenuation_db=6.0, delay_s=0.25),))
     sent = frame(at_ns=round(at_s * 1e9), wait_ns=3 * MS)
@@ -64,7 +64,7 @@ def test_links_by_key_expressions(links: tuple[str, ...], sender: str, expected:
     assert struck(Script((Change(from_s=0.0, links=links, loss=1.0),)), frame(sender)) == expected
 
 
-def test_links_that_nobody_has_are_told() -> None:
+def test_links_without_vehicles_are_reported() -> None:
     links = ("car1/*", "nobody/*", "car2/car2", "**", "*/base", "car1/car9", "nobody/*")
     assert Script((Change(from_s=0.0, links=links, loss=1.0),)).unmatched(CARS) == [
         "nobody/*",
@@ -92,7 +92,7 @@ spans = st.lists(st.tuples(st.integers(0, 12), st.one_of(st.none(), st.integers(
 
 
 @given(spans, st.integers(0, 20), st.integers(1, 4))
-def test_present_is_what_overlaps(found: list[tuple[int, int | None]], start: int, air: int) -> None:
+def test_changes_apply_exactly_while_they_overlap_the_frame(found: list[tuple[int, int | None]], start: int, air: int) -> None:
     """Against the definition, in whole ns: change k weakens by 2^k dB, so that the sum tells which are present."""
     changes = tuple(
         Change(from_s=begin / 1e9, to_s=None if length is None else (begin + length) / 1e9, attenuation_db=2.0**k)
@@ -135,7 +135,7 @@ def test_answers_do_not_depend_on_what_was_asked_before() -> None:
         ({"loss": 1.0}, r"from_s is missing"),
     ],
 )
-def test_errors_by_name(change: dict[str, Any], message: str) -> None:
+def test_bad_changes_are_refused_with_their_key(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message) as raised:
         binding.call(Script, {"changes": [{"from_s": 0.0, "loss": 0.1}, change]}, key="radio.script")
     assert raised.value.key == "radio.script.changes[1]" + (".loss" if "must be a number" in message else "")

@@ -91,7 +91,7 @@ def test_the_probability_is_that_of_the_row(tmp_path: Path) -> None:
     assert rate == pytest.approx([0.25, 0.5, 0.0], abs=4.5 * 0.5 / np.sqrt(20_000))
 
 
-def test_one_direction_is_not_the_other(tmp_path: Path) -> None:
+def test_the_two_directions_of_a_link_are_separate(tmp_path: Path) -> None:
     trace = Trace(written(tmp_path), noise_dbm=NOISE)
     assert trace.level_dbm(frame(9.0, "car2", ("car1",))).tolist() == [15.0 + NOISE]
     assert np.isnan(trace.level_dbm(frame(9.0, "car3", ("car1",)))).all()
@@ -111,11 +111,11 @@ def test_what_the_file_does_not_have_is_left_alone(tmp_path: Path) -> None:
     assert not only_level.lost(sent, half(2)).any()
 
 
-def test_names_for_whoever_knows_the_vehicles(tmp_path: Path) -> None:
+def test_a_trace_lists_the_vehicles_it_names(tmp_path: Path) -> None:
     assert Trace(written(tmp_path), noise_dbm=NOISE).names() == ("car1", "car2", "car3")
 
 
-def test_parquet_says_the_same(tmp_path: Path) -> None:
+def test_a_trace_in_parquet_is_that_in_csv(tmp_path: Path) -> None:
     lines = [line.split(",") for line in ROWS.split()]
     columns = {name: [row[k] for row in lines[1:]] for k, name in enumerate(lines[0])}
     typed = {
@@ -134,7 +134,9 @@ rows = st.lists(st.tuples(st.integers(0, 12), st.sampled_from("abc"), st.sampled
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(rows, st.lists(st.integers(-1, 14), min_size=1), st.booleans())
-def test_against_each_link_alone(tmp_path: Path, found: list[Any], ask_ms: list[int], interpolate: bool) -> None:
+def test_a_trace_of_many_links_is_that_of_each_link_alone(
+    tmp_path: Path, found: list[Any], ask_ms: list[int], interpolate: bool
+) -> None:
     """Rows of all links in any mixture, times that repeat: as a list of pairs for each link, searched by itself."""
     found.sort(key=lambda row: row[0])
     text = "".join(f"{t / 1000},{sender},{receiver},{level}\n" for t, sender, receiver, level in found)
@@ -187,7 +189,7 @@ HEAD = "time_s,sender,receiver,loss\n"
         (HEAD + "0,a,b\n", r"cannot be read: CSV parse error: Row #2: Expected 4 columns, got 3"),
     ],
 )
-def test_errors_by_name(tmp_path: Path, text: str, message: str) -> None:
+def test_bad_traces_are_refused_with_their_line(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=message) as raised:
         binding.call(Trace, {"file": written(tmp_path, text)}, key="radio.trace", given={"noise_dbm": NOISE})
     assert raised.value.key == "radio.trace.file"

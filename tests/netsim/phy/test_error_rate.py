@@ -64,19 +64,19 @@ def test_success_is_that_of_ns_3(errors: ErrorRate) -> None:
 
 
 @pytest.mark.parametrize(("name", "tolerance_db"), [("dsss", 0.02), ("yans", 0.02), ("nist", 0.02), ("table", 0.085)])
-def test_50_percent_points(name: str, tolerance_db: float) -> None:
+def test_half_of_all_frames_pass_at_the_sinr_of_the_reference_models(name: str, tolerance_db: float) -> None:
     curves = DSSS if name == "dsss" else [errors for errors in OFDM if errors.model == name]
     assert [sinr_for(errors, 1024, 0.5) for errors in curves] == pytest.approx(HALF_DB[name], abs=tolerance_db)
 
 
-def test_noise() -> None:
+def test_thermal_noise_is_that_of_ns_3() -> None:
     assert ThermalNoise().dbm == pytest.approx(-93.97, abs=0.01)  # ns-3.44 for 802.11
     assert ThermalNoise(1.0, 0.0).dbm == pytest.approx(-173.975, abs=0.001)  # the textbook -174 dBm/Hz
     assert ThermalNoise.ieee802154(-92.0).dbm == pytest.approx(-92.4, abs=0.01)
     assert ThermalNoise().snr_db(array(-82.0, -93.965)) == pytest.approx([11.965, 0.0], abs=0.001)
 
 
-def test_bits_that_must_survive() -> None:
+def test_frames_have_as_many_bits_as_ns_3_counts() -> None:
     """Rate x time: ns-3.44 counts what fills the last symbol, and 802.11g's 6 us of silence."""
     assert OfdmErrors(54e6).payload(100)[1] == 54 * (6 * 4 + 6) == 1620
     assert OfdmErrors(54e6, band="5GHz").payload(100)[1] == 54 * 6 * 4
@@ -114,7 +114,7 @@ def test_success_grows_with_sinr_and_falls_with_bits(
     assert np.all((of_longer >= 0.0) & (of_longer <= success) & (success <= 1.0))
 
 
-def test_tails() -> None:
+def test_dbpsk_keeps_its_closed_form_far_out_in_the_tails() -> None:
     """DBPSK has a closed form: pb = exp(-22 x) / 2, at 1e-12 as at 1e-200, and where a frame has 1e-300 left.
 
     Between two steps, 2^-11 of an octave, a straight line is above an exponential by (22 x / 2^11)^2 / 8 of it.
@@ -144,7 +144,7 @@ def test_biorthogonal_signals() -> None:
         assert union * (1.0 - distance) <= error <= union * (1.0 + 1e-9)
 
 
-def test_noise_alone_leaves_a_coin() -> None:
+def test_without_a_signal_bits_are_guessed() -> None:
     """At no signal DBPSK and O-QPSK decide by chance: pb = 1/2; the shortest code word of 4 bits is guessed with 1/16."""
     nothing = array(0.0)
     for errors in (DsssErrors(1e6), OqpskErrors()):

@@ -170,7 +170,7 @@ def test_a_message_that_would_end_on_its_way_is_not_sent() -> None:
     assert sorted(len(each.frames) for each in outcome.messages) == [0, 3]
 
 
-def test_who_hears_without_being_heard_is_no_neighbour() -> None:
+def test_links_that_work_one_way_are_no_routes() -> None:
     graph = chain(2)
     graph[1, 0] = False  # what 1 says does not reach 0
     world = Neighbourhood(2)
@@ -178,7 +178,7 @@ def test_who_hears_without_being_heard_is_no_neighbour() -> None:
     assert np.isinf(world.hops()[~np.eye(2, dtype=bool)]).all()
 
 
-def test_who_falls_silent_is_given_up_after_as_many_updates_as_may_be_missed() -> None:
+def test_a_silent_neighbour_is_dropped_after_the_missed_updates() -> None:
     router = vectors(2, missed=3)
     for number in range(3):
         for row in (0, 1):

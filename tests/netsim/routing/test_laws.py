@@ -111,7 +111,7 @@ def test_where_there_are_several_ways_flooding_is_better_than_the_best_of_them()
     assert share(outcome, "car7", count) > best + spread(best, count)
 
 
-def test_nobody_is_told_twice_though_copies_come_and_all_pass_everything_on() -> None:
+def test_each_vehicle_hears_a_flooded_message_once() -> None:
     outcome = run(
         Flooding(), LADDER, *often(30), *often(30, "car8"), seconds=4.0, delivery={"duplicate": 0.5, "duplicate_delay_s": 0.004}
     )
@@ -127,7 +127,7 @@ def test_a_message_goes_no_further_than_its_hop_limit(limit: int) -> None:
     assert len(outcome.frames) == limit
 
 
-def test_it_all_works_on_an_air_that_is_shared() -> None:
+def test_routing_works_with_contention() -> None:
     outcome = run(Flooding(jitter_s=0.02), LADDER, *often(50), seconds=6.0, mac={"kind": "dcf"})
     assert len(outcome.heard) > 0.98 * 50 * 7
     assert {word for frame in outcome.frames for word in frame.outcome} >= {"received", "below sensitivity"}

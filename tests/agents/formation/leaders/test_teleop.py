@@ -185,7 +185,7 @@ def test_a_joystick_that_is_taken_away_stops_the_vehicle_by_its_ramp(pipe: tuple
     assert hand.notes == {"status": "device lost", "asked_v": 0.0, "asked_w": 0.0}
 
 
-def test_nobody_waits_for_a_device(pipe: tuple[int, str]) -> None:
+def test_a_silent_device_never_blocks_a_tick(pipe: tuple[int, str]) -> None:
     """With nothing to read, a hundred ticks pass; a read that waited would never return."""
     _, path = pipe
     hand = Hand(Teleop(path))

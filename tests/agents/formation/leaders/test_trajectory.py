@@ -137,7 +137,7 @@ def test_a_leader_tells_what_the_estimator_of_its_followers_needs(params: dict[s
     assert size <= 76 + 24 * ("a" in more) + 380 * ("plan" in more)
 
 
-def test_nothing_else_can_be_told() -> None:
+def test_unknown_contents_of_reports_are_refused() -> None:
     with pytest.raises(ScenarioError, match=r"tell: must be .*'a', 'plan'"):
         call(Trajectory, {"tell": ["jerk"]})
 

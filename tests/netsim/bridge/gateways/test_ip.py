@@ -88,7 +88,7 @@ async def test_what_nobody_has_the_address_of_is_counted_and_not_sent() -> None:
     assert not context.offered
 
 
-async def test_who_only_looks_on_sends_nothing() -> None:
+async def test_idle_vehicles_send_nothing() -> None:
     """No address is sought, no router called, no neighbour asked: the air is free for the programs."""
     context = TestHall(CARS, run=RUN)
     async with opened(Ip(), context):
@@ -167,7 +167,7 @@ async def test_without_room_packets_wait_in_the_kernel_and_more_than_its_queue_h
     assert numbers == list(range(len(numbers)))  # in order, and the first of them: who comes late finds no room
 
 
-async def test_what_is_no_packet_of_ip_is_no_harm() -> None:
+async def test_payloads_that_are_no_ip_packet_are_ignored() -> None:
     context = TestHall(CARS, run=RUN)
     gateway = Ip()
     async with opened(gateway, context):
@@ -234,7 +234,7 @@ async def test_real_machines_join_through_a_vehicle() -> None:
         ({"routes": {"car1": ["fd05::/64"]}, "mtu_bytes": 1000}, "fd05::/64 needs IPv6, and mtu_bytes of 1280 or more"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_is_made(params: dict[str, Any], problem: str) -> None:
+def test_parameters_without_a_meaning_are_refused_before_anything_is_created(params: dict[str, Any], problem: str) -> None:
     def checked() -> None:
         gateway = binding.call(Ip, params, key="bridge.ip")
         try:
@@ -249,7 +249,7 @@ def test_what_cannot_be_is_refused_before_anything_is_made(params: dict[str, Any
 # --- what is left over ---
 
 
-async def test_closed_is_gone() -> None:
+async def test_nothing_is_left_after_closing() -> None:
     async with opened(Ip(), TestHall(CARS, run=RUN)):
         assert len(left_over(CARS)) == 4
         assert [each.alive for each in run_networks.networks() if each.run == RUN] == [True]

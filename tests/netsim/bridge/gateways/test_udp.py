@@ -136,7 +136,7 @@ async def test_what_the_operating_system_has_no_room_for_is_counted() -> None:
             assert dropped(context) > 0
 
 
-async def test_nobody_need_be_there_to_hear() -> None:
+async def test_missing_receivers_disturb_nobody() -> None:
     first = free_ports(300)
     with program(first + 99) as a, program(first + 299) as c:
         async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
@@ -184,7 +184,7 @@ async def test_a_port_that_somebody_has_is_named_and_the_others_are_free_again()
         pass
 
 
-async def test_so_is_an_address_that_this_machine_has_not() -> None:
+async def test_an_address_of_another_machine_is_refused() -> None:
     gateway = Udp(listen="192.0.2.1")  # of documentation
     with pytest.raises(GatewayError, match=r"192.0.2.1 cannot be opened .*; listen must be an address of this machine"):
         await gateway.open(TestHall(NAMES))
@@ -202,7 +202,7 @@ async def test_too_few_sockets_for_all_pairs_of_vehicles_are_said(monkeypatch: p
     monkeypatch.undo()
 
 
-async def test_it_says_what_ports_are() -> None:
+async def test_the_ports_of_every_vehicle_are_printed() -> None:
     first = free_ports(300)
     gateway = Udp(first_port=first)
     lines = await gateway.open(TestHall(NAMES))
@@ -237,7 +237,7 @@ async def test_it_says_what_ports_are() -> None:
         ({"receive_host": "::1"}, "127.0.0.1 cannot send to ::1 of a: use IPv4 for both"),
     ],
 )
-def test_what_cannot_be_is_refused_in_words(params: dict[str, Any], problem: str) -> None:
+def test_parameters_without_a_meaning_are_refused(params: dict[str, Any], problem: str) -> None:
     with pytest.raises((ValueError, ScenarioError)) as error:
         binding.call(Udp, params, key="bridge.udp").check(NAMES)
     assert problem in str(error.value)

@@ -319,7 +319,7 @@ def test_what_may_be_under_way_grows_with_what_arrives_and_is_halved_once_for_wh
     assert window.chunks == 2.0
 
 
-def test_who_is_called_can_ask_by_whom() -> None:
+def test_a_called_robot_can_ask_who_calls() -> None:
     async def asked() -> list[str]:
         answers: list[str] = []
 
@@ -417,7 +417,7 @@ async def test_a_slow_reader_holds_the_sender_back() -> None:
         assert len(await asyncio.wait_for(reader.read(), PATIENCE_S)) == 12_000_000
 
 
-async def test_what_is_no_chunk_harms_nobody() -> None:
+async def test_payloads_that_are_no_chunk_are_ignored() -> None:
     async with served() as world:
         car1, _ = await world.robot("car1"), await world.listening("car2", echo)
         reader, writer = await world.connect(await car1.port_to("car2"))
@@ -478,7 +478,7 @@ def test_ports_in_a_row_and_all_of_them_free_afterwards() -> None:
         assert asyncio.run(tried()) == [first, first + 1, first]
 
 
-async def test_a_port_in_use_is_said() -> None:
+async def test_a_port_in_use_is_an_error_that_names_it() -> None:
     async with served() as world:
         second = Wss(port=world.port)
         with pytest.raises(GatewayError, match=f"port {world.port}.*in use"):

@@ -247,7 +247,7 @@ async def test_what_comes_too_fast_is_counted_and_what_goes_on_is_in_order() -> 
 @given(payload=st.binary(max_size=60))
 @example(payload=b"\x92\xa1\x80")  # a key that is no text
 @example(payload=b"\x91" * 5000)
-def test_whatever_is_received_nothing_breaks(payload: bytes) -> None:
+def test_any_received_bytes_are_published(payload: bytes) -> None:
     said: list[str] = []
 
     class Session:
@@ -282,7 +282,7 @@ class TestHallStub:
         ({"first_port": 65_534}, "first_port = 65534 is too high: no port is left for 'car3'"),
     ],
 )
-def test_what_cannot_be_is_said(params: Mapping[str, Any], problem: str) -> None:
+def test_parameters_without_a_meaning_are_refused(params: Mapping[str, Any], problem: str) -> None:
     with pytest.raises(ValueError, match=problem.replace("[", r"\[")):
         ZenohGateway(**params).check(CARS)
 
@@ -291,7 +291,7 @@ def test_other_machines_may_come_where_the_user_says_so() -> None:
     ZenohGateway(listen={"car1": "tcp/0.0.0.0:7460"}, insecure=True).check(CARS)
 
 
-async def test_a_port_in_use_is_said() -> None:
+async def test_a_port_in_use_is_an_error_that_names_it() -> None:
     async with served() as world:
         second = ZenohGateway(first_port=world.port)
         with pytest.raises(GatewayError, match=f"cannot serve Zenoh clients at tcp/127.0.0.1:{world.port}"):

@@ -93,7 +93,7 @@ def test_frames_that_waited_too_long_are_not_sent() -> None:
         assert decided[number].end_ns > 20 * MS
 
 
-def test_what_makes_no_sense_is_refused() -> None:
+def test_parameters_without_a_meaning_are_refused() -> None:
     with pytest.raises(ScenarioError, match="min_be: must not be more than max_be = 5, not 6"):
         Csma154(min_be=6)
     with pytest.raises(ScenarioError, match="needs phy ieee802154, not Dsss"):
@@ -328,7 +328,7 @@ FIELD = np.array([[0, -60, -84, -90], [-60, 0, -78, -86], [-84, -78, 0, -60], [-
 
 @settings(max_examples=60)
 @given(script=scripts(4), cuts=st.lists(st.integers(0, 80_000), max_size=12).map(sorted))
-def test_steps_make_no_difference_and_are_foretold(script: Script, cuts: list[int]) -> None:
+def test_decisions_do_not_depend_on_steps_and_come_at_predicted_times(script: Script, cuts: list[int]) -> None:
     """Nothing is decided before `next_ns`, which never lies behind; it is None when nothing waits."""
     script = [(t, s, -1 if s == r else r, z) for t, s, r, z in script]
     at_once, in_steps = World(FIELD), World(FIELD)

@@ -113,7 +113,7 @@ def test_behind_a_payload_that_failed_a_receiver_waits_eifs(
 
 
 @pytest.mark.parametrize(("patience", "start_us"), [(np.inf, 200), (0.05, 364)])
-def test_who_was_told_of_eifs_is_not_woken_up_when_it_ends_early(patience: float, start_us: int) -> None:
+def test_a_radio_waits_for_all_of_eifs_even_if_it_ends_early(patience: float, start_us: int) -> None:
     """Behind a frame from 0, one from 1 is received from 100 to 150 us, while 2 waits since 60 us: until DIFS behind it.
 
     If the first was lost, 2 waits for EIFS, and does not notice that it is over: as ns-3.44 does.
@@ -130,7 +130,7 @@ def test_who_was_told_of_eifs_is_not_woken_up_when_it_ends_early(patience: float
     assert decided[2].start_ns == end + start_us * US
 
 
-def test_the_queue_has_an_end() -> None:
+def test_a_full_queue_refuses_frames() -> None:
     medium = open_air(2, mac=Dcf(queue_frames=3))
     decided = run(medium, [frame(k, LATER + k, 0, all_equal(2)) for k in range(6)], LATER + 5)
     assert [(each.number, each.end_ns, each.start_ns) for each in decided] == [
@@ -142,7 +142,7 @@ def test_the_queue_has_an_end() -> None:
     assert [each.number for each in medium.advance(UNTIL)] == [0, 1, 2]
 
 
-def test_what_waits_too_long_is_never_sent() -> None:
+def test_frames_that_waited_too_long_are_not_sent() -> None:
     medium = open_air(2, mac=Dcf(lifetime_s=0.01))
     decided = run(medium, [frame(k, LATER, 0, all_equal(2)) for k in range(20)], 1000 * MS)
     sent = [each for each in decided if each.start_ns >= 0]

@@ -88,7 +88,7 @@ def test_every_frame_is_decided_once_in_its_step_however_time_is_cut(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_next_is_never_late_and_going_from_one_to_the_next_comes_to_an_end(seed: int) -> None:
+def test_the_predicted_time_is_never_late_and_progress_never_stalls(seed: int) -> None:
     frames = mixed(seed)
     whole = run(open_air(6, seed=seed), frames, UNTIL)
     medium, idle = open_air(6, seed=seed), 0
@@ -109,7 +109,7 @@ def test_next_is_never_late_and_going_from_one_to_the_next_comes_to_an_end(seed:
     assert idle < 6 * sum(each.attempts for each in whole)
 
 
-def test_for_broadcasts_in_one_domain_next_is_exact() -> None:
+def test_for_broadcasts_in_one_domain_the_predicted_time_is_exact() -> None:
     levels = np.full((5, 5), 1e-6)
     frames = periodic(levels, 100.0, 200 * MS)
     medium, idle = open_air(5), 0
@@ -129,7 +129,7 @@ def test_for_broadcasts_in_one_domain_next_is_exact() -> None:
 
 @settings(max_examples=15)
 @given(cuts=st.lists(st.integers(0, 300 * MS), max_size=6), seed=st.integers(0, 9))
-def test_many_at_once_as_arrays_are_the_same_as_one_by_one(cuts: list[int], seed: int) -> None:
+def test_frames_offered_as_arrays_fare_as_one_by_one(cuts: list[int], seed: int) -> None:
     """With levels that are others behind every cut, and queues that overflow."""
     mac, n = Dcf(queue_frames=3, lifetime_s=0.02), 6
     levels, frames = square(n, 200.0, 3.0, seed), periodic(square(n, 200.0, 3.0, seed), 60.0, 300 * MS, size=1000, seed=seed)
@@ -200,7 +200,7 @@ def traffic(count: int, hz: float, seconds: int, seed: int) -> tuple[list[int], 
 
 
 @pytest.mark.parametrize("name", [name for name in NS3 if name != "802.11b, 50 in one domain"])  # that: `vcmvsp validate`
-def test_as_ns_3(name: str) -> None:
+def test_delivery_and_delays_are_those_of_ns_3(name: str) -> None:
     judged = NS3[name]
     n, levels = judged.radios, square(judged.radios, judged.side_m, judged.exponent, 1)
     place = np.random.default_rng(1).uniform(0.0, judged.side_m, (n, 2))
