@@ -66,53 +66,13 @@ def test_looking_in_between_changes_nothing(
     assert wrap(row(often)[2] - row(once)[2]) == pytest.approx(0.0, abs=1e-11)
 
 
-def test_lag_is_exactly_exponential() -> None:
-    moved = engine(Lag(tau_v_s=0.5, tau_w_s=0.3))
-    moved.command(0, (0.8, 0.0, 0.0), 0.0)
-    for k in range(1, 30):
-        t = 0.137 * k
-        moved.advance(round(t * SECOND_NS))
-        x, _, _, v, _ = row(moved)
-        assert v == pytest.approx(0.8 * (1.0 - math.exp(-t / 0.5)), abs=1e-9)
-        assert x == pytest.approx(0.8 * (t - 0.5 * (1.0 - math.exp(-t / 0.5))), abs=1e-9)
-
-
-def test_inertial_starts_on_its_ramp_and_then_decays() -> None:
-    # e = 0.6, a tau = 0.15: a ramp of 0.3 m/s2 until t1 = 1.5 s, then 0.15 exp(-(t - t1) / 0.5) is missing.
-    moved = engine(Inertial())
-    moved.command(0, (0.6, 0.0, 0.0), 0.0)
-    moved.advance(SECOND_NS)
-    assert row(moved)[3] == pytest.approx(0.3)
-    moved.advance(5 * SECOND_NS // 2)
-    assert row(moved)[3] == pytest.approx(0.6 - 0.15 * math.exp(-2.0))
-    moved.command(0, (0.0, 0.0, 0.0), 0.0)  # decelerates at most at 0.75 m/s2: knee 0.375
-    before = row(moved)[3]
-    moved.advance(27 * SECOND_NS // 10)
-    assert row(moved)[3] == pytest.approx(before - 0.2 * 0.75)
-
-
 commands = st.lists(st.tuples(speeds, rates), min_size=1, max_size=8)
-
-
-@given(commands)
-def test_inertial_keeps_its_limits(sequence: list[tuple[float, float]]) -> None:
-    moved, model = engine(Inertial()), Inertial()
-    v = w = 0.0
-    for k, (wanted_v, wanted_w) in enumerate(sequence, 1):
-        moved.command(0, (wanted_v, 0.0, 0.0), wanted_w)
-        moved.advance(k * SECOND_NS // 5)
-        _, _, _, new_v, new_w = row(moved)
-        assert -model.decel * 0.2 - 1e-9 <= new_v - v <= model.accel * 0.2 + 1e-9
-        assert abs(new_w - w) <= model.yaw_accel * 0.2 + 1e-9
-        assert abs(new_v) <= model.max_speed
-        assert abs(new_w) <= model.max_yaw_rate
-        v, w = new_v, new_w
 
 
 @settings(max_examples=15, deadline=None)
 @given(commands)
 @pytest.mark.parametrize(
-    "model", [Lag(), Inertial(), Inertial(tau_v_s=0.0, tau_w_s=0.0)], ids=["lag", "inertial", "ramps only"]
+    "model", [Lag(), Inertial(), Inertial(tau_v_s=0.0, tau_w_s=0.0, max_speed=0.1)], ids=["lag", "inertial", "ramps only"]
 )
 def test_agrees_with_a_plain_integration(model: Lag, sequence: list[tuple[float, float]]) -> None:
     h, steps = 2e-4, 500

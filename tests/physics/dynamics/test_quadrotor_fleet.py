@@ -93,16 +93,6 @@ def test_a_gust_from_the_side_pushes_it_and_is_made_up_for(hz: float) -> None:
     assert math.sin(seen.tilt[-1, 0]) * MODEL.mass_kg * 9.81 == pytest.approx(0.25 * 6.0, rel=0.1)  # leans against it
 
 
-def test_both_rates_give_the_same_flight() -> None:
-    ends = []
-    for hz in (120.0, 240.0):
-        fleet = fleet_of(1)
-        fleet.set_velocity(0, (2.0, 1.0, 0.5), 0.5)
-        ends.append(fly(fleet, 4.0, hz, wind=(1.0, -2.0, 0.0)))
-    assert ends[0].position[-1] == pytest.approx(ends[1].position[-1], abs=0.02)
-    assert ends[0].velocity[-1] == pytest.approx(ends[1].velocity[-1], abs=0.002)
-
-
 @both_rates
 def test_it_turns_as_fast_as_told(hz: float) -> None:
     fleet = fleet_of(2)

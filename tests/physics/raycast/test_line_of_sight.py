@@ -36,10 +36,6 @@ def inside(box: Box, points: NDArray[np.float64], margin: float) -> NDArray[np.b
     return np.asarray((np.abs(local) < 0.5 * np.array(box.size) + margin).all(axis=1))
 
 
-
-
-
-
 @given(tx=place, rx=place, box=boxes)
 def test_the_length_is_what_sampling_finds(tx: tuple[float, ...], rx: tuple[float, ...], box: Box) -> None:
     assume(math.dist(tx, rx) > 1e-3)
@@ -91,14 +87,10 @@ def as_mesh(solid: AnySolid) -> Mesh:
     return Mesh(triangles=points[triangles], material=solid.material)
 
 
-
-
 def lengths(tx: tuple[float, ...], *rx: tuple[float, ...], among: tuple[AnySolid, ...] = (WALL,)) -> list[list[float]]:
     crossed, inside_m = Sightline(among).crossings(np.array(tx), np.array(rx, float).reshape(-1, 3))
     assert (crossed == (inside_m > 0.0)).all()
     return inside_m.tolist()
-
-
 
 
 @given(tx=whole, rx=whole, size=st.tuples(*[st.integers(1, 3).map(float)] * 3))
@@ -186,8 +178,6 @@ def test_a_line_along_an_inner_cut_is_inside() -> None:
         assert lengths((x - 1e-6, -1, 1), (x - 1e-6, 9, 1), among=(L_SHAPE,)) == [[pytest.approx(3.0, abs=1e-5)]]
     (grazing,) = lengths((-1, 4, 1), (5, -2, 1), among=(COURT,))[0]  # a corner of the court
     assert grazing == pytest.approx(3.0 * math.sqrt(2.0))
-
-
 
 
 def test_a_tetrahedron_and_its_mean_chord() -> None:

@@ -12,7 +12,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render.floor_and_sky import SKY
 from vcmvsp.physics.render.renderer import render
 from vcmvsp.physics.render.triangles import View
-from vcmvsp.physics.world.floor import GroundPicture, GroundTarget, Mark, placed
+from vcmvsp.physics.world.floor import GroundPicture, GroundTarget, placed
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 
@@ -52,22 +52,6 @@ def test_every_pixel_shows_the_place_that_its_ray_meets_in_any_attitude(slopes: 
     assert (pixels[~down] == SKY).all()
     assert (pixels[outside] == (1, 2, 3)).all()
     assert np.abs(pixels[inside] - expected[inside]).max(initial=0.0) <= 2.0
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_painted_targets_are_within_half_a_pixel_of_their_projection(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    place = rng.uniform(-3, 3, 2)
-    mark = Mark(center=tuple(place.tolist()), radius=0.4, color=(250, 0, 0))
-    world = World(ground=GroundPicture(size=(30.0, 30.0), resolution_m=0.02, color=(0, 0, 0), marks=(mark,)))
-    eye = np.array([*rng.uniform(-5, 5, 2), 20.0])
-    view = View(eye, towards(eye, np.array([*rng.uniform(-3, 3, 2), 0.0]), float(rng.uniform(-3, 3))), 320, 240, 250.0)
-    levels = render(world, view).pixels[:, :, 0].astype(float)
-    x, y, z = view.rotation.T @ (np.append(place, 0.0) - eye)
-    expected = 160 + 250 * x / z, 120 + 250 * y / z
-    weights = levels / levels.sum()
-    found = (weights.sum(axis=0) @ (np.arange(320) + 0.5), weights.sum(axis=1) @ (np.arange(240) + 0.5))
-    assert found == pytest.approx(expected, abs=0.2)
 
 
 def test_what_is_finer_than_pixels_is_averaged(tmp_path: Path) -> None:

@@ -104,21 +104,6 @@ def differing(
     return colors, depths
 
 
-@pytest.mark.parametrize("make", [scattered, stacked, woven, mixed])
-def test_pictures_agree_with_single_rays(make: Callable[[Rng], list[AnySolid]]) -> None:
-    colors = depths = 0
-    for seed in range(10):
-        rng = np.random.default_rng(seed)
-        world = World(solids=tuple(make(rng)))
-        eye = np.append(rng.uniform(-14, 14, 2), rng.uniform(0.1, 8))
-        rotation = towards(eye, rng.uniform(-4, 4, 3), float(rng.uniform(-0.5, 0.5))) if seed % 2 else a_rotation(rng)
-        view = View(eye, rotation, 160, 120, 100.0)
-        c, d = differing(world, view, rng, 250)
-        colors, depths = colors + c, depths + d
-    assert colors <= 2  # of 2500: 99.9 %
-    assert depths <= 2
-
-
 @pytest.mark.parametrize("make", [scattered, woven, mixed])
 def test_large_faces_are_drawn_as_small_ones_are(
     make: Callable[[Rng], list[AnySolid]], monkeypatch: pytest.MonkeyPatch
@@ -143,7 +128,7 @@ def test_large_faces_are_drawn_as_small_ones_are(
 
 def test_any_lens_in_any_place_agrees_with_single_rays() -> None:
     """From a single pixel to a large picture, from a telescope to half a sphere, close to walls and inside of them."""
-    wrong = looked = 0
+    colors = depths = 0
     for seed in range(80):
         rng = np.random.default_rng(seed)
         world = World(solids=tuple((scattered, stacked, woven, mixed)[seed % 4](rng)))
@@ -151,14 +136,10 @@ def test_any_lens_in_any_place_agrees_with_single_rays() -> None:
         rotation = a_rotation(rng) if seed % 2 else towards(eye, rng.uniform(-4, 4, 3), float(rng.uniform(-3, 3)))
         width, height = ((1, 1), (160, 120), (640, 480), (33, 200), (320, 240))[seed % 5]
         focal = 0.5 * width / math.tan(0.5 * float(rng.uniform(0.05, 3.1)))
-        view = View(eye, rotation, width, height, focal, 100.0)
-        picture, found = render(world, view), oracle.things(world)
-        for row, column in zip(rng.integers(height, size=8).tolist(), rng.integers(width, size=8).tolist(), strict=True):
-            seen = oracle.look(world, found, view, row, column)
-            looked += 1
-            wrong += bool(np.abs(picture.pixels[row, column] - seen.color).max() > 2.0)
-    assert looked == 640
-    assert wrong <= 1
+        c, d = differing(world, View(eye, rotation, width, height, focal, 100.0), rng, 40)
+        colors, depths = colors + c, depths + d
+    assert colors <= 3  # of 3200: 99.9 %
+    assert depths <= 3
 
 
 def crowd(rng: Rng, count: int = 30) -> Scene:
