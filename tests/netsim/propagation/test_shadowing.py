@@ -60,13 +60,6 @@ def test_independent_seeds_and_links(ends: tuple[Floats, Floats, Floats]) -> Non
     assert abs(np.corrcoef(one, shadows(a[::-1], b, 1))[0, 1]) < 0.03
 
 
-def test_a_way_in_small_steps_ends_where_one_leap_does() -> None:
-    start, end = np.array([[0.0, 50.0, 0.0]]), np.array([[30.0, 50.0, 0.0]])
-    for step in np.linspace(0.0, 1.0, 50):
-        last = LAYER.loss_db(Line.between(np.zeros(3), start + step * (end - start)))
-    assert last.tolist() == LAYER.loss_db(Line.between(np.zeros(3), end)).tolist()
-
-
 @pytest.mark.parametrize("place", [0.0, 1.0, 5.0, 200.0])
 def test_every_place_varies_alike_from_world_to_world(place: float) -> None:
     """The origin too, where scenarios begin. The standard deviation of a sample of n has the standard error 1 / sqrt(2 n)."""

@@ -14,8 +14,6 @@ from vcmvsp.netsim.interfaces.layers import Bools, Floats, Paths, Radio
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT, LogDistance
 from vcmvsp.netsim.propagation.walls import ITU_MATERIALS, Bodies, FixedWalls, ItuWalls, slab_loss_db, through
-from vcmvsp.physics.raycast.line_of_sight import Sightline
-from vcmvsp.physics.world.solids import Box
 
 
 class Across:
@@ -80,24 +78,6 @@ def test_fixed_losses_by_material() -> None:
 def test_a_material_without_a_known_loss_is_refused() -> None:
     with pytest.raises(ScenarioError, match=r"'cardboard'.*known: concrete, brick"):
         ItuWalls(Across("brick", "cardboard"))
-
-
-@pytest.mark.parametrize(
-    ("exponent", "ranges_m"),
-    [(2.0, (293.4, 141.7, 68.4)), (2.5, (108.2, 60.4, 33.7)), (3.0, (55.6, 34.2, 21.1)), (4.0, (24.2, 16.8, 11.7))],
-)
-def test_range_of_the_wireless_simulation_server_through_walls(exponent: float, ranges_m: tuple[float, ...]) -> None:
-    """d0 10^((Pd0 - cutoff - 6.325 walls) / (10 N)) for 0, 1 and 2 walls of a world."""
-    path = LogDistance(exponent=exponent, reference_distance_m=2.0, reference_loss_db=49.67)
-    for count, rounded in enumerate(ranges_m):
-        range_m = 2.0 * 10.0 ** ((-49.67 + 93.0 - 6.325 * count) / (10.0 * exponent))
-        assert range_m == pytest.approx(rounded, abs=0.051)
-        boxes = [Box(center=(2.0 + k, 0.0, 1.0), size=(0.2, 8.0, 2.0), yaw_rad=0.3 * k) for k in range(count)]
-        walls = FixedWalls(Sightline(boxes))
-        ends = [(range_m * (1.0 - 1e-9), 0.0, 0.5), (range_m * (1.0 + 1e-9), 0.0, 0.5)]
-        paths = Paths.between(np.array([0.0, 0.0, 0.5]), np.array(ends))
-        level = 0.0 - path.loss_db(paths) - walls.loss_db(paths)
-        assert (level >= -93.0).tolist() == [True, False]
 
 
 def bodies(foot: Floats, radius_m: float = 0.5, height_m: float = 1.0) -> Bodies:
