@@ -57,15 +57,15 @@ def _one_by_one(channel: Channel, now_ns: int, messages: list[Message], places: 
 
 
 @pytest.mark.parametrize(
-    ("tables", "to"),
+    "tables",
     [
-        ({"mac": {"kind": "dcf"}}, None),  # they share the air
-        ({"fading": {"kind": "rayleigh"}}, None),  # each frame has a level of its own
-        ({"shadowing": {"sigma_db": 4.0}}, None),  # distance is not all
+        {"mac": {"kind": "dcf"}},  # they share the air
+        {"fading": {"kind": "rayleigh"}},  # each frame has a level of its own
+        {"shadowing": {"sigma_db": 4.0}},  # distance is not all
     ],
 )
-def test_what_has_to_be_sent_one_by_one_is_refused_and_leaves_no_trace(tables: dict[str, Any], to: str | None) -> None:
-    messages = [Message(sender=name, body={}, size_bytes=20, to=to) for name in ("car0", "car2")]
+def test_what_has_to_be_sent_one_by_one_is_refused_and_leaves_no_trace(tables: dict[str, Any]) -> None:
+    messages = [Message(sender=name, body={}, size_bytes=20) for name in ("car0", "car2")]
     places = np.arange(21.0).reshape(7, 3)
     channel, other = make_channel("wifi-b-1", **tables), make_channel("wifi-b-1", **tables)
     assert channel.send_all(0, messages, NAMES, places) is None

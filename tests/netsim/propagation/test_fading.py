@@ -139,12 +139,6 @@ def test_the_process_has_the_distribution_of_the_draws(m: float) -> None:
     assert np.percentile(10.0 * np.log10(gain), PERCENT) == pytest.approx(exact, abs=0.3 if m < 1 else 0.15)
 
 
-def test_one_link_has_over_time_what_many_links_have_at_once() -> None:
-    gain = process(Rayleigh(DOPPLER_HZ), np.arange(20_000) * 0.1, 6)
-    assert gain.mean(axis=0) == pytest.approx(np.ones(6), abs=0.05)
-    assert gain.var(axis=0) == pytest.approx(np.ones(6), abs=0.12)
-
-
 def test_the_amplitude_has_the_autocorrelation_j0_and_links_are_independent() -> None:
     keys, times = many_keys(4000), np.arange(0.0, 30.0, 3.0)
     now = np.array([scattering(keys, round(t * 1e9), DOPPLER_HZ) for t in times])
