@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from vcmvsp.physics.world.solids import AnySolid
 
 
+GIVEN = ("channel", "router", "programs", "woken")
+"""Parameters of the federate that are no keys of ``[radio]``."""
+
+
 def federate_of(
     scenario: Scenario,
     source: Source,
@@ -83,7 +87,7 @@ def _federate_keys() -> list[str]:
     """Keys of ``[radio]`` that are not layers of the channel."""
     from vcmvsp.netsim.federate import RadioFederate
 
-    return [name for name in binding.parameters(RadioFederate) if name not in ("channel", "router", "programs", "woken")]
+    return [name for name in binding.parameters(RadioFederate) if name not in GIVEN]
 
 
 def build(

@@ -19,6 +19,7 @@ from typing import Any
 
 import msgspec
 
+from vcmvsp.cosim.assembly.radio import GIVEN
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.scenario import schema
 from vcmvsp.cosim.scenario.loader import Repeat
@@ -77,7 +78,7 @@ def _arguments(docstring: str) -> dict[str, str]:
 Described = Callable[..., object]
 """A class with parameters, or the function of a kind."""
 
-REST = ("defaults", "params", "doors", "channel", "router", "programs")
+REST = ("defaults", "params", "doors", *GIVEN)
 """Parameters that are not keys of the table itself."""
 
 OFFERED = ("sightline", "noise_dbm", "world", "outside")

@@ -189,11 +189,11 @@ def test_nothing_is_written_over_unless_that_is_wanted(keys: Path, tmp_path: Pat
         authority.init(tmp_path / "other", force=True)
     authority.issue(keys, "car2", ["car2"])
     first = (keys / "car2.keys").read_text()
-    with pytest.raises(UsageError, match=r"'car2' already has a certificate until .* --force makes another"):
+    with pytest.raises(UsageError, match=r"'car2' already has a certificate until .* --force issues another"):
         authority.issue(keys, "car2", ["car2"], out=tmp_path / "else.keys")
     taken = tmp_path / "taken.keys"
     taken.write_text("precious")
-    with pytest.raises(UsageError, match=r"taken\.keys: exists"):
+    with pytest.raises(UsageError, match=r"taken\.keys: already exists"):
         authority.issue(keys, "car3", ["car3"], out=taken)
     assert (keys / "car2.keys").read_text() == first
     assert taken.read_text() == "precious"
