@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -17,7 +18,7 @@ from vcmvsp.agents.reconnaissance.roster import Claim, Roster
 from vcmvsp.agents.reconnaissance.search import Search
 from vcmvsp.agents.reconnaissance.sectors import lanes, strips
 from vcmvsp.agents.reconnaissance.watch import WatchFrame
-from vcmvsp.cosim.agent import Body, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.agent import Body, Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.testing import check_agent
 from vcmvsp.cosim.types import Image, Message, ProbabilityMap, Scan, Sighting, Velocity
@@ -288,22 +289,12 @@ PIXELS = (48, 64)
 PICTURE = Image(pixels=np.zeros((*PIXELS, 3), np.uint8), focal_px=40.0)
 
 
-class Eye:
-    """Stands for a `Watch`: shows what the test says."""
-
-    def __init__(self) -> None:
-        self.next: WatchFrame | None = None
-
-    def look(self, obs: Observation) -> WatchFrame | None:
-        return self.next
-
-
 class Flight:
     """A searcher at one place, with pictures at 5 Hz; the sensor sees 12 m to all sides from 20 m."""
 
     def __init__(self, **params: Any) -> None:
-        self.agent, self.eye, self.radio = Search((0.0, 0.0, 40.0, 40.0), **params), Eye(), Radio("a", ("a",))
-        self.agent.watch = self.eye  # type: ignore[assignment]
+        self.agent, self.radio, self.seen = Search((0.0, 0.0, 40.0, 40.0), **params), Radio("a", ("a",)), list[Any]()
+        self.agent.watch = SimpleNamespace(look=lambda _: self.seen[-1])  # type: ignore[assignment]
         self.agent.start(info("a", ("a",), ("camera",)))
         self.tick = -1
 
@@ -313,7 +304,7 @@ class Flight:
         found = tuple(Sighting(target="x", place=at, centre_px=(1.0, 1.0), angle=0.0, side_px=4.0, score=1.0) for at in places)
         nadir = Nadir((20.0, 20.0, z), (1.0, 0.0, 0.0, 0.0), 40.0, PIXELS[1], PIXELS[0])
         frame = WatchFrame(now_ns, nadir, found, PICTURE, (0, 0, PIXELS[1], PIXELS[0]), True)
-        self.eye.next = replace(frame, **change) if picture else None
+        self.seen.append(replace(frame, **change) if picture else None)
         return self.agent.act(see((20.0, 20.0, z), now_ns), self.radio)
 
     @property

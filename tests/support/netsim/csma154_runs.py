@@ -1,7 +1,6 @@
 """Runs of IEEE 802.15.4 radios, for tests."""
 
 from collections import Counter
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -90,11 +89,3 @@ def line(left_dbm: float, right_dbm: float) -> Floats:
 def at(start_ns: int, row: int) -> int:
     """When to hand over a radio's first frame, for it to begin then if the air is free."""
     return start_ns - assessments(row, 0)[0] - 192 * US
-
-
-def same(a: Sequence[Decided], b: Sequence[Decided]) -> bool:
-    def plain(each: Decided) -> tuple[Any, ...]:
-        head = (each.number, each.start_ns, each.end_ns, each.attempts)
-        return (*head, each.fate.tolist(), each.least_sinr.tobytes())
-
-    return [plain(each) for each in a] == [plain(each) for each in b]

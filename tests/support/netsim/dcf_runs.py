@@ -87,14 +87,7 @@ def delivery(decided: Sequence[Decided], frames: Sequence[Offered]) -> tuple[flo
 
 def bytes_of(decided: Sequence[Decided]) -> list[tuple[object, ...]]:
     return [
-        (
-            each.number,
-            each.start_ns,
-            each.end_ns,
-            each.attempts,
-            each.fate.tobytes(),
-            each.least_sinr.tobytes(),
-        )
+        (each.number, each.start_ns, each.end_ns, each.attempts, each.fate.tobytes(), each.least_sinr.tobytes())
         for each in decided
     ]
 

@@ -21,8 +21,8 @@ from tests.support.netsim.csma154_runs import (
     keys,
     levels,
     line,
-    same,
 )
+from tests.support.netsim.dcf_runs import bytes_of
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.medium import Decided, Fate
@@ -349,7 +349,7 @@ def test_decisions_do_not_depend_on_steps_and_come_at_predicted_times(script: Sc
         after = in_steps.medium.next_ns()
         assert after is None or after > cut_us * US
         pieces += new
-    assert same(whole, pieces)
+    assert bytes_of(pieces) == bytes_of(whole)
     assert len(whole) == len(script)
 
 
