@@ -16,7 +16,7 @@ import pytest
 from tests.support.cosim.run_processes import UNDRAWN
 from tests.support.docs.readme_pages import PAGES, block
 from tests.support.netsim.bridge_runs import BridgeRun, running
-from tests.support.netsim.gateway_context import TestHall, free_ports
+from tests.support.netsim.gateway_context import TestHall, free_ports, opened
 from tests.support.paths import ROOT
 from vcmvsp.cosim.config import builtin_kinds
 from vcmvsp.netsim.bridge.gateways.base import Gateway
@@ -97,11 +97,10 @@ def test_the_custom_gateway_of_the_page_works(tmp_path: Path) -> None:
     async def trial() -> list[str]:
         gateway: Gateway = space["RollCall"](out=str(path))
         context = TestHall(("a", "b", "c"))
-        gateway.check(context.vehicles)
-        (line,) = await gateway.open(context)
+        async with opened(gateway, context):
+            await asyncio.sleep(0.01)  # by then, all that was due before has been delivered
+        (line,) = context.lines
         assert str(path) in line
-        await asyncio.sleep(0.01)  # by then, all that was due before has been delivered
-        await gateway.close()
         return path.read_text().splitlines()
 
     assert sorted(asyncio.run(trial())) == [f"{x} heard {y}" for x in "abc" for y in "abc" if x != y]

@@ -1,12 +1,13 @@
 """Gateways without a run: a context that delivers datagrams after a set delay."""
 
 import asyncio
+import contextlib
 import dataclasses
 import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, Gateway
 
@@ -36,6 +37,7 @@ class TestHall:
         room: set it to False to have `offer` refuse.
         counts: vehicle -> words -> how many.
         levels: (sender, receiver) -> dBm.
+        lines: what the gateway said to the user, where it was `opened`.
     """
 
     __test__ = False
@@ -53,6 +55,7 @@ class TestHall:
         self.room = True
         self.counts: dict[str, dict[str, int]] = {}
         self.levels: dict[tuple[int, int], float] = {}
+        self.lines: list[str] = []
         self._delay_s, self._hears = delay_s, hears
         self._thread = threading.get_ident()
 
@@ -84,6 +87,21 @@ class TestHall:
 
     def _on_the_loop(self) -> None:
         assert threading.get_ident() == self._thread, "for the loop's own thread"
+
+
+@contextlib.asynccontextmanager
+async def opened(gateway: Gateway, context: TestHall) -> AsyncIterator[TestHall]:
+    """The context of an open gateway, which is closed whatever happens; nothing may go wrong on the loop."""
+    trouble: list[object] = []
+    context.loop.set_exception_handler(lambda _, what: trouble.append(what))  # would end the bridge
+    gateway.check(context.vehicles)
+    try:
+        context.lines = list(await gateway.open(context))
+        yield context
+    finally:
+        await gateway.close()
+        await asyncio.sleep(0)  # sockets are let go of in the next turn
+    assert not trouble
 
 
 async def until(holds: Callable[[], bool], seconds: float = PATIENCE_S) -> None:

@@ -1,26 +1,14 @@
 """Namespaces of vehicles in tests: an open gateway on the loop, and sockets and commands inside."""
 
 import asyncio
-import contextlib
 import os
 import socket
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import Sequence
 
-from tests.support.netsim.gateway_context import PATIENCE_S, TestHall
+from tests.support.netsim.gateway_context import PATIENCE_S
 from vcmvsp.netsim.bridge.gateways.ip import namespaces, run_networks
-from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip
 
 RUN = f"test{os.getpid()}"
-
-
-@contextlib.asynccontextmanager
-async def opened(gateway: Ip, context: TestHall) -> AsyncIterator[list[str]]:
-    """What the gateway says to the user; it is closed, whatever happens."""
-    gateway.check(context.vehicles)
-    try:
-        yield list(await gateway.open(context))
-    finally:
-        await gateway.close()
 
 
 def space(vehicle: str, run: str = RUN) -> str:

@@ -17,8 +17,8 @@ from typing import Any
 
 import pytest
 
-from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, until
-from tests.support.netsim.vehicle_namespaces import RUN, called, heard, left_over, opened, space, udp
+from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, opened, until
+from tests.support.netsim.vehicle_namespaces import RUN, called, heard, left_over, space, udp
 from tests.support.paths import ROOT
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
@@ -138,13 +138,13 @@ async def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
 
 async def test_a_long_datagram_is_split_by_the_kernel_as_mtu_bytes_says() -> None:
     context = TestHall(CARS, run=RUN)
-    async with opened(Ip(mtu_bytes=127), context) as lines:
+    async with opened(Ip(mtu_bytes=127), context):
         with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
             sender.sendto(bytes(1000), ("10.77.0.2", 9000))
             assert await heard(listener) == (bytes(1000), "10.77.0.1")
     assert len(context.offered) == 10  # 1008 bytes with the header of UDP, at most 104 of them in a packet (RFC 791)
     assert max(len(each.payload) for each in context.offered) == 124
-    assert not any("fd77" in line for line in lines)  # IPv6 needs 1280 bytes
+    assert not any("fd77" in line for line in context.lines)  # IPv6 needs 1280 bytes
 
 
 async def test_without_room_packets_wait_in_the_kernel_and_more_than_its_queue_holds_is_counted() -> None:
@@ -191,8 +191,8 @@ async def test_real_machines_join_through_a_vehicle() -> None:
     context = TestHall(CARS, run=RUN, delay_s=0.01)
     robot, cable = f"{RUN}-robot", f"v{os.getpid()}"
     ip = f"ip -n {robot}"
-    async with opened(Ip(routes={"car1": ("192.168.213.0/24", "fd05:213::/64")}), context) as lines:
-        assert any("behind car1: 192.168.213.0/24" in line for line in lines)
+    async with opened(Ip(routes={"car1": ("192.168.213.0/24", "fd05:213::/64")}), context):
+        assert any("behind car1: 192.168.213.0/24" in line for line in context.lines)
         try:
             namespaces.create(robot)
             _sh(f"ip link add {cable} type veth peer name eth0 netns {robot}")

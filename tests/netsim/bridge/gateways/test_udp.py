@@ -3,13 +3,13 @@ import contextlib
 import errno
 import socket
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from tests.support import requirements
-from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, until
+from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, opened, until
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, GatewayError
@@ -27,16 +27,6 @@ def program(port: int, host: str = "127.0.0.1") -> Iterator[socket.socket]:
         opened.bind((host, port))
         opened.setblocking(False)
         yield opened
-
-
-@contextlib.asynccontextmanager
-async def opened(gateway: Udp, context: TestHall) -> AsyncIterator[TestHall]:
-    gateway.check(context.vehicles)
-    await gateway.open(context)
-    try:
-        yield context
-    finally:
-        await gateway.close()
 
 
 async def heard(by: socket.socket) -> tuple[bytes, Any]:
@@ -204,9 +194,8 @@ async def test_too_few_sockets_for_all_pairs_of_vehicles_are_said(monkeypatch: p
 
 async def test_the_ports_of_every_vehicle_are_printed() -> None:
     first = free_ports(300)
-    gateway = Udp(first_port=first)
-    lines = await gateway.open(TestHall(NAMES))
-    await gateway.close()
+    async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
+        lines = context.lines
     sends = f"a sends at 127.0.0.1 port {first} to all, {first + 2} to b, {first + 3} to c"
     assert lines[0] == f"{sends}; hears at 127.0.0.1 port {first + 99}"
     assert len(lines) == 3

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, until
+from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, opened, until
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.bridge.gateways.base import GatewayError
 from vcmvsp.netsim.bridge.gateways.wss import LONGEST_LINE, MOST_GUESTS, Wss, parse
@@ -111,16 +111,11 @@ async def served(
     gateway = Wss(port=free_ports(1, socket.SOCK_STREAM), first_port=first_port)
     world = World(context, gateway, gateway._port)
     world.levels(-50.0)
-    trouble: list[object] = []
-    context.loop.set_exception_handler(lambda _, context: trouble.append(context))  # would end the bridge
-    await gateway.open(context)
-    try:
-        yield world
-    finally:
-        world.close()
-        await gateway.close()
-        await asyncio.sleep(0)  # sockets are let go of in the next turn
-        assert not trouble
+    async with opened(gateway, context):
+        try:
+            yield world
+        finally:
+            world.close()
 
 
 async def refused(port: int) -> bool:

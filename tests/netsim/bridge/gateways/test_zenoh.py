@@ -15,7 +15,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from zenoh.handlers import Callback
 
-from tests.support.netsim.gateway_context import TestHall, free_ports, until
+from tests.support.netsim.gateway_context import TestHall, free_ports, opened, until
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, GatewayError
 from vcmvsp.netsim.bridge.gateways.zenoh import BACKLOG, HEARD, NO_ROOM, TOO_LONG, Inbox, Publication, ZenohGateway
@@ -86,19 +86,13 @@ class World:
 async def served(*, hears: Callable[[int, int, int], bool] = lambda *_: True, **params: Any) -> AsyncIterator[World]:
     context = TestHall(CARS, hears=hears)
     port = free_ports(len(CARS), socket.SOCK_STREAM)
-    gateway = ZenohGateway(first_port=port, **params)
-    gateway.check(CARS)
-    trouble: list[object] = []
-    context.loop.set_exception_handler(lambda _, context: trouble.append(context))  # would end the bridge
-    await gateway.open(context)
-    world = World(context, gateway, port)
-    try:
-        yield world
-    finally:
-        for program in world.programs:
-            program.session.close()  # type: ignore[no-untyped-call]
-        await gateway.close()
-        assert not trouble
+    world = World(context, ZenohGateway(first_port=port, **params), port)
+    async with opened(world.gateway, context):
+        try:
+            yield world
+        finally:
+            for program in world.programs:
+                program.session.close()  # type: ignore[no-untyped-call]
 
 
 async def test_what_is_published_crosses_with_all_that_belongs_to_it_and_comes_once() -> None:
@@ -198,12 +192,9 @@ def test_some_vehicles_take_part_at_endpoints_of_their_own() -> None:
         context = TestHall(CARS)
         port = free_ports(4, socket.SOCK_STREAM)
         gateway = ZenohGateway(port, vehicles=("car1", "car3"), listen={"car3": f"tcp/127.0.0.1:{port + 3}"})
-        try:
-            lines = await gateway.open(context)
+        async with opened(gateway, context):
             gateway.deliver(0, 1, encode(Publication("k", b"")))  # takes no part
-        finally:
-            await gateway.close()
-        return [line.replace(str(port), "P").replace(str(port + 3), "P+3") for line in lines]
+        return [line.replace(str(port), "P").replace(str(port + 3), "P+3") for line in context.lines]
 
     lines = asyncio.run(tried())
     assert lines == ["Zenoh clients of car1 connect to tcp/127.0.0.1:P", "Zenoh clients of car3 connect to tcp/127.0.0.1:P+3"]
