@@ -305,7 +305,7 @@ def test_a_host_that_is_killed_later_is_named(stage: Launching) -> None:
         (
             "[[host]]\nname = 'x'\nvehicles = ['car2']\n[[host]]\nname = 'x'\nvehicles = ['car3']",
             (),
-            "line 5: host[1].name: host[0] is called 'x' too",
+            "line 5: host[1].name: host[0] is also named 'x'",
         ),
         ("[[host]]\nvehicles = ['car2']\nssh = '-oProxyCommand=x'", (), "line 3: host[0].ssh: must be a destination"),
         ("[[host]]\nvehicles = ['car2']\nkeys = 'x'\ncopy = true", (), "line 3: host[0].keys: names a file on the host"),
@@ -316,7 +316,7 @@ def test_a_host_that_is_killed_later_is_named(stage: Launching) -> None:
         (
             "[[host]]\nvehicles = ['car2', 'car3']\nssh = 'far'",
             (),
-            "host far (ssh far) cannot dial tcp/127.0.0.1:7447: say where",
+            "host far (ssh far) cannot connect to tcp/127.0.0.1:7447: set the address",
         ),
         ("[[host]]\nvehicles = ['car2', 'car3']", ("--listen", "tcp/127.0.0.1:0"), "hosts need a known port"),
         ("[[host]]\nvehicles = ['car2', 'car3']", ("--listen", "tcp/0.0.0.0:7447"), "or add --insecure"),
@@ -329,7 +329,7 @@ def test_a_host_that_is_killed_later_is_named(stage: Launching) -> None:
         (
             "[[host]]\nvehicles = ['car2', 'car3']\nconnect = 'tls/x:1'",
             ("--listen", "tcp/127.0.0.1:7447"),
-            "dials tls/x:1, but the run listens at tcp/",
+            "connects to tls/x:1, but the run listens at tcp/",
         ),
     ],
 )

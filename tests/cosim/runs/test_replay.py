@@ -102,7 +102,7 @@ def test_more_frames_than_were_recorded_are_drawn_and_that_is_told(recorded: Pat
     assert len(now) == 2 * len(before)
     (line,) = told
     frames = len({key[:2] for key in before})
-    assert line.startswith(f"{frames} of {2 * frames} frames were not in the recording")
+    assert line.startswith(f"{frames} of {2 * frames} frames are not in the recording")
 
 
 def test_the_same_seed_draws_the_same_as_long_as_nothing_that_counts_changes(recorded: Path) -> None:

@@ -161,7 +161,7 @@ def test_only_this_machine_may_be_let_in(tmp_path: Path, listen: str, says: str)
 def test_a_scenario_is_checked_without_its_programs(tmp_path: Path) -> None:
     assert check(scenario(tmp_path, "a"))["sockets"]["vehicles"] == ["a"]
     assert not (tmp_path / "s").exists()
-    for bad, says in ((["a", "a"], "names a twice"), (["z"], "z")):
+    for bad, says in ((["a", "a"], "contains a twice"), (["z"], "z")):
         with pytest.raises(ScenarioError, match=f"sockets.vehicles: .*{says}"):
             check(scenario(tmp_path, "a", sockets={"vehicles": bad}))
         with pytest.raises(ScenarioError, match=f"^--set sockets.vehicles=.*: sockets.vehicles: .*{says}"):
