@@ -4,8 +4,9 @@ Receptions travel as columns (`cosim.types.Receptions`). A `Reception` with its 
 looks at it.
 """
 
+import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from functools import cached_property, partial
+from functools import partial
 from typing import Any, overload
 
 import msgspec
@@ -54,10 +55,10 @@ class ReceivedMessages(Sequence[Reception]):
     def __getitem__(self, place: int | slice) -> Reception | tuple[Reception, ...]:
         if isinstance(place, slice):
             return tuple(self._all()[place])
-        return self._item(range(len(self))[place])
+        return self._item(range(self._begin, self._end)[place])
 
     def __iter__(self) -> Iterator[Reception]:
-        return iter(self._all() if self._end > self._begin else ())
+        return iter(self._all())
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
@@ -70,8 +71,12 @@ class ReceivedMessages(Sequence[Reception]):
     @property
     def senders(self) -> tuple[str, ...]:
         """Sender of each message, (n,)."""
-        names = self._batch.senders
-        return tuple([names[message] for message in self._rows(self._batch.messages_at)])
+        return tuple(self._batch.looked_at().senders[self._begin : self._end])
+
+    def of_senders(self, senders: Collection[str]) -> list[Reception]:
+        """The messages of some senders."""
+        begin, names = self._begin, self._batch.looked_at().senders
+        return [self._item(row) for row in range(begin, self._end) if names[row] in senders]
 
     @property
     def rssi_dbm(self) -> Array:
@@ -104,65 +109,47 @@ class ReceivedMessages(Sequence[Reception]):
         for place, sender in enumerate(self.senders):
             if sender not in latest or sent_ns[place] >= sent_ns[latest[sender]]:
                 latest[sender] = place
-        return {sender: self._item(place) for sender, place in latest.items()}
+        return {sender: self._item(self._begin + place) for sender, place in latest.items()}
 
-    def _rows(self, column: list[Any]) -> list[Any]:
-        return column[self._begin : self._end]
-
-    def _item(self, place: int) -> Reception:
-        item = self._items.get(place)
+    def _item(self, row: int) -> Reception:
+        """The item of a row of the batch, always the same object."""
+        item = self._items.get(row)
         if item is None:
-            (item,) = self._batch.receptions(self._begin + place, self._begin + place + 1)
-            self._items[place] = item
+            item = self._items[row] = self._batch.looked_at().reception(row)
         return item
 
     def _all(self) -> list[Reception]:
-        """All items; those that were looked at before are the same objects."""
-        if len(self._items) < len(self):
-            items = dict(enumerate(self._batch.receptions(self._begin, self._end)))
-            self._items = items | self._items
-        return list(self._items.values())
+        return [self._item(row) for row in range(self._begin, self._end)]
 
 
 class _SortedBatch:
-    """Receptions by receiver, then arrival, with what their items need, made at the first look."""
+    """Receptions by receiver, then arrival; what their items need is made at the first look, as plain lists."""
 
     def __init__(self, columns: Receptions) -> None:
         self.columns = columns
+        self._is_open = False
 
-    @cached_property
-    def senders(self) -> list[str]:
-        """Sender of each message, (k,)."""
-        return [message.sender for message in self.columns.messages]
-
-    @cached_property
-    def messages_at(self) -> list[int]:
-        """Number of the message of each reception, (m,)."""
-        numbers: list[int] = self.columns.message.tolist()
-        return numbers
-
-    def receptions(self, begin: int, end: int) -> list[Reception]:
-        """Some receptions, each with its own copy of the body: an agent that changes it does not affect other receivers."""
-        rssi_dbm, arrival_ns = self._values
-        parts = self.messages_at[begin:end], rssi_dbm[begin:end], arrival_ns[begin:end]
-        found, fields = [], self._fields
-        for number, level_dbm, at_ns in zip(*parts, strict=True):
-            body, sender, size_bytes, to, priority, sent_ns = fields[number]
-            message = Message(sender=sender, body=body(), size_bytes=size_bytes, to=to, priority=priority)
-            found.append(Reception(message=message, rssi_dbm=level_dbm, sent_ns=sent_ns, received_ns=at_ns))
-        return found
-
-    @cached_property
-    def _values(self) -> tuple[list[float], list[int]]:
-        return self.columns.rssi_dbm.tolist(), self.columns.arrival_ns.tolist()
-
-    @cached_property
-    def _fields(self) -> list[tuple[Callable[[], Any], str, int, str | None, int, int]]:
-        """Fields of the items of each message; the first makes a copy of the body."""
-        return [
-            (_copier(each.body), each.sender, each.size_bytes, each.to, each.priority, sent_ns)
-            for each, sent_ns in zip(self.columns.messages, self.columns.sent_ns.tolist(), strict=True)
+    def looked_at(self) -> "_SortedBatch":
+        """The batch itself, with its lists."""
+        if self._is_open:
+            return self
+        self._is_open, columns = True, self.columns
+        sent_ns: list[int] = columns.sent_ns.tolist()
+        self._messages = [
+            (each.sender, _copier(each.body), each.size_bytes, each.to, each.priority, at_ns)
+            for each, at_ns in zip(columns.messages, sent_ns, strict=True)
         ]
+        self._numbers: list[int] = columns.message.tolist()
+        self.senders = [self._messages[number][0] for number in self._numbers]  # of each reception, (m,)
+        self._rssi_dbm: list[float] = columns.rssi_dbm.tolist()
+        self._arrival_ns: list[int] = columns.arrival_ns.tolist()
+        return self
+
+    def reception(self, row: int) -> Reception:
+        """A reception with its own copy of the body: an agent that changes it does not affect other receivers."""
+        sender, body, size_bytes, to, priority, sent_ns = self._messages[self._numbers[row]]
+        message = Message(sender=sender, body=body(), size_bytes=size_bytes, to=to, priority=priority)
+        return Reception(message=message, rssi_dbm=self._rssi_dbm[row], sent_ns=sent_ns, received_ns=self._arrival_ns[row])
 
 
 def _copier(body: dict[str, Any] | bytes) -> Callable[[], Any]:
@@ -182,15 +169,12 @@ class Mailboxes:
         self._vehicles = frozenset(vehicles)
         self._owned = None if len(self._vehicles) == len(names) else self._mask(vehicles)
         self._waiting: list[Receptions] = []
-        self._earliest_ns = 0  # arrival
 
     def put(self, batch: Receptions) -> None:
         """Add the receptions of the owners of these mailboxes."""
         if self._owned is not None:
             batch = _rows_of(batch, self._owned[batch.receiver])
         if len(batch.receiver):
-            first_ns = int(batch.arrival_ns.min())
-            self._earliest_ns = min(first_ns, self._earliest_ns) if self._waiting else first_ns
             self._waiting.append(batch)
 
     def take(self, now_ns: int, vehicles: Collection[str] | None = None) -> Receptions | None:
@@ -198,35 +182,33 @@ class Mailboxes:
 
         Receptions of equal arrival stay in the order of `put`.
         """
-        if not self._waiting or self._earliest_ns > now_ns:
+        if not self._waiting:
             return None
-        batch = self._waiting[0] if len(self._waiting) == 1 else _joined(self._waiting)
+        batch = _joined(self._waiting)
         taken = batch.arrival_ns <= now_ns
         if vehicles is not None and len(vehicles) < len(self._vehicles):
             taken &= self._mask(vehicles)[batch.receiver]
-        count = int(np.count_nonzero(taken))
-        self._waiting = [] if count == len(taken) else [pruned(_rows_of(batch, ~taken))]
-        if self._waiting:
-            self._earliest_ns = int(self._waiting[0].arrival_ns.min())
-        if not count:
-            return None
-        rows = np.flatnonzero(taken)
-        receiver = batch.receiver[rows]
-        order = np.lexsort((batch.arrival_ns[rows], receiver.astype(np.uint16) if len(self._row) < 1 << 16 else receiver))
-        return _rows_of(batch, rows[order])
+        if taken.all():
+            self._waiting = []
+        else:
+            self._waiting = [pruned(_rows_of(batch, ~taken))]
+            if not taken.any():
+                return None
+            batch = _rows_of(batch, taken)
+        receiver = batch.receiver.astype(np.uint16) if len(self._row) < 1 << 16 else batch.receiver  # sorted by digits
+        return _rows_of(batch, np.lexsort((batch.arrival_ns, receiver)))
 
     def open(self, now_ns: int, vehicles: Collection[str] | None = None) -> dict[str, ReceivedMessages]:
         """What `take` takes, by vehicle."""
         batch = self.take(now_ns, vehicles)
         if batch is None:
             return {}
-        receiver = batch.receiver
-        begins = [0, *(np.flatnonzero(receiver[1:] != receiver[:-1]) + 1).tolist(), len(receiver)]
-        sorted_batch, names = _SortedBatch(batch), batch.names
-        return {
-            names[row]: ReceivedMessages(sorted_batch, begin, end, now_ns)
-            for row, begin, end in zip(receiver[begins[:-1]].tolist(), begins[:-1], begins[1:], strict=True)
-        }
+        sorted_batch, names, found, begin = _SortedBatch(batch), batch.names, dict[str, ReceivedMessages](), 0
+        for row, count in enumerate(np.bincount(batch.receiver).tolist()):
+            if count:
+                found[names[row]] = ReceivedMessages(sorted_batch, begin, begin + count, now_ns)
+                begin += count
+        return found
 
     def _mask(self, vehicles: Collection[str]) -> Array:
         mask = np.zeros(len(self._row), np.bool_)
@@ -236,8 +218,10 @@ class Mailboxes:
 
 def _rows_of(batch: Receptions, rows: Array) -> Receptions:
     """Some receptions of a batch, by number or by mask; all of its messages."""
-    return msgspec.structs.replace(
-        batch,
+    return Receptions(
+        names=batch.names,
+        messages=batch.messages,
+        sent_ns=batch.sent_ns,
         message=batch.message[rows],
         receiver=batch.receiver[rows],
         arrival_ns=batch.arrival_ns[rows],
@@ -254,18 +238,20 @@ def pruned(batch: Receptions) -> Receptions:
         batch,
         messages=tuple([batch.messages[number] for number in numbers]),
         sent_ns=batch.sent_ns[numbers],
-        message=(np.cumsum(used, dtype=np.int32) - np.int32(1))[batch.message],
+        message=(np.cumsum(used) - 1)[batch.message],
     )
 
 
 def _joined(batches: Sequence[Receptions]) -> Receptions:
     """The receptions of batches of one run, in order."""
-    first = np.cumsum([0, *(len(each.messages) for each in batches)])
+    if len(batches) == 1:
+        return batches[0]
+    first = itertools.accumulate((len(each.messages) for each in batches[:-1]), initial=0)
     return Receptions(
         names=batches[0].names,
         messages=tuple(message for each in batches for message in each.messages),
         sent_ns=np.concatenate([each.sent_ns for each in batches]),
-        message=np.concatenate([each.message + offset for each, offset in zip(batches, first, strict=False)]),
+        message=np.concatenate([each.message + offset for each, offset in zip(batches, first, strict=True)]),
         receiver=np.concatenate([each.receiver for each in batches]),
         arrival_ns=np.concatenate([each.arrival_ns for each in batches]),
         rssi_dbm=np.concatenate([each.rssi_dbm for each in batches]),
@@ -278,8 +264,8 @@ def receptions_at(vehicle: str, items: Sequence[Reception], names: tuple[str, ..
         names=names,
         messages=tuple(each.message for each in items),
         sent_ns=np.array([each.sent_ns for each in items], np.int64),
-        message=np.arange(len(items), dtype=np.int32),
-        receiver=np.full(len(items), names.index(vehicle), np.int32),
+        message=np.arange(len(items)),
+        receiver=np.full(len(items), names.index(vehicle), np.int64),
         arrival_ns=np.array([each.received_ns for each in items], np.int64),
         rssi_dbm=np.array([each.rssi_dbm for each in items], np.float64),
     )

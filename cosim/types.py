@@ -273,8 +273,8 @@ class Receptions(Value, frozen=True, kw_only=True, tag="receptions"):
     names: tuple[str, ...]  # all vehicles, by row
     messages: tuple[Message, ...]  # (k,)
     sent_ns: Array  # (k,) int64
-    message: Array  # (m,) int32, index into ``messages``
-    receiver: Array  # (m,) int32, row of the vehicle
+    message: Array  # (m,) int64, index into ``messages``
+    receiver: Array  # (m,) int64, row of the vehicle
     arrival_ns: Array  # (m,) int64
     rssi_dbm: Array  # (m,) float64
 

@@ -236,7 +236,7 @@ class RadioFederate:
     def _add_receptions(self, log: ReceptionLog, message: Message, report: FrameReport) -> None:
         rows = self._rows.get(report.receivers)
         if rows is None:
-            rows = self._rows[report.receivers] = np.array([self._row[name] for name in report.receivers], np.int32)
+            rows = self._rows[report.receivers] = np.array([self._row[name] for name in report.receivers])
         log.add(message, report.sent_ns, rows, report.rssi_dbm, report.received_ns)
         if report.copy_ns is not None:
             log.add(message, report.sent_ns, rows, report.rssi_dbm, report.copy_ns)

@@ -8,7 +8,7 @@
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -145,6 +145,16 @@ class MeanBudget:
         return columns
 
 
+class _Group(NamedTuple):
+    """Fixed values of k radios with n receivers each."""
+
+    rows: NDArray[np.intp]  # (k,) of these radios among all
+    others: Bools  # (k, n + 1): False at the sender itself
+    receivers: NDArray[np.intp]  # (k, n) rows
+    power_dbm: Floats  # (k, n) transmitted, with both antennas
+    sensitivity_dbm: Floats  # (k, n)
+
+
 class Budgets:
     """Mean budgets, each computed once per sender and geometry; ``least_dbm``: sensitivity of radios without their own."""
 
@@ -172,7 +182,7 @@ class Budgets:
         self._position_bytes = b""  # to detect movement
         self._antennas = np.zeros((0, 3))
         self._raised = np.zeros((0, 3))  # antennas above their vehicles' positions, (n, 3) m
-        self._fixed: dict[str, tuple[SenderLinks, Floats, Floats]] = {}  # by sender: power and sensitivity of its links
+        self._groups: dict[tuple[str, ...], _Group] = {}  # of radios that sent at the same positions
         self._means: dict[str, MeanBudget] = {}
 
     def mean(self, links: SenderLinks, names: tuple[str, ...], position: Floats, *, bodies: bool = True) -> MeanBudget:
@@ -186,7 +196,7 @@ class Budgets:
         """
         before = self._move(names, position, links.seed)
         if self.by_distance and links.sender in before and 1 < len(before) <= AT_ONCE / len(names):
-            self._compute([self._fixed[sender][0] for sender in before])  # they will probably send again
+            self._compute([mean.every.senders[mean.place] for mean in before.values()])  # they will probably send again
         if links.sender not in self._means:
             self._compute([links], bodies=bodies and self._blocking)
         return self._means[links.sender]
@@ -210,6 +220,7 @@ class Budgets:
             return {}
         before = self._means if same else {}
         if not same:
+            self._groups.clear()
             self._raised = np.array([(0.0, 0.0, self._of(name).antenna_height_m) for name in names])
         self._position, self._names, self._seed, self._means = position, names, seed, {}
         self._antennas = position + self._raised
@@ -217,10 +228,8 @@ class Budgets:
 
     def _compute(self, senders: Sequence[SenderLinks], *, bodies: bool = False) -> None:
         """Set the budgets of k radios; of one, unless the path loss is `by_distance`."""
-        power_dbm, sensitivity_dbm = (np.stack(each) for each in zip(*map(self._fixed_of, senders), strict=True))
-        rows = np.array([self._names.index(links.sender) for links in senders])
-        others = np.arange(len(self._names)) != rows[:, None]
-        rx = np.broadcast_to(self._antennas, (len(rows), *self._antennas.shape))[others].reshape(len(rows), -1, 3)
+        rows, others, receivers, power_dbm, sensitivity_dbm = self._group_of(senders)
+        rx = self._antennas[receivers]
         distance_m = sealed(distances(self._antennas[rows][:, None], rx))
         obstacles: dict[str, Any] = {}
         if self.by_distance:
@@ -267,14 +276,19 @@ class Budgets:
         rows = {name: frozen(column)[None] for name, column in columns.items() if column is not None}
         return loss_db, {**rows, "materials": materials}
 
-    def _fixed_of(self, links: SenderLinks) -> tuple[Floats, Floats]:
-        """Power (with both antennas) and sensitivity of the links of a sender, (n,) dBm each."""
-        fixed = self._fixed.get(links.sender)
-        if fixed is None or fixed[0] is not links:
-            own_dbm = float(self.tx_power_dbm((links.sender,))[0]) + self._of(links.sender).antenna_gain_dbi
-            power_dbm = own_dbm + self.gain_dbi(links.receivers)
-            fixed = self._fixed[links.sender] = (links, power_dbm, self.sensitivity_dbm(links.receivers))
-        return fixed[1:]
+    def _group_of(self, senders: Sequence[SenderLinks]) -> "_Group":
+        """What does not change while these radios and their receivers move."""
+        names = tuple([links.sender for links in senders])
+        group = self._groups.get(names)
+        if group is None:
+            rows = np.array([self._names.index(name) for name in names])
+            others = np.arange(len(self._names)) != rows[:, None]
+            receivers = np.nonzero(others)[1].reshape(len(rows), -1)
+            own_dbm = self.tx_power_dbm(names) + np.array([self._of(name).antenna_gain_dbi for name in names])
+            power_dbm = own_dbm[:, None] + self.gain_dbi(self._names)[receivers]
+            group = _Group(rows, others, receivers, power_dbm, self.sensitivity_dbm(self._names)[receivers])
+            self._groups[names] = group
+        return group
 
     def here(self, links: SenderLinks) -> MeanBudget:
         """The budget of the links from a radio at the last positions."""

@@ -56,6 +56,7 @@ _UNDETECTED = int(Fate.UNDETECTED)  # an enumeration's members are slow to look 
 _JAMMED = len(_FATES) + len(_WEAKNESSES)
 WORDS = (*_FATES.values(), *_WEAKNESSES, JAMMED)
 """Outcomes by code: `Fate`, then causes of weak signals."""
+FEW = 4  # receptions: so many are joined faster one by one
 _OWN = np.uint8(255)  # code at the sender itself
 
 
@@ -308,33 +309,27 @@ class ReceptionLog:
         for column, values in zip(self._columns, (receiver, rssi_dbm, arrival_ns), strict=True):
             column.append(values)
 
-    def events(self, now_ns: int) -> Iterator[Event]:
+    def events(self, now_ns: int) -> list[Event]:
         """One event with all receptions since the last one; one more for each reception that wakes a reader."""
         if not self._messages:
-            return
-        types, counts = (np.int32, np.float64, np.int64), [len(each) for each in self._columns[0]]
-        columns = [np.concatenate(parts, dtype=kind) for parts, kind in zip(self._columns, types, strict=True)]
-        columns.append(np.repeat(np.arange(len(counts), dtype=np.int32), counts))
-        arrives = columns[2] >= 0
-        if not arrives.all():
-            columns = [each[arrives] for each in columns]
-        receiver, rssi_dbm, arrival_ns, number = map(sealed, columns)
+            return []
+        counts = [len(each) for each in self._columns[0]]
+        columns = _few(self._columns) if sum(counts) <= FEW else _many(self._columns, counts)
+        number, receiver, rssi_dbm, arrival_ns = map(sealed, columns)
         batch = Receptions(
             names=self._names,
             messages=tuple(self._messages),
-            sent_ns=frozen(self._sent_ns, np.int64),
+            sent_ns=sealed(np.array(self._sent_ns)),
             message=number,
             receiver=receiver,
             arrival_ns=arrival_ns,
             rssi_dbm=rssi_dbm,
         )
         self._clear()
-        if not len(batch.receiver):
-            return
-        yield Event(RECEPTIONS, now_ns, batch)
-        for row in self._woken:
-            for at in np.flatnonzero(batch.receiver == row).tolist():
-                yield self._waking(batch, at, now_ns)
+        if not len(receiver):
+            return []
+        woken = [at for row in self._woken for at in np.flatnonzero(receiver == row).tolist()]
+        return [Event(RECEPTIONS, now_ns, batch), *(self._waking(batch, at, now_ns) for at in woken)]
 
     def _waking(self, batch: Receptions, at: int, now_ns: int) -> Event:
         number, arrival_ns = batch.message[at], int(batch.arrival_ns[at])
@@ -351,6 +346,20 @@ class ReceptionLog:
         self._messages: list[Message] = []
         self._sent_ns: list[int] = []
         self._columns: tuple[list[Any], list[Any], list[Any]] = [], [], []
+
+
+def _many(columns: Sequence[Sequence[Any]], counts: Sequence[int]) -> list[NDArray[Any]]:
+    """Number of the message, receiver, level and time of each reception, of messages with so many receivers each."""
+    receiver, rssi_dbm, arrival_ns = (np.concatenate(parts) for parts in columns)
+    arrives = arrival_ns >= 0
+    return [each[arrives] for each in (np.arange(len(counts)).repeat(counts), receiver, rssi_dbm, arrival_ns)]
+
+
+def _few(columns: Sequence[Sequence[Any]]) -> list[NDArray[Any]]:
+    """The same, one by one."""
+    parts = enumerate(zip(*columns, strict=True))
+    rows = [(number, *row) for number, part in parts for row in zip(*part, strict=True) if row[2] >= 0]
+    return [np.array(column) for column in zip(*rows, strict=True)] if rows else [np.zeros(0)] * 4
 
 
 def received(report: FrameReport) -> Iterator[tuple[str, float, int]]:

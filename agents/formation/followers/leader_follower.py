@@ -162,8 +162,8 @@ class LeaderFollower(FormationFollower):
         return self._v * left, self._w * left
 
     def _report(self, obs: Observation, radio: Radio) -> None:
-        v, w = measured_speeds(obs)
         more: dict[str, Any] = {}
+        v, w = measured_speeds(obs) if self._broadcast or self._tells_a else (0.0, 0.0)
         if self._tells_a:
             before_ns, before_v, before_w = self._before or (obs.time_ns, v, w)
             dt = max(1, obs.time_ns - before_ns) / 1e9

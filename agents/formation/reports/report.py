@@ -63,11 +63,10 @@ def bodies(obs: Observation, senders: Collection[str] | None = None) -> Iterator
 
     Messages of bytes come from other programs on the same radio; they are no sign of life of the agent there.
     """
-    for place, sender in enumerate(obs.heard.senders):
-        if senders is None or sender in senders:
-            body = obs.heard[place].message.body
-            if not isinstance(body, bytes):
-                yield sender, body
+    for reception in obs.heard if senders is None else obs.heard.of_senders(senders):
+        message = reception.message
+        if not isinstance(message.body, bytes):
+            yield message.sender, message.body
 
 
 def send_report(radio: Radio, seq: int, obs: Observation, v: float, w: float, **more: Any) -> None:
@@ -151,7 +150,10 @@ class ReportReceiver:
     def take(self, obs: Observation) -> list[Report]:
         """Process the messages since the last tick; returns their reports, oldest first."""
         reports = []
-        for sender, body in bodies(obs, self._senders):
+        for reception in obs.heard.of_senders(self._senders):
+            sender, body = reception.message.sender, reception.message.body
+            if isinstance(body, bytes):
+                continue
             self._there_ns[sender] = obs.time_ns
             report = parse(body, obs.time_ns + self._clock_bound_ns)
             if report is None:
