@@ -3,7 +3,8 @@
 PYTHON ?= $(firstword $(shell command -v python3.11) python3)
 UV_VERSION = 0.13.9
 VENV = .venv
-WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1)')
+CORES := $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)))')
+WORKERS ?= $(shell expr $(CORES) + 1)
 BIN = $(VENV)/bin
 UV = .uv/bin/uv
 
@@ -41,9 +42,9 @@ docs: setup
 test: check
 	$(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-# Without tests that start programs, open sockets, drive a browser or compute for seconds.
+# Without tests that start programs, open sockets, drive a browser or compute for seconds. None waits: a worker per core.
 quick: setup
-	$(BIN)/pytest -n $(WORKERS) -m "not processes and not sockets and not browser and not slow"
+	$(BIN)/pytest -n $(CORES) -m "not processes and not sockets and not browser and not slow"
 
 bench: setup .ns3/.ready .drones/.ready .peers/.ready
 	$(BIN)/python -m bench
