@@ -74,14 +74,6 @@ def test_in_the_air_it_goes_straight_on_while_it_turns(vx: float, vy: float, w: 
     assert later.yaw == pytest.approx(w * seconds)
 
 
-@given(st.floats(-math.pi, math.pi), speeds, speeds, st.floats(0.0, 0.4))
-def test_there_and_back_is_where_it_was(yaw: float, v: float, w: float, dt: float) -> None:
-    here = state(1.0, 2.0, yaw, v, w)
-    back = ahead(ahead(here, round(dt * SECOND_NS), flies=False), -round(dt * SECOND_NS), flies=False)
-    assert back.position == pytest.approx(here.position, abs=1e-9)
-    assert back.velocity == pytest.approx(here.velocity, abs=1e-9)
-
-
 def test_who_has_not_been_heard_of_for_long_is_taken_to_stand() -> None:
     later = ahead(state(0.0, 0.0, 0.0, v=1.0, w=1.0), LONGEST_NS + 1, flies=False)
     assert later.velocity == (0.0, 0.0, 0.0)

@@ -16,7 +16,7 @@ import pytest
 
 from tests.support.cosim.run_processes import reserved
 from tests.support.hardware import driver_runs
-from tests.support.hardware.driver_runs import drive, eventually, rest
+from tests.support.hardware.driver_runs import drive, eventually
 from tests.support.paths import ROOT
 from vcmvsp.cosim.types import ORIGIN, Vec3, Velocity
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
@@ -99,28 +99,15 @@ def test_both_wheels_in_one_command_over_tcp_from_a_start_pose() -> None:
         assert Command.VEL not in numbers[numbers.index(Command.VEL2) :]
 
 
-def test_nobody_commands() -> None:
-    with serve_pty(Device(IMPATIENT)) as served, connected(served.url) as driver:
-        eventually(lambda: drive(driver, 0.4, v=0.2) and not stands(served))
-        eventually(lambda: stands(served))
-        with served.lock:
-            assert not served.device.watchdog_stopped
-        rest(0.9)  # longer than the robot's watchdog waits: the driver goes on talking to it
-        with served.lock:
-            assert not served.device.watchdog_stopped
-        assert stands(served)
-        assert [each.cause for each in driver.notices()][1:] == ["no command for 0.5 s"]
-        sample = drive(driver, 0.5, v=0.2)[-1]
-        assert sample.stopped == ""
-
-
-def test_a_stop_is_sent_at_once_and_told_and_so_is_the_stop_button() -> None:
+@pytest.mark.parametrize("cause", ["left the field", "no command for 0.5 s"])
+def test_a_stop_a_lack_of_commands_and_the_stop_button_stop_it_and_are_told(cause: str) -> None:
     with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url) as driver:
-        drive(driver, 0.5, v=0.2)
-        driver.stop("left the field")
+        eventually(lambda: drive(driver, 0.4, v=0.2) and not stands(served))
+        if cause == "left the field":
+            driver.stop(cause)
         eventually(lambda: stands(served))
-        eventually(lambda: (sample := driver.read()) is not None and sample.stopped == "left the field")
-        assert [(each.what, each.cause) for each in driver.notices()][1:] == [("stopped", "left the field")]
+        eventually(lambda: (sample := driver.read()) is not None and sample.stopped == cause)
+        assert [(each.what, each.cause) for each in driver.notices()][1:] == [("stopped", cause)]
         with served.lock:
             served.device.estop_pressed = True
         eventually(lambda: (sample := driver.read()) is not None and sample.emergency_stop and not sample.motors)
@@ -226,7 +213,7 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
     assert "not a serial port" in refused(str(tmp_path)).happened
     assert "socket://localhost:8101" in refused("socket://robot").advice
     assert "socket://localhost:8101" in refused("socket://robot:x").advice
-    assert "not known" in refused("udp://robot:1").happened
+    assert "unknown kind of port" in refused("udp://robot:1").happened
     with reserved() as nobody:
         for scheme in ("socket", "tcp"):
             assert f"nothing listens on port {nobody} of 127.0.0.1" in refused(f"{scheme}://127.0.0.1:{nobody}").happened

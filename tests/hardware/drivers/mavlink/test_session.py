@@ -1,7 +1,6 @@
 """The conversation with the emulated vehicle in simulated time: both are state machines, and no clock is needed."""
 
 import math
-from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -97,34 +96,6 @@ def test_what_it_has_armed_and_what_stands_is_disarmed_at_the_end() -> None:
     other.pilot.leave()
     other.run(4.0)
     assert (other.vehicle.mode, other.vehicle.armed) == ("HOLD", True)  # somebody else had armed it
-
-
-def test_set_points_come_at_20_hz_and_a_stop_at_once() -> None:
-    flight = Flight(Vehicle(mode="OFFBOARD", **FLYING))
-    flight.until_ready()
-    began_ns = flight.now_ns
-    flight.run(2.0, EAST)
-    times = [time for time, _ in flight.points() if time > began_ns]
-    assert len(times) == pytest.approx(40, abs=1)
-    assert max(b - a for a, b in pairwise(times)) <= 55_000_000
-    flight.pilot.stop("enough")
-    flight.run(0.005)
-    time_ns, last = flight.points()[-1]
-    assert (time_ns, last.vx, last.vy, last.vz) == (flight.now_ns, 0.0, 0.0, 0.0)
-
-
-def test_without_commands_it_stops_after_half_a_second_and_stays_in_its_mode() -> None:
-    flight = Flight(Vehicle(mode="OFFBOARD", **FLYING))
-    flight.until_ready()
-    flight.run(0.5, EAST)
-    flight.run(0.45)
-    assert flight.vehicle.commanded().linear == (1.0, 0.0, 0.0)
-    flight.run(0.15)
-    assert flight.vehicle.commanded() == Velocity()
-    assert flight.samples[-1].stopped == "no command for 0.5 s"
-    assert "no command for 0.5 s" in flight.causes()
-    flight.run(5.0)
-    assert flight.vehicle.mode == "OFFBOARD"
 
 
 def test_an_old_command_does_not_move_it_when_it_is_given_back() -> None:

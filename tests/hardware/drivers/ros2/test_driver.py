@@ -128,26 +128,18 @@ def test_it_is_the_router_if_that_is_wanted(endpoint: str) -> None:
         robot.__exit__()
 
 
-def test_without_commands_it_stops_and_says_so(endpoint: str) -> None:
+@pytest.mark.parametrize("cause", ["geofence", "no command for 0.2 s"])
+def test_a_stop_or_a_lack_of_commands_stops_it_until_the_next_command(endpoint: str, cause: str) -> None:
     with (
         Ros2Robot(endpoint=endpoint, watchdog_s=60.0) as robot,
         connected(endpoint, command_timeout_s=0.2, silence_s=10.0) as driver,
     ):
         drive(driver, 0.3, v=0.3)
-        eventually(lambda: (sample := driver.read()) is not None and sample.stopped == "no command for 0.2 s")
+        if cause == "geofence":
+            driver.stop(cause)
+        eventually(lambda: (sample := driver.read()) is not None and sample.stopped == cause)
         eventually(lambda: not moving(robot))
-        count = len(robot.heard)
-        eventually(lambda: len(robot.heard) > count + 2)  # zero is said again and again
-        assert ("stopped", "no command for 0.2 s") in told(driver)
-
-
-def test_a_stop_is_a_stop_until_the_next_command(endpoint: str) -> None:
-    with Ros2Robot(endpoint=endpoint) as robot, connected(endpoint, silence_s=10.0) as driver:
-        drive(driver, 0.2, v=0.3)
-        driver.stop("geofence")
-        eventually(lambda: not moving(robot))
-        eventually(lambda: (sample := driver.read()) is not None and sample.stopped == "geofence")
-        assert ("stopped", "geofence") in told(driver)
+        assert ("stopped", cause) in told(driver)
         count = len(robot.heard)
         eventually(lambda: drive(driver, 0.1, v=0.3) and any(twist.linear[0] == 0.3 for _, twist in robot.heard[count:]))
         for bad in nan, float("inf"):

@@ -44,16 +44,6 @@ def test_what_is_too_heavy_stays() -> None:
     moved.close()
 
 
-def test_a_movable_slides_as_far_as_friction_lets_it() -> None:
-    moved = engine(world=World(movables=(crate(0.0, 3.0, friction=0.4),)))
-    moved.advance(SECOND_NS // 10)
-    p.resetBaseVelocity(moved._things.movables[0], (2.0, 0.0, 0.0), (0.0, 0.0, 0.0), moved._client)
-    moved.advance(3 * SECOND_NS)
-    slid = moved.movables().position[0, 0]
-    assert slid == pytest.approx(2.0**2 / (2.0 * 0.4 * 9.81), rel=0.05)  # v2 / (2 mu g)
-    moved.close()
-
-
 @pytest.mark.parametrize("floor", [0.0, 0.1])
 def test_zones_change_nothing_for_movables(floor: float) -> None:
     def slid(*zones: Zone) -> float:
