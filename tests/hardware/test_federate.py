@@ -119,7 +119,7 @@ def test_others_whose_radius_is_not_known_are_refused(radius_m: dict[str, float]
         connect=False,
     )
     info = RunInfo(scenario="test", seed=0, duration_ns=SECOND_NS, vehicles=("car1", "car2"))
-    with pytest.raises(ScenarioError, match=r"vehicle\.car2\.kind: car2 has a radius of .*: so real vehicles cannot avoid it"):
+    with pytest.raises(ScenarioError, match=r"vehicle\.car2\.kind: car2 has a radius of .*, so real vehicles cannot avoid it"):
         made.start(info)
 
 
@@ -222,7 +222,7 @@ def test_a_station_that_says_nothing_while_it_is_listened_to_hangs(monkeypatch: 
         now_ns[0] += TENTH // 2
         made.step(step * TENTH // 2, ())
     assert step == pytest.approx(41, abs=2)
-    with pytest.raises(FederateError, match="no message of its station for 1 s; the station hangs"):
+    with pytest.raises(FederateError, match="no message of its station for 1 s: the station hangs"):
         made.step(60 * TENTH, ())
 
 
