@@ -177,9 +177,9 @@ def test_a_driver_that_hangs_is_given_up(hanging: Callable[..., StationMission])
             stack.callback(each.close)
         last = leaving.close()  # who hangs while it opens hears that nobody needs it any more
         assert last[-1].failed == ""
-        with pytest.raises(DriverError, match=r"the robot of car2: nowhere: the driver hangs: opening it took longer than 2\.1 s"):
+        with pytest.raises(DriverError, match=r"nowhere: the driver hangs: opening it took longer than 2\.1 s"):
             opening.wait_ready()
-        with pytest.raises(DriverError, match=r"the robot of car2: car2: it hangs: a turn of its station took longer than 3 s"):
+        with pytest.raises(DriverError, match=r"car2: the driver hangs: a turn of its station took longer than 3 s"):
             turning.wait_ready()
 
 
