@@ -155,7 +155,7 @@ def test_a_class_without_one_of_its_verbs_is_refused(layer: str, tmp_path: Path)
     for verb in re.findall(r"(\w+)\(", VERBS[layer]):
         text = (tmp_path / "own.py").read_text()
         (tmp_path / "own.py").write_text(text.replace(f"def {verb}(", "def other("))
-        with pytest.raises(ScenarioError, match=rf"is no {layer}: it has no {verb}\("):
+        with pytest.raises(ScenarioError, match=rf"is not a {layer}: it lacks {verb}\("):
             air(layer, kind)
         (tmp_path / "own.py").write_text(text)
 

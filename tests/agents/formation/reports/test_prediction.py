@@ -263,7 +263,7 @@ def test_a_table_gives_an_estimator_its_own_parameters() -> None:
         ({"kind": "pan"}, r"agent.estimator: unknown estimator 'pan'; did you mean 'plan'\?"),
         ({"decay_s": 1.0}, r"agent.estimator.kind: must be a string, one of hold, dr, acc, plan"),
         ("mine.py:Own", r"agent.estimator: there is no file .*mine\.py"),
-        (f"{__name__}:LeaderState", r"agent.estimator: .* it has no predict\(report, age_s\)"),
+        (f"{__name__}:LeaderState", r"agent.estimator: .* it lacks predict\(report, age_s\)"),
     ],
 )
 def test_a_bad_estimator_is_named_with_its_key(estimator: Any, says: str) -> None:
