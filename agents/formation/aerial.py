@@ -182,7 +182,7 @@ class AerialRoute(Leader):
         return Velocity(linear=velocity, yaw_rate=w)
 
     def aim(self, obs: Observation) -> tuple[float, float] | None:
-        """The next point, seen from above."""
+        """Horizontal position of the next point of the way, x, y, m, world; None: there is no next point."""
         return self.way[self._next][:2] if self._next < len(self.way) else None
 
     def _along_the_way(self, obs: Observation) -> Vec3:

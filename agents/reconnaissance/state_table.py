@@ -81,7 +81,7 @@ class MissionState(NamedTuple):
 
 
 def step(state: MissionState, facts: MissionFacts) -> MissionState:
-    """The state at a tick, from the state at the previous tick. A time before the previous one counts as no time."""
+    """The state at a tick, from the state at the previous tick. If time goes back, no time has passed."""
     before = facts.now_ns if state.now_ns is None else state.now_ns
     facts = facts._replace(now_ns=max(facts.now_ns, before))
     if state.now_ns is None:

@@ -74,9 +74,9 @@ def robot_command(
     duration: Duration = None,
     json: AsJson = False,
 ) -> None:
-    """A robot that speaks ARCOS, at a serial port or over TCP.
+    """Emulate a robot with ARCOS at a serial port or over TCP.
 
-    In a scenario with physics.kind = "kinematic" there are walls to see, but nothing to run into.
+    In a scenario with physics.kind = "kinematic" it senses walls, but does not collide.
 
     Example: vcmvsp emulate p2dx --port tcp://:8101 --scenario lab-patrol --vehicle ugv1 --ubisense udp://127.0.0.1:5000
     """
@@ -132,7 +132,7 @@ def ubisense_command(
     duration: Duration = None,
     json: AsJson = False,
 ) -> None:
-    """A tag of a Ubisense system, which tells where it is in UDP datagrams.
+    """Emulate a tag of a Ubisense system, which sends its position in UDP datagrams.
 
     Example: vcmvsp emulate ubisense --port udp://127.0.0.1:5000 --circle 2,0.3
     """
@@ -158,7 +158,7 @@ def dwm1001_command(
     duration: Duration = None,
     json: AsJson = False,
 ) -> None:
-    """A DWM1001 tag at its serial port: two carriage returns open the shell, lep switches lines of positions on.
+    """Emulate a DWM1001 tag at a serial port: two carriage returns open its shell, lep starts the output of positions.
 
     Example: vcmvsp emulate dwm1001 --port /tmp/tag --pose 1,2,0
     """
@@ -182,7 +182,7 @@ def mavlink_command(
     duration: Duration = None,
     json: AsJson = False,
 ) -> None:
-    """A vehicle with an autopilot that speaks MAVLink, over UDP or TCP.
+    """Emulate a vehicle with a MAVLink autopilot, over UDP or TCP.
 
     Example: vcmvsp emulate mavlink --port tcp://:5760 --autopilot ardupilot --kind rover
     """
@@ -207,7 +207,7 @@ def ros2_command(
     duration: Duration = None,
     json: AsJson = False,
 ) -> None:
-    """A robot that runs ROS 2, as rmw_zenoh shows it: it hears cmd_vel and tells odom.
+    """Emulate a robot with ROS 2 over rmw_zenoh: it subscribes to cmd_vel and publishes odom.
 
     Example: vcmvsp emulate ros2 --pose 1,2,0
     """

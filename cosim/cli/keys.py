@@ -36,7 +36,7 @@ def init_command(
     days: Annotated[int, typer.Option(metavar="N", help="Validity of the certificate of this machine's runs, days.")] = 365,
     force: Annotated[bool, typer.Option("--force", help="Replace the authority; its certificates become invalid.")] = False,
 ) -> None:
-    """Make an authority, which signs certificates, and the certificate of runs on this machine.
+    """Make a certificate authority and the certificate of runs on this machine.
 
     Example: vcmvsp keys init keys --name 192.168.1.10
     """
@@ -51,7 +51,7 @@ def hub_command(
     keys: KeysDir = HERE,
     days: Annotated[int, typer.Option(metavar="N", help="Validity, days.")] = 365,
 ) -> None:
-    """Make the certificate of runs on this machine again: for more names, or because it ends.
+    """Renew the certificate of runs on this machine, e.g. to add names or before it expires.
 
     Example: vcmvsp keys hub --name 10.0.0.7
     """
@@ -69,7 +69,7 @@ def vehicle_command(
     out: Out = None,
     force: Force = False,
 ) -> None:
-    """Make the one file that a machine needs which runs the agents of these vehicles.
+    """Make the key file of a machine that runs the agents of these vehicles.
 
     Example: vcmvsp keys vehicle car2; vcmvsp keys vehicle car3 car4 --as laptop
     """
@@ -91,7 +91,7 @@ def observer_command(
     out: Out = None,
     force: Force = False,
 ) -> None:
-    """Make the one file that somebody needs who may watch runs, and no more.
+    """Make the key file of an observer, who may watch runs but not change them.
 
     Example: vcmvsp keys observer anna
     """
@@ -102,7 +102,7 @@ def observer_command(
 
 @keys_app.command("list", short_help="List certificates, their vehicles and expiry")
 def list_command(keys: KeysDir = HERE, json: AsJson = False) -> None:
-    """Show who has a certificate, for which vehicles, and until when.
+    """List all certificates with their vehicles and expiry dates.
 
     Example: vcmvsp keys list
     """
@@ -126,7 +126,7 @@ def list_command(keys: KeysDir = HERE, json: AsJson = False) -> None:
 def revoke_command(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name as in 'vcmvsp keys list'.")], keys: KeysDir = HERE
 ) -> None:
-    """Let a machine in no more. Its name is not given again.
+    """Revoke the certificate of a machine. Its name cannot be used again.
 
     Example: vcmvsp keys revoke laptop
     """

@@ -57,7 +57,7 @@ def show_command(
     resolved: Annotated[bool, typer.Option("--resolved", help="Include all keys and defaults.")] = False,
     json: AsJson = False,
 ) -> None:
-    """Print a scenario as it is written, or with everything filled in; or every parameter of a kind.
+    """Print a scenario, as written or with all defaults, or the parameters of a kind.
 
     Example: vcmvsp show vehicle p2dx; vcmvsp show formation-circle --resolved --set radio.preset=zigbee
     """
@@ -87,7 +87,7 @@ def reference_command(
     json: AsJson = False,
     json_schema: Annotated[bool, typer.Option("--json-schema", help="Print a JSON Schema of scenarios, for editors.")] = False,
 ) -> None:
-    """Print every key of a scenario, or those of a section: type and range, default, unit, meaning.
+    """Print all keys of a scenario or of a section with type, range, default, unit and meaning.
 
     Example: vcmvsp reference radio.loss
     """
@@ -121,7 +121,7 @@ def world_command(
     set_: Annotated[Changes, changes("A key of the world, e.g. seed=3; of a scenario: world.seed=3.")] = None,
     json: AsJson = False,
 ) -> None:
-    """Draw a world from above and in perspective, and count what is in it.
+    """Draw a world from above and in perspective, and count its objects.
 
     Examples: vcmvsp world urban --set seed=3 --png city.png; vcmvsp world plant.geojson
     """
@@ -198,7 +198,7 @@ def new_command(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A new name, e.g. follow-wall: the class is FollowWall.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")] = Path(),
 ) -> None:
-    """Write a starting point of your own, with a scenario and a test; nothing is overwritten.
+    """Write a template with a scenario and a test; existing files are not overwritten.
 
     Example: vcmvsp new agent follow-wall
     """

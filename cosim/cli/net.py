@@ -49,10 +49,10 @@ def up_command(
     view_host: ViewHost = HOST,
     view_port: ViewPort = PORT,
 ) -> None:
-    """Run a scenario with a network for its vehicles' programs, at wall pace.
+    """Run a scenario in real time, with a network namespace for the programs of each vehicle.
 
-    What a killed run of the same name has left is cleared away first. With sudo, only what makes the interfaces has root's
-    rights: the scenario runs as the user who called it.
+    Remains of a killed run with this name are removed first. With sudo, only the process that creates the interfaces has
+    root's rights: the scenario runs as the calling user.
 
     Example: vcmvsp net up formation-circle --duration 600 --set radio.loss.probability=0.1
     """
@@ -87,9 +87,9 @@ def exec_command(
     command: Annotated[list[str], typer.Argument(metavar="-- COMMAND...", help="The program and its arguments.")],
     run: RunName = None,
 ) -> None:
-    """Start a program on a vehicle's machine, where other vehicles are known by their names.
+    """Run a program in the network namespace of a vehicle, where other vehicles have their names.
 
-    Its input, output and exit code are its own, and so are signals.
+    Input, output, exit code and signals are those of the program.
 
     Example: vcmvsp net exec car1 -- ping car2
     """
@@ -134,7 +134,7 @@ def down_command(
     run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="Whose [all].")] = None,
     force: Annotated[bool, typer.Option("--force", help="Also end runs that are alive, and remove their networks.")] = False,
 ) -> None:
-    """Clear away what killed runs have left of their networks; those of runs that are alive stay.
+    """Remove networks of killed runs; networks of running ones stay.
 
     Example: vcmvsp net down
     """

@@ -28,7 +28,7 @@ def plot_command(
     svg: Annotated[bool, typer.Option("--svg", help="Write SVG instead of PNG.")] = False,
     trust: Trust = False,
 ) -> None:
-    """Draw the figures of a run again; also of one that was killed, as far as its recording goes.
+    """Draw the figures of a run again; also of a killed run, up to the end of its recording.
 
     Example: vcmvsp plot runs/formation-circle-1
     """
@@ -43,9 +43,9 @@ def report_command(
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="File for the page [report.html in that folder].")] = None,
     trust: Trust = False,
 ) -> None:
-    """Make report.html of a run or a study again, in one file: figures, numbers, losses and why, how to repeat it.
+    """Make report.html of a run or study again: figures, numbers, losses with causes, commands to repeat it.
 
-    Of a run that was cut, or a study that goes on, it shows what there is, and says what is missing.
+    For a killed run or an unfinished study it shows the available data and lists what is missing.
 
     Example: vcmvsp report runs/formation-circle-1
     """
@@ -76,7 +76,7 @@ def export_command(
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a run's recording in the formats of other tools; also of a run that was killed, as far as it goes.
+    """Convert the recording of a run to formats of other tools; also of a killed run, up to its end.
 
     Example: vcmvsp export runs/formation-circle-1 --csv --mp4
     """
@@ -116,9 +116,9 @@ def view_command(
     json: AsJson = False,
     trust: Trust = False,
 ) -> None:
-    """Show a recorded run in the browser: open the URL that is printed. Ctrl-C ends it.
+    """Show a recorded run in the browser: open the printed URL. Ctrl-C ends it.
 
-    What was recorded can be played, stopped and sought through; the run is not made again.
+    The page plays, stops and seeks the recording; the run is not repeated.
 
     Example: vcmvsp view runs/formation-circle-1
     """

@@ -84,9 +84,9 @@ def channel_command(
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Let vehicles stand still and broadcast; count what arrives.
+    """Simulate broadcasts of static vehicles and count receptions, without physics and agents.
 
-    Each sends periodically from a random instant of its first period on. No physics, no agents: the channel alone.
+    Each vehicle sends periodically, starting at a random instant of its first period.
 
     Example: vcmvsp channel --preset wifi-b-1 --positions cars.csv --rate 10 --size 100 --duration 30 --set path_loss.exponent=2
     """
@@ -130,7 +130,7 @@ def per_command(
 ) -> None:
     """Tabulate packet errors by SNR.
 
-    success and per are those of a whole frame with this payload, its header included; payload_success leaves the header out.
+    success and per are rates of the whole frame with header; payload_success is without the header.
 
     Example: vcmvsp per --preset wifi-g-6 --model nist --snr -2:6:0.5 --size 100
     """
@@ -148,7 +148,7 @@ def pathloss_command(
     set_: OfLayer = None,
     json: AsJson = False,
 ) -> None:
-    """Tabulate loss, received level and SNR by distance: mean values, by the path loss alone.
+    """Tabulate mean loss, received level and SNR by distance, from the path loss alone.
 
     Example: vcmvsp pathloss --preset wifi-b-1 --set path_loss.exponent=2 --distance 10:100:10
     """
@@ -354,10 +354,10 @@ def calibrate_recognition_command(
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure p and q of a search: how often a look at a cell of the map is right, with and without a target in it.
+    """Measure p and q of a search: the detection rate of a look at a cell with a target, and the false-alarm rate without.
 
-    Takes pictures at random places over the scenario's own world, with its own camera and targets, and runs the detector.
-    Ends with the two lines for the scenario.
+    Takes pictures at random places in the world of the scenario, with its camera and targets, and runs the detector.
+    The last two lines of the output are for the scenario.
 
     Example: vcmvsp calibrate-recognition recon-urban --frames 400
     """

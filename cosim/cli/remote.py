@@ -46,9 +46,9 @@ def agent_command(
     insecure: DialInsecurely = False,
     secret: SecretOfRun = None,
 ) -> None:
-    """Host agents for a run that is started with --agents zenoh.
+    """Host agents for a run started with --agents zenoh.
 
-    The host loads built-in classes, and those that this command line names or that lie in --folder; no others.
+    The host loads only built-in classes, classes named on this command line, and files in --folder.
 
     Example: vcmvsp agent my_agent.py:KeepGap --vehicle car2 --connect tls/192.168.1.10:7447 --keys car2.keys
     """
@@ -85,7 +85,7 @@ def watch_command(
 ) -> None:
     """Watch a run from here, or from another machine, until it ends.
 
-    A terminal shows the newest value of each topic twice a second; a file or a pipe, and --json, have every event.
+    A terminal shows the newest value of each topic twice per second; files, pipes and --json get all events.
 
     Example: vcmvsp watch tls/192.168.1.10:7447 --keys anna.keys --topic 'car2/*'
     """
@@ -255,7 +255,7 @@ def doctor_command(
     secret: SecretOfRun = None,
     json: AsJson = False,
 ) -> None:
-    """Check this installation and make two short runs, or check the way to a run on another machine.
+    """Check this installation with two short runs, or check the connection to a run on another machine.
 
     Example: vcmvsp doctor --connect tls/192.168.1.10:7447 --keys car2.keys
     """

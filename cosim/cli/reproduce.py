@@ -24,10 +24,10 @@ def figure_command(
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a figure again, and compare it with what must come out.
+    """Make a figure again and compare its numbers with the expected ones.
 
-    Leaves NAME.csv (what is drawn), NAME.png, NAME.svg, NAME-expected.csv and NAME.json (expected and measured numbers).
-    The exit code is 1 if a number is not within its tolerance.
+    Writes NAME.csv (the curves), NAME.png, NAME.svg, NAME-expected.csv and NAME.json (expected and measured numbers).
+    The exit code is 1 if a number is outside its tolerance.
 
     Example: vcmvsp figure 24 --out figures
     """
@@ -70,8 +70,8 @@ def validate_command(
 ) -> None:
     """Measure every law, closed form and outside reference again, and write expected and measured numbers.
 
-    Leaves VALIDATION.md (a line per check), validation.csv and validation.json (all rows). The exit code is 1 if a row is not
-    within its tolerance or a check breaks off; each is named. All checks take about 13 minutes.
+    Writes VALIDATION.md (a line per check), validation.csv and validation.json (all rows). The exit code is 1 if a row is
+    outside its tolerance or a check fails to run; each is named. All checks take about 13 minutes.
 
     Example: vcmvsp validate --only path-loss --only figure-24
     """
@@ -116,10 +116,10 @@ def bench_command(
     ] = None,
     json: AsJson = False,
 ) -> None:
-    """Measure what the platform costs, beside what it is built on.
+    """Measure the cost of the platform beside other programs.
 
-    The measuring programs come with the sources, not with an installation: elsewhere than in a checkout there is nothing to do.
-    All of it takes about twenty-five minutes, and each part tells how long it took. The exit code is 1 if a demand is missed.
+    The benchmarks are part of the sources: this command works only in a checkout. All parts take about 25 minutes; each
+    prints its duration. The exit code is 1 if a target is missed.
 
     Example: vcmvsp bench core recording
     """

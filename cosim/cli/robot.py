@@ -37,10 +37,9 @@ def robot_command(
     keys: KeysOfVehicle = None,
     insecure: DialInsecurely = False,
 ) -> None:
-    """Drive a robot from its own computer for runs elsewhere, whose driver of it is of the kind zenoh.
+    """Drive a robot from its own computer, for runs elsewhere with a driver of kind zenoh.
 
-    It waits for runs and serves one after the other, until Ctrl-C. Without a velocity for 0.5 s, or without its run, the
-    robot stands.
+    It serves one run after the other, until Ctrl-C. Without a velocity for 0.5 s, or without a run, the robot stops.
 
     Example: vcmvsp robot --vehicle car3 --driver arcos:/dev/ttyUSB0 --connect tls/192.168.1.10:7448 --keys car3.keys
     """
@@ -63,9 +62,9 @@ def stop_command(
     vehicle: Annotated[list[str] | None, typer.Argument(metavar="[VEHICLE]...", help="Vehicles [all].")] = None,
     json: AsJson = False,
 ) -> None:
-    """Stop all robots that you drive on this machine, or these; they stand until their run ends.
+    """Stop all robots that you drive on this machine, or the given ones, until their run ends.
 
-    Works while the run hangs, too. Exit code 1: there was none, or one did not answer.
+    Works also if the run hangs. Exit code 1: there was no robot, or one did not answer.
 
     Example: vcmvsp stop
     """
@@ -83,7 +82,7 @@ def stop_command(
 def operator_command(
     rate_hz: Annotated[float, typer.Option(metavar="HZ", min=1, max=100, help="Rate of messages to the robots.")] = 10.0,
 ) -> None:
-    """Be the operator: robots with safety.operator_s drive only while this runs; Ctrl-C stops all.
+    """Enable robots with safety.operator_s, which drive only while this command runs; Ctrl-C stops them.
 
     Example: vcmvsp operator
     """

@@ -59,7 +59,7 @@ def run_command(
     view_host: ViewHost = HOST,
     view_port: ViewPort = PORT,
 ) -> None:
-    """Run a scenario; leaves recording, tables, metrics, figures.
+    """Run a scenario and write recording, tables, metrics and figures.
 
     Example: vcmvsp run formation-circle --set radio.loss.probability=0.5 --seed 7 --out lossy
     """
@@ -85,7 +85,7 @@ def launch_command(
 ) -> None:
     """Run a scenario, and start hosts for its agents on other machines, through ssh.
 
-    What they say is shown, and kept in DIR/hosts. They end with the run, however it ends.
+    The output of hosts is shown and written to DIR/hosts. Hosts end with the run, however it ends.
 
     Example: vcmvsp launch formation-circle --hosts hosts.toml --listen tls/0.0.0.0:7447 --keys keys
     """
@@ -113,11 +113,11 @@ def replay_command(
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run a recorded run again, changed or not: real vehicles do what they did then, algorithms run anew.
+    """Repeat a recorded run, changed or unchanged: recorded input of real vehicles, algorithms executed again.
 
-    Unchanged it gives the same numbers, or says why not (exit code 1).
+    An unchanged replay gives equal numbers, or prints the cause of differences (exit code 1).
 
-    Classes out of Python files are the copies that the run has kept in RUN_DIR.
+    Classes from Python files are those that the run copied to RUN_DIR.
 
     Example: vcmvsp replay runs/formation-circle-1 --set agents.estimator=hold
     """
@@ -152,7 +152,7 @@ def drive_command(
     set_: Sets = None,
     json: AsJson = False,
 ) -> None:
-    """Give one vehicle one command at the start and show its response; all others stand still.
+    """Send one command to one vehicle at the start and print its response; all others stand still.
 
     Example: vcmvsp drive lab-patrol --vehicle ugv1 --command "v=0.3,w=0.5" --seconds 5
     """
@@ -166,7 +166,7 @@ def drive_command(
 
 
 def check_command(scenario: ScenarioName, set_: Sets = None) -> None:
-    """Check every key, kind and period of a scenario: import and start all that it names, simulate nothing.
+    """Check all keys, kinds and periods of a scenario: import and start its classes without a simulation.
 
     Example: vcmvsp check my_scenario.toml
     """

@@ -318,11 +318,11 @@ class Hub:
         return Knock(hello, machine, denied, settle)
 
     def open(self) -> None:
-        """Accept join requests (`next_hello`): an agent has no host."""
+        """Accept join requests (`next_hello`) from now on, because an agent has no host."""
         self._missing = True
 
     def shut(self) -> None:
-        """Refuse join requests while all hosts are reachable: no agent lacks a host."""
+        """Reject join requests from now on, because every agent has a reachable host."""
         self._missing = False
         self._send_away()
 

@@ -30,7 +30,7 @@ class DatagramCount(types.Value, frozen=True, kw_only=True):
 
 
 class TrafficCount(types.Value, frozen=True, kw_only=True):
-    """Outcome of such datagrams, as known at an instant."""
+    """Frames of datagrams from external programs with a known outcome at an instant: frames, arrivals, losses."""
 
     frames: int
     arrivals: int

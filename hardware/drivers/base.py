@@ -104,7 +104,7 @@ class Driver(Protocol):
         """Newest sample; None if there is none since the last call. Raises the error that ended the connection."""
 
     def write(self, velocity: Velocity) -> None:
-        """Move like this for `COMMAND_TIMEOUT_S` at most; robots on the ground use ``linear[0]`` and ``yaw_rate`` only."""
+        """Set the velocity for at most `COMMAND_TIMEOUT_S`; ground robots use ``linear[0]`` and ``yaw_rate`` only."""
 
     def stop(self, cause: str) -> None:
         """Zero speed at once, before any other command; the next `write` moves the robot again."""

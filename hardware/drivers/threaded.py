@@ -51,7 +51,7 @@ class CommandRepeater(Generic[V]):
         self._zero_first, self._waiting = True, False
 
     def command(self, speeds: V, now_ns: int) -> None:
-        """Move like this until the next command."""
+        """Set the speeds that are sent until the next command."""
         self.stopped = ""
         self._speeds, self._given_ns, self._waiting = speeds, now_ns, True
 

@@ -129,7 +129,7 @@ def crossings(links: MeasuredLinks, sightline: Sightline) -> tuple[Floats, list[
 
 
 def design_of(links: MeasuredLinks, reference_distance_m: float, sightline: Sightline | None) -> tuple[Floats, list[str]]:
-    """Design matrix of reference level, exponent and each material's loss, (n, 2 + m), and the materials."""
+    """Design matrix (n rows, 2 + m) of reference level (dBm), exponent and wall losses (dB), and the m materials."""
     ratio = np.maximum(links.distance_m, reference_distance_m) / reference_distance_m
     walls, materials = (np.zeros((len(ratio), 0)), []) if sightline is None else crossings(links, sightline)
     return np.column_stack([np.ones(len(ratio)), -10.0 * np.log10(ratio), -walls]), materials

@@ -83,16 +83,16 @@ class DsssErrors(ErrorRate):
         Dsss(rate_bps=self.rate_bps)  # checks the rate
 
     def payload(self, size_bytes: int) -> tuple[ErrorRate, int]:
-        """Rate x the time behind the preamble, whole microseconds."""
+        """Error rate and number of bits of the payload: rate times the time behind the preamble, whole microseconds."""
         return self, Dsss(rate_bps=self.rate_bps).payload_bits(size_bytes)
 
     @property
     def header(self) -> tuple[ErrorRate, int]:
-        """Signal, service, length and their check: 48 bits at 1 Mbit/s."""
+        """Error rate and number of bits of the header (signal, service, length, check): 48 bits at 1 Mbit/s."""
         return DsssErrors(1e6), 48
 
     def hazard(self, sinr: Floats) -> Floats:
-        """See the table of the class, (n,)."""
+        """Hazard of a bit error at SINRs (n,), as ratios, (n,) per bit; the class has the formulas."""
         if self.rate_bps == 1e6:
             return hazard_of(0.5 * np.exp(-22.0 * sinr))
         if self.rate_bps == 2e6:

@@ -74,7 +74,7 @@ def gyration(inertia: Floats) -> Floats:
 
 
 def coupled(rate: Floats) -> Floats:
-    """The products y z, z x and x y of rates (3, n)."""
+    """Products y z, z x and x y, (3, n) rad2/s2, of the components x, y, z of angular rates (3, n) rad/s."""
     return rate.take(_NEXT, axis=0) * rate.take(_LAST, axis=0)
 
 

@@ -1,4 +1,4 @@
-"""Positioning: a whole system, satellites, ultra-wideband."""
+"""Positioning sensors: a complete system with heading, satellite receivers (`gps`), ultra-wideband tags (`uwb`)."""
 
 import math
 from dataclasses import dataclass

@@ -67,7 +67,7 @@ class Topic:
 
 
 class Messages:
-    """An open file, for one thread. Call `read` first.
+    """Reader of the wanted messages of an open MCAP file, for one thread. Call `read` first.
 
     Attributes:
         topics: wanted topics with messages, by name.

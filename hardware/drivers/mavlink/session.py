@@ -189,7 +189,7 @@ class MavlinkSession:
         return self._repeater.stopped if self._armed else "it is not armed"
 
     def command(self, velocity: Velocity, now_ns: int) -> None:
-        """Move like this; ignored under another command, disarmed, or during a take-off."""
+        """Set the velocity; ignored in other modes, while disarmed, and during a take-off."""
         finite(velocity)
         if self.in_command and self._armed and self.ready and not self._leaving:
             self._repeater.command((velocity.linear, velocity.yaw_rate), now_ns)

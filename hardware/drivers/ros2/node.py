@@ -118,14 +118,14 @@ class RobotPresence:
         self._listens = False
 
     def hear(self, sender: bytes | None, now_ns: int) -> bool:
-        """Odometry arrived; False: another node is followed, until it is silent."""
+        """Note odometry of a node; False if another node already supplies it and is not silent."""
         if sender != self.sender and self._recent(self._heard_ns, now_ns):
             return False
         self.sender, self._heard_ns = sender, now_ns
         return True
 
     def listen(self, listens: bool, now_ns: int) -> None:
-        """A subscriber to commands came or went."""
+        """Note whether a node subscribes to the commands."""
         if listens or self._listens:
             self._listened_ns = now_ns
         self._listens = listens

@@ -79,7 +79,7 @@ def error(reason: str) -> bytes:
 
 
 def strength(level_dbm: float) -> str:
-    """Text of a level."""
+    """A level (dBm) as text of the protocol; NaN and infinity are ``NaN`` and ``INF``."""
     return "NaN" if math.isnan(level_dbm) else f"{level_dbm:.6g}".replace("inf", "INF")
 
 

@@ -360,7 +360,7 @@ def request(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
 
 
 def draw(s: DcfState, i: int) -> int:
-    """Index of the next draw of radio i in its store."""
+    """Index of the next backoff draw of radio i in its row of ``s.backoff``; marks that draws run out (`SCARCE`)."""
     place = int(s.drawn[i] - s.store[i])
     s.drawn[i] += 1
     if place + 1 == s.backoff.shape[1]:
