@@ -134,7 +134,7 @@ class TrackTarget(Agent):
 
     @property
     def goal(self) -> Point | None:
-        """Present place of the target."""
+        """Present place of the tracked target, x, y, m, world; None: no target."""
         return None if self.claim is None else self.claim.place
 
     def facts(self, obs: Observation) -> Mapping[str, Any]:

@@ -128,7 +128,7 @@ class Log:
 
 
 class LinkFrames:
-    """A selection of rows of the log."""
+    """Selected rows of a run's radio log (``radio.parquet``), read by column name."""
 
     def __init__(self, log: Log, rows: Array) -> None:
         self._log, self._rows = log, rows

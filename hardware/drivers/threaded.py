@@ -25,7 +25,7 @@ V = TypeVar("V")
 
 
 class ClosedByCaller(Exception):
-    """The caller closes the driver."""
+    """Raised in the thread of a driver when the caller closes it."""
 
 
 class CommandRepeater(Generic[V]):

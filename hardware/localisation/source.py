@@ -41,7 +41,7 @@ Baud = Annotated[int, msgspec.Meta(ge=50, le=4_000_000)]
 
 @runtime_checkable
 class Localisation(Protocol):
-    """Positions of a vehicle."""
+    """Protocol of positioning systems of a real vehicle: open, read fixes, close."""
 
     device: str  # for messages
 

@@ -44,7 +44,7 @@ class Shadowing:
 
     @property
     def nothing(self) -> bool:
-        """Whether there are no variations."""
+        """Whether the layer has no effect (``sigma_db`` is 0)."""
         return self.sigma_db == 0.0
 
     def loss_db(self, paths: Paths) -> Floats:

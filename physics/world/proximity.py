@@ -22,7 +22,7 @@ class NearestPoint(NamedTuple):
 
 
 class Clearance:
-    """Distances to solids, without the floor. A mesh has no inside: its distance is 0 only on its faces."""
+    """Distances (m) of points to the nearest solid, without the floor. A mesh has no inside: 0 only on its faces."""
 
     def __init__(self, solids: Shapes) -> None:
         groups, self._triangles = solids.groups, solids.triangles

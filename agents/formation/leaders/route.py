@@ -77,7 +77,7 @@ class Route(Leader):
         return v, w
 
     def aim(self, obs: Observation) -> Point | None:
-        """The next point."""
+        """The next point of the way, x, y, m, world; None: there is no next point."""
         if self._stage is None or self._stage.number == len(self.way):
             return None
         return self.way[self._stage.number]

@@ -49,7 +49,7 @@ WHICH = ALL, OWN, NONE = "all", "of the chosen vehicle", "none"
 
 
 class Places(NamedTuple):
-    """The slots of the k followers."""
+    """Places of the k followers in their formations, at one instant."""
 
     row: Array  # (k,) index of each follower
     place: Array  # (k, 3) m, world: slot for its present heading, at its own height

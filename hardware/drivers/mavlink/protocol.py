@@ -238,7 +238,7 @@ def arm_command(to: Sender, *, on: bool) -> Message:
 
 
 def interval_requests(to: Sender, position_message: str, hz: float) -> list[Message]:
-    """Requests for position and attitude at this rate, and for slow status messages."""
+    """Requests for position and attitude at ``hz``, and for status messages at `STATUS_HZ`."""
     rates = {position_message: hz, "ATTITUDE": hz, "SYS_STATUS": STATUS_HZ, "EXTENDED_SYS_STATE": STATUS_HZ}
     return [
         command_long(to, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, getattr(mavlink, f"MAVLINK_MSG_ID_{name}"), round(1e6 / rate))

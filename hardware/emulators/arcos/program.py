@@ -239,7 +239,7 @@ class Rig(contextlib.ExitStack):
             each.check()
 
     def summary(self) -> dict[str, Any]:
-        """Counts so far."""
+        """Counts of commands, packets and bytes, and the position by the wheels (m), so far."""
         counts: dict[str, Any] = {}
         if (served := self.served) is not None:
             with served.lock:
