@@ -1,11 +1,8 @@
 """What several tests of hardware ask for."""
 
-import os
-import resource
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 
 import pytest
 
@@ -43,20 +40,6 @@ def steady(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     yield
     over.set()
     looking.join()
-
-
-@pytest.fixture
-def many_files_open() -> Iterator[None]:
-    """More than `select.select` takes: what is opened now has a number above 1023."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (min(4096, hard), hard))
-    try:
-        with ExitStack() as held:
-            for _ in range(1024):
-                held.callback(os.close, os.open(os.devnull, os.O_RDONLY))
-            yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 @pytest.fixture

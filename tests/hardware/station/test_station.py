@@ -10,8 +10,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -20,6 +21,7 @@ from tests.support.hardware.driver_runs import eventually
 from tests.support.hardware.stations import BENCH, driven, mission
 from tests.support.netsim.gateway_context import free_ports
 from tests.support.paths import ROOT
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.hardware.drivers.arcos.protocol import Command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.drivers.base import DriverError
@@ -87,12 +89,6 @@ def test_a_robot_drives_and_its_state_is_told() -> None:
     assert run.notices == [("connected", "a robot in software")]
     run.said += last
     assert run.notices[1:] == [("stopped", "the run is over")]
-
-
-@pytest.mark.usefixtures("many_files_open")
-def test_a_run_with_more_than_a_thousand_open_files_drives_a_robot() -> None:
-    with driven(mission()) as run:
-        run.until(drives, v=0.4)
 
 
 def test_a_station_whose_turns_take_too_long_hears_its_run_all_the_same(tmp_path: Path) -> None:
@@ -259,15 +255,6 @@ def robot() -> Iterator[ArcosServer]:
         yield served
 
 
-def another_run(told: StationMission) -> subprocess.Popen[str]:
-    """A run in a process of its own, and its station's number."""
-    from vcmvsp.cosim.util.codec import encode
-
-    return subprocess.Popen(
-        [sys.executable, "-c", RUN, encode(told).hex()], stdout=subprocess.PIPE, text=True, cwd=HERE, start_new_session=True
-    )
-
-
 def is_driving(served: ArcosServer) -> bool:
     with served.lock:
         return served.device.commanded()[0] > 0.15
@@ -281,34 +268,36 @@ def lives(pid: int) -> bool:
     return state != "Z"
 
 
-def test_when_the_run_is_killed_the_robot_stops_and_the_port_is_free(robot: ArcosServer) -> None:
-    run = another_run(mission(arcos(robot)))
+@contextmanager
+def another_run(robot: ArcosServer, **limits: Any) -> Iterator["subprocess.Popen[str]"]:
+    """A run in a process of its own, which drives the robot; at the end it is killed, and its station ends."""
+    command = [sys.executable, "-c", RUN, encode(mission(arcos(robot), **limits)).hex()]
+    run = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=HERE, start_new_session=True)
     try:
         assert run.stdout is not None
         assert select.select([run.stdout], [], [], 30.0)[0]
         station = int(run.stdout.readline())
         eventually(lambda: is_driving(robot))
-        killed_ns = robot.now_ns
+        yield run
     finally:
         run.kill()
         run.communicate(timeout=10)
-    eventually(lambda: zero_ns(robot, killed_ns) is not None)
+    eventually(lambda: not lives(station))
+
+
+def test_when_the_run_is_killed_the_robot_stops_and_the_port_is_free(robot: ArcosServer) -> None:
+    with another_run(robot):
+        killed_ns = robot.now_ns
     told_ns = zero_ns(robot, killed_ns)
     assert told_ns is not None
     assert told_ns - killed_ns < 5_000_000_000  # some ms on a machine that is not loaded
-    eventually(lambda: not lives(station))
     eventually(lambda: not robot.device.is_open)
     with driven(mission(arcos(robot))) as again:  # nobody holds its port any more
         again.until(drives, v=0.2)
 
 
 def test_when_the_run_is_frozen_the_robot_stops_until_it_is_back(robot: ArcosServer) -> None:
-    run = another_run(mission(arcos(robot), federation_s=1.5))
-    try:
-        assert run.stdout is not None
-        assert select.select([run.stdout], [], [], 30.0)[0]
-        station = int(run.stdout.readline())
-        eventually(lambda: is_driving(robot))
+    with another_run(robot, federation_s=1.5) as run:
         frozen_ns = robot.now_ns
         run.send_signal(signal.SIGSTOP)
         eventually(lambda: driven_ns(robot) > frozen_ns + 500_000_000)
@@ -318,7 +307,3 @@ def test_when_the_run_is_frozen_the_robot_stops_until_it_is_back(robot: ArcosSer
         assert told_ns - frozen_ns < 8_000_000_000  # 1.5 s and a turn, on a machine that is not loaded
         run.send_signal(signal.SIGCONT)
         eventually(lambda: is_driving(robot))  # the run is back, and says so
-    finally:
-        run.kill()
-        run.communicate(timeout=10)
-    eventually(lambda: not lives(station))

@@ -81,12 +81,6 @@ def test_a_robot_whose_watchdog_is_off_is_warned_of() -> None:
         assert "max_speed = 1.5 m/s" in fast
 
 
-@pytest.mark.usefixtures("many_files_open")
-def test_with_more_than_a_thousand_open_files() -> None:
-    with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url) as driver:
-        assert drive(driver, 0.6, v=0.2)[-1].odometry.v > 0.0
-
-
 def test_both_wheels_in_one_command_over_tcp_from_a_start_pose() -> None:
     with serve_tcp(Device(ROBOTS["p2dx"])) as served, connected(served.url, start=(5.0, 6.0, 1.5), mode="vel2") as driver:
         samples = drive(driver, 1.2, v=0.2, w=0.25)
