@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.external_vehicles import Boat
 from tests.support.physics.runs import TENTH, play, run, run_info, values
 from tests.support.step_responses import settling_s
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
@@ -20,7 +21,7 @@ from vcmvsp.physics.sensors.motion import WheelOdometry
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
-from vcmvsp.physics.world.solids import Box, Hull
+from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Movable, Moving, World
 
 pytestmark = pytest.mark.processes
@@ -215,12 +216,6 @@ def test_all_bodies_have_names_of_their_own(kind: type[Physics]) -> None:
         with pytest.raises(ScenarioError, match="use distinct names") as raised:
             run(kind(world=World(movables=movables, moving=moving), vehicles=[car("car")]), (), 0.1)
         assert raised.value.key == key
-
-
-class Boat:
-    """A vehicle that derives from none of those that physics can move."""
-
-    radius_m, height_m, hull = 0.3, 0.3, Hull((0.6, 0.6, 0.3))
 
 
 @BOTH

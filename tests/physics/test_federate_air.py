@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.physics.runs import Command, stepped
 from vcmvsp.cosim.errors import FederateError, ScenarioError
-from vcmvsp.cosim.types import Contact, Vec3, Velocity, Waypoint
+from vcmvsp.cosim.types import Vec3, Velocity, Waypoint
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point, Quadrotor
@@ -161,17 +161,6 @@ def test_vehicles_outside_the_world_are_refused_by_name(kind: type[Physics]) -> 
 
 
 # --- contacts, and others in the run -----------------------------------------------------------------------------------------
-
-
-def test_a_crash_is_published_even_if_it_bounces_off_in_between() -> None:
-    wall = World(solids=(Box(center=(3.0, 0.0, 2.0), size=(0.2, 4.0, 4.0)),))
-    commands: list[Command] = [
-        (0.0, "uav", Velocity(linear=(3.0, 0.0, 0.0))),
-        (1.5, "uav", Velocity(linear=(-3.0, 0.0, 0.0))),
-    ]
-    told = flown(BulletPhysics(world=wall, vehicles=[spec("uav", Quadrotor())]), commands, 4.0)
-    assert {at["world/contact"] for at in told if "world/contact" in at} == {Contact(vehicle="uav", other=None)}
-    assert told[-1]["world/states"].position[0, 0] < 2.0  # it is away again
 
 
 def test_gusts_move_a_quadrotor_and_belong_to_the_seed() -> None:

@@ -8,15 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.netsim.channels import make_channel
-from tests.support.physics.external_vehicles import Courses, spec, straight
+from tests.support.physics.external_vehicles import Boat, Courses, spec, straight
 from tests.support.physics.runs import run, values
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import FederateError, ScenarioError
-from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
-from vcmvsp.cosim.types import FrameReport, Later, Message, VehicleState, Velocity, Waypoint
-from vcmvsp.netsim.federate import RadioFederate
+from vcmvsp.cosim.types import Later, VehicleState, Velocity, Waypoint
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.detectors import NeighbourRange
@@ -24,7 +22,7 @@ from vcmvsp.physics.sensors.motion import InertialUnit, WheelOdometry
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
 from vcmvsp.physics.vehicles.models import P2DX
-from vcmvsp.physics.world.solids import Box, Hull
+from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World, rotations
 
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
@@ -92,25 +90,6 @@ def test_scanners_see_their_hulls_and_their_own_scanners_see_the_world(kind: typ
 
 
 @BOTH
-def test_ranges_and_radio_distances_are_to_where_they_are(kind: type[Physics]) -> None:
-    vehicles = [spec("car", sensors={"near": NeighbourRange(sigma_m=0.0)}), spec("real", 5.0)]
-    radio = RadioFederate(make_channel("ideal"))
-    radio.start(RunInfo(scenario="test", seed=1, duration_ns=10**10, vehicles=("car", "real")))
-    reports = []
-    for event in run(kind(world=World(), vehicles=vehicles, outside=Courses(real=circling))):
-        apart = np.linalg.norm(circling(event.time_ns / 1e9).position)
-        if event.key == "car/near":
-            reading: Any = event.value
-            assert reading.values["real"] == pytest.approx(apart, abs=SETTLES[kind])
-        if event.key == "world/states":
-            message = Event("real/send", event.time_ns, Message(sender="real", body={}, size_bytes=10))
-            step = radio.step(event.time_ns, [event, message])
-            reports += [(each.value.distance_m[0], apart) for each in step.events if isinstance(each.value, FrameReport)]
-    assert len(reports) == 21
-    assert np.array(reports)[:, 0] == pytest.approx(np.array(reports)[:, 1], abs=SETTLES[kind])
-
-
-@BOTH
 def test_the_acceleration_that_its_imu_feels_is_what_its_speed_grew_by(kind: type[Physics]) -> None:
     def faster(t: float) -> VehicleState:
         return VehicleState(position=(5.0 + t * t, 0.0, 0.0), velocity=(2.0 * t, 0.0, 0.0))
@@ -143,12 +122,6 @@ def test_in_between_they_go_straight_on_and_turn_about_the_vertical(
     turn = np.array([[math.cos(angle), -math.sin(angle), 0.0], [math.sin(angle), math.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     assert now == pytest.approx(turn @ before, abs=1e-8)
     assert reflected.at(SECOND_NS)[0].attitude[0].tolist() == list(attitude)
-
-
-class Boat:
-    """A vehicle that derives from none of those that physics can move."""
-
-    radius_m, height_m, hull = 0.3, 0.3, Hull((0.6, 0.6, 0.3))
 
 
 @BOTH

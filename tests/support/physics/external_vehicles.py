@@ -8,6 +8,7 @@ from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import VehicleState
 from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
+from vcmvsp.physics.world.solids import Hull
 
 Course = Callable[[float], VehicleState]
 
@@ -33,3 +34,9 @@ def spec(
     name: str, x: float = 0.0, y: float = 0.0, *, model: Vehicle | None = None, z: float = 0.0, **rest: Any
 ) -> VehicleSpec:
     return VehicleSpec(name=name, model=model or P2DX(), position=(x, y, z), **rest)
+
+
+class Boat:
+    """A vehicle that derives from none of those that physics can move."""
+
+    radius_m, height_m, hull = 0.3, 0.3, Hull((0.6, 0.6, 0.3))
