@@ -16,6 +16,7 @@ import pytest
 import vcmvsp
 from tests.support.cosim.command_line import contents
 from tests.support.cosim.memory_links import behind_the_wire
+from tests.support.cosim.run_processes import VCMVSP
 from tests.support.netsim.gateway_context import free_ports
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
@@ -34,7 +35,6 @@ NAMES = {
     "report.html",
 }
 SHORT = {"duration_s": 4.0, "metrics.from_s": 2.0}  # three p2dx in Bullet; loss and jitter are on
-COMMAND = [sys.executable, "-m", "vcmvsp.cosim.cli.app"]
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def busy() -> Iterator[None]:
 def test_on_a_busy_machine_with_another_hash_seed(reference: dict[str, bytes], tmp_path: Path) -> None:
     out = tmp_path / "out"
     settings = [f"--set={key}={value}" for key, value in {**SHORT, "agents.processes": 2}.items()]
-    command = [*COMMAND, "run", "formation-circle", *settings, "--agents", "process", "--out", str(out), "--quiet"]
+    command = [*VCMVSP, "run", "formation-circle", *settings, "--agents", "process", "--out", str(out), "--quiet"]
     subprocess.run(command, check=True, timeout=500, env={**os.environ, "PYTHONHASHSEED": "12345"})
     assert_same(out, reference)
 
@@ -137,7 +137,7 @@ def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> N
 
     def host(log: Any, *vehicles: str) -> subprocess.Popen[str]:
         names = [word for vehicle in vehicles for word in ("--vehicle", vehicle)]
-        return subprocess.Popen([*COMMAND, "agent", *names, "--connect", endpoint], stderr=log, text=True)
+        return subprocess.Popen([*VCMVSP, "agent", *names, "--connect", endpoint], stderr=log, text=True)
 
     started = [host(logs[0], "car1", "car3")]
     told: list[str] = []

@@ -6,7 +6,6 @@ import select
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -19,7 +18,7 @@ import pytest
 import serial  # type: ignore[import-untyped]
 
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import reserved
+from tests.support.cosim.run_processes import VCMVSP, reserved
 from tests.support.hardware.driver_runs import held
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
@@ -48,7 +47,7 @@ class Emulated:
     """A command that runs, and what it has said."""
 
     def __init__(self, *arguments: str) -> None:
-        line = [sys.executable, "-m", "vcmvsp.cosim.cli.app", "emulate", *arguments]
+        line = [*VCMVSP, "emulate", *arguments]
         self.process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
     def line(self) -> str:

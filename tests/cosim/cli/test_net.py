@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.cosim.run_processes import UNDRAWN, VCMVSP
 from vcmvsp.netsim.bridge.gateways.ip import namespaces
 from vcmvsp.netsim.bridge.gateways.ip import run_networks as networks
 
@@ -40,7 +40,7 @@ pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("namespaces_allowed
 
 
 def net(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "vcmvsp.cosim.cli.app", "net", *arguments]
+    return [*VCMVSP, "net", *arguments]
 
 
 def on(vehicle: str, *command: str, run: str, text: str = "") -> "subprocess.CompletedProcess[str]":

@@ -324,23 +324,8 @@ def test_a_host_that_cannot_start_costs_the_run_its_vehicle_alone(stage: ByHand)
     elsewhere = stage.folder / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "failing.py").write_text(AGENTS)
-    good = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "vcmvsp.cosim.cli.app",
-            "agent",
-            "failing.py:Failing",
-            "--vehicle",
-            "car2",
-            "--connect",
-            stage.endpoint,
-        ],
-        cwd=elsewhere,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    stage.processes.append(good)
+    stage.folder = elsewhere
+    good = stage.start("agent", "failing.py:Failing", "--vehicle", "car2", "--connect", stage.endpoint)
     said_by(run, "car2 has its agent again")
     _, metrics, _ = stage.finish(run)
     assert ended(good)[0] == 0

@@ -3,13 +3,13 @@
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
 import vcmvsp
+from tests.support.cosim.run_processes import VCMVSP
 from tests.support.paths import ROOT
 from vcmvsp.cosim.recording.external_inputs import read_inputs
 from vcmvsp.cosim.runs.replay import replay
@@ -73,16 +73,7 @@ def test_its_twin_can_take_its_place(recorded: Path) -> None:
 
 
 def test_of_a_run_that_was_killed_what_was_written_is_replayed(tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "vcmvsp.cosim.cli.app",
-        "run",
-        str(scenario(tmp_path, 60.0)),
-        "--out",
-        str(tmp_path / "run"),
-        "-q",
-    ]
+    command = [*VCMVSP, "run", str(scenario(tmp_path, 60.0)), "--out", str(tmp_path / "run"), "-q"]
     path, told = tmp_path / "run" / "hardware.mcap", list[str]()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, env=environment, cwd=tmp_path) as process:

@@ -1,13 +1,13 @@
 """A scenario whose runs take a hundredth of a second, and what studies of it are started with."""
 
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-VCMVSP = [sys.executable, "-m", "vcmvsp.cosim.cli.app"]
+from tests.support.cosim.run_processes import VCMVSP
+
 LOSS = "radio.loss.probability"
 ESTIMATOR = "agents.estimator"
 
