@@ -55,14 +55,6 @@ def test_yaw_is_wrapped() -> None:
     assert min(yaws) < 0.0 < max(yaws)  # 3.1 rad with noise lies on both sides of the seam
 
 
-def test_outliers_are_as_many_and_as_far_as_stated() -> None:
-    n = 10_000
-    far = np.hypot(*errors(Positioning(sigma_m=0.0, sigma_rad=0.0, outlier_probability=0.1, outlier_m=2.0), n).T[:2])
-    hit = far > 0.0
-    assert far[hit] == pytest.approx(2.0)
-    assert hit.mean() == pytest.approx(0.1, abs=4 * (0.1 * 0.9 / n) ** 0.5)
-
-
 def test_parameters_never_move_the_draws() -> None:
     plain = errors(Positioning(sigma_m=0.1), 200)
     assert errors(Positioning(sigma_m=0.2), 200)[:, :2] == pytest.approx(2.0 * plain[:, :2])
@@ -145,13 +137,6 @@ def test_outliers_and_mount() -> None:
     assert np.hypot(*uwb_errors(Uwb(**EXACT, outlier_probability=1.0), 20, (0.0, 0.0, 0.0)).T[:2]) == pytest.approx(2.0)
     (fix,) = readings(Uwb(**EXACT, mount=(0.1, 0.2, 0.3)), [scene_of((1.0, 1.0, 0.0), yaw=np.pi / 2)])
     assert fix.position == pytest.approx((0.8, 1.1, 0.3))
-
-
-def test_four_anchors_in_a_square_halve_the_variance_of_a_range_at_its_centre() -> None:
-    """Directions at 45 degrees: the normal matrix is 2 I."""
-    (fix,) = readings(Uwb(anchors=SQUARE, sigma_m=0.2), [scene_of((0.0, 0.0, 1.0))])
-    assert fix.sigma_m == pytest.approx(0.2 / 2**0.5)
-    assert fix.sigma_z_m == pytest.approx(0.3)  # all at the same height: only what is known beforehand
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 1.0), (4.0, 1.0, 0.0), (20.0, 3.0, 0.2), (-30.0, 30.0, 4.0)])

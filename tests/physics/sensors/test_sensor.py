@@ -45,34 +45,27 @@ def test_nothing_by_default() -> None:
     assert errors.read(np.array([1.0, -2.0, 3.0]), 0, stream(1, "a")).tolist() == [1.0, -2.0, 3.0]
 
 
-def test_white_noise_has_the_stated_size_and_no_memory() -> None:
-    e = sequence(Noise(sigma=0.3, bias=2.0), 1, np.arange(N) * 0.1)[:, 0]
-    assert e.mean() == pytest.approx(2.0, abs=4 * 0.3 / N**0.5)
-    assert e.std() == pytest.approx(0.3, rel=4 / (2 * N) ** 0.5)
-    assert abs(np.corrcoef(e[1:], e[:-1])[0, 1]) < 4 / N**0.5
-
-
-def test_a_turn_on_bias_is_drawn_once() -> None:
-    e = sequence(Noise(bias_sd=0.5, bias=1.0), N, np.arange(3.0))
-    assert np.array_equal(e[0], e[2])
-    assert e[0].mean() == pytest.approx(1.0, abs=4 * 0.5 / N**0.5)
-    assert e[0].std() == pytest.approx(0.5, rel=4 / (2 * N) ** 0.5)
-
-
-@pytest.mark.parametrize("times_s", [np.arange(61.0), np.array([0.0, 0.5, 10.0, 30.0, 60.0])])
-def test_drift_is_stationary_and_forgets_exponentially_however_often_it_is_read(times_s: Array) -> None:
-    """Autocorrelation sd^2 exp(-t / T)."""
-    e = sequence(Noise(drift_sd=2.0, drift_time_s=20.0), N, times_s)
-    assert e.std(axis=1) == pytest.approx(2.0, rel=5 / (2 * N) ** 0.5)
-    for t, now in zip(times_s, e, strict=True):
-        assert np.mean(now * e[0]) / 4.0 == pytest.approx(np.exp(-t / 20.0), abs=5 / N**0.5)
-
-
-def test_a_walk_begins_at_nothing_and_grows_with_the_root_of_time() -> None:
-    e = sequence(Noise(walk=0.1), N, np.array([5.0, 6.0, 9.0, 30.0]))
-    assert not e[0].any()
-    assert e.std(axis=1)[1:] == pytest.approx(0.1 * np.sqrt([1.0, 4.0, 25.0]), rel=4 / (2 * N) ** 0.5)
-    assert np.corrcoef(e[3] - e[2], e[2])[0, 1] == pytest.approx(0.0, abs=4 / N**0.5)
+@pytest.mark.parametrize("times_s", [np.arange(31.0), np.array([5.0, 5.5, 15.0, 35.0, 65.0])], ids=["even", "uneven"])
+@pytest.mark.parametrize(
+    "noise",
+    [
+        Noise(sigma=0.3, bias=2.0),
+        Noise(bias_sd=0.5, bias=1.0),
+        Noise(drift_sd=2.0, drift_time_s=20.0),
+        Noise(walk=0.1),
+        Noise(sigma=0.3, bias_sd=0.5, drift_sd=0.4, drift_time_s=5.0, walk=0.1, outlier_probability=0.1, outlier=1.0),
+    ],
+    ids=["white", "turn-on bias", "drift", "walk", "all"],
+)
+def test_errors_have_the_stated_mean_and_covariance_however_often_they_are_read(noise: Noise, times_s: Array) -> None:
+    e = sequence(noise, N, times_s) - noise.bias
+    apart, since = np.abs(np.subtract.outer(times_s, times_s)), np.minimum.outer(times_s, times_s) - times_s[0]
+    white = noise.sigma**2 + noise.outlier_probability * noise.outlier**2
+    expected = noise.bias_sd**2 + noise.drift_sd**2 * np.exp(-apart / noise.drift_time_s) + noise.walk**2 * since
+    expected += white * np.eye(len(times_s))
+    size = np.sqrt(expected.diagonal())
+    assert (np.abs(e.mean(axis=1)) <= 5.0 * size / N**0.5).all()
+    assert (np.abs(e @ e.T / N - expected) <= 5.0 * (2.0 / N) ** 0.5 * np.outer(size, size) + 1e-12).all()
 
 
 def test_outliers_are_as_many_and_as_far_as_stated_on_both_sides() -> None:
