@@ -83,7 +83,7 @@ class Exchange:
             route = routes.get(key) or self._route(key)
             if when != last:  # many successive events have one time: receptions of a frame
                 if when < now:
-                    raise FederateError(self._federates[index].name, f"gave {key} of {when} ns at {now} ns")
+                    raise FederateError(self._federates[index].name, f"returned {key} with the time {when} ns at {now} ns")
                 last, given = when, self._present if when == now else self._those_of(when, home)
             if key in given:
                 given[key].append(event)
@@ -136,7 +136,7 @@ class Exchange:
         """Refuse an event that is published too late to wake a federate in its slot."""
         federate = self._federates[index]
         if federate.wake_slot <= at:
-            raise FederateError(federate.name, f"{key}, published in {at.name}, comes too late for {federate.wake_slot.name}")
+            raise FederateError(federate.name, f"{key}, published in {at.name}, is too late for {federate.wake_slot.name}")
 
     def _route(self, key: str) -> Route:
         route = self._routes.get(key)
@@ -265,7 +265,7 @@ class Kernel:
             self._clock.slip(late_ns)
         elif too_late:
             late = f"{when / SECOND_NS:.3f} s began {late_ns / SECOND_NS:.3f} s late, more than clock.tolerance_s"
-            raise FederateError("clock", f"{late}; use fewer or quicker agents, a quicker machine, or clock.late = 'slip'")
+            raise FederateError("clock", f"{late}; use fewer or faster agents, a faster machine, or clock.late = 'slip'")
 
     def _is_tick(self, when: int) -> bool:
         if not self._has_agents:
@@ -360,7 +360,7 @@ class Kernel:
 
     def _schedule_next(self, index: int, when: int | None, now: int) -> None:
         if when is not None and when <= now:
-            raise FederateError(self._federates[index].name, f"asked at {now} ns to be stepped next at {when} ns")
+            raise FederateError(self._federates[index].name, f"requested at {now} ns its next step at {when} ns (not later)")
         self._schedule(index, when)
 
     def _collect(self, now: int, slot: Slot) -> None:

@@ -220,8 +220,8 @@ def faulty(**change: Any) -> Script:
 @pytest.mark.parametrize(
     ("federate", "words"),
     [
-        (lambda: faulty(step=lambda now, inbox: Step([], now)), "asked at 0 ns to be stepped next at 0 ns"),
-        (lambda: faulty(step=lambda now, inbox: Step([note("x", now - 1)], None)), "gave x of -1 ns at 0 ns"),
+        (lambda: faulty(step=lambda now, inbox: Step([], now)), "requested at 0 ns its next step at 0 ns"),
+        (lambda: faulty(step=lambda now, inbox: Step([note("x", now - 1)], None)), "returned x with the time -1 ns at 0 ns"),
         (lambda: faulty(step=lambda now, inbox: 1 / 0), "ZeroDivisionError: division by zero"),
         (lambda: faulty(start=lambda run: int("none")), "ValueError: invalid literal"),
     ],
@@ -234,7 +234,7 @@ def test_a_faulty_federate_is_named(federate: Callable[[], Script], words: str) 
 
 def test_an_event_that_comes_too_late_for_whom_it_wakes_is_refused() -> None:
     radio = Script("radio", Slot.RADIO, wakes=("car/command",), wake_slot=Slot.RADIO)
-    with pytest.raises(FederateError, match="car/command, published in AGENT, comes too late for RADIO"):
+    with pytest.raises(FederateError, match="car/command, published in AGENT, is too late for RADIO"):
         run(Script("agent", Slot.AGENT, {0: [("car/command", 0)]}), radio)
 
 
