@@ -51,3 +51,28 @@ def test_its_own_way_around_things_stops_before_them(tmp_path: Path) -> None:
     radius, distance = 0.216, 0.3  # of the body; as the table says
     assert result.metrics["safety"]["min_clearance_m"] == pytest.approx(radius + distance, abs=0.02)  # a slow tick
     assert abs(result.states.to_pandas().iloc[-1].vx) < 1e-9
+
+
+def test_it_stops_at_a_strong_signal(tmp_path: Path) -> None:
+    (tmp_path / "nearest.py").write_text(block("agents/README.md", "class Nearest"))
+    (tmp_path / "meet.toml").write_text("""
+        name = "meet"
+        duration_s = 15.0
+        physics = { kind = "kinematic" }
+        radio = { preset = "wifi-b-1", mac = { kind = "ideal" } }
+        agents = { kind = "nearest.py:Nearest" }
+        [[vehicle]]
+        name = "car1"
+        kind = "p2dx"
+        agent = {}
+        [[vehicle]]
+        name = "car2"
+        kind = "p2dx"
+        pose = [6.0, 0.0, 3.141592653589793]
+        agent = {}
+    """)
+    result = vcmvsp.run(tmp_path / "meet.toml")
+    states, levels_dbm = result.states.to_pandas(), result.radio.to_pandas().rssi_dbm
+    assert levels_dbm.iloc[0] < -45.0
+    assert levels_dbm.max() == pytest.approx(-40.0, abs=0.5)  # the level at which it stops
+    assert states.groupby("vehicle").last().vx.abs().max() == 0.0

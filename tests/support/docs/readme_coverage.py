@@ -115,6 +115,7 @@ SHOWN = {
         "class Waltz",
     ): "tests/agents/formation/leaders/test_trajectory.py::test_the_leader_of_the_readme_works",
     ("agents/README.md", "class Advance"): "tests/agents/test_readme.py::test_it_flies_east_until_something_is_near",
+    ("agents/README.md", "class Nearest"): "tests/agents/test_readme.py::test_it_stops_at_a_strong_signal",
     (
         "agents/README.md",
         "class Cautious",
