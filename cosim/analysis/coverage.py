@@ -111,7 +111,7 @@ def coverage(
         trust: for a run: import classes of its scenario that are not built in.
 
     Raises:
-        ScenarioError: the scenario has no such radio.
+        ScenarioError: the radio of the scenario is invalid.
         UsageError: unknown vehicle, invalid time or resolution, or unreadable states of the run.
     """
     if resolution_m is not None and not (math.isfinite(resolution_m) and resolution_m > 0.0):

@@ -45,7 +45,7 @@ stamp = struct.Struct("<Q")
 
 
 class You(msgspec.Struct, frozen=True):
-    """The run's view of the machine that asks."""
+    """The run's view of the machine that sent the query."""
 
     name: str
     role: str | None = None  # "host" or "observer"; None: the run uses no certificates

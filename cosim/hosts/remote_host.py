@@ -22,7 +22,7 @@ from vcmvsp.cosim.util.text import plain
 
 
 class Absence:
-    """A vehicle without a working agent: it holds its last command for a while, if ``on_lost`` says so, then stops.
+    """A vehicle without a working agent: with ``on_lost = "hold"`` it holds its last command for ``hold_s``, then it stops.
 
     Args:
         spec: specification of the agent; ``on_lost`` is ``hold`` or ``remove``.

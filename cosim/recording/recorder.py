@@ -50,7 +50,7 @@ class Recorder(Accumulators):
         agents: ticks of each agent, at which the age of information is measured.
         radius_m: radius of each vehicle's body, for drawing.
         sensors: names of on-demand sensors whose readings are recorded; ``*``: all.
-        heard: write the messages that each agent gets, as ``<vehicle>/heard``.
+        heard: write the messages that each agent receives, as ``<vehicle>/heard``.
         world: the world of the run; None: no distance to obstacles is measured.
         tell: receives lines for the user: agents that were lost or are back.
     """

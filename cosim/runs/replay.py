@@ -40,7 +40,7 @@ def replay(
         set: changed keys of its scenario, as for `vcmvsp.run`.
         agents: agents as objects, or where all run.
         twin: simulated vehicles of the same kinds replace the real ones.
-        radio: ``"drawn"``: frame outcomes are drawn again from the models, equal for the same seed and unchanged inputs;
+        radio: ``"drawn"``: frame outcomes are drawn again from the models, equal for equal seed and inputs;
             ``"recorded"``: frame outcomes are repeated, see `netsim.channel.replayed`.
         out: folder to write into.
         force: write into a folder that is not empty.

@@ -154,7 +154,7 @@ class OutageTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class HaltTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="halt"):
-    """An ``[[intervention]]``: vehicles stand still whatever their agents command, or go on."""
+    """An ``[[intervention]]``: halt vehicles, whatever their agents command, or release them."""
 
     at_s: Seconds  # when
     vehicles: tuple[str, ...] = ()  # which; none named: all
@@ -183,7 +183,7 @@ InterventionTable = OutageTable | HaltTable | MoveTable | SetTable
 
 
 class StudyTable(msgspec.Struct, frozen=True, kw_only=True):
-    """``[study]``: what ``vcmvsp study`` does with this scenario unless told otherwise."""
+    """``[study]``: defaults of ``vcmvsp study`` for this scenario."""
 
     vary: Mapping[str, tuple[Any, ...]] = {}  # key path -> its values
     seeds: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 20  # runs of each combination of values

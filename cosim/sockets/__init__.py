@@ -1,4 +1,4 @@
-"""Sockets in the time of the run: for programs that can wait, and whose traffic is then the same on any machine, at any speed.
+"""Sockets in simulated time, for programs that can wait: their traffic is equal on any machine and at any speed.
 
 The program's side alone, which imports little: the run's side is `netsim.sockets`.
 
@@ -8,7 +8,7 @@ The program's side alone, which imports little: the run's side is `netsim.socket
 
     with connect("car1") as socket:             # waits for the run; the block ends with it
         while True:
-            socket.sendto(b"hello", "car2")     # over the emulated radio; None: to all who can hear it
+            socket.sendto(b"hello", "car2")     # over the emulated radio; None: broadcast
             try:
                 data, sender = socket.recvfrom(timeout=1.0)
             except TimeoutError:
@@ -70,7 +70,7 @@ def connect(vehicle: str, endpoint: str | None = None, *, timeout_s: float = 60.
 
     Raises:
         ValueError: this is no endpoint.
-        ConnectionError: no run is there in time, or it does not want this program: it says why.
+        ConnectionError: no run listens there in time, or it rejects this program (with the reason).
     """
     where, until = endpoint or os.environ.get(VARIABLE) or DEFAULT, time.monotonic() + timeout_s
     while True:
@@ -132,7 +132,7 @@ class Socket:
         return self._now_ns
 
     def position(self) -> tuple[float, float, float] | None:
-        """Where the vehicle takes itself to be, x, y, z in m, as it was told last (`vehicle.pose_source`); None: not yet."""
+        """Newest position of the vehicle from its `pose_source`, x, y, z in m; None: not known yet."""
         return self._position
 
     def sendto(self, data: bytes | bytearray | memoryview, to: str | None = None) -> int:
@@ -140,7 +140,7 @@ class Socket:
 
         Args:
             data: at most 65535 bytes.
-            to: name of the only vehicle meant; None: all who can hear it.
+            to: name of the receiver; None: broadcast.
 
         Raises:
             TypeError: no bytes.

@@ -37,7 +37,7 @@ Allow = Callable[[str, str, list[str], str], None]
 
 
 def admission(keys: "Keys", name: str, vehicles: Iterable[str]) -> str | None:
-    """Reason to refuse that a machine of this name speaks for these vehicles, or None."""
+    """Reason to reject a machine of this name as host of these vehicles, or None."""
     entry = keys.index.find(name)
     if entry is None:
         return f"'{name}' has no certificate of this run"

@@ -42,7 +42,7 @@ def join_key(name: str) -> str:
 
 
 def about_key(name: str) -> str:
-    """Key at which a machine asks for the description of the run."""
+    """Key under which a machine queries the description of the run."""
     return f"vcmvsp/about/{name}"
 
 

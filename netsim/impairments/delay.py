@@ -30,7 +30,7 @@ class NoDelay:
 
 @dataclass(frozen=True)
 class FixedDelay:
-    """A frame is received ``seconds`` after it was handed to the radio, give or take up to ``jitter_s``.
+    """A frame is received ``seconds`` after its hand-over to the radio, plus or minus up to ``jitter_s``.
 
     The time on the air, and the wait for the sender's earlier frames, are part of ``seconds`` and not added to it; but no frame
     arrives before its last bit::
@@ -87,7 +87,7 @@ class UniformDelay:
 
 @dataclass(frozen=True)
 class NormalDelay:
-    """Normal; what is drawn below zero, or before the frame's end, becomes the frame's end."""
+    """Normal distribution; a time below zero, or before the frame's end, becomes the frame's end."""
 
     mean_s: Seconds  # mean
     sigma_s: Seconds  # standard deviation

@@ -26,7 +26,7 @@ class NoLoss:
 
 @dataclass(frozen=True)
 class Bernoulli:
-    """Every frame is lost with the same probability on every link, each independently of all others."""
+    """Every frame is lost with one probability on all links, independently of all others."""
 
     probability: Probability  # of a message to be lost, whatever its size
     cause: ClassVar[str] = "random loss"

@@ -107,7 +107,7 @@ class SenderLinks:
 
     @cached_property
     def pair_keys(self) -> Keys:
-        """Random keys of the pairs, (n,): from A to B the same as from B to A."""
+        """Random keys of the pairs, (n,), equal for both directions."""
         return self._keys(["/".join(sorted((self.sender, name))) for name in self.receivers])
 
     def _keys(self, names: list[str]) -> Keys:
@@ -196,7 +196,7 @@ class Loss(Protocol):
 
     @property
     def cause(self) -> str:
-        """Outcome of such frames in recordings."""
+        """Outcome of frames lost by this layer, in recordings."""
 
     def lost(self, frame: Frame, draw: Draw) -> Bools:
         """Which receivers lose the frame, (n,)."""

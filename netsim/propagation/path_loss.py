@@ -20,7 +20,7 @@ _TOUCHING_M = 1e-3  # least distance of two antennas, and least height above the
 
 
 class NoPathLoss:
-    """Every receiver hears the transmitted power."""
+    """No path loss: every receiver receives the transmitted power."""
 
     by_distance: ClassVar[bool] = True
 

@@ -123,7 +123,7 @@ class ItuWalls(_Walls):
 
 @dataclass(frozen=True)
 class FixedWalls(_Walls):
-    """Each obstacle on the way takes the same, or what ``materials_db`` says of its material.
+    """Each obstacle on the path has one loss, or the loss of its material in ``materials_db``.
 
     The default is the Wireless Simulation Server's (``eAttenFac``); it has no cap, its ``eMaxObs`` is used nowhere.
     ns-3 has wood 4, concrete 15, with windows 7, stone 12 dB (``BuildingsPropagationLossModel``), and 5 dB between rooms.

@@ -76,7 +76,7 @@ class Lag(GroundVehicle):
 class Inertial(Lag):
     """`Lag` with the limits of a small robot, an AmigoBot in MobileSim (0.75 m/s, 0.3 and 0.75 m/s2).
 
-    ``accel`` limits a growing and ``decel`` a falling forward speed; these vehicles are not meant to drive backwards.
+    ``accel`` limits a growing and ``decel`` a falling forward speed; these vehicles do not model reverse driving.
     """
 
     accel: Positive = 0.3  # m/s2, of a growing forward speed

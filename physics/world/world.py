@@ -40,7 +40,7 @@ class Zone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Wind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Air that moves: the same everywhere, steady or in gusts."""
+    """Wind, uniform in space, steady or in gusts."""
 
     velocity: Vec3 = (0.0, 0.0, 0.0)  # of the mean wind, m/s, world
     gust: NonNegative = 0.0  # standard deviation of each horizontal component, m/s (half of it for the vertical one)

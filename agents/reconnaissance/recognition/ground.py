@@ -37,7 +37,7 @@ def glyph() -> Array:
 
 
 def other_glyph() -> Array:
-    """Another picture in the same colours and about the same shares of them."""
+    """Another picture with equal colours in similar shares."""
     picture = np.full((128, 128, 3), RED, np.uint8)
     picture[50:78, 10:118] = BLUE
     picture[10:118, 50:78] = BLUE

@@ -23,7 +23,7 @@ RunMessage = tuple[bytes, int]  # its bytes, and when they arrived, ns
 
 
 class RunUnreachable(Exception):
-    """There is no run now; the text says why."""
+    """The run is unreachable now; the text has the reason."""
 
 
 class RunConnection:
@@ -53,7 +53,7 @@ class RunConnection:
             raise
 
     def greet(self, greeting: bytes) -> RobotWelcome | None:
-        """Answer to a request; None: none came."""
+        """Answer to a request; None: no answer in time."""
         for reply in self._session.get(key_names.greet_key(self._name), payload=greeting, timeout=ANSWER_S):
             if reply.ok is not None:
                 with contextlib.suppress(ValueError):

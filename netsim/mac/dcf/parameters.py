@@ -44,9 +44,9 @@ Margin = Annotated[float, msgspec.Meta(ge=0.0, le=400.0)]  # dB
 
 @dataclass(frozen=True)
 class Dcf:
-    """Radios share the air as IEEE 802.11 says: they listen before they send, back off, and collide.
+    """Medium access of IEEE 802.11: carrier sense, random backoff and collisions.
 
-    The phy says which standard it is: `netsim.phy.dsss.Dsss` is 802.11b, `netsim.phy.ofdm.Ofdm` 802.11a at 5 GHz and g at
+    The phy selects the standard: `netsim.phy.dsss.Dsss` is 802.11b, `netsim.phy.ofdm.Ofdm` 802.11a at 5 GHz and g at
     2.4 GHz (ad hoc, no protection, long slots). None: the standard's value. All defaults are as in ns-3.44.
     """
 
