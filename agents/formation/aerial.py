@@ -47,7 +47,7 @@ class Airborne:
         self.inner = inner
 
     def predict(self, report: Report, age_s: float) -> LeaderState:
-        """The state seen from above."""
+        """Horizontal state of the sender ``age_s`` seconds after the report was valid: m, rad, m/s, rad/s, world."""
         if _aloft(report.body) is None:
             return self.inner.predict(report, age_s)
         (x, y, _), velocity, yaw, w = self.flight(report, age_s)

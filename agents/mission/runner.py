@@ -140,7 +140,7 @@ class AlgorithmRunner:
             agent.close()
 
     def look(self, obs: Observation) -> None:
-        """Update `guard`; before `act`, at every tick."""
+        """Update `guard` with the newest scan. Call at every tick, before `act`."""
         if self.guard is not None:
             self.guard.look(obs)
 

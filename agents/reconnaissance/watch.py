@@ -46,7 +46,7 @@ class GroundDisc(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WatchFrame:
-    """Content of one picture."""
+    """Targets in one camera picture, with the ground that was examined."""
 
     time_ns: int  # when it was taken
     nadir: Nadir  # from where, and how

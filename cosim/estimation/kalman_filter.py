@@ -213,7 +213,7 @@ def fitted(items: Items, prior: Array, noise: OdometryNoise, heading: float | No
 
 
 def rough(items: Items, prior: Array, noise: OdometryNoise) -> tuple[Array, Array]:
-    """Mean and covariance with unknown heading: the last position, and a way from it in any direction."""
+    """Mean and covariance with unknown heading: the last position, and the distance driven since, in any direction."""
     last = max(index for index, item in enumerate(items) if isinstance(item, MeasuredPosition))
     positions, since = items[last], items[last:]
     assert isinstance(positions, MeasuredPosition)  # noqa: S101

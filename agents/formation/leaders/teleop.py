@@ -116,7 +116,7 @@ class Keyboard:
         atexit.register(self.close)
 
     def read(self, time_s: float) -> Speeds:
-        """Speeds from the presses so far."""
+        """Requested speeds (m/s, rad/s) after all key presses so far."""
         keys = self._rest + _new(self._file)
         while keys:
             length = 1

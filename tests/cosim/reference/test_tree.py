@@ -162,7 +162,7 @@ def test_it_is_plain_where_nobody_looks() -> None:
     code, out, err = vcmvsp_command("reference", "radio.loss.bernoulli")
     assert (code, err) == (0, "")
     head, row = out.splitlines()
-    assert head.startswith('radio.loss, kind = "bernoulli": Every frame is lost with the same probability on every link, ')
+    assert head.startswith('radio.loss, kind = "bernoulli": Every frame is lost with one probability on all links, ')
     assert row == "  probability  0 to 1  required  of a message to be lost, whatever its size"
 
 
