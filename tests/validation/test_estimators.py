@@ -10,7 +10,6 @@ from them to the platform has two steps:
   run, to the last digits. That the radio loses what it should is seen in how many and how old reports are.
 """
 
-import functools
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -261,17 +260,11 @@ def rms(result: vcmvsp.Result) -> Floats:
     return np.asarray(np.sqrt((z[FROM:] ** 2).sum(axis=-1).mean(axis=0)))
 
 
-@functools.cache
-def mixed(path: str, p: float) -> vcmvsp.Result:
-    """All four estimators behind one leader."""
-    return run(path, crew_of(ALL, 4), lossy(p))
-
-
-@pytest.mark.parametrize("p", [0.3, 0.5, 0.8])
+@pytest.mark.parametrize("p", [0.3, 0.8])
 @pytest.mark.parametrize("path", PATHS)
 def test_the_error_at_a_loss(path: str, p: float) -> None:
     """Of each follower, as its own losses make it; and of each estimator with the losses of all, which does better."""
-    result = mixed(path, p)
+    result = run(path, crew_of(ALL, 4), lossy(p))
     found, missed = rms(result), losses(result)
     assert found == pytest.approx(integrated(path, np.repeat(ALL, 4).tolist(), missed, 1), rel=1e-6)
     frames = missed[:-1].size
@@ -290,7 +283,7 @@ def test_the_error_at_a_loss(path: str, p: float) -> None:
         assert acc <= 1.1 * dr
 
 
-@pytest.mark.parametrize("delay_s", [0.3, 1.0, 2.0])
+@pytest.mark.parametrize("delay_s", [0.3, 2.0])
 @pytest.mark.parametrize("path", PATHS)
 def test_the_error_at_a_delay(path: str, delay_s: float) -> None:
     """2 s is as far as a plan of twenty speeds besides those of now goes."""
@@ -321,17 +314,12 @@ def bursts(mean_frames: float) -> dict[str, Any]:
     return {**lossy(), "loss": {"kind": "gilbert_elliott", "to_bad_per_s": rate / 2, "to_good_per_s": rate / 2}}
 
 
-@functools.cache
-def in_bursts(mean_frames: float) -> vcmvsp.Result:
-    return run("slalom", crew_of(("hold", "dr", FREE), 8), bursts(mean_frames))
-
-
 @pytest.mark.parametrize("mean_frames", [5, 10])
 def test_the_error_in_bursts_of_losses(mean_frames: int) -> None:
     """Half of the frames lost, in rows of that mean length."""
-    result = in_bursts(mean_frames)
-    found, missed = rms(result), losses(result)
     kinds = ("hold", "dr", FREE)
+    result = run("slalom", crew_of(kinds, 8), bursts(mean_frames))
+    found, missed = rms(result), losses(result)
     assert found == pytest.approx(integrated("slalom", np.repeat(kinds, 8).tolist(), missed, 1), rel=1e-6)
     begun = (missed[1:-1] & ~missed[:-2]).sum()
     assert missed[1:-1].sum() / begun == pytest.approx(mean_frames, rel=4.0 / math.sqrt(begun))
