@@ -147,28 +147,6 @@ def seen_from(eye: Array, rotation: Array, points: Array, focal_px: float, size:
     return focal_px * away[:, :2] / away[:, 2:] + 0.5 * np.array(size) - 0.5
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_a_disc_is_where_a_pinhole_shows_it_in_any_attitude(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    place = rng.uniform(-20, 20, 2)
-    world = of(GroundTarget(color=RED, place=(float(place[0]), float(place[1])), size=2.0))
-    eye = np.array([*(place + rng.uniform(-8, 8, 2)), rng.uniform(4, 20)])
-    view = View(eye, towards(eye, np.array([*place, 0.0]), float(rng.uniform(-3, 3))), 320, 240, 400.0)
-    pixels = render(world, view).pixels
-    shares = (pixels.astype(float) - world.ground.color)[:, :, 1] / -world.ground.color[1]  # of the pixel that is disc
-    angles = math.tau * np.arange(720) / 720
-    rim = np.column_stack([place[0] + np.cos(angles), place[1] + np.sin(angles), np.zeros(720)])
-    ring = seen_from(eye, view.rotation, rim, 400.0, (320, 240))
-    area = 0.5 * abs(np.sum(ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1)))
-    assert shares.sum() == pytest.approx(area, rel=0.02)
-    rows, columns = np.indices(shares.shape)
-    middle = np.array([(columns * shares).sum(), (rows * shares).sum()]) / shares.sum()
-    hull = np.zeros(shares.shape, np.uint8)
-    cv2.fillPoly(hull, [np.rint(ring * 16).astype(np.int32)], 1, cv2.LINE_8, 4)
-    moments = cv2.moments(hull, binaryImage=True)
-    assert middle == pytest.approx([moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]], abs=0.15)
-
-
 @pytest.mark.parametrize("yaw", [0.0, 0.5 * math.pi, 2.0])
 def test_the_upper_edge_of_a_picture_is_north_before_it_is_turned(tmp_path: Path, yaw: float) -> None:
     quarters = np.zeros((64, 64, 3), np.uint8)

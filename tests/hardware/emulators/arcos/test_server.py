@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tests.support.hardware.driver_runs import PATIENCE_S, eventually, held
 from vcmvsp.cosim.rng import stream
-from vcmvsp.hardware.drivers.arcos.protocol import Command, PacketReader, command, decode_sip, frame, is_sip
+from vcmvsp.hardware.drivers.arcos.protocol import Command, PacketReader, command, frame, is_sip
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.arcos.server import ArcosServer, Faults, Wire, serve_pty, serve_tcp
@@ -60,25 +60,6 @@ class Port:
 
 
 # At a port
-
-
-@BOTH
-def test_a_client_connects_drives_and_leaves(serve: Serve) -> None:
-    def metres(heard: list[bytes]) -> float:
-        return decode_sip(heard[-1]).x * AMIGO.dist_factor / 1e3 if heard and is_sip(heard[-1]) else 0.0
-
-    with serve(Device(AMIGO)) as served, Port(served.url) as port:
-        began = time.monotonic()
-        port.connect()
-        port.say(Command.ENABLE, 1)
-        port.say(Command.VEL, 200)
-        told = [decode_sip(each) for each in port.hear(lambda heard: metres(heard) > 0.1)]
-        took = time.monotonic() - began
-        assert took > 0.1 / 0.2  # at the pace of the wall clock
-        assert len(told) <= 10 * took + 1
-        assert told[-1].motors_on
-        port.say(Command.CLOSE)
-    assert served.error is None
 
 
 @BOTH
