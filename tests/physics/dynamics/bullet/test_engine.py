@@ -69,15 +69,6 @@ def test_the_firmware_ramps_up_and_down(robot: DifferentialDrive, drive: Drive) 
 
 
 @ROBOTS
-def test_stopping_distance_grows_with_the_square_of_the_speed(robot: DifferentialDrive, drive: Drive) -> None:
-    gentle = replace(robot, decel=0.3)
-    moved = drive(BulletPhysics, gentle, [(0.0, 1.0, 0.0), (5.0, 0.0, 0.0)], 10.0, hz=60.0)
-    assert moved.position[-1, 0] - moved.position[300, 0] == pytest.approx(1.0 / (2.0 * 0.3), rel=0.01)  # 1.67 m
-    slow = drive(BulletPhysics, gentle, [(0.0, 0.3, 0.0), (3.0, 0.0, 0.0)], 6.0, hz=60.0)
-    assert slow.position[-1, 0] - slow.position[180, 0] == pytest.approx(0.15, rel=0.03)
-
-
-@ROBOTS
 def test_greatest_speeds_are_kept(robot: DifferentialDrive, drive: Drive) -> None:
     moved = drive(BulletPhysics, replace(robot, accel=2.0), [(0.0, 9.0, 0.0)], 4.0)
     assert moved.speed[-1] == pytest.approx(robot.max_speed, rel=0.01)
