@@ -69,7 +69,7 @@ def test_the_worked_example(tmp_path: Path) -> None:
     assert all(15_000_000 <= row["wanted_ns"] - row["came_ns"] <= 25_000_000 for row in rows)
     carried = json.loads((out / "about.json").read_text())["bridge"]
     assert carried["delivered"] == len(left)
-    columns = re.search(r"`bridge.parquet` has a row per delivery: `(.*?)`.*?and\s`(.*?)`", README, re.DOTALL)
+    columns = re.search(r"`bridge.parquet` has a row per delivery: `(.*?)`.*?and `(.*?)`", " ".join(README.split()))
     assert columns
     assert [*rows[0]] == [*columns[1].split(", "), columns[2]]
 
