@@ -28,7 +28,7 @@ def test_a_formation_with_another_estimator_keeps_the_error_that_its_gallery_say
 
 def test_robots_on_patrol_touch_each_other_only_where_the_gallery_says() -> None:
     assert made("lab-patrol").metrics["safety"]["collisions"] == 0
-    (clearance,) = re.findall(r"`--set agents.clearance=(\S+)` they bump into each other", section("lab-patrol"))
+    (clearance,) = re.findall(r"`--set agents.clearance=(\S+)` they collide", section("lab-patrol"))
     bumping = vcmvsp.run("lab-patrol", set={"agents.clearance": float(clearance)}, mcap=False)
     assert bumping.metrics["safety"]["collisions"] > 0
 
