@@ -166,6 +166,7 @@ class Channel:
         self._expected: int | None = None
         self._names: tuple[str, ...] = ()
         self._senders: dict[str, Transmitter] = {}
+        self._air_ns: dict[int, int] = {}  # by size of the message
         self._contention: Contention | None = None
         self.budgets.start()
         self.operated.start()
@@ -215,7 +216,8 @@ class Channel:
                 self._frames += 1
                 return [report]
         self._meet_if_new(names)
-        sent = self._frame(sent_ns, message, self.budgets.mean(self._sender(message.sender).links, names, position))
+        sender = self._sender(message.sender)
+        sent = self._frame(sent_ns, message, sender, self.budgets.mean(sender.links, names, position))
         if self._contention is not None:
             acknowledger = None if message.to is None else self._sender(message.to)
             self._contention.offer(sent, sent_ns + handover_ns, acknowledger)
@@ -238,12 +240,14 @@ class Channel:
         different = len({message.sender for message in messages}) == len(messages) <= AT_ONCE / len(names)
         if not plain or not different:
             return None
-        means = self.budgets.means([self._sender(message.sender).links for message in messages], names, position)
-        frames = [self._frame(sent_ns, message, mean) for message, mean in zip(messages, means, strict=True)]
+        senders = [self._sender(message.sender) for message in messages]
+        means = self.budgets.means([sender.links for sender in senders], names, position)
+        frames = [self._frame(sent_ns, *each) for each in zip(messages, senders, means, strict=True)]
         return self._send_now(frames, [max(sent_ns, sent.sender.free_ns) for sent in frames])
 
-    def _frame(self, sent_ns: int, message: Message, mean: MeanBudget) -> SentFrame:
-        sender, air_ns = self._sender(message.sender), self._air_time_ns(message.size_bytes)
+    def _frame(self, sent_ns: int, message: Message, sender: Transmitter, mean: MeanBudget) -> SentFrame:
+        size = message.size_bytes
+        air_ns = self._air_ns.get(size) or self._air_ns.setdefault(size, self._air_time_ns(size))
         to, number, frame = sender.destination(message.to), sender.frames, self._frames
         sender.frames += 1
         self._frames += 1

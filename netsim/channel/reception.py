@@ -107,7 +107,8 @@ class Outcomes:
         code, sinr_db = self._jam(batch, self._name_weak_signals(batch))
         code = self._lose(batch, layer_frames, code)
         arrival_ns = sealed(np.where(code == 0, self._arrival_ns(batch, layer_frames), -1))
-        rows = zip(code, arrival_ns, sealed(batch.snr_db), sealed(sinr_db), strict=True)
+        lossy: Any = code.any(axis=1).tolist()
+        rows = zip(code, lossy, arrival_ns, sealed(batch.snr_db), sealed(sinr_db), strict=True)
         return [self._report(batch, k, *row) for k, row in enumerate(rows)]
 
     def unfinished(self, sent: SentFrame) -> FrameReport:
@@ -182,8 +183,10 @@ class Outcomes:
             return None
         return np.stack([self._trace.traced(frame) for frame in layer_frames])
 
-    def _report(self, batch: FrameBatch, k: int, code: Codes, arrival_ns: Ints, snr_db: Floats, sinr_db: Floats) -> FrameReport:
-        """Report of frame k at its receivers, after delivery; rows (n,) of the batch, read-only."""
+    def _report(
+        self, batch: FrameBatch, k: int, code: Codes, lossy: bool, arrival_ns: Ints, snr_db: Floats, sinr_db: Floats
+    ) -> FrameReport:
+        """Report of frame k at its receivers, after delivery; rows (n,) of the batch, read-only; whether any code is not 0."""
         sent, start_ns, end_ns = batch.frames[k], batch.start_ns[k], batch.end_ns[k]
         sender, mean, to, on_air = sent.sender, sent.mean, sent.destination, start_ns >= 0
         copy_ns = None
@@ -193,6 +196,7 @@ class Outcomes:
             draw, rows, size = sent.draw(DELIVERY_SLOT), sender.others[to], sent.message.size_bytes
             arrival_ns, copy_ns = self._delivery.deliver(sender.row, rows, arrival_ns, size, lambda: draw()[to])
             code = np.where((code == 0) & (arrival_ns < 0), np.uint8(len(self._words) - 1), code)
+            lossy = True
             arrival_ns, copy_ns = frozen(arrival_ns), frozen(copy_ns)
         columns = mean.report_columns(to)
         head_ns = max(sent.sent_ns, sender.free_ns)  # time at which it became the first of its sender's queue
@@ -208,7 +212,7 @@ class Outcomes:
             rssi_dbm=columns.level_dbm if sent.level_dbm is mean.level_dbm else frozen(sent.level_dbm[to]),
             received_ns=arrival_ns,
             copy_ns=copy_ns,
-            outcome=tuple(self._words[code].tolist()) if np.count_nonzero(code) else (RECEIVED,) * len(code),
+            outcome=tuple(self._words[code].tolist()) if lossy else (RECEIVED,) * len(code),
             air_time_ns=sent.air_ns if on_air else 0,
             queue_ns=max(0, (head_ns if on_air else end_ns) - sent.sent_ns),
             access_ns=max(0, start_ns - head_ns) if on_air else 0,
@@ -293,7 +297,7 @@ class ReceptionLog:
 
     def __init__(self, names: tuple[str, ...], woken: Collection[str] = ()) -> None:
         self._names, self._woken = names, sorted(names.index(name) for name in woken)
-        self._clear()
+        self._parts: list[tuple[Message, int, Any, Any, Any]] = []
 
     def add(
         self,
@@ -304,28 +308,26 @@ class ReceptionLog:
         arrival_ns: Sequence[int] | Ints,
     ) -> None:
         """Add receptions of a message: rows of the receivers, levels (dBm) and times (ns; -1: lost), (n,) each."""
-        self._messages.append(message)
-        self._sent_ns.append(sent_ns)
-        for column, values in zip(self._columns, (receiver, rssi_dbm, arrival_ns), strict=True):
-            column.append(values)
+        self._parts.append((message, sent_ns, receiver, rssi_dbm, arrival_ns))
 
     def events(self, now_ns: int) -> list[Event]:
         """One event with all receptions since the last one; one more for each reception that wakes a reader."""
-        if not self._messages:
+        if not self._parts:
             return []
-        counts = [len(each) for each in self._columns[0]]
-        columns = _few(self._columns) if sum(counts) <= FEW else _many(self._columns, counts)
+        messages, sent_ns, *parts = zip(*self._parts, strict=True)
+        self._parts.clear()
+        counts = [len(each) for each in parts[0]]
+        columns = _few(parts) if sum(counts) <= FEW else _many(parts, counts)
         number, receiver, rssi_dbm, arrival_ns = map(sealed, columns)
         batch = Receptions(
             names=self._names,
-            messages=tuple(self._messages),
-            sent_ns=sealed(np.array(self._sent_ns)),
+            messages=messages,
+            sent_ns=sealed(np.array(sent_ns)),
             message=number,
             receiver=receiver,
             arrival_ns=arrival_ns,
             rssi_dbm=rssi_dbm,
         )
-        self._clear()
         if not len(receiver):
             return []
         woken = [at for row in self._woken for at in np.flatnonzero(receiver == row).tolist()]
@@ -341,11 +343,6 @@ class ReceptionLog:
         )
         due_ns = arrival_ns if arrival_ns >= now_ns else now_ns + 1  # a datagram may be decided after its time
         return Event(f"{self._names[batch.receiver[at]]}/heard", due_ns, reception)
-
-    def _clear(self) -> None:
-        self._messages: list[Message] = []
-        self._sent_ns: list[int] = []
-        self._columns: tuple[list[Any], list[Any], list[Any]] = [], [], []
 
 
 def _many(columns: Sequence[Sequence[Any]], counts: Sequence[int]) -> list[NDArray[Any]]:
