@@ -227,8 +227,8 @@ def _outline(entity: SceneEntity) -> Array:
 
 
 def _corners(part: TriangleListPrimitive) -> Array:
-    points = np.array([(point.x, point.y, point.z) for point in part.points])
-    return points[np.array(part.indices)].reshape(-1, 3, 3)
+    points = np.array([(point.x, point.y, point.z) for point in part.points]).reshape(-1, 3)
+    return points[np.array(part.indices, np.int64)].reshape(-1, 3, 3)
 
 
 def _colors(part: TriangleListPrimitive) -> Array:

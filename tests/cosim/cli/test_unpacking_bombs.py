@@ -36,6 +36,13 @@ def state(time_ns: int, x_m: float = 0.0) -> Iterator[bytes]:
     yield bombs.head("car1/state", "vcmvsp.VehicleState") + bombs.message(position + still + b"}", time_ns)
 
 
+def empty_drawing() -> Iterator[bytes]:
+    """A world of a body without triangles."""
+    body = b'"id":"x","lifetime":{},"frame_locked":false,"timestamp":{"sec":0,"nsec":0},"frame_id":"world"'
+    triangles = b'"triangles":[{"pose":{},"points":[],"color":{"r":0,"g":0,"b":0,"a":1},"indices":[]}]'
+    return bombs.one("world/solids", "foxglove.SceneUpdate", b'{"entities":[{' + body + b"," + triangles + b"}]}")
+
+
 def names() -> Iterator[bytes]:
     """Notes of a thousand names each, of which no two are the same: a table of 300 million cells."""
     notes = ("{" + ",".join(f'"{row}_{name}":1' for name in range(1000)) + "}" for row in range(550))
@@ -54,6 +61,7 @@ IN_RESULTS: dict[str, tuple[Make, tuple[str, ...]]] = {
     "late message": (recording_of(lambda: state(2**64 - 1)), ALONE),
     "last second": (recording_of(lambda: state(2**62)), ("export {} --rosbag2 --out {}/x",)),
     "far away": (recording_of(lambda: [*state(0, -1.7e308), *state(0, 1.7e308)]), EXPORTS),
+    "no triangles": (recording_of(lambda: [*state(0), *empty_drawing()]), ("export {} --mp4 --out {}/x",)),
     "deep note": (recording_of(lambda: bombs.one("car1/note", "vcmvsp.Note", b'{"values":' + TREE)), RECORDING),
     "deep line": (recording_of(lambda: bombs.one("log", "foxglove.Log", b'{"x":' + TREE)), RECORDING),
     "deep frame": (recording_of(lambda: bombs.one("radio/frame", "vcmvsp.Frame", b'{"x":' + TREE)), ALONE),
