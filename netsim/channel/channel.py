@@ -166,7 +166,6 @@ class Channel:
         self._expected: int | None = None
         self._names: tuple[str, ...] = ()
         self._senders: dict[str, Transmitter] = {}
-        self._air_ns: dict[int, int] = {}  # by size of the message
         self._contention: Contention | None = None
         self.budgets.start()
         self.operated.start()
@@ -246,9 +245,8 @@ class Channel:
         return self._send_now(frames, [max(sent_ns, sent.sender.free_ns) for sent in frames])
 
     def _frame(self, sent_ns: int, message: Message, sender: Transmitter, mean: MeanBudget) -> SentFrame:
-        size = message.size_bytes
-        air_ns = self._air_ns.get(size) or self._air_ns.setdefault(size, self._air_time_ns(size))
-        to, number, frame = sender.destination(message.to), sender.frames, self._frames
+        air_ns, to = self._air_time_ns(message.size_bytes), sender.destination(message.to)
+        number, frame = sender.frames, self._frames
         sender.frames += 1
         self._frames += 1
         return SentFrame(frame, sender, number, message, to, sent_ns, air_ns, mean, mean.level_dbm)
