@@ -61,6 +61,8 @@ IN_RESULTS: dict[str, tuple[Make, tuple[str, ...]]] = {
     "late message": (recording_of(lambda: state(2**64 - 1)), ALONE),
     "last second": (recording_of(lambda: state(2**62)), ("export {} --rosbag2 --out {}/x",)),
     "far away": (recording_of(lambda: [*state(0, -1.7e308), *state(0, 1.7e308)]), EXPORTS),
+    "no number": (lambda folder: bombs.recording(folder / "run.mcap", state(0), "car1", seed="x"), EXPORTS[:1]),
+    "no vehicle": (recording_of(lambda: bombs.one("else/scan", "foxglove.LaserScan", b"{}")), EXPORTS[1:2]),
     "no triangles": (recording_of(lambda: [*state(0), *empty_drawing()]), ("export {} --mp4 --out {}/x",)),
     "deep note": (recording_of(lambda: bombs.one("car1/note", "vcmvsp.Note", b'{"values":' + TREE)), RECORDING),
     "deep line": (recording_of(lambda: bombs.one("log", "foxglove.Log", b'{"x":' + TREE)), RECORDING),

@@ -38,10 +38,10 @@ def long_text(path: Path, like: Path) -> None:
     pq.write_table(table, path, compression="zstd", store_schema=False)
 
 
-def recording(path: Path, chunks: Iterator[bytes], vehicles: str) -> None:
+def recording(path: Path, chunks: Iterator[bytes], vehicles: str, seed: str = "1") -> None:
     """A recording of these chunks, which have no index."""
     codec = pa.Codec("zstd")
-    metadata = {"scenario": "bomb", "seed": "1", "vehicles": vehicles}
+    metadata = {"scenario": "bomb", "seed": seed, "vehicles": vehicles}
     with path.open("wb") as stream:
         stream.write(MCAP0_MAGIC + _bytes(records.Header(profile="", library="")))
         stream.write(_bytes(records.Metadata(name="vcmvsp", metadata=metadata)))
