@@ -243,10 +243,10 @@ def test_what_was_asked_for_is_taken_in_any_order() -> None:
 
 BUILT: list[tuple[dict[str, Any], str]] = [
     ({"agents": ()}, "agents for none; expected car2, car3"),
-    ({"agents": answer().agents[:1]}, "other vehicles"),
-    ({"agents": answer().agents + answer().agents[:1]}, "other vehicles"),
+    ({"agents": answer().agents[:1]}, "agents for car2; expected car2, car3"),
+    ({"agents": answer().agents + answer().agents[:1]}, "agents for car2, car2, car3; expected car2, car3"),
     ({"vehicle": "car3"}, "agents for car3, car3; expected"),
-    ({"vehicle": "car1"}, "other vehicles"),
+    ({"vehicle": "car1"}, "agents for car1, car3; expected car2, car3"),
     ({"ticks": Ticks(0)}, "car2 with a period of 0/1 ns"),
     ({"ticks": Ticks(-5)}, "a period of -5/1 ns"),
     ({"ticks": Ticks(10**8, 0)}, "a period of 100000000/0 ns"),

@@ -125,7 +125,7 @@ def test_an_observer_that_hangs_or_is_interrupted_ends_no_run(theatre: Theatre) 
         said_by(observer, "watching")
     os.kill(hangs.pid, signal.SIGSTOP)
     leaves.send_signal(signal.SIGINT)
-    assert ended(leaves) == (130, "")
+    assert ended(leaves) == (130, "vcmvsp: interrupted\n")
     assert [ended(each)[0] for each in (run, theatre.host())] == [0, 0]
     assert theatre.digest() == theatre.alone()
     os.kill(hangs.pid, signal.SIGCONT)

@@ -19,8 +19,7 @@ import vcmvsp
 from tests.support.cosim.studies import ESTIMATOR, LOSS, columns, mine, two
 from vcmvsp.cosim.assembly.run import AssembledRun
 from vcmvsp.cosim.errors import AgentError, FederateError, UsageError, VcmvspError
-from vcmvsp.cosim.processes import worker_pool
-from vcmvsp.cosim.processes.child_process import BOOT
+from vcmvsp.cosim.processes import child_process, worker_pool
 from vcmvsp.cosim.processes.worker_pool import Pool, Worker
 from vcmvsp.cosim.studies import engine, rows
 from vcmvsp.cosim.studies import plan as plans
@@ -158,13 +157,13 @@ def test_a_worker_that_is_killed_costs_its_run_only_if_it_dies_twice(tmp_path: P
 def test_a_worker_that_is_killed_while_it_starts_costs_no_run(
     deaths: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    boots = iter(["import os; os.kill(os.getpid(), 9)  # {module}"] * deaths + [BOOT] * 2)
+    boots = iter(["import os; os.kill(os.getpid(), 9)  # {module}"] * deaths + [child_process.BOOT] * 2)
 
     class Boot:
         def format(self, **named: str) -> str:
             return next(boots).format(**named)
 
-    monkeypatch.setattr(worker_pool, "BOOT", Boot())
+    monkeypatch.setattr(child_process, "BOOT", Boot())
     with Pool(abs, 1, died="died") as pool:
         if deaths < worker_pool.STARTS:
             assert list(pool.answers([(0, -7)], 1)) == [(0, 7)]
@@ -201,7 +200,7 @@ def test_a_worker_that_cannot_be_started_is_named(monkeypatch: pytest.MonkeyPatc
 
 
 def test_what_a_worker_that_cannot_begin_ended_with_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vcmvsp.cosim.processes.worker_pool.BOOT", "raise SystemExit(7)  # {module}")
+    monkeypatch.setattr("vcmvsp.cosim.processes.child_process.BOOT", "raise SystemExit(7)  # {module}")
     with pytest.raises(VcmvspError, match=r"ended while it started \(exit code 7\)"):
         study(two(), vary={LOSS: [0.0]}, seeds=1)
 

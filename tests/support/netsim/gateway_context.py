@@ -58,6 +58,7 @@ class TestHall:
         self.lines: list[str] = []
         self._delay_s, self._hears = delay_s, hears
         self._thread = threading.get_ident()
+        self.is_closed = False  # then the run delivers nothing more
 
     def offer(self, gateway: Gateway, sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
         self._on_the_loop()
@@ -72,9 +73,9 @@ class TestHall:
         self.offered.append(Offered(sender, to, payload, time.monotonic_ns() if came_ns is None else came_ns))
         for receiver in [row for row in rows if row != sender] if to == BROADCAST else [to]:
             if self._hears(sender, receiver, place):
-                self.loop.call_later(self._delay_s, gateway.deliver, sender, receiver, payload)
+                self._later(gateway.deliver, sender, receiver, payload)
             elif to != BROADCAST and (lost := getattr(gateway, "lost", None)):
-                self.loop.call_later(self._delay_s, lost, sender, receiver, payload)
+                self._later(lost, sender, receiver, payload)
         return True
 
     def count(self, vehicle: int, what: str, by: int = 1) -> None:
@@ -84,6 +85,13 @@ class TestHall:
 
     def level_dbm(self, sender: int, receiver: int) -> float:
         return self.levels.get((sender, receiver), float("nan"))
+
+    def _later(self, call: Callable[[int, int, bytes], None], sender: int, receiver: int, payload: bytes) -> None:
+        def unless_closed() -> None:
+            if not self.is_closed:
+                call(sender, receiver, payload)
+
+        self.loop.call_later(self._delay_s, unless_closed)
 
     def _on_the_loop(self) -> None:
         assert threading.get_ident() == self._thread, "for the loop's own thread"
@@ -99,6 +107,7 @@ async def opened(gateway: Gateway, context: TestHall) -> AsyncIterator[TestHall]
         context.lines = list(await gateway.open(context))
         yield context
     finally:
+        context.is_closed = True
         await gateway.close()
         await asyncio.sleep(0)  # sockets are let go of in the next turn
     assert not trouble
