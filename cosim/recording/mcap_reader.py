@@ -11,7 +11,6 @@ from typing import BinaryIO, NamedTuple
 
 import pyarrow as pa
 from mcap import records
-from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
@@ -22,6 +21,7 @@ _RECORD = struct.Struct("<BQ")  # opcode, length of the rest
 _CHUNK = struct.Struct("<QQQI")  # first and last time; size and checksum of the content
 _INDEX = struct.Struct("<HI")  # channel, bytes of entries
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, log time, publish time
+_READ = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.METADATA)  # others are skipped
 _LAST_NS = 2**63 - 1
 _PASSED = -1  # channel of the placeholder for skipped messages
 _ENTRY_BYTES, _LEAST_BYTES = 16, 31  # index entry of a message; smallest message
@@ -158,13 +158,13 @@ def unpacked(data: bytes, compression: str, size: int, crc: int) -> bytes:
 
 
 def declared(record: bytes) -> records.McapRecord:
-    """Decode a schema or channel record.
+    """Decode a record; chunks stay packed.
 
     Raises:
         ValueError: the bytes are no such record.
     """
     try:
-        return next(StreamReader(io.BytesIO(record), skip_magic=True).records)
+        return next(StreamReader(io.BytesIO(record), skip_magic=True, emit_chunks=True, record_size_limit=None).records)
     except Exception as error:  # the library raises many types
         raise ValueError(f"{type(error).__name__}: {error}") from error
 
@@ -204,15 +204,19 @@ def _inside(data: bytes, most: int, passed: Container[int]) -> Iterator[records.
 
 
 def _records(stream: BinaryIO) -> Iterator[records.McapRecord]:
-    """Header and data records of a file, without its end; chunks stay packed."""
-    found = StreamReader(stream, emit_chunks=True, record_size_limit=limits.FILE_BYTES).records
-    while True:
-        try:
-            record = next(found)
-        except (EndOfFile, struct.error) as error:
-            raise ValueError("it is truncated") from error
-        except Exception as error:  # the library raises many types, also those of other libraries
-            raise ValueError(f"{type(error).__name__}: {error}") from error
-        if isinstance(record, records.DataEnd):
+    """Header and data records of a file, without its indexes and its end; chunks stay packed."""
+    end = stream.seek(0, os.SEEK_END)
+    stream.seek(0)
+    if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+        raise ValueError("it does not begin as an MCAP file does")
+    while len(head := stream.read(_RECORD.size)) == _RECORD.size:
+        opcode, length = _RECORD.unpack(head)
+        if opcode == Opcode.DATA_END:
             return
-        yield record
+        if length > end - stream.tell():
+            break
+        if opcode in _READ:
+            yield declared(head + stream.read(length))
+        else:
+            stream.seek(length, os.SEEK_CUR)
+    raise ValueError("it is truncated")

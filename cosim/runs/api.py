@@ -87,6 +87,12 @@ def computing(frame: FrameType | None) -> tuple[str, str]:
     return who, where
 
 
+def host_facts() -> dict[str, str]:
+    """This machine, for ``about.json``; `platform.platform` would start a program."""
+    system = "-".join((platform.system(), platform.release(), platform.machine()))
+    return {"name": platform.node(), "system": system, "python": platform.python_version()}
+
+
 Progress = Callable[[int, int], None]
 ABOUT_SCHEMA = "vcmvsp.about/1"
 DELIVERIES = "bridge.parquet"
@@ -297,7 +303,7 @@ class Simulation:
             "unrepeatable": run.hosts.unrepeatable,
             **({} if run.bridge is None else {"bridge": run.bridge.lateness}),
             "error": failure and {"message": str(failure), "details": getattr(failure, "details", "")},
-            "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
+            "host": host_facts(),
             "versions": _versions(),
         }
 

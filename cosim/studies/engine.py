@@ -4,7 +4,6 @@ import contextlib
 import difflib
 import functools
 import hashlib
-import platform
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -206,7 +205,7 @@ def _about(plan: Plan, started: datetime, wall_s: float, made: int, *, cluster: 
         "runs": plan.size,
         "runs_made": made,  # the others were resumed
         "where": f"{jobs or cores()} jobs" if cluster is None else str(cluster),
-        "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
+        "host": api.host_facts(),
         "versions": plan.versions,
     }
 

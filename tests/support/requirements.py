@@ -5,7 +5,6 @@ set the test fails. What a machine does not allow (network namespaces, IPv6) can
 """
 
 import os
-import platform
 import shutil
 import sys
 from collections import Counter
@@ -64,7 +63,6 @@ def pytest_configure(config: pytest.Config) -> None:
     for name, text in MARKERS.items():
         config.addinivalue_line("markers", f"{name}: {text}")
     if config.option.markexpr == QUICK:
-        platform.platform()  # starts `uname`, once in a process
         sys.addaudithook(_refuse)
 
 
