@@ -172,10 +172,11 @@ class Mailboxes:
 
     def put(self, batch: Receptions) -> None:
         """Add the receptions of the owners of these mailboxes."""
-        if self._owned is not None:
-            batch = _rows_of(batch, self._owned[batch.receiver])
-        if len(batch.receiver):
+        owned = None if self._owned is None else self._owned[batch.receiver]
+        if owned is None or owned.all():
             self._waiting.append(batch)
+        elif owned.any():
+            self._waiting.append(_rows_of(batch, owned))
 
     def take(self, now_ns: int, vehicles: Collection[str] | None = None) -> Receptions | None:
         """Take what has arrived by now at these vehicles (None: at all), by receiver and arrival; None: nothing.
@@ -195,6 +196,8 @@ class Mailboxes:
             if not taken.any():
                 return None
             batch = _rows_of(batch, taken)
+        if len(batch.receiver) == 1:
+            return batch
         receiver = batch.receiver.astype(np.uint16) if len(self._row) < 1 << 16 else batch.receiver  # sorted by digits
         return _rows_of(batch, np.lexsort((batch.arrival_ns, receiver)))
 
@@ -231,6 +234,8 @@ def _rows_of(batch: Receptions, rows: Array) -> Receptions:
 
 def pruned(batch: Receptions) -> Receptions:
     """The batch without messages that it has no reception of."""
+    if len(batch.messages) == 1:
+        return batch
     used = np.zeros(len(batch.messages), np.bool_)
     used[batch.message] = True
     numbers = np.flatnonzero(used).tolist()

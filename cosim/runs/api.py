@@ -88,8 +88,8 @@ def computing(frame: FrameType | None) -> tuple[str, str]:
 
 
 def host_facts() -> dict[str, str]:
-    """This machine, for ``about.json``; `platform.platform` would start a program."""
-    system = "-".join((platform.system(), platform.release(), platform.machine()))
+    """Name and system of the machine, for ``about.json``; `platform.platform` would start a program."""
+    system = f"{platform.system()}-{platform.release()}-{platform.machine()}"
     return {"name": platform.node(), "system": system, "python": platform.python_version()}
 
 
