@@ -136,8 +136,7 @@ class Topics:
 
     def _on_receptions(self, time_ns: int, batch: Receptions) -> None:
         """Publish each reception under its receiver's own key, when it is decided; it may arrive later."""
-        arrivals = dict.fromkeys(batch.receiver.tolist())
-        keys = {row: f"{batch.names[row]}/heard" for row in arrivals}
+        keys = {row: f"{batch.names[row]}/heard" for row in np.flatnonzero(np.bincount(batch.receiver)).tolist()}
         wanted = {row for row, key in keys.items() if self._heard.get(key) or (key not in self._heard and self._declare(key))}
         if not wanted:
             return

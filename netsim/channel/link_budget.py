@@ -182,7 +182,8 @@ class Budgets:
         self._position_bytes = b""  # to detect movement
         self._antennas = np.zeros((0, 3))
         self._raised = np.zeros((0, 3))  # antennas above their vehicles' positions, (n, 3) m
-        self._groups: dict[tuple[str, ...], _Group] = {}  # of radios that sent at the same positions
+        self._groups: dict[tuple[str, ...], _Group] = {}  # of single radios, and of the last several
+        self._several: tuple[str, ...] = ()  # names of the last several
         self._means: dict[str, MeanBudget] = {}
 
     def mean(self, links: SenderLinks, names: tuple[str, ...], position: Floats, *, bodies: bool = True) -> MeanBudget:
@@ -287,6 +288,9 @@ class Budgets:
             own_dbm = self.tx_power_dbm(names) + np.array([self._of(name).antenna_gain_dbi for name in names])
             power_dbm = own_dbm[:, None] + self.gain_dbi(self._names)[receivers]
             group = _Group(rows, others, receivers, power_dbm, self.sensitivity_dbm(self._names)[receivers])
+            if len(names) > 1:  # groups of many are large, and there may be many such groups
+                self._groups.pop(self._several, None)
+                self._several = names
             self._groups[names] = group
         return group
 
