@@ -154,8 +154,8 @@ class Counts:
         rows = self._ends[frames - 1] if frames else 0
         known = rows // self._between
         newest = np.maximum(self._newest[known], self._newest_receptions(known * self._between, rows))
-        numbers = np.searchsorted(np.array(self._ends[:frames]), newest, side="right").tolist()
-        heard = [(name, self._times[number]) for name, number, row in zip(self._row, numbers, newest, strict=True) if row >= 0]
+        rows_of = zip(self._row, newest.tolist(), strict=True)
+        heard = [(name, self._times[bisect_right(self._ends, row)]) for name, row in rows_of if row >= 0]
         return {name: at_ns for name, at_ns in heard if since_ns is None or at_ns > since_ns}
 
     def _newest_receptions(self, begin: int, end: int) -> Array:
