@@ -10,10 +10,10 @@
 
 A reception is always later than its sending, so no instant can loop.
 
-**Events** carry the time at which they take effect. A future event (a command delayed by an agent's latency, a frame on the
-air) is delivered at that time. ``reads`` lists the keys of the events in a federate's inbox, which it gets at its next step;
-``latest`` the keys of which it gets only the newest event; ``wakes`` those of ``reads`` that step the federate at the event's
-own time, in its ``wake_slot``.
+**Events** carry the time at which they take effect. A future event (a command delayed by an agent's latency) is delivered at
+that time; receptions travel in columns with arrival times of their own (`cosim.received`). ``reads`` lists the keys of the
+events in a federate's inbox, which it gets at its next step; ``latest`` the keys of which it gets only the newest event;
+``wakes`` those of ``reads`` that step the federate at the event's own time, in its ``wake_slot``.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -81,7 +81,7 @@ class Exchange:
         for event in events:
             when, key = event.time_ns, event.key
             route = routes.get(key) or self._route(key)
-            if when != last:  # many successive events have one time: receptions of a frame
+            if when != last:  # many successive events have one time: commands of a tick
                 if when < now:
                     raise FederateError(self._federates[index].name, f"returned {key} with the time {when} ns at {now} ns")
                 last, given = when, self._present if when == now else self._those_of(when, home)

@@ -17,7 +17,7 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.metrics.motion import Window, window_ns
-from vcmvsp.cosim.metrics.radio import Receptions, quantiles
+from vcmvsp.cosim.metrics.radio import ReceptionRows, quantiles
 from vcmvsp.cosim.types import Array, Incident, Presence, RealStatus
 
 KEYS = ("speed_rms_m_s", "yaw_rate_rms_rad_s", "acceleration_rms_m_s2", "yaw_acceleration_rms_rad_s2", "effort_m2_s")
@@ -107,7 +107,7 @@ def hardware_metrics(
     statuses: Mapping[str, Sequence[tuple[int, RealStatus]]],
     incidents: Sequence[tuple[str, Incident]],
     fixes: Mapping[str, int],
-    got: Receptions,
+    got: ReceptionRows,
 ) -> dict[str, Any]:
     """The ``hardware`` part of each real vehicle, from its timed statuses (ns), incidents and received fixes."""
     return {
@@ -148,7 +148,7 @@ def limited_by_s(told: Sequence[tuple[int, RealStatus]]) -> dict[str, float]:
     return {cause: held_ns / SECOND_NS for cause, held_ns in sorted(by_ns.items())}
 
 
-def _delays_s(got: Receptions, sender: str) -> Array:
+def _delays_s(got: ReceptionRows, sender: str) -> Array:
     if sender not in got.senders:
         return np.empty(0)
     own = got.by == got.senders.index(sender)

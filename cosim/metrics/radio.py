@@ -31,7 +31,7 @@ from vcmvsp.cosim.types import Array
 
 
 @dataclass(frozen=True)
-class Receptions:
+class ReceptionRows:
     """The received frames, in the order in which they entered the channel."""
 
     receivers: tuple[str, ...]
@@ -42,15 +42,15 @@ class Receptions:
     received_ns: Array  # (n,)
 
 
-def receptions(radio: pa.Table) -> Receptions:
+def receptions(radio: pa.Table) -> ReceptionRows:
     """The received frames of the table."""
     (receivers, to), (senders, by) = names_of(radio, "receiver"), names_of(radio, "sender")
     received = numbers(radio, "received_ns", null=-1)
     got = np.flatnonzero(received >= 0)
-    return Receptions(receivers, senders, to[got], by[got], numbers(radio, "sent_ns")[got], received[got])
+    return ReceptionRows(receivers, senders, to[got], by[got], numbers(radio, "sent_ns")[got], received[got])
 
 
-def informed(radio: pa.Table, got: Receptions) -> Receptions:
+def informed(radio: pa.Table, got: ReceptionRows) -> ReceptionRows:
     """Receptions of information: as `receptions`, but relayed messages count from their origin.
 
     A relayed message counts only at its destinations (`cosim.metrics.routing`).
@@ -64,7 +64,7 @@ def informed(radio: pa.Table, got: Receptions) -> Receptions:
     meant = told[by] & (codes_of(got.receivers, origins)[by] != got.to)
     meant &= anybody[only] | (codes_of(got.receivers, destinations)[only] == got.to)
     sent_ns = numbers(radio, "origin_sent_ns")[rows]
-    return Receptions(got.receivers, origins, got.to[meant], by[meant], sent_ns[meant], got.received_ns[meant])
+    return ReceptionRows(got.receivers, origins, got.to[meant], by[meant], sent_ns[meant], got.received_ns[meant])
 
 
 def radio_metrics(radio: pa.Table, ages: dict[str, float | None]) -> dict[str, Any]:
@@ -139,9 +139,9 @@ class _Stretch(NamedTuple):
     end_ns: int
 
 
-def links(radio: pa.Table | Receptions) -> dict[tuple[str, str], LinkHistory]:
+def links(radio: pa.Table | ReceptionRows) -> dict[tuple[str, str], LinkHistory]:
     """Reception history of every link (receiver, sender), over any relays."""
-    got = radio if isinstance(radio, Receptions) else informed(radio, receptions(radio))
+    got = radio if isinstance(radio, ReceptionRows) else informed(radio, receptions(radio))
     width = max(len(got.senders), 1)
     code = got.to.astype(np.int64) * width + got.by
     small = len(got.receivers) * width < 2**16  # radix sort, in linear time
@@ -163,7 +163,7 @@ def links(radio: pa.Table | Receptions) -> dict[tuple[str, str], LinkHistory]:
 
 
 def age_metrics(
-    got: Receptions, follows: Sequence[Placement], ticks: Mapping[str, Ticks], window: Window, end_ns: int
+    got: ReceptionRows, follows: Sequence[Placement], ticks: Mapping[str, Ticks], window: Window, end_ns: int
 ) -> dict[str, float | None]:
     """Age of the newest message (s) at the receivers' ticks in the window; its mean over time, and the mean of its peaks."""
     counted = list(_stretches(links(got), follows, ticks))
@@ -209,7 +209,7 @@ AT_ONCE = 1 << 20  # matrix entries in memory at once
 DECIMALS = 9  # eigenvalues agree on all machines to this precision
 
 
-def connectivity_metrics(got: Receptions, vehicles: Sequence[str], window: Window, end_ns: int) -> dict[str, float | None]:
+def connectivity_metrics(got: ReceptionRows, vehicles: Sequence[str], window: Window, end_ns: int) -> dict[str, float | None]:
     """The ``connectivity`` part; None for a single vehicle, more than `MOST_VEHICLES`, or a window shorter than `SPAN_NS`."""
     begin, last = window_ns(window)
     graphs = (min(last, end_ns) - begin) // SPAN_NS
@@ -219,7 +219,7 @@ def connectivity_metrics(got: Receptions, vehicles: Sequence[str], window: Windo
     return {"mean": float(values.mean()), "min": float(values.min()), "connected_share": float((values > 0.0).mean())}
 
 
-def adjacency(got: Receptions, vehicles: Sequence[str], begin_ns: int, graphs: int) -> Array:
+def adjacency(got: ReceptionRows, vehicles: Sequence[str], begin_ns: int, graphs: int) -> Array:
     """Adjacency of the vehicles in each of ``graphs`` seconds, in either direction: (graphs, n, n) bool."""
     n, to, by = len(vehicles), codes_of(vehicles, got.receivers)[got.to], codes_of(vehicles, got.senders)[got.by]
     when = (got.received_ns - begin_ns) // SPAN_NS

@@ -415,9 +415,9 @@ def status(t: float, **more: Any) -> tuple[int, RealStatus]:
 
 def test_metrics_of_a_real_vehicle_by_hand() -> None:
     from vcmvsp.cosim.metrics.agents import hardware_metrics
-    from vcmvsp.cosim.metrics.radio import Receptions
+    from vcmvsp.cosim.metrics.radio import ReceptionRows
 
-    got = Receptions(
+    got = ReceptionRows(
         receivers=("car2",),
         senders=("car1",),
         to=np.zeros(3, int),

@@ -150,10 +150,7 @@ class ReportReceiver:
     def take(self, obs: Observation) -> list[Report]:
         """Process the messages since the last tick; returns their reports, oldest first."""
         reports = []
-        for reception in obs.heard.of_senders(self._senders):
-            sender, body = reception.message.sender, reception.message.body
-            if isinstance(body, bytes):
-                continue
+        for sender, body in bodies(obs, self._senders):
             self._there_ns[sender] = obs.time_ns
             report = parse(body, obs.time_ns + self._clock_bound_ns)
             if report is None:
