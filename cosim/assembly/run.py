@@ -137,6 +137,7 @@ def assemble(
     recorded_radio: Path | None = None,
     tell: Tell = lambda _: None,
     watch: Callable[[], str | None] | None = None,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> AssembledRun:
     """Build the federates of a scenario, and wait until all agent hosts have joined.
 
@@ -150,6 +151,7 @@ def assemble(
         bridged: recorded datagrams of an earlier run, which replace the programs.
         recorded_radio: frame table of an earlier run, whose outcomes are repeated.
         watch: called while waiting for hosts; returns a reason to give up, or None.
+        meanwhile: called once while child processes for agents start.
 
     Raises:
         ScenarioError: the scenario cannot be run as it is.
@@ -195,6 +197,7 @@ def assemble(
         about=about,
         tell=tell,
         watch=watch,
+        meanwhile=meanwhile,
     )
     try:
         with _located(scenario, source):

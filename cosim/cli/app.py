@@ -4,6 +4,7 @@ Each module of this package holds the commands of one subject and loads heavy mo
 """
 
 import functools
+import gc
 import itertools
 import os
 import signal
@@ -138,6 +139,7 @@ def main(arguments: list[str] | None = None) -> None:
         from vcmvsp.cosim.cli import completion
 
         completion.answer(app)
+    gc.set_threshold(50_000, 20)  # imports create many objects that stay: looking for cycles among them takes a tenth of a start
     for number in (signal.SIGINT, signal.SIGTERM, *HANGS_UP):  # `kill` ends a run as Ctrl-C does, also one in the background
         signal.signal(number, signal.default_int_handler)
     try:

@@ -51,10 +51,11 @@ class Hosts:
         insecure: bool = False,
         watch: Callable[[], str | None] | None = None,
         about: Mapping[str, Any] | None = None,  # description of the run for observers (`cosim.hosts.event_publisher.About`)
+        meanwhile: Callable[[], None] = lambda: None,  # called once while child processes start
     ) -> None:
         self._about = {**(about or {}), "missing": self._absent}
         self._agents = agents if listen is None else msgspec.structs.replace(agents, listen=listen)
-        self._builder, self._observed = builder, listen is not None
+        self._builder, self._observed, self._meanwhile = builder, listen is not None, meanwhile
         self._tell, self._keys, self._insecure, self._watch = tell, keys, insecure, watch
         self._stack = contextlib.ExitStack()
         self.entrance: Entrance | None = None  # listener for remote hosts and observers
@@ -142,6 +143,7 @@ class Hosts:
             where = "--connect", hub.endpoint
             children[token] = ChildProcess(HOST_PROCESS, *where, *vehicles, first=f"{token}\n", files=hub.files)
             self._stack.callback(children[token].close, LEAVE_S)
+        self._meanwhile()
         links: dict[str, ZenohLink] = {}
         for knock in knocking(hub, self._agents.join_timeout_s, lambda: _missing(groups, links, children), self._tell):
             token = knock.hello.token

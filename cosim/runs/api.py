@@ -33,7 +33,7 @@ from vcmvsp.cosim.kernel.kernel import Kernel, Observer
 from vcmvsp.cosim.recording import external_inputs
 from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.recorder import Recorder
-from vcmvsp.cosim.runs.result import Result, figures_again
+from vcmvsp.cosim.runs.result import Result, figures_again, load_figures
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario import schema
 from vcmvsp.cosim.tables.schema import write_table
@@ -428,6 +428,7 @@ def run(
             recorded_radio=None if recorded_radio is None else Path(recorded_radio),
             tell=tell,
             watch=watch,
+            meanwhile=load_figures if folder else lambda: None,
         ) as assembled:
             if playback is not None:
                 assembled.keep(Path(playback) / external_inputs.FILE)  # so that a replay can be replayed

@@ -186,6 +186,11 @@ def figures_of(
     }
 
 
+def load_figures() -> None:
+    """Import what draws figures, which takes a third of a second."""
+    from vcmvsp.cosim.plots import run_plots  # noqa: F401
+
+
 def mission_log(folder: Path, facts: RunFacts) -> MissionLog | None:
     """Mission data that agents published in a saved run, or None without its recording."""
     with contextlib.suppress(OSError), (folder / "run.mcap").open("rb") as stream:

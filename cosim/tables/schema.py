@@ -14,7 +14,6 @@ from typing import Any, BinaryIO
 import msgspec
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from vcmvsp.cosim.errors import UsageError
@@ -162,8 +161,11 @@ def _checked(about: pq.FileMetaData, name: str) -> list[str]:
 
 
 def _text_bytes(texts: "pa.ChunkedArray[Any]") -> int:
-    chunks: Any = texts.chunks
-    return sum(pc.sum(pc.binary_length(each.dictionary).take(each.indices)).as_py() or 0 for each in chunks)
+    total = 0
+    for chunk in texts.chunks:  # of dictionary-encoded texts
+        sizes = np.array([len(text.encode()) for text in chunk.dictionary.to_pylist()], np.int64)
+        total += int(sizes[chunk.indices.drop_null().to_numpy()].sum())
+    return total
 
 
 def load(run_dir: str | Path, radio: Collection[str] | None = None) -> Recording:
