@@ -6,6 +6,7 @@ The generator is Philox4x32-10 (Salmon et al., "Parallel random numbers: as easy
 """
 
 import hashlib
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,12 @@ class _Key(ISeedSequence):
 def key64(seed: int, name: str) -> int:
     """A 64-bit key for a named stream; the same on every machine and Python version (BLAKE2b)."""
     return int.from_bytes(hashlib.blake2b(f"{seed}/{name}".encode(), digest_size=8).digest(), "little")
+
+
+def keys64(seed: int, names: Iterable[str]) -> U64:
+    """The keys (`key64`) of many names, (n,)."""
+    blake2b, prefix = hashlib.blake2b, f"{seed}/"
+    return np.frombuffer(b"".join([blake2b((prefix + name).encode(), digest_size=8).digest() for name in names]), "<u8")
 
 
 def stream(seed: int, name: str) -> np.random.Generator:

@@ -340,9 +340,11 @@ class Channel:
         if found is None:
             found = self._senders[name] = Transmitter()
         if found.names is not self._names:
-            if name not in self._names:
-                raise ValueError(f"sender {name} has no position; vehicles with a position: {', '.join(self._names) or 'none'}")
-            found.meet(SenderLinks(self._seed, name, tuple(each for each in self._names if each != name)), self._names)
+            names = self._names
+            if name not in names:
+                raise ValueError(f"sender {name} has no position; vehicles with a position: {', '.join(names) or 'none'}")
+            row = names.index(name)
+            found.meet(SenderLinks(self._seed, name, names[:row] + names[row + 1 :]), names)
         return found
 
     def _air_time_ns(self, size_bytes: int) -> int:

@@ -182,6 +182,8 @@ class Budgets:
         self._position_bytes = b""  # to detect movement
         self._antennas = np.zeros((0, 3))
         self._raised = np.zeros((0, 3))  # antennas above their vehicles' positions, (n, 3) m
+        self._row: dict[str, int] = {}  # of each vehicle
+        self._power_dbm, self._gain_dbi, self._least_dbm = np.zeros((3, 0))  # of all radios, (n,): see `_Group`
         self._groups: dict[tuple[str, ...], _Group] = {}  # of single radios, and of the last several
         self._several: tuple[str, ...] = ()  # names of the last several
         self._means: dict[str, MeanBudget] = {}
@@ -223,6 +225,9 @@ class Budgets:
         if not same:
             self._groups.clear()
             self._raised = np.array([(0.0, 0.0, self._of(name).antenna_height_m) for name in names])
+            self._row = {name: row for row, name in enumerate(names)}
+            self._gain_dbi, self._least_dbm = self.gain_dbi(names), self.sensitivity_dbm(names)
+            self._power_dbm = self.tx_power_dbm(names) + self._gain_dbi
         self._position, self._names, self._seed, self._means = position, names, seed, {}
         self._antennas = position + self._raised
         return before
@@ -282,12 +287,11 @@ class Budgets:
         names = tuple([links.sender for links in senders])
         group = self._groups.get(names)
         if group is None:
-            rows = np.array([self._names.index(name) for name in names])
+            rows = np.array([self._row[name] for name in names])
             others = np.arange(len(self._names)) != rows[:, None]
             receivers = np.nonzero(others)[1].reshape(len(rows), -1)
-            own_dbm = self.tx_power_dbm(names) + np.array([self._of(name).antenna_gain_dbi for name in names])
-            power_dbm = own_dbm[:, None] + self.gain_dbi(self._names)[receivers]
-            group = _Group(rows, others, receivers, power_dbm, self.sensitivity_dbm(self._names)[receivers])
+            power_dbm = self._power_dbm[rows, None] + self._gain_dbi[receivers]
+            group = _Group(rows, others, receivers, power_dbm, self._least_dbm[receivers])
             if len(names) > 1:  # groups of many are large, and there may be many such groups
                 self._groups.pop(self._several, None)
                 self._several = names

@@ -45,7 +45,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vcmvsp.cosim.rng import key64, link_uniform
+from vcmvsp.cosim.rng import keys64, link_uniform
 from vcmvsp.cosim.types import Decibels, NonNegative
 
 Floats = NDArray[np.float64]
@@ -103,15 +103,12 @@ class SenderLinks:
     @cached_property
     def keys(self) -> Keys:
         """Random keys of the links, (n,): from A to B another than from B to A."""
-        return self._keys([f"{self.sender}/{name}" for name in self.receivers])
+        return keys64(self.seed, [f"radio/{self.sender}/{name}" for name in self.receivers])
 
     @cached_property
     def pair_keys(self) -> Keys:
         """Random keys of the pairs, (n,), equal for both directions."""
-        return self._keys(["/".join(sorted((self.sender, name))) for name in self.receivers])
-
-    def _keys(self, names: list[str]) -> Keys:
-        return np.array([key64(self.seed, f"radio/{name}") for name in names], np.uint64)
+        return keys64(self.seed, ["/".join(("radio", *sorted((self.sender, name)))) for name in self.receivers])
 
 
 class Frame(msgspec.Struct, frozen=True):
