@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from bench import bare
+from bench.crowds import RADIOS, team
 from bench.measure import Row, in_turn, measured, table
 from bench.vehicles import Fleet, bare_cpu_s
 from bench.workloads import run_cpu_s, star
@@ -115,6 +116,17 @@ def kinematic() -> Row:
     return _speed(name, scenario, lambda: bare.simpy_cpu_s(10, 60.0), 150.0)
 
 
+def thousand() -> Row:
+    """A thousand vehicles without bodies, of which each hears its thirty nearest."""
+    scenario = team({"kinematic": 1000}, 2.0, RADIOS["802.11g with contention"], 5.0)
+    for number, vehicle in enumerate(scenario["vehicle"]):
+        vehicle["position"] = (25.0 * (number % 32), 25.0 * (number // 32), 0.0)
+    scenario["agents"]["period_s"] = 0.5
+    scenario["record"] = {"least_rssi_dbm": -86.0}
+    name = "whole run: 1000 kinematic vehicles, 2 Hz, 802.11g, 30 neighbours each; beside it SimPy waking 1000 idle processes"
+    return _speed(name, scenario, lambda: bare.simpy_cpu_s(1000, 5.0), 1.0)
+
+
 def robots() -> Row:
     """Fifty robots beside Bullet's own steps."""
     fleet = Fleet(50, 0)
@@ -134,7 +146,7 @@ def swarm_10() -> Row:
     return _swarm(0.1)
 
 
-ALL: Sequence[Callable[[], Row]] = (swarm_1, swarm_10, mixed, formation, kinematic, robots)
+ALL: Sequence[Callable[[], Row]] = (swarm_1, swarm_10, mixed, formation, kinematic, thousand, robots)
 
 
 def rows() -> list[Row]:

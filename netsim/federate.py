@@ -3,14 +3,15 @@
 import itertools
 from collections.abc import Collection, Iterator, Sequence
 
+import msgspec
 import numpy as np
 
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.rng import stream
-from vcmvsp.cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Seconds, States
+from vcmvsp.cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Seconds, States, Traffic
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.reception import ReceptionLog, TrafficLog, received
+from vcmvsp.netsim.channel.reception import ReceptionLog, TrafficLog, received, without_distant
 from vcmvsp.netsim.routing.network import RoutingNetwork
 from vcmvsp.netsim.routing.router import Routing
 
@@ -62,8 +63,10 @@ class RadioFederate:
         router: Routing | None = None,
         programs: bool = False,  # external programs may send any number of frames
         woken: Collection[str] = (),  # vehicles with a reader that a reception wakes
+        least_rssi_dbm: float | None = None,  # of receivers in reports (`without_distant`)
     ) -> None:
         self._channel, self._routing, self._programs, self._woken = channel, router, programs, frozenset(woken)
+        self._least_dbm = least_rssi_dbm
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
 
     def start(self, run: RunInfo) -> int | None:
@@ -106,7 +109,8 @@ class RadioFederate:
         if posts or now_ns == self._end_ns:
             reports += self._decided(now_ns)
         due = self._channel.next_ns()
-        return Step(self._events(reports, now_ns), None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
+        events = self._reported(self._events(reports, now_ns))
+        return Step(events, None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
 
     def _step_routed(self, network: RoutingNetwork, now_ns: int, inbox: Sequence[Event], reports: list[FrameReport]) -> Step:
         posts = list(self._posts(inbox, now_ns))
@@ -119,7 +123,9 @@ class RadioFederate:
         if now_ns == self._end_ns:
             network.finish()
         due = [each for each in (self._channel.next_ns(), network.next_ns()) if each is not None]
-        return Step(network.events(now_ns), None if not due or now_ns == self._end_ns else min(*due, self._end_ns))
+        return Step(
+            self._reported(network.events(now_ns)), None if not due or now_ns == self._end_ns else min(*due, self._end_ns)
+        )
 
     def _put_all(self, now_ns: int, posts: Sequence[Post]) -> list[FrameReport] | None:
         """Send all messages of this instant in one batch; None: no batch is possible."""
@@ -232,6 +238,20 @@ class RadioFederate:
         for message, report in with_messages:
             self._add_receptions(receptions, message, report)
         return [*traffic.events(now_ns), *receptions.events(now_ns), *events]
+
+    def _reported(self, events: list[Event]) -> list[Event]:
+        """The events, in reports without receivers below the least level."""
+        least_dbm = self._least_dbm
+        if least_dbm is None:
+            return events
+        for place, event in enumerate(events):
+            value = event.value
+            if isinstance(value, FrameReport):
+                events[place] = Event(event.key, event.time_ns, without_distant(value, least_dbm))
+            elif isinstance(value, Traffic):
+                reports = tuple([without_distant(each, least_dbm) for each in value.reports])
+                events[place] = Event(event.key, event.time_ns, msgspec.structs.replace(value, reports=reports))
+        return events
 
     def _add_receptions(self, log: ReceptionLog, message: Message, report: FrameReport) -> None:
         rows = self._rows.get(report.receivers)

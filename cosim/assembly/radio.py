@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from vcmvsp.physics.world.solids import AnySolid
 
 
-GIVEN = ("channel", "router", "programs", "woken")
+GIVEN = ("channel", "router", "programs", "woken", "least_rssi_dbm")
 """Parameters of the federate that are no keys of ``[radio]``."""
 
 
@@ -55,7 +55,13 @@ def federate_of(
         router, resolution.tables["routing"] = resolution.component("routing", scenario.routing, "routing")
     keys = _federate_keys()
     own = {name: value for name, value in scenario.radio.items() if name in keys}
-    given = {"channel": channel, "router": router, "programs": programs, "woken": scenario.sockets.vehicles}
+    given = {
+        "channel": channel,
+        "router": router,
+        "programs": programs,
+        "woken": scenario.sockets.vehicles,
+        "least_rssi_dbm": scenario.record.least_rssi_dbm,
+    }
     federate: RadioFederate = binding.call(RadioFederate, own, key="radio", origin=source, given=given)
     resolution.tables["radio"] = {**binding.complete(RadioFederate, own, without=given), **resolved}
     return federate

@@ -139,7 +139,7 @@ def main(arguments: list[str] | None = None) -> None:
         from vcmvsp.cosim.cli import completion
 
         completion.answer(app)
-    gc.set_threshold(50_000, 20)  # imports create many objects that stay: looking for cycles among them takes a tenth of a start
+    gc.set_threshold(50_000, 20)  # of the many objects of imports, none is in a cycle that ends
     for number in (signal.SIGINT, signal.SIGTERM, *HANGS_UP):  # `kill` ends a run as Ctrl-C does, also one in the background
         signal.signal(number, signal.default_int_handler)
     try:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from vcmvsp.cosim.types import Count, Name, NonNegative, OnLost, Period, Positive, Seconds, Seed, Value, Vec3
+from vcmvsp.cosim.types import Count, Decibels, Name, NonNegative, OnLost, Period, Positive, Seconds, Seed, Value, Vec3
 
 Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
 Coordinate = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]  # m
@@ -135,6 +135,7 @@ class RecordTable(msgspec.Struct, frozen=True, kw_only=True):
     period_s: Period = 0.1  # s between recorded states
     sensors: tuple[str, ...] = ()  # names of scanners and cameras whose readings are recorded; "*": all. Others always are
     heard: bool = False  # the messages that each agent gets at each tick; ``radio/frame`` has every reception anyway
+    least_rssi_dbm: Decibels | None = None  # frames are recorded without receivers below it that lost them; default: with all
     video: bool = False  # a film of a mission, mission.mp4: some seconds of work after the run
 
 

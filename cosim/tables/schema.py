@@ -162,6 +162,7 @@ def _checked(about: pq.FileMetaData, name: str) -> list[str]:
 
 def _text_bytes(texts: "pa.ChunkedArray[Any]") -> int:
     total = 0
+    chunk: Any
     for chunk in texts.chunks:  # of dictionary-encoded texts
         sizes = np.array([len(text.encode()) for text in chunk.dictionary.to_pylist()], np.int64)
         total += int(sizes[chunk.indices.drop_null().to_numpy()].sum())

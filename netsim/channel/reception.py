@@ -367,6 +367,23 @@ def received(report: FrameReport) -> Iterator[tuple[str, float, int]]:
                 yield arrived
 
 
+def without_distant(report: FrameReport, least_dbm: float) -> FrameReport:
+    """The report of a frame without receivers at lower levels that lost it; the one with the highest level stays."""
+    kept = (report.rssi_dbm >= least_dbm) | (report.received_ns >= 0)
+    if kept.all():
+        return report
+    kept[report.rssi_dbm.argmax()] = True  # every frame has a row in the table
+    places = np.flatnonzero(kept)
+    listed, rest = places.tolist(), dict[str, Any]()
+    for name in report.__struct_fields__:
+        value = getattr(report, name)
+        if isinstance(value, np.ndarray):
+            rest[name] = frozen(value[places])
+        elif isinstance(value, tuple):
+            rest[name] = tuple([value[place] for place in listed])
+    return msgspec.structs.replace(report, **rest)
+
+
 class BroadcastCounts(NamedTuple):
     """Outcomes of m broadcasts."""
 

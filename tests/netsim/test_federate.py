@@ -61,6 +61,34 @@ def test_a_reader_that_a_reception_wakes_gets_each_when_it_arrives() -> None:
     assert [("b", woken.value)] == [each for each in receptions_in([batch]) if each[0] == "b"]
 
 
+@pytest.mark.parametrize("least_dbm", [-75.0, -85.0])
+def test_reports_leave_out_receivers_below_a_level_that_lost_the_frame(least_dbm: float) -> None:
+    """Under Rayleigh fading some weak levels are received and some strong ones lost; agents get the same messages."""
+    names = tuple(f"v{n}" for n in range(12))
+    run = msgspec.structs.replace(RUN, vehicles=names)
+    team = standing(names, [(14.0 * n, 0.0, 0.0) for n in range(12)])
+    whole, part = (
+        RadioFederate(make_channel("wifi-b-1", fading={"kind": "rayleigh"}), least_rssi_dbm=least)
+        for least in (None, least_dbm)
+    )
+    left_out = 0
+    for federate in (whole, part):
+        federate.start(run)
+    for tick, sender in enumerate(names, 1):
+        sent = [Event("world/states", tick * MS, team), sends(tick * 20 * MS, sender)]
+        steps = [federate.step(tick * 20 * MS, sent) for federate in (whole, part)]
+        assert list(receptions_in(steps[0].events)) == list(receptions_in(steps[1].events))
+        (all_,), (near,) = map(frames, steps)
+        kept = (all_.rssi_dbm >= least_dbm) | (all_.received_ns >= 0)
+        kept[all_.rssi_dbm.argmax()] = True
+        assert near.receivers == tuple(np.array(all_.receivers)[kept])
+        assert near.outcome == tuple(np.array(all_.outcome)[kept])
+        for column in ("rssi_dbm", "distance_m", "received_ns", "snr_db", "fading_db", "path_loss_db"):
+            np.testing.assert_array_equal(getattr(near, column), getattr(all_, column)[kept])
+        left_out += len(kept) - kept.sum()
+    assert left_out
+
+
 def test_the_newest_positions_count(radio: RadioFederate) -> None:
     inbox = [states(0, 0.0, 20.0, 30.0), states(10 * MS, 0.0, 500.0, 30.0), sends(10 * MS, "a")]
     assert frames(radio.step(10 * MS, inbox))[0].distance_m.tolist() == [500.0, 30.0]
