@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from math import sqrt
+from math import fsum, sqrt
 
 import msgspec
 
@@ -116,9 +116,9 @@ def _mixed(a: Vec3, b: Vec3, share: float) -> Vec3:
 
 def _turned(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
     """Normalised linear interpolation; its angle is off by less than 1e-4 of a turn by 0.3 rad."""
-    dot = sum(p * q for p, q in zip(a, b, strict=True))
+    dot = fsum(p * q for p, q in zip(a, b, strict=True))
     sign = 1.0 if dot >= 0.0 else -1.0  # q and -q are the same attitude
     mixed = [p + share * (sign * q - p) for p, q in zip(a, b, strict=True)]
-    norm = sqrt(sum(each * each for each in mixed))
+    norm = sqrt(fsum(each * each for each in mixed))
     w, x, y, z = (each / norm for each in mixed)
     return w, x, y, z

@@ -336,10 +336,11 @@ def _vcmvsp() -> str:
 
 def _version(module: str, distribution: str) -> str:
     import importlib
-    from importlib import metadata
+
+    from vcmvsp.cosim.util.versions import version_of
 
     importlib.import_module(module)
-    return metadata.version(distribution)
+    return version_of(distribution)
 
 
 def _run(where: str) -> str:

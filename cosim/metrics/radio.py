@@ -173,7 +173,7 @@ def age_metrics(
     peaks = np.concatenate([np.empty(0), *(saw.peaks for saw in saws)])
     return {
         **quantiles(_at_ticks(counted, ticks, window, end_ns), ("mean", "p95", "max")),
-        "time_average": sum(saw.area for saw in saws) / sum(saw.length for saw in saws) if saws else None,
+        "time_average": float(np.divide(*np.cumsum([saw[:2] for saw in saws], axis=0)[-1])) if saws else None,
         "peak": float(np.mean(peaks)) if peaks.size else None,
     }
 

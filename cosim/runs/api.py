@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, BinaryIO, get_args
@@ -40,6 +39,7 @@ from vcmvsp.cosim.tables.schema import write_table
 from vcmvsp.cosim.types import Presence
 from vcmvsp.cosim.util.files import Folder, finite, write_whole, writing
 from vcmvsp.cosim.util.text import Tell, plain
+from vcmvsp.cosim.util.versions import version_of
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.view.live.session import Viewing
@@ -341,7 +341,7 @@ _PACKAGES = ("vcmvsp", "numpy", "simpy", "msgspec", "pyarrow", "mcap", "pybullet
 
 @functools.cache
 def _versions() -> dict[str, str]:
-    return {name: metadata.version(name) for name in _PACKAGES}
+    return {name: version_of(name) for name in _PACKAGES}
 
 
 Runs = schema.Runs

@@ -8,7 +8,6 @@ import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -28,6 +27,7 @@ from vcmvsp.cosim.studies.rows import flat
 from vcmvsp.cosim.studies.store import Answers, Store, begun
 from vcmvsp.cosim.studies.worker import DIED, Job, Work, WorkersGoneError, run_one, version
 from vcmvsp.cosim.util.files import Folder, to_json, write_whole, writing
+from vcmvsp.cosim.util.versions import version_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -233,7 +233,7 @@ def examined(plan: Plan, base: Base, checking: Callable[[int, int], None] = lamb
         for name, content in _check(plan, base, point).items():
             hashes.setdefault(name, set()).add(hashlib.sha256(content).hexdigest())
     files = {name: " ".join(sorted(found)) for name, found in hashes.items()}
-    versions = {name: metadata.version(name) for name in PACKAGES}
+    versions = {name: version_of(name) for name in PACKAGES}
     return msgspec.structs.replace(plan, metrics=_metrics(plan, base), files=files, versions=versions)
 
 

@@ -1,5 +1,6 @@
 """Solids between two points: obstacles of the radio."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -236,8 +237,8 @@ def _pieces(solid: Cylinder | Prism) -> list[tuple[list[Array], float, float]]:
 def _prism_thickness_m(rings: Sequence[Array]) -> float:
     if len(rings) == 1 and is_convex(rings[0].tolist()):
         return width_m(rings[0])
-    around = sum(float(np.hypot(*(ring - np.roll(ring, 1, axis=0)).T).sum()) for ring in rings)
-    return 2.0 * sum(area_m2(ring) for ring in rings) / around
+    around = math.fsum(float(np.hypot(*(ring - np.roll(ring, 1, axis=0)).T).sum()) for ring in rings)
+    return 2.0 * math.fsum(area_m2(ring) for ring in rings) / around
 
 
 def _shrunk(ring: Array) -> Array:

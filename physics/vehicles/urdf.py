@@ -228,7 +228,7 @@ class _Tree:
             mass, inertia = self._mass(link)
             frame = self.frame(name) @ _origin(link.find("inertial"))
             parts.append((mass, frame[:3, 3], frame[:3, :3] @ inertia @ frame[:3, :3].T))
-        total = sum(mass for mass, _, _ in parts)
+        total = math.fsum(mass for mass, _, _ in parts)
         centre = sum((mass * place for mass, place, _ in parts), np.zeros(3)) / total
         whole = np.zeros((3, 3))
         for mass, place, inertia in parts:  # parallel axes (Steiner)

@@ -3,13 +3,13 @@
 import math
 import platform
 from collections.abc import Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from vcmvsp.cosim.reproduction.row import COLUMNS, write_csv
 from vcmvsp.cosim.reproduction.validation import CHECKS, Outcome
 from vcmvsp.cosim.util.files import to_json, write_whole, writing
+from vcmvsp.cosim.util.versions import version_of
 
 SCHEMA = "vcmvsp.validation/1"
 LIBRARIES = ("numpy", "scipy", "pybullet")
@@ -98,5 +98,5 @@ def failures(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def _made_with() -> list[str]:
-    versions = [f"{name} {metadata.version(name)}" for name in ("vcmvsp", *LIBRARIES)]
+    versions = [f"{name} {version_of(name)}" for name in ("vcmvsp", *LIBRARIES)]
     return [*versions, f"Python {platform.python_version()}", platform.machine()]

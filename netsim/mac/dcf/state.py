@@ -184,7 +184,7 @@ def new_state(rules: DcfRules, count: int, sensitivity_mw: float, tables: Floats
     first = {**_INITIAL, "window": rules.cw_min, "sensitivity_mw": sensitivity_mw}
     arrays: dict[str, Any] = {"tables": tables}
     for name, shape in SHAPES.items():
-        array = get_args(get_args(DcfState.__annotations__[name])[0])  # of np.ndarray[shape, np.dtype[number]]
-        (number,) = get_args(array[1])
+        number = get_args(get_args(DcfState.__annotations__[name])[0])[-1]  # of NDArray, as its release of NumPy has it
+        number = next(iter(get_args(number)), number)  # of np.dtype[number]
         arrays[name] = np.full([size[letter] for letter in shape], first.get(name, 0), number)
     return DcfState(**arrays)
