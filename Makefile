@@ -1,6 +1,9 @@
 # Everything happens inside the checkout: `make setup` builds .venv, the other targets use it.
 
-PYTHON ?= $(firstword $(shell command -v python3.11) python3)
+VERSIONS = 3.11 3.12 3.13
+ifndef PYTHON  # the first of these that starts
+PYTHON := $(shell for v in $(VERSIONS); do python$$v -c '' 2>/dev/null && { echo python$$v; exit; }; done; echo python3)
+endif
 UV_VERSION = 0.13.9
 VENV = .venv
 CORES := $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)))')
@@ -10,18 +13,21 @@ UV = .uv/bin/uv
 
 # Whatever the environment says of bytecode: each worker and each program that a test starts imports what is compiled once.
 export PYTHONDONTWRITEBYTECODE =
+export UV_PROJECT_ENVIRONMENT = $(VENV)
 
-.PHONY: setup demo test quick check docs bench clean
+.PHONY: setup demo test quick same check docs bench clean
 
 setup: $(VENV)/.ready
 
-# uv, from PyPI, in an environment of its own, installs what uv.lock says, and leaves alone what the user has installed; where $(PYTHON) is newer than the 3.11 that
-# PyBullet has wheels for, it finds or fetches a 3.11.
-$(VENV)/.ready: pyproject.toml uv.lock .python-version
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "vcmvsp needs Python 3.11: make PYTHON=/path/to/python3.11"; exit 2; }
+# uv, from PyPI, in an environment of its own, installs what uv.lock says, and leaves alone what the user has installed; where
+# $(PYTHON) is newer than any that PyBullet has wheels for, it finds or fetches one that is not.
+USED = "$$($(PYTHON) -c 'import sys; print(sys.executable if sys.version_info < (3, 14) else "3.13")')"
+$(VENV)/.ready: pyproject.toml uv.lock
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "vcmvsp needs Python 3.11, 3.12 or 3.13: make PYTHON=/path/to/python3.13"; exit 2; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "this Python has no venv module; as root, run .ci/debian-packages"; exit 2; }
 	test -x $(UV) || { $(PYTHON) -m venv .uv && .uv/bin/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION); }
-	$(UV) sync --frozen --inexact --quiet || $(UV) sync --frozen --inexact --quiet --system-certs  # behind a proxy with certificates of its own
+	@$(UV) sync --frozen --inexact --quiet --python $(USED) || \
+	$(UV) sync --frozen --inexact --quiet --python $(USED) --system-certs  # behind a proxy with certificates of its own
 	@touch $@
 
 demo: setup
@@ -45,6 +51,11 @@ test: check
 # Without tests that start programs, open sockets, drive a browser or compute for seconds. None waits: a worker per core.
 quick: setup
 	$(BIN)/pytest -n $(CORES) -m "not processes and not sockets and not browser and not slow"
+
+# Short runs on another Python give the same bytes: sums as in the file EXPECTED.
+same: setup
+	$(BIN)/python -m tests.support.smoke | diff - $(EXPECTED)
+	$(BIN)/pytest tests/cosim/test_testing.py
 
 bench: setup .ns3/.ready .drones/.ready .peers/.ready
 	$(BIN)/python -m bench
@@ -70,4 +81,4 @@ bench: setup .ns3/.ready .drones/.ready .peers/.ready
 	$(UV) pip install --quiet --python .peers/bin/python --no-deps gradysim==0.8.2 && touch $@
 
 clean:
-	rm -rf $(VENV) .uv .ns3 .drones .peers runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv .venv-* .uv .ns3 .drones .peers runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,0 +1,44 @@
+"""Sums of what short runs write, to be compared between versions of Python: ``python -m tests.support.smoke``.
+
+Six scenarios, one of them again with its agents in processes, and a study. Each line is a name and SHA-256 sums.
+"""
+
+import hashlib
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+import vcmvsp
+
+RUNS = {
+    "formation-circle": 20.0,
+    "formation-slalom": 15.0,
+    "lab-formation": 10.0,
+    "relay-chain": 20.0,
+    "recon-urban": 5.0,
+    "swarm-100": 1.0,
+}
+"""Simulated seconds by scenario."""
+FILES = ("states.parquet", "radio.parquet", "metrics.json", "run.mcap")
+VARY = {"radio.loss.probability": [0.0, 0.4]}
+
+
+def sums() -> Iterator[str]:
+    """The lines."""
+    for name, duration_s in RUNS.items():
+        yield f"{name} {_of_run(name, duration_s, 'inprocess')}"
+    yield f"formation-circle {_of_run('formation-circle', RUNS['formation-circle'], 'process')}"
+    table = vcmvsp.study("formation-circle", vary=VARY, seeds=2, set={"duration_s": 5.0}, jobs=2)
+    yield f"study {' '.join(table['digest'].to_pylist())}"
+
+
+def _of_run(name: str, duration_s: float, agents: Literal["inprocess", "process"]) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        vcmvsp.run(name, set={"duration_s": duration_s, "agents.deadline_s": 500.0}, agents=agents, out=folder)
+        return " ".join(hashlib.sha256((Path(folder) / file).read_bytes()).hexdigest() for file in FILES)
+
+
+if __name__ == "__main__":
+    for line in sums():
+        print(line, flush=True)
