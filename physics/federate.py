@@ -23,7 +23,7 @@ External vehicles (`cosim.federate.ExternalMotion`) are included in all of this,
 """
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -251,13 +251,11 @@ class KinematicPhysics(Physics):
         return [*simulated, (self._external_engine, self._external)] if self._external_engine else simulated
 
 
-class BulletPhysics(Physics):
-    """Differential drives and quadrotors are bodies in Bullet; vehicles of other kinds move without bodies."""
+class RigidBodyPhysics(Physics):
+    """Base of physics with bodies: differential drives and quadrotors are bodies, other vehicles move without."""
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
-        """Bullet, and the engines of vehicles without bodies."""
-        from vcmvsp.physics.dynamics.bullet.engine import BulletEngine  # loads PyBullet, 0.4 s
-
+        """The engine with bodies, and the engines of vehicles without bodies."""
         checks.check_instants(self._run, self.rate_hz, self._sources.instants)
         self._sensors.check(Ticks.rate(self.rate_hz))
         rigid = DifferentialDrive | UrdfDrive | Quadrotor
@@ -265,14 +263,37 @@ class BulletPhysics(Physics):
         specs = [self.vehicles[n] for n in bodies]
         checks.check_overlaps(self.world, specs)
         checks.check_lift([self.vehicles[n] for n in bodies if n not in self._external], self.gravity)
-        bullet = BulletEngine(
+        engine = self._engine(
             world=self.world,
             vehicles=specs,
             seed=self._run.seed,
             rate_hz=self.rate_hz,
-            iterations=self.iterations,
             gravity=self.gravity,
             accelerations=any(spec.sensors for spec in specs),
             external=self._external_engine,
         )
-        return [(bullet, bodies), *self._bodiless([n for n in range(len(self.vehicles)) if n not in bodies])]
+        return [(engine, bodies), *self._bodiless([n for n in range(len(self.vehicles)) if n not in bodies])]
+
+    def _engine(self, **given: Any) -> Engine:
+        """The engine with bodies."""
+        raise NotImplementedError
+
+
+class BulletPhysics(RigidBodyPhysics):
+    """Differential drives and quadrotors are bodies in Bullet; vehicles of other kinds move without bodies."""
+
+    def _engine(self, **given: Any) -> Engine:
+        from vcmvsp.physics.dynamics.bullet.engine import BulletEngine  # loads PyBullet, 0.4 s
+
+        return BulletEngine(**given, iterations=self.iterations)
+
+
+class MujocoPhysics(RigidBodyPhysics):
+    """Differential drives and quadrotors are bodies in MuJoCo; vehicles of other kinds move without bodies."""
+
+    def _engine(self, **given: Any) -> Engine:
+        try:
+            from vcmvsp.physics.dynamics.mujoco.engine import MujocoEngine
+        except ModuleNotFoundError as error:
+            raise ScenarioError("needs MuJoCo: pip install 'vcmvsp[mujoco]'", key="physics.kind") from error
+        return MujocoEngine(**given)

@@ -36,7 +36,11 @@ NOTHING = "vcmvsp.cosim.config.registry:nothing"
 """The kind of an optional layer that is left out."""
 
 KINDS: Mapping[str, Mapping[str, str]] = {
-    "physics": {"bullet": "vcmvsp.physics.federate:BulletPhysics", "kinematic": "vcmvsp.physics.federate:KinematicPhysics"},
+    "physics": {
+        "bullet": "vcmvsp.physics.federate:BulletPhysics",
+        "kinematic": "vcmvsp.physics.federate:KinematicPhysics",
+        "mujoco": "vcmvsp.physics.federate:MujocoPhysics",
+    },
     "world": {
         "empty": "vcmvsp.physics.worlds.surroundings:Empty",
         "boxes": "vcmvsp.physics.worlds.surroundings:Boxes",

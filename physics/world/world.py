@@ -38,6 +38,12 @@ class Zone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         if not all(map(math.isfinite, (*self.center, *self.size, self.yaw_rad))) or min(self.size) <= 0.0:
             raise ValueError(f"a zone needs finite numbers and two positive sizes, not center {self.center}, size {self.size}")
 
+    def holds(self, x: float, y: float) -> bool:
+        """Whether a place, m, lies in it."""
+        dx, dy = x - self.center[0], y - self.center[1]
+        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return abs(cos * dx + sin * dy) <= 0.5 * self.size[0] and abs(cos * dy - sin * dx) <= 0.5 * self.size[1]
+
 
 class Wind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Wind, uniform in space, steady or in gusts."""
