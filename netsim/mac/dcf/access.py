@@ -8,7 +8,7 @@ A radio stores the slots left at the last extension of the busy time, and the ti
 slots are no events. After a payload that could not be decoded it waits for EIFS. The queues are linked lists in the arrays of
 the frames.
 
-The code runs with NumPy or compiled, see `netsim.mac.dcf.machine_code`; all state is in the arrays of a `DcfState`.
+The code runs with NumPy or compiled, see `cosim.compiled.machine_code`; all state is in the arrays of a `DcfState`.
 """
 
 import numpy as np

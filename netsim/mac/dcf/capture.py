@@ -12,7 +12,7 @@ As in ns-3.44 (``PhyEntity``, ``InterferenceHelper``, ``ThresholdPreambleDetecti
 
 Powers are added in the order of the frames' starts: bit-identical for one radio or for all. Operations on all radios are
 written twice: with vectors for NumPy, and as loops, which are faster when compiled: compiled code calls ``f_loop`` for ``f``
-(see `netsim.mac.dcf.machine_code`). Both do the same operations in the same order, with bit-identical results; a loop skips
+(see `cosim.compiled.machine_code`). Both do the same operations in the same order, with bit-identical results; a loop skips
 operations without effect.
 """
 

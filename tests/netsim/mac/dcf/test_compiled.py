@@ -1,12 +1,10 @@
 """One core at three speeds: vectors, loops, and loops that are compiled do the same to the last bit."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from tests.support.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, mixed, open_air, periodic, run, square
-from vcmvsp.netsim.mac.dcf import access, capture, machine_code
+from vcmvsp.netsim.mac.dcf import access, capture
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.mac.dcf.state import DcfState
 
@@ -56,19 +54,3 @@ def test_compiled_many_at_once_that_are_hidden_from_each_other() -> None:
     machine = open_air(40, compiled=True)
     machine.offer_many(time_ns, sender, 100, levels, np.array([each.patience for each in frames]), number)
     assert bytes_of(machine.advance(UNTIL)) == bytes_of(by_numpy)
-
-
-def test_compilation_can_be_turned_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("VCMVSP_COMPILED", "0")
-    assert not machine_code.available()
-
-
-def test_code_is_kept_whole_or_not_at_all(tmp_path: Path) -> None:
-    path, code = tmp_path / "folder" / "it.code", bytes(range(256)) * 100
-    assert machine_code._read_code(path) is None
-    machine_code._write_code(path, code)
-    assert machine_code._read_code(path) == code
-    assert [each.name for each in path.parent.iterdir()] == ["it.code"]
-    path.write_bytes(path.read_bytes()[:-1])
-    assert machine_code._read_code(path) is None
-    machine_code._write_code(path / "not a folder", code)  # it goes on without
