@@ -57,7 +57,7 @@ same: setup
 	$(BIN)/python -m tests.support.smoke | diff - $(EXPECTED)
 	$(BIN)/pytest tests/cosim/test_testing.py
 
-bench: setup .ns3/.ready .drones/.ready .peers/.ready
+bench: setup .ns3/.ready .drones/.ready .crazyflow/.ready .peers/.ready
 	$(BIN)/python -m bench
 
 # ns-3, with which the radio is compared, from PyPI; its programs are compiled with g++. Of what cannot be installed, here and
@@ -73,6 +73,11 @@ bench: setup .ns3/.ready .drones/.ready .peers/.ready
 	$(UV) pip install --quiet --python .drones/bin/python transforms3d==0.4.2 pillow==13.0.0 matplotlib==3.10.9 setuptools==80.10.2 && \
 	$(UV) pip install --quiet --python .drones/bin/python --no-deps swarm-drone-gym==2.0.0.3 && touch $@
 
+# crazyflow, with which the quadrotors are compared, too.
+.crazyflow/.ready: $(VENV)/.ready Makefile
+	-$(UV) venv --quiet --allow-existing --python $(BIN)/python .crazyflow && \
+	$(UV) pip install --quiet --python .crazyflow/bin/python crazyflow==0.4.0 jax==0.10.1 jaxlib==0.10.1 mujoco==4.0.0 mujoco-mjx==3.17.0 flax==0.12.8 && touch $@
+
 # HELICS and mosaik, with which distributed agents are compared, and gradysim, with which messages are, without what it needs to
 # talk to autopilots.
 .peers/.ready: $(VENV)/.ready Makefile
@@ -81,4 +86,4 @@ bench: setup .ns3/.ready .drones/.ready .peers/.ready
 	$(UV) pip install --quiet --python .peers/bin/python --no-deps gradysim==0.8.2 && touch $@
 
 clean:
-	rm -rf .venv .venv-* .uv .ns3 .drones .peers runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv .venv-* .uv .ns3 .drones .crazyflow .peers runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
