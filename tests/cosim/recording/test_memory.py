@@ -15,6 +15,7 @@ import pytest
 import vcmvsp
 from tests.support.cosim.recordings import TENTH, follows, recorded, states
 from vcmvsp.cosim.agent import AgentInfo
+from vcmvsp.cosim.analysis.links import links_of
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event, RunInfo
@@ -102,7 +103,7 @@ def some_events() -> list[Event]:
 
 @pytest.mark.parametrize("followed", [True, False])
 def test_portions_change_no_number(followed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Metrics, digest and files of tables in one piece, and of tables in many."""
+    """Metrics, digest, links and files of tables in one piece, and of tables in many."""
     events = some_events()[0 if followed else 2 :]
     found: list[dict[str, Any]] = []
     for rows in (1 << 17, 64, 8):
@@ -118,7 +119,10 @@ def test_portions_change_no_number(followed: bool, monkeypatch: pytest.MonkeyPat
             schema.write_table(table, file)
         metrics = recorder.metrics(window=(0.02, 0.2))
         assert recorder.radio.num_rows == pq.read_metadata(files[1]).num_rows == 1900
-        found.append({"metrics": metrics, "files": [file.getvalue() for file in files]})
+        links = links_of(tables[1], NAMES)
+        counted = [links.sent, links.received, links.under_way, links.level_dbm, links.frames, *links.losses.values()]
+        bits = [each.tobytes() for each in counted]
+        found.append({"metrics": metrics, "links": bits, "files": [file.getvalue() for file in files]})
     assert found[0] == found[1] == found[2]
     assert found[0]["metrics"]["radio"]["under_way"] > 0
     assert found[0]["metrics"]["radio"]["age_s"]["mean"] is not None
