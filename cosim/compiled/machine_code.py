@@ -95,11 +95,11 @@ class Core:
         """Whether the compiled code is in the cache folder."""
         return _read_code(_path(self._program)) is not None
 
-    def chosen(self, work_s: float, compile_s: float) -> Run:
-        """The cheaper way for work that takes ``work_s`` CPU s interpreted, where the compilation takes ``compile_s``."""
+    def chosen(self, work_s: float, compile_for_s: float) -> Run:
+        """The way for work that takes ``work_s`` CPU s interpreted; from ``compile_for_s`` on, compilation pays."""
         if not available():
             return self.interpreted
-        pays = self.is_loaded or work_s >= compile_s or (work_s >= LOAD_S and self.is_cached)
+        pays = self.is_loaded or work_s >= compile_for_s or (work_s >= LOAD_S and self.is_cached)
         return self.compiled if pays else self.interpreted
 
 
