@@ -15,7 +15,7 @@ UV = .uv/bin/uv
 export PYTHONDONTWRITEBYTECODE =
 export UV_PROJECT_ENVIRONMENT = $(VENV)
 
-.PHONY: setup demo test quick same check docs bench clean
+.PHONY: setup demo test quick same check docs site bench clean
 
 setup: $(VENV)/.ready
 
@@ -43,6 +43,14 @@ check: setup
 docs: setup
 	$(BIN)/python -m vcmvsp.cosim.reference.markdown --write
 	$(BIN)/python -m tests.support.docs.package_map --write
+	$(BIN)/python -m tests.support.docs.reference_pages --write
+
+# The documents as pages in site/, from all Markdown of the repository: the same folders, so that links need no change.
+SHOWN = '*.md' '*.png' CITATION.cff examples ':!tests'
+site: setup
+	$(UV) sync --frozen --inexact --quiet --group site
+	rm -rf .site site && mkdir .site && git ls-files -co --exclude-standard -- $(SHOWN) | tar -cT - | tar -xC .site
+	$(BIN)/zensical build --strict --clean
 
 # Files go to workers in their order, so that none that takes long comes last.
 test: check
@@ -57,7 +65,7 @@ same: setup
 	$(BIN)/python -m tests.support.smoke | diff - $(EXPECTED)
 	$(BIN)/pytest tests/cosim/test_testing.py
 
-bench: setup .ns3/.ready .drones/.ready .peers/.ready
+bench: setup .ns3/.ready .drones/.ready .crazyflow/.ready .peers/.ready
 	$(BIN)/python -m bench
 
 # ns-3, with which the radio is compared, from PyPI; its programs are compiled with g++. Of what cannot be installed, here and
@@ -73,6 +81,11 @@ bench: setup .ns3/.ready .drones/.ready .peers/.ready
 	$(UV) pip install --quiet --python .drones/bin/python transforms3d==0.4.2 pillow==13.0.0 matplotlib==3.10.9 setuptools==80.10.2 && \
 	$(UV) pip install --quiet --python .drones/bin/python --no-deps swarm-drone-gym==2.0.0.3 && touch $@
 
+# crazyflow, with which the quadrotors are compared, too.
+.crazyflow/.ready: $(VENV)/.ready Makefile
+	-$(UV) venv --quiet --allow-existing --python $(BIN)/python .crazyflow && \
+	$(UV) pip install --quiet --python .crazyflow/bin/python crazyflow==0.4.0 jax==0.10.1 jaxlib==0.10.1 mujoco==4.0.0 mujoco-mjx==3.17.0 flax==0.12.8 && touch $@
+
 # HELICS and mosaik, with which distributed agents are compared, and gradysim, with which messages are, without what it needs to
 # talk to autopilots.
 .peers/.ready: $(VENV)/.ready Makefile
@@ -81,4 +94,4 @@ bench: setup .ns3/.ready .drones/.ready .peers/.ready
 	$(UV) pip install --quiet --python .peers/bin/python --no-deps gradysim==0.8.2 && touch $@
 
 clean:
-	rm -rf .venv .venv-* .uv .ns3 .drones .peers runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv .venv-* .uv .ns3 .drones .crazyflow .peers runs dist .site site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,8 +1,9 @@
-"""Quadrotors beside those of PyFlyt and gym-pybullet-drones, which fly them in PyBullet too, in one run.
+"""Quadrotors beside those of PyFlyt and gym-pybullet-drones, which fly them in PyBullet too, and of crazyflow, in one run.
 
-``python -m bench.drones``. All step at 240 Hz, and are given new velocities and yaw rates ten times a second or more often;
-our flight controllers and PyFlyt's run at 120 Hz or more, those of gym-pybullet-drones at 48 Hz, as in its examples. CPU time
-of each process. gym-pybullet-drones itself is not on PyPI; swarm-drone-gym there is a fork of it, under the same names.
+``python -m bench.drones``. All step at 240 Hz, crazyflow at 250 Hz, and are given new velocities and yaw rates ten times a
+second or more often; our flight controllers, PyFlyt's and crazyflow's run at 120 Hz or more, those of gym-pybullet-drones at
+48 Hz, as in its examples. CPU time of each process, without what is compiled before. gym-pybullet-drones itself is not on PyPI;
+swarm-drone-gym there is a fork of it, under the same names.
 """
 
 import sys
@@ -15,10 +16,13 @@ from bench.measure import Row, in_turn, missing, table
 from bench.vehicles import Fleet, federate_cpu_s
 
 ROUNDS = 3
-MOST = {10: 0.25, 50: 0.1, 100: 0.1}  # of a peer's time, by how many fly
+IN_BULLET = {10: 0.25, 50: 0.1, 100: 0.1}  # of a peer's time at most, by how many fly
+IN_JAX = dict.fromkeys((10, 100, 1000), 0.5)
 RATE_HZ = 240.0
 WORK = 25.0  # quadrotors times seconds, of a peer's stretch
-PYTHON = Path(".drones/bin/python")  # with the peers, which need an older NumPy than we do: see the Makefile
+LEAST_S = 2.0  # of a stretch
+OLD = Path(".drones/bin/python")  # with peers that need an older NumPy than we do: see the Makefile
+JAX = Path(".crazyflow/bin/python")
 
 
 class Peer(NamedTuple):
@@ -26,32 +30,37 @@ class Peer(NamedTuple):
 
     module: str
     name: str
+    python: Path
+    most: dict[int, float]
 
 
 PEERS = (
-    Peer("pyflyt_fleet", "PyFlyt 0.29 at its own 240 Hz"),
-    Peer("gym_drones", "swarm-drone-gym 2.0.0.3 at 240 Hz, a fork of gym-pybullet-drones, which is not on PyPI"),
+    Peer("pyflyt_fleet", "PyFlyt 0.29 at its own 240 Hz", OLD, IN_BULLET),
+    Peer(
+        "gym_drones", "swarm-drone-gym 2.0.0.3 at 240 Hz, a fork of gym-pybullet-drones, which is not on PyPI", OLD, IN_BULLET
+    ),
+    Peer("crazyflow_fleet", "crazyflow 0.4 at 250 Hz, on one core, one thread", JAX, IN_JAX),
 )
 
 
 def rows() -> Iterator[Row]:
     """All of them; each is measured when it is asked for."""
-    for count in MOST:
-        for peer in PEERS:
+    for peer in PEERS:
+        for count in peer.most:
             yield _row(count, peer)
 
 
 def _row(count: int, peer: Peer) -> Row:
     print(f"measuring: drones, {count} beside {peer.module} ...", file=sys.stderr, flush=True)
-    span_s = max(0.5, WORK / count)
+    span_s, most = max(LEAST_S, WORK / count), peer.most[count]
     fleet = Fleet(0, count, rate_hz=RATE_HZ)
-    name, demand = f"{count} quadrotors, {RATE_HZ:g} Hz; beside it {peer.name}", f"<= {MOST[count]:g}"
+    name, demand = f"{count} quadrotors, {RATE_HZ:g} Hz; beside it {peer.name}", f"<= {most:g}"
     try:
-        with program(peer.module, installed(PYTHON), agents=count, span_s=span_s) as its:
+        with program(peer.module, installed(peer.python), agents=count, span_s=span_s) as its:
             ours, other, ratio = in_turn(lambda: federate_cpu_s(fleet), lambda: its() / span_s, ROUNDS)
     except SilentError as error:
         return missing(name, demand, error)
-    return Row(name, f"{1.0 / ours:.1f}x real time", f"{1.0 / other:.2f}x", ratio, demand, ratio <= MOST[count])
+    return Row(name, f"{1.0 / ours:.1f}x real time", f"{1.0 / other:.2f}x", ratio, demand, ratio <= most)
 
 
 if __name__ == "__main__":

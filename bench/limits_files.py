@@ -13,7 +13,7 @@ from vcmvsp.cosim.tables.schema import load, read_table
 
 VEHICLES, DURATION_S = 50, 10.0
 SILENT_HZ, TALKING_HZ = 1e-6, 10.0
-SHORT_S, LONG_S = 5.0, 20.0  # of a run whose memory is measured
+SHORT_S, LONG_S = 50.0, 100.0  # of a run whose memory is measured: more receptions than a row group of its file
 OFTEN_S, RARELY_S = 0.01, 1e3  # between recorded states
 
 

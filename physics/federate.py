@@ -111,6 +111,8 @@ class Physics:
         checks.check_places(self.world, self.vehicles)
         checks.check_sensors(self.vehicles, () if self._outside is None else self._outside.names)
         self._engines = [(engine, np.array(numbers, int)) for engine, numbers in self.engines()]
+        for engine, _ in self._engines:
+            engine.expect(run.duration_ns, now=run.paced)
         self._commands = Commands(self._movers(), self._advance)
         self._contacts = Contacts(self._engines, len(self.vehicles), self._scenes.names)
         self._sources.feed(0, self._motion())

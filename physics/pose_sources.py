@@ -92,15 +92,17 @@ class PoseSources:
 
     def estimates(self, now_ns: int, motion: BodyMotion) -> list[Event]:
         """Each vehicle's estimate of its own state, and its wheel odometry."""
-        numbers = np.concatenate((*motion[:4], motion.odometry), axis=1)  # (n, 18)
-        if len(self._vehicles) < len(numbers):
-            numbers = numbers[self._numbers]
+        parts = [*motion[:4], motion.odometry]
+        if len(self._vehicles) < len(motion.position):
+            parts = [each[self._numbers] for each in parts]
         events = []
-        for (number, source, estimate_key, odometry_key), row in zip(self._vehicles, numbers.tolist(), strict=True):
-            px, py, pz, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz, x, y, yaw, v, w = row
+        rows = zip(*(zip(*each.T.tolist(), strict=True) for each in parts), strict=True)  # tuples of numbers
+        for (number, source, estimate_key, odometry_key), (place, velocity, attitude, spin, wheels) in zip(
+            self._vehicles, rows, strict=True
+        ):
+            x, y, yaw, v, w = wheels
             odometry = None if isnan(x) else Odometry(pose=(x, y, yaw), v=v, w=w)
-            place, attitude = (px, py, pz), (qw, qx, qy, qz)
-            state = VehicleState(position=place, velocity=(vx, vy, vz), attitude=attitude, angular_velocity=(wx, wy, wz))
+            state = VehicleState(position=place, velocity=velocity, attitude=attitude, angular_velocity=spin)
             if source != "truth":
                 fused = self._fusers[number].estimator.estimate(now_ns) if number in self._fusers else None
                 state = estimate(source, state, odometry, self._fixes.get(number), fused)

@@ -5,6 +5,7 @@ lost. Levels and ratios are taken over frames that were on the air. Unmeasurable
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -13,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding
@@ -22,6 +22,7 @@ from vcmvsp.cosim.metrics.radio import quantiles
 from vcmvsp.cosim.recording.recorded_run import radio_columns
 from vcmvsp.cosim.tables.columns import code_of, codes_of, names_of, nulls, numbers
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
+from vcmvsp.cosim.tables.schema import Table, blocks_of
 from vcmvsp.cosim.types import Array
 
 SCHEMA = "vcmvsp.radio/1"
@@ -114,7 +115,7 @@ class Log:
 
     def _by_link(self) -> tuple[dict[Pair, tuple[int, int]], Array]:
         """The span of rows of each link, and all rows sorted by link, in table order within each link."""
-        link = self._whole("sender").astype(np.int64)
+        link = self._whole("sender").astype(np.int32)  # of at most `limits.VEHICLES` squared
         senders, receiver = self.names["sender"], self._whole("receiver")
         receivers = self.names["receiver"]
         link *= max(1, len(receivers))
@@ -262,32 +263,39 @@ class Links:
         return ", ".join(f"{count} {cause}" for cause, count in sorted(counts, key=lambda each: -each[1]) if count)
 
 
-def links_of(radio: pa.Table, vehicles: Sequence[str]) -> Links:
+def links_of(radio: Table, vehicles: Sequence[str]) -> Links:
     """Compute the statistics of all links of a run; ``vehicles`` in the order of the table."""
-    (senders, by), (receivers, to), (outcomes, outcome) = (names_of(radio, name) for name in ("sender", "receiver", "outcome"))
-    names = tuple(dict.fromkeys((*vehicles, *senders, *receivers)))
-    n = len(names)
-    code = codes_of(names, senders)[by] * n + codes_of(names, receivers)[to]
+    names = _all_names(radio, vehicles)
+    n, newest = len(names), -1
+    fates = defaultdict[str, Array](lambda: np.zeros((n, n), np.int64))
+    aired, level_dbm, frames = np.zeros((n, n), np.int64), np.zeros(n * n), np.zeros(n, np.int64)
+    for block in blocks_of(radio, ("sender", "receiver", "outcome", "air_time_ns", "rssi_dbm", "frame")):
+        (senders, by), (receivers, to), (words, fate) = (names_of(block, name) for name in ("sender", "receiver", "outcome"))
+        by = codes_of(names, senders)[by]
+        code = by * n + codes_of(names, receivers)[to]
+        for number, word in enumerate(words):
+            fates[word] += _by_pair(code[fate == number], n)
+        on_air = numbers(block, "air_time_ns") > 0
+        aired += _by_pair(code[on_air], n)
+        np.add.at(level_dbm, code[on_air], numbers(block, "rssi_dbm")[on_air])
+        frame = numbers(block, "frame")
+        frames += np.bincount(by[np.diff(frame, prepend=newest) != 0], minlength=n)  # the rows of a frame are adjacent
+        newest = int(frame[-1]) if len(frame) else newest
+    mean_dbm = np.full((n, n), np.nan)
+    np.divide(level_dbm.reshape(n, n), aired, out=mean_dbm, where=aired > 0)
+    sent = sum(fates.values(), start=np.zeros((n, n), np.int64))
+    received, under_way = fates.pop(RECEIVED, 0 * sent), fates.pop(UNDER_WAY, 0 * sent)
+    most = sorted(fates.items(), key=lambda each: -int(each[1].sum()))
+    return Links(names, sent, received, under_way, mean_dbm, frames, {cause: lost for cause, lost in most if lost.any()})
 
-    def count(chosen: Array, weights: Array | None = None) -> Array:
-        found = np.bincount(code[chosen], None if weights is None else weights[chosen], minlength=n * n)
-        return np.asarray(found).reshape(n, n)
 
-    def of(word: str) -> Array:
-        return np.asarray(outcome == code_of(outcomes, word))
+def _by_pair(code: Array, n: int) -> Array:
+    return np.bincount(code, minlength=n * n).reshape(n, n)
 
-    on_air = numbers(radio, "air_time_ns") > 0
-    aired = count(on_air)
-    level = np.full((n, n), np.nan)
-    np.divide(count(on_air, numbers(radio, "rssi_dbm")), aired, out=level, where=aired > 0)
-    causes = [word for word in outcomes if word not in (RECEIVED, UNDER_WAY)]
-    losses = {cause: count(of(cause)) for cause in causes}
-    return Links(
-        names,
-        count(np.ones(len(code), np.bool_)),
-        count(of(RECEIVED)),
-        count(of(UNDER_WAY)),
-        level,
-        np.bincount(codes_of(names, senders)[by][np.diff(numbers(radio, "frame"), prepend=-1) != 0], minlength=n),
-        {cause: lost for cause, lost in sorted(losses.items(), key=lambda each: -int(each[1].sum())) if lost.any()},
-    )
+
+def _all_names(radio: Table, vehicles: Sequence[str]) -> tuple[str, ...]:
+    """The vehicles, and any other names in the table."""
+    found = dict.fromkeys(vehicles)
+    for block in blocks_of(radio, ("sender", "receiver")):
+        found |= dict.fromkeys((*names_of(block, "sender")[0], *names_of(block, "receiver")[0]))
+    return tuple(found)

@@ -84,8 +84,8 @@ class AssembledRun:
                 kernel.close()
             raise
 
-    def recorder(self, mcap: BinaryIO | None, tell: Tell = lambda _: None) -> Recorder:
-        """A recorder of this run that writes into the binary stream ``mcap``."""
+    def recorder(self, mcap: BinaryIO | None, tell: Tell = lambda _: None, folder: Path | None = None) -> Recorder:
+        """A recorder of this run that writes into the binary stream ``mcap``, with temporary files in a folder."""
         record = self.scenario.record
         return Recorder(
             self.info,
@@ -96,6 +96,7 @@ class AssembledRun:
             sensors=record.sensors,
             heard=record.heard,
             world=self.world,
+            folder=folder,
             tell=tell,
         )
 

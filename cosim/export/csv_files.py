@@ -27,7 +27,7 @@ from vcmvsp.cosim.recording.foxglove import PoseInFrame
 from vcmvsp.cosim.recording.mcap_reader import Recorded
 from vcmvsp.cosim.recording.recorded_run import FILE, Source, Values, is_known
 from vcmvsp.cosim.tables.radio_frames import Frames
-from vcmvsp.cosim.tables.schema import PART_ROWS, RunFacts, parts_of_table, radio_table
+from vcmvsp.cosim.tables.schema import PART_ROWS, RunFacts, TableFile, radio_table
 from vcmvsp.cosim.types import Imu, Incident, Odometry, RealStatus, VehicleState, Velocity, Waypoint
 from vcmvsp.cosim.util import limits
 
@@ -150,7 +150,7 @@ def _write_radio(source: Source, path: Path, count: int, end_ns: int) -> None:
     """Write the run's radio table or, if it is missing, the frames in the recording."""
     own = source.folder / f"{RADIO}.parquet"
     try:
-        _write_parts(parts_of_table(own), path)
+        _write_parts(TableFile(own).blocks(), path)
     except FileNotFoundError:
         _write_recorded(source, path, count, end_ns, f"no {own.name} here")
     except (OSError, ValueError):  # the run was killed during the write

@@ -10,7 +10,7 @@ An answer that arrives in time leaves no trace here, however late on the wall cl
 
 import itertools
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.metrics.motion import Window, window_ns
 from vcmvsp.cosim.metrics.radio import ReceptionRows, quantiles
+from vcmvsp.cosim.tables.columns import code_of
 from vcmvsp.cosim.types import Array, Incident, Presence, RealStatus
 
 KEYS = ("speed_rms_m_s", "yaw_rate_rms_rad_s", "acceleration_rms_m_s2", "yaw_acceleration_rms_rad_s2", "effort_m2_s")
@@ -107,7 +108,7 @@ def hardware_metrics(
     statuses: Mapping[str, Sequence[tuple[int, RealStatus]]],
     incidents: Sequence[tuple[str, Incident]],
     fixes: Mapping[str, int],
-    got: ReceptionRows,
+    got: Iterable[ReceptionRows],
 ) -> dict[str, Any]:
     """The ``hardware`` part of each real vehicle, from its timed statuses (ns), incidents and received fixes."""
     return {
@@ -148,11 +149,12 @@ def limited_by_s(told: Sequence[tuple[int, RealStatus]]) -> dict[str, float]:
     return {cause: held_ns / SECOND_NS for cause, held_ns in sorted(by_ns.items())}
 
 
-def _delays_s(got: ReceptionRows, sender: str) -> Array:
-    if sender not in got.senders:
-        return np.empty(0)
-    own = got.by == got.senders.index(sender)
-    return np.asarray((got.received_ns[own] - got.sent_ns[own]) / SECOND_NS)
+def _delays_s(got: Iterable[ReceptionRows], sender: str) -> Array:
+    parts = [np.empty(0)]
+    for part in got:
+        own = part.by == code_of(part.senders, sender)
+        parts.append((part.received_ns[own] - part.sent_ns[own]) / SECOND_NS)
+    return np.concatenate(parts)
 
 
 def _numbers(values: Sequence[float | None]) -> Array:

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.tables.columns import names_of, numbers
-from vcmvsp.cosim.tables.schema import Placement
+from vcmvsp.cosim.tables.schema import Placement, Table, blocks_of
 from vcmvsp.cosim.types import Array, Follows
+
+_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True)
@@ -27,20 +28,20 @@ class Motion:
         return self.names.index(name)
 
 
-def motion(states: pa.Table) -> Motion:
+def motion(states: Table) -> Motion:
     """Convert the table of states to dense arrays."""
-    names, code = names_of(states, "vehicle")
-    times, instant = np.unique(numbers(states, "time_ns"), return_inverse=True)
-
-    def dense(values: Array) -> Array:
-        result = np.full((len(times), len(names)), np.nan)
-        result[instant, code] = values
-        return result
-
-    w, x, y, z = (numbers(states, name) for name in ("qw", "qx", "qy", "qz"))
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    position = np.stack([dense(numbers(states, name)) for name in ("x", "y", "z")])
-    return Motion(times, names, position, dense(yaw))
+    found = [np.unique(numbers(block, "time_ns")) for block in blocks_of(states, ("time_ns",))]
+    times, values = np.unique(np.concatenate(found)), np.empty((4, 0, 0))
+    names: tuple[str, ...] = ()
+    for block in blocks_of(states, ("time_ns", "vehicle", *_POSE)):
+        names, code = names_of(block, "vehicle")
+        if not values.size:
+            values = np.full((4, len(times), len(names)), np.nan)
+        x, y, z, qw, qx, qy, qz = (numbers(block, name) for name in _POSE)
+        instant = times.searchsorted(numbers(block, "time_ns"))
+        for row, each in enumerate((x, y, z, np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz)))):
+            values[row, instant, code] = each
+    return Motion(times, names, values[:3], values[3])
 
 
 def safety_metrics(moved: Motion, collisions: int, clearance_m: float | None) -> dict[str, Any]:

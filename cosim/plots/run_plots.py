@@ -9,22 +9,23 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.metrics.age import links
 from vcmvsp.cosim.metrics.formation import ROUNDING_M, SETTLED_M, formation_errors
 from vcmvsp.cosim.metrics.motion import Motion, Window, motion
-from vcmvsp.cosim.metrics.radio import links
-from vcmvsp.cosim.metrics.routing import unreached_s
+from vcmvsp.cosim.metrics.routing import COLUMNS, unreached_s
 from vcmvsp.cosim.plots.style import ABOVE, GREY, LEVEL, line_of, styled
 from vcmvsp.cosim.tables.columns import names_of, numbers
-from vcmvsp.cosim.tables.schema import NOT_LOST, Placement
+from vcmvsp.cosim.tables.schema import NOT_LOST, Placement, Table, selected
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.palette import color_of
 
 SNAPSHOTS = 5  # instants at which the formation is drawn, including start and end
+_OF_LOSSES = ("sender", "receiver", "outcome", "sent_ns", "received_ns", *COLUMNS)
 NAMED = 8  # rows of lost messages, one text line high each; with more, they have no names
 
 
 @styled
-def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Sequence[Array] = ()) -> Figure:
+def trajectory(states: Table, follows: Sequence[Placement] = (), outlines: Sequence[Array] = ()) -> Figure:
     """Tracks of the vehicles seen from above: a marker at each start, arrowheads on the way, a larger one at the end.
 
     At a few instants thin lines from followers to leaders show the shape of the formation. ``outlines``, (k, 2) m each, are
@@ -56,7 +57,7 @@ def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Se
 
 
 @styled
-def formation_error(states: pa.Table, radio: pa.Table, follows: Sequence[Placement], window: Window | None = None) -> Figure:
+def formation_error(states: Table, radio: Table, follows: Sequence[Placement], window: Window | None = None) -> Figure:
     """Formation error of every follower over time; below, with radio, the age of its information on its leader, and losses.
 
     The evaluation window (s) is shaded; the dashed line is the 5 cm at which a follower has settled.
@@ -68,7 +69,7 @@ def formation_error(states: pa.Table, radio: pa.Table, follows: Sequence[Placeme
         rows = min(0.3 + 0.12 * len(errors), 1.5)
         above, middle, below = figure.subplots(3, 1, sharex=True, height_ratios=(3.0, 1.8, rows))
         _draw_ages(middle, moved, radio, follows, list(errors))
-        _draw_losses(below, moved, radio, follows, list(errors))
+        _draw_losses(below, moved, selected(radio, _OF_LOSSES), follows, list(errors))
     else:
         figure = Figure(figsize=(7.0, 3.2), layout="constrained")
         above = figure.add_subplot()
@@ -125,8 +126,8 @@ def _choose_scale(axes: Axes, errors: list[Array]) -> None:
         axes.set_ylim(0.0, 1.05 * max(values.max(initial=0.0), 1.2 * SETTLED_M))
 
 
-def _draw_ages(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[Placement], followers: list[str]) -> None:
-    heard = links(radio)
+def _draw_ages(axes: Axes, moved: Motion, radio: Table, follows: Sequence[Placement], followers: list[str]) -> None:
+    heard = links(radio, {(name, leader) for name in followers for leader in _leaders(name, follows)})
     for name in followers:
         for leader in _leaders(name, follows):
             if (name, leader) in heard:

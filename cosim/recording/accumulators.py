@@ -1,4 +1,8 @@
-"""Collects the data of a run for its two tables, its metrics and its digest; writes nothing while the run continues.
+"""Collects the data of a run for its two tables, its metrics and its digest.
+
+What grows with the run, states and frames, is packed into columns outside memory (`cosim.tables.spool`). At the end they are
+read block by block into files, metrics and digest: the order of rows, the names in a column and the facts in a file are known
+only then. So memory does not grow with the length of a run, except by what metrics need of a reception for a moment.
 
 Values are handled by type (`_takers`). Values that are in neither table enter the digest as MessagePack, in order of arrival:
 most types unchanged (`PACKED`), arrays as their bytes.
@@ -9,7 +13,7 @@ import hashlib
 import math
 import struct
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +25,30 @@ from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import RunInfo
+from vcmvsp.cosim.metrics.age import age_metrics
 from vcmvsp.cosim.metrics.agents import agent_metrics, control_metrics, hardware_metrics
 from vcmvsp.cosim.metrics.catalogue import SCHEMA
 from vcmvsp.cosim.metrics.formation import Noted, formation_metrics
 from vcmvsp.cosim.metrics.mission import Mission
 from vcmvsp.cosim.metrics.motion import Window, motion, safety_metrics
-from vcmvsp.cosim.metrics.radio import age_metrics, connectivity_metrics, informed, radio_metrics, receptions
+from vcmvsp.cosim.metrics.radio import Parts, connectivity_metrics, informed, radio_metrics
+from vcmvsp.cosim.metrics.routing import COLUMNS as ROUTES
 from vcmvsp.cosim.metrics.routing import Routing
 from vcmvsp.cosim.recording.scene import DrawnWorld
 from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.tables.radio_frames import Frames
-from vcmvsp.cosim.tables.schema import Placement, RunFacts, radio_table, states_table, write_table
+from vcmvsp.cosim.tables.schema import (
+    NULLABLE,
+    Placement,
+    RunFacts,
+    RunTable,
+    StateRows,
+    Table,
+    blocks_of,
+    radio_table,
+    states_table,
+    write_table,
+)
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.files import replacing
 
@@ -51,12 +68,13 @@ _NO_COMMAND = (math.nan,) * 4  # a way-point ends the commanded velocity
 class Accumulators:
     """Collects data during a run and makes tables and metrics after it. Args: see `cosim.recording.recorder.Recorder`."""
 
-    def __init__(self, run: RunInfo, agents: Sequence[AgentInfo], world: DrawnWorld | None = None) -> None:
+    def __init__(
+        self, run: RunInfo, agents: Sequence[AgentInfo], world: DrawnWorld | None = None, folder: Path | None = None
+    ) -> None:
         self._run, self._world = run, world
         self._now = 0  # ns: time of the newest value; after the run, its end
         self._ticks = {agent.vehicle: agent.ticks for agent in agents}
-        self._rows: list[tuple[int, types.States]] = []
-        self._frames = Frames(run.vehicles)
+        self._states, self._frames = StateRows(run.vehicles, folder), Frames(run.vehicles, folder)
         self._follows: list[Placement] = []
         self._noted, self._mission = Noted(), Mission()
         self._routing = Routing(run.vehicles)
@@ -68,7 +86,7 @@ class Accumulators:
         self._contacts: Counter[str] = Counter()
         self._packed = bytearray()  # values in no table that are not hashed yet
         self._others = hashlib.sha256()  # hash of all earlier ones
-        self._tables: tuple[pa.Table, pa.Table] | None = None
+        self._tables: tuple[RunTable, RunTable] | None = None
         self._takers: dict[type, Take] = {
             types.FrameReport: lambda _key, _time_ns, report: self._frames.extend((report,)),
             types.Traffic: lambda _key, _time_ns, traffic: self._frames.extend(traffic.reports),
@@ -110,36 +128,45 @@ class Accumulators:
     @property
     def states(self) -> pa.Table:
         """The table of true states (`cosim.tables.schema.STATES_SCHEMA`), after the run."""
-        return self._both()[0]
+        return self.tables[0].whole()
 
     @property
     def radio(self) -> pa.Table:
         """The table of frames per receiver (`cosim.tables.schema.RADIO_SCHEMA`), after the run."""
-        return self._both()[1]
+        return self.tables[1].whole()
 
-    def _both(self) -> tuple[pa.Table, pa.Table]:
-        """Both tables; releases the data that they are made from."""
+    @property
+    def tables(self) -> tuple[RunTable, RunTable]:
+        """The tables of states and frames, after the run."""
         if self._tables is None:
-            facts = self.facts
-            self._tables = states_table(self._rows, facts), radio_table(self._frames, facts)
-            self._rows.clear()
-            if self._routing:
-                self._tables = self._tables[0], self._routing.told(self._tables[1])
+            facts, states, frames, routing = self.facts, self._states, self._frames, self._routing
+
+            def radio(columns: Collection[str] | None, rows: tuple[int, int]) -> pa.Table:
+                if not routing or not (columns is None or set(columns) & set(ROUTES)):
+                    return radio_table(frames, facts, columns, rows)
+                known = None if columns is None else {*columns, "frame", "sent_ns"}
+                table = routing.told(radio_table(frames, facts, known, rows))
+                return table if columns is None else table.select([*columns])
+
+            self._tables = (
+                RunTable(states.rows, lambda columns, rows: states_table(states, facts, columns, rows)),
+                RunTable(frames.rows, radio),
+            )
         return self._tables
 
     def write_tables(self, folder: Path) -> None:
         """Write ``states.parquet`` and ``radio.parquet``."""
-        for name, table in (("states", self.states), ("radio", self.radio)):
+        for name, table in zip(("states", "radio"), self.tables, strict=True):
             with replacing(folder / f"{name}.parquet") as path:
                 write_table(table, path)
 
     def metrics(self, *, window: Window) -> dict[str, Any]:
         """The metrics of a finished run (`cosim.metrics.catalogue`); all but counts are taken over the window (s)."""
-        states, radio, end_ns = self.states, self.radio, self._now
+        (states, radio), end_ns = self.tables, self._now
         self._hash()
-        moved, got = motion(states), receptions(radio)
+        moved, got = motion(states), Parts(radio)
         vehicles, follows, targets = self._run.vehicles, self._follows, () if self._world is None else self._world.targets
-        ages = age_metrics(informed(radio, got), follows, self._ticks, window, end_ns)
+        ages = age_metrics(Parts(radio, informed), follows, self._ticks, window, end_ns)
         clearance_m = None if self._world is None else self._world.least_clearance_m(moved.time_ns, moved.position)
         hardware = hardware_metrics(self._statuses, self._incidents, self._fixes, got)
         mission = self._mission.metrics(moved, targets)
@@ -197,34 +224,46 @@ def vehicle_of(key: str) -> str:
     return key.partition("/")[0]
 
 
-def digest(tables: list[pa.Table], rest: bytes = b"") -> str:
+def digest(tables: Sequence[Table], rest: bytes = b"") -> str:
     """SHA-256 (hex) over all columns of the tables, column by column, and ``rest``.
 
     The hash is taken over values: it does not depend on chunks, on the order of names or on versions of file formats.
     """
     total = hashlib.sha256()
     for table in tables:
-        total.update(f"table {table.num_rows} {table.num_columns}\n".encode())
-        for name in table.column_names:
-            for part in _values(table, name):
+        total.update(f"table {table.num_rows} {len(table.schema)}\n".encode())
+        for field in table.schema:
+            for part in _values(table, field):
                 total.update(part)
     total.update(rest)
     return total.hexdigest()
 
 
-def _values(table: pa.Table, name: str) -> list[bytes | memoryview]:
-    used: list[str] = []
-    column_type = table.schema.field(name).type
+def _values(table: Table, field: "pa.Field[Any]") -> Iterator[bytes | memoryview]:
+    """What of a column is hashed: its name, kind and names in use, which values are missing, and all values."""
+    name, column_type, used = field.name, field.type, list[str]()
     if pa.types.is_dictionary(column_type):
-        kind, (used, raw) = "name", _canonical(*names_of(table, name))
-    elif pa.types.is_floating(column_type):
-        kind, raw = "float64", numbers(table, name).astype("<f8", copy=False)
+        kind, dtype = "name", "<i4"
+        used = sorted({each for block in blocks_of(table, (name,)) for each in _used(block, name)})
     else:
-        kind, raw = "int64", numbers(table, name).astype("<i8", copy=False)
-    return [repr((name, kind, used)).encode(), np.packbits(nulls(table, name)).data, raw.data]
+        kind, dtype = ("float64", "<f8") if pa.types.is_floating(column_type) else ("int64", "<i8")
+    yield repr((name, kind, used)).encode()
+    if name in NULLABLE or not isinstance(table, RunTable):
+        for block in blocks_of(table, (name,)):
+            yield np.packbits(nulls(block, name)).data
+    else:
+        yield bytes((table.num_rows + 7) // 8)
+    for block in blocks_of(table, (name,)):
+        values = _canonical(used, *names_of(block, name)) if kind == "name" else numbers(block, name)
+        yield values.astype(dtype, copy=False).data
 
 
-def _canonical(names: tuple[str, ...], codes: types.Array) -> tuple[list[str], types.Array]:
-    used = sorted(names[code] for code in np.flatnonzero(np.bincount(codes)).tolist())
+def _used(table: pa.Table, name: str) -> list[str]:
+    names, codes = names_of(table, name)
+    return [names[code] for code in np.flatnonzero(np.bincount(codes)).tolist()]
+
+
+def _canonical(used: Sequence[str], names: Sequence[str], codes: types.Array) -> types.Array:
+    """Codes among the names in use, for codes among all names."""
     place = {name: i for i, name in enumerate(used)}
-    return used, np.array([place.get(name, 0) for name in names], "<i4")[codes]
+    return np.array([place.get(name, 0) for name in names], "<i4").take(codes)

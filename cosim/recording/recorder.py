@@ -15,6 +15,7 @@ Events of unknown types are written unchanged.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import msgspec
@@ -52,6 +53,7 @@ class Recorder(Accumulators):
         sensors: names of on-demand sensors whose readings are recorded; ``*``: all.
         heard: write the messages that each agent receives, as ``<vehicle>/heard``.
         world: the world of the run; None: no distance to obstacles is measured.
+        folder: of temporary files; None: the system's folder for them.
         tell: receives lines for the user: agents that were lost or are back.
     """
 
@@ -66,10 +68,11 @@ class Recorder(Accumulators):
         sensors: Sequence[str] = (),
         heard: bool = False,
         world: DrawnWorld | None = None,
+        folder: Path | None = None,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._tell, self._record_ticks, self._sensors = tell, record_ticks, frozenset(sensors)
-        super().__init__(run, agents, world)
+        super().__init__(run, agents, world, folder)
         self._is_closed = False
         self._mail = Mailboxes(run.vehicles, self._ticks)
         self._writes_heard = heard and mcap is not None
@@ -131,7 +134,7 @@ class Recorder(Accumulators):
             self._record_states(time_ns, states)
 
     def _record_states(self, time_ns: int, states: States) -> None:
-        self._rows.append((time_ns, states))
+        self._states.append(time_ns, states)
         if self._viewer is not None:
             self._viewer.put_states(time_ns, states)
 

@@ -2,7 +2,7 @@
 
 With period T, delay d and independent losses p, messages that arrive are G periods apart, G geometric. The age rises from d by
 one second per second, so its mean over time is ``d + T E[G^2] / (2 E[G]) = d + T (1 + p) / (2 (1 - p))``, and that of its peaks
-``d + T E[G]`` (`cosim.metrics.radio`). For the formation: the lag of followers on a straight line, and their circles behind a
+``d + T E[G]`` (`cosim.metrics.age`). For the formation: the lag of followers on a straight line, and their circles behind a
 leader on a circle.
 """
 
@@ -19,7 +19,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.formation import SETTLED_M
 from vcmvsp.cosim.metrics.motion import Motion, Window, window_ns
 from vcmvsp.cosim.tables.columns import code_of, names_of, numbers
-from vcmvsp.cosim.tables.schema import Placement, Recording
+from vcmvsp.cosim.tables.schema import Placement, Recording, Table, blocks_of
 from vcmvsp.cosim.types import Array
 
 NORMAL_95 = 1.96
@@ -52,6 +52,7 @@ class MeasuredRun:
     scenario: Mapping[str, Any]
     metrics: Mapping[str, Any]
     recording: Recording
+    frames: Table
     links: Links
     moved: Motion
 
@@ -103,7 +104,7 @@ def _losses(run: MeasuredRun) -> Iterator[Expected]:
     if cause is None or any(run.radio[layer]["kind"] != "none" for layer in _BEHIND):
         return
     lost = run.links.losses.get(cause, np.zeros_like(run.links.sent))
-    passed = int(np.count_nonzero(_received(run)))  # also arrivals after the end
+    passed = int(run.links.received.sum())
     n = passed + int(lost.sum())
     if not n:
         return
@@ -197,17 +198,20 @@ def _bounds_s(run: MeasuredRun) -> tuple[float, float] | None:
     range_s = _range_s(run)
     if range_s is None:
         return None
-    radio, got = run.recording.radio, _received(run)
-    spent = sum(numbers(radio, name)[got] for name in ("queue_ns", "access_ns", "air_time_ns"))
     behind = run.radio["delivery"]["kind"] != "none"
-    if behind or not got.any() or range_s[0] * SECOND_NS < np.max(np.asarray(spent)):
+    if behind or not run.links.received.any() or range_s[0] * SECOND_NS < _longest_before_delay_ns(run.frames):
         return None
     return range_s
 
 
-def _received(run: MeasuredRun) -> Array:
-    outcomes, outcome = names_of(run.recording.radio, "outcome")
-    return np.asarray(outcome == code_of(outcomes, RECEIVED))
+def _longest_before_delay_ns(radio: Table) -> int:
+    """Longest time that a received frame spent in the queue, in access to the medium and on the air."""
+    longest, parts = 0, ("queue_ns", "access_ns", "air_time_ns")
+    for block in blocks_of(radio, ("outcome", *parts)):
+        outcomes, outcome = names_of(block, "outcome")
+        spent = sum(numbers(block, name) for name in parts)
+        longest = max(longest, int(np.max(spent, where=outcome == code_of(outcomes, RECEIVED), initial=0)))
+    return longest
 
 
 def _counted(run: MeasuredRun) -> Array:
@@ -223,12 +227,9 @@ def _counted(run: MeasuredRun) -> Array:
 
 
 def _sending_period_s(run: MeasuredRun) -> float | None:
-    links, radio = _counted(run), run.recording.radio
-    names, by = names_of(radio, "sender")
-    times, periods = numbers(radio, "sent_ns"), set()
+    links, times, periods = _counted(run), _sent_ns(run.frames), set()
     for sender in np.flatnonzero(links.any(axis=1)).tolist():
-        name = run.links.names[sender]
-        sent = np.unique(times[by == names.index(name)]) if name in names else np.empty(0)
+        sent = np.unique(np.concatenate(times.get(run.links.names[sender], [np.empty(0, np.int64)])))
         if len(sent) < 3:
             return None
         gaps = np.diff(sent)
@@ -237,6 +238,19 @@ def _sending_period_s(run: MeasuredRun) -> float | None:
             return None
         periods.add(round(period / SECOND_NS, 6))
     return periods.pop() if len(periods) == 1 else None
+
+
+def _sent_ns(radio: Table) -> dict[str, list[Array]]:
+    """Sending times of each sender, in parts."""
+    found: dict[str, list[Array]] = {}
+    for block in blocks_of(radio, ("sender", "sent_ns")):
+        names, by = names_of(block, "sender")
+        times = numbers(block, "sent_ns")
+        first = np.flatnonzero(np.diff(by, prepend=-1) | np.diff(times, prepend=-1))  # the rows of a frame are adjacent
+        by, times = by[first], times[first]
+        for code in np.flatnonzero(np.bincount(by)).tolist():
+            found.setdefault(names[code], []).append(times[by == code])
+    return found
 
 
 def motion_laws(run: MeasuredRun) -> Iterator[Expected]:

@@ -14,7 +14,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.foxglove import LEVELS
 from vcmvsp.cosim.recording.mcap_reader import about, messages, of_topic
-from vcmvsp.cosim.tables.schema import Recording, load_tables
+from vcmvsp.cosim.tables.schema import Recording, TableFile, load_tables
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import read_json, read_toml
 
@@ -29,8 +29,6 @@ FILES = {
     "about.json": "whether the run came to its end, and the machine that it ran on",
 }
 """Files of a run, and the content that is missing without each."""
-_COUNTED = ("frame", "sender", "receiver", "sent_ns", "outcome", "rssi_dbm", "air_time_ns", "queue_ns", "access_ns")
-"""Columns of the radio table that a report uses."""
 _LEVELS = {number: name for name, number in LEVELS.items()}
 
 
@@ -46,7 +44,8 @@ class Left:
     folder: Path
     scenario_toml: str = ""
     scenario: dict[str, Any] = field(default_factory=dict)
-    recording: Recording | None = None
+    recording: Recording | None = None  # without frames
+    radio: TableFile | None = None
     links: Links | None = None
     metrics: dict[str, Any] = field(default_factory=dict)
     about: dict[str, Any] = field(default_factory=dict)
@@ -75,13 +74,15 @@ def left_in(folder: Path) -> Left:
     recording = None
     schemas = [read(name, pq.read_schema, None) for name in ("states.parquet", "radio.parquet")]
     if None not in schemas:
-        recording = read("states.parquet", lambda path: load_tables(path.parent, _COUNTED), None)
-    links = None if recording is None else read("radio.parquet", lambda path: _links(recording, path), None)
+        recording = read("states.parquet", lambda path: load_tables(path.parent, ()), None)
+    radio = None if recording is None else read("radio.parquet", TableFile, None)
+    links = None if recording is None or radio is None else read("radio.parquet", lambda _: _links(recording, radio), None)
     return Left(
         folder,
         text,
         read("scenario.toml", lambda _: read_toml(text), {}),
         recording,
+        radio,
         links,
         read("metrics.json", lambda path: _json(path, "vcmvsp.metrics/1"), {}),
         read("about.json", lambda path: _json(path, "vcmvsp.about/1"), {}),
@@ -99,11 +100,10 @@ def _json(path: Path, schema: str) -> dict[str, Any]:
     return found
 
 
-def _links(recording: Recording, path: Path) -> Links:
-    columns = pq.read_schema(path).names
-    if absent := [name for name in NUMBERS if name not in columns]:
+def _links(recording: Recording, radio: TableFile) -> Links:
+    if absent := [name for name in NUMBERS if name not in radio.schema.names]:
         raise ValueError(f"it has no {absent[0]}: it was written by another version")
-    return links_of(recording.radio, recording.facts.vehicles)
+    return links_of(radio, recording.facts.vehicles)
 
 
 def _told(path: Path) -> list[tuple[float, str, str]]:

@@ -208,13 +208,13 @@ def expectation_table(left: Left) -> list[Part]:
 
 
 def _expected(left: Left) -> Iterator[Expected]:
-    recording, links = left.recording, left.links
-    if recording is None or links is None or not left.scenario or not left.metrics:
+    recording, radio, links = left.recording, left.radio, left.links
+    if recording is None or radio is None or links is None or not left.scenario or not left.metrics:
         return
     if left.scenario.get("intervention"):  # the operator intervened
         return
     with contextlib.suppress(KeyError):  # a scenario of another version may lack a key of a law
-        yield from laws(MeasuredRun(left.scenario, left.metrics, recording, links, motion(recording.states)))
+        yield from laws(MeasuredRun(left.scenario, left.metrics, recording, radio, links, motion(recording.states)))
 
 
 def _range(each: Expected) -> str | None:

@@ -19,7 +19,7 @@ from vcmvsp.cosim.recording.mission_log import MissionLog, read_mission
 from vcmvsp.cosim.recording.recorded_run import tables_of
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.scenario import loader
-from vcmvsp.cosim.tables.schema import Placement, RunFacts
+from vcmvsp.cosim.tables.schema import Placement, RunFacts, Table
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import read_toml
@@ -93,8 +93,8 @@ class Result:
 
     def _figures(self, shown: MissionLog | None) -> "dict[str, Figure]":
         recorder, outlines = self._recorder, worlds.outlines(self._world)
-        figures = figures_of(recorder.states, recorder.radio, recorder.follows, self._window, outlines)
-        return figures | mission_figures(shown, recorder.states, self._world)
+        figures = figures_of(*recorder.tables, recorder.follows, self._window, outlines)
+        return figures | mission_figures(shown, recorder.tables[0], self._world)
 
     def _shown(self) -> MissionLog | None:
         """Mission data that agents published, or None if there is none or no recording."""
@@ -141,7 +141,7 @@ class Result:
         for name, figure in figures.items():
             style.save_png(figure, folder / f"{name}.png")
         if self._video:
-            mission_video(folder / "mission.mp4", shown, self._recorder.states, self._world)
+            mission_video(folder / "mission.mp4", shown, self._recorder.tables[0], self._world)
         report.write(folder, {name: style.svg(figure) for name, figure in figures.items()})
 
 
@@ -175,7 +175,7 @@ def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = F
 
 
 def figures_of(
-    states: "pa.Table", radio: "pa.Table", follows: Sequence[Placement], window: Window, outlines: Sequence[Array]
+    states: Table, radio: Table, follows: Sequence[Placement], window: Window, outlines: Sequence[Array]
 ) -> "dict[str, Figure]":
     """The figures of a run, by name: ``trajectory`` and ``formation_error``."""
     from vcmvsp.cosim.plots import run_plots
@@ -198,7 +198,7 @@ def mission_log(folder: Path, facts: RunFacts) -> MissionLog | None:
     return None
 
 
-def mission_figures(shown: MissionLog | None, states: "pa.Table", world: Any) -> "dict[str, Figure]":
+def mission_figures(shown: MissionLog | None, states: Table, world: Any) -> "dict[str, Figure]":
     """Figures of a reconnaissance mission, by name: ``mission``, and ``mosaic`` and ``detections`` if agents published them."""
     if not shown:
         return {}
@@ -213,7 +213,7 @@ def mission_figures(shown: MissionLog | None, states: "pa.Table", world: Any) ->
     return figures
 
 
-def mission_video(path: Path, shown: MissionLog | None, states: "pa.Table", world: Any) -> None:
+def mission_video(path: Path, shown: MissionLog | None, states: Table, world: Any) -> None:
     """Write the video of a reconnaissance mission, if there was one."""
     if shown:
         from vcmvsp.cosim.plots.mission_video import write_video

@@ -14,9 +14,10 @@ from vcmvsp.cosim.types import Array
 
 
 def column(values: Array, valid: Array | None = None) -> "pa.Array[Any]":
-    """An Arrow array of the values, null where not valid."""
-    bits = None if valid is None else as_bits(valid)
-    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [bits, pa.py_buffer(values.tobytes())])
+    """An Arrow array of the values, null where not valid; it shares their memory, so they must not change."""
+    bits = None if valid is None or valid.all() else as_bits(valid)
+    whole = pa.py_buffer(np.ascontiguousarray(values).data)
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [bits, whole])
 
 
 def name_column(names: Sequence[str], codes: Array) -> "pa.Array[Any]":

@@ -4,17 +4,20 @@ A report is one or two kilobytes of small objects. Packed, a receiver of a frame
 """
 
 from collections.abc import Collection, Iterable, Sequence
-from itertools import chain
 from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from vcmvsp.cosim.tables.columns import column, joined, name_column
+from vcmvsp.cosim.tables.spool import Spool
 from vcmvsp.cosim.types import Array, FrameReport
 
 UNDER_WAY = "under way"  # outcome of a frame in transit at the end of the run
+GROUPED_NAMES = 1 << 18  # in groups of names whose codes are remembered
+SORTED_ROWS = 1 << 16  # sorted at once
 CHUNK_ROWS = 1 << 13  # rows packed at once, within milliseconds; a frame counts as one more row, as it may have no receivers
 PER_FRAME = ("frame", "sent_ns", "size_bytes", "air_time_ns", "queue_ns", "access_ns")
 PER_ROW = {"received_ns": np.int64, "distance_m": np.float64, "rssi_dbm": np.float64}
@@ -30,12 +33,6 @@ BUDGET = {  # zeros where the channel has no such layer
 }
 NAMED = ("sender", "receiver", "outcome", "wall_materials")
 COLUMNS = (*PER_FRAME, "sender", "receiver", *PER_ROW, "delay_ns", "outcome", "wall_materials", *BUDGET)
-_LAST_USE = {  # columns released after the column that is made from them
-    **dict.fromkeys(("sent_ns", "sender", "received_ns"), ()),
-    "receiver": ("receiver", "sender"),
-    "delay_ns": ("sent_ns",),
-    "outcome": ("outcome", "received_ns"),
-}
 _FIELDS = (*PER_FRAME, *PER_ROW, *BUDGET, "sender", "receivers", "outcome", "wall_materials")
 _FIELDS_OF = attrgetter(*_FIELDS)
 
@@ -50,37 +47,59 @@ class Names:
     """Codes for names: given names in their order, others in order of appearance."""
 
     def __init__(self, known: Sequence[str]) -> None:
-        self._known = len(known)
+        self.known = len(known)
         self._codes = _Numbered((name, i) for i, name in enumerate(known))
+        self._groups: dict[tuple[str, ...], Array] = {}  # codes of groups that may come again
+        self._grouped = 0  # names in these groups
+
+    def __len__(self) -> int:
+        return len(self._codes)
 
     def codes(self, names: Iterable[str]) -> Array:
         """Codes of the names."""
         return np.fromiter(map(self._codes.__getitem__, names), np.int32)
 
+    def codes_of_groups(self, groups: Iterable[tuple[str, ...]]) -> Array:
+        """Codes of the names in all groups, one group after the other."""
+        known, found = self._groups, []
+        for group in groups:
+            codes = known.get(group)
+            if codes is None:
+                if self._grouped > GROUPED_NAMES:
+                    known.clear()
+                    self._grouped = 0
+                codes = known[group] = self.codes(group)
+                self._grouped += len(group)
+            found.append(codes)
+        return joined(found, (0,), np.int32)
+
     def column(self, codes: Array) -> "pa.Array[Any]":
         """An Arrow column of the names of these codes."""
         return name_column(list(self._codes), codes)
 
-    def in_order_of(self, codes: Array) -> tuple["Names", Array]:
-        """The names with initially unknown ones sorted by first occurrence in ``codes``, and the new codes."""
-        first = np.full(len(self._codes), len(codes))
-        first[codes[::-1]] = np.arange(len(codes))[::-1]  # duplicate indices: the last assignment counts
-        first[: self._known] = -1
-        order, names = np.argsort(first, kind="stable"), list(self._codes)
-        return Names([names[old] for old in order.tolist()]), np.argsort(order).astype(np.int32)
+    def in_order_of(self, seen: Iterable[int]) -> tuple["Names", Array]:
+        """The names with initially unknown ones in the order of these codes, and the new codes."""
+        order, names = list(dict.fromkeys([*range(self.known), *seen, *range(len(self))])), list(self._codes)
+        return Names([names[old] for old in order]), np.argsort(order).astype(np.int32)
 
 
 class Frames:
-    """Packed frame reports; one row per intended receiver of a frame."""
+    """Packed frame reports, kept outside memory (`Spool`); one row per intended receiver of a frame.
 
-    def __init__(self, vehicles: Sequence[str]) -> None:
+    Args:
+        vehicles: names of the run's vehicles.
+        folder: of the temporary file; None: the system's folder for them.
+    """
+
+    def __init__(self, vehicles: Sequence[str], folder: Path | None = None) -> None:
         self._vehicles, self._outcomes, self._materials = Names(vehicles), Names(("received",)), Names(("",))
+        self._folder, self._kept = folder, Spool(folder)
         self._waiting: list[FrameReport] = []
         self._held = 0  # frames and rows not packed yet
-        self._chunks: dict[str, list[Array]] = {}  # packed parts of each column
-        self._counts = np.empty(0, np.int64)  # rows of each frame, in the order of the table
-        self._order: Array | None = None  # sort order of frames and rows
-        self._rows: Array | None = None
+        self._newest = 0  # greatest number of a packed frame
+        self._is_sorted = True
+        self._latest_ns: list[int] = []  # last arrival in each part
+        self._named: dict[tuple[str, int], tuple[Names, Array]] = {}  # names and new codes of a column, for an end of the run
 
     def extend(self, reports: Iterable[FrameReport]) -> None:
         """Add frame reports; every frame comes once, in any order."""
@@ -90,70 +109,98 @@ class Frames:
             if self._held >= CHUNK_ROWS:
                 self._pack()
 
-    def columns(self, end_ns: int = 2**63 - 1, wanted: Collection[str] | None = None) -> dict[str, Any]:
-        """The Arrow columns of the table, rows in the order in which frames entered the channel.
-
-        Frames that would arrive after ``end_ns`` are `UNDER_WAY`. Without ``wanted``, the stored columns are released.
-        """
+    @property
+    def rows(self) -> int:
+        """Number of rows so far."""
         self._pack()
-        self._counts, frame = self._joined("receivers"), self._joined("frame")
-        self._order = self._rows = None
-        if (frame[1:] < frame[:-1]).any():
-            self._order, rows = np.argsort(frame, kind="stable"), np.repeat(frame, self._counts)
-            self._rows, self._counts = np.argsort(rows, kind="stable"), self._counts.take(self._order)
-        del frame
-        found = {}
-        for name in COLUMNS if wanted is None else wanted:
-            found[name] = self._column(name, end_ns)
-            for done in _LAST_USE.get(name, (name,)) if wanted is None else ():
-                self._chunks.pop(done, None)
-        if wanted is None:
-            self._chunks.clear()
-        return found
+        return self._kept.starts[-1]
 
-    def _column(self, name: str, end_ns: int) -> "pa.Array[Any]":
+    def columns(
+        self, end_ns: int = 2**63 - 1, wanted: Collection[str] = COLUMNS, rows: tuple[int, int] | None = None
+    ) -> dict[str, Any]:
+        """The Arrow columns of the table, rows in the order in which frames entered the channel; ``rows``: first and last + 1.
+
+        Frames that would arrive after ``end_ns`` are `UNDER_WAY`.
+        """
+        first, stop = rows or (0, self.rows)
+        self._sort()
+        parts, cut = self._kept.around(first, stop)
+        return {name: self._column(name, end_ns, parts, cut) for name in wanted}
+
+    def _column(self, name: str, end_ns: int, parts: range, cut: slice) -> "pa.Array[Any]":
+        if name in NAMED:
+            names, new = self._names(name, end_ns)
+            codes = new.take(self._codes(name, end_ns, parts))
+            return names.column((np.repeat(codes, self._read("receivers", parts)) if name == "sender" else codes)[cut])
         if name in PER_FRAME:
-            return column(self._of_frames(name))
-        if name in ("sender", "receiver"):
-            receiver, sender = self._of_rows("receiver"), _in_order(self._joined("sender"), self._order)
-            vehicles, new = self._vehicles.in_order_of(np.concatenate([receiver, sender]))
-            return vehicles.column(new[receiver] if name == "receiver" else np.repeat(new[sender], self._counts))
+            return column(self._of_frames(name, parts)[cut])
         if name in ("received_ns", "delay_ns"):
-            arrival = self._of_rows("received_ns")
-            received = np.where(arrival > end_ns, -1, arrival)
-            return column(received - self._of_frames("sent_ns") if name == "delay_ns" else received, valid=received >= 0)
-        values = self._of_rows(name)
-        if name in ("outcome", "wall_materials"):
-            names = self._outcomes if name == "outcome" else self._materials
-            if name == "outcome":
-                values = np.where(self._of_rows("received_ns") > end_ns, names.codes((UNDER_WAY,)), values)
-            renamed, new = names.in_order_of(values)
-            return renamed.column(new[values])
+            received = self._read("received_ns", parts)[cut]
+            if self._is_late(end_ns, parts):
+                received = np.where(received > end_ns, -1, received)
+            valid = received >= 0
+            return column(received - self._of_frames("sent_ns", parts)[cut] if name == "delay_ns" else received, valid)
+        values = self._read(name, parts)[cut]
         return column(values, valid=_known(name, values, end_ns))
 
-    def _of_rows(self, name: str) -> Array:
-        return _in_order(self._joined(name), self._rows)
+    def _read(self, name: str, parts: range) -> Array:
+        return self._kept.read(name, parts, dtype_of(name))
 
-    def _of_frames(self, name: str) -> Array:
+    def _of_frames(self, name: str, parts: range) -> Array:
         """A column with one value per frame, repeated for its rows."""
-        return np.repeat(_in_order(self._joined(name), self._order), self._counts)
+        return np.repeat(self._read(name, parts), self._read("receivers", parts))
 
-    def _joined(self, name: str) -> Array:
-        return joined(self._chunks.get(name, []), (0,), dtype_of(name))
+    def _is_late(self, end_ns: int, parts: range) -> bool:
+        """Whether any frame would arrive after the end."""
+        return any(self._latest_ns[part] > end_ns for part in parts)
+
+    def _codes(self, name: str, end_ns: int, parts: range) -> Array:
+        """Codes of the names in a column, in order of appearance in this process; senders once per frame."""
+        codes = self._read(name, parts)
+        if name == "outcome" and self._is_late(end_ns, parts):
+            codes = np.where(self._read("received_ns", parts) > end_ns, self._outcomes.codes((UNDER_WAY,)), codes)
+        return codes
+
+    def _names(self, name: str, end_ns: int) -> tuple[Names, Array]:
+        """The names of a column in the order in which its rows have them, and their new codes."""
+        if (name, end_ns) not in self._named:
+            self._outcomes.codes((UNDER_WAY,))
+            if name in ("sender", "receiver"):
+                found = self._vehicles.in_order_of(
+                    [*self._seen("receiver", self._vehicles), *self._seen("sender", self._vehicles)]
+                )
+            else:
+                names = self._outcomes if name == "outcome" else self._materials
+                found = names.in_order_of(self._seen(name, names, end_ns))
+            self._named[name, end_ns] = found
+        return self._named[name, end_ns]
+
+    def _seen(self, name: str, names: Names, end_ns: int = 2**63 - 1) -> Iterable[int]:
+        """Codes of initially unknown names by first occurrence."""
+        seen = dict.fromkeys(range(names.known))
+        for number in range(len(self._kept)):
+            if len(seen) == len(names):
+                break
+            part = range(number, number + 1)
+            constant = None if self._is_late(end_ns, part) else self._kept.constant(name, number)
+            codes = self._codes(name, end_ns, part) if constant is None else constant[:1]
+            first = {code: int(np.argmax(codes == code)) for code in np.flatnonzero(np.bincount(codes)).tolist()}
+            seen |= dict.fromkeys(sorted(first, key=first.__getitem__))
+        return seen
 
     def _pack(self) -> None:
-        reports, self._waiting, self._held = self._waiting, [], 0
+        reports = sorted(self._waiting, key=attrgetter("frame"))
         if not reports:
             return
         told = dict(zip(_FIELDS, zip(*map(_FIELDS_OF, reports), strict=True), strict=True))
         counts = [len(receivers) for receivers in told["receivers"]]
         packed = {name: np.array(told[name], np.int64) for name in PER_FRAME}
         packed["receivers"] = np.array(counts, np.int64)
-        packed["receiver"] = self._vehicles.codes(chain.from_iterable(told["receivers"]))
-        packed["sender"] = self._vehicles.codes(told["sender"])
-        packed["outcome"] = self._outcomes.codes(chain.from_iterable(told["outcome"]))
+        packed["receiver"] = _narrow(self._vehicles.codes_of_groups(told["receivers"]))
+        packed["sender"] = _narrow(self._vehicles.codes(told["sender"]))
+        packed["outcome"] = _narrow(self._outcomes.codes_of_groups(told["outcome"]))
         crossed = (each or ("",) * n for each, n in zip(told["wall_materials"], counts, strict=True))
-        packed["wall_materials"] = self._materials.codes(chain.from_iterable(crossed))
+        packed["wall_materials"] = _narrow(self._materials.codes_of_groups(crossed))
         for name, dtype in PER_ROW.items():
             packed[name] = joined(list(told[name]), (0,), dtype)
         for name, dtype in BUDGET.items():
@@ -163,18 +210,57 @@ class Frames:
                 if any(part is not None for part in told[name])
                 else np.zeros(sum(counts), dtype)
             )
-        for name, values in packed.items():
-            self._chunks.setdefault(name, []).append(_slim(values))
+        self._keep(packed)
+        self._waiting, self._held = [], 0
+
+    def _keep(self, packed: dict[str, Array]) -> None:
+        """Keep the next part of all columns, sorted by frame."""
+        self._kept.append(packed, len(packed["receiver"]))
+        self._latest_ns.append(int(packed["received_ns"].max(initial=-1)))
+        self._is_sorted &= bool(packed["frame"][0] >= self._newest)
+        self._newest = max(self._newest, int(packed["frame"][-1]))
+        self._named.clear()
+
+    def _sort(self) -> None:
+        """Keep all parts anew, by number of frame, if frames of a later part precede those of an earlier one."""
+        if self._is_sorted:
+            return
+        old, everything = self._kept, range(len(self._kept))
+        into = Frames((), self._folder)
+        frame = old.read("frame", everything, np.int64)
+        order = np.argsort(frame, kind="stable")
+        del frame
+        counts = old.read("receivers", everything, np.int64)
+        frames_of = [len(old.read("frame", range(part, part + 1), np.int64)) for part in everything]
+        first_of = np.cumsum([0, *frames_of])
+        edges = np.flatnonzero(np.diff(np.cumsum(counts[order] + 1) // SORTED_ROWS, prepend=0))
+        del counts
+        for chosen in np.split(order, edges):
+            if len(chosen):
+                into._keep(_selected(old, chosen, first_of))
+        self._kept, self._latest_ns, self._is_sorted = into._kept, into._latest_ns, True
+        self._named.clear()
 
 
-def _in_order(values: Array, order: Array | None) -> Array:
-    return values if order is None else values.take(order)
+def _selected(kept: Spool, frames: Array, first_of: Array) -> dict[str, Array]:
+    """The packed columns of chosen frames, by their places in all parts; ``first_of``: place of each part's first frame."""
+    part_of = first_of.searchsorted(frames, side="right") - 1
+    parts = np.unique(part_of)
+    held = np.diff(first_of)[parts]  # frames of these parts
+    rows = frames - first_of[part_of] + (np.cumsum(held) - held)[parts.searchsorted(part_of)]
+    numbers = parts.tolist()
+    counts = kept.read("receivers", numbers, np.int64)
+    chosen = counts[rows]
+    starts = (np.cumsum(counts) - counts)[rows] - (np.cumsum(chosen) - chosen)
+    places = np.repeat(starts, chosen) + np.arange(chosen.sum())
+    names = (*PER_FRAME, "receivers", "sender"), ("receiver", "outcome", "wall_materials", *PER_ROW, *BUDGET)
+    of_frames = {name: kept.read(name, numbers, dtype_of(name))[rows] for name in names[0]}
+    return of_frames | {name: kept.read(name, numbers, dtype_of(name))[places] for name in names[1]}
 
 
-def _slim(values: Array) -> Array:
-    """The values; if all have the same bits, a broadcast of one."""
-    bits = values.view(f"i{values.itemsize}")
-    return np.broadcast_to(values[0].copy(), values.shape) if len(values) and (bits == bits[0]).all() else values
+def _narrow(codes: Array) -> Array:
+    """The codes in two bytes each if they fit."""
+    return codes.astype(np.int16) if codes.max(initial=0) < 2**15 else codes
 
 
 def dtype_of(name: str) -> type[np.number]:

@@ -5,9 +5,9 @@
 The schema metadata of both contain the facts of the run (`RunFacts`), so that each file is self-contained.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,7 +18,8 @@ import pyarrow.parquet as pq
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.columns import column, joined
-from vcmvsp.cosim.tables.radio_frames import NAMED, UNDER_WAY, Frames, Names, dtype_of
+from vcmvsp.cosim.tables.radio_frames import CHUNK_ROWS, NAMED, UNDER_WAY, Frames, Names, dtype_of
+from vcmvsp.cosim.tables.spool import Spool
 from vcmvsp.cosim.types import Follows, FrameReport, States
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import read_json
@@ -38,8 +39,11 @@ RADIO_SCHEMA = pa.schema(
 """See `cosim.recording.mcap_writer.FRAME`. Null: ``received_ns`` and ``delay_ns`` of frames lost or under way at the end of the
 run, ``copy_ns`` without a second copy, unknown items of a link budget."""
 NOT_LOST = ("received", UNDER_WAY)  # outcomes
+NULLABLE = ("received_ns", "delay_ns", "copy_ns", "sinr_db", "origin_number")  # columns with missing values
 FACTS = b"vcmvsp.run"
-PART_ROWS = 1 << 17  # rows per part in partial reading
+_STATE_TYPES: dict[str, type[np.number]] = {"time_ns": np.int64, "vehicle": np.int32}
+ROW_GROUP = 1 << 20  # rows of a file that are packed together
+PART_ROWS = 1 << 17  # rows of a table that are read together, in little memory
 _PHYSICAL = ("BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE", "BYTE_ARRAY")
 
 
@@ -76,37 +80,155 @@ class Recording:
         return self.facts.follows
 
 
-def states_table(rows: Sequence[tuple[int, States]], facts: RunFacts) -> pa.Table:
-    """Build the table of true states at these instants."""
-    vehicles = Names(facts.vehicles)
-    names = [states.names for _, states in rows]
-    times = np.repeat(np.array([time for time, _ in rows], np.int64), [len(each) for each in names])
-    blocks = [
-        joined([getattr(states, name) for _, states in rows], (0, width)).T
-        for name, width in (("position", 3), ("attitude", 4), ("velocity", 3), ("angular_velocity", 3))
-    ]
-    values = [column(values) for block in blocks for values in block]
-    columns = [column(times), vehicles.column(vehicles.codes(chain.from_iterable(names))), *values]
-    return _table(columns, STATES_SCHEMA, facts)
+class RunTable:
+    """A table of a run, built block by block from what is kept of it (`StateRows`, `Frames`), a single block only once.
+
+    Args:
+        rows: number of rows.
+        build: builds the given columns of the rows from the first to before the last.
+    """
+
+    def __init__(self, rows: int, build: Callable[[Collection[str] | None, tuple[int, int]], pa.Table]) -> None:
+        self.num_rows, self._build, self._whole = rows, build, None if rows > PART_ROWS else build(None, (0, rows))
+        self.schema = (build(None, (0, 0)) if self._whole is None else self._whole).schema
+
+    def whole(self) -> pa.Table:
+        """The table in memory."""
+        if self._whole is None:
+            self._whole = self._build(None, (0, self.num_rows))
+        return self._whole
+
+    def blocks(self, columns: Collection[str] | None = None) -> Iterator[pa.Table]:
+        """The given columns, or all, in tables of `PART_ROWS` rows, at least one; each has all names of a column of names."""
+        if self._whole is not None:
+            yield self._whole if columns is None else self._whole.select([*columns])
+            return
+        for first in range(0, self.num_rows, PART_ROWS):
+            yield self._build(columns, (first, min(first + PART_ROWS, self.num_rows)))
 
 
-def radio_table(frames: Frames | Sequence[FrameReport], facts: RunFacts, columns: Collection[str] | None = None) -> pa.Table:
-    """Build the table of all frames at all intended receivers; releases `Frames` unless ``columns`` are given."""
+class TableFile:
+    """A table in a Parquet file, read block by block. Raises `OSError`, `ValueError`: as `read_table`."""
+
+    def __init__(self, path: Path) -> None:
+        file, fields = _opened(path)
+        with file:
+            self.num_rows, self.schema, self._path = file.metadata.num_rows, pa.schema(fields), path
+
+    def blocks(self, columns: Collection[str] | None = None) -> Iterator[pa.Table]:
+        """The given columns, or all, in tables of `PART_ROWS` rows; at least one table."""
+        file, fields = _opened(self._path, columns)
+        with file:
+            if not self.num_rows:
+                yield pa.schema(fields).empty_table()
+            for batch in file.iter_batches(PART_ROWS, columns=[field.name for field in fields]):
+                yield _as_written(pa.Table.from_batches([batch]), fields, self._path.name)
+
+
+Table = pa.Table | RunTable | TableFile
+
+
+def blocks_of(table: Table, columns: Collection[str]) -> Iterator[pa.Table]:
+    """The columns of a table in parts, as far as they exist."""
+    known = [name for name in table.schema.names if name in columns]
+    return iter((table.select(known),)) if isinstance(table, pa.Table) else table.blocks(known)
+
+
+def selected(table: Table, columns: Collection[str]) -> pa.Table:
+    """Columns of a table in memory, as far as they exist."""
+    return pa.concat_tables(blocks_of(table, columns))
+
+
+class StateRows:
+    """True states of the vehicles at recorded instants, kept outside memory (`Spool`).
+
+    Args:
+        vehicles: names of the run's vehicles.
+        folder: of the temporary file; None: the system's folder for them.
+    """
+
+    def __init__(self, vehicles: Sequence[str], folder: Path | None = None) -> None:
+        self._vehicles, self._kept = Names(vehicles), Spool(folder)
+        self._waiting: list[tuple[int, States]] = []
+        self._held = 0  # rows not packed yet
+
+    def append(self, time_ns: int, states: States) -> None:
+        """Add the states of an instant."""
+        self._waiting.append((time_ns, states))
+        self._held += len(states.names)
+        if self._held >= CHUNK_ROWS:
+            self._pack()
+
+    @property
+    def rows(self) -> int:
+        """Number of rows so far."""
+        self._pack()
+        return self._kept.starts[-1]
+
+    def columns(self, rows: tuple[int, int], wanted: Collection[str] = STATES_SCHEMA.names) -> dict[str, Any]:
+        """The Arrow columns of these rows."""
+        parts, cut = self._kept.around(*rows)
+        found = {name: self._kept.read(name, parts, _STATE_TYPES.get(name, np.float64))[cut] for name in wanted}
+        return {name: self._vehicles.column(each) if name == "vehicle" else column(each) for name, each in found.items()}
+
+    def _pack(self) -> None:
+        rows = self._waiting
+        if not rows:
+            return
+        names = [states.names for _, states in rows]
+        packed = {"time_ns": np.repeat(np.array([time for time, _ in rows], np.int64), [len(each) for each in names])}
+        packed["vehicle"] = self._vehicles.codes_of_groups(names)
+        blocks = [
+            joined([getattr(states, name) for _, states in rows], (0, width)).T
+            for name, width in (("position", 3), ("attitude", 4), ("velocity", 3), ("angular_velocity", 3))
+        ]
+        packed |= zip(STATE_VALUES, chain.from_iterable(blocks), strict=True)
+        self._kept.append(packed, len(packed["vehicle"]))
+        self._waiting, self._held = [], 0
+
+
+def states_table(
+    states: StateRows | Sequence[tuple[int, States]],
+    facts: RunFacts,
+    columns: Collection[str] | None = None,
+    rows: tuple[int, int] | None = None,
+) -> pa.Table:
+    """Build the table of true states at these instants: all columns and rows, or the given ones."""
+    if not isinstance(states, StateRows):
+        given, states = states, StateRows(facts.vehicles)
+        for instant in given:
+            states.append(*instant)
+    fields = [field for field in STATES_SCHEMA if columns is None or field.name in columns]
+    found = states.columns(rows or (0, states.rows), [field.name for field in fields])
+    return _table(list(found.values()), pa.schema(fields), facts)
+
+
+def radio_table(
+    frames: Frames | Sequence[FrameReport],
+    facts: RunFacts,
+    columns: Collection[str] | None = None,
+    rows: tuple[int, int] | None = None,
+) -> pa.Table:
+    """Build the table of all frames at all intended receivers: all columns and rows, or the given ones."""
     if not isinstance(frames, Frames):
         given, frames = frames, Frames(facts.vehicles)
         frames.extend(given)
-    found = frames.columns(facts.end_ns, columns)
-    fields = [field for field in RADIO_SCHEMA if field.name in found]
-    return _table([found[field.name] for field in fields], pa.schema(fields), facts)
+    fields = [field for field in RADIO_SCHEMA if columns is None or field.name in columns]
+    found = frames.columns(facts.end_ns, [field.name for field in fields], rows)
+    return _table(list(found.values()), pa.schema(fields), facts)
 
 
-def write_table(table: pa.Table, path: Path | BinaryIO) -> None:
+def write_table(table: Table, path: Path | BinaryIO) -> None:
     """Write Parquet, deterministically (fixed row groups, zstd)."""
     encodings: dict[str, Any] = {
         "use_dictionary": [field.name for field in table.schema if pa.types.is_dictionary(field.type)],
         "use_byte_stream_split": [field.name for field in table.schema if pa.types.is_floating(field.type)],
     }
-    pq.write_table(table, path, row_group_size=1 << 20, compression="zstd", **encodings)
+    blocks = iter((table,)) if isinstance(table, pa.Table) else table.blocks()
+    with pq.ParquetWriter(path, table.schema, compression="zstd", **encodings) as writer:
+        while group := list(islice(blocks, max(1, ROW_GROUP // PART_ROWS))):
+            writer.write_table(pa.concat_tables(group), row_group_size=ROW_GROUP)
+            group.clear()
 
 
 def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
@@ -117,16 +239,7 @@ def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
     """
     file, fields = _opened(path, columns)
     with file:
-        return _as_written(file.read(None if columns is None else [field.name for field in fields]), fields, path.name)
-
-
-def parts_of_table(path: Path) -> Iterator[pa.Table]:
-    """The table in parts that need little memory, the first one without rows; errors as of `read_table`."""
-    file, fields = _opened(path)
-    with file:
-        yield pa.schema(fields).empty_table()
-        for batch in file.iter_batches(PART_ROWS):
-            yield _as_written(pa.Table.from_batches([batch]), fields, path.name)
+        return _as_written(file.read([field.name for field in fields]), fields, path.name)
 
 
 def _opened(path: Path, columns: Collection[str] | None = None) -> "tuple[pq.ParquetFile, list[pa.Field[Any]]]":

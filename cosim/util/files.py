@@ -66,11 +66,11 @@ def _make(path: Path) -> bool:
 
 @contextlib.contextmanager
 def writing(folder: Path | None) -> Iterator[None]:
-    """Report a full disk and other file errors in one line."""
+    """Report a full disk and other file errors in one line; None: the system's folder for temporary files."""
     try:
         yield
     except OSError as error:
-        raise UsageError(f"cannot write into {folder}: {error.strerror or error}") from error
+        raise UsageError(f"cannot write into {folder or tempfile.gettempdir()}: {error.strerror or error}") from error
 
 
 @contextlib.contextmanager

@@ -52,6 +52,9 @@ class Engine:
 
     stepped = False  # whether it has steps of its own: many short advances give the same bits as one long one
 
+    def expect(self, duration_ns: int, *, now: bool) -> None:
+        """Hint of the simulated time to come, ns; ``now``: what takes time must not be put off, since the run is paced."""
+
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
         """Set a velocity, m/s, in the body frame on the ground and the world frame in the air, and a yaw rate, rad/s."""
         raise NotImplementedError
@@ -211,9 +214,9 @@ class Commands:
 def _check_command(key: str, command: Command, flying: bool) -> None:
     if isinstance(command, Velocity):
         x, y, z = command.linear
-        if isfinite(x + command.yaw_rate) and (not flying or isfinite(y + z)):
+        if isfinite(x + y + z + command.yaw_rate):
             return  # a sum is finite only if all are
-        numbers = [*command.linear, command.yaw_rate] if flying else [x, command.yaw_rate]
+        numbers = [x, y, z, command.yaw_rate] if flying else [x, command.yaw_rate]
     else:
         numbers = [*command.position, command.yaw or 0.0, command.speed or 0.0]
     vehicle, problem = key.partition("/")[0], ""

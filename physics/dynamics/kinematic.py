@@ -13,7 +13,7 @@ from vcmvsp.cosim.federate import ExternalMotion
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array, Vec3, VehicleState
 from vcmvsp.physics.dynamics.engine import BodyMotion, Engine, side_by_side, still
-from vcmvsp.physics.dynamics.rigid_body import Floats
+from vcmvsp.physics.dynamics.wind import Floats
 from vcmvsp.physics.vehicles.models import DifferentialDrive, GroundVehicle, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.vehicles.urdf import UrdfDrive

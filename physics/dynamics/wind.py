@@ -1,4 +1,4 @@
-"""Air around aerial vehicles: wind with gusts, ground effect, downwash of rotors."""
+"""Air around aerial vehicles: wind with gusts, downwash of rotors."""
 
 import math
 from collections.abc import Sequence
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import frozen
-from vcmvsp.physics.dynamics.rigid_body import Floats, column
-from vcmvsp.physics.vehicles.models import Quadrotor
 from vcmvsp.physics.world.world import Wind
+
+Floats = NDArray[np.float64]
 
 GUST_HZ = 60  # new values a second; in between the wind is constant
 
@@ -65,18 +65,6 @@ AIR_KG_M3 = 1.225  # at sea level, 15 degrees (ISO 2533)
 
 _CORE = 6.0  # diameters along which the middle of a jet keeps its speed
 _SPREAD = 0.094  # half width of a jet for each metre
-_NEAREST = 0.5  # rotor radii
-
-
-def ground_effect(height: Floats, rotor_radius: Floats) -> Floats:
-    """Factors of the thrust at these heights above the floor, m.
-
-    The air under a rotor of radius R at height z cannot flow off freely, which gives it 1 / (1 - (R / 4z)^2) times the thrust
-    (Cheeseman and Bennett, "The effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021, 1955); below
-    z = R/2 the factor is constant. Only the floor counts (z = 0), not roofs and tables.
-    """
-    quarter = 0.25 * rotor_radius / np.maximum(height, _NEAREST * rotor_radius)
-    return 1.0 / (1.0 - quarter * quarter)
 
 
 def downwash(position: Floats, thrust: Floats, rotor_radius: Floats) -> Floats:
@@ -99,24 +87,3 @@ def downwash(position: Floats, thrust: Floats, rotor_radius: Floats) -> Floats:
     half_width = np.maximum(0.5 * diameter[:, None], _SPREAD * below)
     middle = jet[:, None] * np.minimum(1.0, _CORE * diameter[:, None] / np.where(under, below, 1.0))
     return np.where(under, middle * np.exp2(-aside / half_width**2), 0.0).sum(axis=0)
-
-
-class Rotorwash:
-    """Ground effect and downwash of the vehicles with these models."""
-
-    def __init__(self, models: Sequence[Quadrotor]) -> None:
-        self._radius = column(models, "rotor_radius_m")
-        self._near_ground = np.array([model.ground_effect for model in models], bool)
-        self._blown = np.array([model.downwash for model in models], bool)
-
-    def act(self, position: Floats, thrust: Floats, air: Floats) -> None:
-        """Change, in place, the thrust (4, n) N of the rotors and the velocity against the air (3, n) m/s, world."""
-        if self._near_ground.any():
-            thrust *= np.where(self._near_ground, ground_effect(position[2], self._radius), 1.0)
-        if self._blown.any():
-            air[2] += np.where(self._blown, downwash(position, thrust.sum(axis=0), self._radius), 0.0)
-
-
-def rotorwash_of(models: Sequence[Quadrotor]) -> Rotorwash | None:
-    """Rotorwash of a fleet; None if no model asks for it."""
-    return Rotorwash(models) if any(model.ground_effect or model.downwash for model in models) else None

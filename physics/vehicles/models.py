@@ -220,7 +220,7 @@ class Quadrotor:
     max_rotor_speed: Positive = 838.0  # rad/s; 5.5 N each, 2.8 times the weight together; assumed
     motor_lag_s: Positive = 0.05  # first-order lag of the rotor speed; assumed
     drag: tuple[NonNegative, NonNegative, NonNegative] = (0.25, 0.25, 0.35)  # N s/m, along x, y, z, against the air; assumed
-    ground_effect: bool = False  # more thrust close above the floor, see `physics.dynamics.wind`
+    ground_effect: bool = False  # more thrust close above the floor, see `physics.dynamics.quadrotor_laws`
     downwash: bool = False  # thrust lost below other quadrotors, see `physics.dynamics.wind`
 
     max_speed: Positive = 8.0  # m/s, horizontal, of its autopilot; assumed

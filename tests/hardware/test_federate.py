@@ -433,7 +433,7 @@ def test_metrics_of_a_real_vehicle_by_hand() -> None:
         status(4.0),
     ]
     stopped = [("car1", Incident(what="stopped", cause="no command", happened_ns=0))] * 2
-    found = hardware_metrics({"car1": told}, stopped, {"car1": 7}, got)["car1"]
+    found = hardware_metrics({"car1": told}, stopped, {"car1": 7}, [got])["car1"]
     assert found["age_s"] == {"p50": 0.1, "p99": 0.1, "max": 0.1}
     assert (found["fixes"], found["gated"], found["reconnects"]) == (7, 2, 2)
     assert found["stops"] == {"no command": 2}

@@ -4,17 +4,17 @@ The events are simulated by `netsim.mac.dcf.access`, on arrays; this module assi
 decided frames.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from vcmvsp.cosim.compiled.machine_code import Core, available
 from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.netsim.interfaces.layers import BACKOFF_SLOT, Floats, Ints, Keys
 from vcmvsp.netsim.interfaces.medium import Answer, Decided, DecidedFrames, Offered, Renew
 from vcmvsp.netsim.mac.dcf import access, capture
 from vcmvsp.netsim.mac.dcf.access import DRAWS, LEVELS, OUTPUT
-from vcmvsp.netsim.mac.dcf.machine_code import Compiled, available, is_cached, is_loaded
 from vcmvsp.netsim.mac.dcf.state import (
     ARRIVED,
     DECIDED,
@@ -28,7 +28,6 @@ from vcmvsp.netsim.mac.dcf.state import (
     SOONEST,
     WANTED,
     DcfRules,
-    DcfState,
     new_state,
 )
 from vcmvsp.netsim.phy import error_rate
@@ -67,7 +66,6 @@ class DcfMedium:
         compile_core: bool | None = None,
     ) -> None:
         self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
-        self._run: Callable[[DcfState, DcfRules, int], int] = access.run
         self._done, self._faster_at = 0, LOAD_AFTER if compile_core is None and available() else None  # frames
         self._curves = list(curves)  # of the rows of `DcfState.tables`
         self._state = new_state(rules, count, sensitivity_mw, np.stack([each.table for each in curves]))
@@ -81,7 +79,9 @@ class DcfMedium:
         self._state.slots[:] = (self._state.backoff[:, 0] * (rules.cw_min + 1)).astype(np.int64)
         self._state.over_ns[:] = rules.difs_ns + self._state.slots * rules.slot_ns
         self._state.drawn[:] = 1
-        seen = self._faster_at is not None and is_loaded(CORE, self._state, self._rules)  # by an earlier run
+        self._core = Core(CORE, self._state, self._rules)
+        self._run = self._core.interpreted
+        seen = self._faster_at is not None and self._core.is_loaded  # by an earlier run
         if (compile_core or seen) and count:
             self._go_faster(COMPILE_AFTER)
 
@@ -254,9 +254,8 @@ class DcfMedium:
 
     def _go_faster(self, frames: int) -> None:
         """Switch to compiled code if that pays for this number of frames; else set the number for the next check."""
-        core = CORE, self._state, self._rules
-        if frames >= COMPILE_AFTER or (frames >= LOAD_AFTER and is_cached(*core)):
-            self._run, self._faster_at = Compiled(*core), None
+        if frames >= COMPILE_AFTER or (frames >= LOAD_AFTER and self._core.is_cached):
+            self._run, self._faster_at = self._core.compiled, None
         else:
             self._faster_at = COMPILE_AFTER
 

@@ -17,7 +17,6 @@ from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, UPRIGHT, WHEEL, p, turned
 from vcmvsp.physics.dynamics.engine import NO_BODIES, BodyMotion, on_time, without_wheels
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
-from vcmvsp.physics.dynamics.rigid_body import into_body
 from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.world.solids import Box, Cylinder, Hull, heading_of
 from vcmvsp.physics.world.world import World, rotation_columns
@@ -199,7 +198,9 @@ def motion_of(states: list[BaseState], references: Array) -> BodyMotion:
     to_reference = terms[:, 0] + terms[:, 1] + terms[:, 2]  # world
     swept = spin.take(_NEXT, axis=0) * to_reference.take(_LAST, axis=0)
     swept -= spin.take(_LAST, axis=0) * to_reference.take(_NEXT, axis=0)
-    rows = centre + to_reference, velocity + swept, attitude, into_body(rotation, spin), np.zeros_like(centre)
+    terms = rotation * spin[:, None]
+    rates = terms[0] + terms[1] + terms[2]  # body
+    rows = centre + to_reference, velocity + swept, attitude, rates, np.zeros_like(centre)
     return without_wheels(*(each.T.copy() for each in rows))
 
 

@@ -1,11 +1,12 @@
 """The Bullet engine: ground robots, quadrotors, external vehicles and movables in one Bullet world, and their contacts."""
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.bodies import ExternalBodies, WorldBodies
@@ -92,58 +93,79 @@ class BulletEngine(Engine):
         except BaseException:
             self.close()
             raise
-        bodies = dict(zip(self._ground_rows, self._robots.bodies, strict=True))
-        bodies |= zip(self._air_rows, self._flyers.bodies, strict=True)
-        if self._external_bodies:
-            bodies |= zip(self._external_rows, self._external_bodies.bodies, strict=True)
+        self._steered = self._steering()
         others = [*self._things.movables, *self._things.moving]
+        self._placed = [each for each in (self._things if others else None, self._external_bodies) if each]  # before each step
         jointed = [row for row, model in drives.items() if isinstance(model, UrdfDrive)]
-        self._contacts = ContactFinder(self._client, bodies, others, jointed)
+        self._contacts = ContactFinder(self._client, self._bodies(), others, jointed)
         self._passing: list[Touch] = []  # of quadrotors, since the last call of `touching` with ``passing``
         # How far from its centre of mass each robot may touch something before the next look, m.
         models_m = [(float(np.linalg.norm(each.hull.size)), each.max_speed * self._flyers.look_s) for each in drives.values()]
         self._robot_reach = np.array(models_m).reshape(-1, 2).sum(axis=1)
         self._robot_top = max((model.hull.size[2] for model in drives.values()), default=0.0)
 
+    def _steering(self) -> Mapping[int, Callable[[Vec3, float], None]]:
+        """Functions of a velocity and a yaw rate, by rows."""
+        steered = {row: partial(self._flyers.fleet.set_velocity, k) for row, k in self._flyer_of.items()}
+        return steered | {row: partial(self._robots.steer, k) for row, k in self._robot_of.items()}
+
+    def _bodies(self) -> dict[int, int]:
+        """Bodies by rows."""
+        bodies = dict(zip(self._ground_rows, self._robots.bodies, strict=True))
+        bodies |= zip(self._air_rows, self._flyers.bodies, strict=True)
+        if self._external_bodies:
+            bodies |= zip(self._external_rows, self._external_bodies.bodies, strict=True)
+        return bodies
+
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
         """Set a velocity, m/s, and a yaw rate, rad/s, which firmware or autopilot approach."""
-        if row in self._robot_of:
-            self._robots.firmware.command(self._robot_of[row], linear[0], yaw_rate)
-        else:
-            self._flyers.fleet.set_velocity(self._flyer_of[row], linear, yaw_rate)
+        self._steered[row](linear, yaw_rate)
 
     def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
         """Fly to a position."""
         self._flyers.fleet.set_waypoint(self._flyer_of[row], position, yaw, speed)
 
+    def expect(self, duration_ns: int, *, now: bool) -> None:
+        """Compile the laws of quadrotors, if that pays or has to be done now."""
+        self._flyers.fleet.expect(duration_ns / SECOND_NS / self._step_s, now=now)
+
     def advance(self, to_ns: int) -> None:
         """Advance to the Bullet step nearest to ``to_ns``."""
-        ticks = self._ticks
+        ticks, flyers, drive = self._ticks, self._flyers, bool(self._ground_rows)
         until = (to_ns * ticks.per + ticks.ns // 2) // ticks.ns
-        robots, flyers = self._robots, self._flyers
-        step, client, drive, fly = p.stepSimulation, self._client, bool(self._ground_rows), bool(self._air_rows)
-        placed: list[WorldBodies | ExternalBodies] = [self._things, *filter(None, [self._external_bodies])]
-        while self._step < until:
+        times_ns, ahead = [ticks.at(number) for number in range(self._step, until)], 0
+        for done, now_ns in enumerate(times_ns):
             if drive:
-                robots.cycle()
-                if self._accelerations and self._step + 1 == until:
-                    robots.save_velocities()
-            now_ns = ticks.at(self._step)
-            for bodies in placed:
+                self._drive(last=done + 1 == len(times_ns))
+            for bodies in self._placed:
                 bodies.place(now_ns)
-            if fly:
-                if flyers.look_is_due:
-                    self._look(now_ns)
-                flyers.push(now_ns)
-            step(client)
+            if not ahead:
+                ahead = self._fly(times_ns[done:])
+            ahead -= 1
+            if drive or self._placed or flyers.near_rows:  # else Bullet has nothing to move
+                p.stepSimulation(self._client)
             self._step += 1
-            if fly:
-                flyers.take()
+            flyers.take()
+            if flyers.hits:
                 self._passing += self._contacts.now([self._air_rows[k] for k in flyers.hits])
             if drive and self._step % self._encoder_steps == 0:
-                robots.encode()
+                self._robots.encode()
         if self._external:
             self._external.advance(to_ns)
+
+    def _drive(self, *, last: bool) -> None:
+        """Run the firmware of ground robots before a step, the last of this advance or not."""
+        self._robots.cycle()
+        if self._accelerations and last:
+            self._robots.save_velocities()
+
+    def _fly(self, times_ns: Sequence[int]) -> int:
+        """Move quadrotors in the first steps at these times; returns their number."""
+        if not self._air_rows:
+            return len(times_ns)
+        if self._flyers.look_is_due:
+            self._look(times_ns[0])
+        return self._flyers.push(times_ns)
 
     def _look(self, now_ns: int) -> None:
         places, reach = self._things.spheres(now_ns, self._flyers.look_s)

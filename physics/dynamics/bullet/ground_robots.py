@@ -75,6 +75,10 @@ class GroundRobots:
         if self._zones:
             self._zones.scale()
 
+    def steer(self, row: int, linear: Vec3, yaw_rate: float) -> None:
+        """Set a velocity, m/s, body, and a yaw rate, rad/s."""
+        self.firmware.command(row, linear[0], yaw_rate)
+
     def cycle(self) -> None:
         """One cycle of the firmware, before a step."""
         self._joints = []

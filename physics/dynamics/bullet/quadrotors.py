@@ -1,16 +1,17 @@
-"""Quadrotors in a Bullet world: NumPy moves them in free air; near other bodies, Bullet computes their contacts.
+"""Quadrotors in a Bullet world: `QuadrotorFleet` moves them in free air; near other bodies, Bullet computes their contacts.
 
-In free air Bullet adds nothing to `QuadrotorFleet.integrate`, which moves all quadrotors at once. There the body of a quadrotor
+In free air Bullet adds nothing to `QuadrotorFleet.fly`, which moves all quadrotors at once. There the body of a quadrotor
 is parked: far below, without contacts, asleep. Twenty times a second each quadrotor looks around. If it may touch anything
 (floor, solid, another body) before the next look, its body gets its state, then the force and torque of every step, until the
 quadrotor has been clear of everything for a while.
 
-Without a contact, the state of a near quadrotor is still NumPy's, which differs from Bullet's by rounding; only the effect of a
-contact comes from Bullet. So near bodies without contact change no bit of a flight.
+Without a contact, the state of a near quadrotor is still the fleet's, which differs from Bullet's by rounding; only the effect
+of a contact comes from Bullet. So near bodies without contact change no bit of a flight.
 """
 
 import math
 from collections.abc import Sequence
+from itertools import groupby
 
 import numpy as np
 
@@ -59,12 +60,11 @@ class BulletQuadrotors:
         self.look_is_due = True  # before the next step
         self.bodies = [self._build(model) for model in models]
         self.near = np.ones(n, bool)  # until the first look
-        self._rows: list[int] = []  # near ones
+        self.near_rows: list[int] = []
         self._clear_looks = np.full(n, _AWAY_LOOKS)
         self._woken: list[int] = []  # before the next step
         self._touched = np.zeros(n, bool)  # in the last step
         self.hits: list[int] = []  # in the last step and not in the one before
-        self._before = self.fleet.velocity.copy()
 
     def _build(self, model: Quadrotor) -> int:
         foot, arm = 0.5 * model.height_m, _FEET_AT * model.radius_m
@@ -121,35 +121,47 @@ class BulletQuadrotors:
         for row in np.flatnonzero(self.near & ~stays).tolist():
             self._park(row)
         self.near = stays
-        self._rows = np.flatnonzero(stays).tolist()
-        if self._rows:
-            self._place(self._rows)  # all: bodies drift off by rounding
+        self.near_rows = np.flatnonzero(stays).tolist()
+        if self.near_rows:
+            self._place(self.near_rows)  # all: bodies drift off by rounding
 
-    def push(self, now_ns: int) -> None:
-        """Before Bullet's step: compute forces and torques, move the fleet, and push the bodies of near quadrotors."""
-        fleet, client = self.fleet, self._client
-        force, torque = fleet.wrench(self._step_s, self._gusts.advance(now_ns))
-        if self._rows:
-            bodies, at = self.bodies, fleet.position.tolist()
-            forces, torques = force.tolist(), torque.tolist()
-            for row in self._rows:
-                p.applyExternalForce(bodies[row], -1, forces[row], at[row], p.WORLD_FRAME, client)
-                p.applyExternalTorque(bodies[row], -1, torques[row], p.WORLD_FRAME, client)
-        self._before = fleet.velocity.copy()
-        fleet.integrate(force, torque, self._step_s)
-        self._step += 1
+    def push(self, times_ns: Sequence[int]) -> int:
+        """Before Bullet's steps at these times: fly to the next look in free air, one step near bodies, which are pushed.
+
+        Returns:
+            The number of steps, 1 at least.
+        """
+        steps = 1 if self.near_rows else min(len(times_ns), self._steps_a_look - self._step % self._steps_a_look)
+        winds = [self._gusts.advance(now_ns) for now_ns in times_ns[:steps]]
+        if self.near_rows:
+            self._push_near(winds[0])
+        else:
+            for _, group in groupby(winds, key=id):
+                same = list(group)
+                self.fleet.fly(len(same), self._step_s, same[0])
+        self._step += steps
         self.look_is_due = self._step % self._steps_a_look == 0
+        return steps
+
+    def _push_near(self, wind: Array) -> None:
+        fleet, client, bodies = self.fleet, self._client, self.bodies
+        force, torque = fleet.wrench(self._step_s, wind)
+        at, forces, torques = fleet.position.tolist(), force.tolist(), torque.tolist()
+        for row in self.near_rows:
+            p.applyExternalForce(bodies[row], -1, forces[row], at[row], p.WORLD_FRAME, client)
+            p.applyExternalTorque(bodies[row], -1, torques[row], p.WORLD_FRAME, client)
+        fleet.integrate(force, torque, self._step_s)
 
     def take(self) -> None:
         """After Bullet's step: take the states of bodies with contacts, and record new contacts."""
         self.hits = []
-        if not self._rows:
+        if not self.near_rows:
             self._touched[:] = False
             return
         if self._woken:
             self._place(self._woken)
             self._woken = []
-        fleet, rows = self.fleet, self._rows
+        fleet, rows = self.fleet, self.near_rows
         motion = base_motion(self._client, [self.bodies[row] for row in rows])
         both = ((motion.position, fleet.position), (motion.velocity, fleet.velocity), (motion.angular_velocity, fleet.rate))
         touched = np.any([np.abs(there - here[rows]).max(axis=1) > _SAME for there, here in both], axis=0)
@@ -163,7 +175,7 @@ class BulletQuadrotors:
 
     def read(self) -> BodyMotion:
         """Motion of every quadrotor."""
-        fleet, acceleration = self.fleet, (self.fleet.velocity - self._before) / self._step_s
+        fleet, acceleration = self.fleet, (self.fleet.velocity - self.fleet.velocity_before) / self._step_s
         state = fleet.position, fleet.velocity, fleet.attitude, fleet.rate, acceleration
         return without_wheels(*(each.copy() for each in state))
 
@@ -250,18 +262,34 @@ def _boxes(triangles: Array) -> list[tuple[Array, float, float]]:
 
 def near_each_other(position: Array, velocity: Array, radius: Array, span_s: float, slack_m: float) -> Array:
     """Whether another of n spheres may touch each within ``span_s``; ``slack_m`` allows for accelerations."""
-    x, y, z = position.T
-    square = np.square(x[:, None] - x) + np.square(y[:, None] - y) + np.square(z[:, None] - z)
-    apart = radius[:, None] + radius + slack_m
-    fastest = 2.0 * span_s * float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
-    candidates = square < np.square(apart + fastest)
-    np.fill_diagonal(candidates, val=False)
     result = np.zeros(len(position), bool)
-    if candidates.any():
-        a, b = np.nonzero(candidates)
+    fastest = 2.0 * span_s * float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
+    a, b = close_pairs(position, 2.0 * float(radius.max(initial=0.0)) + slack_m + fastest)
+    if len(a):
+        square = np.square(position[a] - position[b]).sum(axis=1)
         closing = np.sqrt(np.square(velocity[a] - velocity[b]).sum(axis=1)) * span_s
-        result[a[square[a, b] < np.square(apart[a, b] + closing)]] = True
+        near = square < np.square(radius[a] + radius[b] + slack_m + closing)
+        result[a[near]] = result[b[near]] = True
     return result
+
+
+def close_pairs(position: Array, reach_m: float) -> tuple[Array, Array]:
+    """Rows of the pairs of n places (n, 3) that are within reach along each axis: neighbours in order along one of them."""
+    columns = sorted(position.T, key=_spread, reverse=True)
+    order = np.argsort(columns[0], kind="stable")
+    along = columns[0].take(order)
+    others = np.searchsorted(along, along + reach_m, side="right") - np.arange(1, len(order) + 1)
+    first = np.repeat(np.arange(len(order)), others)
+    second = np.arange(1, len(first) + 1) + np.repeat(np.arange(len(order)) - np.cumsum(others) + others, others)
+    a, b = order.take(first), order.take(second)
+    for column in columns[1:]:
+        close = np.abs(column.take(a) - column.take(b)) <= reach_m
+        a, b = a[close], b[close]
+    return a, b
+
+
+def _spread(column: Array) -> float:
+    return float(column.max(initial=-np.inf) - column.min(initial=np.inf))
 
 
 def near_others(position: Array, margin: Array, others: Array, other_margin: Array) -> Array:

@@ -17,8 +17,8 @@ from vcmvsp.cosim import types
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.metrics.age import links
 from vcmvsp.cosim.metrics.motion import min_separation_m, motion
-from vcmvsp.cosim.metrics.radio import links
 from vcmvsp.cosim.recording import accumulators
 from vcmvsp.cosim.recording.accumulators import digest
 

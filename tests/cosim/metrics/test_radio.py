@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from tests.support.cosim.recordings import TENTH, follows, frame, recorded
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.metrics.radio import MOST_VEHICLES, adjacency, age_metrics, algebraic_connectivity, receptions
+from vcmvsp.cosim.metrics.age import age_metrics
+from vcmvsp.cosim.metrics.radio import MOST_VEHICLES, Parts, adjacency, algebraic_connectivity
 from vcmvsp.cosim.types import Array
 
 pytestmark = pytest.mark.slow
@@ -64,7 +65,7 @@ def test_ages_equal_a_plain_loop(sent: list[Any], period: int, begin: int, end: 
                 if new != old:
                     peaks.append((now + 1 - old) / 1e3)
     window = begin / 1e3, None if end is None else end / 1e3
-    found = age_metrics(receptions(recorder.radio), recorder.follows, dict.fromkeys("abc", acts), window, SECOND_NS)
+    found = age_metrics(Parts(recorder.radio), recorder.follows, dict.fromkeys("abc", acts), window, SECOND_NS)
     assert found["time_average"] == (pytest.approx(total / (length / 1e3)) if length else None)
     assert found["peak"] == (pytest.approx(np.mean(peaks)) if peaks else None)
     of_ticks = [np.mean(at_ticks), np.percentile(at_ticks, 95), max(at_ticks)] if at_ticks else [None] * 3
@@ -73,7 +74,7 @@ def test_ages_equal_a_plain_loop(sent: list[Any], period: int, begin: int, end: 
 
 def test_only_those_who_act_have_ages() -> None:
     """Without followers, a vehicle that has no agent is not asked."""
-    got = receptions(recorded("ab", [frame(0, "a", 0, {"b": MS})], SECOND_NS).radio)
+    got = Parts(recorded("ab", [frame(0, "a", 0, {"b": MS})], SECOND_NS).radio)
     assert age_metrics(got, [], {"a": TENTH}, (0.0, None), SECOND_NS)["time_average"] is None
     assert age_metrics(got, [], {"b": TENTH}, (0.0, None), SECOND_NS)["time_average"] == pytest.approx((1.0 + 0.001) / 2)
 
@@ -156,9 +157,9 @@ def test_connectivity_is_of_each_second_in_the_window() -> None:
 
 def test_a_second_takes_what_arrives_in_it() -> None:
     events = [frame(0, "a", 0, {"b": SECOND_NS}), frame(1, "a", SECOND_NS // 2, {"b": SECOND_NS - 1})]
-    got = receptions(recorded("ab", events[:1], 2 * SECOND_NS).radio)
+    got = Parts(recorded("ab", events[:1], 2 * SECOND_NS).radio)
     assert adjacency(got, "ab", 0, 2).any(axis=(1, 2)).tolist() == [False, True]
-    got = receptions(recorded("ab", events[1:], 2 * SECOND_NS).radio)
+    got = Parts(recorded("ab", events[1:], 2 * SECOND_NS).radio)
     assert adjacency(got, "ab", 0, 2).any(axis=(1, 2)).tolist() == [True, False]
 
 

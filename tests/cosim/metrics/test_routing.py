@@ -9,7 +9,8 @@ from msgspec.structs import replace
 
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.metrics.radio import age_metrics, informed, links, receptions
+from vcmvsp.cosim.metrics.age import age_metrics, links
+from vcmvsp.cosim.metrics.radio import Parts, informed, receptions
 from vcmvsp.cosim.metrics.routing import Routing, unreached_s
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.tables.columns import names_of, numbers
@@ -115,12 +116,12 @@ def test_information_is_of_its_origin_and_for_whom_it_was_meant(routing: Routing
     known = links(table)
     times = {key: (link.sent_ns.tolist(), link.received_ns.tolist()) for key, link in known.items()}
     assert times == {("b", "a"): ([100], [200]), ("c", "a"): ([100, 600], [350, 800])}
-    assert age_metrics(informed(table, receptions(table)), (), {}, (0.0, None), 10**10)["mean"] is None
+    assert age_metrics(Parts(table, informed), (), {}, (0.0, None), 10**10)["mean"] is None
 
 
 def test_a_table_without_routing_is_read_as_it_is() -> None:
     table = radio_table(REPORTS, FACTS)
-    assert informed(table, receptions(table)).sent_ns.tolist() == receptions(table).sent_ns.tolist()
+    assert informed(table).sent_ns.tolist() == receptions(table).sent_ns.tolist()
     assert set(links(table)) == {("b", "a"), ("a", "b"), ("c", "b")}
 
 
@@ -169,14 +170,15 @@ def test_a_frame_that_nobody_else_could_hear_has_no_rows() -> None:
 
 
 def test_a_recording_keeps_its_tables_where_telling_of_messages_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Frames are taken out of what holds them: a second attempt must still find them."""
+    """A second attempt still finds the frames."""
     info = RunInfo(scenario="test", seed=1, duration_ns=10**10, vehicles=NAMES)
     recorder = Recorder(info, record_ticks=Ticks.every(0.1), mcap=None, agents=[], radius_m={})
     recorder.on(Event("radio/routed", 0, routed(to="c")))
     for each in REPORTS:
         recorder.on(Event("radio/frame", each.sent_ns, each))
     recorder.close(10**10)
-    monkeypatch.setattr(Routing, "told", lambda self, radio: 1 // 0)
-    with pytest.raises(ZeroDivisionError):
-        recorder.metrics(window=(0.0, None))
+    with monkeypatch.context() as patch:
+        patch.setattr(Routing, "told", lambda self, radio: 1 // 0)
+        with pytest.raises(ZeroDivisionError):
+            recorder.metrics(window=(0.0, None))
     assert recorder.radio.num_rows == 12

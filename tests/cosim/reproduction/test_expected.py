@@ -30,6 +30,7 @@ def seen(scenario: Any, **settings: Any) -> MeasuredRun:
         tomllib.loads(result.scenario),
         result.metrics,
         Recording(result.states, result.radio, facts, result.metrics),
+        result.radio,
         links_of(result.radio, facts.vehicles),
         motion(result.states),
     )

@@ -6,7 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from vcmvsp.cosim.tables.columns import name_column
-from vcmvsp.cosim.tables.schema import parts_of_table, read_table
+from vcmvsp.cosim.tables.schema import TableFile, read_table
 
 
 def test_a_table_with_a_text_that_is_not_utf8_is_refused(tmp_path: Path) -> None:
@@ -18,4 +18,4 @@ def test_a_table_with_a_text_that_is_not_utf8_is_refused(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="UTF8"):
         read_table(damaged)
     with pytest.raises(ValueError, match="UTF8"):
-        list(parts_of_table(damaged))
+        list(TableFile(damaged).blocks())

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.types import ORIGIN
-from vcmvsp.physics.dynamics.quadrotor_fleet import Autopilot, QuadrotorFleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet, model_of
+from vcmvsp.physics.dynamics.quadrotor_laws import mixed
 from vcmvsp.physics.vehicles.models import Quadrotor
 
 pytestmark = pytest.mark.slow
@@ -177,10 +178,12 @@ def test_the_shorter_way_round_is_turned() -> None:
 
 
 @both_rates
-def test_it_recovers_from_any_attitude_and_comes_home(hz: float) -> None:
+def test_it_recovers_from_any_attitude_and_comes_home(hz: float, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(5)
     n = 100
     fleet = QuadrotorFleet([MODEL] * n, np.tile((0.0, 0.0, 100.0), (n, 1)), np.zeros(n))
+    monkeypatch.setenv("VCMVSP_COMPILED", "1")
+    fleet.expect(25.0 * hz)
     attitude = rng.normal(size=(n, 4))
     attitude[:3] = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.6, 0.8, 0.0)  # exactly upside down
     fleet.attitude[:] = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
@@ -303,8 +306,7 @@ numbers = st.floats(-3.0, 3.0)
 
 @given(roll=numbers, pitch=numbers, yaw=st.floats(-0.3, 0.3), thrust=st.floats(-5.0, 40.0))
 def test_the_mixer_gives_roll_and_pitch_first(roll: float, pitch: float, yaw: float, thrust: float) -> None:
-    pilot = Autopilot([MODEL], [0.0], 9.81)
-    speeds = pilot._mixed(np.array([[roll], [pitch], [yaw]]), np.array([thrust]))[:, 0]
+    speeds = np.array(mixed(model_of([MODEL], 9.81), 0, roll, pitch, yaw, thrust))
     most = MODEL.max_rotor_thrust
     front, left, back, right = lifts = MODEL.thrust_factor * speeds**2
     assert (lifts >= 0.0).all()

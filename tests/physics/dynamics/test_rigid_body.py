@@ -7,8 +7,8 @@ import numpy as np
 import pybullet
 import pytest
 
+from vcmvsp.physics.dynamics import quadrotor_laws as laws
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
-from vcmvsp.physics.dynamics.rigid_body import gyration, into_body, precession, rotations
 from vcmvsp.physics.vehicles.models import Quadrotor
 
 MODEL = Quadrotor(inertia=(0.0040, 0.0055, 0.0073))  # three different moments: it tumbles
@@ -23,7 +23,15 @@ def alone(model: Quadrotor = MODEL, **state: Any) -> QuadrotorFleet:
 
 
 def rotation(fleet: QuadrotorFleet, row: int = 0) -> Any:
-    return rotations(fleet.attitude[row : row + 1].T)[:, :, 0]
+    return np.reshape(laws.rotation(tuple(fleet.attitude.T), row), (3, 3))
+
+
+def precession(fleet: QuadrotorFleet, row: int, torque: tuple[float, float, float], dt: float) -> Any:
+    state: Any = fleet._state
+    state.clock[laws.STEP] = dt
+    for component, value in zip(state.moment, torque, strict=True):
+        component[row] = value
+    return np.array(laws.precession(state, fleet._model, row))
 
 
 @pytest.mark.parametrize("hz", [60, 120, 240])
@@ -75,10 +83,9 @@ def test_with_the_torque_of_precession_tumbling_keeps_energy_and_momentum(hz: in
     """What `QuadrotorFleet.wrench` adds: energy and amount of momentum stay, and its direction within what a step turns."""
     fleet, moments, dt = alone(Quadrotor(inertia=inertia), rate=(5.0, 0.3, 2.0)), np.array(inertia), 1.0 / hz
     before, energy = rotation(fleet) @ (moments * fleet.rate[0]), float(moments @ fleet.rate[0] ** 2)
-    none, flexibility, gyrations = np.zeros((3, 1)), 1.0 / moments[:, None], gyration(moments[:, None])
     for _ in range(5 * hz):
-        torque = precession(fleet.rate.T, none, flexibility, gyrations, dt)
-        fleet.integrate(NOTHING, (rotation(fleet) @ torque).T, dt)
+        torque = precession(fleet, 0, (0.0, 0.0, 0.0), dt)
+        fleet.integrate(NOTHING, (rotation(fleet) @ torque)[None], dt)
         after = rotation(fleet) @ (moments * fleet.rate[0])
         assert np.linalg.norm(after - before) < 1.5 * dt * np.linalg.norm(before)
     assert float(moments @ fleet.rate[0] ** 2) == pytest.approx(energy, rel=1e-9)
@@ -86,10 +93,10 @@ def test_with_the_torque_of_precession_tumbling_keeps_energy_and_momentum(hz: in
 
 
 def test_who_hardly_tumbles_gets_none_whoever_else_does() -> None:
-    rates, moments = np.array([[5.0, 0.3, 2.0], [0.1, 0.2, 0.0]]).T, np.array(MODEL.inertia)[:, None] * np.ones(2)
-    torque = precession(rates, np.zeros((3, 2)), 1.0 / moments, gyration(moments), 0.01)
-    assert np.abs(torque[:, 0]).max() > 0.0
-    assert torque[:, 1].tolist() == [0.0, 0.0, 0.0]
+    fleet = QuadrotorFleet([MODEL] * 2, [(0.0, 0.0, 5.0)] * 2, [0.0] * 2)
+    fleet.rate[:] = [[5.0, 0.3, 2.0], [0.1, 0.2, 0.0]]
+    assert np.abs(precession(fleet, 0, (0.0, 0.0, 0.0), 0.01)).max() > 0.0
+    assert precession(fleet, 1, (0.0, 0.0, 0.0), 0.01).tolist() == [0.0, 0.0, 0.0]
 
 
 def test_rotations_turn_as_quaternions_do() -> None:
@@ -100,9 +107,10 @@ def test_rotations_turn_as_quaternions_do() -> None:
     w, xyz = attitude[0], attitude[1:]
     twice = 2.0 * np.cross(xyz, vector, axis=0)
     turned = vector + w * twice + np.cross(xyz, twice, axis=0)
-    matrices = rotations(attitude)
-    assert np.einsum("ijn,jn->in", matrices, vector) == pytest.approx(turned, abs=1e-14)
-    assert into_body(matrices, turned) == pytest.approx(vector, abs=1e-14)
+    for k in range(50):
+        matrix = laws.rotation(tuple(attitude), k)
+        assert laws.into_world(matrix, *vector[:, k]) == pytest.approx(turned[:, k], abs=1e-14)
+        assert laws.into_body(matrix, *turned[:, k]) == pytest.approx(vector[:, k], abs=1e-14)
 
 
 def test_the_autopilot_is_not_needed_to_move_on() -> None:

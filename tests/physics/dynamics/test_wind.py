@@ -8,7 +8,8 @@ import pytest
 
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
-from vcmvsp.physics.dynamics.wind import AIR_KG_M3, GUST_HZ, Gusts, downwash, ground_effect
+from vcmvsp.physics.dynamics.quadrotor_laws import ground_effect
+from vcmvsp.physics.dynamics.wind import AIR_KG_M3, GUST_HZ, Gusts, downwash
 from vcmvsp.physics.vehicles.models import Quadrotor
 from vcmvsp.physics.world.world import Wind
 
@@ -107,7 +108,7 @@ WEIGHT = 0.8 * 9.81
 
 @pytest.mark.parametrize(("radii", "factor"), [(0.5, 4 / 3), (1.0, 16 / 15), (2.0, 64 / 63), (100.0, 1.0), (0.0, 4 / 3)])
 def test_thrust_near_the_floor(radii: float, factor: float) -> None:
-    assert ground_effect(np.array([radii * R]), np.array([R])) == pytest.approx(factor, rel=1e-5)
+    assert ground_effect(radii * R, R) == pytest.approx(factor, rel=1e-5)
 
 
 def below(*places: tuple[float, float, float]) -> list[float]:

@@ -1,0 +1,1 @@
+"""Numerical loops that run interpreted or compiled, with the same bits."""

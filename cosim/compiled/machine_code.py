@@ -1,0 +1,243 @@
+"""Machine code of numerical loops, with a cache on disk.
+
+A core is a function of two named tuples of arrays and numbers, and of an integer. It is written in the part of Python and NumPy
+that numba compiles, and does the same operations in the same order interpreted and compiled: results are equal to the last bit.
+Cached code is loaded by llvmlite alone: importing numba takes many times longer. `VCMVSP_COMPILED=0` in the environment turns
+compilation off.
+"""
+
+import contextlib
+import ctypes
+import hashlib
+import importlib.util
+import inspect
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import BuiltinFunctionType, FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+
+ENTRY = "run"
+Layout = tuple[tuple[str, str, int, int], ...]
+"""For each field of a `Block`: name, NumPy type string, number of dimensions (0: a single number), arrays (0: not a tuple)."""
+
+Program = tuple[tuple[ModuleType, ...], Layout, Layout]
+"""Modules with the function `ENTRY` in the last, and the fields of its two named tuples."""
+
+Run = Callable[[Any, Any, int], int]
+"""The function `ENTRY` of two named tuples and a number."""
+
+LOAD_S = 0.05  # CPU time for which loading cached code pays
+_DIGEST_BYTES = 16  # of the code, at the beginning of a cache file
+_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int32, *(ctypes.c_void_p,) * 4, ctypes.c_int64)  # as numba has functions called
+_loaded: dict[Program, "MachineCode"] = {}
+
+
+def available() -> bool:
+    """Whether functions will be compiled."""
+    return os.environ.get("VCMVSP_COMPILED", "1") != "0" and importlib.util.find_spec("numba") is not None
+
+
+class Block:
+    """Numbers, C-contiguous arrays, and tuples of like arrays, as 8-byte words: values, or addresses and shapes of arrays.
+
+    All are fields of a named tuple. No two arrays may overlap.
+    """
+
+    def __init__(self, fields: Any) -> None:
+        self.fields = fields  # keeps the arrays alive
+        words: list[int] = []
+        layout: list[tuple[str, str, int, int]] = []
+        for name, value in fields._asdict().items() if fields else ():
+            rows = len(value) if isinstance(value, tuple) else 0
+            arrays = [np.asarray(each) for each in (value if rows else (value,))]
+            for array in arrays:
+                if not array.flags.c_contiguous:
+                    raise ValueError(f"{name} is not C-contiguous")
+                words += [array.ctypes.data, *array.shape] if array.ndim else [int(array.view(np.int64))]
+            layout.append((name, arrays[0].dtype.str, arrays[0].ndim, rows))
+        self.layout: Layout = tuple(layout)
+        self._words = np.array(words, np.int64)
+        self.address = self._words.ctypes.data
+
+
+class Core:
+    """The function `ENTRY` of the last of these modules, for named tuples with the same fields as these two.
+
+    ``modules`` are all whose functions it calls.
+    """
+
+    def __init__(self, modules: tuple[ModuleType, ...], first: Any, second: Any) -> None:
+        self._program = modules, Block(first).layout, Block(second).layout
+
+    @property
+    def interpreted(self) -> Run:
+        """The function with memory views for arrays: their elements are Python's numbers, several times as fast as NumPy's."""
+        return Interpreted(getattr(self._program[0][-1], ENTRY))
+
+    @property
+    def compiled(self) -> Run:
+        """Compiled code, which is loaded or made now."""
+        if not self.is_loaded:
+            _loaded[self._program] = MachineCode(_code(self._program))
+        return Compiled(_loaded[self._program])
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether this process has loaded the compiled code."""
+        return self._program in _loaded
+
+    @property
+    def is_cached(self) -> bool:
+        """Whether the compiled code is in the cache folder."""
+        return _read_code(_path(self._program)) is not None
+
+    def chosen(self, work_s: float, compile_for_s: float) -> Run:
+        """The way for work that takes ``work_s`` CPU s interpreted; from ``compile_for_s`` on, compilation pays."""
+        if not available():
+            return self.interpreted
+        pays = self.is_loaded or work_s >= compile_for_s or (work_s >= LOAD_S and self.is_cached)
+        return self.compiled if pays else self.interpreted
+
+
+class Interpreted:
+    """A function of two named tuples and a number, with memory views for arrays."""
+
+    def __init__(self, function: Run) -> None:
+        self._function = function
+        self._first = self._second = self._first_views = self._second_views = None
+
+    def __call__(self, first: Any, second: Any, number: int) -> int:
+        """Call the function; tuples of the previous call are not converted again."""
+        if first is not self._first:
+            self._first, self._first_views = first, views(first)
+        if second is not self._second:
+            self._second, self._second_views = second, views(second)
+        return self._function(self._first_views, self._second_views, number)
+
+
+def views(fields: Any) -> Any:
+    """A named tuple with memory views in place of arrays, tuples of them in place of arrays of rows."""
+    return fields._replace(**{name: _view(value) for name, value in fields._asdict().items()})
+
+
+def _view(value: Any) -> Any:
+    if isinstance(value, tuple) or np.ndim(value) > 1:
+        return tuple(_view(each) for each in value)  # rows
+    return value.data if isinstance(value, np.ndarray) else value
+
+
+class Compiled:
+    """The function in machine code."""
+
+    def __init__(self, function: "MachineCode") -> None:
+        self._function = function
+        self._first = self._second = Block(())
+
+    def __call__(self, first: Any, second: Any, number: int) -> int:
+        """Call the function; tuples of the previous call are not converted again."""
+        if first is not self._first.fields:
+            self._first = Block(first)
+        if second is not self._second.fields:
+            self._second = Block(second)
+        return self._function(self._first.address, self._second.address, number)
+
+
+def linked(modules: Sequence[ModuleType], make: Callable[[FunctionType], Any], external: Mapping[Any, Any]) -> Any:
+    """The function `ENTRY` with all functions of the modules replaced by ``make`` of them, others by those in ``external``."""
+    names = {name: value for module in modules for name, value in vars(module).items()}
+    for name, value in list(names.items()):
+        if isinstance(value, BuiltinFunctionType):
+            names[name] = external.get(value, value)
+        if isinstance(value, FunctionType) and value.__module__ in {module.__name__ for module in modules}:
+            names[name] = make(FunctionType(value.__code__, names, name))
+    return names[ENTRY]
+
+
+class MachineCode:
+    """A function of two addresses of blocks and an integer that gives an integer."""
+
+    def __init__(self, code: bytes) -> None:
+        import llvmlite.binding as llvm
+
+        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), host())  # the code lives as long as this
+        self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        self._engine.finalize_object()
+        self._function = _FUNCTION(self._engine.get_function_address(ENTRY))
+        self._result, self._error = ctypes.c_int64(), ctypes.c_void_p()
+        self._places = ctypes.addressof(self._result), ctypes.addressof(self._error)
+
+    def __call__(self, first: int, second: int, number: int) -> int:
+        """Call it."""
+        if self._function(*self._places, first, second, number):
+            raise RuntimeError("compiled code failed")
+        return self._result.value
+
+
+def host() -> Any:
+    """LLVM's target machine for this processor."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    target = llvm.Target.from_default_triple()
+    features = llvm.get_host_cpu_features().flatten()
+    options = {"opt": 3, "codemodel": "jitdefault", "jit": True}
+    return target.create_target_machine(cpu=llvm.get_host_cpu_name(), features=features, **options)
+
+
+def _code(program: Program) -> bytes:
+    path = _path(program)
+    code = _read_code(path)
+    if code is None:
+        import llvmlite.binding as llvm
+
+        from vcmvsp.cosim.compiled.compiler import EXTERNAL, assembly, compiled
+
+        text = assembly(linked(program[0], compiled, EXTERNAL), *program[1:], ENTRY)
+        code = host().emit_object(llvm.parse_assembly(text))
+        _write_code(path, code)
+    return code
+
+
+def _path(program: Program) -> Path:
+    """Cache file, named by a digest of sources, imported numbers, compiler and processor."""
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    modules, first, second = program
+    numbers = [[each for each in vars(module).items() if isinstance(each[1], (int, float))] for module in modules]
+    # Each release of numba goes with one of llvmlite.
+    made_by = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten(), llvmlite.__version__
+    digest = hashlib.blake2b(repr((numbers, first, second, made_by)).encode(), digest_size=16)
+    makers = [Path(__file__), Path(__file__).with_name("compiler.py")]
+    for source in [Path(inspect.getfile(module)) for module in modules] + makers:
+        digest.update(source.read_bytes())
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vcmvsp"
+    return folder / f"{digest.hexdigest()}.code"
+
+
+def _read_code(path: Path) -> bytes | None:
+    """The code in a file; None if it is missing or damaged."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    digest, code = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+    return code if digest == _digest(code) else None
+
+
+def _write_code(path: Path, code: bytes) -> None:
+    """Write a file atomically, if possible."""
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            file.write(_digest(code) + code)
+        Path(file.name).replace(path)
+
+
+def _digest(code: bytes) -> bytes:
+    return hashlib.blake2b(code, digest_size=_DIGEST_BYTES).digest()
