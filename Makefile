@@ -15,7 +15,7 @@ UV = .uv/bin/uv
 export PYTHONDONTWRITEBYTECODE =
 export UV_PROJECT_ENVIRONMENT = $(VENV)
 
-.PHONY: setup demo test quick same check docs bench clean
+.PHONY: setup demo test quick same check docs site bench clean
 
 setup: $(VENV)/.ready
 
@@ -43,6 +43,14 @@ check: setup
 docs: setup
 	$(BIN)/python -m vcmvsp.cosim.reference.markdown --write
 	$(BIN)/python -m tests.support.docs.package_map --write
+	$(BIN)/python -m tests.support.docs.reference_pages --write
+
+# The documents as pages in site/, from all Markdown of the repository: the same folders, so that links need no change.
+SHOWN = '*.md' '*.png' CITATION.cff examples ':!tests'
+site: setup
+	$(UV) sync --frozen --inexact --quiet --group site
+	rm -rf .site site && mkdir .site && git ls-files -co --exclude-standard -- $(SHOWN) | tar -cT - | tar -xC .site
+	$(BIN)/zensical build --strict --clean
 
 # Files go to workers in their order, so that none that takes long comes last.
 test: check
@@ -86,4 +94,4 @@ bench: setup .ns3/.ready .drones/.ready .crazyflow/.ready .peers/.ready
 	$(UV) pip install --quiet --python .peers/bin/python --no-deps gradysim==0.8.2 && touch $@
 
 clean:
-	rm -rf .venv .venv-* .uv .ns3 .drones .crazyflow .peers runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv .venv-* .uv .ns3 .drones .crazyflow .peers runs dist .site site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -32,19 +32,17 @@ finally:
 def rows() -> Iterator[Row]:
     """All of them; each is measured when it is asked for."""
     for phy in ("b-1", "g-6"):
-        yield _beside_ns3(phy, compiled=False, least=5.0)
-        yield _beside_ns3(phy, compiled=True, least=30.0)
+        yield _beside_ns3(phy, least=30.0)
     yield _real_time()
     yield _thousand()
 
 
-def _beside_ns3(phy: str, *, compiled: bool, least: float) -> Row:
+def _beside_ns3(phy: str, *, least: float) -> Row:
     """CPU of a network of 100 that all hear each other, 10 Hz, 100 bytes."""
-    core = "compiled" if compiled else "NumPy alone"
-    name, demand = f"802.11 {phy}, 100 nodes, 10 Hz, {core}; beside it ns-3.44", f">= {least:g} times less"
+    name, demand = f"802.11 {phy}, 100 nodes, 10 Hz, compiled; beside it ns-3.44", f">= {least:g} times less"
     frames = 100 * 10 * DURATION_S
     try:
-        ours, other, ratio = _hundred(phy, compiled)
+        ours, other, ratio = _hundred(phy)
     except MissingError as error:
         return missing(name, demand, error)
     cost, its = f"{1e6 * ours / frames:.0f} us a frame", f"{1e6 * other / frames:.0f} us"
@@ -52,18 +50,18 @@ def _beside_ns3(phy: str, *, compiled: bool, least: float) -> Row:
 
 
 @functools.cache
-def _hundred(phy: str, compiled: bool) -> tuple[float, float, float]:
+def _hundred(phy: str) -> tuple[float, float, float]:
     """CPU seconds of both, and their ratio; two rows tell of one of them."""
-    print(f"measuring: radio, {phy}, compiled: {compiled}, beside ns-3 ...", file=sys.stderr, flush=True)
+    print(f"measuring: radio, {phy}, beside ns-3 ...", file=sys.stderr, flush=True)
     program()  # before anything else is measured
     case = Case(phy, 100, 10.0)
-    return in_turn(partial(_ours_s, case, compiled), partial(_ns3_s, case), ROUNDS)
+    return in_turn(partial(_ours_s, case, compiled=True), partial(_ns3_s, case), ROUNDS)
 
 
 def _real_time() -> Row:
     name, demand = "the same, 802.11 b-1 compiled, as speed; beside it ns-3.44", ">= 20 sim s / CPU s"
     try:
-        ours, other, ratio = _hundred("b-1", True)
+        ours, other, ratio = _hundred("b-1")
     except MissingError as error:
         return missing(name, demand, error)
     speed = DURATION_S / ours

@@ -41,8 +41,8 @@ DEEPEST = 64  # nesting of lists and mappings in a message; Python's recursion l
 class Observation(Value, frozen=True, kw_only=True):
     """What an agent observes at a tick; it never contains the true states of other vehicles."""
 
-    vehicle: str
-    time_ns: int
+    vehicle: str  # the vehicle's own name
+    time_ns: int  # simulated time since the start
     state: VehicleState  # the vehicle's own state as estimated by its pose source
     readings: dict[str, Reading]  # newest reading of each sensor, by name: "odometry", and the vehicle's sensors
     heard: ReceivedMessages = msgspec.field(default_factory=lambda: ReceivedMessages.none(0))  # since the last tick
@@ -68,12 +68,12 @@ class Body(Value, frozen=True, kw_only=True):
 class VehicleInfo(Value, frozen=True, kw_only=True):
     """Information for an agent before its first tick."""
 
-    name: str
-    vehicles: tuple[str, ...]
-    period_s: float
-    latency_s: float
-    seed: int
-    body: Body | None = None  # None: unknown
+    name: str  # of its vehicle
+    vehicles: tuple[str, ...]  # names of all vehicles of the run
+    period_s: float  # time between two ticks
+    latency_s: float  # time from an observation to the effect of commands and messages
+    seed: int  # of the run; draw from `stream`
+    body: Body | None = None  # width_m, radius_m and flies; None: unknown
     sensors: tuple[str, ...] | None = None  # names of the vehicle's sensors; None: unknown
     beside_m: Mapping[str, float] = msgspec.field(default_factory=dict)  # horizontal offset of sensors, m, unless 0
 

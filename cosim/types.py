@@ -191,8 +191,8 @@ class Image(Value, frozen=True, kw_only=True, tag="image"):
 class Measured(Value, frozen=True, kw_only=True, tag="measured"):
     """Named numbers of any other sensor: a bumper's segments (0 or 1), ranges to neighbours (m), ..."""
 
-    time_ns: int
-    values: dict[str, float]
+    time_ns: int  # time of the measurement
+    values: dict[str, float]  # by name, with the unit in the name
 
 
 class Looks(Value, frozen=True, kw_only=True, tag="looks"):
@@ -251,9 +251,9 @@ class Readings(dict[str, Any]):
 class Message(Value, frozen=True, kw_only=True, tag="message"):
     """Message that an agent gives to its radio. The body is sent as MessagePack; ``size_bytes`` sets the air time."""
 
-    sender: str
-    body: dict[str, Any] | bytes
-    size_bytes: int
+    sender: str  # name of a vehicle
+    body: dict[str, Any] | bytes  # a mapping from agents, bytes from programs
+    size_bytes: int  # payload
     to: str | None = None  # None: broadcast
     priority: int = 0  # a message of higher priority overtakes others in its sender's queue, if the mac supports it
 
@@ -262,9 +262,9 @@ class Reception(Value, frozen=True, kw_only=True, tag="reception"):
     """A message at a receiver."""
 
     message: Message
-    rssi_dbm: float
-    sent_ns: int
-    received_ns: int
+    rssi_dbm: float  # received power
+    sent_ns: int  # time at which the sender gave it to its radio
+    received_ns: int  # time of arrival; the agent sees it at its next tick
 
 
 class Receptions(Value, frozen=True, kw_only=True, tag="receptions"):

@@ -95,11 +95,11 @@ class Core:
         """Whether the compiled code is in the cache folder."""
         return _read_code(_path(self._program)) is not None
 
-    def chosen(self, work_s: float, compile_s: float) -> Run:
-        """The cheaper way for work that takes ``work_s`` CPU s interpreted, where the compilation takes ``compile_s``."""
+    def chosen(self, work_s: float, compile_for_s: float) -> Run:
+        """The way for work that takes ``work_s`` CPU s interpreted; from ``compile_for_s`` on, compilation pays."""
         if not available():
             return self.interpreted
-        pays = self.is_loaded or work_s >= compile_s or (work_s >= LOAD_S and self.is_cached)
+        pays = self.is_loaded or work_s >= compile_for_s or (work_s >= LOAD_S and self.is_cached)
         return self.compiled if pays else self.interpreted
 
 
@@ -120,13 +120,13 @@ class Interpreted:
 
 
 def views(fields: Any) -> Any:
-    """A named tuple with memory views in place of arrays."""
+    """A named tuple with memory views in place of arrays, tuples of them in place of arrays of rows."""
     return fields._replace(**{name: _view(value) for name, value in fields._asdict().items()})
 
 
 def _view(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return tuple(_view(each) for each in value)
+    if isinstance(value, tuple) or np.ndim(value) > 1:
+        return tuple(_view(each) for each in value)  # rows
     return value.data if isinstance(value, np.ndarray) else value
 
 
@@ -147,16 +147,13 @@ class Compiled:
 
 
 def linked(modules: Sequence[ModuleType], make: Callable[[FunctionType], Any], external: Mapping[Any, Any]) -> Any:
-    """The function `ENTRY` with all functions of the modules replaced by ``make`` of their loops, ``f_loop`` for ``f``.
-
-    Functions of other modules are replaced by those in ``external``.
-    """
+    """The function `ENTRY` with all functions of the modules replaced by ``make`` of them, others by those in ``external``."""
     names = {name: value for module in modules for name, value in vars(module).items()}
     for name, value in list(names.items()):
         if isinstance(value, BuiltinFunctionType):
             names[name] = external.get(value, value)
         if isinstance(value, FunctionType) and value.__module__ in {module.__name__ for module in modules}:
-            names[name] = make(FunctionType(names.get(f"{name}_loop", value).__code__, names, name))
+            names[name] = make(FunctionType(value.__code__, names, name))
     return names[ENTRY]
 
 

@@ -1,7 +1,7 @@
 """Generate pages from the reference of keys: ``python -m vcmvsp.cosim.reference.markdown --write`` updates them.
 
-``scenarios/README.md`` has tables of keys (`cosim.reference.tree`) between two comments. ``reference_keys.tsv`` lists the
-keys of ``--set`` for fast completion: a line each, with path (NAME and SENSOR stand for any name) and values, separated by
+The pages in ``docs/reference`` have tables of keys (`cosim.reference.tree`) between two comments. ``reference_keys.tsv`` lists
+the keys of ``--set`` for fast completion: a line each, with path (NAME and SENSOR stand for any name) and values, separated by
 tabs.
 """
 
@@ -22,9 +22,8 @@ from vcmvsp.cosim.metrics.catalogue import METRICS, unit_of
 from vcmvsp.cosim.reference import tree
 from vcmvsp.cosim.reference.describe import Key, markdown, summary, toml
 from vcmvsp.cosim.reference.tree import NOT_SHARED, VEHICLE, Section, places, whole
-from vcmvsp.cosim.scenario.loader import BUILT_IN
 
-PAGE = BUILT_IN / "README.md"
+FOLDER = Path(__file__).resolve().parents[2] / "docs" / "reference"
 INDEX = Path(__file__).resolve().with_name("reference_keys.tsv")
 UPDATE = "python -m vcmvsp.cosim.reference.markdown --write"
 
@@ -32,24 +31,26 @@ ABSENT = "–"  # this kind takes no such key
 RANGE_BYTES = 100  # size of the frames that define the range of a preset
 
 
-def updated(page: str) -> str:
+def updated(page: str, names: Collection[str]) -> str:
     """The page with the present reference between each ``<!-- generated: NAME -->`` and the next ``<!-- end -->``."""
-    for name, write in BLOCKS.items():
+    for name in names:
         before, begin, rest = page.partition(f"<!-- generated: {name} -->\n")
         _, end, after = rest.partition("<!-- end -->\n")
         if not end:
             raise ValueError(f"the page has no block '<!-- generated: {name} -->' ... '<!-- end -->'")
-        page = f"{before}{begin}\n{write()}\n\n{end}{after}"
+        page = f"{before}{begin}\n{BLOCKS[name]()}\n\n{end}{after}"
     return page
 
 
-def main(arguments: Sequence[str] | None = None, page: Path = PAGE, index: Path = INDEX) -> None:
-    """Update page and index, or report which one is out of date."""
+def main(arguments: Sequence[str] | None = None, folder: Path = FOLDER, index: Path = INDEX) -> None:
+    """Update the pages in a folder and the index, or report which one is out of date."""
     about = "The reference of keys, from the code."
     parser = argparse.ArgumentParser(prog="python -m vcmvsp.cosim.reference.markdown", description=about)
     parser.add_argument("--write", action="store_true", help="update the files instead of checking them")
     write: bool = parser.parse_args(arguments).write
-    for path, fresh in ((page, updated), (index, lambda _: index_text())):
+    written: list[tuple[Path, Callable[[str], str]]] = [(index, lambda _: index_text())]
+    written += [(folder / name, functools.partial(updated, names=blocks)) for name, blocks in PAGES.items()]
+    for path, fresh in written:
         old = path.read_text("utf-8") if path.exists() else ""
         new = fresh(old)
         if write:
@@ -115,7 +116,7 @@ def radio() -> str:
     """Radio: layers, presets, and a table of parameters for each layer."""
     parts = [_layers(), _presets()]
     for layer in LAYERS:
-        parts += [f"#### `[radio.{layer}]`", tables(f"radio.{layer}")]
+        parts += [f"### `[radio.{layer}]`", tables(f"radio.{layer}")]
     return "\n\n".join(parts)
 
 
@@ -156,6 +157,18 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "sockets": lambda: tables("sockets"),
     "metrics": metrics,
 }
+PAGES: Mapping[str, Collection[str]] = {
+    "scenario.md": ("routing", "doors", "sockets"),
+    "scenario-world.md": ("physics", "world"),
+    "scenario-radio.md": ("radio",),
+    "scenario-vehicles.md": ("sensors", "vehicle radio", "vehicle kinds"),
+    "scenario-agents.md": (
+        *("leaders", "followers", "consensus", "team", "patrol", "aerial", "avoid", "mission", "search", "track", "watching"),
+    ),
+    "scenario-robots.md": ("drivers", "localisation", "fusion", "safety", "clock"),
+    "metrics.md": ("metrics",),
+}
+"""Blocks of each page."""
 
 
 def _layers() -> str:

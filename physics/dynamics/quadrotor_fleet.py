@@ -18,7 +18,7 @@ from vcmvsp.physics.dynamics.wind import Floats, downwash
 from vcmvsp.physics.vehicles.models import Quadrotor
 
 VEHICLE_STEP_S = 1e-5  # CPU time of a step of a vehicle, interpreted
-COMPILE_S = 4.0  # CPU time of the compilation
+COMPILE_FOR_S = 2.0  # least work, interpreted: the compilation takes twice as long, once for each computer
 
 _LEAST_GRAVITY = 1e-9  # m/s2, assumed without gravity: the direction up must exist
 _LEAST_LIFT = 0.2  # of the weight, at any rate of descent
@@ -85,7 +85,7 @@ class QuadrotorFleet:
     def expect(self, steps: float, *, now: bool = False) -> None:
         """Hint of the number of steps to come; decides whether to use compiled code: ``now`` always, if available."""
         work_s = math.inf if now else VEHICLE_STEP_S * steps * len(self._limits)
-        self._run = self._core.chosen(work_s, COMPILE_S)
+        self._run = self._core.chosen(work_s, COMPILE_FOR_S)
 
     def set_velocity(self, row: int, linear: Sequence[float], yaw_rate: float) -> None:
         """Set a velocity, m/s, world, and a yaw rate, rad/s, both within the vehicle's limits."""

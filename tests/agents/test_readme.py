@@ -12,7 +12,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_it_flies_east_until_something_is_near(tmp_path: Path) -> None:
-    (tmp_path / "advance.py").write_text(block("agents/README.md", "class Advance"))
+    (tmp_path / "advance.py").write_text(block("docs/reference/agents.md", "class Advance"))
     (tmp_path / "wall.toml").write_text("""
         name = "wall"
         duration_s = 15.0
@@ -33,8 +33,8 @@ def test_it_flies_east_until_something_is_near(tmp_path: Path) -> None:
 
 
 def test_its_own_way_around_things_stops_before_them(tmp_path: Path) -> None:
-    (own,) = re.findall(r"`avoidance = (\{ kind = \"own\".*?\} \})`", PAGES["agents/README.md"])
-    (tmp_path / "stop.py").write_text(block("agents/README.md", "class Stop"))
+    (own,) = re.findall(r"`avoidance = (\{ kind = \"own\".*?\} \})`", PAGES["docs/reference/agents.md"])
+    (tmp_path / "stop.py").write_text(block("docs/reference/agents.md", "class Stop"))
     (tmp_path / "wall.toml").write_text(f"""
         name = "wall"
         duration_s = 15.0
@@ -54,7 +54,7 @@ def test_its_own_way_around_things_stops_before_them(tmp_path: Path) -> None:
 
 
 def test_it_stops_at_a_strong_signal(tmp_path: Path) -> None:
-    (tmp_path / "nearest.py").write_text(block("agents/README.md", "class Nearest"))
+    (tmp_path / "nearest.py").write_text(block("docs/reference/agents.md", "class Nearest"))
     (tmp_path / "meet.toml").write_text("""
         name = "meet"
         duration_s = 15.0

@@ -59,17 +59,18 @@ class Around:
 
 
 AROUND = {
+    ("docs/tutorial.md", "# mine.toml"): Around(files={"my_follower.py": block_of("docs/tutorial.md", "class MyFollower")}),
     ("README.md", "# gap.toml"): Around(files={"keep_gap.py": KEEP_GAP["keep_gap.py"]}),
-    ("agents/README.md", 'changes = [[30.0, "column"]'): Around(TEAM),
-    ("agents/README.md", "lookahead_m = 1.2"): Around(CARS.replace('kind = "p2dx"\n', "")),
-    ("agents/README.md", 'kind = "avoid", avoidance = { kind = "gap" }'): Around(
+    ("docs/reference/agents.md", 'changes = [[30.0, "column"]'): Around(TEAM),
+    ("docs/reference/agents.md", "lookahead_m = 1.2"): Around(CARS.replace('kind = "p2dx"\n', "")),
+    ("docs/reference/agents.md", 'kind = "avoid", avoidance = { kind = "gap" }'): Around(
         before='[[vehicle]]\nname = "car1"\nkind = "amigobot"\nsensors = { scan = { kind = "lms" } }\n'
     ),
-    ("agents/README.md", "[agents.formation.passage]"): Around(
+    ("docs/reference/agents.md", "[agents.formation.passage]"): Around(
         TEAM.replace('kind = "p2dx"', 'kind = "p2dx"\nsensors = { scan = { kind = "lms" } }'),
         before='[agents.formation]\nshape = "wedge"\n',
     ),
-    ("agents/README.md", "[agents.algorithms.search]"): Around(SEARCHERS),
+    ("docs/reference/agents.md", "[agents.algorithms.search]"): Around(SEARCHERS),
     ("hardware/README.md", 'kind = "arcos"'): Around(CARS),
     ("netsim/README.md", 'preset = "wifi-g-6"'): Around(
         '[[vehicle]]\nname = "car2"\nposition = [5.0, 0.0, 0.0]\n[vehicles]\nkind = "p2dx"\n'
@@ -77,7 +78,9 @@ AROUND = {
     ("physics/README.md", 'picture = "mine.png"'): Around(
         CARS, files={"mine.png": (ROOT / "scenarios" / "targets" / "bravo.png").read_bytes()}
     ),
-    ("physics/README.md", 'kind = "urdf"'): Around(files={"cart.urdf": block_of("physics/README.md", "<robot name=")}),
+    ("docs/howto/own-vehicle.md", 'kind = "urdf"'): Around(
+        files={"cart.urdf": block_of("docs/howto/own-vehicle.md", "<robot name=")}
+    ),
 }
 """By page, and words in the block; without an entry: two cars, where the block has no vehicle."""
 
@@ -133,5 +136,5 @@ def test_the_call_of_a_study_on_slurm_is_one_of_ours(monkeypatch: pytest.MonkeyP
     package.SLURMCluster = Cluster  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "dask_jobqueue", package)
     monkeypatch.setattr(vcmvsp, "study", lambda *args, **options: asked.append(signature.bind(*args, **options).args[:1]))
-    exec(compile(block_of("cosim/README.md", "SLURMCluster("), "README.md", "exec", dont_inherit=True), {})
+    exec(compile(block_of("docs/howto/cluster.md", "SLURMCluster("), "README.md", "exec", dont_inherit=True), {})
     assert asked == [("cluster", 1), ("jobs", 100), ("formation-slalom",)]

@@ -42,7 +42,7 @@ def changes() -> list[tuple[str, list[str]]]:
         words = words_of(mention.partition(": ")[2])
         for option, value in pairwise(words):
             if option in {"--set", "--vary"} and words[2] in loader.names():
-                said.append((words[2], ["--set", value.partition(",")[0]]))
+                said.append((words[2], ["--set", re.split("[,:]", value)[0]]))
     return said
 
 

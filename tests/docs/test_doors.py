@@ -46,7 +46,7 @@ def test_ports_are_where_the_page_has_them(tmp_path: Path, monkeypatch: pytest.M
     words = words_of(command("vcmvsp run formation-circle --set bridge").replace("18000", str(first)))
     code, _, err = vcmvsp_command(*words[1:], *BRIEF.split())
     assert code == 0, err
-    shown = {int(port) - 18000 for port in re.findall(r"\b18\d{3}\b", block("docs/radio.md", "where are you?"))}
+    shown = {int(port) - 18000 for port in re.findall(r"\b18\d{3}\b", block("docs/howto/programs.md", "where are you?"))}
     assert {int(port) - first for port in re.findall(r"\b\d{5}\b", err)} >= shown == {0, 2, 99, 199}
 
 

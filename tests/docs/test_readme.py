@@ -14,7 +14,7 @@ from vcmvsp.cosim.config import builtin_kinds
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.testing import check_agent
 
-README, WORLDS = ((ROOT / page).read_text("utf-8") for page in ("README.md", "docs/worlds.md"))
+README, WORLDS = ((ROOT / page).read_text("utf-8") for page in ("README.md", "docs/howto/worlds.md"))
 pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("figures")]
 BLOCKS: list[tuple[str, str]] = re.findall(r"```(\w*)\n(.*?)```", README + WORLDS, re.DOTALL)
 

@@ -6,14 +6,13 @@ from typing import Any
 
 import pytest
 
-from tests.support.paths import SCENARIOS
+from tests.support.paths import ROOT
 from vcmvsp.cosim.config import binding, builtin_kinds
 from vcmvsp.cosim.scenario import loader, schema
 from vcmvsp.netsim.propagation.walls import ITU_MATERIALS
 from vcmvsp.physics.world.solids import MATERIAL_COLORS
 
-FOLDER = SCENARIOS
-TEXT = (FOLDER / "README.md").read_text("utf-8")
+TEXT = "\n".join(path.read_text("utf-8") for path in sorted((ROOT / "docs" / "reference").glob("*.md")))
 Documented = dict[str, dict[str, str]]  # column of defaults -> key -> what it says
 
 

@@ -9,10 +9,10 @@ import pytest
 from tests.support.cosim.receptions import receptions_in
 from tests.support.netsim.channels import make_channel, standing
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.compiled.machine_code import Core, Run
 from vcmvsp.cosim.federate import Event, RunInfo, Step
 from vcmvsp.cosim.types import Array, FrameReport, Message, Reception, States
 from vcmvsp.netsim.federate import RadioFederate
-from vcmvsp.netsim.mac.dcf import access
 
 MS = 1_000_000
 NAMES = ("a", "b", "c")
@@ -127,13 +127,13 @@ def test_sending_before_any_position_is_known_is_an_error(radio: RadioFederate) 
 def code_is_had(patch: pytest.MonkeyPatch, told: Callable[[], None]) -> None:
     """Plain code takes the place of compiled code, of which tests before this one have loaded none; told when it is loaded."""
 
-    def load(*core: object) -> Callable[..., int]:
+    def load(core: Core) -> Run:
         told()
-        return access.run
+        return core.interpreted
 
     patch.setattr("vcmvsp.netsim.mac.dcf.medium.available", lambda: True)
-    patch.setattr("vcmvsp.netsim.mac.dcf.medium.is_loaded", lambda *_: False)
-    patch.setattr("vcmvsp.netsim.mac.dcf.medium.Compiled", load)
+    patch.setattr(Core, "is_loaded", property(lambda _: False))
+    patch.setattr(Core, "compiled", property(load))
 
 
 @pytest.mark.parametrize("programs", [False, True])
@@ -171,7 +171,7 @@ def test_what_compiled_code_pays_for_is_seen_from_how_soon_the_first_frames_come
     loaded_at: list[int] = []
     fates: list[list[tuple[str, ...]]] = []
     code_is_had(monkeypatch, lambda: loaded_at.append(len(fates[-1])))
-    monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.is_cached", lambda *_: True)
+    monkeypatch.setattr(Core, "is_cached", property(lambda _: True))
     monkeypatch.setattr("vcmvsp.netsim.federate.FORECAST_AT", 5)
     for duration_s in (seconds, 1):
         radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3}))

@@ -23,7 +23,7 @@ from vcmvsp.netsim.phy.dsss import Dsss
 
 def test_the_layers_of_ones_own() -> None:
     models: dict[str, Any] = {"__name__": "my_models"}
-    exec(compile(block("netsim/README.md", "class Rain"), "README.md", "exec", dont_inherit=True), models)
+    exec(compile(block("docs/howto/radio-layer.md", "class Rain"), "README.md", "exec", dont_inherit=True), models)
     rain, tunnel = models["Rain"](db_per_km=4.0), models["Tunnel"](reach_m=500.0)
     check_channel(rain)
     check_channel(tunnel)
@@ -43,6 +43,6 @@ def test_every_outcome_is_explained(tmp_path: Path) -> None:
         for script, fades in ((Script(), True), (Script(), False), (None, False)):
             outcomes = Outcomes(ReceiverModel(Dsss(), 4.0), loss, NoDelay(), script, trace, Delivery(), fades=fades)
             known |= set(outcomes._words.tolist())
-    section = PAGES["netsim/README.md"].partition("## What becomes of a frame")[2].partition("\n## ")[0]
+    section = PAGES["docs/explanation/radio.md"].partition("## What becomes of a frame")[2].partition("\n## ")[0]
     rows = [line.split(" | ")[0] for line in section.splitlines() if line.startswith("| `")]
     assert {name for row in rows for name in re.findall(r"`([^`]+)`", row)} == known - {""}

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 import vcmvsp
+from tests.support.paths import ROOT
 from vcmvsp import physics
 from vcmvsp.cosim.assembly.worlds import world_of
 from vcmvsp.cosim.config import builtin_kinds
@@ -15,7 +16,8 @@ from vcmvsp.cosim.runs import api
 from vcmvsp.physics.world.solids import Cylinder
 
 README = (Path(physics.__path__[0]) / "README.md").read_text(encoding="utf-8")
-BLOCKS: list[tuple[str, str]] = re.findall(r"```(\w*)\n(.*?)```", README, re.DOTALL)
+PAGES = [README, *(path.read_text("utf-8") for path in sorted((ROOT / "docs" / "howto").glob("own-*.md")))]
+BLOCKS: list[tuple[str, str]] = re.findall(r"```(\w*)\n(.*?)```", "\n".join(PAGES), re.DOTALL)
 HEAD = 'name = "example"\nduration_s = 0.5\n'
 
 

@@ -19,7 +19,7 @@ Error in the follower's frame (3-31, 3-34) and law (3-33, 3-35), with ``thb = th
     v_f = u1 + k1 z1                                 w_f = (u2 + k2 z2) / ell
 
 so that ``z1' = -k1 z1 + w_f z2``, ``z2' = -k2 z2 - w_f z1`` and, with ``V = |z|^2 / 2``, ``V' = -k1 z1^2 - k2 z2^2``: the
-error decays exponentially for any motion of the leader. ``agents/README.md`` explains differences to the printed equations.
+error decays exponentially for any motion of the leader. Differences to what is printed: ``docs/explanation/formations.md``.
 """
 
 import math

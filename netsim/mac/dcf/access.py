@@ -8,14 +8,12 @@ A radio stores the slots left at the last extension of the busy time, and the ti
 slots are no events. After a payload that could not be decoded it waits for EIFS. The queues are linked lists in the arrays of
 the frames.
 
-The code runs with NumPy or compiled, see `cosim.compiled.machine_code`; all state is in the arrays of a `DcfState`.
+The code runs interpreted or compiled, see `cosim.compiled`; all state is in the arrays of a `DcfState`.
 """
-
-import numpy as np
 
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 from vcmvsp.netsim.interfaces.medium import Codes
-from vcmvsp.netsim.mac.dcf.capture import defer_one, detect, put_on_air, settle, take_off_air
+from vcmvsp.netsim.mac.dcf.capture import defer, detect, put_on_air, settle, take_off_air
 from vcmvsp.netsim.mac.dcf.state import (
     ACK,
     ACKNOWLEDGEMENT,
@@ -176,17 +174,17 @@ def send(s: DcfState, rules: DcfRules, i: int, now: int, air_ns: int) -> None:
     put_on_air(s, rules, i, now, air_ns)
     s.eifs_ns[i] = 0
     s.idle_ns[i] = max(s.idle_ns[i], now + air_ns)
-    defer_one(s, rules, i)
+    defer(s, rules, i)
 
 
 def acknowledge(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """Radio i acknowledges a unicast frame: same path, new fading; at other radios with the level of its last frame."""
     f = s.acked[i]
     back = s.sender[f]
-    answer = s.level[back, i] * (s.power_mw[i] / s.power_mw[back]) * s.answer[back]
+    answer = s.level[back][i] * (s.power_mw[i] / s.power_mw[back]) * s.answer[back]
     copy(s.heard[i], s.level[i])
-    s.level[i, back] = answer
-    s.patience[i] = s.doubt[i, draw(s, i)]
+    s.level[i][back] = answer
+    fill(s.doubt[i][draw(s, i)], s.patience[i])
     s.kind[i] = ACK
     s.payload_bits_per_ns[i] = rules.ack_bits_per_ns
     s.curve[i] = ACKNOWLEDGEMENT
@@ -207,7 +205,7 @@ def finish(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
         f = s.acked[i]
         s.acked[i] = NOBODY
         back = s.sender[f]
-        if s.fate[i, back] == RECEIVED and s.sending[back] == f:
+        if s.fate[i][back] == RECEIVED and s.sending[back] == f:
             s.due[TIMEOUT * n + back] = NEVER
             s.window[back] = rules.cw_min
             s.failures[back] = 0
@@ -222,16 +220,16 @@ def finish(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
         release(s, rules, i, now, now)
         return
     to = s.to[f]
-    s.least_there[f] = s.least[i, to]
+    s.least_there[f] = s.least[i][to]
     s.due[TIMEOUT * n + i] = now + rules.timeout_ns
-    if s.fate[i, to] == RECEIVED:
+    if s.fate[i][to] == RECEIVED:
         s.acked[to] = f
         s.due[ANSWER * n + to] = now + rules.sifs_ns
         if not s.told[f]:  # independent of the acknowledgement
             decide(s, f, now, RECEIVED)
             s.out_done[s.counts[DECIDED] - 1] = False
             s.told[f] = True
-    s.outcome[f] = s.fate[i, to]
+    s.outcome[f] = s.fate[i][to]
 
 
 def give_up(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
@@ -239,7 +237,7 @@ def give_up(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     timeout = TIMEOUT * len(s.lock) + i
     settle(s, rules, now)
     heard = s.lock[i]
-    if heard != NOBODY and s.start_ns[heard] + rules.header_end_ns <= now and not s.spoiled[heard, i]:
+    if heard != NOBODY and s.start_ns[heard] + rules.header_end_ns <= now and not s.spoiled[heard][i]:
         s.due[timeout] = s.end_ns[heard] + PAYLOAD_OVER_NS
         return
     s.due[timeout] = NEVER
@@ -259,11 +257,6 @@ def give_up(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
 
 def soonest(times: Ints) -> int:
     """Index of the earliest time, the first of equal ones."""
-    return int(times.argmin())
-
-
-def soonest_loop(times: Ints) -> int:
-    """See `soonest`."""
     first = 0
     for k in range(1, len(times)):
         if times[k] < times[first]:
@@ -273,13 +266,14 @@ def soonest_loop(times: Ints) -> int:
 
 def copy(values: Floats | Codes, to: Floats | Codes) -> None:
     """Copy values into an array, (n,)."""
-    to[:] = values
-
-
-def copy_loop(values: Floats | Codes, to: Floats | Codes) -> None:
-    """See `copy`."""
     for j in range(len(to)):
         to[j] = values[j]
+
+
+def fill(value: float, to: Floats | Codes) -> None:
+    """Set all elements of an array, (n,)."""
+    for j in range(len(to)):
+        to[j] = value
 
 
 def sense(s: DcfState, rules: DcfRules, now: int) -> None:
@@ -287,19 +281,6 @@ def sense(s: DcfState, rules: DcfRules, now: int) -> None:
 
     A radio that already had a later end of the busy time is unchanged: if its access timer has expired, it sends now.
     """
-    busy = s.busy
-    longer = busy > s.idle_ns
-    if not np.count_nonzero(longer):
-        return
-    left = np.minimum(np.maximum((s.over_ns + (rules.slot_ns - 1 - now)) // rules.slot_ns, 0), s.slots)
-    np.putmask(s.slots, longer, left)
-    np.putmask(s.idle_ns, longer, busy)
-    np.putmask(s.over_ns, longer, np.maximum(s.over_ns, busy + left * rules.slot_ns + rules.difs_ns))
-    np.putmask(s.due[: len(busy)], longer, np.maximum(s.over_ns, s.wake_ns))
-
-
-def sense_loop(s: DcfState, rules: DcfRules, now: int) -> None:
-    """See `sense`."""
     busy, slots, idle_ns, over_ns, due = s.busy, s.slots, s.idle_ns, s.over_ns, s.due
     for j in range(len(busy)):
         if busy[j] > idle_ns[j]:
@@ -316,20 +297,6 @@ def doze(s: DcfState, rules: DcfRules, now: int) -> None:
     re-arms it at its expiry, but nothing shortens it: if EIFS ends early, because a payload begins to be received, the radio
     sends late, at the expiry of the timer. By the standard it would send earlier.
     """
-    if s.wake_ns[s.wake_ns.argmin()] > now:
-        return
-    woken, receiving = s.over_ns, s.lock != NOBODY
-    if np.count_nonzero(receiving):
-        left = s.slots * rules.slot_ns + rules.difs_ns
-        woken = np.where(receiving, s.idle_ns + left, woken)
-        before = np.maximum(s.header_ns, s.eifs_ns) + left
-        in_header = s.wake_ns <= s.start_ns[s.lock] + rules.header_end_ns
-        np.putmask(woken, receiving & in_header & (before > now), before)
-    np.putmask(s.wake_ns, s.wake_ns <= now, woken)
-
-
-def doze_loop(s: DcfState, rules: DcfRules, now: int) -> None:
-    """See `doze`."""
     wake_ns = s.wake_ns
     for j in range(len(wake_ns)):
         if wake_ns[j] <= now:
@@ -363,14 +330,14 @@ def draw(s: DcfState, i: int) -> int:
     """Index of the next backoff draw of radio i in its row of ``s.backoff``; marks that draws run out (`SCARCE`)."""
     place = int(s.drawn[i] - s.store[i])
     s.drawn[i] += 1
-    if place + 1 == s.backoff.shape[1]:
+    if place + 1 == len(s.backoff[i]):
         s.counts[SCARCE] = 1
     return place
 
 
 def back_off(s: DcfState, rules: DcfRules, i: int, counting_ns: int) -> None:
     """Draw a backoff of radio i; it counts from ``counting_ns`` if the medium is idle."""
-    s.slots[i] = int(s.backoff[i, draw(s, i)] * (s.window[i] + 1))
+    s.slots[i] = int(s.backoff[i][draw(s, i)] * (s.window[i] + 1))
     wait(s, rules, i, counting_ns)
 
 
@@ -433,31 +400,12 @@ def decide(s: DcfState, f: int, now: int, fate: int) -> None:
     s.out_start[k] = s.began_ns[f]
     s.out_attempts[k] = s.attempts[f]
     s.out_done[k] = True
-    s.out_fate[k] = fate
-    s.out_least[k] = s.least_there[f]
+    fill(fate, s.out_fate[k])
+    fill(s.least_there[f], s.out_least[k])
 
 
 def next_decision(s: DcfState, rules: DcfRules) -> int:
     """Earliest time of the next decision if no other frame is offered."""
-    n = len(s.lock)
-    soonest = int(s.due[n + s.due[n:].argmin()])
-    for at in range(s.counts[ON_AIR]):
-        soonest = min(soonest, int(s.end_ns[s.air[at]]))
-    wanting = (s.due[:n] < NEVER).nonzero()[0]
-    if len(wanting) == 1:  # the usual case
-        i = wanting[0]
-        begin, f = s.due[i], s.head[i]
-        late = f == NOBODY or begin > s.offered_ns[f] + rules.lifetime_ns
-        soonest = min(soonest, int(begin if late else begin + s.air_ns[f]))
-    elif len(wanting):
-        heads, due = s.head[wanting], s.due[wanting]
-        expired = (heads == NOBODY) | (due > s.offered_ns[heads] + rules.lifetime_ns)
-        soonest = min(soonest, int(np.where(expired, due, due + s.air_ns[heads]).min()))
-    return soonest
-
-
-def next_decision_loop(s: DcfState, rules: DcfRules) -> int:
-    """See `next_decision`."""
     n, soonest = len(s.lock), NEVER
     for at in range(s.counts[ON_AIR]):
         soonest = min(soonest, s.end_ns[s.air[at]])

@@ -10,15 +10,11 @@ As in ns-3.44 (``PhyEntity``, ``InterferenceHelper``, ``ThresholdPreambleDetecti
   evaluated when the radio fails to detect a frame, and at the end of a received frame. It is also evaluated at the end of its
   own frame; if no other frame started during that one, the threshold is `energy_mw`.
 
-Powers are added in the order of the frames' starts: bit-identical for one radio or for all. Operations on all radios are
-written twice: with vectors for NumPy, and as loops, which are faster when compiled: compiled code calls ``f_loop`` for ``f``
-(see `cosim.compiled.machine_code`). Both do the same operations in the same order, with bit-identical results; a loop skips
-operations without effect.
+Powers are added in the order of the frames' starts.
 """
 
-import numpy as np
+from math import inf
 
-from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints
 from vcmvsp.netsim.mac.dcf.state import (
     COLLISION,
     EIFS_OVER,
@@ -35,7 +31,7 @@ from vcmvsp.netsim.mac.dcf.state import (
     DcfRules,
     DcfState,
 )
-from vcmvsp.netsim.phy.error_rate import between, look_up_one, places
+from vcmvsp.netsim.phy.error_rate import look_up_one
 
 
 def put_on_air(s: DcfState, rules: DcfRules, i: int, now: int, air_ns: int) -> None:
@@ -45,9 +41,9 @@ def put_on_air(s: DcfState, rules: DcfRules, i: int, now: int, air_ns: int) -> N
     for at in range(count):
         other = s.air[at]
         s.shared[other] = True
-        if s.pending[other, i] or s.lock[i] == other:  # it stops listening
-            s.pending[other, i] = False
-            s.deaf[other, i] = True
+        if s.pending[other][i] or s.lock[i] == other:  # it stops listening
+            s.pending[other][i] = False
+            s.deaf[other][i] = True
     hear_begin(s, rules, i, now)
     s.shared[i] = count > 0
     s.detected[i] = False
@@ -82,7 +78,7 @@ def take_off_air(s: DcfState, rules: DcfRules, i: int, now: int, reserved_ns: in
     if count > 0:
         began = s.start_ns[s.air[count - 1]] > s.start_ns[i]  # another frame started during its own
         order_by_end(s)
-        s.busy[i] = energy_end_at(s, rules.busy_mw if began else rules.energy_mw, i)
+        s.busy[i] = energy_end(s, rules.busy_mw if began else rules.energy_mw, i)
 
 
 def settle(s: DcfState, rules: DcfRules, now: int) -> None:
@@ -102,41 +98,20 @@ def hear_begin(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
 
     They do if the new frame captures them, or if the header of the old one could not be decoded.
     """
-    sending, level = s.end_ns > now, s.level[i]
-    for at in range(s.counts[ON_AIR]):
-        other = s.air[at]
-        held = s.lock == other
-        if captures(s, rules, other, now):
-            s.lock[held & (level >= rules.capture * s.level[other])] = NOBODY
-        if now >= s.start_ns[other] + rules.header_end_ns:
-            s.lock[held & s.spoiled[other]] = NOBODY
-    s.lock[i] = NOBODY
-    s.pending[i] = ~sending & (s.lock == NOBODY)
-    s.pending[i, i] = False
-    s.deaf[i] = sending
-    s.spoiled[i] = False
-    s.hazard[i] = 0.0
-    s.least[i] = np.inf
-    level[level < rules.faintest_mw] = 0.0
-    level[i] = 0.0
-
-
-def hear_begin_loop(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """See `hear_begin`."""
     lock, level, pending, deaf, spoiled = s.lock, s.level[i], s.pending[i], s.deaf[i], s.spoiled[i]
     hazard, least, end_ns = s.hazard[i], s.least[i], s.end_ns
     lock[i] = NOBODY
     for j in range(len(lock)):
         held = lock[j]
         if held != NOBODY:
-            capture = captures(s, rules, held, now) and level[j] >= rules.capture * s.level[held, j]
-            if capture or (now >= s.start_ns[held] + rules.header_end_ns and s.spoiled[held, j]):
+            capture = captures(s, rules, held, now) and level[j] >= rules.capture * s.level[held][j]
+            if capture or (now >= s.start_ns[held] + rules.header_end_ns and s.spoiled[held][j]):
                 lock[j] = NOBODY
         deaf[j] = end_ns[j] > now
         pending[j] = not deaf[j] and lock[j] == NOBODY
         spoiled[j] = False
         hazard[j] = 0.0
-        least[j] = np.inf
+        least[j] = inf
         if level[j] < rules.faintest_mw:
             level[j] = 0.0
     pending[i] = False
@@ -151,30 +126,6 @@ def captures(s: DcfState, rules: DcfRules, other: int, now: int) -> bool:
 
 def notice(s: DcfState, rules: DcfRules, i: int) -> None:
     """Which radios detect the frame of radio i; in `DcfState.busy`: the end of the busy time, as known now."""
-    level, strongest, busy = s.level[i], s.pending[i].copy(), s.busy
-    busy[:] = 0
-    for at in range(s.counts[ON_AIR]):
-        other = s.air[at]
-        if other != i:
-            strongest &= ~(s.pending[other] & (s.level[other] > level))
-    power = interference(s, rules, i)
-    noticed = strongest & (level >= s.sensitivity_mw) & (level >= rules.preamble_snr * power)
-    s.lock[noticed] = i
-    np.putmask(s.header_ns, noticed, np.maximum(s.idle_ns, s.start_ns[i] + rules.header_end_ns))
-    s.pending[i] = False
-    for at in range(s.counts[ON_AIR]):
-        other = s.air[at]
-        if other != i:
-            s.pending[other] &= ~noticed
-    busy[noticed] = s.end_ns[i]
-    missed = strongest & ~noticed
-    if np.count_nonzero(missed):
-        order_by_end(s)
-        np.putmask(busy, missed, energy_end(s, rules.busy_mw))
-
-
-def notice_loop(s: DcfState, rules: DcfRules, i: int) -> None:
-    """See `notice`."""
     lock, level, pending, sensitivity_mw = s.lock, s.level[i], s.pending[i], s.sensitivity_mw
     count, busy = s.counts[ON_AIR], s.busy
     order_by_end(s)
@@ -186,8 +137,8 @@ def notice_loop(s: DcfState, rules: DcfRules, i: int) -> None:
         for at in range(count):
             other = s.air[at]
             if other != i:
-                power += s.level[other, j]
-                strongest = strongest and not (s.pending[other, j] and s.level[other, j] > level[j])
+                power += s.level[other][j]
+                strongest = strongest and not (s.pending[other][j] and s.level[other][j] > level[j])
         pending[j] = False
         if not strongest:
             continue
@@ -195,70 +146,31 @@ def notice_loop(s: DcfState, rules: DcfRules, i: int) -> None:
             lock[j], busy[j] = i, s.end_ns[i]
             s.header_ns[j] = max(s.idle_ns[j], s.start_ns[i] + rules.header_end_ns)
             for at in range(count):
-                s.pending[s.air[at], j] = False
+                s.pending[s.air[at]][j] = False
         else:
-            busy[j] = energy_end_at(s, rules.busy_mw, j)
+            busy[j] = energy_end(s, rules.busy_mw, j)
 
 
 def suffer(s: DcfState, rules: DcfRules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
     """Add hazard to the frame of radio i, for parts of its header and payload, at the SINR of now; keep the least SINR."""
-    sinr, least = s.level[i] / interference(s, rules, i), s.least[i]
-    np.minimum(least, sinr, out=least)
-    if header_ns == 0 and payload_ns == 0:
-        return
-    receiving = s.lock == i if s.detected[i] else np.ones(len(least), np.bool_)
-    step, part = places(sinr)
-    hazard = s.hazard[i].copy()
-    if header_ns > 0:
-        hazard += rules.header_bits_per_ns * header_ns * between(s.tables[HEADER], step, part)
-        if header_ends:
-            s.spoiled[i] = receiving & (hazard >= s.patience[i])
-    if payload_ns > 0:
-        hazard += s.payload_bits_per_ns[i] * payload_ns * between(s.tables[s.curve[i]], step, part)
-    np.putmask(s.hazard[i], receiving, hazard)
-
-
-def suffer_loop(s: DcfState, rules: DcfRules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
-    """See `suffer`."""
     lock, level, least, hazard, patience = s.lock, s.level[i], s.least[i], s.hazard[i], s.patience[i]
     header_table, table = s.tables[HEADER], s.tables[s.curve[i]]
     header_bits, payload_bits = rules.header_bits_per_ns * header_ns, s.payload_bits_per_ns[i] * payload_ns
     alone, undetected = s.counts[ON_AIR] == 1, not s.detected[i]
     for j in range(len(lock)):
-        sinr = level[j] / (rules.noise_mw if alone else interference_at(s, rules, i, j))
+        sinr = level[j] / (rules.noise_mw if alone else interference(s, rules, i, j))
         least[j] = min(least[j], sinr)
         receiving = undetected or lock[j] == i
         if receiving and header_ns > 0:
             hazard[j] += header_bits * look_up_one(header_table, sinr)
         if header_ends:
-            s.spoiled[i, j] = receiving and hazard[j] >= patience[j]
+            s.spoiled[i][j] = receiving and hazard[j] >= patience[j]
         if receiving and payload_ns > 0:
             hazard[j] += payload_bits * look_up_one(table, sinr)
 
 
 def judge(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """Set the fate at each radio of the frame of radio i, which ends now."""
-    fate, level, alone = s.fate[i], s.level[i], s.hazard[i] < s.patience[i]
-    ok = (s.lock == i) & alone
-    if np.count_nonzero(ok) == len(ok) - 1:  # the usual case
-        fate[:] = RECEIVED
-        fate[i] = TRANSMITTING
-        return
-    if s.shared[i]:  # fate without interference
-        step, part = places(level / rules.noise_mw)
-        header = rules.header_bits_per_ns * (rules.header_end_ns - rules.preamble_ns) * between(s.tables[HEADER], step, part)
-        payload_ns = now - s.start_ns[i] - rules.header_end_ns
-        alone = header + s.payload_bits_per_ns[i] * payload_ns * between(s.tables[s.curve[i]], step, part) < s.patience[i]
-    fate[:] = ERROR
-    fate[alone] = COLLISION
-    fate[s.deaf[i]] = TRANSMITTING
-    fate[(level < s.sensitivity_mw) | (level < rules.preamble_snr * rules.noise_mw)] = UNDETECTED
-    fate[ok] = RECEIVED
-    fate[i] = TRANSMITTING
-
-
-def judge_loop(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """See `judge`."""
     lock, level, hazard, patience, fate, deaf = s.lock, s.level[i], s.hazard[i], s.patience[i], s.fate[i], s.deaf[i]
     header_table, table = s.tables[HEADER], s.tables[s.curve[i]]
     header_bits = rules.header_bits_per_ns * (rules.header_end_ns - rules.preamble_ns)
@@ -286,29 +198,6 @@ def let_go(s: DcfState, rules: DcfRules, i: int, now: int, reserved_ns: int) -> 
     That is ``reserved_ns`` at least where the frame was decoded. A receiver that waits for an acknowledgement, and began to
     receive this frame before its timeout, stops waiting (IEEE 802.11-2016, 10.3.2.11), unless this was the acknowledgement.
     """
-    payload_ns = s.start_ns[i] + rules.header_end_ns
-    held = s.lock == i
-    heard = held & ~s.spoiled[i]
-    received = s.fate[i] == RECEIVED
-    lost, busy = heard & ~received, s.busy
-    timeout = s.due[TIMEOUT * len(held) :]
-    if timeout[timeout.argmin()] < NEVER:
-        timeout[heard & (timeout < NEVER) & (timeout >= payload_ns)] = now + PAYLOAD_OVER_NS
-    s.eifs_ns[heard] = 0
-    if np.count_nonzero(lost):
-        s.eifs_ns[lost] = s.counts[EIFS_OVER] = now + rules.eifs_ns
-    if s.counts[EIFS_OVER] > now:
-        defer(s, rules, heard)
-    s.lock[held] = NOBODY
-    busy[:] = 0
-    busy[received] = reserved_ns
-    if s.counts[ON_AIR] > 0:
-        order_by_end(s)
-        np.putmask(busy, held, np.maximum(busy, energy_end(s, rules.busy_mw)))
-
-
-def let_go_loop(s: DcfState, rules: DcfRules, i: int, now: int, reserved_ns: int) -> None:
-    """See `let_go`."""
     lock, eifs_ns, fate, busy, others = s.lock, s.eifs_ns, s.fate[i], s.busy, s.counts[ON_AIR] > 0
     order_by_end(s)
     timeout, payload_ns = s.due[TIMEOUT * len(s.lock) :], s.start_ns[i] + rules.header_end_ns
@@ -316,47 +205,30 @@ def let_go_loop(s: DcfState, rules: DcfRules, i: int, now: int, reserved_ns: int
         busy[j] = reserved_ns if fate[j] == RECEIVED else 0
         if lock[j] == i:
             lock[j] = NOBODY
-            if not s.spoiled[i, j]:
+            if not s.spoiled[i][j]:
                 if payload_ns <= timeout[j] < NEVER:
                     timeout[j] = now + PAYLOAD_OVER_NS
                 eifs_ns[j] = 0
                 if fate[j] != RECEIVED:
                     eifs_ns[j] = s.counts[EIFS_OVER] = now + rules.eifs_ns
-                defer_one(s, rules, j)
+                defer(s, rules, j)
             if others:
-                busy[j] = max(busy[j], energy_end_at(s, rules.busy_mw, j))
+                busy[j] = max(busy[j], energy_end(s, rules.busy_mw, j))
 
 
-def defer(s: DcfState, rules: DcfRules, who: Bools) -> None:
-    """Start or end EIFS for some radios, (n,), whose medium is busy until now at least."""
-    over = np.maximum(s.idle_ns, s.eifs_ns) + s.slots * rules.slot_ns + rules.difs_ns
-    np.putmask(s.over_ns, who, over)
-    np.putmask(s.due[: len(who)], who, np.maximum(over, s.wake_ns))
-
-
-def defer_one(s: DcfState, rules: DcfRules, i: int) -> None:
-    """`defer` for radio i."""
+def defer(s: DcfState, rules: DcfRules, i: int) -> None:
+    """Start or end EIFS for radio i, whose medium is busy until now at least."""
     s.over_ns[i] = max(s.idle_ns[i], s.eifs_ns[i]) + s.slots[i] * rules.slot_ns + rules.difs_ns
     s.due[i] = max(s.over_ns[i], s.wake_ns[i])
 
 
-def interference(s: DcfState, rules: DcfRules, i: int) -> Floats | float:
-    """Noise and the power of all frames but that of radio i, (n,) mW; a number if there are no others."""
-    total: Floats | float = rules.noise_mw
-    for at in range(s.counts[ON_AIR]):
-        other = s.air[at]
-        if other != i:
-            total = total + s.level[other]
-    return total
-
-
-def interference_at(s: DcfState, rules: DcfRules, i: int, j: int) -> float:
-    """`interference` at radio j."""
+def interference(s: DcfState, rules: DcfRules, i: int, j: int) -> float:
+    """Noise and the power of all frames but that of radio i, mW, at radio j."""
     total = rules.noise_mw
     for at in range(s.counts[ON_AIR]):
         other = s.air[at]
         if other != i:
-            total += s.level[other, j]
+            total += s.level[other][j]
     return total
 
 
@@ -371,22 +243,12 @@ def order_by_end(s: DcfState) -> None:
         order[to] = i
 
 
-def energy_end(s: DcfState, threshold_mw: float) -> Ints:
-    """Time at which the power on the air, in `DcfState.order`, falls below the threshold, (n,) ns; 0: it is below."""
-    until = np.zeros(len(s.lock), np.int64)
-    total = np.zeros(len(s.lock))
-    for i in s.order[: s.counts[ON_AIR]]:
-        total += s.level[i]
-        until[(total >= threshold_mw) & (until == 0)] = s.end_ns[i]
-    return until
-
-
-def energy_end_at(s: DcfState, threshold_mw: float, j: int) -> int:
-    """`energy_end` at radio j."""
+def energy_end(s: DcfState, threshold_mw: float, j: int) -> int:
+    """Time, ns, at which the power on the air, in `DcfState.order`, falls below the threshold at radio j; 0: it is below."""
     total = 0.0
     for at in range(s.counts[ON_AIR]):
         i = s.order[at]
-        total += s.level[i, j]
+        total += s.level[i][j]
         if total >= threshold_mw:
             return int(s.end_ns[i])
     return 0

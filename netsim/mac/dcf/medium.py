@@ -4,7 +4,7 @@ The events are simulated by `netsim.mac.dcf.access`, on arrays; this module assi
 decided frames.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,6 @@ from vcmvsp.netsim.mac.dcf.state import (
     SOONEST,
     WANTED,
     DcfRules,
-    DcfState,
     new_state,
 )
 from vcmvsp.netsim.phy import error_rate
@@ -67,7 +66,6 @@ class DcfMedium:
         compile_core: bool | None = None,
     ) -> None:
         self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
-        self._run: Callable[[DcfState, DcfRules, int], int] = access.run
         self._done, self._faster_at = 0, LOAD_AFTER if compile_core is None and available() else None  # frames
         self._curves = list(curves)  # of the rows of `DcfState.tables`
         self._state = new_state(rules, count, sensitivity_mw, np.stack([each.table for each in curves]))
@@ -82,6 +80,7 @@ class DcfMedium:
         self._state.over_ns[:] = rules.difs_ns + self._state.slots * rules.slot_ns
         self._state.drawn[:] = 1
         self._core = Core(CORE, self._state, self._rules)
+        self._run = self._core.interpreted
         seen = self._faster_at is not None and self._core.is_loaded  # by an earlier run
         if (compile_core or seen) and count:
             self._go_faster(COMPILE_AFTER)

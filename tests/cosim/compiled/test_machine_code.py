@@ -71,17 +71,17 @@ def test_much_work_is_compiled_once_and_cached_code_is_loaded_for_less(
     monkeypatch.setenv("VCMVSP_COMPILED", "1")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     core = Core((module,), numbers(), numbers())
-    interpreted = core.chosen(0.5, compile_s=1.0)
+    interpreted = core.chosen(0.5, compile_for_s=1.0)
     assert not core.is_cached
     assert not core.is_loaded
-    compiled = core.chosen(1.0, compile_s=1.0)
+    compiled = core.chosen(1.0, compile_for_s=1.0)
     assert core.is_cached
     assert core.is_loaded
-    assert type(core.chosen(0.0, compile_s=1.0)) is type(compiled)  # since it is loaded
+    assert type(core.chosen(0.0, compile_for_s=1.0)) is type(compiled)  # since it is loaded
     monkeypatch.setattr(machine_code, "_loaded", {})
-    assert type(core.chosen(0.0, compile_s=1.0)) is type(interpreted)
+    assert type(core.chosen(0.0, compile_for_s=1.0)) is type(interpreted)
     assert not core.is_loaded
-    assert type(core.chosen(0.5, compile_s=1.0)) is type(compiled)
+    assert type(core.chosen(0.5, compile_for_s=1.0)) is type(compiled)
 
     for count in (4, 7):
         one, other = numbers(count), numbers(count)

@@ -3,6 +3,7 @@
 import math
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -102,8 +103,11 @@ def blocks() -> Iterator[dict[str, str]]:
 # --- the page -----------------------------------------------------------------------------------------------------------------
 
 
-def test_page_and_index_are_up_to_date() -> None:
-    assert reference.updated(reference.PAGE.read_text("utf-8")) == reference.PAGE.read_text("utf-8"), reference.UPDATE
+def test_pages_and_index_are_up_to_date() -> None:
+    assert sorted(name for names in reference.PAGES.values() for name in names) == sorted(reference.BLOCKS)
+    for page, names in reference.PAGES.items():
+        text = (reference.FOLDER / page).read_text("utf-8")
+        assert reference.updated(text, names) == text, reference.UPDATE
     assert reference.INDEX.read_text("utf-8") == reference.index_text(), reference.UPDATE
 
 
@@ -111,25 +115,28 @@ def test_page_and_index_are_up_to_date() -> None:
     "change", [("`40.052`", "`40.05`"), ("| 85.6 m |", "| 86 m |"), ("<!-- end -->", "more\n<!-- end -->")]
 )
 def test_a_page_that_is_not_is_noticed_and_repaired(tmp_path: Path, change: tuple[str, str]) -> None:
-    page, index, fresh = tmp_path / "README.md", tmp_path / "keys.tsv", reference.PAGE.read_text("utf-8")
+    folder, index = tmp_path / "reference", tmp_path / "keys.tsv"
+    shutil.copytree(reference.FOLDER, folder)
+    page = folder / "scenario-radio.md"
+    fresh = page.read_text("utf-8")
     page.write_text(fresh.replace(*change, 1), "utf-8")
     assert page.read_text("utf-8") != fresh
     with pytest.raises(
         SystemExit, match=re.escape("differs from the code; update it: python -m vcmvsp.cosim.reference.markdown --write")
     ):
-        reference.main([], page, index)
-    reference.main(["--write"], page, index)
+        reference.main([], folder, index)
+    reference.main(["--write"], folder, index)
     assert (page.read_text("utf-8"), index.read_text("utf-8")) == (fresh, reference.index_text())
-    reference.main([], page, index)
+    reference.main([], folder, index)
     index.write_text("seed\n")
     with pytest.raises(SystemExit, match="differs from the code"):
-        reference.main([], page, index)
+        reference.main([], folder, index)
 
 
 def test_what_people_wrote_around_it_stays() -> None:
     head, tail = "before\n<!-- end -->\n", "\nafter <!-- generated: radio -->\n"
     blocks = "".join(f"<!-- generated: {name} -->\nold\n<!-- end -->\n" for name in reference.BLOCKS)
-    page = reference.updated(head + blocks + tail)
+    page = reference.updated(head + blocks + tail, reference.BLOCKS)
     assert page.startswith(head)
     assert page.endswith(tail)
     assert "\nold\n" not in page
@@ -137,7 +144,7 @@ def test_what_people_wrote_around_it_stays() -> None:
 
 def test_a_page_without_a_place_for_it_is_refused() -> None:
     with pytest.raises(ValueError, match="no block '<!-- generated: physics -->'"):
-        reference.updated("# Nothing\n")
+        reference.updated("# Nothing\n", ["physics"])
 
 
 def test_it_is_the_same_in_every_process(blocks: dict[str, str]) -> None:

@@ -80,7 +80,12 @@ def test_the_ten_lines_of_the_radios_page(capsys: pytest.CaptureFixture[str], mo
     with running(run):
         space: dict[str, Any] = {}
         exec(
-            compile(at_ports(run.first_port, block("docs/radio.md", "where are you?")), "radio.md", "exec", dont_inherit=True),
+            compile(
+                at_ports(run.first_port, block("docs/howto/programs.md", "where are you?")),
+                "radio.md",
+                "exec",
+                dont_inherit=True,
+            ),
             space,
         )
         for each in ("car1", "car2"):

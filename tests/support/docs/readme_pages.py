@@ -1,4 +1,4 @@
-"""What the READMEs show: lines of a shell, blocks of code, and commands that a sentence mentions."""
+"""What the documents show: lines of a shell, blocks of code, and commands that a sentence mentions."""
 
 import importlib.util
 import re
@@ -22,7 +22,8 @@ PAGES = {
     for path in (
         ROOT / "README.md",
         ROOT / "CONTRIBUTING.md",
-        *sorted((ROOT / "docs").glob("*.md")),
+        *sorted((ROOT / "docs").rglob("*.md")),
+        ROOT / "examples" / "README.md",
         *(page for part in PARTS for page in sorted((ROOT / part).rglob("README.md"))),
     )
 }
@@ -199,7 +200,9 @@ def mentioned(words: Sequence[str]) -> None:
                 _options(command, rest)
                 _names(command, rest)
         case "make":
-            _one_of("target", words[-1], TARGETS)
+            targets = [word for word in words[1:] if "=" not in word]
+            for target in targets:
+                _one_of("target", target, TARGETS)
         case "python" if importlib.util.find_spec(words[2]) is None:
             raise ValueError(f"there is no module {words[2]}")
         case "pip":

@@ -57,6 +57,10 @@ def plant() -> str:
 
 
 KEEP_GAP = {"keep_gap.py": block("README.md", "class KeepGap"), "gap.toml": block("README.md", "# gap.toml")}
+MINE = {
+    "my_follower.py": block("docs/tutorial.md", "class MyFollower"),
+    "mine.toml": block("docs/tutorial.md", "# mine.toml"),
+}
 CARS = {"cars.csv": "x,y,z\n0,0,0\n10,0,0\n0,20,0\n400,0,0\n"}
 
 STORIES = (
@@ -138,8 +142,32 @@ STORIES = (
                 instead={"run": "check"},
                 why=NO_ROBOT,
             ),
+            Step(
+                "vcmvsp run hybrid-formation --set vehicle.car3.driver.port=tcp://127.0.0.1:8101"
+                " --set vehicle.car3.localisation.kind=none",
+                instead={"run": "check"},
+                why=NO_ROBOT,
+            ),
             Step("vcmvsp new driver NAME", instead={"NAME": "crawler"}, why="the reader's name"),
         ),
+    ),
+    Story(
+        "the tutorial",
+        (
+            Step("vcmvsp run formation-circle --set agents.estimator=hold --out hold", f"{HERE} {BRIEF}"),
+            Step(
+                "vcmvsp run formation-circle --set agents.estimator=hold --set radio.loss.probability=0.6 --out hold-60",
+                f"{HERE} --set duration_s=2",
+            ),
+            Step("vcmvsp radio hold-60 --link car1/car2 --frame lost"),
+            Step("vcmvsp run mine.toml --set agents.gain=3", BRIEF),
+            Step(
+                "vcmvsp study mine.toml --vary radio.loss.probability=0:0.6:0.3 --vary agents.gain=1,3 --seeds 3"
+                " --out mine-study",
+                ONE_EACH,
+            ),
+        ),
+        MINE,
     ),
     Story("on a page", (Step("vcmvsp run recon-urban --view", f"{BRIEF} --view-port 0"),)),
     Story(
@@ -161,7 +189,7 @@ STORIES = (
     Story(
         "a world of ones own",
         (Step("vcmvsp world my_worlds.py:Orchard --set rows=4 --png orchard.png"),),
-        {"my_worlds.py": block("physics/README.md", "class Orchard")},
+        {"my_worlds.py": block("docs/howto/own-world.md", "class Orchard")},
     ),
     Story("figures", (Step("vcmvsp figure"),)),
 )

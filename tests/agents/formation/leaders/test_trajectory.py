@@ -157,7 +157,7 @@ def test_a_leader_of_ones_own_says_how_it_moves_and_no_more() -> None:
 
 def test_the_leader_of_the_readme_works() -> None:
     names: dict[str, Any] = {}
-    exec(block("agents/README.md", "class Waltz"), names)
+    exec(block("docs/reference/agents.md", "class Waltz"), names)
     told = reports(names["Waltz"](), 1.0)
     assert [(each["v"], each["w"]) for each in told] == [(0.3, 0.5 * math.sin(tick / 10)) for tick in range(10)]
 

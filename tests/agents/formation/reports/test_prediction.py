@@ -273,7 +273,7 @@ def test_a_bad_estimator_is_named_with_its_key(estimator: Any, says: str) -> Non
 
 def test_the_estimator_of_the_readme_works() -> None:
     names: dict[str, Any] = {}
-    exec(block("agents/README.md", "class Cautious"), names)
+    exec(block("docs/reference/agents.md", "class Cautious"), names)
     follower = LeaderFollower("lead", estimator=names["Cautious"]())
     start = LeaderState(1.0, 2.0, 0.3, 0.4, -0.2)
     assert follower.estimator.predict(report(start), 0.1) == (1.0, 2.0, 0.3, 0.2, -0.1)

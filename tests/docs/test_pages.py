@@ -1,0 +1,133 @@
+"""What the pages of ``docs/`` show works as it is shown."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import vcmvsp
+from tests.support.docs import reference_pages
+from tests.support.docs.readme_pages import PAGES, block
+from tests.support.docs.readme_sessions import MINE
+from vcmvsp.cosim.testing import check_agent
+
+TUTORIAL, METRIC = "docs/tutorial.md", "docs/howto/own-metric.md"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a reader of the tutorial."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name, text in MINE.items():
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+def run_block(page: str, words: str) -> dict[str, object]:
+    """Run a block of Python; its names."""
+    names: dict[str, object] = {}
+    exec(compile(block(page, words), page, "exec", dont_inherit=True), names)
+    return names
+
+
+def test_the_tutorial_shows_what_the_readme_shows_of_the_demo() -> None:
+    assert block(TUTORIAL, "formation-circle: 3 agents") == block("README.md", "formation-circle: 3 agents")
+
+
+@pytest.mark.parametrize(
+    "row", re.findall(r"^\| `(\w+)` \| (\d+) % \| (\d+) ms \| (\d\.\d{4}) m \|$", PAGES[TUTORIAL], re.MULTILINE)
+)
+def test_the_errors_of_the_tutorial(row: tuple[str, str, str, str]) -> None:
+    estimator, loss, age_ms, error_m = row
+    changed = {"agents.estimator": estimator, "radio.loss.probability": int(loss) / 100}
+    metrics = vcmvsp.run("formation-circle", set=changed, agents="inprocess", mcap=False).metrics
+    assert f"{metrics['formation']['rms_m']:.4f}" == error_m
+    assert round(1e3 * metrics["radio"]["age_s"]["mean"]) == pytest.approx(int(age_ms), abs=1)
+
+
+@pytest.mark.usefixtures("folder")
+def test_the_agent_of_the_tutorial_keeps_the_errors_that_it_says() -> None:
+    said = re.search(r"The error is (\S+) m with the gain of 1, and (\S+) m with 3", PAGES[TUTORIAL])
+    assert said
+    errors = [
+        vcmvsp.run("mine.toml", set={"agents.gain": gain}, mcap=False).metrics["formation"]["rms_m"] for gain in (1.0, 3.0)
+    ]
+    assert [f"{each:.3f}" for each in errors] == [*said.groups()]
+
+
+@pytest.mark.usefixtures("folder")
+def test_the_agent_of_the_tutorial_passes_its_check() -> None:
+    run_block(TUTORIAL, "check_agent(lambda")
+
+
+def test_the_shape_of_the_demo_is_off_by_what_the_tutorial_says() -> None:
+    said = re.search(r"rigid triangle instead: (\S+) m", " ".join(PAGES[TUTORIAL].split()))
+    assert said
+    metrics = vcmvsp.run("formation-circle", agents="inprocess", mcap=False).metrics
+    assert f"{metrics['formation']['shape']['rms_m']:.3f}" == said[1]
+
+
+def test_notes_are_read_as_the_page_says(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short = {"duration_s": 3.0, "metrics.from_s": 0.0}
+    vcmvsp.run("mine.toml", set=short, out="runs/mine-0")
+    (folder / "mine.toml").write_text((folder / "mine.toml").read_text().replace("duration_s = 60.0", "duration_s = 3.0"))
+    run_block(METRIC, "def notes(")
+    run_block(METRIC, "def observe(")
+    from_file, seen = capsys.readouterr().out.split()
+    assert float(from_file) == pytest.approx(0.1, abs=0.05)  # a message is seen at the next tick
+    assert float(seen) == pytest.approx(0.1, abs=0.05)
+    noted: dict[str, object] = {}
+
+    class Noted(vcmvsp.Agent):
+        pass
+
+    agent = Noted()
+    exec(block(METRIC, "self.note(disagreement_m"), {"self": agent, "spread": 0.5})
+    noted |= agent.drain_notes()
+    assert noted == {"disagreement_m": 0.5, "status": "waiting"}
+
+
+@pytest.mark.usefixtures("folder")
+def test_tables_are_read_as_the_page_says(capsys: pytest.CaptureFixture[str]) -> None:
+    result = vcmvsp.run("formation-circle", set={"duration_s": 2.0}, agents="inprocess", out="runs/formation-circle-1")
+    run_block("docs/howto/export.md", "parquet.read_table")
+    states, lost = map(int, capsys.readouterr().out.split())
+    assert states == len(result.states)
+    assert 0 < lost < len(result.radio)
+
+
+def test_the_agent_of_the_authors_page_works() -> None:
+    column = run_block("docs/reference/author-api.md", "class Column")["Column"]
+    assert isinstance(column, type)
+    check_agent(lambda: column("car1"))
+    cars = [
+        {"name": "car1", "agent": {"kind": "trajectory", "path": "straight"}},
+        {"name": "car2", "position": [-3.0, 0.0, 0.0]},
+    ]
+    scenario = {
+        "name": "column",
+        "duration_s": 20.0,
+        "metrics": {"from_s": 15.0},
+        "vehicles": {"kind": "p2dx"},
+        "vehicle": cars,
+    }
+    made = vcmvsp.run(scenario, agents={"car2": column("car1")}, mcap=False)
+    assert made.metrics["formation"]["rms_m"] < 0.5
+
+
+@pytest.mark.parametrize("name", reference_pages.BLOCKS)
+def test_pages_that_are_written_from_the_code_are_up_to_date(name: str) -> None:
+    page = (reference_pages.FOLDER / name).read_text("utf-8")
+    assert reference_pages.written(name, page) == page, f"write it anew: {reference_pages.COMMAND}, or make docs"
+
+
+def test_every_name_of_the_front_door_is_on_the_page() -> None:
+    shown = [name for names in reference_pages.API.values() for name in names if not name.startswith("check_")]
+    assert sorted(shown) == sorted(vcmvsp.__all__)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.startswith("docs/howto/")])
+def test_a_page_of_one_question_is_short(page: str) -> None:
+    prose = re.sub(r"^```.*?^```$|^ {4}.*$|^\|.*$", "", PAGES[page], flags=re.DOTALL | re.MULTILINE)
+    assert len(prose.split()) < 600
