@@ -63,10 +63,10 @@ class RadioFederate:
         router: Routing | None = None,
         programs: bool = False,  # external programs may send any number of frames
         woken: Collection[str] = (),  # vehicles with a reader that a reception wakes
-        least_rssi_dbm: float | None = None,  # of receivers in reports (`without_distant`)
+        reported_from_dbm: float | None = None,  # level of receivers in reports (`without_distant`); None: any
     ) -> None:
         self._channel, self._routing, self._programs, self._woken = channel, router, programs, frozenset(woken)
-        self._least_dbm = least_rssi_dbm
+        self._least_dbm = reported_from_dbm
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
 
     def start(self, run: RunInfo) -> int | None:

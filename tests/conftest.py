@@ -14,7 +14,7 @@ from hypothesis import settings
 
 from vcmvsp.cosim.runs.result import Result
 
-# Compiling the contention core takes longer than any test saves by it: only the tests that compare both do so.
+# Compilation takes longer than most tests save by it: only those that compare both ways do so, and one that flies for long.
 os.environ.setdefault("VCMVSP_COMPILED", "0")
 settings.register_profile("here", deadline=None)  # how long an example takes depends on what else the machine does
 settings.load_profile("here")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from vcmvsp.physics.world.solids import AnySolid
 
 
-GIVEN = ("channel", "router", "programs", "woken", "least_rssi_dbm")
+GIVEN = ("channel", "router", "programs", "woken", "reported_from_dbm")
 """Parameters of the federate that are no keys of ``[radio]``."""
 
 
@@ -60,7 +60,7 @@ def federate_of(
         "router": router,
         "programs": programs,
         "woken": scenario.sockets.vehicles,
-        "least_rssi_dbm": scenario.record.least_rssi_dbm,
+        "reported_from_dbm": scenario.record.least_rssi_dbm,
     }
     federate: RadioFederate = binding.call(RadioFederate, own, key="radio", origin=source, given=given)
     resolution.tables["radio"] = {**binding.complete(RadioFederate, own, without=given), **resolved}

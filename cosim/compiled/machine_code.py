@@ -2,6 +2,7 @@
 
 A core is a function of two named tuples of arrays and numbers, and of an integer. It is written in the part of Python and NumPy
 that numba compiles, and does the same operations in the same order interpreted and compiled: results are equal to the last bit.
+It reads and writes single elements, of tables as ``table[i][j]``, allocates nothing, and takes sine and cosine from `math`.
 Cached code is loaded by llvmlite alone: importing numba takes many times longer. `VCMVSP_COMPILED=0` in the environment turns
 compilation off.
 """

@@ -64,6 +64,7 @@ def check_attributes(layer: str, built: Any) -> None:
 
 def _defined_at(kind: type) -> str:
     """Source location of a class, as part of a message."""
+    (*_, kind) = [each for each in kind.__mro__ if (each.__module__, each.__qualname__) == (kind.__module__, kind.__qualname__)]
     try:
         lines, first = inspect.getsourcelines(kind)
         file = inspect.getfile(kind)

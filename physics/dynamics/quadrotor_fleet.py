@@ -84,7 +84,8 @@ class QuadrotorFleet:
 
     def expect(self, steps: float, *, now: bool = False) -> None:
         """Hint of the number of steps to come; decides whether to use compiled code: ``now`` always, if available."""
-        work_s = math.inf if now else VEHICLE_STEP_S * steps * len(self._limits)
+        vehicles = len(self._limits)
+        work_s = math.inf if now and vehicles else VEHICLE_STEP_S * steps * vehicles
         self._run = self._core.chosen(work_s, COMPILE_FOR_S)
 
     def set_velocity(self, row: int, linear: Sequence[float], yaw_rate: float) -> None:

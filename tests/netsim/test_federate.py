@@ -68,7 +68,7 @@ def test_reports_leave_out_receivers_below_a_level_that_lost_the_frame(least_dbm
     run = msgspec.structs.replace(RUN, vehicles=names)
     team = standing(names, [(14.0 * n, 0.0, 0.0) for n in range(12)])
     whole, part = (
-        RadioFederate(make_channel("wifi-b-1", fading={"kind": "rayleigh"}), least_rssi_dbm=least)
+        RadioFederate(make_channel("wifi-b-1", fading={"kind": "rayleigh"}), reported_from_dbm=least)
         for least in (None, least_dbm)
     )
     left_out = 0

@@ -4,6 +4,7 @@ Six scenarios, one of them again with its agents in processes, and a study. Each
 """
 
 import hashlib
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,7 +31,7 @@ def sums() -> Iterator[str]:
         yield f"{name} {_of_run(name, duration_s, 'inprocess')}"
     yield f"formation-circle {_of_run('formation-circle', RUNS['formation-circle'], 'process')}"
     table = vcmvsp.study("formation-circle", vary=VARY, seeds=2, set={"duration_s": 5.0}, jobs=2)
-    yield f"study {' '.join(table['digest'].to_pylist())}"
+    yield f"study {' '.join(map(str, table['digest'].to_pylist()))}"
 
 
 def _of_run(name: str, duration_s: float, agents: Literal["inprocess", "process"]) -> str:
@@ -41,4 +42,4 @@ def _of_run(name: str, duration_s: float, agents: Literal["inprocess", "process"
 
 if __name__ == "__main__":
     for line in sums():
-        print(line, flush=True)
+        sys.stdout.write(f"{line}\n")

@@ -28,7 +28,7 @@ from math import sin
 def run(a, b, number):
     for k in range(len(a.rows[0])):
         a.rows[1][k] += b.factor * sin(a.rows[0][k])
-        a.table[1, k] = number + k
+        a.table[1][k] = number + k
     return number * len(a.rows[0])
 """
 

@@ -105,4 +105,7 @@ def test_little_work_is_interpreted(monkeypatch: pytest.MonkeyPatch, tmp_path: A
     before = type(fleet._run)
     fleet.expect(1000)
     assert type(fleet._run) is before
+    empty = QuadrotorFleet([], [], [])
+    empty.expect(1000, now=True)
+    assert type(empty._run) is before
     assert not list(tmp_path.iterdir())
