@@ -6,6 +6,7 @@ Only this package imports the parts (physics, netsim, agents, hardware), each in
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
@@ -265,8 +266,13 @@ def _located(scenario: Scenario, source: Source) -> Iterator[None]:
         raise source.error(error.problem, key) from error
 
 
+def default_engine() -> str:
+    """Physics of a scenario that names none: Bullet, or MuJoCo where only that is installed."""
+    return "mujoco" if find_spec("pybullet") is None and find_spec("mujoco") is not None else "bullet"
+
+
 def _physics(scenario: Scenario, resolution: Resolution, **given: object) -> Federate:
-    content = {"kind": "bullet", **scenario.physics}
+    content = {"kind": default_engine(), **scenario.physics}
     physics: Federate
     physics, resolution.tables["physics"] = resolution.component("physics", content, "physics", given=given)
     return physics

@@ -11,15 +11,13 @@ from vcmvsp.physics.dynamics.kinematic import wrapped
 ENCODER_HZ = 40.0
 
 
-class WheelOdometry:
+class DifferentialOdometry:
     """Odometry of n robots from the angles of their left and right wheels, (n, 2) rad; forwards is positive.
 
     ``radius_m`` and ``half_track_m`` are of each robot; ``starts`` are positions, m, and headings, rad.
     """
 
-    def __init__(
-        self, radius_m: Sequence[float], half_track_m: Sequence[float], starts: Sequence[tuple[Vec3, float]]
-    ) -> None:
+    def __init__(self, radius_m: Sequence[float], half_track_m: Sequence[float], starts: Sequence[tuple[Vec3, float]]) -> None:
         self._wheels = list(zip(radius_m, half_track_m, strict=True))
         self._radius, self._half_track = np.array(radius_m, float), np.array(half_track_m, float)
         self._angles = [(0.0, 0.0)] * len(starts)  # last readings

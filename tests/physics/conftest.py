@@ -1,12 +1,14 @@
-"""A drive of one vehicle."""
+"""Engines with bodies, and a drive of one vehicle."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.support.physics.engines import ENGINES, engine
 from tests.support.physics.runs import play
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import Instants
@@ -14,6 +16,18 @@ from vcmvsp.physics.federate import Physics
 from vcmvsp.physics.vehicles.models import GroundVehicle
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
+
+
+@pytest.fixture(params=ENGINES)
+def kind(request: pytest.FixtureRequest) -> type[Physics]:
+    """Physics of each engine with bodies."""
+    return request.param
+
+
+@pytest.fixture
+def either(kind: type[Physics]) -> Callable[..., Any]:
+    """Makes that engine, see `tests.support.physics.engines.engine`."""
+    return partial(engine, kind=kind)
 
 
 @pytest.fixture

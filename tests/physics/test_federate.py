@@ -16,7 +16,7 @@ from vcmvsp.cosim.federate import Event, Federate, Instants, Slot
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
 from vcmvsp.physics.sensors.motion import WheelOdometry
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, Quadrotor
@@ -26,7 +26,7 @@ from vcmvsp.physics.world.world import Movable, Moving, World
 
 pytestmark = pytest.mark.processes
 
-BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 
 
 def car(
@@ -41,7 +41,7 @@ def car(
     return VehicleSpec(name=name, model=model or P2DX(), position=(x, y, 0.0), pose_source=source, positioning=sensor)
 
 
-@BOTH
+@KINDS
 def test_it_is_a_federate(kind: type[Physics]) -> None:
     physics = kind(world=World(), vehicles=[car(), car("car2", 1.0, model=AmigoBot())])
     assert isinstance(physics, Federate)
@@ -49,7 +49,7 @@ def test_it_is_a_federate(kind: type[Physics]) -> None:
     assert (physics.reads, physics.wakes) == (("*/command", "operator/halted", "operator/moved"), ())
 
 
-@BOTH
+@KINDS
 def test_every_instant_brings_the_truth_once_and_each_vehicle_its_own(kind: type[Physics]) -> None:
     steps = play(kind(world=World(), vehicles=[car("b"), car("a", 1.0)]), [], 0.2)
     keys = ["world/states", "b/estimate", "b/odometry", "a/estimate", "a/odometry"]
@@ -63,7 +63,7 @@ def test_every_instant_brings_the_truth_once_and_each_vehicle_its_own(kind: type
         assert not array.flags.writeable
 
 
-@BOTH
+@KINDS
 def test_instants_are_all_trains_offsets_sensors_and_the_end(kind: type[Physics]) -> None:
     physics = kind(world=World(), vehicles=[car(sensor=Positioning(rate_hz=4.0))])
     steps = play(physics, [], 0.7, (Instants(Ticks.every(0.3)), Instants(Ticks.every(0.3), seconds_to_ns(0.05))))
@@ -72,7 +72,7 @@ def test_instants_are_all_trains_offsets_sensors_and_the_end(kind: type[Physics]
     assert fixes == pytest.approx([0.0, 0.25, 0.5])
 
 
-@BOTH
+@KINDS
 def test_nothing_is_due_after_the_end(kind: type[Physics]) -> None:
     physics = kind(world=World(), vehicles=[car()])
     assert physics.start(run_info(physics, 1.0)) == 0
@@ -81,13 +81,13 @@ def test_nothing_is_due_after_the_end(kind: type[Physics]) -> None:
     physics.close()
 
 
-@BOTH
+@KINDS
 def test_without_an_instant_asked_for_only_start_and_end_are_published(kind: type[Physics]) -> None:
     steps = play(kind(world=World(), vehicles=[car()]), [(0.0, "car1", 0.3, 0.0)], 1.0, ())
     assert [events[0].time_ns for events in steps] == [0, SECOND_NS]
 
 
-@BOTH
+@KINDS
 def test_a_command_acts_from_its_own_time_however_late_it_is_handed_over(kind: type[Physics]) -> None:
     commands = [(0.1, "car1", 0.3, 0.4), (0.7, "car1", 0.1, -0.4), (1.35, "car1", 0.3, 0.0)]
 
@@ -104,7 +104,7 @@ def test_a_command_acts_from_its_own_time_however_late_it_is_handed_over(kind: t
         assert seldom.position[0] == pytest.approx((x, y, 0.0), abs=1e-12)
 
 
-@BOTH
+@KINDS
 def test_a_vehicle_believes_its_pose_source(kind: type[Physics]) -> None:
     sensor = Positioning(rate_hz=5.0)
     vehicles = [car(source="truth"), car("car2", 2.0, source="odometry"), car("car3", 4.0, source="positioning", sensor=sensor)]
@@ -145,7 +145,7 @@ def test_an_impossible_pose_source_is_refused(source: str) -> None:
     assert raised.value.key == "pose_source"
 
 
-@BOTH
+@KINDS
 @pytest.mark.parametrize("command", [(float("nan"), 0.0), (0.0, float("inf"))])
 def test_a_command_that_is_no_number_stops_the_run_and_names_the_vehicle(
     kind: type[Physics], command: tuple[float, float]
@@ -204,7 +204,7 @@ def test_movables_that_start_inside_anything_but_a_moving_obstacle_are_refused_b
         run(BulletPhysics(world=World(moving=(ram,)), vehicles=[car("car", -3.0)]), (), 0.1)
 
 
-@BOTH
+@KINDS
 def test_all_bodies_have_names_of_their_own(kind: type[Physics]) -> None:
     post = Box(center=(0.0, 0.0, 0.5), size=(0.1, 0.1, 1.0))
     ram = Moving(name="ram", solid=post, times_s=(0.0,), way=((9.0, 0.0, 0.5, 0.0),))
@@ -218,7 +218,7 @@ def test_all_bodies_have_names_of_their_own(kind: type[Physics]) -> None:
         assert raised.value.key == key
 
 
-@BOTH
+@KINDS
 def test_a_vehicle_that_no_engine_moves_is_refused(kind: type[Physics]) -> None:
     boat = VehicleSpec(name="tug", model=Boat(), position=(0.0, 5.0, 0.0))
     with pytest.raises(ScenarioError, match="tug is a Boat, a model without an engine: derive it from GroundVehicle") as raised:
@@ -226,7 +226,7 @@ def test_a_vehicle_that_no_engine_moves_is_refused(kind: type[Physics]) -> None:
     assert raised.value.key == "vehicle.tug.kind"
 
 
-@BOTH
+@KINDS
 def test_sensors_that_a_vehicle_cannot_carry_are_refused_at_the_start(kind: type[Physics]) -> None:
     spec = VehicleSpec(name="uav", model=Quadrotor(), position=(0, 0, 1), sensors={"odo": WheelOdometry()})
     with pytest.raises(ScenarioError, match="uav has no two driven wheels") as raised:
@@ -307,11 +307,11 @@ physics = {kind}(world=world, vehicles=[VehicleSpec(name="car", model=P2DX())])
 physics.start(RunInfo(scenario="test", seed=1, duration_ns=10**9, vehicles=("car",), instants=(Instants(Ticks.every(0.1)),)))
 physics.step(10**9, ())
 physics.close()
-sys.exit(40 + ("pybullet" in sys.modules))
+sys.exit(40 + ("pybullet" in sys.modules) + 2 * ("mujoco" in sys.modules))
 """
 
 
-@pytest.mark.parametrize(("kind", "code"), [("KinematicPhysics", 40), ("BulletPhysics", 41)])
-def test_nothing_is_printed_and_only_bullet_loads_pybullet(kind: str, code: int) -> None:
+@pytest.mark.parametrize(("kind", "code"), [("KinematicPhysics", 40), ("BulletPhysics", 41), ("MujocoPhysics", 42)])
+def test_nothing_is_printed_and_each_engine_loads_its_own_library(kind: str, code: int) -> None:
     done = subprocess.run([sys.executable, "-c", QUIET.format(kind=kind)], capture_output=True, check=False, timeout=500)
     assert (done.returncode, done.stdout, done.stderr) == (code, b"", b"")

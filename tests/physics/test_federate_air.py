@@ -9,7 +9,7 @@ import pytest
 from tests.support.physics.runs import Command, stepped
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.types import Vec3, Velocity, Waypoint
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
@@ -18,7 +18,7 @@ from vcmvsp.physics.world.world import Movable, Moving, Wind, World
 
 pytestmark = pytest.mark.slow
 
-BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 HIGH = (0.0, 0.0, 3.0)
 
 
@@ -31,7 +31,7 @@ def flown(physics: Physics, commands: list[Command], duration_s: float) -> list[
     return [{event.key: event.value for event in events} for events in stepped(physics, commands, duration_s)]
 
 
-@BOTH
+@KINDS
 @pytest.mark.parametrize("model", [Point(), Quadrotor()], ids=["point", "quadrotor"])
 def test_a_velocity_is_in_the_world_frame_and_a_way_point_is_reached(kind: type[Physics], model: Vehicle) -> None:
     physics = kind(world=World(), vehicles=[spec("uav", model, heading=1.0)])
@@ -47,7 +47,7 @@ def test_a_velocity_is_in_the_world_frame_and_a_way_point_is_reached(kind: type[
     assert "uav/odometry" not in told[0]  # it has no wheels
 
 
-@BOTH
+@KINDS
 def test_ground_and_air_move_together_each_in_its_place(kind: type[Physics]) -> None:
     models: dict[str, Vehicle] = {"point": Point(), "car": P2DX(), "uav": Quadrotor(), "unicycle": Kinematic()}
     vehicles = [spec(name, model, (3.0 * k, 0.0, 2.0)) for k, (name, model) in enumerate(models.items())]
@@ -61,13 +61,13 @@ def test_ground_and_air_move_together_each_in_its_place(kind: type[Physics]) -> 
     assert [key for key in told[1] if key.endswith("/odometry")] == ["car/odometry", "unicycle/odometry"]
 
 
-@BOTH
+@KINDS
 def test_a_way_point_for_a_vehicle_on_the_ground_is_refused_by_name(kind: type[Physics]) -> None:
     with pytest.raises(FederateError, match=r"car received a Waypoint but cannot fly: send Velocity"):
         flown(kind(world=World(), vehicles=[spec("car", P2DX())]), [(0.0, "car", Waypoint(position=(1.0, 0.0, 0.0)))], 1.0)
 
 
-@BOTH
+@KINDS
 @pytest.mark.parametrize(
     "command",
     [
@@ -152,7 +152,7 @@ def test_above_below_and_beside_are_free() -> None:
     assert len(flown(BulletPhysics(world=ROOF, vehicles=vehicles), [], 0.1)) == 2
 
 
-@BOTH
+@KINDS
 def test_vehicles_outside_the_world_are_refused_by_name(kind: type[Physics]) -> None:
     error = refusal(spec("car", Kinematic(), (12.5, 0.0, 0.0)), kind=kind)
     assert (error.key, "car starts 2.5 m outside the world (yard)" in error.problem) == ("vehicle.car.position", True)

@@ -11,7 +11,7 @@ from tests.support.physics.runs import run, values
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Instants
 from vcmvsp.cosim.types import Measured
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
 from vcmvsp.physics.sensors.detectors import Bumper
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.sensor import Sensor
@@ -20,7 +20,7 @@ from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, Moving, Scene, World
 
-BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 FIFTH = (Instants(Ticks.every(0.2)),)
 
 
@@ -41,7 +41,7 @@ def fresh() -> None:
     Witness.seen.clear()
 
 
-@BOTH
+@KINDS
 def test_states_are_published_where_they_are_needed_and_readings_at_their_own_ticks(kind: type[Physics]) -> None:
     sensors: Any = {"witness": Witness(rate_hz=20.0, phase_s=0.1, latency_s=0.05)}
     car = VehicleSpec(name="car", model=P2DX(), sensors=sensors, positioning=Positioning(rate_hz=4.0))
@@ -54,7 +54,7 @@ def test_states_are_published_where_they_are_needed_and_readings_at_their_own_ti
     assert times["car/witness"] == pytest.approx(np.arange(0.15, 1.051, 0.05))  # late
 
 
-@BOTH
+@KINDS
 def test_a_sensor_is_shown_all_bodies_read_only_and_as_they_were_published(kind: type[Physics]) -> None:
     crate = Movable(name="crate", solid=Box(center=(1.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=1.0)
     gate = Moving(

@@ -15,7 +15,7 @@ from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.types import Halted, Later, Moved, Waypoint
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
 from vcmvsp.physics.sensors.detectors import NeighbourRange
 from vcmvsp.physics.sensors.motion import InertialUnit
 from vcmvsp.physics.sensors.positioning import Positioning
@@ -27,7 +27,7 @@ from vcmvsp.physics.world.world import Movable, Moving, Wind, World
 
 pytestmark = pytest.mark.slow
 
-BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 CRATE = Movable(name="crate", solid=Box(center=(5.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=5.0)
 CART = Moving(name="cart", solid=CRATE.solid, times_s=(0.0, 9.0), way=((-9.0, 9.0, 0.3, 0.0), (-9.0, 12.0, 0.3, 3.0)))
 WIND = Wind(velocity=(1.0, 0.0, 0.0), gust=1.0)
@@ -86,11 +86,11 @@ def same(kind: type[Physics], one: Sequence[Event], other: Sequence[Event]) -> N
     a, b = motion(one), motion(other)
     assert len(a) == 31 * 11
     for (time_ns, key), row in a.items():
-        exact = kind is BulletPhysics and key.startswith(("car", "uav"))
+        exact = kind is not KinematicPhysics and key.startswith(("car", "uav"))
         assert b[time_ns, key] == pytest.approx(row, abs=0.0 if exact else 1e-5 if key.startswith("lag") else 1e-9), key
 
 
-@BOTH
+@KINDS
 def test_further_instants_and_sensors_change_nothing(kind: type[Physics]) -> None:
     """Though between two steps a crate is put in front of the car, which pushes it, and is taken away again."""
     alone = values(events(kind, cast()), "world/states")[20]
@@ -107,13 +107,13 @@ def test_further_instants_and_sensors_change_nothing(kind: type[Physics]) -> Non
     same(kind, plain, events(kind, cast(imu=InertialUnit(rate_hz=40.0), scan=Ring()), told=told))
 
 
-@BOTH
+@KINDS
 def test_bodies_that_nobody_meets_change_nothing(kind: type[Physics]) -> None:
     more = [spec("another", 0.0, -3.0, z=0.4, model=Quadrotor()), spec("third", 0.0, 12.0), spec("other", 20.0)]
     same(kind, events(kind, cast(), things=False), events(kind, cast(), more=more))
 
 
-@BOTH
+@KINDS
 def test_every_run_begins_with_all_as_it_was(kind: type[Physics]) -> None:
     """Estimators, sensors and movables; the car drives into the one that is moved from outside."""
     vehicles = cast(near=NeighbourRange(), imu=InertialUnit(rate_hz=20.0), scan=Ring())

@@ -18,7 +18,7 @@ from vcmvsp.cosim.estimation.fusion import FusedPose, Fusion
 from vcmvsp.cosim.estimation.kalman_filter import OdometryNoise
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.frames import arc, travelled, wrap, yaw_of
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.vehicles.models import Lag, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
@@ -26,7 +26,7 @@ from vcmvsp.physics.world.world import World
 
 pytestmark = pytest.mark.slow
 
-BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 TURNS = [(0.0, "car", 0.4, 0.2), (4.0, "car", 0.4, -0.3), (9.0, "car", 0.3, 0.5)]
 SIGMA_M = 0.15
 NONE = OdometryNoise(distance=0.0, turn=0.0, veer=0.0, time_m=0.0, time_rad=0.0)
@@ -90,7 +90,7 @@ def errors(kind: type[Physics], fusion: Watched, seed: int, seconds: float = 14.
     return Errors(*(np.array(each) for each in zip(*found, strict=True)))
 
 
-@BOTH
+@KINDS
 def test_it_knows_better_than_its_fixes(kind: type[Physics]) -> None:
     seeds = [errors(kind, Watched(), seed) for seed in range(5)]
     assert all(len(each.of) > 80 for each in seeds)  # of 141: the heading is known after some metres
@@ -108,7 +108,7 @@ def test_its_errors_are_as_large_as_it_says_where_odometry_is_as_good_as_it_thin
     assert low < nees < high
 
 
-@BOTH
+@KINDS
 def test_until_motion_tells_the_heading_it_is_that_of_odometry_and_the_place_that_of_the_fixes(kind: type[Physics]) -> None:
     events = run(kind(world=World(), vehicles=[fused(Fusion(), heading=0.7)]), seconds=1.0)  # it stands
     estimates = [event for event in events if event.key == "car/estimate"]
@@ -120,7 +120,7 @@ def test_until_motion_tells_the_heading_it_is_that_of_odometry_and_the_place_tha
         assert believed.yaw == pytest.approx(0.7, abs=1e-3)
 
 
-@BOTH
+@KINDS
 def test_it_is_fed_at_instants_of_its_own_however_often_states_are_needed(kind: type[Physics]) -> None:
     def told(*instants: Instants) -> list[tuple[Any, ...]]:
         noted = Noted()
@@ -133,7 +133,7 @@ def test_it_is_fed_at_instants_of_its_own_however_often_states_are_needed(kind: 
     for a, b in zip(seldom, often, strict=True):
         assert a[:2] == b[:2]
         assert a[2:] == pytest.approx(b[2:], abs=1e-12)
-    if kind is BulletPhysics:
+    if kind is not KinematicPhysics:
         assert seldom == often
     tenths, quarters = set(range(0, 61 * 10**8, 10**8)), set(range(0, 6 * 10**9 + 1, 25 * 10**7))
     assert [each[1] for each in seldom if each[0] == "odometry"] == sorted(tenths | quarters)
@@ -142,7 +142,7 @@ def test_it_is_fed_at_instants_of_its_own_however_often_states_are_needed(kind: 
     assert after == {time_ns: ("odometry", time_ns) for time_ns in quarters}  # first how far it went, then where it was
 
 
-@BOTH
+@KINDS
 def test_it_is_fed_the_same_where_physics_moves_on_ahead_of_the_wall_clock(kind: type[Physics]) -> None:
     def told(*, paced: bool) -> list[tuple[Any, ...]]:
         noted = Noted()
@@ -154,7 +154,7 @@ def test_it_is_fed_the_same_where_physics_moves_on_ahead_of_the_wall_clock(kind:
     assert told(paced=True) == told(paced=False)
 
 
-@BOTH
+@KINDS
 def test_what_it_is_told_adds_up_to_the_way(kind: type[Physics]) -> None:
     noted = Noted()
     events = run(kind(world=World(), vehicles=[fused(noted)]), TURNS, 12.0)

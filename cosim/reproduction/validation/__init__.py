@@ -128,7 +128,7 @@ _ALL = (
     _figure(FORMATION, "estimators", OWN, 20),
     _figure(FORMATION, "chain", f"|G| of a hop; {OWN}", 42),
     _figure(FORMATION, "consensus-delay", "sampled modes of the Laplacian", 30, "2 of 4 ages at 1 kHz", shares=(0.98, 1.02)),
-    Check("wheels", BODIES, "Differential drives in PyBullet.", "what was commanded", "bodies:wheels"),
+    Check("wheels", BODIES, "Differential drives in PyBullet and MuJoCo.", "what was commanded", "bodies:wheels"),
     Check("quadrotor", BODIES, "Steady flight, limits, wind.", "balance of forces", "bodies:quadrotor", 4),
     Check("scanner", BODIES, "Beams in a room and among pillars.", "exact geometry", "bodies:scanner"),
     Check("inertial", BODIES, "An inertial unit on a circle.", "v w and g", "bodies:inertial"),

@@ -1,7 +1,9 @@
 """Checks of bodies and sensors: response of wheels and rotors to commands and wind, readings of scanners and other sensors."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -24,10 +26,10 @@ STILL: Mapping[str, Any] = {"speed": 0.0, "yaw_rate": 0.0}
 
 
 def wheels() -> Sequence[Row]:
-    """p2dx and amigobot bodies in PyBullet on a circle and on a line, against their commands."""
-    rows = []
-    for kind in ("p2dx", "amigobot"):
-        scenario = fleet(20.0, [], kind=kind, physics={"kind": "bullet"})
+    """p2dx and amigobot bodies in PyBullet, and in MuJoCo if installed, on a circle and on a line, against their commands."""
+    rows, engines = [], ["bullet"] if find_spec("mujoco") is None else ["bullet", "mujoco"]
+    for engine, kind in itertools.product(engines, ("p2dx", "amigobot")):
+        scenario = fleet(20.0, [], kind=kind, physics={"kind": engine})
         beside = {"name": "car2", "pose": (0.0, -3.0, 0.0), "agent": {"kind": "trajectory", "path": "straight"}}
         scenario["vehicle"].append(beside)
         movement = motion(run(scenario, mcap=False).states)
@@ -37,10 +39,10 @@ def wheels() -> Sequence[Row]:
         way = np.hypot(np.diff(x[steady], axis=0), np.diff(y[steady], axis=0)).sum(axis=0) / span_s
         turned = np.ptp(np.unwrap(movement.yaw[steady], axis=0), axis=0) / span_s
         rows += [
-            relative(f"{kind}, circle: speed, m/s", V, way[0], 0.01),
-            relative(f"{kind}, circle: yaw rate, rad/s", W, turned[0], 0.01),
-            relative(f"{kind}, line: speed, m/s", V, way[1], 0.01),
-            at_most(f"{kind}, line: yaw rate, rad/s", 0.01 * W, turned[1]),
+            relative(f"{engine}, {kind}, circle: speed, m/s", V, way[0], 0.01),
+            relative(f"{engine}, {kind}, circle: yaw rate, rad/s", W, turned[0], 0.01),
+            relative(f"{engine}, {kind}, line: speed, m/s", V, way[1], 0.01),
+            at_most(f"{engine}, {kind}, line: yaw rate, rad/s", 0.01 * W, turned[1]),
         ]
     return rows
 

@@ -16,6 +16,7 @@ import numpy as np
 from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, UPRIGHT, WHEEL, p, turned
 from vcmvsp.physics.dynamics.engine import NO_BODIES, BodyMotion, on_time, without_wheels
+from vcmvsp.physics.dynamics.external_path import ExternalPath
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.world.solids import Box, Cylinder, Hull, heading_of
@@ -205,20 +206,16 @@ def motion_of(states: list[BaseState], references: Array) -> BodyMotion:
 
 
 _FRICTION = 0.5  # of the hulls, assumed
-_SLIDES = 0.5  # m/s, greatest extra speed of a body behind a jump of its pose: bodies in its way are pushed aside
-_JUMPS_M = 1.0  # a body further off is put in place at once, and throws out bodies in its way
 
 
 class ExternalBodies:
     """A body with the hull of each external vehicle, put in place before every step.
 
-    After a jump of the pose, e.g. by a corrected estimate, the body slides there. The upward speed makes up for a step of
-    gravity in Bullet: a body in contact is not dragged down.
+    The upward speed makes up for a step of gravity in Bullet: a body in contact is not dragged down.
     """
 
     def __init__(self, client: int, external: ExternalEngine, hulls: list[Hull], *, gravity: float, step_s: float) -> None:
-        self._client, self._external, self._lift, self._step_s = client, external, gravity * step_s, step_s
-        self._at = external.read().position
+        self._client, self._path, self._lift = client, ExternalPath(external, step_s), np.array([0.0, 0.0, gravity * step_s])
         self.bodies = []
         for hull in hulls:
             shape = hull_shape(client, hull.kind, hull.size, collisionFramePosition=hull.offset)
@@ -227,18 +224,9 @@ class ExternalBodies:
 
     def place(self, now_ns: int) -> None:
         """Put the bodies in place with their velocities."""
-        now, yaw_rates = self._external.at(now_ns)
-        short = now.position - self._at
-        far = np.sqrt((short * short).sum(axis=1, keepdims=True))
-        share = np.where(far > _JUMPS_M, 1.0, np.minimum(1.0, _SLIDES * self._step_s / np.maximum(far, 1e-300)))
-        here = self._at + share * short
-        self._at = here + self._step_s * now.velocity  # before the next step, without a jump
-        spin = np.zeros_like(now.velocity)
-        spin[:, 2] = yaw_rates
-        lifted = now.velocity + np.array([0.0, 0.0, self._lift])
-        set_poses(self._client, self.bodies, now._replace(position=here, velocity=lifted, angular_velocity=spin))
+        motion = self._path.step(now_ns)
+        set_poses(self._client, self.bodies, motion._replace(velocity=motion.velocity + self._lift))
 
     def spheres(self, now_ns: int, span_s: float) -> tuple[Array, Array]:
         """Positions (k, 3) m, and radii of spheres around them that the bodies do not leave within ``span_s``, (k,) m."""
-        velocity = self._external.at(now_ns)[0].velocity
-        return self._at, self._reach + span_s * (_SLIDES + np.sqrt((velocity * velocity).sum(axis=1)))
+        return self._path.position, self._reach + span_s * self._path.speeds(now_ns)

@@ -14,13 +14,12 @@ from vcmvsp.physics.dynamics.bullet.ground_robots import GroundRobots
 from vcmvsp.physics.dynamics.bullet.quadrotors import REACH_M, BulletQuadrotors
 from vcmvsp.physics.dynamics.engine import BodyMotion, Engine, Touch, gathered
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
+from vcmvsp.physics.dynamics.odometry import ENCODER_HZ
 from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.vehicles.models import DifferentialDrive, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
-
-_ENCODER_HZ = 40.0
 
 
 class BulletEngine(Engine):
@@ -52,7 +51,7 @@ class BulletEngine(Engine):
         external: ExternalEngine | None = None,
     ) -> None:
         self._ticks, self._step, self._step_s = Ticks.rate(rate_hz), 0, 1.0 / rate_hz
-        self._encoder_steps = max(1, round(rate_hz / _ENCODER_HZ))
+        self._encoder_steps = max(1, round(rate_hz / ENCODER_HZ))
         self._count, self._accelerations, self._external = len(vehicles), accelerations, external
         external_names = external.names if external else ()
         drives: dict[int, DifferentialDrive | UrdfDrive] = {}

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vcmvsp.cosim.frames import arc
-from vcmvsp.cosim.types import Vec3
+from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.dynamics.bullet import p, turned
 from vcmvsp.physics.dynamics.bullet.bodies import (
     LEFT,
@@ -25,10 +24,11 @@ from vcmvsp.physics.dynamics.bullet.bodies import (
     motion_of,
 )
 from vcmvsp.physics.dynamics.engine import BodyMotion
-from vcmvsp.physics.dynamics.kinematic import Firmware, wrapped
+from vcmvsp.physics.dynamics.kinematic import Firmware
+from vcmvsp.physics.dynamics.odometry import DifferentialOdometry
 from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
-from vcmvsp.physics.world.world import World, Zone
+from vcmvsp.physics.world.world import World
 
 
 class _Wheels(NamedTuple):
@@ -63,10 +63,8 @@ class GroundRobots:
         self._references = np.array([reference for _, reference in built], float).reshape(len(models), 3)
         self._twice = np.concatenate([self._references, self._references])
         self._signs = np.array([each.signs for each in self._wheels], float).reshape(len(models), 2)
-        self._radius = np.array([each.radius_m for each in self._wheels])
-        self._half_track = np.array([each.half_track_m for each in self._wheels])
-        self._encoders = [(0.0, 0.0)] * len(models)  # last readings, rad
-        self._reckoned = [(x, y, yaw) for (x, y, _), yaw in starts]  # poses at these readings
+        radius_m, half_track_m = ([getattr(each, name) for each in self._wheels] for name in ("radius_m", "half_track_m"))
+        self._odometry = DifferentialOdometry(radius_m, half_track_m, starts)
         self._joints: list[_Joints] = []  # cache, until the next step
         self._before: list[BaseState] = []  # states before the last step, for accelerations
         for row in range(len(models)):
@@ -96,37 +94,25 @@ class GroundRobots:
 
     def encode(self) -> None:
         """Read the encoders, and update the odometry."""
-        for row, (left_joint, right_joint) in enumerate(self._joint_states()):
-            angles = left_joint[0], right_joint[0]
-            self._reckoned[row], self._encoders[row] = self._reckon(row, angles), angles
+        self._odometry.encode(self._turns(0))
         if self._zones:
             self._zones.scale()
 
     def read(self) -> BodyMotion:
         """Motion of every robot, and its wheel odometry up to now; reading changes nothing."""
-        n = len(self._wheels)
+        angles = self._turns(0)
+        return self._reference_motion()._replace(wheels=angles, odometry=self._odometry.now(angles, self._turns(1)))
+
+    def _turns(self, which: int) -> Array:
+        """Angles (0), rad, or rates (1), rad/s, of the left and right wheels, (n, 2); forwards is positive."""
         states = self._joint_states()
-        angles, rates = ([(left[k], right[k]) for left, right in states] for k in (0, 1))
-        turning = self._signs * np.array(rates).reshape(n, 2)
-        odometry = np.empty((n, 5))
-        odometry[:, :3] = np.array([self._reckon(row, each) for row, each in enumerate(angles)]).reshape(n, 3)
-        odometry[:, 2] = wrapped(odometry[:, 2])
-        odometry[:, 3] = 0.5 * self._radius * (turning[:, 1] + turning[:, 0])
-        odometry[:, 4] = 0.5 * self._radius * (turning[:, 1] - turning[:, 0]) / self._half_track
-        return self._reference_motion()._replace(wheels=self._signs * np.array(angles).reshape(n, 2), odometry=odometry)
+        return self._signs * np.array([(left[which], right[which]) for left, right in states]).reshape(len(states), 2)
 
     def _joint_states(self) -> list[_Joints]:
         if not self._joints:
             states, client = p.getJointStates, self._client
             self._joints = [states(each.body, each.joints, client) for each in self._wheels]
         return self._joints
-
-    def _reckon(self, row: int, angles: tuple[float, float]) -> Vec3:
-        """The pose at the last reading, continued by the arc that the wheels have rolled since."""
-        _, _, (sign_left, sign_right), radius, half_track, _ = self._wheels[row]
-        last_left, last_right = self._encoders[row]
-        way_left, way_right = radius * sign_left * (angles[0] - last_left), radius * sign_right * (angles[1] - last_right)
-        return arc(self._reckoned[row], 0.5 * (way_left + way_right), 0.5 * (way_right - way_left) / half_track, 1.0)
 
     def save_velocities(self) -> None:
         """Save the states before a step, for its accelerations; without this call they are zero."""
@@ -176,14 +162,8 @@ class _Zones:
         """Set the friction of every robot that has entered another zone."""
         for body, frictions in self._frictions.items():
             (x, y, _), _ = p.getBasePositionAndOrientation(body, self._client)
-            zone = next((each.friction for each in reversed(self._zones) if _inside(each, x, y)), self._floor)
+            zone = next((each.friction for each in reversed(self._zones) if each.holds(x, y)), self._floor)
             if zone != self._present[body]:
                 self._present[body] = zone
                 for link, own in enumerate(frictions, -1):
                     p.changeDynamics(body, link, lateralFriction=own * zone / self._floor, physicsClientId=self._client)
-
-
-def _inside(zone: Zone, x: float, y: float) -> bool:
-    dx, dy = x - zone.center[0], y - zone.center[1]
-    cos, sin = math.cos(zone.yaw_rad), math.sin(zone.yaw_rad)
-    return abs(cos * dx + sin * dy) <= 0.5 * zone.size[0] and abs(cos * dy - sin * dx) <= 0.5 * zone.size[1]

@@ -1,7 +1,7 @@
 """Floor, solids, movables and vehicles as bodies of a MuJoCo model.
 
-A differential drive has the shapes that it has in Bullet: wheels are spheres that meet the floor only, the caster is a sphere of
-the body, nearly without friction. Of two shapes that meet, the one that can move has priority: its friction counts, and
+A differential drive has the shapes that it has in Bullet: wheels are spheres that meet the floor only, the caster is a sphere
+of the body, nearly without friction. Of two shapes that meet, the one that can move has priority: its friction counts, and
 includes the floor's. A wheel's motor is the friction of its joint, see `physics.dynamics.mujoco.engine`.
 """
 
@@ -78,7 +78,9 @@ class Builder:
         body.add_freejoint()
         return body
 
-    def add_body(self, name: str, hull: Hull, mass_kg: float, place: Vec3, heading: float, friction: float, steps: float = _IMPACT_STEPS) -> Any:
+    def add_body(
+        self, name: str, hull: Hull, mass_kg: float, place: Vec3, heading: float, friction: float, steps: float = _IMPACT_STEPS
+    ) -> Any:
         """Add a free body of one shape, evenly filled; ``steps``: time constant of its contacts."""
         body = self._free_body(name, place, heading)
         _add_hull(body, hull, pos=hull.offset, mass=mass_kg, **self._loose(friction * self._floor, steps=steps))

@@ -15,13 +15,14 @@ from typing import Any
 import mujoco as mj
 import numpy as np
 
-from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.dynamics.engine import NO_BODIES, BodyMotion, Engine, Touch, gathered, on_time, without_wheels
 from vcmvsp.physics.dynamics.external_path import ExternalPath
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine, Firmware
 from vcmvsp.physics.dynamics.mujoco.bodies import MOTOR_IMPEDANCE, MOTOR_STEPS, Builder, set_inertia
-from vcmvsp.physics.dynamics.odometry import ENCODER_HZ, WheelOdometry
+from vcmvsp.physics.dynamics.odometry import ENCODER_HZ, DifferentialOdometry
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.vehicles.models import DifferentialDrive, Quadrotor
@@ -65,7 +66,8 @@ class MujocoEngine(Engine):
         air = {row: spec for row, spec in own.items() if isinstance(spec.model, Quadrotor)}
         builder = Builder(world, self._step_s, gravity)
         for row, spec in ground.items():
-            builder.add_drive(f"{row}", spec.model, spec.start, spec.heading)
+            model: Any = spec.model
+            builder.add_drive(f"{row}", model, spec.start, spec.heading)
         for row, spec in air.items():
             _add_quadrotor(builder, f"{row}", spec)
         for row in self._external_rows:
@@ -83,7 +85,9 @@ class MujocoEngine(Engine):
         self._rate = 1.0 / (MOTOR_STEPS * self._step_s)  # 1/s
         self._row_of_geom = self._rows_of_geoms()
         self._robots = _Robots(self._model, self._data, ground, world)
-        self._flyers = _Flyers(self._model, self._data, air, gravity, Gusts(world.wind, [each.name for each in air.values()], seed))
+        self._flyers = _Flyers(
+            self._model, self._data, air, gravity, Gusts(world.wind, [each.name for each in air.values()], seed)
+        )
         self._external, self._path = external, ExternalPath(external, self._step_s) if external else None
         self._on_path = _Free(self._model, self._data, [*self._external_rows, *self._moving])
         self._pushed = _Movables(self._model, self._data, self._movables)
@@ -124,6 +128,10 @@ class MujocoEngine(Engine):
         """Fly to a position."""
         self._flyers.fleet.set_waypoint(self._flyers.place_of[row], position, yaw, speed)
 
+    def expect(self, duration_ns: int, *, now: bool) -> None:
+        """Compile the laws of quadrotors, if that pays or has to be done now."""
+        self._flyers.fleet.expect(duration_ns / SECOND_NS / self._step_s, now=now)
+
     def advance(self, to_ns: int) -> None:
         """Advance to the step nearest to ``to_ns``."""
         ticks, robots, flyers = self._ticks, self._robots, self._flyers
@@ -141,14 +149,18 @@ class MujocoEngine(Engine):
             if self._step % self._encoder_steps == 0:
                 robots.encode()
                 self._pushed.look()
+        if any(each.number for each in self._data.warning):
+            raise FederateError(
+                "physics", f"MuJoCo became unstable before {to_ns / SECOND_NS:.3f} s: a higher physics.rate_hz helps"
+            )
         if self._external:
             self._external.advance(to_ns)
 
     def _limit_slip(self) -> None:
         """Limit the reference of friction, after the first half of a step.
 
-        MuJoCo's contacts are a convex problem: a shape that slides is lifted in proportion to friction and speed, and bounces. With
-        a limited reference the direction of friction stays, and it still reaches its greatest force.
+        MuJoCo's contacts are a convex problem: a shape that slides is lifted in proportion to friction and speed, and bounces.
+        With a limited reference the direction of friction stays, and it still reaches its greatest force.
         """
         contact = self._data.contact
         if not len(contact.dist):
@@ -158,7 +170,9 @@ class MujocoEngine(Engine):
         rows = (first[counts][:, None] + _TANGENTS).ravel()
         slips = self._data.efc_aref[rows].reshape(-1, 2)
         speeds = np.sqrt((slips * slips).sum(axis=1, keepdims=True)) * (0.5 * contact.solref[counts, :1])  # m/s
-        self._data.efc_aref[rows] = (slips * (contact.solref[counts, :1] * self._rate / np.maximum(speeds / _SLIP, 1.0))).ravel()
+        self._data.efc_aref[rows] = (
+            slips * (contact.solref[counts, :1] * self._rate / np.maximum(speeds / _SLIP, 1.0))
+        ).ravel()
 
     def _note_touches(self) -> None:
         """After a step: quadrotors in contact take the states of their bodies; note contacts that have begun."""
@@ -175,7 +189,9 @@ class MujocoEngine(Engine):
         parts = [on_time(self._world.moving, now_ns)]
         if self._path:
             parts.insert(0, self._path.step(now_ns))
-        position, velocity, attitude, spin = (np.concatenate(columns) for columns in zip(*(each[:4] for each in parts), strict=True))
+        position, velocity, attitude, spin = (
+            np.concatenate(columns) for columns in zip(*(each[:4] for each in parts), strict=True)
+        )
         self._on_path.write(position, velocity, attitude, np.einsum("nji,nj->ni", rotations(attitude), spin))
 
     def read(self) -> BodyMotion:
@@ -249,10 +265,15 @@ def _add_quadrotor(builder: Builder, name: str, spec: VehicleSpec) -> None:
 
 
 def _compiled(spec: Any) -> tuple[Any, Any]:
+    mj.set_mju_user_warning(_ignored)  # else MuJoCo writes a file into the current folder; see `MujocoEngine.advance`
     model = spec.compile()
     data = mj.MjData(model)
     mj.mj_forward(model, data)
     return model, data
+
+
+def _ignored(text: str) -> None:
+    """Ignore a warning."""
 
 
 class _Free:
@@ -316,10 +337,14 @@ class _Robots:
         self.sunk = np.zeros(len(models))  # m, into the floor at rest: left out of heights
         joints = [mj.mj_name2id(model, mj.mjtObj.mjOBJ_JOINT, f"{row}/{side}") for row in specs for side in ("left", "right")]
         self._angle, self._dof = model.jnt_qposadr[joints].reshape(-1, 2), model.jnt_dofadr[joints].reshape(-1, 2)
-        self._signs = np.array([each.plan.signs if isinstance(each, UrdfDrive) else (1.0, 1.0) for each in models]).reshape(-1, 2)
+        self._signs = np.array([each.plan.signs if isinstance(each, UrdfDrive) else (1.0, 1.0) for each in models]).reshape(
+            -1, 2
+        )
         self._axle = np.array([each.plan.axle if isinstance(each, UrdfDrive) else (0.0,) * 3 for each in models]).reshape(-1, 3)
         self._sizes = [(each.wheel_radius_m, 0.5 * each.track_m) for each in models]
-        self.odometry = WheelOdometry(*(list(zip(*self._sizes, strict=True)) or ((), ())), _starts(specs))
+        self.odometry = DifferentialOdometry(
+            [size[0] for size in self._sizes], [size[1] for size in self._sizes], _starts(specs)
+        )
         # Of the speeds that the motors hold: order among the constraints is that of the joints.
         order = np.argsort(self._dof.ravel())
         self._order, self._wanted = order, np.zeros((len(models), 2))
@@ -422,7 +447,9 @@ class _Flyers:
         places = sorted(place for row, place in self.place_of.items() if row in rows)
         if places:
             fleet = self.fleet
-            for own, there in zip((fleet.position, fleet.velocity, fleet.attitude, fleet.rate), self._bodies.read(), strict=True):
+            for own, there in zip(
+                (fleet.position, fleet.velocity, fleet.attitude, fleet.rate), self._bodies.read(), strict=True
+            ):
                 own[places] = there[places]
 
     def read(self) -> BodyMotion:

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.physics.bullet_engines import engine
+from tests.support.physics.engines import engine
 from tests.support.physics.runs import run, run_info
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.types import Contact, Vec3, Velocity, Waypoint
 from vcmvsp.physics.dynamics.engine import BodyMotion, Engine, Touch, gathered, still
 from vcmvsp.physics.dynamics.kinematic import AerialEngine, GroundEngine
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Kinematic, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
@@ -128,7 +128,7 @@ def test_rows_that_no_engine_moves_are_not_a_number() -> None:
     assert all(np.isnan(array[1]).all() for array in some)
 
 
-BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 CART = Moving(
     name="cart",
     solid=Box(center=(0.0, 0.0, 0.0), size=(0.4, 0.5, 1.0)),
@@ -146,7 +146,7 @@ def standing(kind: type[Physics], x: float, duration_s: float) -> list[Event]:
     return run(kind(world=World(moving=(CART,)), vehicles=[car]), (), duration_s)
 
 
-@BOTH
+@KINDS
 def test_scanners_see_it_where_it_is_at_the_time(kind: type[Physics]) -> None:
     """Its near side is 1.8 m ahead; the second time round as the first."""
     scans: list[Any] = [event for event in standing(kind, 0.0, 16.0) if event.key == "car/scan"]

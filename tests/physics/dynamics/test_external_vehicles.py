@@ -16,7 +16,7 @@ from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
 from vcmvsp.cosim.types import Later, VehicleState, Velocity, Waypoint
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
 from vcmvsp.physics.sensors.detectors import NeighbourRange
 from vcmvsp.physics.sensors.motion import InertialUnit, WheelOdometry
 from vcmvsp.physics.sensors.positioning import Positioning
@@ -25,8 +25,12 @@ from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World, rotations
 
-BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
-SETTLES = {KinematicPhysics: 2e-6, BulletPhysics: 3e-4}  # m, how far a simulated robot may roll as it settles on its wheels
+KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
+SETTLES = {
+    KinematicPhysics: 2e-6,
+    BulletPhysics: 3e-4,
+    MujocoPhysics: 3e-4,
+}  # m, how far a simulated robot may roll as it settles on its wheels
 HALF = 0.5 * P2DX().length_m
 
 
@@ -38,7 +42,7 @@ def circling(t: float) -> VehicleState:
     return VehicleState(position=at, velocity=speed, attitude=attitude, angular_velocity=(0.0, 0.0, 1.0))
 
 
-@BOTH
+@KINDS
 def test_rows_are_what_was_said_and_each_instant_asks_once(kind: type[Physics]) -> None:
     courses = Courses(real=circling, other=straight(-3.0, 0.2))
     sensors = {"near": NeighbourRange(rate_hz=4.0)}
@@ -55,7 +59,7 @@ def test_rows_are_what_was_said_and_each_instant_asks_once(kind: type[Physics]) 
             assert getattr(value, name)[[1, 3]].tolist() == [list(getattr(each, name)) for each in said]
 
 
-@BOTH
+@KINDS
 def test_nothing_is_published_for_them_and_commands_do_not_count(kind: type[Physics]) -> None:
     real = spec("real", 3.0, positioning=Positioning(), pose_source="positioning")
     physics = kind(world=World(), vehicles=[spec("car"), real], outside=Courses(real=straight(3.0)))
@@ -69,7 +73,7 @@ def test_nothing_is_published_for_them_and_commands_do_not_count(kind: type[Phys
     assert values(events, "world/states")[-1].position[1].tolist() == [3.0, 0.0, 0.0]
 
 
-@BOTH
+@KINDS
 @pytest.mark.parametrize("yaw", [0.0, 0.4])
 def test_scanners_see_their_hulls_and_their_own_scanners_see_the_world(kind: type[Physics], yaw: float) -> None:
     eye = RangeScanner(beams=1, field_of_view=0.1, range_max=9.0, position=(0.0, 0.0, 0.1))
@@ -89,7 +93,7 @@ def test_scanners_see_their_hulls_and_their_own_scanners_see_the_world(kind: typ
             assert reading.ranges[0] == pytest.approx(expected, abs=SETTLES[kind])
 
 
-@BOTH
+@KINDS
 def test_the_acceleration_that_its_imu_feels_is_what_its_speed_grew_by(kind: type[Physics]) -> None:
     def faster(t: float) -> VehicleState:
         return VehicleState(position=(5.0 + t * t, 0.0, 0.0), velocity=(2.0 * t, 0.0, 0.0))
@@ -124,7 +128,7 @@ def test_in_between_they_go_straight_on_and_turn_about_the_vertical(
     assert reflected.at(SECOND_NS)[0].attitude[0].tolist() == list(attitude)
 
 
-@BOTH
+@KINDS
 def test_what_physics_cannot_move_can_be_shown(kind: type[Physics]) -> None:
     physics = kind(world=World(), vehicles=[spec("tug", 2.0, model=Boat())], outside=Courses(tug=straight(2.0)))
     assert values(run(physics), "world/states")[-1].position.tolist() == [[2.0, 0.0, 0.0]]
@@ -158,7 +162,7 @@ def test_vehicles_that_the_run_does_not_have_or_in_another_order_are_refused() -
             run(KinematicPhysics(world=World(), vehicles=[spec("a"), spec("b", 2.0)], outside=courses))
 
 
-@BOTH
+@KINDS
 def test_a_sensor_that_counts_turns_of_wheels_is_refused_on_them(kind: type[Physics]) -> None:
     real = spec("real", sensors={"odo": WheelOdometry(wheel_radius_m=0.1, track_m=0.4)})
     with pytest.raises(ScenarioError, match="real is an external vehicle") as raised:

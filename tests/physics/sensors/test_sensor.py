@@ -17,7 +17,7 @@ from vcmvsp.cosim.reference.describe import meanings
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Measured
 from vcmvsp.cosim.util.codec import Decoder, encode
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
 from vcmvsp.physics.sensor_scheduler import SensorScheduler
 from vcmvsp.physics.sensors import sensor as module
 from vcmvsp.physics.sensors.detectors import Bumper, NeighbourRange
@@ -209,7 +209,7 @@ def test_a_bumper_says_when_the_car_has_reached_the_wall() -> None:
     assert not any(reading.values["back"] + reading.values["left"] for reading in values["car/bump"].values())
 
 
-@pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+@pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 def test_an_inertial_unit_feels_the_floor_push_and_the_turn(kind: type[Physics]) -> None:
     exact = InertialUnit(
         rate_hz=120.0, accelerometer_density=0.0, accelerometer=Noise(), gyroscope_density=0.0, gyroscope=Noise()

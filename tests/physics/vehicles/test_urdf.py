@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.physics.bullet_engines import engine
+from tests.support.physics.engines import engine
 from tests.support.physics.runs import run, values
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.physics.dynamics.bullet import p
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.vehicles.urdf import UrdfDrive, UrdfQuadrotor
 from vcmvsp.physics.world.solids import Box
@@ -127,7 +127,7 @@ def test_firmware_limits_are_kept(cart: UrdfDrive) -> None:
     moved.close()
 
 
-@pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+@pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 def test_it_is_a_vehicle_of_both_kinds_of_physics(kind: Any, cart: UrdfDrive) -> None:
     physics = kind(world=World(), vehicles=[VehicleSpec(name="cart", model=cart)])
     events = run(physics, [(0.0, "cart", 0.5, 0.0)], 3.0)

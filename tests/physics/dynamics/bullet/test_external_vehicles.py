@@ -14,7 +14,7 @@ from vcmvsp.cosim.types import VehicleState
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
-from vcmvsp.physics.federate import BulletPhysics
+from vcmvsp.physics.federate import MujocoPhysics, Physics
 from vcmvsp.physics.sensors.detectors import Bumper
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Lag, Quadrotor
 from vcmvsp.physics.world.solids import Box, Cylinder
@@ -37,9 +37,9 @@ def contacts(events: list[Event]) -> list[tuple[str, str | None]]:
 
 
 @pytest.mark.parametrize("v", [0.3, 1.0, 1.6])
-def test_a_robot_that_drives_into_one_stops_and_never_gets_in(v: float) -> None:
+def test_a_robot_that_drives_into_one_stops_and_never_gets_in(v: float, kind: type[Physics]) -> None:
     at = 6.0  # far enough to get that fast at 0.3 m/s2
-    physics = BulletPhysics(world=World(), vehicles=[spec("car"), spec("real", at)], outside=Courses(real=straight(at)))
+    physics = kind(world=World(), vehicles=[spec("car"), spec("real", at)], outside=Courses(real=straight(at)))
     events = run(physics, [(0.0, "car", v, 0.0)], round(2.0 + at / v + v / 0.6, 1))
     assert max(states.velocity[0, 0] for states in values(events, "world/states")) == pytest.approx(v, rel=0.02)
     assert track(events, 0)[:, 0].max() < at - BACK - FRONT + DEEP_M + v / 120.0  # it is noticed after a step
@@ -49,10 +49,10 @@ def test_a_robot_that_drives_into_one_stops_and_never_gets_in(v: float) -> None:
 
 
 @pytest.mark.parametrize("names", [("car", "real"), ("real", "car")])
-def test_one_that_moves_pushes_a_robot_ahead_of_it(names: tuple[str, str]) -> None:
+def test_one_that_moves_pushes_a_robot_ahead_of_it(names: tuple[str, str], kind: type[Physics]) -> None:
     places = {"car": 0.0, "real": -1.0}
     vehicles = [spec(name, places[name]) for name in names]
-    events = run(BulletPhysics(world=World(), vehicles=vehicles, outside=Courses(real=straight(-1.0, 0.5))), seconds=6.0)
+    events = run(kind(world=World(), vehicles=vehicles, outside=Courses(real=straight(-1.0, 0.5))), seconds=6.0)
     car, real = (track(events, names.index(name)) for name in ("car", "real"))
     assert real[:, 0] == pytest.approx(-1.0 + 0.05 * np.arange(61), abs=1e-12)
     apart = car[:, 0] - real[:, 0]
@@ -61,56 +61,54 @@ def test_one_that_moves_pushes_a_robot_ahead_of_it(names: tuple[str, str]) -> No
     assert contacts(events) == [names]  # once, the vehicle that the scenario names first
 
 
-def test_it_pushes_things_and_is_a_body_whatever_its_kind() -> None:
+def test_it_pushes_things_and_is_a_body_whatever_its_kind(kind: type[Physics]) -> None:
     crate = Movable(name="crate", solid=Box(center=(0.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=3.0)
     for model in (Lag(), AmigoBot(), P2DX()):
         hull = model.hull
         real = spec("real", -1.5, model=model)
-        physics = BulletPhysics(world=World(movables=(crate,)), vehicles=[real], outside=Courses(real=straight(-1.5, 0.5)))
+        physics = kind(world=World(movables=(crate,)), vehicles=[real], outside=Courses(real=straight(-1.5, 0.5)))
         events = run(physics, (), 4.0)
         assert {other for _, other in contacts(events)} == {"crate"}
         crate_x = values(events, "world/pushed")[-1].position[0, 0]
         assert crate_x > 0.5 + hull.offset[0] + 0.5 * hull.size[0] + 0.2 - DEEP_M - 0.5 / 120.0
 
 
-def test_contacts_tell_of_virtual_walls_and_of_each_other() -> None:
+def test_contacts_tell_of_virtual_walls_and_of_each_other(kind: type[Physics]) -> None:
     """That nothing stops them is no reason to keep it back."""
     world = World(solids=(Box(center=(2.0, 0.0, 0.5), size=(0.2, 4.0, 1.0)),))
     courses = Courses(a=straight(0.0, 0.5), b=straight(-2.0, 1.2))
-    events = run(BulletPhysics(world=world, vehicles=[spec("a"), spec("b", -2.0)], outside=courses), seconds=4.0)
+    events = run(kind(world=world, vehicles=[spec("a"), spec("b", -2.0)], outside=courses), seconds=4.0)
     told: list[Any] = [event for event in events if event.key == "world/contact"]
     touched = {(event.value.vehicle, event.value.other): event.time_ns / 1e9 for event in told}
     expected = {("a", "b"): (2.0 - BACK - FRONT) / 0.7, ("b", None): (3.9 - FRONT) / 1.2, ("a", None): (1.9 - FRONT) / 0.5}
-    assert touched == pytest.approx(expected, abs=0.11)
+    assert touched == pytest.approx(expected, abs=0.14)
 
 
-def test_a_quadrotor_bumps_into_one_as_into_a_solid_of_its_shape() -> None:
+def test_a_quadrotor_bumps_into_one_as_into_a_solid_of_its_shape(kind: type[Physics]) -> None:
     tall = Quadrotor(height_m=1.0)  # not to be slipped over
     solid = Cylinder(center=(3.0, 0.0, 1.5), radius=tall.radius_m, height=tall.height_m)
     uav, real = spec("uav", z=1.5, model=Quadrotor()), spec("real", 3.0, z=1.5, model=tall)
-    physics = BulletPhysics(world=World(), vehicles=[uav, real], outside=Courses(real=straight(3.0, z=1.5)))
+    physics = kind(world=World(), vehicles=[uav, real], outside=Courses(real=straight(3.0, z=1.5)))
     told = [(0.0, "uav", 1.5, 0.0)]
-    shown, stood = run(physics, told, 2.7), run(BulletPhysics(world=World(solids=(solid,)), vehicles=[uav]), told, 2.7)
-    assert contacts(shown) == [("uav", "real")]
-    assert contacts(stood) == [("uav", None)]
+    shown, stood = run(physics, told, 2.7), run(kind(world=World(solids=(solid,)), vehicles=[uav]), told, 2.7)
+    assert {*contacts(shown)} == {("uav", "real")}  # it may bounce
+    assert {*contacts(stood)} == {("uav", None)}
     assert track(shown, 0)[:, 0].max() > 3.0 - 2.0 * tall.radius_m  # it is there, and tilts
-    assert track(shown, 0) == pytest.approx(track(stood, 0), abs=2e-3)
+    assert track(shown, 0) == pytest.approx(track(stood, 0), abs=2e-2 if kind is MujocoPhysics else 2e-3)
 
 
-def test_a_quadrotor_in_free_air_is_found_by_one_that_comes_to_it() -> None:
-    courses = Courses(real=straight(-4.0, 1.0, z=3.0))
-    vehicles = [spec("real", -4.0, z=3.0, model=Quadrotor()), spec("uav", z=3.0, model=Quadrotor())]
-    events = run(BulletPhysics(world=World(), vehicles=vehicles, outside=courses), (), 4.5)
+def test_a_quadrotor_in_free_air_is_found_by_one_that_comes_to_it(kind: type[Physics]) -> None:
+    courses, tall = Courses(real=straight(-4.0, 1.0, z=3.0)), Quadrotor(height_m=1.0)  # not to be slipped over
+    vehicles = [spec("real", -4.0, z=3.0, model=tall), spec("uav", z=3.0, model=tall)]
+    events = run(kind(world=World(), vehicles=vehicles, outside=courses), (), 4.5)
     assert contacts(events)[0] == ("real", "uav")
     apart = np.linalg.norm(track(events, 0) - track(events, 1), axis=1)
     assert apart.min() > 2 * Quadrotor().radius_m - 0.05
 
 
-def test_bumpers_of_both_feel_the_other() -> None:
+def test_bumpers_of_both_feel_the_other(kind: type[Physics]) -> None:
     vehicles = [spec("car", sensors={"bumper": Bumper()}), spec("real", 1.0, sensors={"bumper": Bumper()})]
-    events = run(
-        BulletPhysics(world=World(), vehicles=vehicles, outside=Courses(real=straight(1.0))), [(0.0, "car", 0.3, 0.0)], 4.0
-    )
+    events = run(kind(world=World(), vehicles=vehicles, outside=Courses(real=straight(1.0))), [(0.0, "car", 0.3, 0.0)], 4.0)
     for name in ("car", "real"):
         felt = [sum(reading.values.values()) for reading in values(events, f"{name}/bumper")]
         assert felt[0] == 0.0
@@ -141,14 +139,13 @@ def jumping(x: float, jump: float) -> Course:
 
 
 @pytest.mark.parametrize("jump", [0.1, 0.3, 0.6, 0.95])
-def test_whoever_stands_where_an_estimate_jumps_to_is_pushed_aside_and_not_thrown(jump: float) -> None:
+def test_whoever_stands_where_an_estimate_jumps_to_is_pushed_aside_and_not_thrown(jump: float, kind: type[Physics]) -> None:
     real = -BACK - FRONT - 0.02
-    physics = BulletPhysics(
-        world=World(), vehicles=[spec("car"), spec("real", real)], outside=Courses(real=jumping(real, jump))
-    )
+    physics = kind(world=World(), vehicles=[spec("car"), spec("real", real)], outside=Courses(real=jumping(real, jump)))
     events = run(physics, seconds=4.0)
     speed = np.array([np.linalg.norm(states.velocity[0]) for states in values(events, "world/states")])
     assert speed.max() < 0.55
-    assert track(events, 0)[-1] == pytest.approx((jump - 0.02, 0.0, 0.0), abs=DEEP_M)
+    rolls_on_m = 0.02 if kind is MujocoPhysics else 0.0  # from 0.5 m/s, when the body behind it stops
+    assert track(events, 0)[-1] == pytest.approx((jump - 0.02, 0.0, 0.0), abs=DEEP_M + rolls_on_m)
     said = track(events, 1)[:, 0] - real
     assert said.tolist() == pytest.approx([0.0] * 10 + [jump] * 31)  # rows jump as they were told

@@ -1,12 +1,14 @@
 """Quadrotors in a Bullet world: alone in the air, they fly as NumPy flies them; near things, bodies land, bounce and push."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.support.physics.bullet_engines import engine
+from tests.support.physics.engines import engine
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.physics.dynamics.bullet.bodies import base_motion
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
@@ -17,6 +19,7 @@ from vcmvsp.physics.vehicles.models import P2DX, Quadrotor
 from vcmvsp.physics.world.solids import Box, Cylinder, Mesh, Prism
 from vcmvsp.physics.world.world import Movable, Moving, World
 
+Make = Callable[..., Any]
 pytestmark = pytest.mark.slow
 
 UAV = Quadrotor()
@@ -104,8 +107,8 @@ def test_it_takes_off_and_lands(hz: int) -> None:
     moved.close()
 
 
-def test_a_wall_stops_it_and_is_named() -> None:
-    moved = engine((UAV, (0.0, 0.0, 2.0)), world=WALL)
+def test_a_wall_stops_it_and_is_named(either: Make) -> None:
+    moved = either((UAV, (0.0, 0.0, 2.0)), world=WALL)
     moved.command(0, (4.0, 0.0, 0.0), 0.0)
     seen = []
     for _ in range(20):
@@ -117,8 +120,8 @@ def test_a_wall_stops_it_and_is_named() -> None:
     moved.close()
 
 
-def test_a_bounce_between_two_looks_is_reported_once() -> None:
-    moved = engine((UAV, (4.0, 0.0, 2.0)), world=WALL)
+def test_a_bounce_between_two_looks_is_reported_once(either: Make) -> None:
+    moved = either((UAV, (4.0, 0.0, 2.0)), world=WALL)
     moved._flyers.fleet.velocity[0] = 3.0, 0.0, 0.0
     moved.command(0, (-2.0, 0.0, 0.0), 0.0)
     steps(moved, HZ)
@@ -145,7 +148,7 @@ def test_it_wakes_in_time_for_what_comes_fast_however_seldom_it_looks(hz: int, s
 
 
 @pytest.mark.parametrize("speed", [2.0, 6.0, 12.0])
-def test_nobody_gets_through(speed: float) -> None:
+def test_nobody_gets_through(speed: float, either: Make) -> None:
     """From all sides into a pillar, a roof and a wall: centres stay outside, however the looks fall."""
     world = World(
         solids=(
@@ -156,7 +159,7 @@ def test_nobody_gets_through(speed: float) -> None:
     angles = np.arange(12) * math.tau / 12 + 0.1
     around = [(x + 4.0 * math.cos(a), 4.0 * math.sin(a), 4.0 + 0.07 * k) for x in (0.0, 21.0) for k, a in enumerate(angles)]
     fast = Quadrotor(max_speed=20.0)
-    moved = engine(*((fast, place) for place in around), world=world)
+    moved = either(*((fast, place) for place in around), world=world)
     for row, ((x, y, _), middle) in enumerate(zip(around, [0.0] * 12 + [21.0] * 12, strict=True)):
         moved._flyers.fleet.velocity[row] = -speed * (x - middle) / 4.0, -speed * y / 4.0, 0.0
         moved.command(row, (-speed * (x - middle) / 4.0, -speed * y / 4.0, 0.0), 0.0)
@@ -173,8 +176,8 @@ def test_nobody_gets_through(speed: float) -> None:
     moved.close()
 
 
-def test_two_that_collide_are_both_named_and_keep_their_momentum() -> None:
-    moved = engine((UAV, (0.0, 0.0, 9.0)), (replace(UAV, mass_kg=1.6), (0.8, 0.0, 9.0)))
+def test_two_that_collide_are_both_named_and_keep_their_momentum(either: Make) -> None:
+    moved = either((UAV, (0.0, 0.0, 9.0)), (replace(UAV, mass_kg=1.6), (0.8, 0.0, 9.0)))
     steps(moved, 1)
     for row, speed in ((0, 1.5), (1, -0.5)):
         moved._flyers.fleet.velocity[row] = speed, 0.0, 0.0
@@ -192,9 +195,9 @@ def test_two_that_collide_are_both_named_and_keep_their_momentum() -> None:
     moved.close()
 
 
-def test_it_can_stand_on_a_robot_and_press_on_a_movable() -> None:
+def test_it_can_stand_on_a_robot_and_press_on_a_movable(either: Make) -> None:
     world = World(movables=(Movable(name="table", solid=Box(center=(3.0, 0.0, 0.3), size=(1.0, 1.0, 0.6)), mass_kg=10.0),))
-    moved = engine((UAV, (0.0, 0.0, 0.6)), (P2DX(), (0.0, 0.0, 0.0)), (UAV, (3.0, 0.0, 1.0)), world=world)
+    moved = either((UAV, (0.0, 0.0, 0.6)), (P2DX(), (0.0, 0.0, 0.0)), (UAV, (3.0, 0.0, 1.0)), world=world)
     moved.command(0, (0.0, 0.0, -0.4), 0.0)
     moved.command(2, (0.0, 0.0, -0.4), 0.0)
     steps(moved, 4 * HZ)

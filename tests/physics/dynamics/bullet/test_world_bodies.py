@@ -1,10 +1,12 @@
 """Things in a Bullet world: movables are pushed and sleep, moving obstacles keep their time, zones change the grip."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
-from tests.support.physics.bullet_engines import engine
+from tests.support.physics.engines import engine
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.engine import on_time
@@ -12,6 +14,7 @@ from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Quadrotor
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Movable, Moving, World, Zone
 
+Make = Callable[..., Any]
 pytestmark = pytest.mark.slow
 
 
@@ -19,8 +22,8 @@ def crate(x: float, mass_kg: float, friction: float = 0.5) -> Movable:
     return Movable(name="crate", solid=Box(center=(x, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=mass_kg, friction=friction)
 
 
-def test_a_movable_falls_asleep_and_wakes_when_it_is_pushed() -> None:
-    moved = engine((P2DX(), (0.0, 0.0, 0.0)), world=World(movables=(crate(1.0, 1.0),)))
+def test_a_movable_falls_asleep_and_wakes_when_it_is_pushed(either: Make) -> None:
+    moved = either((P2DX(), (0.0, 0.0, 0.0)), world=World(movables=(crate(1.0, 1.0),)))
     moved.advance(4 * SECOND_NS)
     rests = moved.movables()
     moved.advance(6 * SECOND_NS)
@@ -36,8 +39,8 @@ def test_a_movable_falls_asleep_and_wakes_when_it_is_pushed() -> None:
     moved.close()
 
 
-def test_what_is_too_heavy_stays() -> None:
-    moved = engine((AmigoBot(), (0.0, 0.0, 0.0)), world=World(movables=(crate(0.6, 100.0),)))
+def test_what_is_too_heavy_stays(either: Make) -> None:
+    moved = either((AmigoBot(), (0.0, 0.0, 0.0)), world=World(movables=(crate(0.6, 100.0),)))
     moved.command(0, (0.3, 0.0, 0.0), 0.0)
     moved.advance(5 * SECOND_NS)
     assert moved.movables().position[0, 0] == pytest.approx(0.6, abs=0.01)
@@ -59,10 +62,10 @@ def test_zones_change_nothing_for_movables(floor: float) -> None:
     assert [slid(), slid(there), slid(far)] == pytest.approx([expected] * 3, rel=0.02)
 
 
-def test_a_robot_has_the_friction_of_its_zone_on_any_floor() -> None:
+def test_a_robot_has_the_friction_of_its_zone_on_any_floor(either: Make) -> None:
     def spun(floor: float, *zones: Zone) -> float:
         """How far it gets in 2 s as it starts with spinning wheels."""
-        moved = engine((P2DX(accel=10.0), (0.0, 0.0, 0.0)), world=World(floor_friction=floor, zones=zones))
+        moved = either((P2DX(accel=10.0), (0.0, 0.0, 0.0)), world=World(floor_friction=floor, zones=zones))
         moved.command(0, (1.5, 0.0, 0.0), 0.0)
         moved.advance(2 * SECOND_NS)
         way = float(moved.read().position[0, 0])
@@ -120,13 +123,13 @@ def test_an_obstacle_that_begins_again_keeps_its_speed(hz: float) -> None:
         assert (motion.velocity[0, 0], motion.angular_velocity[0, 2]) == pytest.approx((2.0, math.tau / 0.4))
 
 
-def test_grip_is_lost_on_ice_and_found_again_behind_it() -> None:
+def test_grip_is_lost_on_ice_and_found_again_behind_it(either: Make) -> None:
     abrupt = P2DX(accel=1e6, decel=1e6)
     ice = Zone(center=(2.0, 0.0), size=(2.0, 4.0), friction=0.03)
 
     def stop_m(*zones: Zone, floor: float = 1.0) -> float:
         """How far a robot slides from 1 m/s when it brakes as hard as it can at x = 1.5 m."""
-        moved = engine((abrupt, (0.0, 0.0, 0.0)), world=World(zones=zones, floor_friction=floor))
+        moved = either((abrupt, (0.0, 0.0, 0.0)), world=World(zones=zones, floor_friction=floor))
         moved.command(0, (1.0, 0.0, 0.0), 0.0)
         tick = 0
         while moved.read().position[0, 0] < 1.5:
