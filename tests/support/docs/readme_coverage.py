@@ -40,7 +40,11 @@ def _in_the_gallery() -> dict[str, str]:
     return found
 
 
+EXAMPLES = "tests/docs/test_examples.py::test_a_script_makes_its_picture"
+
 ELSEWHERE = _in_the_gallery() | {
+    ".venv/bin/python examples/loss_and_delay.py": EXAMPLES,
+    ".venv/bin/python examples/own_agent.py pictures": EXAMPLES,
     "make demo": "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
     "vcmvsp view runs/formation-circle-1": (
         "tests/cosim/cli/test_view.py::test_it_prints_a_url_serves_the_page_to_who_has_it_and_ends_quietly"

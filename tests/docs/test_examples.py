@@ -1,0 +1,41 @@
+"""Scripts and notebooks in ``examples/`` run as they are, and each makes its picture."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import nbclient
+import nbformat
+import pytest
+
+from tests.support.docs.readme_pages import PAGES
+from tests.support.paths import ROOT
+
+pytestmark = [pytest.mark.slow, pytest.mark.processes, pytest.mark.sockets]
+
+FOLDER = ROOT / "examples"
+SCRIPTS, NOTEBOOKS = (sorted(path.name for path in FOLDER.glob(pattern)) for pattern in ("*.py", "*.ipynb"))
+
+
+def test_every_example_is_in_the_index() -> None:
+    shown = re.findall(r"^\| \[(\S+)\]\(\1\) \|", PAGES["examples/README.md"], re.MULTILINE)
+    assert sorted(shown) == sorted([*SCRIPTS, *NOTEBOOKS])
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_makes_its_picture(name: str, tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, FOLDER / name, tmp_path], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == [f"{name.removesuffix('.py')}.png"]
+    assert (tmp_path / f"{name.removesuffix('.py')}.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_runs_and_makes_its_picture(name: str, tmp_path: Path) -> None:
+    shutil.copy(FOLDER / name, tmp_path)
+    notebook = nbformat.read(tmp_path / name, as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells)
+    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": tmp_path}}).execute()
+    assert (tmp_path / f"{name.removesuffix('.ipynb')}.png").stat().st_size > 10_000
