@@ -11,7 +11,7 @@ from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Later, Velocity
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, p
-from vcmvsp.physics.federate import BulletPhysics
+from vcmvsp.physics.federate import BulletPhysics, MujocoPhysics, Physics
 from vcmvsp.physics.vehicles.models import P2DX, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
@@ -29,6 +29,7 @@ class Fleet(NamedTuple):
     rate_hz: float = 120.0
     iterations: int = 20
     duration_s: float = 4.0
+    kind: type[Physics] = BulletPhysics
 
     def specs(self) -> list[VehicleSpec]:
         """Robots on circles of their own, quadrotors 5 m above."""
@@ -106,8 +107,8 @@ def _quadrotor(client: int, position: tuple[float, float, float]) -> None:
     p.setCollisionFilterGroupMask(body, -1, SOLID, FLOOR | SOLID, client)
 
 
-def _started(fleet: Fleet, vehicles: Sequence[VehicleSpec], world: World, wanted: tuple[str, ...]) -> BulletPhysics:
-    physics = BulletPhysics(world=world, vehicles=vehicles, rate_hz=fleet.rate_hz, iterations=fleet.iterations)
+def _started(fleet: Fleet, vehicles: Sequence[VehicleSpec], world: World, wanted: tuple[str, ...]) -> Physics:
+    physics = fleet.kind(world=world, vehicles=vehicles, rate_hz=fleet.rate_hz, iterations=fleet.iterations)
     run = RunInfo(
         scenario="bench",
         seed=0,
@@ -137,6 +138,14 @@ def robots_50() -> Row:
     return _beside_bare("50 p2dx", Fleet(50, 0, duration_s=2.0), 1.25)
 
 
+def robots_mujoco() -> Row:
+    """Fifty Pioneers in MuJoCo beside the same in Bullet."""
+    here, there = (Fleet(50, 0, duration_s=2.0, kind=kind) for kind in (MujocoPhysics, BulletPhysics))
+    ours, other, ratio = in_turn(lambda: federate_cpu_s(here), lambda: federate_cpu_s(there), ROUNDS)
+    name = "50 p2dx in MuJoCo, 120 Hz; beside it the same in Bullet, 20 iterations"
+    return Row(name, f"{1.0 / ours:.1f}x real time", f"{1.0 / other:.1f}x", ratio, "<= 0.5", ratio <= 0.5)
+
+
 def mixed_50() -> Row:
     """Fifty of each."""
     return _beside_bare("50 p2dx, 50 quadrotors", Fleet(50, 50, duration_s=2.0), 1.7)
@@ -161,7 +170,15 @@ def quadrotors_real_time() -> Row:
     return Row(name, f"{speed:.1f}x real time", f"{1.0 / other:.1f}x", ratio, ">= 4x real time", speed >= 4.0)
 
 
-ALL: Sequence[Callable[[], Row]] = (robots_10, robots_50, mixed_50, quadrotors_50, quadrotors_100, quadrotors_real_time)
+ALL: Sequence[Callable[[], Row]] = (
+    robots_10,
+    robots_50,
+    robots_mujoco,
+    mixed_50,
+    quadrotors_50,
+    quadrotors_100,
+    quadrotors_real_time,
+)
 
 
 def rows() -> list[Row]:
