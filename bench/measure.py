@@ -19,8 +19,20 @@ class Row(NamedTuple):
     ours: str
     other: str
     ratio: float
-    demand: str
+    demand: str  # a ratio to what runs beside it; "goal: ...": a speed, which depends on the machine
     holds: bool
+
+    @property
+    def is_goal(self) -> bool:
+        """Whether the demand is a goal, which fails no benchmark."""
+        return self.demand.startswith("goal: ")
+
+    @property
+    def verdict(self) -> str:
+        """The last column."""
+        if self.is_goal:
+            return "reached" if self.holds else "not reached"
+        return "holds" if self.holds else "FAILS"
 
 
 def missing(name: str, demand: str, why: object) -> Row:
@@ -67,8 +79,5 @@ def measured(measures: Sequence[Callable[[], Row]]) -> list[Row]:
 def table(rows: list[Row]) -> str:
     """The rows as a Markdown table."""
     lines = ["| what | ours | beside it | ratio | demand | |", "|---|---|---|---|---|---|"]
-    lines += [
-        f"| {row.name} | {row.ours} | {row.other} | {row.ratio:.2f} | {row.demand} | {'holds' if row.holds else 'FAILS'} |"
-        for row in rows
-    ]
+    lines += [f"| {row.name} | {row.ours} | {row.other} | {row.ratio:.2f} | {row.demand} | {row.verdict} |" for row in rows]
     return "\n".join(lines)

@@ -55,7 +55,7 @@ def run() -> Row:
     ours, other, ratio = in_turn(lambda: run_cpu_s(text), pictures, 3)
     name = f"`{SCENARIO}`, two 5 Hz cameras of 640 x 480, all recorded; beside it as many pictures, taken and looked at, alone"
     speed = RUN_S / ours
-    return Row(name, f"{speed:.1f} sim s / CPU s", f"{RUN_S / other:.1f}", ratio, f">= {SPEED:g}", speed >= SPEED)
+    return Row(name, f"{speed:.1f} sim s / CPU s", f"{RUN_S / other:.1f}", ratio, f"goal: >= {SPEED:g}", speed >= SPEED)
 
 
 @cache
@@ -81,7 +81,7 @@ def _row(what: str, pictures: list[Snapshot], limit_ms: float) -> Row:
 
     mine, its, ratio = in_turn(ours, other, ROUNDS)
     name = f"a picture of 640 x 480 {what}, looked at for two targets; beside it OpenCV's SIFT, matched"
-    return Row(name, f"{1e3 * mine:.1f} ms", f"{1e3 * its:.1f} ms", ratio, f"<= {limit_ms:g} ms", 1e3 * mine <= limit_ms)
+    return Row(name, f"{1e3 * mine:.1f} ms", f"{1e3 * its:.1f} ms", ratio, f"goal: <= {limit_ms:g} ms", 1e3 * mine <= limit_ms)
 
 
 def _median(look: Callable[[Snapshot], object], pictures: list[Snapshot]) -> float:

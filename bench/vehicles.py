@@ -167,7 +167,7 @@ def quadrotors_real_time() -> Row:
     ours, other, ratio = in_turn(lambda: federate_cpu_s(fleet), lambda: bare_cpu_s(fleet), ROUNDS)
     speed = 1.0 / ours
     name = "100 quadrotors, 240 Hz, as speed; beside it stepSimulation alone"
-    return Row(name, f"{speed:.1f}x real time", f"{1.0 / other:.1f}x", ratio, ">= 4x real time", speed >= 4.0)
+    return Row(name, f"{speed:.1f}x real time", f"{1.0 / other:.1f}x", ratio, "goal: >= 4x real time", speed >= 4.0)
 
 
 ALL: Sequence[Callable[[], Row]] = (

@@ -42,11 +42,15 @@ def test_a_part_that_is_none_ends_it(capfd: pytest.CaptureFixture[str]) -> None:
     assert "there is no part 'nothing'" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("holds", [True, False])
-def test_rows_as_json(holds: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    row = Row("it", "1 us", "2 us", 0.5, "<= 1x", holds)
+@pytest.mark.parametrize(
+    ("demand", "holds", "code"), [("<= 1x", True, 0), ("<= 1x", False, 1), ("goal: >= 2x real time", False, 0)]
+)
+def test_rows_as_json(
+    demand: str, holds: bool, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    row = Row("it", "1 us", "2 us", 0.5, demand, holds)
     monkeypatch.setattr(bench, "PARTS", {"a": lambda: [row], "b": pytest.fail})
-    assert bench.main(["a", "--json"]) == (0 if holds else 1)
+    assert bench.main(["a", "--json"]) == code
     told = json.loads(capsys.readouterr().out)
     assert told["rows"] == [{"part": "a", **row._asdict()}]
     assert told["schema"] == "vcmvsp.bench/1"
@@ -190,7 +194,7 @@ def test_a_row_without_its_peer_says_what_to_do(peer: drones.Peer) -> None:
 
 
 def test_so_does_a_row_of_messages() -> None:
-    row = messages.beside(10, IDEAL, "nothing", "it", "gradysim_broadcast", NOWHERE, 2.0)
+    row = messages.beside(10, IDEAL, "nothing", "it", "gradysim_broadcast", NOWHERE, ">= 2 times less")
     assert row.other.endswith("make nowhere/.ready")
 
 
