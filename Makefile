@@ -15,7 +15,7 @@ UV = .uv/bin/uv
 export PYTHONDONTWRITEBYTECODE =
 export UV_PROJECT_ENVIRONMENT = $(VENV)
 
-.PHONY: setup demo test quick same check docs site bench clean
+.PHONY: setup demo test quick same check docs site dist bench clean
 
 setup: $(VENV)/.ready
 
@@ -46,7 +46,7 @@ docs: setup
 	$(BIN)/python -m tests.support.docs.reference_pages --write
 
 # The documents as pages in site/, from all Markdown of the repository: the same folders, so that links need no change.
-SHOWN = '*.md' '*.png' CITATION.cff examples ':!tests'
+SHOWN = '*.md' '*.png' CITATION.cff examples ':!tests' ':!paper'
 site: setup
 	$(UV) sync --frozen --inexact --quiet --group site
 	rm -rf .site site && mkdir .site && git ls-files -co --exclude-standard -- $(SHOWN) | tar -cT - | tar -xC .site
@@ -64,6 +64,12 @@ quick: setup
 same: setup
 	$(BIN)/python -m tests.support.smoke | diff - $(EXPECTED)
 	$(BIN)/pytest tests/cosim/test_testing.py
+
+# Wheel and source archive in dist/, with metadata that an index accepts.
+dist: setup
+	rm -rf dist
+	$(UV) build --quiet
+	$(UV) run --quiet --isolated --no-project --with twine==7.0.0 twine check --strict dist/*
 
 bench: setup .ns3/.ready .drones/.ready .crazyflow/.ready .peers/.ready
 	$(BIN)/python -m bench

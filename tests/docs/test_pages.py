@@ -9,6 +9,7 @@ import vcmvsp
 from tests.support.docs import reference_pages
 from tests.support.docs.readme_pages import PAGES, block
 from tests.support.docs.readme_sessions import MINE
+from tests.support.paths import ROOT
 from vcmvsp.cosim.testing import check_agent
 
 TUTORIAL, METRIC = "docs/tutorial.md", "docs/howto/own-metric.md"
@@ -114,6 +115,13 @@ def test_the_agent_of_the_authors_page_works() -> None:
     }
     made = vcmvsp.run(scenario, agents={"car2": column("car1")}, mcap=False)
     assert made.metrics["formation"]["rms_m"] < 0.5
+
+
+def test_the_paper_says_what_the_validation_found_and_cites_what_its_bibliography_has() -> None:
+    paper, bibliography = ((ROOT / "paper" / name).read_text("utf-8") for name in ("paper.md", "paper.bib"))
+    (found,) = re.findall(r"\*\*(\d+ of \d+ checks, \d+ rows), all hold", (ROOT / "VALIDATION.md").read_text("utf-8"))
+    assert f"{found}, all" in " ".join(paper.split())
+    assert set(re.findall(r"@(\w+)[\];]", paper)) == set(re.findall(r"^@\w+\{(\w+),", bibliography, re.MULTILINE))
 
 
 @pytest.mark.parametrize("name", reference_pages.BLOCKS)

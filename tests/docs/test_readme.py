@@ -45,7 +45,9 @@ def gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_twenty_lines_keep_the_gap(gap: Path, capsys: pytest.CaptureFixture[str]) -> None:
     vcmvsp_command("run", "gap.toml", "--out", "gap")
-    assert "gap: 2 agents (inprocess), 30 s simulated" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "gap: 2 agents (inprocess), 30 s simulated" in printed
+    assert "error 0.5" in printed
     states = vcmvsp.run("gap.toml").states.to_pandas()
     last = states[states.time_ns == states.time_ns.max()].set_index("vehicle")
     # On a straight line at v the gap grows by v (1/gain + mean age): the speed is not known to the follower.

@@ -153,6 +153,13 @@ def test_the_same_words_run_as_processes_of_this_machine(
     assert json.loads((stage.folder / "results" / "circle" / "metrics.json").read_text()) == alone.metrics
 
 
+def test_the_image_has_what_the_wheel_is_made_of() -> None:
+    copied = set(re.findall(r"^COPY (?!--)(.*) \S+$", (DEPLOY / "Containerfile").read_text(), re.MULTILINE))
+    sources = {name for each in copied for name in each.split()}
+    wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert sources == {"pyproject.toml", "README.md", "LICENSE", "src", *wheel["force-include"]}
+
+
 def test_the_image_runs_our_program_and_not_as_root() -> None:
     lines = (DEPLOY / "Containerfile").read_text().splitlines()
     assert 'ENTRYPOINT ["vcmvsp"]' in lines

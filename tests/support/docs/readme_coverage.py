@@ -96,7 +96,8 @@ NO_CONTAINERS = "there are no containers on machines that run these tests"
 UNRUN = {
     "make test": "it runs the tests themselves",
     "make site": "it installs what builds the site; `tests/docs/test_site.py` builds it where that is there",
-    ".uv/bin/uv build --wheel": "it fetches what builds wheels",
+    "make dist": "it fetches what builds and checks archives",
+    "docker run --rm vcmvsp": NO_CONTAINERS,
     "docker build -t vcmvsp -f cosim/deploy/Containerfile .": NO_CONTAINERS,
     "mkdir -p results": "no program of ours; the command after it needs containers",
     "VCMVSP_USER=$(id -u):$(id -g) docker compose up --abort-on-container-failure": NO_CONTAINERS,
