@@ -48,7 +48,6 @@ docs: setup
 # The documents as pages in site/, from all Markdown of the repository: the same folders, so that links need no change.
 SHOWN = '*.md' '*.png' CITATION.cff examples ':!tests' ':!paper'
 site: setup
-	$(UV) sync --frozen --inexact --quiet --group site
 	rm -rf .site site && mkdir .site && git ls-files -co --exclude-standard -- $(SHOWN) | tar -cT - | tar -xC .site
 	$(BIN)/zensical build --strict --clean
 

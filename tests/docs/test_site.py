@@ -1,6 +1,5 @@
 """The site has every page once, and asks no other machine for anything."""
 
-import importlib.util
 import re
 import shutil
 import subprocess
@@ -37,7 +36,6 @@ def test_every_page_is_in_the_navigation_once() -> None:
 
 @pytest.mark.slow
 @pytest.mark.processes
-@pytest.mark.skipif(importlib.util.find_spec("zensical") is None, reason="the group `site` is not installed: make site")
 def test_it_is_built_without_a_warning_and_asks_no_other_machine(tmp_path: Path) -> None:
     for page in (
         *PAGES,
