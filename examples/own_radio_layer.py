@@ -17,7 +17,7 @@ FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 
 @dataclass(frozen=True)
 class TwoRays:
-    """Loss over flat ground that reflects: a direct ray, and one from below (Rappaport 2002, 4.6)."""
+    """Loss over flat ground that reflects, with the fades of both rays; the built-in `two_ray_ground` has none."""
 
     height_m: float = 1.0  # of both antennas
     frequency_hz: float = 2.4e9

@@ -26,7 +26,16 @@ def free_port() -> int:
 def together(out: Path) -> None:
     """The run in this process' place, and car2's agent in another one, as if it were on another machine."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    remote = ["--set", "vehicle.car2.agent.runs=zenoh", "--set", f"agents.listen={endpoint}", "--out", str(out)]
+    remote = [
+        "--set",
+        "vehicle.car2.agent.runs=zenoh",
+        "--set",
+        f"agents.listen={endpoint}",
+        "--set",
+        "agents.deadline_s=20",
+        "--out",
+        str(out),
+    ]
     run = subprocess.Popen([*RUN, *remote])
     host = subprocess.Popen([*VCMVSP, "agent", "--vehicle", "car2", "--connect", endpoint])
     try:

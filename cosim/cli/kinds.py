@@ -215,7 +215,9 @@ def new_command(
     rows = zip(files, [*own, "what must hold of it"], strict=True)
     sys.stdout.writelines(f"{line}\n" for line in aligned(rows))
     *_, scenario, test = files
+    schema = Path(scenario).with_name("scenario.schema.json")  # the first line of the scenario names it
     sys.stdout.write(f"next: vcmvsp run {scenario}\n      pytest {test}\n")
+    sys.stdout.write(f"      vcmvsp reference --json-schema > {schema}    # an editor then completes keys\n")
 
 
 def names_of(part: str, name: str) -> tuple[str, str]:

@@ -50,6 +50,8 @@ def test_it_says_what_it_has_written(folder: Path, part: str) -> None:
     assert (code, err) == (0, "")
     written = {str(path.relative_to(folder)) for path in (folder / "some" / "where").iterdir()}
     assert {line.split()[0] for line in out.partition("next: ")[0].splitlines()} == written
+    assert "vcmvsp reference --json-schema > some/where/scenario.schema.json" in out
+    assert (folder / "some" / "where" / "thing.toml").read_text().startswith("#:schema ./scenario.schema.json\n")
     assert written == {f"some/where/{name}" for name in ("thing.py", "thing.toml", "test_thing.py")[part == "scenario" :]}
 
 
