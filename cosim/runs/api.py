@@ -247,8 +247,8 @@ class Simulation:
             if self._folder is not None:
                 stream = self._new_file(stack, self._folder.claim() / "run.mcap")
                 self._write_scenario(self._folder.path)
-            tell: Tell = lambda text: None if self._over else self._tell(text)  # noqa: E731
-            self._recorder = self._run.recorder(stream, tell, None if self._folder is None else self._folder.path)
+            folder = None if self._folder is None else self._folder.path
+            self._recorder = self._run.recorder(stream, lambda text: None if self._over else self._tell(text), folder)
             if self._run.has_outside and stream is not None:
                 inputs = None if self._folder is None else self._new_file(stack, self._folder.path / FILE)
                 self._run.inputs.open(inputs)

@@ -1,8 +1,8 @@
 """Specification of one vehicle of a run: its model, start, sensors and pose source."""
 
 import math
-from collections.abc import Mapping
-from typing import Protocol
+from collections.abc import Collection, Mapping, Sequence
+from typing import NamedTuple, Protocol
 
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.errors import ScenarioError
@@ -10,7 +10,8 @@ from vcmvsp.cosim.estimation.fusion import Fusion
 from vcmvsp.cosim.types import Value, Vec3
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.vehicles.models import Point, Quadrotor
+from vcmvsp.physics.vehicles.models import DifferentialDrive, Point, Quadrotor
+from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.solids import Hull
 
 POSE_SOURCES = ("truth", "odometry", "positioning", "fusion")
@@ -76,3 +77,24 @@ class VehicleSpec(Value, frozen=True, kw_only=True):
         if not flies(self.model):
             return x, y, 0.0
         return x, y, max(z, 0.5 * hull.size[2] - hull.offset[2]) if z >= 0.0 else z
+
+
+class Roles(NamedTuple):
+    """Vehicles with bodies by role; the keys are their rows."""
+
+    ground: dict[int, VehicleSpec]  # differential drives
+    air: dict[int, VehicleSpec]  # quadrotors
+    external: dict[int, VehicleSpec]  # of any model, moved from outside
+
+
+def roles_of(vehicles: Sequence[VehicleSpec], external: Collection[str]) -> Roles:
+    """The roles of vehicles; ``external``: names of the external ones."""
+    roles = Roles({}, {}, {})
+    for row, spec in enumerate(vehicles):
+        if spec.name in external:
+            roles.external[row] = spec
+        elif isinstance(spec.model, DifferentialDrive | UrdfDrive):
+            roles.ground[row] = spec
+        elif isinstance(spec.model, Quadrotor):
+            roles.air[row] = spec
+    return roles

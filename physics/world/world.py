@@ -143,6 +143,11 @@ class World:
     bounds: tuple[float, float, float, float] | None = None
     name: str = "world"  # for titles and messages
 
+    def friction_at(self, x: float, y: float, elsewhere: float | None = None) -> float:
+        """Friction under a robot at a place, m: of the zone, or ``elsewhere``; None: of the floor."""
+        floor = self.floor_friction if elsewhere is None else elsewhere
+        return next((zone.friction for zone in reversed(self.zones) if zone.holds(x, y)), floor)
+
     @cached_property
     def shapes(self) -> Shapes:
         """Solids of the world in pieces."""

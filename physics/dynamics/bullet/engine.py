@@ -16,8 +16,7 @@ from vcmvsp.physics.dynamics.engine import BodyMotion, Engine, Touch, gathered
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.dynamics.odometry import ENCODER_HZ
 from vcmvsp.physics.dynamics.wind import Gusts
-from vcmvsp.physics.vehicles.models import DifferentialDrive, Quadrotor
-from vcmvsp.physics.vehicles.specification import VehicleSpec
+from vcmvsp.physics.vehicles.specification import VehicleSpec, roles_of
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
 
@@ -53,18 +52,11 @@ class BulletEngine(Engine):
         self._ticks, self._step, self._step_s = Ticks.rate(rate_hz), 0, 1.0 / rate_hz
         self._encoder_steps = max(1, round(rate_hz / ENCODER_HZ))
         self._count, self._accelerations, self._external = len(vehicles), accelerations, external
-        external_names = external.names if external else ()
-        drives: dict[int, DifferentialDrive | UrdfDrive] = {}
-        quadrotors: dict[int, Quadrotor] = {}
-        self._external_rows: list[int] = []
-        for row, spec in enumerate(vehicles):
-            if spec.name in external_names:
-                self._external_rows.append(row)
-            elif isinstance(spec.model, DifferentialDrive | UrdfDrive):
-                drives[row] = spec.model
-            elif isinstance(spec.model, Quadrotor):
-                quadrotors[row] = spec.model
-        self._ground_rows, self._air_rows = list(drives), list(quadrotors)
+        roles = roles_of(vehicles, external.names if external else ())
+        on_ground, in_air, self._external_rows = [*roles.ground.values()], [*roles.air.values()], [*roles.external]
+        self._ground_rows, self._air_rows = [*roles.ground], [*roles.air]
+        drives: list[Any] = [spec.model for spec in on_ground]
+        quadrotors: list[Any] = [spec.model for spec in in_air]
         self._robot_of = {row: k for k, row in enumerate(self._ground_rows)}
         self._flyer_of = {row: k for k, row in enumerate(self._air_rows)}
         self._client: int = p.connect(p.DIRECT)
@@ -75,19 +67,17 @@ class BulletEngine(Engine):
         p.setGravity(0.0, 0.0, -gravity, physicsClientId=self._client)
         try:
             self._things = WorldBodies(self._client, world)
-            on_ground, in_air = ([vehicles[row] for row in rows] for rows in (drives, quadrotors))
             starts = [(spec.start, spec.heading) for spec in on_ground]
-            self._robots = GroundRobots(self._client, world, [*drives.values()], starts, self._step_s)
+            self._robots = GroundRobots(self._client, world, drives, starts, self._step_s)
             starts, gusts = (
                 [(spec.start, spec.heading) for spec in in_air],
                 Gusts(world.wind, [spec.name for spec in in_air], seed),
             )
             step: dict[str, Any] = {"gravity": gravity, "step_s": self._step_s}
-            models = [*quadrotors.values()]
-            self._flyers = BulletQuadrotors(self._client, models, starts, gusts=gusts, shapes=world.shapes, **step)
+            self._flyers = BulletQuadrotors(self._client, quadrotors, starts, gusts=gusts, shapes=world.shapes, **step)
             self._external_bodies: ExternalBodies | None = None
             if external:
-                hulls = [vehicles[row].model.hull for row in self._external_rows]
+                hulls = [spec.model.hull for spec in roles.external.values()]
                 self._external_bodies = ExternalBodies(self._client, external, hulls, **step)
         except BaseException:
             self.close()
@@ -95,13 +85,13 @@ class BulletEngine(Engine):
         self._steered = self._steering()
         others = [*self._things.movables, *self._things.moving]
         self._placed = [each for each in (self._things if others else None, self._external_bodies) if each]  # before each step
-        jointed = [row for row, model in drives.items() if isinstance(model, UrdfDrive)]
+        jointed = [row for row, model in zip(self._ground_rows, drives, strict=True) if isinstance(model, UrdfDrive)]
         self._contacts = ContactFinder(self._client, self._bodies(), others, jointed)
         self._passing: list[Touch] = []  # of quadrotors, since the last call of `touching` with ``passing``
         # How far from its centre of mass each robot may touch something before the next look, m.
-        models_m = [(float(np.linalg.norm(each.hull.size)), each.max_speed * self._flyers.look_s) for each in drives.values()]
+        models_m = [(float(np.linalg.norm(each.hull.size)), each.max_speed * self._flyers.look_s) for each in drives]
         self._robot_reach = np.array(models_m).reshape(-1, 2).sum(axis=1)
-        self._robot_top = max((model.hull.size[2] for model in drives.values()), default=0.0)
+        self._robot_top = max((model.hull.size[2] for model in drives), default=0.0)
 
     def _steering(self) -> Mapping[int, Callable[[Vec3, float], None]]:
         """Functions of a velocity and a yaw rate, by rows."""

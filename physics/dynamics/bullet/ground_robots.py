@@ -151,7 +151,7 @@ class _Zones:
     """Sets the friction of robots by the zone of their centre of mass, without the floor's, which Bullet multiplies in."""
 
     def __init__(self, client: int, world: World, robots: Sequence[_Wheels]) -> None:
-        self._client, self._zones, self._floor = client, world.zones, floor_friction(world)
+        self._client, self._world, self._floor = client, world, floor_friction(world)
         self._frictions: dict[int, list[float]] = {}  # by body: own friction of base and links
         for body, *_ in robots:
             links = range(-1, p.getNumJoints(body, client))
@@ -162,7 +162,7 @@ class _Zones:
         """Set the friction of every robot that has entered another zone."""
         for body, frictions in self._frictions.items():
             (x, y, _), _ = p.getBasePositionAndOrientation(body, self._client)
-            zone = next((each.friction for each in reversed(self._zones) if each.holds(x, y)), self._floor)
+            zone = self._world.friction_at(x, y, self._floor)
             if zone != self._present[body]:
                 self._present[body] = zone
                 for link, own in enumerate(frictions, -1):

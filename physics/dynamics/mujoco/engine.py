@@ -25,8 +25,7 @@ from vcmvsp.physics.dynamics.mujoco.bodies import MOTOR_IMPEDANCE, MOTOR_STEPS, 
 from vcmvsp.physics.dynamics.odometry import ENCODER_HZ, DifferentialOdometry
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.dynamics.wind import Gusts
-from vcmvsp.physics.vehicles.models import DifferentialDrive, Quadrotor
-from vcmvsp.physics.vehicles.specification import VehicleSpec
+from vcmvsp.physics.vehicles.specification import VehicleSpec, roles_of
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.solids import heading_of
 from vcmvsp.physics.world.world import World, rotations
@@ -59,19 +58,15 @@ class MujocoEngine(Engine):
         self._accelerations = accelerations
         self._ticks, self._step, self._step_s, self._world = Ticks.rate(rate_hz), 0, 1.0 / rate_hz, world
         self._encoder_steps, self._count = max(1, round(rate_hz / ENCODER_HZ)), len(vehicles)
-        external_names = external.names if external else ()
-        self._external_rows = [row for row, spec in enumerate(vehicles) if spec.name in external_names]
-        own = {row: spec for row, spec in enumerate(vehicles) if spec.name not in external_names}
-        ground = {row: spec for row, spec in own.items() if isinstance(spec.model, DifferentialDrive | UrdfDrive)}
-        air = {row: spec for row, spec in own.items() if isinstance(spec.model, Quadrotor)}
+        ground, air, outside = roles_of(vehicles, external.names if external else ())
+        self._external_rows = [*outside]
         builder = Builder(world, self._step_s, gravity)
         for row, spec in ground.items():
             model: Any = spec.model
             builder.add_drive(f"{row}", model, spec.start, spec.heading)
         for row, spec in air.items():
             _add_quadrotor(builder, f"{row}", spec)
-        for row in self._external_rows:
-            spec = vehicles[row]
+        for row, spec in outside.items():
             builder.add_heavy(f"{row}", spec.model.hull, spec.start, spec.heading, _FRICTION)
         bodies = range(len(vehicles), len(vehicles) + len(world.movables) + len(world.moving))
         self._movables, self._moving = bodies[: len(world.movables)], bodies[len(world.movables) :]
@@ -91,10 +86,10 @@ class MujocoEngine(Engine):
         self._external, self._path = external, ExternalPath(external, self._step_s) if external else None
         self._on_path = _Free(self._model, self._data, [*self._external_rows, *self._moving])
         self._pushed = _Movables(self._model, self._data, self._movables)
-        self._touching: set[tuple[int, int | None]] = set()  # pairs in the last step
         self._passing: list[Touch] = []  # begun since the last call of `touching` with ``passing``
         if ground:
             self._settle()
+        self._touching = self._touches()  # in the last step
 
     def _settle(self) -> None:
         """Let the floor bear the robots before the run, where they stand; nothing else moves."""
@@ -176,11 +171,9 @@ class MujocoEngine(Engine):
 
     def _note_touches(self) -> None:
         """After a step: quadrotors in contact take the states of their bodies; note contacts that have begun."""
-        touches = self._touches()
-        pairs = {(touch.row, touch.other) for touch in touches}
-        self._flyers.take({row for pair in pairs for row in pair})
-        self._passing += [each for each in touches if (each.row, each.other) not in self._touching]
-        self._touching = pairs
+        before, self._touching = {(each.row, each.other) for each in self._touching}, self._touches()
+        self._flyers.take({row for each in self._touching for row in (each.row, each.other)})
+        self._passing += [each for each in self._touching if (each.row, each.other) not in before]
 
     def _place(self, now_ns: int) -> None:
         """Put the bodies on paths in place with their velocities."""
@@ -213,7 +206,7 @@ class MujocoEngine(Engine):
 
     def touching(self, *, passing: bool) -> list[Touch]:
         """Contacts in this step; with ``passing`` also those that began since the last such call."""
-        touches = self._touches()
+        touches = self._touching
         if passing:
             touches, self._passing = sorted(touches + self._passing, key=lambda each: each.key), []
         return touches
@@ -249,7 +242,7 @@ class MujocoEngine(Engine):
 
 
 def _inside(touches: Sequence[Touch]) -> list[Touch]:
-    """Contacts of one pair are moved together by a hundredth: those of a face lie within it, not on its edges."""
+    """The contacts of each pair, moved together by a hundredth, so that contacts of a face lie inside it, not on its edges."""
     places: dict[tuple[int, int], list[Vec3]] = {}
     for each in touches:
         places.setdefault(each.key, []).append(each.place)
@@ -408,7 +401,7 @@ class _Zones:
     """Friction of robots by the zone of the floor that they are in."""
 
     def __init__(self, model: Any, rows: Sequence[int], world: World) -> None:
-        self._model, self._zones, self._floor = model, world.zones, world.floor_friction
+        self._model, self._world = model, world
         roots = [mj.mj_name2id(model, mj.mjtObj.mjOBJ_BODY, f"{row}") for row in rows]
         self._geoms = [np.flatnonzero(model.body_rootid[model.geom_bodyid] == root) for root in roots]
         self._own = [model.geom_friction[geoms, 0].copy() for geoms in self._geoms]
@@ -416,8 +409,7 @@ class _Zones:
     def scale(self, position: Array) -> None:
         """Set the friction of every robot."""
         for (x, y, _), geoms, own in zip(position.tolist(), self._geoms, self._own, strict=True):
-            zone = next((each.friction for each in reversed(self._zones) if each.holds(x, y)), self._floor)
-            self._model.geom_friction[geoms, 0] = own * zone
+            self._model.geom_friction[geoms, 0] = own * self._world.friction_at(x, y)
 
 
 class _Flyers:
