@@ -2,6 +2,7 @@
 
 import math
 import struct
+import sys
 import unicodedata
 from typing import Any
 
@@ -348,7 +349,7 @@ def test_a_failure_blames_its_own_vehicles_alone() -> None:
 
 
 @pytest.mark.parametrize("opening", [b"\x91", b"\x81\xa1a", b"\x81"])
-@pytest.mark.parametrize("levels", [10**5, 10**6])
+@pytest.mark.parametrize("levels", [10**5, 10**6] + [2000] * (sys.version_info < (3, 12)))  # later versions read 2000
 def test_what_is_nested_too_deeply_is_an_error_like_any_other(opening: bytes, levels: int) -> None:
     anything: Decoder[Any] = Decoder(Any)
     with pytest.raises(ValueError, match=r"nested too deeply|malformed"):

@@ -81,7 +81,7 @@ def test_contacts_tell_of_virtual_walls_and_of_each_other(kind: type[Physics]) -
     told: list[Any] = [event for event in events if event.key == "world/contact"]
     touched = {(event.value.vehicle, event.value.other): event.time_ns / 1e9 for event in told}
     expected = {("a", "b"): (2.0 - BACK - FRONT) / 0.7, ("b", None): (3.9 - FRONT) / 1.2, ("a", None): (1.9 - FRONT) / 0.5}
-    assert touched == pytest.approx(expected, abs=0.14)
+    assert touched == pytest.approx(expected, abs=0.14 if kind is MujocoPhysics else 0.11)
 
 
 def test_a_quadrotor_bumps_into_one_as_into_a_solid_of_its_shape(kind: type[Physics]) -> None:
@@ -91,15 +91,17 @@ def test_a_quadrotor_bumps_into_one_as_into_a_solid_of_its_shape(kind: type[Phys
     physics = kind(world=World(), vehicles=[uav, real], outside=Courses(real=straight(3.0, z=1.5)))
     told = [(0.0, "uav", 1.5, 0.0)]
     shown, stood = run(physics, told, 2.7), run(kind(world=World(solids=(solid,)), vehicles=[uav]), told, 2.7)
-    assert {*contacts(shown)} == {("uav", "real")}  # it may bounce
-    assert {*contacts(stood)} == {("uav", None)}
+    once = slice(1) if kind is MujocoPhysics else slice(None)  # it bounces there
+    assert contacts(shown)[once] == [("uav", "real")]
+    assert contacts(stood)[once] == [("uav", None)]
     assert track(shown, 0)[:, 0].max() > 3.0 - 2.0 * tall.radius_m  # it is there, and tilts
     assert track(shown, 0) == pytest.approx(track(stood, 0), abs=2e-2 if kind is MujocoPhysics else 2e-3)
 
 
 def test_a_quadrotor_in_free_air_is_found_by_one_that_comes_to_it(kind: type[Physics]) -> None:
-    courses, tall = Courses(real=straight(-4.0, 1.0, z=3.0)), Quadrotor(height_m=1.0)  # not to be slipped over
-    vehicles = [spec("real", -4.0, z=3.0, model=tall), spec("uav", z=3.0, model=tall)]
+    courses = Courses(real=straight(-4.0, 1.0, z=3.0))
+    model = Quadrotor(height_m=1.0) if kind is MujocoPhysics else Quadrotor()  # not to be slipped over there
+    vehicles = [spec("real", -4.0, z=3.0, model=model), spec("uav", z=3.0, model=model)]
     events = run(kind(world=World(), vehicles=vehicles, outside=courses), (), 4.5)
     assert contacts(events)[0] == ("real", "uav")
     apart = np.linalg.norm(track(events, 0) - track(events, 1), axis=1)
