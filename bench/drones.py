@@ -1,4 +1,4 @@
-"""Quadrotors beside those of PyFlyt and gym-pybullet-drones, which fly them in PyBullet too, and of crazyflow, in one run.
+"""Quadrotors beside PyFlyt and gym-pybullet-drones, which also use PyBullet, and beside crazyflow, in one run.
 
 ``python -m bench.drones``. All step at 240 Hz, crazyflow at 250 Hz, and are given new velocities and yaw rates ten times a
 second or more often; our flight controllers, PyFlyt's and crazyflow's run at 120 Hz or more, those of gym-pybullet-drones at

@@ -1,4 +1,4 @@
-"""Two processes that find each other over Zenoh: a run, and a host of one agent. The bytes are those of one process."""
+"""Two processes that find each other over Zenoh: a run, and a host of one agent. It gives the bytes of one process."""
 
 import json
 import socket
@@ -16,7 +16,7 @@ RUN = [*VCMVSP, "run", "formation-circle", "--set", "agents.estimator=hold", "--
 
 
 def free_port() -> int:
-    """A port of this machine that nobody uses."""
+    """A free port of this machine."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]

@@ -45,7 +45,13 @@ def compiled(source: Callable[..., Any]) -> Any:
 def assembly(function: Any, first: Layout, second: Layout, name: str) -> str:
     """LLVM assembly of a `compiled` function (block, block, integer) -> integer, under this name."""
     blocks = BlockType(first), BlockType(second)
-    rows = [array for block in blocks for field in block.fields.values() for array in _flat(field) if isinstance(array, Row)]
+    rows = [
+        array
+        for block in blocks
+        for field in block.fields.values()
+        for array in _flat(field)
+        if isinstance(array, DistinctArray)
+    ]
     for row in rows:
         row.rows[:] = [each.name for each in rows]
     function.compile((*blocks, types.int64))
@@ -71,7 +77,7 @@ class BlockType(types.Type):
         super().__init__(name=name)
 
 
-class Row(types.Array):
+class DistinctArray(types.Array):
     """A one-dimensional array that overlaps with no other: loops over several rows can be vectorized.
 
     Indices of its elements are not negative.
@@ -93,15 +99,15 @@ def _flat(field: Any) -> tuple[Any, ...]:
 
 def _array(number: Any, dimensions: int, name: str) -> Any:
     if dimensions == 1:
-        return Row(number, name)
+        return DistinctArray(number, name)
     return types.Array(number, dimensions, "C") if dimensions else number
 
 
-register_model(Row)(models.ArrayModel)
+register_model(DistinctArray)(models.ArrayModel)
 register_model(BlockType)(models.OpaqueModel)
 
 
-@lower_builtin(operator.getitem, Row, types.Integer)
+@lower_builtin(operator.getitem, DistinctArray, types.Integer)
 def _read(context: Any, builder: Any, signature: Any, values: Any) -> Any:
     row = signature.args[0]
     read = builder.load(_place(context, builder, signature, values))
@@ -109,7 +115,7 @@ def _read(context: Any, builder: Any, signature: Any, values: Any) -> Any:
     return context.data_model_manager[row.dtype].from_data(builder, read)
 
 
-@lower_builtin(operator.setitem, Row, types.Integer, types.Any)
+@lower_builtin(operator.setitem, DistinctArray, types.Integer, types.Any)
 def _write(context: Any, builder: Any, signature: Any, values: Any) -> Any:
     row, _, kind = signature.args
     value = context.cast(builder, values[2], kind, row.dtype)
@@ -124,8 +130,8 @@ def _place(context: Any, builder: Any, signature: Any, values: Any) -> Any:
     return cgutils.gep_inbounds(builder, make_array(row)(context, builder, values[0]).data, index)
 
 
-def _tell_apart(builder: Any, access: Any, row: Row) -> None:
-    """Say of a read or write that it does not meet those of other rows."""
+def _tell_apart(builder: Any, access: Any, row: DistinctArray) -> None:
+    """Mark a read or write: no access to another row has its address."""
     module = builder.module
     domain = module.add_metadata([ir.MetaDataString(module, "rows")])
 

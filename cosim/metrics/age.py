@@ -40,7 +40,7 @@ class LinkHistory(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Links:
+class LinkHistories:
     """Reception histories of k links, one behind the other, in the order of their pairs' codes."""
 
     pairs: Sequence[Pair]  # (k,)
@@ -77,7 +77,7 @@ def links(radio: Table, wanted: Collection[Pair] | None = None) -> dict[Pair, Li
     return histories(Parts(radio, informed), wanted).by_pair()
 
 
-def histories(got: Iterable[ReceptionRows], wanted: Collection[Pair] | None = None) -> Links:
+def histories(got: Iterable[ReceptionRows], wanted: Collection[Pair] | None = None) -> LinkHistories:
     """Reception histories of all links, or of wanted ones, from receptions in parts that name the same vehicles."""
     names: tuple[Sequence[str], Sequence[str]] = (), ()
     counts = np.zeros(0, np.int64)
@@ -93,7 +93,9 @@ def histories(got: Iterable[ReceptionRows], wanted: Collection[Pair] | None = No
     known = np.flatnonzero(counts)
     starts = np.cumsum(counts) - counts  # where the next reception of each link goes
     total = int(counts.sum())
-    result = Links(_pairs(names, known), np.append(starts[known], total), np.empty(total, np.int64), np.empty(total, np.int64))
+    result = LinkHistories(
+        _pairs(names, known), np.append(starts[known], total), np.empty(total, np.int64), np.empty(total, np.int64)
+    )
     for part in got:
         code = _code(part)
         order = _by_link(part)
@@ -132,7 +134,7 @@ def _by_link(got: ReceptionRows) -> Array:
     return np.asarray(by_sender[np.argsort(got.to[by_sender].astype(narrow), kind="stable")])
 
 
-def _put_in_order(links: Links) -> None:
+def _put_in_order(links: LinkHistories) -> None:
     """Sort the receptions of each link by time, and replace sending times by the newest so far."""
     starts, sent, received = links.starts, links.sent_ns, links.received_ns
     for number in _links_with(received[1:] < received[:-1], starts):
@@ -171,7 +173,7 @@ def age_metrics(
     }
 
 
-def _stretches(found: Links, wanted: Sequence[tuple[Pair, int, int]]) -> _Stretches:
+def _stretches(found: LinkHistories, wanted: Sequence[tuple[Pair, int, int]]) -> _Stretches:
     """The stretches of known links, given link, begin and end (ns) of each."""
     place = {pair: number for number, pair in enumerate(found.pairs)}
     known = [(place[pair], since, until) for pair, since, until in wanted if pair in place]
@@ -179,7 +181,7 @@ def _stretches(found: Links, wanted: Sequence[tuple[Pair, int, int]]) -> _Stretc
     return _Stretches(link, np.maximum(since, found.received_ns[found.starts[link]]), until)
 
 
-def _sawtooth(found: Links, counted: _Stretches) -> tuple[float | None, float | None]:
+def _sawtooth(found: LinkHistories, counted: _Stretches) -> tuple[float | None, float | None]:
     """Mean of the age over the time of all stretches, and of its peaks, s; None without any."""
     if not len(counted.link):
         return None, None
@@ -190,7 +192,7 @@ def _sawtooth(found: Links, counted: _Stretches) -> tuple[float | None, float | 
     return over_time, float(np.mean(peaks)) if peaks.size else None
 
 
-def _teeth(found: Links, counted: _Stretches) -> tuple[Array, Array]:
+def _teeth(found: LinkHistories, counted: _Stretches) -> tuple[Array, Array]:
     """Integral of the age over each stretch, s2, and the ages just before the receptions that lowered them, s."""
     first, stop = (_after(found, counted.link, at_ns) for at_ns in (counted.begin_ns, counted.end_ns))
     counts = stop - first + 1
@@ -220,7 +222,7 @@ def _squares(values: Array, head: Array, counts: Array) -> Array:
     return found
 
 
-def _at_ticks(found: Links, counted: _Stretches, ticks: Mapping[str, Ticks], window: Window, end_ns: int) -> Array:
+def _at_ticks(found: LinkHistories, counted: _Stretches, ticks: Mapping[str, Ticks], window: Window, end_ns: int) -> Array:
     """Age at each tick of the receiver in each stretch, s."""
     begin, last = window_ns(window)
     trains = [ticks[found.pairs[link][0]] for link in counted.link.tolist()]
@@ -242,7 +244,7 @@ def _at_ticks(found: Links, counted: _Stretches, ticks: Mapping[str, Ticks], win
     return ages
 
 
-def _ages_ns(found: Links, counted: _Stretches, at_ns: Array) -> Array:
+def _ages_ns(found: LinkHistories, counted: _Stretches, at_ns: Array) -> Array:
     """Age at each of the instants that lie in each stretch, of which each has any."""
     first, stop = at_ns.searchsorted([counted.begin_ns, counted.end_ns])
     begin, end = (_after(found, counted.link, at_ns[each]) for each in (first, stop - 1))
@@ -255,7 +257,7 @@ def _ages_ns(found: Links, counted: _Stretches, at_ns: Array) -> Array:
     return np.asarray(at_ns[_ranges(first, asked)] - found.sent_ns[np.cumsum(step)])
 
 
-def _after(found: Links, link: Array, at_ns: Array) -> Array:
+def _after(found: LinkHistories, link: Array, at_ns: Array) -> Array:
     """First reception of each link after a time, by bisection of all at once; without one, the end of the link."""
     low, high = found.starts[link], found.starts[link + 1]
     while (low < high).any():

@@ -222,7 +222,7 @@ class Frames:
         self._named.clear()
 
     def _sort(self) -> None:
-        """Keep all parts anew, by number of frame, if frames of a later part precede those of an earlier one."""
+        """Keep all parts anew in order of frame numbers, if the parts overlap."""
         if self._is_sorted:
             return
         old, everything = self._kept, range(len(self._kept))

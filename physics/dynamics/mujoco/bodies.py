@@ -37,7 +37,7 @@ _PLATE_M = 0.02  # thickness of a triangle, downwards and inwards
 
 
 class Builder:
-    """A model under construction; ``floor``: friction that those of wheels and of bodies on the floor are multiplied with."""
+    """A MuJoCo model of a world under construction."""
 
     def __init__(self, world: World, step_s: float, gravity: float) -> None:
         self.spec = mj.MjSpec()
@@ -162,7 +162,7 @@ def _readable(model: UrdfDrive) -> str:
 
 
 def convex_parts_of(solid: AnySolid) -> Iterator[Array]:
-    """Corners (k, 3) m, world, of the convex parts of a solid; of a mesh, those of a thin plate behind each triangle."""
+    """Corners (k, 3) m, world, of the convex parts of a solid; of a mesh, the corners of a thin plate behind each triangle."""
     for corners, bottom, top in solid.uprights():
         yield np.concatenate([np.column_stack([corners, np.full(len(corners), level)]) for level in (bottom, top)])
     triangles: Array = getattr(solid, "triangles", np.empty((0, 3, 3)))
@@ -187,7 +187,7 @@ def _add_hull(body: Any, hull: Hull, **rest: Any) -> None:
 
 
 def set_inertia(body: Any, mass_kg: float, centre: Vec3, inertia: Sequence[float]) -> None:
-    """Set mass, centre of mass, m, and inertia about it, kg m2, in place of those of the shapes."""
+    """Set mass, centre of mass, m, and inertia about it, kg m2; without this call they come from the shapes."""
     body.explicitinertial = True
     body.mass, body.ipos, body.iquat, body.inertia = mass_kg, centre, (1.0, 0.0, 0.0, 0.0), inertia
 
