@@ -186,7 +186,7 @@ def assemble(
     programs = bridge.of_scenario(
         scenario, source, resolution, air=air, clock=wall, bridged=bridged, tell=tell, log=inputs.on, connect=connect
     )
-    physics = _physics(scenario, resolution, world=world, vehicles=fleet.specs(), outside=outside)
+    physics = _physics(scenario, resolution, tell, world=world, vehicles=fleet.specs(), outside=outside)
     operator = _operator(scenario, source, physics, air)
     about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s, "vehicles": [*radius_m]}
     hosts = Hosts(
@@ -271,8 +271,10 @@ def default_engine() -> str:
     return "mujoco" if find_spec("pybullet") is None and find_spec("mujoco") is not None else "bullet"
 
 
-def _physics(scenario: Scenario, resolution: Resolution, **given: object) -> Federate:
+def _physics(scenario: Scenario, resolution: Resolution, tell: Tell, **given: object) -> Federate:
     content = {"kind": default_engine(), **scenario.physics}
+    if "kind" not in scenario.physics and content["kind"] != "bullet":
+        tell(f'PyBullet is not installed: physics.kind is "{content["kind"]}"')
     physics: Federate
     physics, resolution.tables["physics"] = resolution.component("physics", content, "physics", given=given)
     return physics

@@ -61,6 +61,14 @@ def test_mujoco_is_the_default_where_only_it_is_installed(
     assert default_engine() == default
 
 
+def test_a_run_says_that_mujoco_stands_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vcmvsp.cosim.assembly.run.find_spec", lambda name: None if name == "pybullet" else name)
+    told: list[str] = []
+    raw = {"name": "alone", "duration_s": 0.2, "vehicle": [{"name": "car", "kind": "p2dx", "agent": {"kind": "trajectory"}}]}
+    vcmvsp.run(raw, agents="inprocess", mcap=False, tell=told.append)
+    assert told == ['PyBullet is not installed: physics.kind is "mujoco"']
+
+
 @pytest.mark.processes
 def test_agents_in_processes_give_the_bytes_of_one_process(tmp_path: Path) -> None:
     for runs in ("inprocess", "process"):
