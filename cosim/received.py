@@ -78,6 +78,14 @@ class ReceivedMessages(Sequence[Reception]):
         begin, names = self._begin, self._batch.looked_at().senders
         return [self._item(row) for row in range(begin, self._end) if names[row] in senders]
 
+    def bodies(self, senders: Collection[str] | None = None) -> list[tuple[str, dict[str, Any]]]:
+        """Sender and own copy of the body of the messages of agents: of some senders, or of all."""
+        return [
+            (sender, body())
+            for sender, body in self._batch.looked_at().bodies[self._begin : self._end]
+            if body is not None and (senders is None or sender in senders)
+        ]
+
     @property
     def rssi_dbm(self) -> Array:
         """Received signal strength, (n,) dBm."""
@@ -141,6 +149,11 @@ class _SortedBatch:
         ]
         self._numbers: list[int] = columns.message.tolist()
         self.senders = [self._messages[number][0] for number in self._numbers]  # of each reception, (m,)
+        of_agents = [
+            (sender, None if isinstance(each.body, bytes) else body)
+            for each, (sender, body, *_) in zip(columns.messages, self._messages, strict=True)
+        ]
+        self.bodies = [of_agents[number] for number in self._numbers]  # sender and copier of each; None: of a program
         self._rssi_dbm: list[float] = columns.rssi_dbm.tolist()
         self._arrival_ns: list[int] = columns.arrival_ns.tolist()
         return self

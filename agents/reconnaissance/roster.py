@@ -17,7 +17,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeGuard
 
-from vcmvsp.agents.formation.reports.report import bodies
 from vcmvsp.agents.reconnaissance.state_table import TASKS, Task
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns
@@ -96,7 +95,7 @@ class Roster:
     def hear(self, obs: Observation) -> None:
         """Process received statuses, once a tick. Any message of a member is a sign of life, except one of bytes."""
         self._start_ns = obs.time_ns if self._start_ns is None else self._start_ns
-        for sender, body in bodies(obs, self._sector_of):
+        for sender, body in obs.heard.bodies(self._sector_of):
             if sender == self.me:
                 continue
             self._there_ns[sender] = obs.time_ns

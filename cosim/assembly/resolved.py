@@ -4,7 +4,7 @@ It does not say where agents ran, which changes no result. Shared defaults of ag
 still change them in one place.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ class Resolution:
         vehicles: the parameters of each vehicle's kind, complete.
         sensors: the tables of each vehicle's sensors, complete.
         real: the tables of each real vehicle, complete.
+        metrics: the tables of own metrics, complete.
         files: present content of the files that the scenario uses, by their name beside the resolved scenario.
     """
 
@@ -35,6 +36,7 @@ class Resolution:
         self.vehicles: dict[str, dict[str, Any]] = {}
         self.sensors: dict[str, dict[str, Any]] = {}
         self.real: dict[str, dict[str, Any]] = {}
+        self.metrics: dict[str, dict[str, Any]] = {}
         self.files: dict[str, bytes] = {}
         self._paths: dict[str, Path] = {}
 
@@ -46,10 +48,19 @@ class Resolution:
         *,
         given: Mapping[str, Any] | None = None,
         offered: Mapping[str, Any] | None = None,
+        guard: Callable[[Any], Any] = lambda kind: kind,
     ) -> tuple[Any, dict[str, Any]]:
         """Build the object of a table and keep its files; returns object and complete table (`cosim.config.registry.build`)."""
         return component.build(
-            group, content, key=key, source=self._source, portable=self.portable, given=given, offered=offered, keep=self.keep
+            group,
+            content,
+            key=key,
+            source=self._source,
+            portable=self.portable,
+            given=given,
+            offered=offered,
+            keep=self.keep,
+            guard=guard,
         )
 
     def portable(self, kind: str, *, foreign: bool = False) -> str:
@@ -108,7 +119,7 @@ class Resolution:
             **({"safety": binding.plain(scenario.safety)} if any("driver" in each for each in self.real.values()) else {}),
             "vehicles": shared,
             "record": binding.plain(scenario.record),
-            "metrics": binding.plain(scenario.metrics),
+            "metrics": _present(from_s=scenario.metrics.from_s, to_s=scenario.metrics.to_s, own=self.metrics or None),
             **({"study": binding.plain(scenario.study)} if scenario.study.vary else {}),
             "vehicle": [
                 {

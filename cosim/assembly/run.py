@@ -19,11 +19,13 @@ from vcmvsp.cosim.assembly.interventions import Operator, check_planned, checks,
 from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.assembly.vehicles import Fleet, Placement
 from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, Ticks, WallClock, seconds_to_ns
+from vcmvsp.cosim.config.binding import unknown
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError, VcmvspError
 from vcmvsp.cosim.federate import ExternalVehicles, Federate, Instants, RunInfo
 from vcmvsp.cosim.hosts.manager import Hosts
 from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.metrics.own import Metric, maker_of
 from vcmvsp.cosim.recording.external_inputs import Input, InputLog
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.scenario.schema import Scenario
@@ -48,6 +50,7 @@ class AssembledRun:
         robots: the federate that drives real vehicles; None: no vehicle is driven.
         bridge: the federate that exchanges datagrams with programs in wall time; None: no such programs.
         agents: the hosts' descriptions of the agents, by vehicle.
+        metrics: own metrics, by name.
         inputs: external inputs, recorded for a replay.
         resolution: the complete tables, and the files to keep.
     """
@@ -64,6 +67,7 @@ class AssembledRun:
     bridge: "Bridge | None"
     hosts: Hosts
     agents: Sequence[AgentInfo]
+    metrics: Mapping[str, Metric]
     where: Mapping[str, str]
     radius_m: Mapping[str, float]
     inputs: InputLog
@@ -188,6 +192,7 @@ def assemble(
     )
     physics = _physics(scenario, resolution, tell, world=world, vehicles=fleet.specs(), outside=outside)
     operator = _operator(scenario, source, physics, air)
+    metrics = _own_metrics(scenario, source, resolution)
     about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s, "vehicles": [*radius_m]}
     hosts = Hosts(
         scenario.agents,
@@ -223,6 +228,7 @@ def assemble(
         bridge=programs.bridge,
         hosts=hosts,
         agents=agents,
+        metrics=metrics,
         where=placement.where,
         radius_m=radius_m,
         inputs=inputs,
@@ -285,6 +291,18 @@ def _operator(scenario: Scenario, source: Source, physics: Federate, air: "Radio
     check = checks(vehicles, getattr(physics, "check_move", nothing_moves), air.check_change)
     check_planned(planned, check, source)
     return Operator(planned, vehicles, check)
+
+
+def _own_metrics(scenario: Scenario, source: Source, resolution: Resolution) -> dict[str, Metric]:
+    found: dict[str, Metric] = {}
+    vehicles = {each.name for each in scenario.vehicle}
+    for name, table in scenario.metrics.own.items():
+        key = f"metrics.own.{name}"
+        found[name], resolution.metrics[name] = resolution.component("metric", {"kind": "note", **table}, key, guard=maker_of)
+        for vehicle in getattr(found[name], "vehicles", ()):
+            if vehicle not in vehicles:
+                raise source.error(unknown("vehicle", vehicle, vehicles), f"{key}.vehicles")
+    return found
 
 
 def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunInfo:

@@ -97,10 +97,15 @@ class Core:
         return _read_code(_path(self._program)) is not None
 
     def chosen(self, work_s: float, compile_for_s: float) -> Run:
-        """The way for work that takes ``work_s`` CPU s interpreted; from ``compile_for_s`` on, compilation pays."""
+        """The way for work that takes ``work_s`` CPU s interpreted.
+
+        Compilation pays from ``compile_for_s`` on, of all work for which this was called on this computer so far.
+        """
         if not available():
             return self.interpreted
-        pays = self.is_loaded or work_s >= compile_for_s or (work_s >= LOAD_S and self.is_cached)
+        pays = self.is_loaded or (
+            work_s >= LOAD_S and (self.is_cached or _total_s(_path(self._program), work_s) >= compile_for_s)
+        )
         return self.compiled if pays else self.interpreted
 
 
@@ -219,6 +224,17 @@ def _path(program: Program) -> Path:
         digest.update(source.read_bytes())
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vcmvsp"
     return folder / f"{digest.hexdigest()}.code"
+
+
+def _total_s(path: Path, work_s: float) -> float:
+    """CPU time of all work for which the code of a cache file was missing, with this work; kept beside the file."""
+    note, total_s = path.with_suffix(".work"), work_s
+    with contextlib.suppress(OSError, ValueError):
+        total_s += float(note.read_text("ascii"))
+    with contextlib.suppress(OSError):
+        note.parent.mkdir(parents=True, exist_ok=True)
+        note.write_text(f"{total_s:.3f}", "ascii")
+    return total_s
 
 
 def _read_code(path: Path) -> bytes | None:

@@ -29,6 +29,7 @@ VERBS: Mapping[str, str] = {
     "routing": "open(vehicles, seed)",
     "driver": "write(velocity)",
     "localisation": "read(now_ns)",
+    "metric": "__call__(run)",
 }
 """Methods that a class of each group must have."""
 
@@ -163,6 +164,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "distance_vector": "vcmvsp.netsim.routing.distance_vector:DistanceVector",
         "none": NOTHING,
     },
+    "metric": {"note": "vcmvsp.cosim.metrics.own:NoteStatistic"},
     "delivery": {"delivery": "vcmvsp.netsim.impairments.delivery:Delivery", "none": NOTHING},
     "delay": {
         "fixed": "vcmvsp.netsim.impairments.delay:FixedDelay",

@@ -1,17 +1,17 @@
 """Exports a recording as CSV files; headers contain the units.
 
-``states.csv`` has the true states, ``radio.csv`` the columns of ``radio.parquet``, a row per frame and receiver,
-``commands.csv`` the commands of agents, ``notes.csv`` their notes; for real vehicles, ``real.csv`` has their status and the
-causes that limited them, ``incidents.csv`` their incidents. Each sensor with numeric readings has a file of its name, with
-all vehicles in it. Times are simulated, s; an empty cell is a missing value. Scans, pictures and maps are not exported: they
-do not fit into rows.
+``states.csv`` has the true states, ``errors.csv`` the formation error of each follower, ``radio.csv`` the columns of
+``radio.parquet``, a row per frame and receiver, ``commands.csv`` the commands of agents, ``notes.csv`` their notes; for real
+vehicles, ``real.csv`` has their status and the causes that limited them, ``incidents.csv`` their incidents. Each sensor with
+numeric readings has a file of its name, with all vehicles in it. Times are simulated, s; an empty cell is a missing value.
+Scans, pictures and maps are not exported: they do not fit into rows.
 """
 
 import csv
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,10 @@ from pyarrow import csv as arrow_csv
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.metrics.formation import errors_table
 from vcmvsp.cosim.recording.foxglove import PoseInFrame
 from vcmvsp.cosim.recording.mcap_reader import Recorded
-from vcmvsp.cosim.recording.recorded_run import FILE, Source, Values, is_known
+from vcmvsp.cosim.recording.recorded_run import FILE, Source, Values, is_known, tables_of
 from vcmvsp.cosim.tables.radio_frames import Frames
 from vcmvsp.cosim.tables.schema import PART_ROWS, RunFacts, TableFile, radio_table
 from vcmvsp.cosim.types import Imu, Incident, Odometry, RealStatus, VehicleState, Velocity, Waypoint
@@ -33,7 +34,7 @@ from vcmvsp.cosim.util import limits
 
 AXES = "xyz"
 TURN = ("qw", "qx", "qy", "qz")  # world_from_body
-STATE = (*(f"{a}_m" for a in AXES), *TURN, *(f"v{a}_m_s" for a in AXES), *(f"w{a}_rad_s" for a in AXES))
+STATE = (*(f"{a}_m" for a in AXES), *TURN, "yaw_rad", *(f"v{a}_m_s" for a in AXES), *(f"w{a}_rad_s" for a in AXES))
 Tabular = VehicleState | Odometry | Imu | PoseInFrame | Velocity | Waypoint
 COLUMNS: Mapping[type[Tabular], Sequence[str]] = {
     VehicleState: STATE,
@@ -46,7 +47,7 @@ COLUMNS: Mapping[type[Tabular], Sequence[str]] = {
 """Columns for each type of value; values with names, such as notes, use their names as columns."""
 FILES = {"state": "states", "command": "commands", "note": "notes", "estimate": "estimates", "incident": "incidents"}
 """File names by topic, where they differ from the topic's."""
-RADIO, FRAMES = "radio", "radio/frame"
+RADIO, ERRORS, FRAMES = "radio", "errors", "radio/frame"
 OPTIONS = arrow_csv.WriteOptions(quoting_style="needed")
 
 
@@ -71,6 +72,10 @@ def write_csv(source: Source, folder: Path) -> None:
                 vehicle, name = _place(said.topic)
                 writers[name].writerow((said.time_ns / SECOND_NS, vehicle, *(row.get(each) for each in headers[name])))
     _write_radio(source, folder / f"{RADIO}.csv", *until)
+    with suppress(UsageError):  # a recording of one instant so far
+        recording = tables_of(source.folder, radio=(), before_ns=until[1])
+        if recording.follows:
+            _write_parts(iter((errors_table(recording.states, recording.facts),)), folder / f"{ERRORS}.csv")
 
 
 def _read(source: Source) -> Iterator[tuple[Recorded, Any]]:
@@ -100,7 +105,7 @@ def _place(topic: str) -> tuple[str, str]:
     vehicle, _, what = topic.partition("/")
     if what in FILES:
         return vehicle, FILES[what]
-    taken = what == RADIO or what in FILES.values()
+    taken = what in (RADIO, ERRORS) or what in FILES.values()
     return vehicle, f"{what.replace('/', '_')}{'_sensor' if taken else ''}"
 
 
@@ -132,7 +137,7 @@ def _said(cell: object) -> object:
 def _cells(value: Tabular) -> Sequence[object]:
     match value:
         case VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w):
-            return (*p, *q, *v, *w)
+            return (*p, *q, value.yaw, *v, *w)
         case Odometry(pose=pose, v=v, w=w):
             return (*pose, v, w)
         case Imu(acceleration=a, angular_velocity=w, time_ns=at_ns):

@@ -39,6 +39,7 @@ GROUPS = {
     "safety": ("Safety", ""),
     "mission": ("Mission", "A find counts if the true place of a target is within 3 m."),
     "hardware": ("Real vehicles", ""),
+    "own": ("Own metrics", "As the scenario defines them in [metrics.own]."),
 }
 """Title and introduction of each group of numbers; failures of agents have a section of their own."""
 METRICS = {  # ``*`` stands for a name
@@ -168,6 +169,10 @@ METRICS = {  # ``*`` stands for a name
     "hardware.*.limited_by_s": Metric("that time by cause; limits of speed and acceleration only without another cause"),
     "hardware.*.frames_too_early": Metric(
         "received frames that no real link could have delivered in time", "Delay below the vehicle's own median age."
+    ),
+    "own.*": Metric(
+        "as the scenario defines it in `[metrics.own]`",
+        "The end of its name gives the unit. No value: nothing to measure, or the metric failed.",
     ),
 }
 

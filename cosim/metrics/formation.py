@@ -30,10 +30,12 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.metrics.motion import FOREVER_NS, Motion, Window, between, followers, stretches, window_ns
-from vcmvsp.cosim.tables.schema import Placement
+from vcmvsp.cosim.metrics.motion import FOREVER_NS, Motion, Window, between, followers, motion, stretches, window_ns
+from vcmvsp.cosim.tables.columns import column, joined, name_column
+from vcmvsp.cosim.tables.schema import ERRORS_SCHEMA, Placement, RunFacts, Table, with_facts
 from vcmvsp.cosim.types import Array, Follows
 
 SETTLED_M = 0.05  # a follower this near to its slot has settled
@@ -69,6 +71,28 @@ class Noted:
 def formation_errors(moved: Motion, follows: Sequence[Placement]) -> dict[str, Array]:
     """``|z|`` (m,) in m of every follower, in the order of the run's vehicles; NaN before it follows anyone."""
     return {name: _length(_offsets(moved, name, follows)) for name in followers(moved.names, follows)}
+
+
+def errors_table(states: Table, facts: RunFacts) -> pa.Table:
+    """The formation error of each follower at each recorded instant at which it follows a vehicle (`ERRORS_SCHEMA`)."""
+    moved, follows = motion(states), facts.follows
+    time_ns, vehicle, leader, offset = [], [], [], []
+    for name in followers(moved.names, follows):
+        column_of, offsets = moved.column(name), _offsets(moved, name, follows)
+        for span, placed in _parts(moved, name, follows):
+            time_ns.append(moved.time_ns[span])
+            offset.append(offsets[span] * np.exp(-1j * moved.yaw[span, column_of]))  # into the follower's frame
+            vehicle.append(np.full(len(time_ns[-1]), column_of, np.int32))
+            leader.append(np.full(len(time_ns[-1]), moved.column(str(placed.leader)), np.int32))
+    times, of, by, z = (
+        joined(each, (0,), dtype)
+        for each, dtype in ((time_ns, np.int64), (vehicle, np.int32), (leader, np.int32), (offset, np.complex128))
+    )
+    order = np.flatnonzero(np.isfinite(z))
+    order = order[np.lexsort((of[order], times[order]))]
+    times, of, by, z = times[order], of[order], by[order], z[order]
+    names = [name_column(moved.names, each) for each in (of, by)]
+    return with_facts([column(times), *names, *map(column, (np.abs(z), z.real, z.imag))], ERRORS_SCHEMA, facts)
 
 
 def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Window, noted: Noted, end_ns: int) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from vcmvsp.cosim.federate import RunInfo
 from vcmvsp.cosim.metrics.age import age_metrics
 from vcmvsp.cosim.metrics.agents import agent_metrics, control_metrics, hardware_metrics
 from vcmvsp.cosim.metrics.catalogue import SCHEMA
-from vcmvsp.cosim.metrics.formation import Noted, formation_metrics
+from vcmvsp.cosim.metrics.formation import Noted, errors_table, formation_metrics
 from vcmvsp.cosim.metrics.mission import Mission
 from vcmvsp.cosim.metrics.motion import Window, motion, safety_metrics
 from vcmvsp.cosim.metrics.radio import Parts, connectivity_metrics, informed, radio_metrics
@@ -38,7 +38,9 @@ from vcmvsp.cosim.recording.scene import DrawnWorld
 from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.tables.radio_frames import Frames
 from vcmvsp.cosim.tables.schema import (
+    DERIVED,
     NULLABLE,
+    NoteRows,
     Placement,
     RunFacts,
     RunTable,
@@ -77,6 +79,7 @@ class Accumulators:
         self._states, self._frames = StateRows(run.vehicles, folder), Frames(run.vehicles, folder)
         self._follows: list[Placement] = []
         self._noted, self._mission = Noted(), Mission()
+        self._notes = NoteRows(run.vehicles, folder)
         self._routing = Routing(run.vehicles)
         self._commands = {name: bytearray() for name in run.vehicles}  # packed `_COMMAND` records
         self._presences: list[tuple[str, types.Presence]] = []
@@ -136,6 +139,16 @@ class Accumulators:
         return self.tables[1].whole()
 
     @property
+    def notes(self) -> pa.Table:
+        """The table of agents' notes (`cosim.tables.schema.NOTES_SCHEMA`)."""
+        return self._notes.table(self.facts)
+
+    @property
+    def errors(self) -> pa.Table:
+        """The table of formation errors (`cosim.tables.schema.ERRORS_SCHEMA`), after the run."""
+        return errors_table(self.tables[0], self.facts)
+
+    @property
     def tables(self) -> tuple[RunTable, RunTable]:
         """The tables of states and frames, after the run."""
         if self._tables is None:
@@ -155,8 +168,11 @@ class Accumulators:
         return self._tables
 
     def write_tables(self, folder: Path) -> None:
-        """Write ``states.parquet`` and ``radio.parquet``."""
-        for name, table in zip(("states", "radio"), self.tables, strict=True):
+        """Write ``states.parquet``, ``radio.parquet`` and, if a vehicle follows another, ``errors.parquet``."""
+        tables: dict[str, Table] = dict(zip(("states", "radio"), self.tables, strict=True))
+        if self.follows:
+            tables["errors"] = self.errors
+        for name, table in tables.items():
             with replacing(folder / f"{name}.parquet") as path:
                 write_table(table, path)
 
@@ -197,6 +213,7 @@ class Accumulators:
 
     def _take_note(self, key: str, time_ns: int, note: types.Note) -> None:
         vehicle = vehicle_of(key)
+        self._notes.append(time_ns, vehicle, note.values)
         self._noted.take(vehicle, time_ns, note.values)
         self._mission.take(vehicle, time_ns, note.values)
 
@@ -225,14 +242,15 @@ def vehicle_of(key: str) -> str:
 
 
 def digest(tables: Sequence[Table], rest: bytes = b"") -> str:
-    """SHA-256 (hex) over all columns of the tables, column by column, and ``rest``.
+    """SHA-256 (hex) over all columns of the tables but `DERIVED`, column by column, and ``rest``.
 
     The hash is taken over values: it does not depend on chunks, on the order of names or on versions of file formats.
     """
     total = hashlib.sha256()
     for table in tables:
-        total.update(f"table {table.num_rows} {len(table.schema)}\n".encode())
-        for field in table.schema:
+        fields = [field for field in table.schema if field.name not in DERIVED]
+        total.update(f"table {table.num_rows} {len(fields)}\n".encode())
+        for field in fields:
             for part in _values(table, field):
                 total.update(part)
     total.update(rest)

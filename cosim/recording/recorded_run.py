@@ -185,11 +185,18 @@ def _array(_: type, numbers: Sequence[float | None]) -> types.Array:
 
 
 def tables_of(
-    folder: Path, tell: Tell = lambda _: None, *, numbers: bool = False, radio: Collection[str] | None = None
+    folder: Path,
+    tell: Tell = lambda _: None,
+    *,
+    numbers: bool = False,
+    radio: Collection[str] | None = None,
+    before_ns: int | None = None,
 ) -> schema.Recording:
     """Both tables of a run, the radio table with the given columns or all; ``numbers``: with ``metrics.json`` if it exists.
 
-    ``tell`` receives a line for the user if only the recording exists: how far it goes.
+    Args:
+        tell: receives a line for the user if only the recording exists: how far it goes.
+        before_ns: only earlier messages of the recording count, if only that exists; None: all.
 
     Raises:
         UsageError: the folder contains neither tables nor a recording.
@@ -197,7 +204,7 @@ def tables_of(
     """
     if not (absent := _absent(folder)):
         return schema.load(folder, radio) if numbers else schema.load_tables(folder, radio)
-    states, frames, facts = _recorded(folder, absent, tell, with_frames=radio is None or bool(radio))
+    states, frames, facts = _recorded(folder, absent, tell, with_frames=radio is None or bool(radio), before_ns=before_ns)
     known = radio if radio is None else [name for name in schema.RADIO_SCHEMA.names if name in radio]
     return schema.Recording(states=states, radio=schema.radio_table(frames, facts, known), facts=facts, metrics={})
 
@@ -220,7 +227,7 @@ def _absent(folder: Path) -> str:
 
 
 def _recorded(
-    folder: Path, absent: str, tell: Tell, *, with_frames: bool = True
+    folder: Path, absent: str, tell: Tell, *, with_frames: bool = True, before_ns: int | None = None
 ) -> tuple[pa.Table, radio_frames.Frames, schema.RunFacts]:
     source = Source(folder, lambda _: None)
     values, end_ns = Values(), 0
@@ -232,6 +239,8 @@ def _recorded(
         return topic.partition("/")[2] in ("state", "follows") or (topic == "radio/frame" and with_frames)
 
     for said in source.only(is_wanted):
+        if before_ns is not None and said.time_ns >= before_ns:
+            break
         end_ns = max(end_ns, said.time_ns)
         vehicle, _, what = said.topic.partition("/")
         if said.topic == "radio/frame":

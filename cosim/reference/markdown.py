@@ -1,8 +1,8 @@
 """Generate pages from the reference of keys: ``python -m vcmvsp.cosim.reference.markdown --write`` updates them.
 
-The pages in ``docs/reference`` have tables of keys (`cosim.reference.tree`) between two comments. ``reference_keys.tsv`` lists
-the keys of ``--set`` for fast completion: a line each, with path (NAME and SENSOR stand for any name) and values, separated by
-tabs.
+The pages in ``docs/reference`` have tables of keys (`cosim.reference.tree`) between two comments. ``reference_keys.tsv``
+lists the keys of ``--set`` for fast completion: a line each, with path (NAME, SENSOR and METRIC stand for any name) and
+values, separated by tabs.
 """
 
 import argparse
@@ -135,6 +135,7 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "radio": radio,
     "sensors": lambda: tables(f"{VEHICLE}.sensors"),
     "vehicle radio": lambda: tables(f"{VEHICLE}.radio"),
+    "own metrics": lambda: tables("metrics.own.METRIC"),
     "vehicle kinds": lambda: tables(VEHICLE, kinds=builtin_kinds.KINDS["vehicle"]),
     "leaders": lambda: tables("agents", kinds=["trajectory", "route", "teleop"]),
     "followers": lambda: tables("agents", kinds=["leader_follower"]),
@@ -166,7 +167,7 @@ PAGES: Mapping[str, Collection[str]] = {
         *("leaders", "followers", "consensus", "team", "patrol", "aerial", "avoid", "mission", "search", "track", "watching"),
     ),
     "scenario-robots.md": ("drivers", "localisation", "fusion", "safety", "clock"),
-    "metrics.md": ("metrics",),
+    "metrics.md": ("own metrics", "metrics"),
 }
 """Blocks of each page."""
 

@@ -42,7 +42,7 @@ DOORS = (*builtin_kinds.KINDS["door"],)
 class Section(msgspec.Struct, frozen=True, kw_only=True):
     """Keys of a table: common to all kinds, or of one kind."""
 
-    path: str  # of the table, as in --set PATH.KEY=VALUE; NAME and SENSOR stand for names of your own; empty: the top
+    path: str  # of the table, as in --set PATH.KEY=VALUE; NAME, SENSOR and METRIC stand for names of your own; empty: the top
     kind: str  # the only `kind` with these keys; empty: all kinds
     listed: bool  # a list of such tables, [[...]] or [{ ... }, ...], none of which --set reaches
     about: str
@@ -126,6 +126,7 @@ def places() -> Sequence[Place]:
         "routing": [Place("routing", "routing")],
         "bridge": [Place("bridge", own=_field("bridge")), *(Place(f"bridge.{kind}", own=_door(kind)) for kind in DOORS)],
         "agents": [Place("agents", "agent", _field("agents"))],
+        "metrics": [Place("metrics", own=_field("metrics")), Place("metrics.own.METRIC", "metric")],
         "vehicles": [],
         "vehicle": [
             Place(VEHICLE, "vehicle", lambda: [VehicleTable, Repeat]),

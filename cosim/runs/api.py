@@ -29,6 +29,7 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import AgentError, FederateError, Interrupted, UsageError, VcmvspError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.kernel import Kernel, Observer
+from vcmvsp.cosim.metrics.own import own_values
 from vcmvsp.cosim.recording import external_inputs
 from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.recorder import Recorder
@@ -267,8 +268,8 @@ class Simulation:
         for name, content in self._run.files.items():
             write_whole(folder / name, content)
 
-    def result(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> Result:
-        """The result, written to the folder if there is one."""
+    def result(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> tuple[Result, VcmvspError | None]:
+        """The result, written to the folder if there is one, and what failed: the run, else a metric of its own."""
         run, recorder = self._run, self._recorder
         if recorder is None:
             raise failure or VcmvspError("the run did not begin")
@@ -281,11 +282,14 @@ class Simulation:
             table = io.BytesIO()
             write_table(run.bridge.table(), table)
             files[DELIVERIES] = table.getvalue()
-        about = self._about(failure, started, cpu_s)
-        result = Result(recorder, metrics, about, resolved, files, self._mcap, run.world)
+        result = Result(recorder, metrics, resolved, files, self._mcap, run.world)
+        if run.metrics:
+            result.metrics["own"], failed = own_values(run.metrics, result)
+            failure = failure or failed
+        result.about = self._about(failure, started, cpu_s)
         if self._folder is not None:
             result.write(self._folder.path)
-        return result
+        return result, failure
 
     def _about(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> dict[str, Any]:
         """Content of ``about.json``: facts that differ between two equal runs."""
@@ -438,7 +442,7 @@ def run(
             )
             with writing(folder.path if folder else None), simulation.calm():
                 failure = simulation.run()
-                result = simulation.result(failure, started, time.process_time() - cpu)
+                result, failure = simulation.result(failure, started, time.process_time() - cpu)
     except KeyboardInterrupt:
         raise Interrupted("interrupted") from None
     if failure is not None:

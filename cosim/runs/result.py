@@ -40,8 +40,10 @@ class Result:
 
     Attributes:
         metrics: content of ``metrics.json`` (schema ``vcmvsp.metrics/1``).
-        about: host, versions and wall times: the only part that differs between two equal runs.
+        about: host, versions and wall times: the only part that differs between two equal runs. Empty while own metrics are
+            computed.
         scenario: the resolved scenario as TOML; running it gives the same result again.
+        window_s: begin and end of the window of ``[metrics]``, s; None: the end of the run.
         folder: of its files; None: not written.
     """
 
@@ -51,16 +53,15 @@ class Result:
         self,
         recorder: Recorder,
         metrics: dict[str, Any],
-        about: dict[str, Any],
         resolved: dict[str, Any],
         files: Mapping[str, bytes],
         mcap: io.BytesIO | None,
         world: Any,
     ) -> None:
-        self.metrics, self.about = metrics, about
+        self.metrics, self.about = metrics, dict[str, Any]()
         self.scenario = tomli_w.dumps(resolved)
         self._recorder, self._files = recorder, dict(files)
-        self._window = (resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))
+        self.window_s: Window = (resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))
         self._mcap, self._world = mcap, world
         self._video = resolved["record"].get("video", False)
 
@@ -78,6 +79,16 @@ class Result:
         return self._recorder.radio
 
     @property
+    def errors(self) -> "pa.Table":
+        """Formation errors: a row per recorded instant and follower."""
+        return self._recorder.errors
+
+    @property
+    def notes(self) -> "pa.Table":
+        """Values that agents noted (`Agent.note`): a row per time, vehicle and name."""
+        return self._recorder.notes
+
+    @property
     def files(self) -> Mapping[str, bytes]:
         """Content of the files that the run used, by their name beside the scenario."""
         return self._files
@@ -93,7 +104,7 @@ class Result:
 
     def _figures(self, shown: MissionLog | None) -> "dict[str, Figure]":
         recorder, outlines = self._recorder, worlds.outlines(self._world)
-        figures = figures_of(*recorder.tables, recorder.follows, self._window, outlines)
+        figures = figures_of(*recorder.tables, recorder.follows, self.window_s, outlines)
         return figures | mission_figures(shown, recorder.tables[0], self._world)
 
     def _shown(self) -> MissionLog | None:

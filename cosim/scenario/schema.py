@@ -140,10 +140,11 @@ class RecordTable(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MetricsTable(msgspec.Struct, frozen=True, kw_only=True):
-    """``[metrics]``: the window of the formation error and the age of information."""
+    """``[metrics]``: the window of the formation error and the age of information, and metrics of your own."""
 
     from_s: NonNegative = 0.0
     to_s: NonNegative | None = None  # default: the end
+    own: Mapping[Name, Mapping[str, Any]] = {}  # a table per metric, which is `own.NAME` in metrics.json and studies
 
 
 class OutageTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="outage"):

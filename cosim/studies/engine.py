@@ -313,6 +313,8 @@ def _names(plan: Plan, base: Base, point: tuple[Any, ...]) -> set[str]:
         parsed, _ = loader.load(base.asked, settings=settings)
         short = {**settings, "duration_s": min(parsed.duration_s, parsed.record.period_s)}
         result = api.run(base.asked, seed=plan.seeds[0], set=short, agents="inprocess", mcap=False)
-    except VcmvspError:
-        return set()
+    except VcmvspError as error:
+        if error.result is None:
+            return set()
+        result = error.result  # of an own metric that fails on so short a run
     return {name for name, value in flat(result.metrics).items() if not isinstance(value, str) and name not in plan.vary}

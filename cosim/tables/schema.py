@@ -1,11 +1,13 @@
-"""The two tables of a run, in memory (Arrow) and on disk (Parquet), and reading of a run directory.
+"""The tables of a run, in memory (Arrow) and on disk (Parquet), and reading of a run directory.
 
 ``states``: a row per recorded instant and vehicle, instants in order, vehicles in the order of the run.
 ``radio``: a row per frame and intended receiver, in the order in which frames entered the channel.
-The schema metadata of both contain the facts of the run (`RunFacts`), so that each file is self-contained.
+``errors``: a row per recorded instant and follower, made from the states (`cosim.metrics.formation.errors_table`).
+``notes``: a row per value that an agent notes, in memory only; the recording has the notes, too.
+The schema metadata of all contain the facts of the run (`RunFacts`), so that each file is self-contained.
 """
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
@@ -25,9 +27,19 @@ from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import read_json
 
 NAME = pa.dictionary(pa.int32(), pa.string())
-STATE_VALUES = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
-STATES_SCHEMA = pa.schema([("time_ns", pa.int64()), ("vehicle", NAME), *((name, pa.float64()) for name in STATE_VALUES)])
-"""Time ns; position m, attitude (world_from_body), velocity m/s: world; angular velocity rad/s: body."""
+ATTITUDE = ("qw", "qx", "qy", "qz")
+STATE_VALUES = ("x", "y", "z", *ATTITUDE, "vx", "vy", "vz", "wx", "wy", "wz")
+STATES_SCHEMA = pa.schema(
+    [("time_ns", pa.int64()), ("vehicle", NAME), *((name, pa.float64()) for name in (*STATE_VALUES, "yaw"))]
+)
+"""Time ns; position m, attitude (world_from_body), velocity m/s: world; angular velocity rad/s: body; yaw rad, of attitude."""
+ERRORS_SCHEMA = pa.schema(
+    [("time_ns", pa.int64()), ("vehicle", NAME), ("leader", NAME)]
+    + [(name, pa.float64()) for name in ("error_m", "ahead_m", "left_m")]
+)
+"""The formation error z of a follower: its length; its place from the handle, in the follower's frame."""
+NOTES_SCHEMA = pa.schema([("time_ns", pa.int64()), ("vehicle", NAME), ("name", NAME), ("value", pa.float64()), ("text", NAME)])
+"""A noted number (true: 1, false: 0), null for a text and NaN; a noted text, empty for a number."""
 RADIO_SCHEMA = pa.schema(
     (name, NAME if name in NAMED else pa.from_numpy_dtype(np.dtype(dtype_of(name))))
     for name in (
@@ -39,6 +51,7 @@ RADIO_SCHEMA = pa.schema(
 """See `cosim.recording.mcap_writer.FRAME`. Null: ``received_ns`` and ``delay_ns`` of frames lost or under way at the end of the
 run, ``copy_ns`` without a second copy, unknown items of a link budget."""
 NOT_LOST = ("received", UNDER_WAY)  # outcomes
+DERIVED = ("yaw",)  # columns made from others, which do not enter the digest
 NULLABLE = ("received_ns", "delay_ns", "copy_ns", "sinr_db", "origin_number")  # columns with missing values
 FACTS = b"vcmvsp.run"
 _STATE_TYPES: dict[str, type[np.number]] = {"time_ns": np.int64, "vehicle": np.int32}
@@ -168,7 +181,13 @@ class StateRows:
     def columns(self, rows: tuple[int, int], wanted: Collection[str] = STATES_SCHEMA.names) -> dict[str, Any]:
         """The Arrow columns of these rows."""
         parts, cut = self._kept.around(*rows)
-        found = {name: self._kept.read(name, parts, _STATE_TYPES.get(name, np.float64))[cut] for name in wanted}
+        found = {}
+        for name in wanted:
+            if name == "yaw":
+                qw, qx, qy, qz = (self._kept.read(each, parts, np.float64)[cut] for each in ATTITUDE)
+                found[name] = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+            else:
+                found[name] = self._kept.read(name, parts, _STATE_TYPES.get(name, np.float64))[cut]
         return {name: self._vehicles.column(each) if name == "vehicle" else column(each) for name, each in found.items()}
 
     def _pack(self) -> None:
@@ -187,6 +206,57 @@ class StateRows:
         self._waiting, self._held = [], 0
 
 
+class NoteRows:
+    """Values that agents note, kept outside memory (`Spool`).
+
+    Args:
+        vehicles: names of the run's vehicles.
+        folder: of the temporary file; None: the system's folder for them.
+    """
+
+    def __init__(self, vehicles: Sequence[str], folder: Path | None = None) -> None:
+        self._vehicles, self._names, self._texts = Names(vehicles), Names(()), Names(("",))
+        self._kept = Spool(folder)
+        self._waiting: list[tuple[int, str, Mapping[str, float | str]]] = []
+
+    def append(self, time_ns: int, vehicle: str, values: Mapping[str, float | str]) -> None:
+        """Add the notes of an agent at a time."""
+        self._waiting.append((time_ns, vehicle, values))
+        if len(self._waiting) >= CHUNK_ROWS:
+            self._pack()
+
+    def table(self, facts: RunFacts) -> pa.Table:
+        """All notes so far (`NOTES_SCHEMA`)."""
+        self._pack()
+        parts = range(len(self._kept))
+        time_ns, value = self._kept.read("time_ns", parts, np.int64), self._kept.read("value", parts, np.float64)
+        vehicle, name, text = (self._kept.read(each, parts, np.int32) for each in ("vehicle", "name", "text"))
+        columns = [
+            column(time_ns),
+            self._vehicles.column(vehicle),
+            self._names.column(name),
+            column(value, ~np.isnan(value)),
+            self._texts.column(text),
+        ]
+        return with_facts(columns, NOTES_SCHEMA, facts)
+
+    def _pack(self) -> None:
+        if not self._waiting:
+            return
+        time_ns, vehicles, notes = zip(*self._waiting, strict=True)
+        counts = [len(each) for each in notes]
+        values = [value for each in notes for value in each.values()]
+        packed = {
+            "time_ns": np.repeat(np.array(time_ns, np.int64), counts),
+            "vehicle": np.repeat(self._vehicles.codes(vehicles), counts),
+            "name": self._names.codes_of_groups(map(tuple, notes)),
+            "value": np.array([np.nan if isinstance(value, str) else value for value in values], np.float64),
+            "text": self._texts.codes(value if isinstance(value, str) else "" for value in values),
+        }
+        self._kept.append(packed, len(values))
+        self._waiting.clear()
+
+
 def states_table(
     states: StateRows | Sequence[tuple[int, States]],
     facts: RunFacts,
@@ -200,7 +270,7 @@ def states_table(
             states.append(*instant)
     fields = [field for field in STATES_SCHEMA if columns is None or field.name in columns]
     found = states.columns(rows or (0, states.rows), [field.name for field in fields])
-    return _table(list(found.values()), pa.schema(fields), facts)
+    return with_facts(list(found.values()), pa.schema(fields), facts)
 
 
 def radio_table(
@@ -215,7 +285,7 @@ def radio_table(
         frames.extend(given)
     fields = [field for field in RADIO_SCHEMA if columns is None or field.name in columns]
     found = frames.columns(facts.end_ns, [field.name for field in fields], rows)
-    return _table(list(found.values()), pa.schema(fields), facts)
+    return with_facts(list(found.values()), pa.schema(fields), facts)
 
 
 def write_table(table: Table, path: Path | BinaryIO) -> None:
@@ -302,5 +372,6 @@ def load_tables(folder: Path, radio: Collection[str] | None = None) -> Recording
     return Recording(states=states, radio=frames, facts=read_json(facts, RunFacts), metrics={})
 
 
-def _table(columns: list[Any], schema: pa.Schema, facts: RunFacts) -> pa.Table:
+def with_facts(columns: list[Any], schema: pa.Schema, facts: RunFacts) -> pa.Table:
+    """The table of these columns, with the facts of its run in its metadata."""
     return pa.Table.from_arrays(columns, schema=schema.with_metadata({FACTS: msgspec.json.encode(facts)}))

@@ -213,6 +213,7 @@ def summary(result: "Result") -> str:
         "routing": _of_routing(metrics["routing"]) if metrics.get("routing") else "",
         "formation": _of_formation(metrics["formation"]),
         "mission": _of_mission(metrics["mission"]) if metrics.get("mission") else "",
+        "own": ", ".join(f"{name} {_short(value)}" for name, value in metrics.get("own", {}).items()),
         **{name: _of_real(real) for name, real in metrics.get("hardware", {}).items()},
         "lateness": lateness(about["lateness"]) if about["lateness"] else "",
         "bridge": _of_bridge(about["bridge"]) if about.get("bridge") else "",
@@ -275,6 +276,10 @@ def _of_formation(formation: Mapping[str, Any]) -> str:
     chain = formation["hop_gain"] is not None  # the errors of links add up
     shape = f", shape {formation['shape']['rms_m']:.4f} m" if chain else ""
     return f"error {formation['rms_m']:.4f} m RMS, {formation['max_m']:.4f} m at most{shape}, {settled}"
+
+
+def _short(value: float | None) -> str:
+    return "has no value" if value is None else f"{value:.4g}"
 
 
 def _of_mission(mission: Mapping[str, Any]) -> str:

@@ -347,9 +347,10 @@ class ReceptionLog:
 
 def _many(columns: Sequence[Sequence[Any]], counts: Sequence[int]) -> list[NDArray[Any]]:
     """Number of the message, receiver, level and time of each reception, of messages with so many receivers each."""
-    receiver, rssi_dbm, arrival_ns = (np.concatenate(parts) for parts in columns)
+    receiver, rssi_dbm, arrival_ns = (parts[0] if len(parts) == 1 else np.concatenate(parts) for parts in columns)
+    every = np.arange(len(counts)).repeat(counts), receiver, rssi_dbm, arrival_ns
     arrives = arrival_ns >= 0
-    return [each[arrives] for each in (np.arange(len(counts)).repeat(counts), receiver, rssi_dbm, arrival_ns)]
+    return [*every] if arrives.all() else [each[arrives] for each in every]
 
 
 def _few(columns: Sequence[Sequence[Any]]) -> list[NDArray[Any]]:

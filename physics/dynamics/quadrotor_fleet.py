@@ -18,7 +18,7 @@ from vcmvsp.physics.dynamics.wind import Floats, downwash
 from vcmvsp.physics.vehicles.models import Quadrotor
 
 VEHICLE_STEP_S = 1e-5  # CPU time of a step of a vehicle, interpreted
-COMPILE_FOR_S = 2.0  # least work, interpreted: the compilation takes twice as long, once for each computer
+COMPILE_FOR_S = 2.0  # of work, interpreted: the compilation takes twice as long, once for each computer
 
 _LEAST_GRAVITY = 1e-9  # m/s2, assumed without gravity: the direction up must exist
 _LEAST_LIFT = 0.2  # of the weight, at any rate of descent

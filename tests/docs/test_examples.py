@@ -9,6 +9,7 @@ from pathlib import Path
 import nbclient
 import nbformat
 import pytest
+from pandas import read_csv
 
 from tests.support.docs.readme_pages import PAGES
 from tests.support.paths import ROOT
@@ -16,12 +17,13 @@ from tests.support.paths import ROOT
 pytestmark = [pytest.mark.slow, pytest.mark.processes, pytest.mark.sockets]
 
 FOLDER = ROOT / "examples"
+PAPER = "paper/figure.py"
 SCRIPTS, NOTEBOOKS = (sorted(path.name for path in FOLDER.glob(pattern)) for pattern in ("*.py", "*.ipynb"))
 
 
 def test_every_example_is_in_the_index() -> None:
     shown = re.findall(r"^\| \[(\S+)\]\(\1\) \|", PAGES["examples/README.md"], re.MULTILINE)
-    assert sorted(shown) == sorted([*SCRIPTS, *NOTEBOOKS])
+    assert sorted(shown) == sorted([*SCRIPTS, *NOTEBOOKS, PAPER])
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
@@ -30,6 +32,17 @@ def test_a_script_makes_its_picture(name: str, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert [path.name for path in tmp_path.iterdir()] == [f"{name.removesuffix('.py')}.png"]
     assert (tmp_path / f"{name.removesuffix('.py')}.png").stat().st_size > 10_000
+
+
+def test_the_figure_of_the_paper_has_bands_that_widen_with_loss(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, FOLDER / PAPER, tmp_path], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert {"figure.pdf", "figure.png"} <= {path.name for path in tmp_path.iterdir()}
+    rows = read_csv(tmp_path / "agreement" / "summary.csv").set_index("radio.loss.probability")
+    name = "own.agreed_s"
+    assert rows[f"{name}.mean"][0.95] > rows[f"{name}.mean"][0.0]
+    widths = rows[f"{name}.high"] - rows[f"{name}.low"]
+    assert widths[0.95] > widths[0.0]
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)

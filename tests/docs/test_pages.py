@@ -69,24 +69,27 @@ def test_the_shape_of_the_demo_is_off_by_what_the_tutorial_says() -> None:
     assert f"{metrics['formation']['shape']['rms_m']:.3f}" == said[1]
 
 
-def test_notes_are_read_as_the_page_says(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    short = {"duration_s": 3.0, "metrics.from_s": 0.0}
-    vcmvsp.run("mine.toml", set=short, out="runs/mine-0")
-    (folder / "mine.toml").write_text((folder / "mine.toml").read_text().replace("duration_s = 60.0", "duration_s = 3.0"))
-    run_block(METRIC, "def notes(")
-    run_block(METRIC, "def observe(")
-    from_file, seen = capsys.readouterr().out.split()
-    assert float(from_file) == pytest.approx(0.1, abs=0.05)  # a message is seen at the next tick
-    assert float(seen) == pytest.approx(0.1, abs=0.05)
-    noted: dict[str, object] = {}
-
-    class Noted(vcmvsp.Agent):
-        pass
-
-    agent = Noted()
+def test_own_metrics_are_as_the_page_says(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short = {"duration_s = 60.0": "duration_s = 3.0", "from_s = 20.0": "from_s = 0.0"}
+    text = MINE["mine.toml"]
+    for long, brief in short.items():
+        text = text.replace(long, brief)
+    notes, function = (block(METRIC, words).replace("[metrics.own]\n", "") for words in ("worst_m =", "late_share ="))
+    notes = notes.replace('"disagreement_m"', '"age_s"')  # which the agent of the tutorial notes
+    (folder / "mine.toml").write_text(f"{text}\n[metrics.own]\n{notes}\n{function}")
+    (folder / "shares.py").write_text(block(METRIC, "def above("))
+    own = vcmvsp.run("mine.toml", seed=1, agents="inprocess").metrics["own"]
+    assert list(own) == ["disagreement_m", "worst_m", "of_car2_m", "late_share"]
+    assert own["disagreement_m"] == own["of_car2_m"] == pytest.approx(0.1, abs=0.05)  # a message is seen at the next tick
+    assert own["disagreement_m"] < own["worst_m"]
+    assert 0.0 < own["late_share"] < 1.0
+    run_block(METRIC, "result.notes.to_pandas()")
+    mean_s, largest_m = map(float, capsys.readouterr().out.split())
+    assert mean_s == pytest.approx(own["disagreement_m"])
+    assert largest_m > 0.2
+    agent = vcmvsp.Agent()
     exec(block(METRIC, "self.note(disagreement_m"), {"self": agent, "spread": 0.5})
-    noted |= agent.drain_notes()
-    assert noted == {"disagreement_m": 0.5, "status": "waiting"}
+    assert agent.drain_notes() == {"disagreement_m": 0.5, "status": "waiting"}
 
 
 @pytest.mark.usefixtures("folder")

@@ -70,6 +70,7 @@ def test_the_lines_for_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     exec(block("python", "import vcmvsp\n\nr = "), space)
     assert len(capsys.readouterr().out.split()) == 2
     names = {"scenario.toml", "run.mcap", "radio.parquet", "states.parquet", "metrics.json", "about.json", "report.html"}
+    names |= {"errors.parquet"}
     assert {path.name for path in (tmp_path / "lossy").iterdir()} == names | {"trajectory.png", "formation_error.png"}
 
 

@@ -23,7 +23,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 from vcmvsp.agents.formation.followers.laws import axle_velocity, hand_point
-from vcmvsp.agents.formation.reports.report import PLAUSIBLE, bodies
+from vcmvsp.agents.formation.reports.report import PLAUSIBLE
 from vcmvsp.agents.formation.team.shape import Formation, ShapeName, slots
 from vcmvsp.agents.formation.team.team import members_of
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
@@ -162,7 +162,7 @@ class Consensus(Agent):
 
     def _listen(self, obs: Observation) -> None:
         latest_ns = obs.time_ns + self._clock_bound_ns
-        for sender, body in bodies(obs, self._places):
+        for sender, body in obs.heard.bodies(self._places):
             member = _parse(body, latest_ns)
             if member is None:
                 self._refused += 1

@@ -27,7 +27,7 @@ The keys are short because every byte costs air time. The answer is a unicast me
 """
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from vcmvsp.cosim.agent import Observation, Radio
@@ -56,17 +56,6 @@ class Report(NamedTuple):
     t_ns: int
     state: LeaderState
     body: Mapping[str, Any]  # the whole message: user-defined estimators may use more of it
-
-
-def bodies(obs: Observation, senders: Collection[str] | None = None) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Sender and body of all messages of agents in ``senders`` since the last tick.
-
-    Messages of bytes come from other programs on the same radio; they are no sign of life of the agent there.
-    """
-    for reception in obs.heard if senders is None else obs.heard.of_senders(senders):
-        message = reception.message
-        if not isinstance(message.body, bytes):
-            yield message.sender, message.body
 
 
 def send_report(radio: Radio, seq: int, obs: Observation, v: float, w: float, **more: Any) -> None:
@@ -150,7 +139,7 @@ class ReportReceiver:
     def take(self, obs: Observation) -> list[Report]:
         """Process the messages since the last tick; returns their reports, oldest first."""
         reports = []
-        for sender, body in bodies(obs, self._senders):
+        for sender, body in obs.heard.bodies(self._senders):
             self._there_ns[sender] = obs.time_ns
             report = parse(body, obs.time_ns + self._clock_bound_ns)
             if report is None:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import msgspec
 
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning, Estimator
-from vcmvsp.agents.formation.reports.report import LeaderState, Report, bodies, send_report
+from vcmvsp.agents.formation.reports.report import LeaderState, Report, send_report
 from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.frames import wrap, yaw_of
 from vcmvsp.cosim.types import NonNegative, Positive
@@ -82,7 +82,7 @@ class Reporter:
                 self._sent = {number: report for number, report in self._sent.items() if number in needed}
 
     def _hear(self, obs: Observation) -> None:
-        for name, body in bodies(obs):
+        for name, body in obs.heard.bodies():
             number = body.get("ack")
             if type(number) is int and number in self._sent:
                 self._has[name] = max(number, self._has.get(name, -1))

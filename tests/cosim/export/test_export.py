@@ -52,6 +52,7 @@ def test_states_and_radio_are_those_of_the_runs_own_tables(tables: Path) -> None
     ]
     for ours, own in zip(listed, run.states.to_pylist(), strict=True):
         assert [float(ours[name]) for name in ("x_m", "qz", "vy_m_s", "wz_rad_s")] == [own[n] for n in ("x", "qz", "vy", "wz")]
+        assert float(ours["yaw_rad"]) == pytest.approx(own["yaw"], abs=1e-12)
     frames = rows(tables / "radio.csv")
     for ours, own in zip(frames, run.radio.to_pylist(), strict=True):
         assert (ours["sender"], ours["receiver"], ours["outcome"]) == (own["sender"], own["receiver"], own["outcome"])

@@ -262,7 +262,7 @@ def test_equal_runs_leave_equal_bytes_and_no_library_version(tmp_path: Path) -> 
         files = {path.name: path.read_bytes() for path in folder.iterdir()}
         runs.append({**files, "run.mcap": stream.getvalue(), "metrics": recorder.metrics(window=(0.0, None))})
     assert runs[0] == runs[1]
-    assert len(runs[0]) == 6
+    assert len(runs[0]) == 7
     assert make_reader(io.BytesIO(runs[0]["run.mcap"])).get_header().library == "vcmvsp"
     assert b"matplotlib" not in runs[0]["t.png"]
 

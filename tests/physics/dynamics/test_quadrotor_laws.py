@@ -108,4 +108,4 @@ def test_little_work_is_interpreted(monkeypatch: pytest.MonkeyPatch, tmp_path: A
     empty = QuadrotorFleet([], [], [])
     empty.expect(1000, now=True)
     assert type(empty._run) is before
-    assert not list(tmp_path.iterdir())
+    assert not list(tmp_path.rglob("*.code"))

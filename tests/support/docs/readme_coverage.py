@@ -12,6 +12,7 @@ CORNERS = (
     "::test_every_corner_of_a_study_can_be_run_and_its_scenario_stands_in_the_middle_of_it"
 )
 PAGES = "tests/docs/test_pages.py"
+OWN_METRICS = f"{PAGES}::test_own_metrics_are_as_the_page_says"
 WORLDS = "tests/docs/test_readme.py::test_worlds_and_vehicles_are_shown_as_the_readme_says"
 MACHINES = "tests/docs/test_machines.py::test_a_run_its_host_and_its_observer_each_with_a_certificate"
 STARTED = "tests/docs/test_machines.py::test_hosts_that_are_started_with_the_run"
@@ -119,9 +120,11 @@ SHOWN = {
     ("docs/tutorial.md", "formation-circle: 3 agents"): f"{PAGES}::test_the_tutorial_shows_what_the_readme_shows_of_the_demo",
     ("docs/tutorial.md", "class MyFollower"): f"{PAGES}::test_the_agent_of_the_tutorial_keeps_the_errors_that_it_says",
     ("docs/tutorial.md", "check_agent(lambda"): f"{PAGES}::test_the_agent_of_the_tutorial_passes_its_check",
-    ("docs/howto/own-metric.md", "self.note(disagreement_m"): f"{PAGES}::test_notes_are_read_as_the_page_says",
-    ("docs/howto/own-metric.md", "def notes("): f"{PAGES}::test_notes_are_read_as_the_page_says",
-    ("docs/howto/own-metric.md", "def observe("): f"{PAGES}::test_notes_are_read_as_the_page_says",
+    ("docs/howto/own-metric.md", "self.note(disagreement_m"): OWN_METRICS,
+    ("docs/howto/own-metric.md", "worst_m ="): OWN_METRICS,
+    ("docs/howto/own-metric.md", "def above("): OWN_METRICS,
+    ("docs/howto/own-metric.md", "late_share ="): OWN_METRICS,
+    ("docs/howto/own-metric.md", "result.notes.to_pandas()"): OWN_METRICS,
     ("docs/howto/export.md", "parquet.read_table"): f"{PAGES}::test_tables_are_read_as_the_page_says",
     ("docs/reference/author-api.md", "class Column"): f"{PAGES}::test_the_agent_of_the_authors_page_works",
     ("docs/explanation/design.md", "scenario.toml -> federates"): "a drawing",

@@ -169,6 +169,15 @@ STORIES = (
         ),
         MINE,
     ),
+    Story(
+        "an own metric",
+        (Step("vcmvsp study mine.toml --vary radio.loss.probability=0:0.8:0.2 --metric own.late_share", ONE_EACH),),
+        {
+            **MINE,
+            "mine.toml": f"{MINE['mine.toml']}\n{block('docs/howto/own-metric.md', 'late_share =')}",
+            "shares.py": block("docs/howto/own-metric.md", "def above("),
+        },
+    ),
     Story("on a page", (Step("vcmvsp run recon-urban --view", f"{BRIEF} --view-port 0"),)),
     Story(
         "the channel alone",

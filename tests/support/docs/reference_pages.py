@@ -22,7 +22,7 @@ from vcmvsp.cosim.cli import app as cli
 from vcmvsp.cosim.recording.mcap_writer import FRAME
 from vcmvsp.cosim.reference.describe import meanings
 from vcmvsp.cosim.reference.markdown import grid
-from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, STATES_SCHEMA
+from vcmvsp.cosim.tables.schema import ERRORS_SCHEMA, NOTES_SCHEMA, RADIO_SCHEMA, STATES_SCHEMA
 
 FOLDER = ROOT / "docs" / "reference"
 COMMAND = "python -m tests.support.docs.reference_pages --write"
@@ -64,6 +64,21 @@ STATES = {
     **dict.fromkeys(("qw", "qx", "qy", "qz"), "attitude (world_from_body), unit quaternion"),
     **dict.fromkeys(("vx", "vy", "vz"), "velocity, m/s, world"),
     **dict.fromkeys(("wx", "wy", "wz"), "angular velocity, rad/s, body"),
+    "yaw": "direction of the body x axis seen from above, rad",
+}
+ERRORS = {
+    **STATES,
+    "vehicle": "name of the follower",
+    "leader": "name of the vehicle that it follows",
+    "error_m": "distance of its handle from the place that it keeps, m",
+    "ahead_m": "distance of that place ahead of the handle, m, in the follower's frame",
+    "left_m": "distance of that place to the left of the handle, m, in the follower's frame",
+}
+NOTES = {
+    **STATES,
+    "name": "name of the note",
+    "value": "noted number; true: 1, false: 0; null: a text",
+    "text": "noted text; empty: a number",
 }
 RADIO = {
     "copy_ns": "when a second copy arrived, ns since the start of the run; null: none did",
@@ -187,10 +202,16 @@ def topics() -> str:
 
 
 def columns() -> str:
-    """Columns of the two tables."""
+    """Columns of the tables."""
     frame = {**FRAME, **RADIO}
     found = []
-    for title, schema, words in (("states.parquet", STATES_SCHEMA, STATES), ("radio.parquet", RADIO_SCHEMA, frame)):
+    tables = (
+        ("states.parquet", STATES_SCHEMA, STATES),
+        ("radio.parquet", RADIO_SCHEMA, frame),
+        ("errors.parquet", ERRORS_SCHEMA, ERRORS),
+        ("Result.notes", NOTES_SCHEMA, NOTES),
+    )
+    for title, schema, words in tables:
         rows = [
             [
                 f"`{each.name}`",
