@@ -71,20 +71,21 @@ class ReceivedMessages(Sequence[Reception]):
     @property
     def senders(self) -> tuple[str, ...]:
         """Sender of each message, (n,)."""
-        return tuple(self._batch.looked_at().senders[self._begin : self._end])
+        messages = self._batch.columns.messages
+        return tuple([messages[number].sender for number in self._batch.numbers[self._begin : self._end]])
 
     def of_senders(self, senders: Collection[str]) -> list[Reception]:
         """The messages of some senders."""
-        begin, names = self._begin, self._batch.looked_at().senders
-        return [self._item(row) for row in range(begin, self._end) if names[row] in senders]
+        return [self._item(row) for row, sender in enumerate(self.senders, self._begin) if sender in senders]
 
     def bodies(self, senders: Collection[str] | None = None) -> list[tuple[str, dict[str, Any]]]:
         """Sender and own copy of the body of the messages of agents: of some senders, or of all."""
-        return [
-            (sender, body())
-            for sender, body in self._batch.looked_at().bodies[self._begin : self._end]
-            if body is not None and (senders is None or sender in senders)
-        ]
+        batch, found = self._batch, []
+        for number in batch.numbers[self._begin : self._end]:
+            message = batch.columns.messages[number]
+            if (senders is None or message.sender in senders) and not isinstance(message.body, bytes):
+                found.append((message.sender, batch.body(number)))
+        return found
 
     @property
     def rssi_dbm(self) -> Array:
@@ -123,7 +124,7 @@ class ReceivedMessages(Sequence[Reception]):
         """The item of a row of the batch, always the same object."""
         item = self._items.get(row)
         if item is None:
-            item = self._items[row] = self._batch.looked_at().reception(row)
+            item = self._items[row] = self._batch.reception(row)
         return item
 
     def _all(self) -> list[Reception]:
@@ -131,38 +132,41 @@ class ReceivedMessages(Sequence[Reception]):
 
 
 class _SortedBatch:
-    """Receptions by receiver, then arrival; what their items need is made at the first look, as plain lists."""
+    """Receptions by receiver, then arrival; what items and bodies need is made at the first look.
+
+    Attributes:
+        numbers: message of each reception, (m,).
+    """
 
     def __init__(self, columns: Receptions) -> None:
         self.columns = columns
-        self._is_open = False
+        self.numbers: list[int] = columns.message.tolist()
+        self._copiers: dict[int, Callable[[], Any]] = {}  # by message
+        self._sent_ns: list[int] = []
+        self._rssi_dbm: list[float] = []
+        self._arrival_ns: list[int] = []
 
-    def looked_at(self) -> "_SortedBatch":
-        """The batch itself, with its lists."""
-        if self._is_open:
-            return self
-        self._is_open, columns = True, self.columns
-        sent_ns: list[int] = columns.sent_ns.tolist()
-        self._messages = [
-            (each.sender, _copier(each.body), each.size_bytes, each.to, each.priority, at_ns)
-            for each, at_ns in zip(columns.messages, sent_ns, strict=True)
-        ]
-        self._numbers: list[int] = columns.message.tolist()
-        self.senders = [self._messages[number][0] for number in self._numbers]  # of each reception, (m,)
-        of_agents = [
-            (sender, None if isinstance(each.body, bytes) else body)
-            for each, (sender, body, *_) in zip(columns.messages, self._messages, strict=True)
-        ]
-        self.bodies = [of_agents[number] for number in self._numbers]  # sender and copier of each; None: of a program
-        self._rssi_dbm: list[float] = columns.rssi_dbm.tolist()
-        self._arrival_ns: list[int] = columns.arrival_ns.tolist()
-        return self
+    def body(self, number: int) -> Any:
+        """A copy of the body of a message: an agent that changes it does not affect other receivers."""
+        copier = self._copiers.get(number)
+        if copier is None:
+            copier = self._copiers[number] = _copier(self.columns.messages[number].body)
+        return copier()
 
     def reception(self, row: int) -> Reception:
-        """A reception with its own copy of the body: an agent that changes it does not affect other receivers."""
-        sender, body, size_bytes, to, priority, sent_ns = self._messages[self._numbers[row]]
-        message = Message(sender=sender, body=body(), size_bytes=size_bytes, to=to, priority=priority)
-        return Reception(message=message, rssi_dbm=self._rssi_dbm[row], sent_ns=sent_ns, received_ns=self._arrival_ns[row])
+        """A reception with its own copy of the body."""
+        if not self._rssi_dbm:
+            columns = self.columns
+            self._sent_ns, self._rssi_dbm = columns.sent_ns.tolist(), columns.rssi_dbm.tolist()
+            self._arrival_ns = columns.arrival_ns.tolist()
+        number = self.numbers[row]
+        sent = self.columns.messages[number]
+        message = Message(
+            sender=sent.sender, body=self.body(number), size_bytes=sent.size_bytes, to=sent.to, priority=sent.priority
+        )
+        return Reception(
+            message=message, rssi_dbm=self._rssi_dbm[row], sent_ns=self._sent_ns[number], received_ns=self._arrival_ns[row]
+        )
 
 
 def _copier(body: dict[str, Any] | bytes) -> Callable[[], Any]:
@@ -202,14 +206,15 @@ class Mailboxes:
         taken = batch.arrival_ns <= now_ns
         if vehicles is not None and len(vehicles) < len(self._vehicles):
             taken &= self._mask(vehicles)[batch.receiver]
-        if taken.all():
+        count = np.count_nonzero(taken)
+        if count == len(taken):
             self._waiting = []
         else:
             self._waiting = [pruned(_rows_of(batch, ~taken))]
-            if not taken.any():
+            if not count:
                 return None
             batch = _rows_of(batch, taken)
-        if len(batch.receiver) == 1:
+        if not np.count_nonzero(batch.receiver[1:] <= batch.receiver[:-1]):  # one message to each at most, in order
             return batch
         receiver = batch.receiver.astype(np.uint16) if len(self._row) < 1 << 16 else batch.receiver  # sorted by digits
         return _rows_of(batch, np.lexsort((batch.arrival_ns, receiver)))

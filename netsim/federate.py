@@ -221,7 +221,8 @@ class RadioFederate:
         """Events of decided frames: first one for all datagrams, then receptions, datagrams first, and reports."""
         if not reports:
             return []
-        traffic, receptions, events = TrafficLog(), ReceptionLog(self._vehicles, self._woken), list[Event]()
+        receptions, events = ReceptionLog(self._vehicles, self._woken), list[Event]()
+        traffic: TrafficLog | None = None
         with_messages: list[tuple[Message, FrameReport]] = []
         for report in reports:
             message, datagram = self._open.pop(report.frame)
@@ -229,6 +230,7 @@ class RadioFederate:
                 events.append(Event("radio/frame", now_ns, report))
                 with_messages.append((message, report))
                 continue
+            traffic = traffic or TrafficLog()
             traffic.report(report, datagram)
             traffic.settle(datagram)
             for receiver, _, at_ns in received(report):
@@ -237,7 +239,8 @@ class RadioFederate:
                 self._add_receptions(receptions, message, report)
         for message, report in with_messages:
             self._add_receptions(receptions, message, report)
-        return [*traffic.events(now_ns), *receptions.events(now_ns), *events]
+        of_programs = traffic.events(now_ns) if traffic else []
+        return [*of_programs, *receptions.events(now_ns), *events]
 
     def _reported(self, events: list[Event]) -> list[Event]:
         """The events, in reports without receivers below the least level."""

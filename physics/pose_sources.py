@@ -92,17 +92,16 @@ class PoseSources:
 
     def estimates(self, now_ns: int, motion: BodyMotion) -> list[Event]:
         """Each vehicle's estimate of its own state, and its wheel odometry."""
-        parts = [*motion[:4], motion.odometry]
-        if len(self._vehicles) < len(motion.position):
-            parts = [each[self._numbers] for each in parts]
+        rows = np.concatenate((*motion[:4], motion.odometry), axis=1)
+        if len(self._vehicles) < len(rows):
+            rows = rows[self._numbers]
         events = []
-        rows = zip(*(zip(*each.T.tolist(), strict=True) for each in parts), strict=True)  # tuples of numbers
-        for (number, source, estimate_key, odometry_key), (place, velocity, attitude, spin, wheels) in zip(
-            self._vehicles, rows, strict=True
-        ):
-            x, y, yaw, v, w = wheels
+        for (number, source, estimate_key, odometry_key), row in zip(self._vehicles, rows.tolist(), strict=True):
+            px, py, pz, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz, x, y, yaw, v, w = row
             odometry = None if isnan(x) else Odometry(pose=(x, y, yaw), v=v, w=w)
-            state = VehicleState(position=place, velocity=velocity, attitude=attitude, angular_velocity=spin)
+            state = VehicleState(
+                position=(px, py, pz), velocity=(vx, vy, vz), attitude=(qw, qx, qy, qz), angular_velocity=(wx, wy, wz)
+            )
             if source != "truth":
                 fused = self._fusers[number].estimator.estimate(now_ns) if number in self._fusers else None
                 state = estimate(source, state, odometry, self._fixes.get(number), fused)

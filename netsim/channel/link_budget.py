@@ -236,7 +236,10 @@ class Budgets:
         """Set the budgets of k radios; of one, unless the path loss is `by_distance`."""
         rows, others, receivers, power_dbm, sensitivity_dbm = self._group_of(senders)
         rx = self._antennas[receivers]
-        distance_m = sealed(distances(self._antennas[rows][:, None], rx))
+        if len(rows) == 1:  # twice as fast
+            distance_m = sealed(distances(self._antennas[rows[0]], rx[0]))[None]
+        else:
+            distance_m = sealed(distances(self._antennas[rows][:, None], rx))
         obstacles: dict[str, Any] = {}
         if self.by_distance:
             path_loss: Any = self.path_loss

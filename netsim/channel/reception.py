@@ -56,7 +56,6 @@ _UNDETECTED = int(Fate.UNDETECTED)  # an enumeration's members are slow to look 
 _JAMMED = len(_FATES) + len(_WEAKNESSES)
 WORDS = (*_FATES.values(), *_WEAKNESSES, JAMMED)
 """Outcomes by code: `Fate`, then causes of weak signals."""
-FEW = 4  # receptions: so many are joined faster one by one
 _OWN = np.uint8(255)  # code at the sender itself
 
 
@@ -107,8 +106,7 @@ class Outcomes:
         code, sinr_db = self._jam(batch, self._name_weak_signals(batch))
         code = self._lose(batch, layer_frames, code)
         arrival_ns = sealed(np.where(code == 0, self._arrival_ns(batch, layer_frames), -1))
-        lossy: Any = code.any(axis=1).tolist()
-        rows = zip(code, lossy, arrival_ns, sealed(batch.snr_db), sealed(sinr_db), strict=True)
+        rows = zip(code, arrival_ns, sealed(batch.snr_db), sealed(sinr_db), strict=True)
         return [self._report(batch, k, *row) for k, row in enumerate(rows)]
 
     def unfinished(self, sent: SentFrame) -> FrameReport:
@@ -120,6 +118,8 @@ class Outcomes:
 
     def _name_weak_signals(self, batch: FrameBatch) -> Codes:
         """Replace "undetected" by the cause of the weak signal, (k, n)."""
+        if not np.count_nonzero(batch.fate):
+            return batch.fate
         too_weak = batch.fate == _UNDETECTED
         if not np.count_nonzero(too_weak):
             return batch.fate
@@ -166,7 +166,7 @@ class Outcomes:
         if self._delay is None and self._trace is None and self._script is None:
             return end_ns
         sent_ns: Ints = np.array([sent.sent_ns for sent in batch.frames])[:, None]
-        delay_ns: Ints = np.zeros_like(end_ns)
+        delay_ns: Ints | int = 0
         if self._delay is not None:
             delay_ns = _answers(batch, layer_frames, self._delay.delay_ns, self._delay_ns_by, DELAY_SLOT)
         traced = self._traced(layer_frames, "delay_s")
@@ -183,10 +183,8 @@ class Outcomes:
             return None
         return np.stack([self._trace.traced(frame) for frame in layer_frames])
 
-    def _report(
-        self, batch: FrameBatch, k: int, code: Codes, lossy: bool, arrival_ns: Ints, snr_db: Floats, sinr_db: Floats
-    ) -> FrameReport:
-        """Report of frame k at its receivers, after delivery; rows (n,) of the batch, read-only; whether any code is not 0."""
+    def _report(self, batch: FrameBatch, k: int, code: Codes, arrival_ns: Ints, snr_db: Floats, sinr_db: Floats) -> FrameReport:
+        """Report of frame k at its receivers, after delivery; rows (n,) of the batch, read-only."""
         sent, start_ns, end_ns = batch.frames[k], batch.start_ns[k], batch.end_ns[k]
         sender, mean, to, on_air = sent.sender, sent.mean, sent.destination, start_ns >= 0
         copy_ns = None
@@ -196,7 +194,6 @@ class Outcomes:
             draw, rows, size = sent.draw(DELIVERY_SLOT), sender.others[to], sent.message.size_bytes
             arrival_ns, copy_ns = self._delivery.deliver(sender.row, rows, arrival_ns, size, lambda: draw()[to])
             code = np.where((code == 0) & (arrival_ns < 0), np.uint8(len(self._words) - 1), code)
-            lossy = True
             arrival_ns, copy_ns = frozen(arrival_ns), frozen(copy_ns)
         columns = mean.report_columns(to)
         head_ns = max(sent.sent_ns, sender.free_ns)  # time at which it became the first of its sender's queue
@@ -212,7 +209,7 @@ class Outcomes:
             rssi_dbm=columns.level_dbm if sent.level_dbm is mean.level_dbm else frozen(sent.level_dbm[to]),
             received_ns=arrival_ns,
             copy_ns=copy_ns,
-            outcome=tuple(self._words[code].tolist()) if lossy else (RECEIVED,) * len(code),
+            outcome=tuple(self._words[code].tolist()) if np.count_nonzero(code) else (RECEIVED,) * len(code),
             air_time_ns=sent.air_ns if on_air else 0,
             queue_ns=max(0, (head_ns if on_air else end_ns) - sent.sent_ns),
             access_ns=max(0, start_ns - head_ns) if on_air else 0,
@@ -316,9 +313,7 @@ class ReceptionLog:
             return []
         messages, sent_ns, *parts = zip(*self._parts, strict=True)
         self._parts.clear()
-        counts = [len(each) for each in parts[0]]
-        columns = _few(parts) if sum(counts) <= FEW else _many(parts, counts)
-        number, receiver, rssi_dbm, arrival_ns = map(sealed, columns)
+        number, receiver, rssi_dbm, arrival_ns = map(sealed, _arrivals(parts))
         batch = Receptions(
             names=self._names,
             messages=messages,
@@ -345,19 +340,16 @@ class ReceptionLog:
         return Event(f"{self._names[batch.receiver[at]]}/heard", due_ns, reception)
 
 
-def _many(columns: Sequence[Sequence[Any]], counts: Sequence[int]) -> list[NDArray[Any]]:
-    """Number of the message, receiver, level and time of each reception, of messages with so many receivers each."""
-    receiver, rssi_dbm, arrival_ns = (parts[0] if len(parts) == 1 else np.concatenate(parts) for parts in columns)
-    every = np.arange(len(counts)).repeat(counts), receiver, rssi_dbm, arrival_ns
-    arrives = arrival_ns >= 0
-    return [*every] if arrives.all() else [each[arrives] for each in every]
-
-
-def _few(columns: Sequence[Sequence[Any]]) -> list[NDArray[Any]]:
-    """The same, one by one."""
-    parts = enumerate(zip(*columns, strict=True))
-    rows = [(number, *row) for number, part in parts for row in zip(*part, strict=True) if row[2] >= 0]
-    return [np.array(column) for column in zip(*rows, strict=True)] if rows else [np.zeros(0)] * 4
+def _arrivals(columns: Sequence[Sequence[Any]]) -> list[NDArray[Any]]:
+    """Number of the message, receiver, level and time of each reception, of the columns of each message."""
+    if len(columns[0]) == 1:
+        receiver, rssi_dbm, arrival_ns = (np.asarray(part) for (part,) in columns)
+        number = np.zeros(len(receiver), np.int64)
+    else:
+        receiver, rssi_dbm, arrival_ns = map(np.concatenate, columns)
+        number = np.arange(len(columns[0])).repeat([len(each) for each in columns[0]])
+    every, arrives = [number, receiver, rssi_dbm, arrival_ns], arrival_ns >= 0
+    return every if np.count_nonzero(arrives) == len(arrives) else [each[arrives] for each in every]
 
 
 def received(report: FrameReport) -> Iterator[tuple[str, float, int]]:

@@ -127,12 +127,16 @@ def test_sending_before_any_position_is_known_is_an_error(radio: RadioFederate) 
 def code_is_had(patch: pytest.MonkeyPatch, told: Callable[[], None]) -> None:
     """Plain code takes the place of compiled code, of which tests before this one have loaded none; told when it is loaded."""
 
+    loaded: list[Core] = []
+
     def load(core: Core) -> Run:
         told()
+        loaded.append(core)
         return core.interpreted
 
     patch.setattr("vcmvsp.netsim.mac.dcf.medium.available", lambda: True)
-    patch.setattr(Core, "is_loaded", property(lambda _: False))
+    patch.setattr("vcmvsp.cosim.compiled.machine_code.available", lambda: True)
+    patch.setattr(Core, "is_loaded", property(lambda core: core in loaded))
     patch.setattr(Core, "compiled", property(load))
 
 
@@ -145,6 +149,7 @@ def test_at_wall_pace_nothing_is_compiled_but_at_the_start_and_only_where_progra
     code_is_had(monkeypatch, lambda: compiled.append(1))
     monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.COMPILE_AFTER", 10)
     monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.LOAD_AFTER", 10)
+    monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.FRAME_S", 0.1)
 
     def fates(*, paced: bool) -> list[tuple[str, ...]]:
         channel = make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3})

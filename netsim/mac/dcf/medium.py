@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.compiled.machine_code import Core, available
+from vcmvsp.cosim.compiled.machine_code import LOAD_S, Core, available
 from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.netsim.interfaces.layers import BACKOFF_SLOT, Floats, Ints, Keys
 from vcmvsp.netsim.interfaces.medium import Answer, Decided, DecidedFrames, Offered, Renew
@@ -35,7 +35,8 @@ from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.ofdm import Ofdm
 
-LOAD_AFTER = 400  # frames for which loading compiled code pays: it saves 0.1 ms a frame of 3 to 50 radios
+FRAME_S = 1e-4  # CPU time of a frame of 3 to 50 radios, interpreted
+LOAD_AFTER = round(LOAD_S / FRAME_S)  # frames for which loading compiled code pays
 COMPILE_AFTER = 5000  # frames for which compiling pays, once for each computer
 PER_FRAME = tuple(name for name, shape in SHAPES.items() if shape[0] == "c")
 CORE = error_rate, capture, access
@@ -83,7 +84,7 @@ class DcfMedium:
         self._run = self._core.interpreted
         seen = self._faster_at is not None and self._core.is_loaded  # by an earlier run
         if (compile_core or seen) and count:
-            self._go_faster(COMPILE_AFTER)
+            self._run, self._faster_at = self._core.compiled, None
 
     @property
     def levels(self) -> Floats:
@@ -254,10 +255,8 @@ class DcfMedium:
 
     def _go_faster(self, frames: int) -> None:
         """Switch to compiled code if that pays for this number of frames; else set the number for the next check."""
-        if frames >= COMPILE_AFTER or (frames >= LOAD_AFTER and self._core.is_cached):
-            self._run, self._faster_at = self._core.compiled, None
-        else:
-            self._faster_at = COMPILE_AFTER
+        self._run = self._core.chosen(FRAME_S * frames, FRAME_S * COMPILE_AFTER)
+        self._faster_at = None if self._core.is_loaded else COMPILE_AFTER
 
     # --- forecast ---
 
