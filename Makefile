@@ -28,6 +28,7 @@ $(VENV)/.ready: pyproject.toml uv.lock
 	test -x $(UV) || { $(PYTHON) -m venv .uv && .uv/bin/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION); }
 	@$(UV) sync --frozen --inexact --quiet --python $(USED) || \
 	$(UV) sync --frozen --inexact --quiet --python $(USED) --system-certs  # behind a proxy with certificates of its own
+	@$(BIN)/vcmvsp reference --json-schema > scenarios/scenario.schema.json  # which editors find by the first line of a scenario
 	@touch $@
 
 demo: setup

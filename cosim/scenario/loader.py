@@ -174,7 +174,8 @@ def names() -> list[str]:
 def first_words(name: str) -> str:
     """Description of a built-in scenario: the first sentence of its opening comment."""
     text = (BUILT_IN / f"{name}.toml").read_text("utf-8")
-    comment = " ".join(line.lstrip("# ") for line in itertools.takewhile(lambda each: each.startswith("#"), text.splitlines()))
+    lines = itertools.takewhile(lambda each: each.startswith("#"), text.splitlines())
+    comment = " ".join(line.lstrip("# ") for line in lines if not line.startswith("#:"))  # that is for editors
     return re.split(r"(?<!Fig)\.\s+(?=[A-Z])", comment)[0].rstrip(".") + "."
 
 

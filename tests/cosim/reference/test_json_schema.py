@@ -81,5 +81,11 @@ def test_a_key_says_what_it_means_its_unit_and_its_default() -> None:
     }  # fmt: skip
 
 
+def test_every_built_in_scenario_names_its_schema_in_its_first_line() -> None:
+    texts = [loader.path_of(name).read_text() for name in loader.names()]
+    assert all(text.startswith("#:schema ./scenario.schema.json\n# ") for text in texts)
+    assert not any(loader.first_words(name).startswith(":") for name in loader.names())
+
+
 def test_a_section_has_no_schema() -> None:
     assert vcmvsp_command("reference", "radio", "--json-schema").code == 2
