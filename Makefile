@@ -32,7 +32,7 @@ $(VENV)/.ready: pyproject.toml uv.lock
 	@touch $@
 
 demo: setup
-	$(BIN)/vcmvsp run formation-circle
+	$(BIN)/vcmvsp demo
 
 check: setup
 	$(BIN)/ruff check .

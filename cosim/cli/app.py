@@ -32,7 +32,15 @@ from vcmvsp.cosim.cli.radio import (
 from vcmvsp.cosim.cli.remote import agent_command, doctor_command, watch_command
 from vcmvsp.cosim.cli.reproduce import bench_command, figure_command, validate_command
 from vcmvsp.cosim.cli.robot import operator_command, robot_command, stop_command
-from vcmvsp.cosim.cli.run import check_command, drive_command, launch_command, replay_command, run_command, study_command
+from vcmvsp.cosim.cli.run import (
+    check_command,
+    demo_command,
+    drive_command,
+    launch_command,
+    replay_command,
+    run_command,
+    study_command,
+)
 from vcmvsp.cosim.config.binding import show
 from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
 
@@ -53,7 +61,7 @@ class Panels(typer.core.TyperGroup):
 app = typer.Typer(
     name="vcmvsp",
     cls=Panels,
-    help="Simulate many vehicles and the radio between them.\n\nStart with: vcmvsp run formation-circle",
+    help="Simulate many vehicles and the radio between them.\n\nStart with: vcmvsp demo",
     no_args_is_help=True,
     rich_markup_mode=None,  # rich help costs a third of a second at every start
     pretty_exceptions_enable=False,
@@ -64,6 +72,7 @@ _Command = tuple[str, Callable[..., None] | typer.Typer, str, str | None]
 _COMMANDS: dict[str, tuple[_Command, ...]] = {
     "Run": (
         ("run", run_command, "Run a scenario", PROGRAM),
+        ("demo", demo_command, "Run a formation with and without losses, and compare", None),
         ("check", check_command, "Check the keys of a scenario without running it", PROGRAM),
         ("study", study_command, "Run a scenario over a grid of values and seeds", PROGRAM),
         ("replay", replay_command, "Repeat a recorded run, changed or unchanged", PROGRAM),

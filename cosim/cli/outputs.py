@@ -23,18 +23,20 @@ RunDir = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of a run
 
 
 def plot_command(
-    run_dir: RunDir,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the figures [RUN_DIR].")] = None,
+    run_dirs: Annotated[list[Path], typer.Argument(metavar="RUN_DIR...", help="Folder of a run; several are compared.")],
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the figures [the first RUN_DIR].")] = None,
     svg: Annotated[bool, typer.Option("--svg", help="Write SVG instead of PNG.")] = False,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write PDF instead of PNG.")] = False,
     trust: Trust = False,
 ) -> None:
-    """Draw the figures of a run again; also of a killed run, up to the end of its recording.
+    """Draw the figures of a run again, or several runs side by side; also of a killed run, up to the end of its recording.
 
-    Example: vcmvsp plot runs/formation-circle-1
+    Example: vcmvsp plot runs/formation-circle-1 runs/formation-slalom-1 --out both
     """
     from vcmvsp.cosim.runs import api
 
-    for path in api.plot(run_dir, out or run_dir, svg=svg, tell=say, trust=trust):
+    kind = "pdf" if pdf else "png"
+    for path in api.plot(run_dirs, out or run_dirs[0], kind="svg" if svg else kind, tell=say, trust=trust):
         sys.stdout.write(f"{path}\n")
 
 

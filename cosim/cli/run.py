@@ -139,6 +139,43 @@ def replay_command(
             raise typer.Exit(1)
 
 
+DEMO: Mapping[str, Mapping[str, Any]] = {
+    "no-loss": {"radio.loss.probability": 0.0, "radio.delay.seconds": 0.0, "radio.delay.jitter_s": 0.0},
+    "hold": {"agents.estimator": "hold"},
+    "dead-reckoning": {"agents.estimator": "dr"},
+}
+"""Runs of formation-slalom, by name: what each changes."""
+
+
+def demo_command(
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [runs/demo].")] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a formation three times, with a perfect radio and with one that loses half of all messages, and compare.
+
+    With losses, followers first take the last message as it is (hold), then extrapolate it (dead reckoning).
+
+    Example: vcmvsp demo
+    """
+    from vcmvsp.cosim.runs import api
+    from vcmvsp.cosim.terminal.progress import Progress
+    from vcmvsp.cosim.util.files import Folder
+
+    folder = Folder(out or Path("runs/demo"), force=force, numbered=out is None).claim()
+    lines = [["run", "lost", "age", "formation error, RMS"]]
+    for name, settings in DEMO.items():
+        with stdout_to_stderr(), Progress(quiet=quiet) as progress:
+            shown: dict[str, Any] = {"progress": progress.on_instant, "tell": progress.tell}
+            result = api.run("formation-slalom", set=settings, out=folder / name, force=force, **shown)
+        radio, error_m = result.metrics["radio"], result.metrics["formation"]["rms_m"]
+        lost, age_ms = 100.0 * (1.0 - radio["delivery_ratio"]), 1000.0 * radio["age_s"]["mean"]
+        lines.append([name, f"{lost:.0f} %", f"{age_ms:.0f} ms", f"{error_m:.3f} m"])
+    (picture,) = api.plot([folder / name for name in DEMO], folder)
+    sys.stdout.write("".join(f"{line}\n" for line in aligned(lines)))
+    sys.stdout.write(f"picture: {picture}\nresults: {', '.join(str(folder / name) for name in DEMO)}\n")
+
+
 def drive_command(
     scenario: ScenarioName,
     vehicle: Annotated[str, typer.Option(metavar="NAME", help="Which one.")],

@@ -11,7 +11,7 @@ import csv
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -72,10 +72,7 @@ def write_csv(source: Source, folder: Path) -> None:
                 vehicle, name = _place(said.topic)
                 writers[name].writerow((said.time_ns / SECOND_NS, vehicle, *(row.get(each) for each in headers[name])))
     _write_radio(source, folder / f"{RADIO}.csv", *until)
-    with suppress(UsageError):  # a recording of one instant so far
-        recording = tables_of(source.folder, radio=(), before_ns=until[1])
-        if recording.follows:
-            _write_parts(iter((errors_table(recording.states, recording.facts),)), folder / f"{ERRORS}.csv")
+    _write_errors(source, folder / f"{ERRORS}.csv", until[1])
 
 
 def _read(source: Source) -> Iterator[tuple[Recorded, Any]]:
@@ -160,6 +157,18 @@ def _write_radio(source: Source, path: Path, count: int, end_ns: int) -> None:
         _write_recorded(source, path, count, end_ns, f"no {own.name} here")
     except (OSError, ValueError):  # the run was killed during the write
         _write_recorded(source, path, count, end_ns, f"{own.name} cannot be read")
+
+
+def _write_errors(source: Source, path: Path, end_ns: int) -> None:
+    try:
+        recording = tables_of(source.folder, radio=(), before_ns=end_ns)
+    except UsageError:  # a recording of one instant so far
+        return
+    except (OSError, ValueError) as error:
+        source.tell(f"{source.folder}: no {path.name}: {error}")
+        return
+    if recording.follows:
+        _write_parts(iter((errors_table(recording.states, recording.facts),)), path)
 
 
 def _write_recorded(source: Source, path: Path, count: int, end_ns: int, why: str) -> None:

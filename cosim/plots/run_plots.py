@@ -1,6 +1,6 @@
 """Figures of a run from its tables: `trajectory` seen from above and `formation_error` over time."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pyarrow as pa
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.age import links
 from vcmvsp.cosim.metrics.formation import ROUNDING_M, SETTLED_M, formation_errors
-from vcmvsp.cosim.metrics.motion import Motion, Window, motion
+from vcmvsp.cosim.metrics.motion import Motion, Window, followers, motion
 from vcmvsp.cosim.metrics.routing import COLUMNS, unreached_s
 from vcmvsp.cosim.plots.style import ABOVE, GREY, LEVEL, line_of, styled
 from vcmvsp.cosim.tables.columns import names_of, numbers
@@ -19,6 +19,7 @@ from vcmvsp.cosim.tables.schema import NOT_LOST, Placement, Table, selected
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.palette import color_of
 
+COMPARED_S = 15.0
 SNAPSHOTS = 5  # instants at which the formation is drawn, including start and end
 _OF_LOSSES = ("sender", "receiver", "outcome", "sent_ns", "received_ns", *COLUMNS)
 NAMED = 8  # rows of lost messages, one text line high each; with more, they have no names
@@ -90,6 +91,44 @@ def formation_error(states: Table, radio: Table, follows: Sequence[Placement], w
         _legend(above)
     else:
         above.annotate("no vehicle follows another", (0.5, 0.5), xycoords="axes fraction", ha="center")
+    return figure
+
+
+@styled
+def comparison(runs: Mapping[str, tuple[Table, Sequence[Placement]]]) -> Figure:
+    """Runs side by side: the last `COMPARED_S` of the tracks seen from above; below, the formation error of each over time.
+
+    Args:
+        runs: true states and slots of each run, by its title.
+    """
+    figure = Figure(figsize=(2.3 * max(2, len(runs)), 4.6), layout="constrained")
+    grid = figure.add_gridspec(2, len(runs), height_ratios=(1.3, 1.0))
+    above = [figure.add_subplot(grid[0, number]) for number in range(len(runs))]
+    below = figure.add_subplot(grid[1, :])
+    curves = []
+    for number, (axes, (title, (states, follows))) in enumerate(zip(above, runs.items(), strict=True)):
+        moved = motion(states)
+        time_s = moved.time_ns / SECOND_NS
+        last = slice(int(np.searchsorted(time_s, time_s[-1] - COMPARED_S)), None)
+        leaders = [name for name in moved.names if name not in followers(moved.names, follows)]
+        for i, name in enumerate(moved.names):
+            x, y, _ = moved.position[:, last, i]
+            axes.plot(x, y, color=GREY if name in leaders else color_of(number), linewidth=0.9, zorder=3)
+            draw_vehicle(axes, (x[-1], y[-1], moved.yaw[-1, i]), GREY if name in leaders else color_of(number), 9.0)
+        _draw_formation(axes, moved, follows, len(moved.time_ns) - 1)
+        axes.set_title(title)
+        axes.set_aspect("equal", adjustable="datalim")
+        errors = [*formation_errors(moved, follows).values()]
+        if errors:
+            curves.append(np.sqrt(np.nanmean(np.square(errors), axis=0)))
+            below.plot(time_s, curves[-1], color=color_of(number), label=title)
+    above[0].set_ylabel("y north [m]")
+    for axes in above:
+        axes.set_xlabel("x east [m]")
+    _choose_scale(below, curves)
+    below.set(xlabel="time [s]", ylabel="formation error,\nRMS of followers [m]", xlim=(0.0, None))
+    if curves:
+        below.legend(ncols=len(runs), **ABOVE)
     return figure
 
 

@@ -1,4 +1,4 @@
-"""Style of all figures, independent of the user's matplotlibrc, and output as PNG and SVG.
+"""Style of all figures, independent of the user's matplotlibrc, and output as PNG, SVG and PDF.
 
 Series differ in colour and in line style or marker, so that they can be told apart in grey. The colours are in
 `cosim.util.palette`. Files contain no date, library version or global state: the same figure gives the same bytes.
@@ -15,6 +15,7 @@ from typing import Any, ParamSpec
 import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.collections import Collection, QuadMesh
 from matplotlib.figure import Figure
@@ -112,6 +113,20 @@ def save_svg(figure: Figure, path: str | Path) -> None:
     write_whole(Path(path), svg(figure))
 
 
+def save_pdf(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PDF, with its texts as text: the same bytes for the same figure."""
+    with style({**SVG, "pdf.fonttype": 42}):
+        _laid_out(figure)
+        _make_light(figure)
+        with replacing(Path(path)) as place:
+            canvas = FigureCanvasPdf(figure)
+            canvas.print_pdf(str(place), metadata=dict.fromkeys(("Creator", "Producer", "CreationDate")))  # type: ignore[no-untyped-call]
+
+
+SAVE: Mapping[str, Callable[[Figure, Path], None]] = {"png": save_png, "svg": save_svg, "pdf": save_pdf}
+"""Writers of a figure, by the kind of file."""
+
+
 def svg(figure: Figure) -> str:
     """A figure as SVG text, deterministic: text as text, dense parts as a picture."""
     with style(SVG):
@@ -126,11 +141,11 @@ def svg(figure: Figure) -> str:
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write ``stem``.png and ``stem``.svg."""
-    png, drawing = (stem.with_name(f"{stem.name}.{kind}") for kind in ("png", "svg"))
-    save_png(figure, png)
-    save_svg(figure, drawing)
-    return [png, drawing]
+    """Write ``stem``.png, ``stem``.svg and ``stem``.pdf."""
+    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in SAVE]
+    for path, write in zip(paths, SAVE.values(), strict=True):
+        write(figure, path)
+    return paths
 
 
 def _laid_out(figure: Figure) -> FigureCanvasAgg:

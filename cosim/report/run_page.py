@@ -66,9 +66,7 @@ def _page_of(left: Left, drawings: Mapping[str, str]) -> str:
 
 def run_page(left: Left, drawings: Mapping[str, str]) -> str:
     """The page as HTML."""
-    nobody_follows = left.recording is not None and not left.recording.follows
-    shown = {name: svg for name, svg in drawings.items() if not (nobody_follows and name == "formation_error")}
-    figures = [Figure(svg, FIGURES.get(name, name)) for name, svg in shown.items()]
+    figures = [Figure(svg, FIGURES.get(name, name)) for name, svg in drawings.items()]
     sections = [
         Section("What is missing", _missing(left)),
         Section("Figures", figures),

@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
@@ -33,7 +33,7 @@ from vcmvsp.cosim.metrics.own import own_values
 from vcmvsp.cosim.recording import external_inputs
 from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.recorder import Recorder
-from vcmvsp.cosim.runs.result import Result, figures_again, load_figures
+from vcmvsp.cosim.runs.result import Result, compared, figures_again, load_figures
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario import schema
 from vcmvsp.cosim.tables.schema import write_table
@@ -467,17 +467,20 @@ def check(scenario: str | Path | Mapping[str, Any], *, set: Mapping[str, Any] | 
         return assembled.resolved()
 
 
-def plot(run_dir: Path, out: Path, *, svg: bool = False, tell: Tell = lambda _: None, trust: bool = False) -> list[Path]:
-    """Draw the figures of a saved or interrupted run into the folder ``out``, as PNG or SVG; returns the files.
+def plot(
+    run_dirs: Sequence[Path], out: Path, *, kind: str = "png", tell: Tell = lambda _: None, trust: bool = False
+) -> list[Path]:
+    """Draw the figures of a saved or interrupted run into the folder ``out``, or one that compares several; returns the files.
 
-    With ``trust`` the class of its world is imported even if it is not built in.
+    Args:
+        kind: of the files: png, svg or pdf.
+        trust: import the class of a run's world even if it is not built in.
     """
     from vcmvsp.cosim.plots import style
 
-    figures = figures_again(run_dir, tell, trust=trust)
+    figures = figures_again(run_dirs[0], tell, trust=trust) if len(run_dirs) == 1 else {"comparison": compared(run_dirs, tell)}
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-        save, kind = (style.save_svg, "svg") if svg else (style.save_png, "png")
         for name, figure in figures.items():
-            save(figure, out / f"{name}.{kind}")
+            style.SAVE[kind](figure, out / f"{name}.{kind}")
     return [out / f"{name}.{kind}" for name in figures]

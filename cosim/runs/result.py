@@ -99,7 +99,10 @@ class Result:
         return self._recorder.follows
 
     def plot(self) -> "dict[str, Figure]":
-        """The run's figures, by name: ``trajectory``, ``formation_error`` and, with a recording, `mission_figures`."""
+        """The run's figures, by name: ``trajectory``, ``formation_error`` and `mission_figures`.
+
+        The second only where a vehicle follows another, the last only with a recording of a mission.
+        """
         return self._figures(self._shown())
 
     def _figures(self, shown: MissionLog | None) -> "dict[str, Figure]":
@@ -185,16 +188,37 @@ def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = F
     return figures
 
 
+def compared(run_dirs: Sequence[Path], tell: Tell = lambda _: None) -> "Figure":
+    """A figure that shows several runs side by side, each with the name of its folder.
+
+    Raises:
+        UsageError: a folder has no readable tables or recording, or two have the same name.
+    """
+    from vcmvsp.cosim.plots import run_plots
+
+    runs = {}
+    for run_dir in run_dirs:
+        try:
+            recording = tables_of(run_dir, tell, radio=())
+        except (OSError, ValueError) as error:
+            raise UsageError(f"{run_dir} cannot be read: {error}") from error
+        title = run_dir.resolve().name
+        if title in runs:
+            raise UsageError(f"{run_dir}: two of these folders are called {title}")
+        runs[title] = recording.states, recording.follows
+    return run_plots.comparison(runs)
+
+
 def figures_of(
     states: Table, radio: Table, follows: Sequence[Placement], window: Window, outlines: Sequence[Array]
 ) -> "dict[str, Figure]":
-    """The figures of a run, by name: ``trajectory`` and ``formation_error``."""
+    """The figures of a run, by name: ``trajectory`` and, if a vehicle follows another, ``formation_error``."""
     from vcmvsp.cosim.plots import run_plots
 
-    return {
-        "trajectory": run_plots.trajectory(states, follows, outlines),
-        "formation_error": run_plots.formation_error(states, radio, follows, window),
-    }
+    figures = {"trajectory": run_plots.trajectory(states, follows, outlines)}
+    if follows:
+        figures["formation_error"] = run_plots.formation_error(states, radio, follows, window)
+    return figures
 
 
 def load_figures() -> None:

@@ -23,7 +23,7 @@ LISTED_FAILURES = 100
 
 
 def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True) -> list[Path]:
-    """Write ``summary.csv``, ``study.png``, ``study-map.png``, both as ``.svg`` too, and ``report.html``.
+    """Write ``summary.csv``, ``study.png``, ``study-map.png``, both as ``.svg`` and ``.pdf`` too, and ``report.html``.
 
     Args:
         table: a row for each run: the varied keys, ``seed``, metrics, ``error`` and ``digest``.

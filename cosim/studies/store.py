@@ -33,7 +33,7 @@ from vcmvsp.cosim.util.documents import read_json
 from vcmvsp.cosim.util.files import PART, Folder, replacing, writing
 
 PLAN, TABLE, JOURNAL, LOCK = "study.toml", "study.parquet", "study.journal", "study.lock"
-FIGURES = tuple(f"{name}.{kind}" for name in ("study", "study-map") for kind in ("png", "svg"))
+FIGURES = tuple(f"{name}.{kind}" for name in ("study", "study-map") for kind in ("png", "svg", "pdf"))
 OUTPUTS = ("about.json", "summary.csv", "report.html", *FIGURES)
 SHARE = 0.02  # largest share of time for writing the table, and for waiting for the disk
 SYNC_EVERY_S = 0.2  # least time between two syncs of the journal

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.terminal.live_table import LiveTable, TableLine
 
 LOG_EVERY_S = 5.0
+SHAPE_M = 0.05  # a misfit that is worth a word even where no follower is followed
 DRAW_EVERY_S = 0.25
 SHARE = 100.0  # drawing takes at most 1 / SHARE of the time
 MIN_BAR = 8  # columns
@@ -273,8 +274,8 @@ def _of_formation(formation: Mapping[str, Any]) -> str:
     if formation["rms_m"] is None:
         return ""
     settled = "not settled" if formation["settling_s"] is None else f"settled after {formation['settling_s']:.1f} s"
-    chain = formation["hop_gain"] is not None  # the errors of links add up
-    shape = f", shape {formation['shape']['rms_m']:.4f} m" if chain else ""
+    shape_m, chain = formation["shape"]["rms_m"], formation["hop_gain"] is not None  # the errors of links add up
+    shape = f", shape {shape_m:.4f} m off a rigid one" if chain or shape_m > max(SHAPE_M, 2.0 * formation["rms_m"]) else ""
     return f"error {formation['rms_m']:.4f} m RMS, {formation['max_m']:.4f} m at most{shape}, {settled}"
 
 

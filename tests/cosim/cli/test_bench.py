@@ -300,7 +300,7 @@ def test_the_parts_of_each_bar_fill_it(tmp_path: Path) -> None:
         assert len(bars) == len(PARTS)
         assert sum(bar.get_width() for bar in bars) == pytest.approx(100.0)
     written = shares.write(found, tmp_path / "new")
-    assert {path.suffix for path in written} == {".csv", ".png", ".svg"}
+    assert {path.suffix for path in written} == {".csv", ".png", ".svg", ".pdf"}
     rows = list(csv.DictReader((tmp_path / "new" / "shares.csv").read_text().splitlines()))
     assert [(row["scenario"], float(row["end_s"])) for row in rows] == [("a", 1.0), ("b", float(len(PARTS)))]
 

@@ -7,6 +7,7 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
+from vcmvsp.cosim.runs.result import compared
 
 pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("figures")]
 
@@ -53,6 +54,20 @@ def test_plot_draws_the_figures_of_the_run_again(folder: Path) -> None:
     assert (code, err) == (0, "")
     assert sorted(out.splitlines()) == ["drawn/formation_error.svg", "drawn/trajectory.svg"]
     assert (folder / "drawn" / "trajectory.svg").read_text().startswith("<?xml")
+    for name in ("one", "two"):
+        assert vcmvsp_command("plot", "out", "--out", name, "--pdf").code == 0
+    assert contents(folder / "one") == contents(folder / "two")
+    assert all(data.startswith(b"%PDF") for data in contents(folder / "one").values())
+
+
+def test_several_runs_are_drawn_side_by_side(folder: Path) -> None:
+    for name in ("one", "two"):
+        vcmvsp_command("run", "formation-circle", "--set", "physics.kind=kinematic", "--set", "duration_s=2", "--out", name)
+    assert vcmvsp_command("plot", "one", "two", "--out", "both").out.splitlines() == ["both/comparison.png"]
+    figure = compared([folder / "one", folder / "two"])
+    assert [axes.get_title() for axes in figure.axes] == ["one", "two", ""]
+    assert [line.get_label() for line in figure.axes[2].lines] == ["one", "two"]
+    assert "two of these folders are called one" in vcmvsp_command("plot", "one", "../" + folder.name + "/one").err
 
 
 def test_figures_of_a_mission_need_its_recording_and_nothing_else_does(folder: Path) -> None:
@@ -68,10 +83,10 @@ def test_figures_of_a_mission_need_its_recording_and_nothing_else_does(folder: P
     assert "mission" in result.plot()
     assert (folder / "out" / "mission.png").is_file()
     (folder / "out" / "run.mcap").unlink()
-    assert sorted(result.plot()) == ["formation_error", "trajectory"]
+    assert sorted(result.plot()) == ["trajectory"]  # nobody follows
     code, out, err = vcmvsp_command("plot", "out", "--out", "again")
     assert (code, err) == (0, "")
-    assert sorted(out.splitlines()) == ["again/formation_error.png", "again/trajectory.png"]
+    assert out.splitlines() == ["again/trajectory.png"]
     assert result.metrics["mission"]["targets_found"] == 0
 
 

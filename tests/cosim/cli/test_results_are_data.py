@@ -27,7 +27,7 @@ pytestmark = pytest.mark.processes
 
 NEITHER = {  # they import classes of their own command line alone, or none
     *("agent", "robot", "watch", "stop", "operator", "doctor", "new", "list", "reference", "figure", "validate", "bench"),
-    *("channel", "per", "pathloss", "emulate ubisense", "emulate dwm1001", "emulate mavlink", "emulate ros2"),
+    *("demo", "channel", "per", "pathloss", "emulate ubisense", "emulate dwm1001", "emulate mavlink", "emulate ros2"),
     *("keys init", "keys hub", "keys vehicle", "keys observer", "keys list", "keys revoke"),
     *("net exec", "net status", "net down"),
 }

@@ -47,6 +47,9 @@ ELSEWHERE = _in_the_gallery() | {
     ".venv/bin/python examples/loss_and_delay.py": EXAMPLES,
     ".venv/bin/python examples/own_agent.py pictures": EXAMPLES,
     "make demo": "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
+    "vcmvsp view runs/demo/hold": (
+        "tests/cosim/cli/test_view.py::test_it_prints_a_url_serves_the_page_to_who_has_it_and_ends_quietly"
+    ),
     "vcmvsp view runs/formation-circle-1": (
         "tests/cosim/cli/test_view.py::test_it_prints_a_url_serves_the_page_to_who_has_it_and_ends_quietly"
     ),
@@ -114,10 +117,10 @@ UNRUN = {
 """Why a command cannot be run here, nor anything like it."""
 
 SHOWN = {
-    ("README.md", "formation-circle: 3 agents"): "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
+    ("README.md", "dead-reckoning  52 %"): "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
     ("README.md", "class KeepGap"): "tests/docs/test_readme.py::test_the_twenty_lines_keep_the_gap",
     ("docs/howto/programs.md", "where are you?"): TEN_LINES,
-    ("docs/tutorial.md", "formation-circle: 3 agents"): f"{PAGES}::test_the_tutorial_shows_what_the_readme_shows_of_the_demo",
+    ("docs/tutorial.md", "formation-circle: 3 agents"): f"{PAGES}::test_the_tutorial_shows_what_its_first_run_prints",
     ("docs/tutorial.md", "class MyFollower"): f"{PAGES}::test_the_agent_of_the_tutorial_keeps_the_errors_that_it_says",
     ("docs/tutorial.md", "check_agent(lambda"): f"{PAGES}::test_the_agent_of_the_tutorial_passes_its_check",
     ("docs/howto/own-metric.md", "self.note(disagreement_m"): OWN_METRICS,
