@@ -225,7 +225,8 @@ def summary(found: Map) -> str:
     lines = [
         f"{found.scenario}: the level of {found.vehicle} is {found.floor_dbm:.1f} dBm or more in "
         f"{100.0 * heard_share(found):.1f} % of {width:g} x {height:g} m; "
-        f"{100.0 * found.success.mean():.1f} % of its frames of {found.size_bytes} bytes arrive, averaged over all places"
+        f"{100.0 * found.success.mean():.1f} % of its frames of {found.size_bytes} bytes arrive, averaged over all places, "
+        "without random loss (radio.loss) and collisions"
     ]
     lines += [f"  {name}: {level:.1f} dBm, {100.0 * success:.1f} % arrive" for name, (level, success) in found.others.items()]
     if found.not_executed:

@@ -1,5 +1,6 @@
 """Build the channel from ``[radio]``: a preset with changed layers."""
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -137,7 +138,7 @@ def build(
         for name in LAYERS:
             where, own = binding.join(key, name), radio.get(name, {})
             if not isinstance(own, dict):
-                raise source.error(f"must be a table, not {binding.show(own)}", where)
+                raise source.error(f"must be a table, not {binding.show(own)}{_meant(name, base[name], own, where)}", where)
             content, guard = _merged(name, base[name], own), partial(user_layers.guarded, name)
             layers[name], resolved[name] = registry.build(
                 name, content, key=where, source=source, portable=portable, offered=offered, keep=keep, guard=guard
@@ -150,6 +151,18 @@ def build(
         return Channel(**layers, radios=radios), resolved
     except user_layers.LayerError as error:
         raise source.error(error.cause, binding.join(key, error.layer)) from error
+
+
+def _meant(layer: str, base: Mapping[str, Any], own: object, where: str) -> str:
+    """A proposal for a value in place of a layer's table: its first key that may have such a value; empty if it has none."""
+    content = _merged(layer, base, {})
+    kinds = [kind for kind in (content["kind"], *builtin_kinds.KINDS[layer]) if kind != "none"]
+    for kind in kinds:
+        for name, parameter in binding.parameters(registry.find(layer, kind)).items():
+            with contextlib.suppress(ScenarioError):
+                binding.convert(own, parameter.annotation)
+                return f"; did you mean {where}.{name} = {binding.show(own)}?"
+    return ""
 
 
 def _merged(layer: str, base: Mapping[str, Any], own: Mapping[str, Any]) -> Mapping[str, Any]:

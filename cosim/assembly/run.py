@@ -16,6 +16,7 @@ import msgspec
 from vcmvsp.cosim.agent import Agent, AgentInfo
 from vcmvsp.cosim.assembly import bridge, radio, real_vehicles, worlds
 from vcmvsp.cosim.assembly.interventions import Operator, check_planned, checks, nothing_moves
+from vcmvsp.cosim.assembly.remarks import remarks
 from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.assembly.vehicles import Fleet, Placement
 from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, Ticks, WallClock, seconds_to_ns
@@ -211,6 +212,8 @@ def assemble(
             hosts.start(placement.specs, placement.objects)
         agents = tuple(sorted(hosts.infos, key=lambda info: info.vehicle))
         placement.check_defaults_taken(agents)
+        for line in remarks(scenario, resolution.tables["radio"], fleet.models, agents):
+            tell(line)
     except BaseException:
         hosts.close()
         raise

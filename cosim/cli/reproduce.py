@@ -26,7 +26,7 @@ def figure_command(
 ) -> None:
     """Make a figure again and compare its numbers with the expected ones.
 
-    Writes NAME.csv (the curves), NAME.png, NAME.svg, NAME-expected.csv and NAME.json (expected and measured numbers).
+    Writes NAME.csv (the curves), NAME.png, NAME.svg, NAME.pdf, NAME-expected.csv and NAME.json (expected and measured numbers).
     The exit code is 1 if a number is outside its tolerance.
 
     Example: vcmvsp figure 24 --out figures

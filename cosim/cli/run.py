@@ -211,7 +211,7 @@ def check_command(scenario: ScenarioName, set_: Sets = None) -> None:
     from vcmvsp.cosim.scenario import loader as scenarios
 
     with stdout_to_stderr():
-        resolved = api.check(scenario, set=scenarios.settings_of(set_ or []))
+        resolved = api.check(scenario, set=scenarios.settings_of(set_ or []), tell=say)
     sys.stdout.write(f"{scenario}: fine ({len(resolved['vehicle'])} vehicles, {resolved['duration_s']:g} s)\n")
 
 
@@ -300,7 +300,7 @@ def study_command(
             metavar="KEY=VALUES", help="KEY=a,b,c or KEY=start:stop:step; repeat for a grid [the scenario's [study] table]."
         ),
     ] = None,
-    seeds: Annotated[int | None, typer.Option(metavar="N", help="Runs per point of the grid [20].")] = None,
+    seeds: Annotated[int | None, typer.Option(metavar="N", help="Runs per point [the scenario's, else 20].")] = None,
     metric: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME", help="Metric to plot and summarise, e.g. formation.rms_m; repeat for several."),

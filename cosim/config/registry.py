@@ -90,6 +90,8 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
         raise
     except BaseException as error:  # a user module may raise anything
         problem = f"'{where}' cannot be imported: {words_of(error)}{place_of(error)}"
+        if isinstance(error, ModuleNotFoundError) and path is None and located(f"{where}.py", folder).is_file():
+            problem += f"; did you mean '{where}.py:{name}'?"
         raise origin.error(problem, key) from error
     if is_own and (code := allowed_code.get()):
         code.took(kind, module)

@@ -96,7 +96,7 @@ def _titles(figure: Figure, axes: Axes, found: "Map") -> None:
         f"{found.scenario}: coverage of {found.vehicle} ({found.preset}, seed {found.seed}, "
         f"receivers {found.height_m:g} m high)\n"
         f"{share:.0f} % of the area hears it at {found.floor_dbm:.1f} dBm or more;{gap}"
-        f"{100.0 * found.success.mean():.0f} % of the frames arrive, all places taken together"
+        f"{100.0 * found.success.mean():.0f} % of the frames arrive, without random loss and collisions"
     )
     materials = sorted({solid.material for solid in found.solids})
     if materials:

@@ -33,6 +33,7 @@ from vcmvsp.cosim.metrics.own import own_values
 from vcmvsp.cosim.recording import external_inputs
 from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.recorder import Recorder
+from vcmvsp.cosim.runs import notebook
 from vcmvsp.cosim.runs.result import Result, compared, figures_again, load_figures
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario import schema
@@ -105,7 +106,7 @@ class Simulation:
 
     Args:
         folder: receives the files; None: they stay in memory.
-        progress: called with (now, end) in ns before every instant.
+        progress: called with (now, end) in ns before every instant; default: in Jupyter, a bar.
         observe: called with every event, after the recording.
         view: shows the run and accepts interventions.
         speed: initial speed of the view, simulated seconds per wall second.
@@ -415,6 +416,7 @@ def run(
         raise UsageError("mcap = False: a run with a folder always writes run.mcap; leave out one of the two")
     loaded = scenario if isinstance(scenario, scenarios.Loaded) else scenarios.load(scenario, settings=set, seed=seed)
     parsed, source = loaded
+    progress = progress or notebook.bar(parsed.name)
     started, cpu = datetime.now(UTC), time.process_time()
     replayed = None if playback is None else external_inputs.read_inputs(Path(playback) / external_inputs.FILE, tell=tell)
     try:
@@ -451,16 +453,21 @@ def run(
     return result
 
 
-def check(scenario: str | Path | Mapping[str, Any], *, set: Mapping[str, Any] | None = None) -> dict[str, Any]:  # noqa: A002
+def check(
+    scenario: str | Path | Mapping[str, Any],
+    *,
+    set: Mapping[str, Any] | None = None,  # noqa: A002
+    tell: Tell = lambda _: None,
+) -> dict[str, Any]:
     """Check a scenario: builds and starts all parts, runs nothing, returns the resolved scenario.
 
-    All agents are built in this process.
+    All agents are built in this process. ``tell`` receives remarks on what is valid but hardly meant so.
 
     Raises:
         ScenarioError: the scenario cannot be run as it is.
     """
     parsed, source = scenarios.load(scenario, settings=set)
-    with assemble(parsed, source, runs="here") as assembled:
+    with assemble(parsed, source, runs="here", tell=tell) as assembled:
         kernel = Kernel(assembled.info, assembled.federates)
         assembled.start(kernel)
         kernel.close()

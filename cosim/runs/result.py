@@ -98,12 +98,36 @@ class Result:
         """Formation slots announced by vehicles, with start times."""
         return self._recorder.follows
 
+    def __repr__(self) -> str:
+        return f"<Result of {', '.join(f'{name} {value}' for name, value in self._head())}>"
+
+    def _repr_html_(self) -> str:
+        """Main numbers and figures, for Jupyter."""
+        from vcmvsp.cosim.runs import notebook
+
+        return notebook.table(self._head()) + notebook.pictures(self.plot())
+
+    def _head(self) -> list[tuple[str, str]]:
+        """The main numbers, as words."""
+        metrics = self.metrics
+        names = {
+            "formation error, RMS": (metrics["formation"]["rms_m"], "m"),
+            "frames delivered": (metrics["radio"]["delivery_ratio"], ""),
+            "age of information": (metrics["radio"]["age_s"]["mean"], "s"),
+            **{f"own.{name}": (value, "") for name, value in metrics.get("own", {}).items()},
+        }
+        known = [(name, f"{value:.4g} {unit}".strip()) for name, (value, unit) in names.items() if value is not None]
+        run = f"{metrics['scenario']}, seed {metrics['seed']}, {metrics['duration_s']:g} s"
+        return [("run", run), *known, *([("folder", str(self.folder))] if self.folder else [])]
+
     def plot(self) -> "dict[str, Figure]":
         """The run's figures, by name: ``trajectory``, ``formation_error`` and `mission_figures`.
 
-        The second only where a vehicle follows another, the last only with a recording of a mission.
+        The second only where a vehicle follows another, the last only with a recording of a mission. Jupyter shows them.
         """
-        return self._figures(self._shown())
+        from vcmvsp.cosim.runs.notebook import Figures
+
+        return Figures(self._figures(self._shown()))
 
     def _figures(self, shown: MissionLog | None) -> "dict[str, Figure]":
         recorder, outlines = self._recorder, worlds.outlines(self._world)

@@ -180,14 +180,15 @@ def first_words(name: str) -> str:
 
 
 def path_of(scenario: str | Path) -> Path:
-    """The file of a scenario given by name or path."""
+    """The file of a scenario given by name or path, with or without ``.toml``."""
     text = str(scenario)
     if text in names():
         return BUILT_IN / f"{text}.toml"
     path = Path(scenario)
     try:
-        if path.is_file():
-            return path
+        for each in (path, Path(f"{text}.toml")):
+            if each.is_file():
+                return each
     except OSError as error:
         raise ScenarioError(f"cannot be read: {error.strerror}", source=text) from error
     if path.suffix == ".toml" or "/" in text:
@@ -242,7 +243,8 @@ def _read(scenario: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], Sou
         return msgspec.to_builtins(dict(scenario), enc_hook=_number, str_keys=True), Source("scenario", Path())
     path, text = path_of(scenario), text_of(scenario)
     try:
-        return read_toml(text), Source(str(scenario), path.parent, text)
+        name = str(scenario) if path.parent == BUILT_IN else str(path)
+        return read_toml(text), Source(name, path.parent, text)
     except ValueError as error:
         raise ScenarioError(f"is not valid TOML: {error}", source=str(path)) from error
 

@@ -17,7 +17,7 @@ from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.errors import AgentError, Interrupted, ScenarioError, UsageError, VcmvspError
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.processes.worker_pool import Answered, Pool, cores
-from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.runs import api, notebook
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.studies import plan as plans
@@ -77,7 +77,7 @@ def study(
         out: folder for ``study.parquet``, summary, figures and report; without it nothing is written.
         resume: continue the study in ``out``; values and seeds may have been added. Failed runs are repeated.
         force: write into a folder that is not empty.
-        progress: called with (done, failed, total) runs.
+        progress: called with (done, failed, total) runs; default: in Jupyter, a bar.
 
     Returns:
         A row per run, point by point: the varied keys, ``seed``, every number of the run's metrics by its path, ``error`` (null
@@ -89,8 +89,14 @@ def study(
     """
     return conduct(
         scenario, vary=vary, seeds=seeds, seed=seed, settings=set or {}, metrics=metrics, jobs=jobs, cluster=cluster,
-        out=None if out is None else Path(out), resume=resume, force=force, progress=progress or (lambda *_: None),
+        out=None if out is None else Path(out), resume=resume, force=force, progress=progress or _bar(),
     ).table  # fmt: skip
+
+
+def _bar() -> Progress:
+    """A bar in Jupyter."""
+    show = notebook.bar("study")
+    return lambda done, _, total: None if show is None else show(done, total)
 
 
 def conduct(

@@ -212,7 +212,7 @@ def summary(result: "Result") -> str:
     lines = {
         "radio": _of_radio(metrics["radio"]),
         "routing": _of_routing(metrics["routing"]) if metrics.get("routing") else "",
-        "formation": _of_formation(metrics["formation"]),
+        "formation": _of_formation(metrics["formation"]) or _unmeasured(result),
         "mission": _of_mission(metrics["mission"]) if metrics.get("mission") else "",
         "own": ", ".join(f"{name} {_short(value)}" for name, value in metrics.get("own", {}).items()),
         **{name: _of_real(real) for name, real in metrics.get("hardware", {}).items()},
@@ -277,6 +277,12 @@ def _of_formation(formation: Mapping[str, Any]) -> str:
     shape_m, chain = formation["shape"]["rms_m"], formation["hop_gain"] is not None  # the errors of links add up
     shape = f", shape {shape_m:.4f} m off a rigid one" if chain or shape_m > max(SHAPE_M, 2.0 * formation["rms_m"]) else ""
     return f"error {formation['rms_m']:.4f} m RMS, {formation['max_m']:.4f} m at most{shape}, {settled}"
+
+
+def _unmeasured(result: "Result") -> str:
+    """Why there is no formation error although vehicles follow others; empty if they do not."""
+    (from_s, _), end_s = result.window_s, result.metrics["duration_s"]
+    return f"no error: metrics.from_s = {from_s:g} s, the run ended at {end_s:g} s" if result.follows else ""
 
 
 def _short(value: float | None) -> str:
