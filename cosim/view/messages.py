@@ -58,6 +58,14 @@ class Obstacle(Value, frozen=True, kw_only=True):
     may_be_moved: bool = False  # by the user
 
 
+class Floor(Value, frozen=True, kw_only=True):
+    """The picture of the floor that cameras see."""
+
+    pixels: Array  # (h, w, 3) uint8, row 0 is the north edge
+    centre: tuple[float, float]  # x, y m, world
+    size: tuple[float, float]  # m, east-west and north-south
+
+
 class Scenery(Value, frozen=True, kw_only=True):
     """Constant data of a run."""
 
@@ -70,6 +78,7 @@ class Scenery(Value, frozen=True, kw_only=True):
     colors: Array  # (t, 3) uint8
     obstacles: tuple[Obstacle, ...] = ()
     targets: tuple[tuple[str, float, float], ...] = ()  # name, x m, y m, at the start
+    floor: Floor | None = None  # default: one colour
     bounds: tuple[float, float, float, float] | None = None  # west, south, east, north, m
     live: bool = False  # a current run; else a recording
     may: tuple[str, ...] = ()  # allowed orders: names of the `Order` classes' tags

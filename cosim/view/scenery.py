@@ -18,10 +18,11 @@ from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 from vcmvsp.cosim.types import frozen
 from vcmvsp.cosim.util.documents import read_json
-from vcmvsp.cosim.view.messages import Craft, Obstacle, Scenery
+from vcmvsp.cosim.view.messages import Craft, Floor, Obstacle, Scenery
 
 RECORDED = ("pace", "seek", "sensors")
 """Orders that a recording executes."""
+FINEST_PX = 1024
 DEFAULT_WIDTH_M = 0.5  # of a vehicle not drawn in the recording
 VehicleKinds = dict[str, type[Vehicle]]  # by their names in the scenario
 
@@ -67,11 +68,24 @@ def scenery_of(
         colors=frozen(world.mesh_colors()),
         obstacles=_obstacles(world, "move" in may),
         targets=tuple((each.name, *each.place(0.0)) for each in world.targets),
+        floor=_floor(world),
         bounds=world.bounds,
         live=live,
         may=tuple(may),
         keys=dict(keys or {}),
     )
+
+
+def _floor(world: "worlds.World") -> Floor | None:
+    """The picture of the floor, made coarser where it has more than `FINEST_PX` pixels along an edge."""
+    import cv2
+
+    image = world.ground.image
+    if image is None:
+        return None
+    share = min(1.0, FINEST_PX / max(image.shape[:2]))
+    pixels = cv2.resize(image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA) if share < 1.0 else image
+    return Floor(pixels=frozen(pixels, np.uint8), centre=world.ground.center, size=world.ground.size)
 
 
 def _craft(

@@ -11,7 +11,9 @@ that page connects. No cookie is used: browsers send cookies to all ports of a h
 """
 
 import asyncio
+import base64
 import contextlib
+import hashlib
 import hmac
 import http.client
 import ipaddress
@@ -36,6 +38,9 @@ if TYPE_CHECKING:
     from websockets.datastructures import Headers
     from websockets.http11 import Request, Response
 
+STYLE = "#webgl-software-rendering .mantine-Notification-description { display: none }"
+"""Of the page's warning that there is no graphics card, the title is enough."""
+STYLE_HASH = base64.b64encode(hashlib.sha256(STYLE.encode()).digest()).decode()
 ENTRY = (Path(__file__).parent / "entry.html").read_text("utf-8")
 PAGE = "/page"  # path of viser's page
 NO_TOKEN = "Open the printed URL, including its token.\n"  # noqa: S105  a sentence
@@ -167,7 +172,7 @@ class Gate:
         rules = {
             "default-src": "'none'",
             "script-src": f"'nonce-{nonce}' 'unsafe-eval' blob:",  # viser's page unpacks itself, and its workers are blobs
-            "style-src-elem": f"'nonce-{nonce}'",
+            "style-src-elem": f"'nonce-{nonce}' 'sha256-{STYLE_HASH}'",
             "style-src-attr": "'unsafe-inline'",  # words on the page are set with them
             "img-src": "'self' data: blob:",
             "font-src": "'self' data:",
@@ -211,6 +216,7 @@ def open_server(host: str, port: int, token: str) -> "viser.ViserServer":
     from websockets.asyncio import server as served
 
     page = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8")
+    page = page.replace("<head>", f"<head><style>{STYLE}</style>", 1)
     sock = _bound(host, port)
     gate = Gate(host, sock.getsockname()[1], token, f"viser-v{viser.__version__}", page)
     serve = served.serve

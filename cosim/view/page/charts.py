@@ -18,7 +18,8 @@ POINTS = 300  # of each curve
 PERIOD_S = 0.5
 CURVES = 7  # limited by the number of colours; of more vehicles, the first ones and the chosen one
 WINDOW_NS = 5 * SECOND_NS  # of the delivery ratio
-TITLES = "Speed [m/s]", "Formation error [m]", "Received of the last 5 s [%]"
+TITLES = "Speed [m/s]", "Formation error [m]", "Received of the last 5 s [%]", "Time since the last message [s]", "Note"
+NOTHING = "none"
 HEIGHT_PX = 190
 
 
@@ -28,6 +29,8 @@ class History:
     def __init__(self, scenery: Scenery) -> None:
         self._count = len(scenery.vehicles)
         self._times_back = 0
+        self.note = NOTHING  # name of the notes in the last row of `numbers`
+        self.known_notes: set[str] = set()
         self.time_s: deque[float] = deque(maxlen=POINTS)
         self.numbers: list[deque[Array]] = [deque(maxlen=POINTS) for _ in TITLES]
         self._counts: deque[tuple[int, Array, Array]] = deque(maxlen=POINTS)
@@ -47,9 +50,25 @@ class History:
         error = np.full(self._count, np.nan)
         error[places.row] = places.error_m
         speed = np.where(np.isfinite(known.position[:, 0]), np.linalg.norm(known.velocity, axis=1), np.nan)
-        for numbers, each in zip(self.numbers, (speed, error, self._delivery(known)), strict=True):
+        quantities = (speed, error, self._delivery(known), _age_s(known), self._noted(known))
+        for numbers, each in zip(self.numbers, quantities, strict=True):
             numbers.append(each)
         return True
+
+    def choose(self, note: str) -> None:
+        """Collect another note from now on."""
+        self.note = note
+        self.numbers[-1] = deque([np.full(self._count, np.nan)] * len(self.time_s), maxlen=POINTS)
+
+    def _noted(self, known: Known) -> Array:
+        """The newest number that each vehicle has noted under the chosen name; NaN without one."""
+        found = np.full(self._count, np.nan)
+        for vehicle, notes in known.now.notes.items():
+            self.known_notes.update(name for name, value in notes.items() if isinstance(value, float))
+            value = notes.get(self.note)
+            if isinstance(value, float) and vehicle in known.row:
+                found[known.row[vehicle]] = value
+        return found
 
     def _delivery(self, known: Known) -> Array:
         """Delivery ratio at each vehicle over the last 5 s, in percent; NaN without frames."""
@@ -68,16 +87,22 @@ class Chart:
     """One chart. A new frame needs a new chart, because a page would keep the old axes."""
 
     def __init__(self, server: viser.ViserServer, title: str) -> None:
-        self._gui, self._title = server.gui, title
+        self._gui, self.title = server.gui, title
         self._place = server.gui.add_folder(None)
         self._node: viser.GuiUplotHandle | None = None
         self._frame: tuple[object, ...] = ()
 
-    def draw(self, time_s: Array, curves: Array, names: list[str], strokes: list[str]) -> None:
-        """Draw curves, (k, n), with these names and colours over times, (k,) s; NaN values are omitted."""
+    def draw(self, time_s: Array, curves: Array, names: list[str], strokes: list[str], *, log: bool) -> None:
+        """Draw curves, (k, n), with these names and colours over times, (k,) s; NaN values are omitted.
+
+        Args:
+            log: with decades of the values, of which those above 0 are drawn.
+        """
+        if log:
+            curves = np.where(curves > 0.0, curves, np.nan)
         seen = curves[np.isfinite(curves)]
-        top = round_above(float(seen.max())) if len(seen) else 0.0
-        frame = top, tuple(names), tuple(strokes)
+        ends = (*limits_of(seen, log=log), log) if len(seen) else None
+        frame = self.title, ends, tuple(names), tuple(strokes)
         data = (time_s, *np.ascontiguousarray(curves.T))
         if frame == self._frame and self._node is not None:
             self._node.data = data
@@ -88,9 +113,12 @@ class Chart:
         self._frame = frame
         if len(seen):
             with self._place:
-                self._node = self._made(data, top, names, strokes)
+                self._node = self._made(data, ends, names, strokes)
 
-    def _made(self, data: tuple[Array, ...], top: float, names: list[str], strokes: list[str]) -> viser.GuiUplotHandle:
+    def _made(
+        self, data: tuple[Array, ...], ends: "tuple[float, float, bool] | None", names: list[str], strokes: list[str]
+    ) -> viser.GuiUplotHandle:
+        low, high, log = ends or (0.0, 1.0, False)
         curves = (
             uplot.Series(label=name, stroke=stroke, width=1.5, points={"show": False})
             for name, stroke in zip(names, strokes, strict=True)
@@ -98,9 +126,9 @@ class Chart:
         return self._gui.add_uplot(
             data=data,
             series=(uplot.Series(label="time [s]"), *curves),
-            title=self._title,
+            title=self.title,
             # The value axis has explicit limits: the page cannot find the limits of curves that begin with a gap.
-            scales={"x": {"time": False}, "y": {"range": (0.0, top)}},
+            scales={"x": {"time": False}, "y": {"range": (low, high), "distr": 3 if log else 1}},
             axes=({"label": "time [s]", "labelSize": 18, "size": 32}, {"size": 44}),
             legend={"show": len(names) > 1},
             height=HEIGHT_PX,
@@ -109,12 +137,17 @@ class Chart:
 
 
 class Charts:
-    """Three charts, updated at most twice a second. Create them in the context of their container."""
+    """Charts of all quantities, updated at most twice a second. Create them in the context of their container."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         self._names = [each.name for each in scenery.vehicles]
         self._history = History(scenery)
         self._often = Every(PERIOD_S)
+        self._log = server.gui.add_checkbox("Decades", initial_value=False)
+        self._note = server.gui.add_dropdown("Note", [NOTHING], initial_value=NOTHING)
+        self._note.on_update(lambda _: self._choose())
+        self._log.on_update(lambda _: self._redraw())
+        self._left_out = server.gui.add_markdown("")
         self._charts = [Chart(server, title) for title in TITLES]
         self._dark, self._new = False, False
         self._rows: list[int] = []
@@ -127,13 +160,27 @@ class Charts:
     def draw(self, chosen: int) -> None:
         """Draw charts with new data."""
         rows = self._shown_rows(chosen)
+        options = (NOTHING, *sorted(self._history.known_notes))
+        if options != tuple(self._note.options):
+            self._note.options = options
+        if len(rows) < len(self._names) and not self._left_out.content:
+            self._left_out.content = f"{len(rows)} of {len(self._names)} vehicles: the first ones and the chosen one"
         if not (self._new or (self._history.time_s and rows != self._rows)):
             return
         self._rows, self._new = rows, False
         time_s = np.array(self._history.time_s)
         names, strokes = [self._names[row] for row in rows], [css_of(row, dark=self._dark) for row in rows]
         for chart, numbers in zip(self._charts, self._history.numbers, strict=True):
-            chart.draw(time_s, np.array(numbers)[:, rows], names, strokes)
+            chart.draw(time_s, np.array(numbers)[:, rows], names, strokes, log=self._log.value)
+
+    def _choose(self) -> None:
+        name = self._note.value
+        self._history.choose(name)
+        self._charts[-1].title = f"Note: {name}"
+        self._redraw()
+
+    def _redraw(self) -> None:
+        self._new = bool(self._history.time_s)
 
     def darken(self, dark: bool) -> None:
         """Set the colours for a light or a dark page."""
@@ -143,6 +190,23 @@ class Charts:
         if len(self._names) <= CURVES:
             return list(range(len(self._names)))
         return [*range(CURVES)] if chosen < CURVES else [*range(CURVES - 1), chosen]
+
+
+def _age_s(known: Known) -> Array:
+    """Time since each vehicle's last reception, s; NaN before it."""
+    age_s = np.full(len(known.names), np.nan)
+    for vehicle, heard_ns in known.now.heard_ns.items():
+        if vehicle in known.row:
+            age_s[known.row[vehicle]] = max(0, known.now.time_ns - heard_ns) / SECOND_NS
+    return age_s
+
+
+def limits_of(values: Array, *, log: bool) -> tuple[float, float]:
+    """Limits of an axis for these values: whole decades, or 0, or what is below it, and a round number; they seldom change."""
+    low, high = float(values.min()), float(values.max())
+    if log:
+        return 10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high) + 1e-9)
+    return -round_above(-low) if low < 0.0 else 0.0, round_above(high)
 
 
 def round_above(number: float) -> float:

@@ -3,17 +3,19 @@
 Frequent changes are sent as a few arrays, and only to open pages; the page loads nothing from other servers.
 """
 
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
 
+import numpy as np
 import viser
 
 from vcmvsp.cosim.view.messages import Order, PageUpdate, Scenery
 from vcmvsp.cosim.view.page.charts import Charts
 from vcmvsp.cosim.view.page.controls import Choice, controls, is_finite, picked
 from vcmvsp.cosim.view.page.drawing import Every
-from vcmvsp.cosim.view.page.panel import log_page, run_page, vehicle_page
+from vcmvsp.cosim.view.page.panel import SORTED, log_page, run_page, team_page, vehicle_page
 from vcmvsp.cosim.view.page.scene import Follower, Scene
 from vcmvsp.cosim.view.page.sensors import GROUNDS, Ground, Pictures, Scans
 from vcmvsp.cosim.view.page.state import Known
@@ -21,6 +23,7 @@ from vcmvsp.cosim.view.page.vehicles import WHICH, Fixes, Ghosts, Links, Trails,
 
 LEFT_PX, RIGHT_PX = 300.0, 360.0
 WORDS_S = 0.2  # between two updates of texts
+TABLE_S = 1.0  # between two updates of the table of all vehicles
 IDLE_S = 0.1  # redraw interval without updates
 
 
@@ -39,7 +42,7 @@ class Station:
         self._drawing, self._drawn = threading.RLock(), threading.Event()
         self._known = Known(scenery)
         self._aimed = False
-        self._words, self._told = Every(WORDS_S), -1
+        self._words, self._often, self._told = Every(WORDS_S), Every(TABLE_S), -1
         with server.atomic():
             self._scene = Scene(server, scenery)
             self._vehicles = Vehicles(server, scenery, self._clicked)
@@ -75,7 +78,7 @@ class Station:
             self._ghosts.draw(known)
             self._fixes.draw(known, now_s)
             self._trails.draw(now_s)
-            self._links.draw(known, choice.row, now_s)
+            self._links.draw(known, choice.row)
             self._scans.draw(known, choice.readings)
             self._ground.draw(known, choice.name, now_s)
             self._pictures.draw(known, choice.name, choice.readings, now_s)
@@ -83,9 +86,22 @@ class Station:
             if self._words.due(now_s):
                 self._write()
 
+    def _aim(self) -> None:
+        with self._drawing:
+            self._scene.aim(self._known, near=True)
+            self._follower.release()
+
+    def end(self, words: str) -> None:
+        """Say on open pages that no more updates will come; they keep what they show."""
+        for client in self._server.get_clients().values():
+            client.add_notification("The run is over", words, color="blue")
+
     def _go_along(self) -> None:
+        seen = self._known.position[np.isfinite(self._known.position).all(axis=1)]
         if self._choice.follows:
             self._follower.draw(self._known.position[self._choice.row], self._clock())
+        elif self._team.value and len(seen):
+            self._follower.draw(0.5 * (seen.min(axis=0) + seen.max(axis=0)), self._clock(), math.inf)
         else:
             self._follower.release()
 
@@ -102,6 +118,8 @@ class Station:
         known = self._known
         self._run.content = run_page(known)
         self._vehicle.content = vehicle_page(known, self._choice.row)
+        if self._often.due(self._clock()):
+            self._all.content = team_page(known, picked(self._sorted))
         if known.told != self._told:
             self._told = known.told
             self._log.content = log_page(known)
@@ -124,6 +142,9 @@ class Station:
         gui.main_panel.set_width(LEFT_PX)
         self._run = gui.add_html(run_page(self._known))
         self._controls = controls(server, scenery, self._give, self._clock)
+        gui.add_button("Show all vehicles", icon=viser.Icon.FOCUS_CENTERED).on_click(lambda _: self._aim())
+        self._team = gui.add_checkbox("Camera follows the team", initial_value=False)
+        gui.add_html(legend())
         with gui.add_folder("View", expand_by_default=False):
             self._build_view(gui)
         with gui.add_folder("Log"):
@@ -133,6 +154,9 @@ class Station:
             self._choice = Choice(server, scenery, self._give)
             self._vehicle = gui.add_html(vehicle_page(self._known, 0))
             self._pictures = Pictures(server)
+        with panel.add_tab("All"):
+            self._sorted = gui.add_dropdown("Sort by", SORTED)
+            self._all = gui.add_html(team_page(self._known, SORTED[0]))
         with panel.add_tab("Charts"):
             self._charts = Charts(server, scenery)
         panel.dock_right()
@@ -154,7 +178,6 @@ class Station:
         ground.on_update(lambda _: setattr(self._ground, "kind", picked(ground)))
         dark = gui.add_checkbox("Dark", initial_value=False)
         dark.on_update(lambda event: self._look(dark=event.target.value))
-        gui.add_html(legend())
 
     def _look(self, *, dark: bool) -> None:
         self._server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)

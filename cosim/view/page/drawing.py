@@ -96,6 +96,14 @@ def prism(outline: Array, bottom: float, top: float) -> Mesh:
     return vertices.astype(np.float32), np.array(sides + caps, np.uint32)
 
 
+def robot() -> Mesh:
+    """A robot with two driven wheels, of unit size: a body between them."""
+    wheel, faces = prism(0.42 * _circle(20) + np.array([0.0, -0.08]), -0.09, 0.09)
+    upright = wheel[:, [0, 2, 1]], faces[:, ::-1]  # its axis is y
+    wheels = [(upright[0] + np.array([0.0, side, 0.0], np.float32), upright[1]) for side in (-0.41, 0.41)]
+    return joined([box((-0.5, -0.3, -0.3), (0.5, 0.3, 0.5)), *wheels])
+
+
 def nose() -> Mesh:
     """An arrowhead on top of a body of unit size, pointing ahead."""
     return prism(np.array([(0.46, 0.0), (-0.12, 0.36), (-0.12, -0.36)]), 0.5, 0.58)

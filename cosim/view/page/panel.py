@@ -6,12 +6,17 @@ Texts from agents and hosts are escaped: they cannot add markup to a page.
 import math
 from html import escape
 
+import numpy as np
+
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.view.page.drawing import css_of
 from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.vehicles import places_of
 
 LINKS, LINES, NOTES = 12, 60, 12  # rows shown; of more, the count is shown
+STATUS = "status", "mode", "task"  # names of the notes that say what a vehicle does
+HEADINGS = "vehicle", "error [m]", "speed [m/s]", "message [s ago]", "status"
 COMMANDING = "commander", "mode", "task"  # names of the notes that name a commander
 LONGEST = 160  # maximum characters of an external text
 LEVELS = {"warning": "#b8860b", "error": "#c92a2a", "fatal": "#c92a2a", "debug": "#868e96"}
@@ -31,6 +36,38 @@ def vehicle_page(known: Known, row: int) -> str:
     if links := _links(known, row):
         parts.append(_section("Frames received of those sent, since the start", _table(links)))
     return _boxed("".join(parts))
+
+
+SORTED = "name", "error", "speed", "age", "status"
+"""Columns of `team_page` by which its rows can be sorted: the largest numbers first."""
+
+
+def team_page(known: Known, by: str) -> str:
+    """A table of all vehicles, sorted by a column."""
+    error_m = {known.names[row]: error for row, error in zip(*_errors(known), strict=True)}
+    rows = []
+    for row, name in enumerate(known.names):
+        note, heard_ns = known.now.notes.get(name, {}), known.now.heard_ns.get(name)
+        status = "stopped" if name in known.now.halted else ", ".join(str(note[key]) for key in STATUS if note.get(key))
+        age_s = None if heard_ns is None else max(0, known.now.time_ns - heard_ns) / SECOND_NS
+        speed = float(np.linalg.norm(known.velocity[row])) if np.isfinite(known.position[row, 0]) else None
+        rows.append({"name": name, "error": error_m.get(name), "speed": speed, "age": age_s, "status": status})
+    if by in ("error", "speed", "age"):
+        rows.sort(key=lambda each: -math.inf if each[by] is None else each[by], reverse=True)  # type: ignore[arg-type,return-value]
+    elif by == "status":
+        rows.sort(key=lambda each: str(each[by]))
+    head = "".join(f"<th style='text-align: left; padding-right: 0.6em'>{name}</th>" for name in HEADINGS)
+    body = "".join(f"<tr>{''.join(f'<td>{_cell(value)}</td>' for value in each.values())}</tr>" for each in rows)
+    return _boxed(f"<table><tr>{head}</tr>{body}</table>")
+
+
+def _errors(known: Known) -> tuple[list[int], list[float]]:
+    places = places_of(known)
+    return places.row.tolist(), places.error_m.tolist()
+
+
+def _cell(value: object) -> str:
+    return "" if value is None else f"{value:.3g}" if isinstance(value, float) else _text(value)
 
 
 def run_page(known: Known) -> str:

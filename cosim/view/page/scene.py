@@ -16,6 +16,8 @@ MOST_COLORS = 48  # of the solids; with more, similar colours are merged
 MARGIN_M, WIDE_M = 5.0, 40.0
 FLOOR_Z_M = -0.01  # of the drawn floor, so that objects on it are visible
 SUN = (0.4, -0.7, 1.0)
+FACING_UP = (0.0, 1.0, 0.0, 0.0)  # a picture is visible from -z of its node, with rows along -y: half a turn about x
+ASLANT, FROM_ABOVE = np.array([-0.25, -0.6, 0.6]), np.array([-0.12, -0.38, 0.8])  # directions to the initial camera
 TARGET_M = 0.4  # radius of a target's marker
 VIEW, NEAREST_M = 0.8, 7.0  # initial camera distance: share of the visible diagonal, and minimum
 
@@ -49,6 +51,20 @@ class Scene:
             plane_opacity=1.0,
             position=(0.5 * (west + east), 0.5 * (south + north), FLOOR_Z_M),
         )
+        if scenery.floor is not None:
+            (x, y), (width, height) = scenery.floor.centre, scenery.floor.size
+            server.scene.add_image(
+                "/painted",
+                scenery.floor.pixels,
+                width,
+                height,
+                format="jpeg",
+                position=(x, y, 0.5 * FLOOR_Z_M),
+                wxyz=FACING_UP,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+        server.scene.add_frame("/axes", axes_length=1.0, axes_radius=0.02, origin_radius=0.03)  # x east, y north: 1 m each
         _add_solids(server, scenery)
         self._obstacles = {each.name: _add_obstacle(server, each) for each in scenery.obstacles}
         self._targets = {name: _add_target(server, name, x, y) for name, x, y in scenery.targets}
@@ -83,8 +99,11 @@ class Scene:
         self.floor.plane_color = floor
         self._server.scene.set_background_image(np.full((1, 1, 3), sky, np.uint8), format="png")
 
-    def aim(self, known: Known) -> bool:
+    def aim(self, known: Known, *, near: bool = False) -> bool:
         """Set the initial camera to show all vehicles and their surroundings, also on open pages.
+
+        Args:
+            near: show the vehicles alone, as large as possible.
 
         Returns:
             Whether the positions of the vehicles are known yet.
@@ -92,14 +111,15 @@ class Scene:
         seen = known.position[np.isfinite(known.position).all(axis=1)]
         found = len(seen) > 0 or not known.names
         west, south, east, north = self._extent
-        if len(known.scenery.vertices) or not len(seen):
+        if (len(known.scenery.vertices) and not near) or not len(seen):
             seen = np.concatenate([seen, [(west, south, 0.0), (east, north, 0.0)]])
         low, high = seen.min(axis=0), seen.max(axis=0)
         distance = max(VIEW * float(np.linalg.norm(high - low)), NEAREST_M)
         middle = 0.5 * (low + high)
+        toward = FROM_ABOVE if len(known.scenery.vertices) else ASLANT  # over walls between camera and vehicles
         cameras: list[Any] = [self._server.initial_camera, *(each.camera for each in self._server.get_clients().values())]
         for camera in cameras:
-            camera.position = middle + distance * np.array([-0.25, -0.6, 0.6])
+            camera.position = middle + distance * toward
             camera.look_at = middle  # after the position, which moves it
         return found
 
@@ -199,8 +219,8 @@ class Follower:
         self._pages: dict[int, _Page] = {}
         self._often = Every(PERIOD_S)
 
-    def draw(self, place: Array, now_s: float) -> None:
-        """Move the cameras with a vehicle at this position, m."""
+    def draw(self, place: Array, now_s: float, furthest_m: float = FAR_M) -> None:
+        """Move the cameras with a vehicle, or a team, at this position, m, at first from so far at most."""
         if not np.isfinite(place).all() or not self._often.due(now_s):
             return
         clients = self._server.get_clients()
@@ -210,7 +230,7 @@ class Follower:
             page = self._pages.get(number)
             if page is None:
                 distance = max(float(np.linalg.norm(offset)), LEAST_M)
-                offset = offset * (min(max(distance, NEAR_M), FAR_M) / distance)
+                offset = offset * (min(max(distance, NEAR_M), furthest_m) / distance)
                 page = self._pages[number] = _Page(offset, looked_at_s=now_s + SETTLES_S, moved_s=now_s)
             elif now_s >= page.looked_at_s and np.linalg.norm(offset - page.offset) > TURNED * np.linalg.norm(page.offset):
                 page.offset, page.moved_s = offset, now_s + HAND_S

@@ -12,6 +12,8 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import PageUpdate, Scenery
 
 NEVER_NS = -(2**62)
+TELLING = "found", "lost", "task", "target", "commander", "mode", "shape", "status"
+"""Notes whose changes are lines of the log."""
 LINES = 200  # log lines kept
 MAPPINGS = tuple(each.name for each in msgspec.structs.fields(PageUpdate) if get_origin(each.type) is Mapping)
 """Fields of `PageUpdate` that keep the newest value of each key."""
@@ -56,12 +58,23 @@ class Known:
             if line not in self.lines:  # a recording may repeat lines that are still listed
                 self.lines.append(line)
                 self.told += 1
+        self._tell_changes(update)
         merged: dict[str, Any] = {name: {**getattr(self.now, name), **getattr(update, name)} for name in MAPPINGS}
         if update.sent is None or update.received is None:
             merged |= {"sent": self.now.sent, "received": self.now.received}
         self.now = msgspec.structs.replace(update, **merged)
         self._take_states(update)
         self._take_links(update)
+
+    def _tell_changes(self, update: PageUpdate) -> None:
+        """Add a line for each note that tells what a vehicle does or has found, when it changes."""
+        for vehicle, notes in update.notes.items():
+            before = self.now.notes.get(vehicle, {})
+            for name in TELLING:
+                value = notes.get(name)
+                if value and value != before.get(name):
+                    self.lines.append(LogLine(time_ns=update.time_ns, level="info", text=f"{vehicle}: {name} {value}"))
+                    self.told += 1
 
     @property
     def yaw(self) -> Array:

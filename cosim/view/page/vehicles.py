@@ -26,15 +26,18 @@ from vcmvsp.cosim.view.page.drawing import (
     nose,
     quadrotor,
     ring,
+    robot,
     rotated,
     rssi_colors,
     turned,
 )
 from vcmvsp.cosim.view.page.state import Known
 
+LEADER_GREY = 110
 LABELS = 200  # vehicles with a name beside them
 LABELS_AT_ONCE = 16  # labels moved per update: each costs a message
 ABOVE_M = 0.12  # height of a name over its body
+DOT_PX = 13.0  # least size of a vehicle on the screen
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 SEGMENTS, LONGEST, SHORTEST = 4000, 150, 20
 """Limit for all trails together, and for each."""
@@ -42,8 +45,10 @@ TRAIL_NS = 30 * SECOND_NS  # length of a trail; longer in very fast runs
 LEAST_M = 0.03  # radius of the marker of an exact position
 OVER_M = 0.02  # above the floor, for visibility
 FRESH_NS = SECOND_NS  # display time of a frame
-MOST = 600  # half lines; of more, the newest are drawn
-BLINK_S = 0.25
+MOST = 600  # links; of more, the newest are drawn
+ASIDE, TIP, HEAD = 0.02, 0.7, 0.06  # of an arrow's length: distance from the middle line, place and size of its head
+ASIDE_M, HEAD_M = 0.15, 1.0  # and their greatest values
+LOST = np.array(LOST_RGB, np.uint8)
 FEW = 12  # up to this many vehicles, all links are drawn at first
 WHICH = ALL, OWN, NONE = "all", "of the chosen vehicle", "none"
 
@@ -93,11 +98,12 @@ class Vehicles:
         flies = np.array([each.flies for each in crafts], bool)
         colors = colors_of(count)
         self._rows = np.flatnonzero(~flies), np.flatnonzero(flies)
-        shapes = ("ground", box()), ("air", quadrotor())
+        shapes = ("ground", robot()), ("air", quadrotor())
         self._bodies = [
             Batch(server, f"/vehicles/{name}", mesh, colors[rows], clicked=_clicked(rows, choose))
             for (name, mesh), rows in zip(shapes, self._rows, strict=True)
         ]
+        self._dots = Segments(server, "/vehicles/dots", np.repeat(colors[:, None], 2, axis=1), DOT_PX)
         self._noses = Batch(server, "/vehicles/noses", nose(), np.tile(np.array(WHITE, np.uint8), (count, 1)))
         self._stopped = Batch(server, "/stopped", disc(), np.tile(np.array(STOPPED_RGB, np.uint8), (count, 1)), opacity=0.45)
         air = self._rows[1]
@@ -123,6 +129,8 @@ class Vehicles:
         for rows, bodies in zip(self._rows, self._bodies, strict=True):
             bodies.put(centre[rows], known.attitude[rows], scale[rows])
         self._noses.put(centre, known.attitude, scale)
+        dots = np.where(seen[:, None], centre, 0.0)
+        self._dots.put(np.stack([dots, dots + np.where(seen[:, None], (0.0, 0.0, LEAST_M), 0.0)], axis=1))
         top = centre[self._rows[1]]
         self._drops.put(np.stack([top, top * (1.0, 1.0, 0.0)], axis=1))
         floor = centre - np.column_stack([np.zeros_like(scale[:, :2]), 0.5 * self._size[:, 2]])
@@ -191,18 +199,24 @@ class Trails:
 
 
 class Ghosts:
-    """Slots of followers: transparent bodies, and lines to them."""
+    """The formation that ought to be: transparent bodies in the slots of followers, lines to them, and lines to leaders."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         self._size = np.array([each.size for each in scenery.vehicles], float).reshape(-1, 3)
         colors = colors_of(len(self._size))
         self._bodies = Batch(server, "/places/bodies", box(), colors, opacity=0.3)
         self._lines = Segments(server, "/places/lines", np.repeat(colors[:, None], 2, axis=1), 1.5)
-        self.nodes = [*self._bodies.nodes, *self._lines.nodes]
+        self._leaders = Segments(server, "/places/leaders", np.full((len(colors), 2, 3), LEADER_GREY, np.uint8), 1.5)
+        self.nodes = [*self._bodies.nodes, *self._lines.nodes, *self._leaders.nodes]
 
     def draw(self, known: Known) -> None:
-        """Update the slots."""
+        """Update the slots and the lines from followers to leaders."""
         places = places_of(known)
+        ends = np.zeros((len(self._size), 2, 3))
+        for row in places.row.tolist():
+            leader = known.now.places[known.names[row]].leader
+            ends[row] = known.position[row], known.position[known.row[str(leader)]]
+        self._leaders.put(ends)
         position, yaw = np.zeros_like(self._size), np.zeros(len(self._size))
         scale = np.full_like(self._size, TINY)
         points = np.zeros((len(self._size), 2, 3))
@@ -245,32 +259,50 @@ def _pairs(points: Array) -> Array:
 
 
 class Links:
-    """Links with a frame in the last second: coloured by received power, blinking red where it was lost."""
+    """Links with a frame in the last second: arrows to the receiver, coloured by received power, red where it was lost."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         count = len(scenery.vehicles)
         self._room = min(count * (count - 1), MOST)
-        self._lines = Segments(server, "/links", np.zeros((self._room, 2, 3), np.uint8), 2.5)
+        none = np.zeros((3 * self._room, 2, 3), np.uint8)
+        self._received, self._lost = Segments(server, "/links", none, 2.5), Segments(server, "/links/lost", none + LOST, 1.0)
         self._up = np.array([(0.0, 0.0, each.offset[2] + 0.5 * each.size[2]) for each in scenery.vehicles]).reshape(-1, 3)
         self.which = ALL if count <= FEW else OWN
 
-    def draw(self, known: Known, chosen: int, now_s: float) -> None:
+    def draw(self, known: Known, chosen: int) -> None:
         """Draw the links with fresh frames."""
         if not self._room:
             return
         of = {ALL: None, OWN: chosen, NONE: -1}[self.which]
         sender, receiver = fresh_links(known, self._room, of)
         tops = known.position + self._up  # avoids lines through the bodies
-        here, there = tops[sender], tops[receiver]
-        points = np.zeros((self._room, 2, 3))
-        colors = np.zeros((self._room, 2, 3), np.uint8)
+        drawn = arrows(tops[sender], tops[receiver])
         got = known.link_received[sender, receiver]
-        shade = np.where(got[:, None], rssi_colors(known.link_rssi_dbm[sender, receiver]), np.array(LOST_RGB, np.uint8))
-        blinks = ~got & bool(int(now_s / BLINK_S) % 2)  # hidden every other moment
-        points[: len(sender), 0] = here
-        points[: len(sender), 1] = np.where(blinks[:, None], here, 0.5 * (here + there))
-        colors[: len(sender)] = shade[:, None]
-        self._lines.put(points, colors)
+        colors = np.zeros((self._room, 3, 2, 3), np.uint8)
+        colors[: int(got.sum())] = rssi_colors(known.link_rssi_dbm[sender, receiver][got])[:, None, None]
+        self._received.put(self._padded(drawn[got]), colors.reshape(-1, 2, 3))
+        self._lost.put(self._padded(drawn[~got]))
+
+    def _padded(self, drawn: Array) -> Array:
+        points = np.zeros((self._room, 3, 2, 3))
+        points[: len(drawn)] = drawn
+        return points.reshape(-1, 2, 3)
+
+
+def arrows(here: Array, there: Array) -> Array:
+    """Arrows between points (n, 3): shaft and two strokes of a head, (n, 3, 2, 3), to the right of the line between the points.
+
+    So the arrows of both directions lie side by side.
+    """
+    along = there - here
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    right = np.cross(along, (0.0, 0.0, 1.0)) / np.maximum(length, TINY)
+    aside = np.minimum(ASIDE * length, ASIDE_M) * right
+    begin, end = here + aside, there + aside
+    tip, back = begin + TIP * along, np.minimum(HEAD, HEAD_M / np.maximum(length, TINY)) * along
+    width = 0.5 * np.linalg.norm(back, axis=1, keepdims=True) * right
+    strokes = tip - back - width, tip - back + width
+    return np.stack([np.stack(pair, axis=1) for pair in ((begin, end), (strokes[0], tip), (strokes[1], tip))], axis=1)
 
 
 def fresh_links(known: Known, most: int, of: int | None = None) -> tuple[Array, Array]:
@@ -294,7 +326,7 @@ def legend() -> str:
     red = "rgb({}, {}, {})".format(*LOST_RGB)
     bar = f"height: 0.6em; margin: 0.2em 0; background: linear-gradient(90deg, {stops})"
     return (
-        f'<div style="padding: 0 0.75em 0.5em; font-size: 0.8em">Links: received power<div style="{bar}"></div>'
+        f'<div style="padding: 0 0.75em 0.5em; font-size: 0.8em">Frames, by received power<div style="{bar}"></div>'
         f'<div style="display: flex; justify-content: space-between"><span>{WEAKEST_DBM:.0f} dBm</span>'
-        f'<span style="color: {red}">blinking: lost</span><span>{STRONGEST_DBM:.0f} dBm</span></div></div>'
+        f'<span style="color: {red}">red: lost</span><span>{STRONGEST_DBM:.0f} dBm</span></div></div>'
     )

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import viser
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tests.support.cosim import view_pages
@@ -17,7 +17,7 @@ from vcmvsp.cosim.view.messages import Craft, PageUpdate, Sensors
 from vcmvsp.cosim.view.page.drawing import LOST_RGB, TINY, linear, rotated, rssi_colors
 from vcmvsp.cosim.view.page.scene import MOST_COLORS, by_color
 from vcmvsp.cosim.view.page.sensors import painted, points_of
-from vcmvsp.cosim.view.page.vehicles import fresh_links
+from vcmvsp.cosim.view.page.vehicles import arrows, fresh_links
 
 pytestmark = pytest.mark.sockets
 
@@ -160,29 +160,32 @@ def test_trails_are_bounded_and_begin_anew_where_time_goes_back() -> None:
 # --- the radio ---
 
 
-def test_links_of_the_last_second_are_drawn_half_way_in_the_colour_of_their_power() -> None:
+def test_links_of_the_last_second_are_arrows_in_the_colour_of_their_power_and_lost_frames_are_red() -> None:
     with looking(scenery(2)) as looked:
         looked.show(3.0)
-        points, colors = looked.node("/links").points, looked.node("/links").colors
+        received, lost = looked.node("/links"), looked.node("/links/lost")
         tops = [(0.0, 0.0, each.offset[2] + 0.5 * each.size[2]) for each in looked.scene.vehicles]
         here, there = shown(looked.scene, 3.0).states.position + np.array(tops)  # type: ignore[union-attr]
-        assert points[0] == pytest.approx(np.stack([here, 0.5 * (here + there)]), abs=1e-5)
-        assert colors[0, 0].tolist() == linear(rssi_colors(np.array([-90.0])))[0].tolist()
-        assert colors[1, 0].tolist() == linear(np.array(LOST_RGB, np.uint8)).tolist()
-        looked.show(4.5, links=())
-        assert np.ptp(looked.node("/links").points, axis=1).max() == 0.0
-
-
-def test_a_lost_frame_blinks() -> None:
-    with looking(scenery(2)) as looked:
-        looked.show(3.0)
-        lengths = []
-        for quarter in range(4):
-            looked.now_s = 10.0 + 0.25 * quarter
+        assert received.points[:3] == pytest.approx(arrows(here[None], there[None])[0], abs=1e-5)
+        assert received.colors[0, 0].tolist() == linear(rssi_colors(np.array([-90.0])))[0].tolist()
+        assert lost.colors[0, 0].tolist() == linear(np.array(LOST_RGB, np.uint8)).tolist()
+        for number in range(4):  # a loss is to be seen at any moment
+            looked.now_s = 10.0 + 0.1 * number
             looked.station.draw()
-            lengths.append(float(np.ptp(looked.node("/links").points[1], axis=0).max()))
-    assert lengths[0] == lengths[2] > 0.0
-    assert lengths[1] == lengths[3] == 0.0
+            assert np.ptp(lost.points[0], axis=0).max() > 0.0
+        looked.show(4.5, links=())
+        assert max(np.ptp(each.points, axis=1).max() for each in (received, lost)) == 0.0
+
+
+@given(x=METRES, y=METRES, z=METRES)
+def test_an_arrow_lies_to_the_right_of_its_line_and_its_head_is_near_the_receiver(x: float, y: float, z: float) -> None:
+    there = np.array([[x, y, z]])
+    assume(np.hypot(x, y) > 0.1)
+    ((begin, end), (_, tip), (_, same)) = arrows(np.zeros((1, 3)), there)[0]
+    assert np.allclose(tip, same)
+    assert np.allclose(end - begin, there[0])
+    assert x * begin[1] - y * begin[0] < 0.0  # to the right
+    assert np.linalg.norm(tip - end) < np.linalg.norm(tip - begin)
 
 
 def test_of_too_many_links_the_newest_are_drawn() -> None:

@@ -5,11 +5,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
 from tests.support.cosim.view_pages import TOKEN, Looking, browser, looking, positions, scenery, shown
 from vcmvsp.cosim.types import Array, Mosaic
+from vcmvsp.cosim.view.page.drawing import colors_of
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.browser]
 
@@ -166,6 +168,40 @@ def test_the_camera_goes_along(page: Page) -> None:
         page.until(lambda place=place: np.allclose(client.camera.look_at, place, atol=0.02))  # type: ignore[misc]
         assert np.linalg.norm(client.camera.position - place) < 13.0
     page.looked.use("Camera follows", False)
+
+
+def widest(page: Page, row: int) -> int:
+    """The longest run of pixels in a line of the screen that have the colour of a vehicle."""
+    taken = cv2.imdecode(np.frombuffer(page.page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    assert taken is not None
+    near = np.abs(taken[..., ::-1].astype(int) - colors_of(row + 1)[row].astype(int)).max(axis=2) < 60
+    edges = np.diff(np.pad(near, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    begins, ends = np.nonzero(edges == 1), np.nonzero(edges == -1)
+    return int((ends[1] - begins[1]).max(initial=0))
+
+
+def test_a_vehicle_covers_twelve_pixels_however_far_the_camera_is(page: Page) -> None:
+    page.page.get_by_role("button", name="Show all vehicles").click()
+    for height in (10.0, 200.0):
+        look_down(page, 0.0, 0.0, height)
+        page.show(14.0, links=(), places={})
+        page.until(lambda: widest(page, 3) >= 12)
+
+
+def test_show_all_vehicles_and_follow_the_team(page: Page) -> None:
+    (client,) = page.looked.server.get_clients().values()
+    look_down(page, 500.0, 500.0, 5.0)
+    page.show(15.0)
+    states = shown(page.looked.scene, 15.0).states
+    assert states is not None
+    middle = 0.5 * (states.position.min(axis=0) + states.position.max(axis=0))
+    page.page.get_by_role("button", name="Show all vehicles").click()
+    page.until(lambda: np.allclose(client.camera.look_at, middle, atol=0.05))
+    page.looked.use("Camera follows the team")
+    by = np.array([30.0, 0.0, 0.0])
+    page.show(16.0, states=msgspec.structs.replace(states, position=states.position + by))
+    page.until(lambda: np.allclose(client.camera.look_at, middle + by, atol=0.05))
+    page.looked.use("Camera follows the team", False)
 
 
 def test_the_token_stays_in_its_tab_and_with_its_port(page: Page, chromium: Any) -> None:

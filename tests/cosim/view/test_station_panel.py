@@ -1,5 +1,7 @@
 """What the panel of the control station says in words and draws as curves: without a browser."""
 
+import re
+
 import numpy as np
 import pytest
 import viser
@@ -12,8 +14,9 @@ from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Presence, RealStatus
 from vcmvsp.cosim.view.messages import Craft, Pace, PageUpdate
 from vcmvsp.cosim.view.page.charts import POINTS, History, round_above
-from vcmvsp.cosim.view.page.panel import log_page, run_page, vehicle_page
+from vcmvsp.cosim.view.page.panel import log_page, run_page, team_page, vehicle_page
 from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.vehicles import places_of
 
 pytestmark = pytest.mark.sockets
 
@@ -111,17 +114,55 @@ def test_curves_are_bounded_and_begin_anew_where_time_goes_back() -> None:
 def test_charts_show_the_first_vehicles_and_the_chosen_one_and_none_of_what_nobody_knows() -> None:
     with looking(scenery(9)) as looked:
         for second in range(3):
-            looked.show(float(second), places={}, sent=None)
+            looked.show(float(second), places={}, sent=None, heard_ns={})
         (speed,) = looked.parts(viser.GuiUplotHandle)
         assert speed.title == "Speed [m/s]"
         assert [each["label"] for each in speed.series[1:]] == [f"v{index}" for index in range(1, 8)]
         assert speed.data[0].tolist() == [0.0, 1.0, 2.0]
         assert speed.data[1] == pytest.approx([0.3 * 2.25] * 3)
         looked.use("Vehicle", "v9")
-        looked.show(3.0, sent=None)
+        looked.show(3.0, sent=None, heard_ns={})
         speed, error = looked.parts(viser.GuiUplotHandle)
         assert [each["label"] for each in speed.series[1:]][-1] == "v9"
         assert error.title == "Formation error [m]"
+
+
+def test_a_chosen_note_has_a_chart_and_decades_show_small_numbers() -> None:
+    with looking(scenery(3)) as looked:
+        looked.show(0.0, notes={"v1": {"gap_m": 0.001}})
+        looked.use("Note", "gap_m")
+        for second, gap_m in enumerate((0.002, 0.05), 1):
+            looked.show(float(second), notes={"v1": {"gap_m": gap_m}, "v2": {"gap_m": -1.0, "status": "waiting"}})
+        *_, note = looked.parts(viser.GuiUplotHandle)
+        assert note.title == "Note: gap_m"
+        assert np.isnan(note.data[1][0])  # collected since it was chosen
+        assert note.data[1][1:] == pytest.approx([0.002, 0.05])
+        assert note.data[2][1:] == pytest.approx([-1.0, -1.0])
+        assert note.scales is not None
+        assert note.scales["y"]["range"] == (-1.0, pytest.approx(0.05))
+        looked.use("Decades")
+        looked.show(3.0, notes={})
+        *_, note = looked.parts(viser.GuiUplotHandle)
+        assert note.scales is not None
+        assert note.scales["y"] == {"range": (pytest.approx(1e-3), pytest.approx(0.1)), "distr": 3}
+        assert np.isnan(note.data[2]).all()
+
+
+def test_the_table_of_all_vehicles_sorts_by_what_is_largest() -> None:
+    scene = scenery(4)
+    heard_ns = {"v1": 0, "v2": 3 * SECOND_NS, "v3": 2 * SECOND_NS}
+    notes = {"v4": {"status": "<b>waiting</b>"}}
+    known = known_of(scene, shown(scene, 4.0, heard_ns=heard_ns, notes=notes, halted=("v2",)))
+
+    def order(by: str) -> list[str]:
+        return re.findall(r"<td>(v\d)</td>", team_page(known, by))
+
+    assert order("name") == ["v1", "v2", "v3", "v4"]
+    assert order("age") == ["v1", "v3", "v2", "v4"]  # v4 has heard nothing
+    errors = dict(zip(("v2", "v3"), places_of(known).error_m, strict=True))
+    assert order("error")[:2] == sorted(errors, key=errors.__getitem__, reverse=True)
+    assert "&lt;b&gt;waiting" in team_page(known, "status")
+    assert order("status")[-1] == "v2"  # it is stopped
 
 
 @given(st.floats(0.011, 1e6))
