@@ -15,7 +15,7 @@ UV = .uv/bin/uv
 export PYTHONDONTWRITEBYTECODE =
 export UV_PROJECT_ENVIRONMENT = $(VENV)
 
-.PHONY: setup demo test quick same check docs site dist bench clean
+.PHONY: setup demo test quick same check docs pictures site dist bench clean
 
 setup: $(VENV)/.ready
 
@@ -45,6 +45,10 @@ docs: setup
 	$(BIN)/python -m vcmvsp.cosim.reference.markdown --write
 	$(BIN)/python -m tests.support.docs.package_map --write
 	$(BIN)/python -m tests.support.docs.reference_pages --write
+
+# The pictures of the documents, by runs of the scenarios and a browser.
+pictures: setup
+	$(BIN)/python -m tests.support.docs.pictures
 
 # The documents as pages in site/, from all Markdown of the repository: the same folders, so that links need no change.
 SHOWN = '*.md' '*.png' CITATION.cff examples ':!tests' ':!paper'

@@ -102,7 +102,7 @@ def robot_command(
     start = pose_of(pose)
     name = str(context.info_name)
     if scenario is None:
-        _show(lambda ready: emulators.emulate_robot(name, chosen, ready, start), as_json=json)
+        _show(lambda ready: emulators.emulate_robot(name, chosen, ready, start), as_json=json, driver="arcos")
         return
     settings = scenarios.settings_of(set_ or [])
     _show(
@@ -110,6 +110,7 @@ def robot_command(
             name, chosen, ready, start, run=run, scenario_name=scenario, vehicle=vehicle, settings=settings
         ),
         as_json=json,
+        driver="arcos",
     )
 
 
@@ -225,18 +226,37 @@ def _show_tag(tags: "Tags", pose: str | None, circle: str | None, duration_s: fl
     _show(lambda ready: emulate_tag(tags, ready, pose=start, circle=way, duration_s=duration_of(duration_s)), as_json=as_json)
 
 
-def _show(emulate: "Callable[[Ready], Mapping[str, Any]]", *, as_json: bool) -> None:
-    """Run an emulator; prints its addresses when it is ready and its counters at the end."""
+def _show(emulate: "Callable[[Ready], Mapping[str, Any]]", *, as_json: bool, driver: str = "") -> None:
+    """Run an emulator; prints its addresses when it is ready and its counters at the end.
+
+    Args:
+        driver: kind of the driver of the robot, for whose scenario lines are printed; empty: there is no robot.
+    """
     import json
 
     out = _own_stdout()
 
     def say(about: Mapping[str, Any]) -> None:
         out(json.dumps(about) + "\n" if as_json else "".join(f"{url}\n" for url in _urls(about)))
+        if driver and not as_json:
+            sys.stderr.write("".join(f"{line}\n" for line in _of_scenario(driver, about)))
 
     with stdout_to_stderr():
         happened = emulate(say)
         out(json.dumps(happened) + "\n" if as_json else _words(happened))
+
+
+def _of_scenario(driver: str, about: Mapping[str, Any]) -> list[str]:
+    """Lines for the scenario that drives this robot."""
+    known = about["positioning"]
+    places = {"ubisense": ("listen", known.get("ubisense")), "dwm1001": ("port", known.get("dwm1001"))}
+    found = [f'{{ kind = "{kind}", {key} = "{url}" }}' for kind, (key, url) in places.items() if url]
+    where = found[0] if found else '{ kind = "none" }  # by odometry; or add --ubisense udp://127.0.0.1:5010'
+    return [
+        "lines for its [[vehicle]] in the scenario:",
+        f'  driver = {{ kind = "{driver}", port = "{about["url"]}" }}',
+        f"  localisation = {where}",
+    ]
 
 
 def _urls(about: Mapping[str, Any]) -> list[str]:

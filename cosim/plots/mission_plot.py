@@ -25,7 +25,8 @@ from vcmvsp.cosim.types import Array, Sighting, Sightings
 from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, color_of
 from vcmvsp.cosim.util.pictures import decoded
 
-INSTANTS = 4  # map snapshots, evenly spaced to the end of the run
+INSTANTS = 4  # map snapshots
+APART = 0.02  # of the run: nearer events share a snapshot
 SHEET = 12  # maximum number of pictures with detections
 HATCHES = {"search": "", "formation": "\\\\\\\\", "track": "..", "avoid1": "////", "avoid2": "xxxx"}
 HATCH = "#ffffff80"
@@ -194,10 +195,34 @@ def _say(axes: Axes, time_s: float, height: float, words: str, where: str) -> No
     axes.annotate(words, (time_s, height), ha="center", va=where, fontsize="small", zorder=7)
 
 
+def instants_of(log: MissionLog, targets: Sequence[Target]) -> list[tuple[int, str]]:
+    """Times, ns, of `INSTANTS` map snapshots and what happened then: first finds, then targets given up, and the end.
+
+    Where less has happened, the largest gaps are halved.
+    """
+    finds: dict[str, int] = {}
+    for found in log.noted.found:
+        if (target := target_at(targets, found)) is not None:
+            finds.setdefault(target.name, found.time_ns)
+    events = [(time_ns, f"{name} found") for name, time_ns in sorted(finds.items(), key=lambda each: each[1])]
+    events += [(time_ns, f"{target} given up") for name in log.vehicles for time_ns, target in log.noted.lost(name)]
+    chosen = {log.end_ns: "the end"}
+    for time_ns, what in events:
+        if len(chosen) < INSTANTS and all(abs(time_ns - other) > APART * log.end_ns for other in chosen):
+            chosen[time_ns] = what
+    while len(chosen) < INSTANTS:
+        gaps = list(pairwise(sorted({0, *chosen})))
+        begin, end = max(gaps, key=lambda gap: gap[1] - gap[0])
+        if end - begin < 2:
+            break
+        chosen[(begin + end) // 2] = ""
+    return sorted(chosen.items())
+
+
 def _maps(figure: FigureBase, log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> None:
-    shown, image = figure.subplots(1, INSTANTS, sharex=True, sharey=True), None
-    for number, axes in enumerate(shown, start=1):
-        now = log.end_ns * number // INSTANTS
+    chosen = instants_of(log, targets)
+    shown, image = figure.subplots(1, len(chosen), sharex=True, sharey=True, squeeze=False)[0], None
+    for number, (axes, (now, what)) in enumerate(zip(shown, chosen, strict=True), start=1):
         grids, surest = surest_map(log, now)
         if grids is not None:
             extent = _extent(grids.left, grids.bottom, grids.cell_m, surest)
@@ -208,7 +233,7 @@ def _maps(figure: FigureBase, log: MissionLog, moved: Motion, targets: Sequence[
             _track(axes, moved, name, index, now)
         _true_places(axes, targets, now, named=number == 1)
         _square(axes)
-        axes.set_title(f"{now / SECOND_NS:g} s")
+        axes.set_title(f"{now / SECOND_NS:g} s{what and f': {what}'}")
         axes.label_outer()
     if image is not None:
         figure.colorbar(image, ax=shown, shrink=0.7, pad=0.01, label="P(target) [1]")

@@ -77,7 +77,7 @@ def _scene(axes: Axes, found: "Map") -> None:
         color = _color_of(materials, solid.material)
         for piece in solid.uprights():
             axes.fill(*piece.corners.T, facecolor=color, edgecolor=color, linewidth=2.0, zorder=3, path_effects=_WHITE)
-    near_m, named = 0.03 * max(np.ptp(found.x), np.ptp(found.y)), list[tuple[float, float]]()
+    near_m, named = 0.07 * max(np.ptp(found.x), np.ptp(found.y)), list[tuple[float, float]]()
     for name in sorted(found.places, key=lambda name: name != found.vehicle):  # the sender first: its name, and its star, stay
         x, y, _ = found.places[name]
         sends = name == found.vehicle

@@ -22,6 +22,15 @@ from vcmvsp.cosim.util.palette import color_of
 COMPARED_S = 15.0
 SNAPSHOTS = 5  # instants at which the formation is drawn, including start and end
 _OF_LOSSES = ("sender", "receiver", "outcome", "sent_ns", "received_ns", *COLUMNS)
+LISTED = 15  # vehicles in a legend
+EXPLAINED = START, WAY, LINE, SETTLED, EVALUATED = (
+    "start",
+    "on the way, end",
+    "follower to leader",
+    "settled: 5 cm",
+    "evaluated",
+)
+"""Entries of legends that are no vehicles."""
 NAMED = 8  # rows of lost messages, one text line high each; with more, they have no names
 
 
@@ -48,6 +57,10 @@ def trajectory(states: Table, follows: Sequence[Placement] = (), outlines: Seque
         for instant in shown[1:]:
             pose = x[instant, i], y[instant, i], moved.yaw[instant, i]
             draw_vehicle(axes, pose, color_of(i), 14.0 if instant == shown[-1] else 9.0)
+    axes.plot([], [], color=GREY, linestyle="", marker="o", markersize=4.0, label=START)
+    axes.plot([], [], color=GREY, linestyle="", marker=">", markersize=6.0, label=WAY)
+    if follows:
+        axes.plot([], [], color=GREY, linewidth=0.7, label=LINE)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.06)
     axes.set_xlabel("x east [m]")
@@ -79,14 +92,14 @@ def formation_error(states: Table, radio: Table, follows: Sequence[Placement], w
     time = moved.time_ns / SECOND_NS
     for name, error in errors.items():
         above.plot(time, error, **line_of(moved.column(name)), label=name, zorder=3)
-    above.axhline(SETTLED_M, **LEVEL, zorder=2, label="settled: 5 cm")
+    above.axhline(SETTLED_M, **LEVEL, zorder=2, label=SETTLED)
     above.set_ylabel("formation error |z| [m]")
     _choose_scale(above, list(errors.values()))
     if len(time):
         above.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
     if window is not None and len(time):
         begin, end = window
-        above.axvspan(begin, time[-1] if end is None else end, color="0.95", zorder=0, label="evaluated")
+        above.axvspan(begin, time[-1] if end is None else end, color="0.95", zorder=0, label=EVALUATED)
     if errors:
         _legend(above)
     else:
@@ -211,6 +224,8 @@ def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
 
 def _legend(axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
-    axes.legend(handles[:18], labels[:18], ncols=6, **ABOVE)
-    if len(labels) > 18:
-        axes.set_title(f"and {len(labels) - 18} more", loc="right", fontsize="small")
+    vehicles = [place for place, label in enumerate(labels) if label not in EXPLAINED]
+    shown = [*vehicles[:LISTED], *(place for place, label in enumerate(labels) if label in EXPLAINED)]
+    axes.legend([handles[place] for place in shown], [labels[place] for place in shown], ncols=5, **ABOVE)
+    if len(vehicles) > LISTED:
+        axes.set_title(f"and {len(vehicles) - LISTED} more", loc="right", fontsize="small")

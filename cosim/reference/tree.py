@@ -35,6 +35,7 @@ NOT_SHARED = (
     "count",
     "columns",
     "spacing",
+    "turn_rad",
 )  # [vehicles] has none
 DOORS = (*builtin_kinds.KINDS["door"],)
 

@@ -18,9 +18,9 @@ from vcmvsp.cosim.util.files import write_whole
 FILE = "report.html"
 MACHINE = "Machine"  # title of the only section that differs between equal runs
 FIGURES = {
-    "trajectory": "Seen from above: a mark where each starts, arrowheads on the way, thin lines from followers to leaders.",
+    "trajectory": "Seen from above, with the formation at a few instants.",
     "formation_error": "How far followers were off their places, the age of what they knew of leaders, and what was lost.",
-    "mission": "Who commanded each vehicle when, what was found, and the shared map at four instants.",
+    "mission": "Who commanded each vehicle when, what was found, and the shared map when something happened.",
     "mosaic": "The ground as all have seen it together, and where targets were recognised.",
     "detections": "Pictures in which something was recognised.",
 }

@@ -39,6 +39,7 @@ class Repeat(msgspec.Struct, frozen=True, kw_only=True):
     count: Annotated[int, msgspec.Meta(ge=1, le=MOST)]  # how many there are; their names get numbers, from 1 on
     columns: Annotated[int, msgspec.Meta(ge=1)] | None = None  # in each row; None: all in one
     spacing: tuple[float, float] = (1.0, 1.0)  # m, between columns (along x) and between rows (along y)
+    turn_rad: float = 0.0  # from each to the next, added to the heading
 
 
 KEYS = tuple(binding.parameters(Repeat))
@@ -76,10 +77,16 @@ def _copies(one: dict[str, Any], source: Source) -> list[dict[str, Any]]:
     place = next((name for name in _PLACES if name in rest), "position")
     x, y, last = binding.convert(rest.get(place, (0.0, 0.0, 0.0)), Vec3, key=f"{key}.{place}", origin=source)
     columns, (dx, dy) = repeat.columns or repeat.count, repeat.spacing
-    return [
-        {**rest, "name": f"{one.get('name', '')}{i + 1}", place: [x + i % columns * dx, y + i // columns * dy, last]}
-        for i in range(repeat.count)
-    ]
+    copies = []
+    for i in range(repeat.count):
+        name, turn = f"{one.get('name', '')}{i + 1}", i * repeat.turn_rad
+        copy = {**rest, "name": name, place: [x + i % columns * dx, y + i // columns * dy, last]}
+        if turn and place == "pose":
+            copy["pose"][2] += turn
+        elif turn:
+            copy["heading"] = binding.convert(rest.get("heading", 0.0), float, key=f"{key}.heading", origin=source) + turn
+        copies.append(copy)
+    return copies
 
 
 RESERVED = ("world", "radio", "bridge", "operator", "log", "tf")  # first parts of event keys that belong to no vehicle

@@ -270,7 +270,9 @@ def _bound(host: str, port: int) -> socket.socket:
         return socket.create_server(address[:2], family=family, backlog=MOST_SOCKETS)
     except OSError as error:
         reason = error.strerror if isinstance(error, socket.gaierror) or error.errno is None else os.strerror(error.errno)
-        raise UsageError(f"the view cannot listen on {host}:{port}: {reason}; choose another host or port") from error
+        raise UsageError(
+            f"the view cannot listen on {host}:{port}: {reason}; choose another: --view-port (0: any), --view-host"
+        ) from error
 
 
 def _connection() -> type["ServerConnection"]:

@@ -301,7 +301,7 @@ class PositionSource:
             return
         why = self._why()
         if why != self._told_why:
-            self._notice("warned", f"no position for {PATIENCE_S:g} s: {why}")
+            self._notice("warned", f'no position for {PATIENCE_S:g} s: {why}; localisation.kind = "none" drives by odometry')
             self._told_why, self._silent = why, True
 
     def _why(self) -> str:

@@ -20,6 +20,7 @@ CURVES = 7  # limited by the number of colours; of more vehicles, the first ones
 WINDOW_NS = 5 * SECOND_NS  # of the delivery ratio
 TITLES = "Speed [m/s]", "Formation error [m]", "Received of the last 5 s [%]", "Time since the last message [s]", "Note"
 NOTHING = "none"
+MOST_DECADES = 1e4  # of an axis, as the ratio of its ends
 HEIGHT_PX = 190
 
 
@@ -205,6 +206,7 @@ def limits_of(values: Array, *, log: bool) -> tuple[float, float]:
     """Limits of an axis for these values: whole decades, or 0, or what is below it, and a round number; they seldom change."""
     low, high = float(values.min()), float(values.max())
     if log:
+        low = max(low, high / MOST_DECADES)
         return 10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high) + 1e-9)
     return -round_above(-low) if low < 0.0 else 0.0, round_above(high)
 

@@ -41,6 +41,15 @@ def test_one_of_many_can_be_set_by_its_name_and_all_by_theirs() -> None:
     assert [each.heading for each in parsed.vehicle] == [1.0, 1.0, 0.0]
 
 
+@pytest.mark.parametrize("place", ["pose", "position"])
+def test_each_copy_is_turned_further_than_the_one_before(place: str) -> None:
+    start = {"pose": [0.0, 0.0, 0.5]} if place == "pose" else {"position": [0.0, 0.0, 0.0], "heading": 0.5}
+    one = {"name": "v", "kind": "kinematic", "count": 4, "turn_rad": 2.4, **start}
+    parsed, _ = load({"name": "x", "duration_s": 1.0, "vehicle": [one]})
+    headings = [each.heading if each.pose is None else each.pose[2] for each in parsed.vehicle]
+    assert headings == pytest.approx([0.5 + 2.4 * number for number in range(4)])
+
+
 @pytest.mark.parametrize(
     ("keys", "key"),
     [
