@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 
+import msgspec
 import numpy as np
 import viser
 
@@ -16,36 +17,47 @@ from vcmvsp.cosim.view.page.state import Known
 
 GROUNDS = MAP, MOSAIC, NOTHING = "map of targets", "mosaic", "nothing"
 OVER_FLOOR_M = 0.01
+FAN = 0.12  # opacity of the free space of a scan
 WIDEST_PX = 512  # of a picture in the panel
 MAP_ALPHA = 200  # of 255
 
 
 class Scans:
-    """The newest scan of each scanner as points, at the pose of its measurement."""
+    """The newest scan of each scanner at the pose of its measurement: points where it hit, over the free space before them."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         self._server = server
         self._colors = colors_of(len(scenery.vehicles))
-        self._nodes: dict[str, viser.PointCloudHandle] = {}
+        self._nodes: dict[str, tuple[viser.PointCloudHandle, viser.MeshHandle]] = {}
         self._drawn: dict[str, Scan] = {}
 
     def draw(self, known: Known, wanted: tuple[str, ...]) -> None:
         """Draw new scans of the wanted sensors (vehicle/sensor) and hide the others."""
-        for key, node in self._nodes.items():
-            node.visible = key in wanted and key in known.now.scans
+        for key, nodes in self._nodes.items():
+            for node in nodes:
+                node.visible = key in wanted and key in known.now.scans
         for key in wanted:
             scan, row = known.now.scans.get(key), known.row.get(key.partition("/")[0])
             if scan is None or row is None or self._drawn.get(key) is scan:
                 continue
             self._drawn[key] = scan
             points = points_of(scan, known.position[row], known.attitude[row])
+            fan = fan_of(scan, known.position[row], known.attitude[row])
             if key in self._nodes:
-                self._nodes[key].points = points
-            else:
-                red, green, blue = self._colors[row].tolist()
-                self._nodes[key] = self._server.scene.add_point_cloud(
+                hits, free = self._nodes[key]
+                hits.points, free.vertices = points, fan
+                continue
+            red, green, blue = self._colors[row].tolist()
+            scene, numbers = self._server.scene, np.arange(len(fan) - 2, dtype=np.uint32)
+            faces = np.column_stack([np.zeros_like(numbers), numbers + 1, numbers + 2])
+            self._nodes[key] = (
+                scene.add_point_cloud(
                     f"/scans/{key}", points, (red, green, blue), point_size=0.06, point_shape="circle", precision="float32"
-                )
+                ),
+                scene.add_mesh_simple(
+                    f"/scans/{key}/free", fan, faces, color=(red, green, blue), opacity=FAN, side="double", cast_shadow=False
+                ),
+            )
 
 
 class Pictures:
@@ -123,6 +135,13 @@ class Ground:
             cast_shadow=False,
             receive_shadow=False,
         )
+
+
+def fan_of(scan: Scan, position: Array, attitude: Array) -> Array:
+    """The scanner and the ends of all its beams, (beams + 1, 3) m, world; without a return they end at the greatest range."""
+    ranges = np.where(np.isposinf(scan.ranges), scan.range_max, np.nan_to_num(scan.ranges, neginf=0.0))
+    filled = msgspec.structs.replace(scan, ranges=ranges)
+    return np.concatenate([np.asarray(position, np.float32)[None], points_of(filled, position, attitude)])
 
 
 def points_of(scan: Scan, position: Array, attitude: Array) -> Array:

@@ -16,7 +16,7 @@ from vcmvsp.cosim.types import Mosaic, ProbabilityMap
 from vcmvsp.cosim.view.messages import Craft, PageUpdate, Sensors
 from vcmvsp.cosim.view.page.drawing import LOST_RGB, TINY, linear, rotated, rssi_colors
 from vcmvsp.cosim.view.page.scene import MOST_COLORS, by_color
-from vcmvsp.cosim.view.page.sensors import painted, points_of
+from vcmvsp.cosim.view.page.sensors import fan_of, painted, points_of
 from vcmvsp.cosim.view.page.vehicles import arrows, fresh_links
 
 pytestmark = pytest.mark.sockets
@@ -205,6 +205,12 @@ def test_colours_of_links_end_where_the_legend_says() -> None:
 
 
 # --- readings ---
+
+
+def test_the_free_space_of_a_scan_reaches_from_the_scanner_to_the_hits_or_as_far_as_it_sees() -> None:
+    fan = fan_of(view_pages.scan(2.0), np.array([1.0, 1.0, 0.5]), np.array([1.0, 0.0, 0.0, 0.0]))
+    assert fan[0].tolist() == [1.0, 1.0, 0.5]
+    assert np.linalg.norm(fan[1:] - fan[0], axis=1) == pytest.approx([2.0, 2.0, 8.0, 2.0], rel=1e-6)
 
 
 @given(yaw=ANGLES, x=METRES, y=METRES, range_m=st.floats(0.1, 8.0))
