@@ -41,4 +41,4 @@ def test_a_built_in_scenario_says_in_one_line_what_it_shows(name: str) -> None:
 def test_pictures_are_there_and_small() -> None:
     linked = set(re.findall(r"\]\((pictures/[^)]+)\)", TEXT))
     assert linked == {f"pictures/{path.name}" for path in (FOLDER / "pictures").iterdir()}
-    assert all((FOLDER / name).stat().st_size < 200_000 for name in linked)
+    assert all((FOLDER / name).stat().st_size < 100_000 for name in linked)

@@ -1,0 +1,80 @@
+"""Makes the pictures of the documents anew: ``python -m tests.support.docs.pictures [NAME...]``, or ``make pictures``.
+
+Figures are those that the run of a scenario leaves. Pictures of the control station need a browser (Chromium).
+"""
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from PIL import Image
+
+from tests.support.cosim.view_pages import browser
+from tests.support.paths import ROOT
+
+FOLDER = ROOT / "scenarios" / "pictures"
+VCMVSP = str(Path(sys.executable).with_name("vcmvsp"))
+FIGURES = ("trajectory", "formation_error", "mission", "mosaic", "detections")
+CHANGED = {"relay-chain-none": ("relay-chain", ["--set", "routing.kind=none"])}
+"""Scenario and options of runs that have another name."""
+STATIONS = {"recon-urban": 75.0, "recon-team": 60.0, "lab-patrol": 20.0, "pillar-triangle": 12.0}
+"""Time of the recording that is shown, s."""
+READY_MS, DRAWN_MS = 60_000, 8_000
+COLORS = 96  # of a picture: a third of its bytes
+
+
+def main(names: Sequence[str]) -> None:
+    """Make the named pictures, or all."""
+    with tempfile.TemporaryDirectory() as folder:
+        made: dict[str, Path] = {}
+        for path in sorted(FOLDER.glob("*.png")):
+            if names and path.stem not in names:
+                continue
+            scenario, _, what = path.stem.rpartition("-")
+            if path.stem == "demo":
+                command(folder, "demo", "--out", "demo")
+                shutil.copy(Path(folder, "demo", "comparison.png"), path)
+            elif what in FIGURES or what == "station":
+                if scenario not in made:
+                    name, options = CHANGED.get(scenario, (scenario, []))
+                    command(folder, "run", name, *options, "--out", scenario)
+                    made[scenario] = Path(folder, scenario)
+                if what == "station":
+                    station(made[scenario], STATIONS[scenario], path)
+                else:
+                    shutil.copy(made[scenario] / f"{what}.png", path)
+            else:
+                continue
+            with Image.open(path) as drawn:
+                drawn.convert("RGB").quantize(COLORS).save(path, optimize=True)
+            sys.stdout.write(f"{path}\n")
+
+
+def command(folder: str, *words: str) -> None:
+    """Run a command of vcmvsp in a folder."""
+    subprocess.run([VCMVSP, *words, "-q"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+
+
+def station(run: Path, time_s: float, path: Path) -> None:
+    """A picture of the page that shows a recording at a time."""
+    process = subprocess.Popen([VCMVSP, "view", str(run), "--port", "0"], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    with browser() as started:
+        page = started.new_page(viewport={"width": 1150, "height": 640})
+        page.goto(process.stdout.readline().strip())
+        page.get_by_role("button", name="Pause").wait_for(timeout=READY_MS)
+        page.get_by_role("textbox").first.fill(f"{time_s:g}")
+        page.keyboard.press("Enter")
+        page.wait_for_timeout(DRAWN_MS)
+        page.locator("#webgl-software-rendering button").click()
+        page.wait_for_timeout(1_000)
+        page.screenshot(path=path)
+    process.kill()
+    process.wait()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
