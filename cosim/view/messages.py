@@ -58,6 +58,14 @@ class Obstacle(Value, frozen=True, kw_only=True):
     may_be_moved: bool = False  # by the user
 
 
+class Floor(Value, frozen=True, kw_only=True):
+    """Picture of the floor, as cameras see it."""
+
+    pixels: Array  # (h, w, 3) uint8, RGB; row 0 is the north edge
+    center: tuple[float, float]  # m
+    size: tuple[float, float]  # east-west and north-south, m
+
+
 class Scenery(Value, frozen=True, kw_only=True):
     """Constant data of a run."""
 
@@ -71,6 +79,7 @@ class Scenery(Value, frozen=True, kw_only=True):
     obstacles: tuple[Obstacle, ...] = ()
     targets: tuple[tuple[str, float, float], ...] = ()  # name, x m, y m, at the start
     bounds: tuple[float, float, float, float] | None = None  # west, south, east, north, m
+    floor: Floor | None = None
     live: bool = False  # a current run; else a recording
     may: tuple[str, ...] = ()  # allowed orders: names of the `Order` classes' tags
     keys: Mapping[str, float] = {}  # scenario keys that may change at run time, and their present values

@@ -18,10 +18,11 @@ from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 from vcmvsp.cosim.types import frozen
 from vcmvsp.cosim.util.documents import read_json
-from vcmvsp.cosim.view.messages import Craft, Obstacle, Scenery
+from vcmvsp.cosim.view.messages import Craft, Floor, Obstacle, Scenery
 
 RECORDED = ("pace", "seek", "sensors")
 """Orders that a recording executes."""
+WIDEST_PX = 2048  # of the picture on the floor
 DEFAULT_WIDTH_M = 0.5  # of a vehicle not drawn in the recording
 VehicleKinds = dict[str, type[Vehicle]]  # by their names in the scenario
 
@@ -68,6 +69,7 @@ def scenery_of(
         obstacles=_obstacles(world, "move" in may),
         targets=tuple((each.name, *each.place(0.0)) for each in world.targets),
         bounds=world.bounds,
+        floor=_floor(world),
         live=live,
         may=tuple(may),
         keys=dict(keys or {}),
@@ -116,6 +118,22 @@ def _agent(vehicle: VehicleTable, scenario: Scenario, info: AgentInfo | None) ->
         return "", None
     kind = vehicle.agent.kind or str(scenario.agents.defaults.get("kind", ""))
     return kind, vehicle.agent.period_s or scenario.agents.period_s
+
+
+def _floor(world: "worlds.World") -> Floor | None:
+    """The picture on the floor of a world, at most `WIDEST_PX` along an edge; None: the floor has one colour."""
+    ground = world.ground
+    if ground.image is None:
+        return None
+    import cv2
+
+    pixels = ground.image
+    height, width = pixels.shape[:2]
+    if max(height, width) > WIDEST_PX:
+        share = WIDEST_PX / max(height, width)
+        less = max(1, round(width * share)), max(1, round(height * share))
+        pixels = cv2.resize(pixels, less, interpolation=cv2.INTER_AREA)
+    return Floor(pixels=frozen(pixels, np.uint8), center=ground.center, size=ground.size)
 
 
 def _obstacles(world: "worlds.World", may_be_moved: bool) -> tuple[Obstacle, ...]:

@@ -17,7 +17,7 @@ from vcmvsp.cosim.view.page.state import Known
 GROUNDS = MAP, MOSAIC, NOTHING = "map of targets", "mosaic", "nothing"
 OVER_FLOOR_M = 0.01
 WIDEST_PX = 512  # of a picture in the panel
-MAP_ALPHA = 200  # of 255
+MAP_ALPHA = 110  # of 255
 
 
 class Scans:

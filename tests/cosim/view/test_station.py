@@ -15,7 +15,7 @@ from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Mosaic, ProbabilityMap
 from vcmvsp.cosim.view.messages import Craft, PageUpdate, Sensors
 from vcmvsp.cosim.view.page.drawing import LOST_RGB, TINY, linear, rotated, rssi_colors
-from vcmvsp.cosim.view.page.scene import MOST_COLORS, by_color
+from vcmvsp.cosim.view.page.scene import MOST_COLORS, START, by_color, crossed, fitted, solids_of
 from vcmvsp.cosim.view.page.sensors import painted, points_of
 from vcmvsp.cosim.view.page.vehicles import fresh_links
 
@@ -160,29 +160,38 @@ def test_trails_are_bounded_and_begin_anew_where_time_goes_back() -> None:
 # --- the radio ---
 
 
-def test_links_of_the_last_second_are_drawn_half_way_in_the_colour_of_their_power() -> None:
+def test_a_link_is_an_arrow_from_the_sender_to_the_receiver_in_the_colour_of_its_outcome() -> None:
     with looking(scenery(2)) as looked:
         looked.show(3.0)
         points, colors = looked.node("/links").points, looked.node("/links").colors
-        tops = [(0.0, 0.0, each.offset[2] + 0.5 * each.size[2]) for each in looked.scene.vehicles]
-        here, there = shown(looked.scene, 3.0).states.position + np.array(tops)  # type: ignore[union-attr]
-        assert points[0] == pytest.approx(np.stack([here, 0.5 * (here + there)]), abs=1e-5)
+        here, there = shown(looked.scene, 3.0).states.position  # type: ignore[union-attr]
+        start, tip = points[0]
+        along = (there - here) / np.linalg.norm(there - here)
+        assert (start - here) @ along < 0.1 * np.linalg.norm(there - here)
+        assert (there - tip) @ along < 0.1 * np.linalg.norm(there - here)
+        assert points[1:3, 1] == pytest.approx(np.stack([tip, tip]))
+        assert ((tip - points[1:3, 0]) @ along > 0.0).all()  # both barbs point ahead
         assert colors[0, 0].tolist() == linear(rssi_colors(np.array([-90.0])))[0].tolist()
-        assert colors[1, 0].tolist() == linear(np.array(LOST_RGB, np.uint8)).tolist()
+        assert colors[3, 0].tolist() == linear(np.array(LOST_RGB, np.uint8)).tolist()
         looked.show(4.5, links=())
         assert np.ptp(looked.node("/links").points, axis=1).max() == 0.0
 
 
-def test_a_lost_frame_blinks() -> None:
+def test_a_lost_frame_is_shown_with_the_first_update_that_tells_of_it_and_remains_for_a_second() -> None:
     with looking(scenery(2)) as looked:
         looked.show(3.0)
-        lengths = []
-        for quarter in range(4):
-            looked.now_s = 10.0 + 0.25 * quarter
-            looked.station.draw()
-            lengths.append(float(np.ptp(looked.node("/links").points[1], axis=0).max()))
-    assert lengths[0] == lengths[2] > 0.0
-    assert lengths[1] == lengths[3] == 0.0
+        assert np.ptp(looked.node("/links").points[3], axis=0).max() > 0.0
+        looked.show(3.9, links=())
+        assert np.ptp(looked.node("/links").points[3], axis=0).max() > 0.0
+
+
+def test_the_slot_of_a_follower_is_marked_and_a_line_goes_to_its_leader() -> None:
+    with looking(scenery(3)) as looked:
+        places = [(0.0, 0.0, 0.0), (-3.0, 2.0, 0.0), (-9.0, 0.0, 0.0)]
+        looked.show(1.0, states=states(places, [math.pi / 2] * 3, ("v1", "v2", "v3")))
+        assert looked.node("/places/marks").batched_positions[1, :2] == pytest.approx((-1.0, -1.5), abs=1e-5)  # slot (-1.5, 1)
+        assert looked.node("/places/leaders").points[1] == pytest.approx(np.array([places[1], places[0]]), abs=1e-5)
+        assert np.ptp(looked.node("/places/leaders").points[0]) == 0.0  # it follows nobody
 
 
 def test_of_too_many_links_the_newest_are_drawn() -> None:
@@ -264,6 +273,31 @@ def test_what_was_never_seen_of_a_mosaic_is_left_out() -> None:
 
 
 # --- geometry ---
+
+
+@given(st.lists(st.tuples(METRES, METRES, st.floats(0.0, 20.0)), min_size=1), st.floats(0.4, 1.4), st.floats(0.4, 3.0))
+def test_a_camera_that_is_fitted_has_every_vehicle_in_its_picture(
+    places: list[tuple[float, float, float]], fov: float, aspect: float
+) -> None:
+    middle, distance = fitted(np.array(places), START, fov, aspect)
+    offset = np.array(places) - (middle + distance * START)
+    depth = -offset @ START
+    right = np.cross((0.0, 0.0, 1.0), START)
+    right /= np.linalg.norm(right)
+    slope = math.tan(0.5 * fov)
+    assert (depth > 0.0).all()
+    assert (np.abs(offset @ right) <= aspect * slope * depth).all()
+    assert (np.abs(offset @ np.cross(START, right)) <= slope * depth).all()
+
+
+def test_a_line_crosses_the_wall_that_it_goes_through_and_no_other() -> None:
+    scene = scenery(1)
+    corners = np.asarray(scene.vertices, float)[np.asarray(scene.triangles)]
+    through = crossed(corners, np.array((0.0, 9.0, 0.5)), np.array((0.0, 3.0, 0.5)))
+    assert through.any()
+    assert not crossed(corners, np.array((0.0, 9.0, 1.5)), np.array((0.0, 3.0, 1.5))).any()  # over it
+    assert not crossed(corners, np.array((0.0, 9.0, 0.5)), np.array((0.0, 7.0, 0.5))).any()  # ends before it
+    assert len(np.unique(solids_of(np.asarray(scene.triangles), len(corners) * 3))) == 1
 
 
 @given(yaw=ANGLES, x=METRES, y=METRES)

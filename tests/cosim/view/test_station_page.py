@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support.cosim.view_pages import TOKEN, Looking, browser, looking, positions, scenery, shown
+from tests.support.cosim.view_pages import TOKEN, Looking, browser, looking, positions, scenery, shown, states
 from vcmvsp.cosim.types import Array, Mosaic
+from vcmvsp.cosim.view.page.drawing import colors_of, rotated
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.browser]
 
@@ -166,6 +167,71 @@ def test_the_camera_goes_along(page: Page) -> None:
         page.until(lambda place=place: np.allclose(client.camera.look_at, place, atol=0.02))  # type: ignore[misc]
         assert np.linalg.norm(client.camera.position - place) < 13.0
     page.looked.use("Camera follows", False)
+
+
+def test_fit_all_has_all_vehicles_in_the_picture_and_each_can_be_seen_however_far_they_are(page: Page) -> None:
+    names = tuple(each.name for each in page.looked.scene.vehicles)
+    far = states([(400.0 * (index + 1), 250.0 * (index % 2), 0.0) for index in range(5)], [0.0] * 5, names)
+    page.looked.use("Names", False)
+    page.looked.use("Links", "none")
+    page.show(20.0, states=far, places={}, links=())
+    page.looked.use("Fit all")
+    (client,) = page.looked.server.get_clients().values()
+    page.until(lambda: bool(np.linalg.norm(client.camera.position - client.camera.look_at) > 500.0))
+    box = page.page.locator("canvas").first.bounding_box()
+    page.show(20.0, states=far, places={}, links=())
+    page.page.wait_for_timeout(1000)
+    taken = cv2.imdecode(np.frombuffer(page.page.screenshot(clip=box), np.uint8), cv2.IMREAD_COLOR)
+    assert taken is not None
+    camera = client.camera
+    for place, color in zip(far.position, colors_of(5), strict=True):
+        column, row = pixel_of(place, camera, taken.shape)
+        near = taken[row - 16 : row + 16, column - 16 : column + 16, ::-1].astype(int)
+        same = np.abs(near - color.astype(int)).max(axis=2) < 40
+        assert same.any(axis=0).sum() >= 12
+        assert same.any(axis=1).sum() >= 12
+    page.looked.use("Names", True)
+    page.looked.use("Links", "all")
+
+
+def pixel_of(place: Array, camera: Any, shape: tuple[int, ...]) -> tuple[int, int]:
+    """Column and row of a place in a picture of a camera, whose x is to the right, y down and z ahead."""
+    w, *axis = camera.wxyz
+    x, y, z = rotated(np.array([[w, *(-np.array(axis))]]), (place - camera.position)[None])[0]
+    focal = 0.5 * shape[0] / np.tan(0.5 * camera.fov)
+    return round(0.5 * shape[1] + focal * x / z), round(0.5 * shape[0] + focal * y / z)
+
+
+def test_a_wall_before_a_vehicle_is_translucent(page: Page) -> None:
+    names = tuple(each.name for each in page.looked.scene.vehicles)
+    behind = states([(0.3 * index, 4.0, 0.0) for index in range(5)], [0.0] * 5, names)
+    (client,) = page.looked.server.get_clients().values()
+    with client.atomic():
+        client.camera.position = (0.0, 9.0, 0.6)
+        client.camera.look_at = (0.0, 4.0, 0.1)
+    page.until(lambda: np.allclose(client.camera.position, (0.0, 9.0, 0.6), atol=0.01))
+
+    def visible(node: str) -> bool:
+        page.show(21.0, states=behind, places={})
+        return bool(page.looked.node(node).visible)
+
+    page.until(lambda: visible("/veils/0") and not visible("/world/0"))
+    client.camera.position = (0.0, -9.0, 3.0)
+    page.until(lambda: visible("/world/0") and not visible("/veils/0"))
+
+
+def test_the_team_stays_in_the_picture(page: Page) -> None:
+    page.looked.use("Follow team")
+    (client,) = page.looked.server.get_clients().values()
+    names = tuple(each.name for each in page.looked.scene.vehicles)
+
+    def centred(east: float) -> bool:
+        page.show(22.0, states=states([(east + index, 1.0, 0.0) for index in range(5)], [0.0] * 5, names), places={})
+        return bool(np.allclose(client.camera.look_at, (east + 2.0, 1.0, 0.0), atol=0.1))
+
+    for east in (10.0, 30.0):
+        page.until(lambda east=east: centred(east))  # type: ignore[misc]
+    page.looked.use("Follow team", False)
 
 
 def test_the_token_stays_in_its_tab_and_with_its_port(page: Page, chromium: Any) -> None:
