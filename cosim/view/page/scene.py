@@ -10,13 +10,14 @@ import viser
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Floor, Obstacle, Scenery
-from vcmvsp.cosim.view.page.drawing import EDGE_RGB, FLOOR, FLOOR_DARK, SKY_DARK, TARGET_RGB, WHITE, Every, disc
+from vcmvsp.cosim.view.page.drawing import EDGE_RGB, FLOOR, FLOOR_DARK, SKY, SKY_DARK, TARGET_RGB, Every, disc
 from vcmvsp.cosim.view.page.state import Known
 
 MOST_COLORS = 48  # of the solids; with more, similar colours are merged
 MARGIN_M, WIDE_M = 5.0, 40.0
 VEIL, VEIL_S = 0.22, 0.3  # opacity of solids before vehicles, and period of looking for them
 MOST_VEILED, MOST_RAYS = 20_000, 24  # triangles of a world in which solids are looked for, and vehicles looked at
+AXES_RGB = ((200, 40, 40), (30, 140, 50), (40, 70, 200))
 PICTURE_Z_M = -0.005
 FLOOR_Z_M = -0.01  # of the drawn floor, so that objects on it are visible
 SUN = (0.4, -0.7, 1.0)
@@ -55,6 +56,7 @@ class Scene:
             plane_opacity=1.0,
             position=(0.5 * (west + east), 0.5 * (south + north), FLOOR_Z_M),
         )
+        _add_axes(server, west, south, axis_m(size))
         self._solids = Solids(server, scenery)
         if scenery.floor is not None:
             _add_floor(server, scenery.floor)
@@ -88,7 +90,7 @@ class Scene:
 
     def darken(self, dark: bool) -> None:
         """Set floor and sky for a light or a dark page: never so dark that a black vehicle is invisible."""
-        floor, sky = (FLOOR_DARK, SKY_DARK) if dark else (FLOOR, WHITE)
+        floor, sky = (FLOOR_DARK, SKY_DARK) if dark else (FLOOR, SKY)
         self.floor.plane_color = floor
         self._server.scene.set_background_image(np.full((1, 1, 3), sky, np.uint8), format="png")
 
@@ -249,6 +251,25 @@ def crossed(corners: Array, here: Array, there: Array) -> Array:
         v = side @ along / size
         share = np.einsum("ij,ij->i", second, side) / size
         return np.asarray((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (share > 0.0) & (share < 1.0))
+
+
+def axis_m(size_m: float) -> float:
+    """A round length, m, near a fifth of the size of the floor: the largest of ..., 1, 2, 5, 10, ... not above it."""
+    wished = 0.2 * size_m * (1.0 + 1e-9)
+    power = 10.0 ** math.floor(math.log10(wished))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= wished)
+
+
+def _add_axes(server: viser.ViserServer, west: float, south: float, length: float) -> None:
+    """Axes of the world in the south-west corner of the floor, of a length that serves as scale."""
+    ends = length * np.eye(3)
+    points = np.stack([np.zeros((3, 3)), ends], axis=1)
+    colors = np.repeat(np.array(AXES_RGB, np.uint8)[:, None], 2, axis=1)
+    where = (west, south, 0.02)
+    server.scene.add_line_segments("/axes", points, colors, thickness=3.0, thickness_units="screen", position=where)
+    for end, name in zip(ends, ("east", "north", "up"), strict=True):
+        text = f"{name}, {length:g} m"
+        server.scene.add_label(f"/axes/{name}", text, position=end, font_screen_scale=0.7, anchor="bottom-center")
 
 
 def _add_floor(server: viser.ViserServer, floor: Floor) -> None:

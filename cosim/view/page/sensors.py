@@ -1,4 +1,4 @@
-"""Sensor data and maps in the browser: scans as points, pictures, and maps and mosaics on the floor."""
+"""Sensor data and maps in the browser: scans as fans, pictures, and maps and mosaics on the floor."""
 
 import math
 from collections.abc import Mapping
@@ -17,34 +17,48 @@ from vcmvsp.cosim.view.page.state import Known
 GROUNDS = MAP, MOSAIC, NOTHING = "map of targets", "mosaic", "nothing"
 OVER_FLOOR_M = 0.01
 WIDEST_PX = 512  # of a picture in the panel
+FAN_OPACITY, WIDEST_RAD = 0.2, 0.26  # of the free space of a scan; largest drawn width of a beam, rad
 MAP_ALPHA = 110  # of 255
 
 
 class Scans:
-    """The newest scan of each scanner as points, at the pose of its measurement."""
+    """The newest scan of each scanner, at the pose of its measurement: returns as points, free space as a translucent fan."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         self._server = server
         self._colors = colors_of(len(scenery.vehicles))
         self._nodes: dict[str, viser.PointCloudHandle] = {}
+        self._fans: dict[str, viser.MeshHandle] = {}
         self._drawn: dict[str, Scan] = {}
 
     def draw(self, known: Known, wanted: tuple[str, ...]) -> None:
         """Draw new scans of the wanted sensors (vehicle/sensor) and hide the others."""
         for key, node in self._nodes.items():
-            node.visible = key in wanted and key in known.now.scans
+            node.visible = self._fans[key].visible = key in wanted and key in known.now.scans
         for key in wanted:
             scan, row = known.now.scans.get(key), known.row.get(key.partition("/")[0])
             if scan is None or row is None or self._drawn.get(key) is scan:
                 continue
             self._drawn[key] = scan
             points = points_of(scan, known.position[row], known.attitude[row])
+            vertices, faces = fan_of(scan, known.position[row], known.attitude[row])
             if key in self._nodes:
                 self._nodes[key].points = points
+                self._fans[key].vertices, self._fans[key].faces = vertices, faces
             else:
                 red, green, blue = self._colors[row].tolist()
                 self._nodes[key] = self._server.scene.add_point_cloud(
                     f"/scans/{key}", points, (red, green, blue), point_size=0.06, point_shape="circle", precision="float32"
+                )
+                self._fans[key] = self._server.scene.add_mesh_simple(
+                    f"/fans/{key}",
+                    vertices,
+                    faces,
+                    color=(red, green, blue),
+                    opacity=FAN_OPACITY,
+                    side="double",
+                    cast_shadow=False,
+                    receive_shadow=False,
                 )
 
 
@@ -131,6 +145,23 @@ def points_of(scan: Scan, position: Array, attitude: Array) -> Array:
     ranges, angles = np.asarray(scan.ranges, float)[beams], scan.angle_min + scan.angle_step * beams
     ends = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(beams))])
     return np.asarray(position + rotated(np.broadcast_to(attitude, (len(ends), 4)), ends), np.float32)
+
+
+def fan_of(scan: Scan, position: Array, attitude: Array) -> tuple[Array, Array]:
+    """Free space seen by a scan at this pose: vertices (2 n + 1, 3) m, world, and triangles (n, 3), one wedge per beam.
+
+    A wedge ends at the return or, without one, at the maximum range; below the minimum range it is empty.
+    """
+    count = len(scan.ranges)
+    ranges = np.clip(np.nan_to_num(np.asarray(scan.ranges, float), posinf=scan.range_max, neginf=0.0), 0.0, scan.range_max)
+    half = 0.5 * min(abs(scan.angle_step), WIDEST_RAD)
+    angles = (scan.angle_min + scan.angle_step * np.arange(count))[:, None] + (-half, half)
+    ends = ranges[:, None, None] * np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=2)
+    local = np.concatenate([np.zeros((1, 3)), ends.reshape(-1, 3)])
+    vertices = position + rotated(np.broadcast_to(attitude, (len(local), 4)), local)
+    first = 1 + 2 * np.arange(count)
+    faces = np.column_stack([np.zeros(count, int), first, first + 1])
+    return np.asarray(vertices, np.float32), np.asarray(faces, np.uint32)
 
 
 def painted(ground: ProbabilityMap | Mosaic) -> Array:

@@ -15,8 +15,8 @@ from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Mosaic, ProbabilityMap
 from vcmvsp.cosim.view.messages import Craft, PageUpdate, Sensors
 from vcmvsp.cosim.view.page.drawing import LOST_RGB, TINY, linear, rotated, rssi_colors
-from vcmvsp.cosim.view.page.scene import MOST_COLORS, START, by_color, crossed, fitted, solids_of
-from vcmvsp.cosim.view.page.sensors import painted, points_of
+from vcmvsp.cosim.view.page.scene import MOST_COLORS, START, axis_m, by_color, crossed, fitted, solids_of
+from vcmvsp.cosim.view.page.sensors import fan_of, painted, points_of
 from vcmvsp.cosim.view.page.vehicles import fresh_links
 
 pytestmark = pytest.mark.sockets
@@ -124,6 +124,11 @@ def test_obstacles_and_targets_go_where_they_are_said_to_be(live: Looking) -> No
     assert live.node("/targets/red").position == pytest.approx((5.0, 6.0, 0.0))
 
 
+@pytest.mark.parametrize(("size_m", "step_m"), [(3.0, 0.5), (40.0, 5.0), (220.0, 20.0), (1000.0, 200.0)])
+def test_the_axes_have_a_round_length_that_is_a_share_of_the_floor(size_m: float, step_m: float) -> None:
+    assert axis_m(size_m) == pytest.approx(step_m)
+
+
 def test_there_is_floor_under_every_vehicle_wherever_it_goes() -> None:
     with looking(scenery(1)) as looked:
         for x, y in ((0.0, 0.0), (500.0, -20.0), (-3.0, 900.0), (510.0, 0.0)):
@@ -221,6 +226,15 @@ def test_beams_end_where_they_hit(yaw: float, x: float, y: float, range_m: float
     assert np.hypot(*(points[:, :2] - (x, y)).T) == pytest.approx([range_m] * 3, abs=1e-3)
 
 
+def test_the_free_space_of_a_scan_ends_at_the_return_or_at_the_maximum_range() -> None:
+    vertices, faces = fan_of(view_pages.scan(2.0), np.array([5.0, 6.0, 0.2]), np.array(quaternion_from_yaw(0.7)))
+    assert vertices[0] == pytest.approx((5.0, 6.0, 0.2))
+    reach = np.linalg.norm(vertices[faces[:, 1:]] - vertices[0], axis=2)
+    assert reach == pytest.approx(np.array([[2.0, 2.0], [2.0, 2.0], [8.0, 8.0], [2.0, 2.0]]), abs=1e-4)
+    middle = vertices[faces[0, 1:]].mean(axis=0) - vertices[0]
+    assert math.atan2(middle[1], middle[0]) == pytest.approx(0.7, abs=1e-4)
+
+
 def test_readings_are_ordered_of_the_chosen_vehicle_alone_and_only_while_somebody_looks(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -249,6 +263,7 @@ def test_scans_and_pictures_are_shown_while_they_are_wanted() -> None:
         looked.use("down (nadir_camera)")
         looked.show(1.0)
         assert looked.node("/scans/v1/ring").visible
+        assert looked.node("/fans/v1/ring").visible
         (image,) = looked.parts(viser.GuiImageHandle)
         assert image.visible
         first = image.image
@@ -257,6 +272,7 @@ def test_scans_and_pictures_are_shown_while_they_are_wanted() -> None:
         looked.use("Vehicle", "v2")
         looked.show(3.0)
         assert not looked.node("/scans/v1/ring").visible
+        assert not looked.node("/fans/v1/ring").visible
         assert not image.visible
 
 
