@@ -18,7 +18,7 @@ MARGIN_M, WIDE_M = 5.0, 40.0
 VEIL, VEIL_S = 0.22, 0.3  # opacity of solids before vehicles, and period of looking for them
 MOST_VEILED, MOST_RAYS = 20_000, 24  # triangles of a world in which solids are looked for, and vehicles looked at
 AXES_RGB = ((200, 40, 40), (30, 140, 50), (40, 70, 200))
-PICTURE_Z_M = -0.005
+APART = 0.002  # distance between floor and picture, of the size of the floor: a browser's depths are coarse
 FLOOR_Z_M = -0.01  # of the drawn floor, so that objects on it are visible
 SUN = (0.4, -0.7, 1.0)
 TARGET_M = 0.4  # radius of a target's marker
@@ -40,6 +40,7 @@ class Scene:
         west, south, east, north = self._extent = extent_of(scenery)
         size = max(east - west, north - south)
         server.initial_camera.far = max(1000.0, 10.0 * size)
+        self._z = FLOOR_Z_M if scenery.floor is None else min(FLOOR_Z_M, -2.0 * APART * size)
         cell = 1.0 if size <= WIDE_M else 10.0
         self.floor = server.scene.add_grid(
             "/floor",
@@ -54,12 +55,12 @@ class Scene:
             shadow_opacity=0.0,
             plane_color=FLOOR,
             plane_opacity=1.0,
-            position=(0.5 * (west + east), 0.5 * (south + north), FLOOR_Z_M),
+            position=(0.5 * (west + east), 0.5 * (south + north), self._z),
         )
         _add_axes(server, west, south, axis_m(size))
         self._solids = Solids(server, scenery)
         if scenery.floor is not None:
-            _add_floor(server, scenery.floor)
+            _add_floor(server, scenery.floor, 0.5 * self._z)
         self._obstacles = {each.name: _add_obstacle(server, each) for each in scenery.obstacles}
         self._targets = {name: _add_target(server, name, x, y) for name, x, y in scenery.targets}
 
@@ -86,7 +87,7 @@ class Scene:
         east, north = max(high[0], east + more), max(high[1], north + more)
         self._extent = west, south, east, north
         self.floor.width, self.floor.height = east - west, north - south
-        self.floor.position = (0.5 * (west + east), 0.5 * (south + north), FLOOR_Z_M)
+        self.floor.position = (0.5 * (west + east), 0.5 * (south + north), self._z)
 
     def darken(self, dark: bool) -> None:
         """Set floor and sky for a light or a dark page: never so dark that a black vehicle is invisible."""
@@ -272,7 +273,7 @@ def _add_axes(server: viser.ViserServer, west: float, south: float, length: floa
         server.scene.add_label(f"/axes/{name}", text, position=end, font_screen_scale=0.7, anchor="bottom-center")
 
 
-def _add_floor(server: viser.ViserServer, floor: Floor) -> None:
+def _add_floor(server: viser.ViserServer, floor: Floor, z: float) -> None:
     """Add the floor as cameras see it."""
     (x, y), (length, width) = floor.center, floor.size
     server.scene.add_image(
@@ -282,7 +283,7 @@ def _add_floor(server: viser.ViserServer, floor: Floor) -> None:
         width,
         format="jpeg",
         jpeg_quality=85,
-        position=(x, y, PICTURE_Z_M),
+        position=(x, y, z),
         wxyz=(0.0, 1.0, 0.0, 0.0),  # as maps: see `sensors.Ground`
         cast_shadow=False,
         receive_shadow=False,

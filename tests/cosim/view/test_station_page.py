@@ -10,6 +10,7 @@ import pytest
 
 from tests.support.cosim.view_pages import TOKEN, Looking, browser, looking, positions, scenery, shown, states
 from vcmvsp.cosim.types import Array, Mosaic
+from vcmvsp.cosim.view.messages import Floor
 from vcmvsp.cosim.view.page.drawing import colors_of, rotated
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.browser]
@@ -232,6 +233,27 @@ def test_the_team_stays_in_the_picture(page: Page) -> None:
     for east in (10.0, 30.0):
         page.until(lambda east=east: centred(east))  # type: ignore[misc]
     page.looked.use("Follow team", False)
+
+
+def test_the_picture_of_the_floor_has_north_above_and_hides_the_plain_floor(chromium: Any) -> None:
+    pixels = np.full((20, 20, 3), (200, 40, 40), np.uint8)
+    pixels[:10, 10:] = (40, 40, 200)  # in the north-east
+    floor = Floor(pixels=pixels, center=(30.0, 30.0), size=(40.0, 40.0))
+    with looking(scenery(1, floor=floor)) as looked:
+        looked.show(0.0)
+        page = Page(looked, chromium.new_page(viewport={"width": 1000, "height": 700}))
+        look_down(page, 30.0, 30.0, 60.0)
+        box = page.page.locator("canvas").first.bounding_box()
+
+        def bluer(right: float, up: float) -> int:
+            across = (box["x"] + (0.5 + right) * box["width"]) / 1000
+            red, _, blue = page.pixel(across, (box["y"] + (0.5 - up) * box["height"]) / 700)
+            return blue - red
+
+        quarters = (0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1), (0.1, -0.1)
+        page.until(lambda: bluer(*quarters[0]) > 50)
+        page.until(lambda: all(bluer(*each) < -50 for each in quarters[1:]))
+        page.page.close()
 
 
 def test_the_token_stays_in_its_tab_and_with_its_port(page: Page, chromium: Any) -> None:
