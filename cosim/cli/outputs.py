@@ -111,8 +111,12 @@ PERIOD_S = 1.0 / 30.0  # between two updates of the page
 
 def view_command(
     run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of a run, finished or still running.")],
-    port: Annotated[int, typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port.")] = PORT,
-    host: Annotated[str, typer.Option(metavar="HOST", help="Address of this machine for the page.")] = HOST,
+    port: Annotated[
+        int, typer.Option("--view-port", "--port", metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port.")
+    ] = PORT,
+    host: Annotated[
+        str, typer.Option("--view-host", "--host", metavar="HOST", help="Address of this machine for the page.")
+    ] = HOST,
     json: AsJson = False,
     trust: Trust = False,
 ) -> None:

@@ -264,7 +264,8 @@ def _bound(host: str, port: int) -> socket.socket:
         return socket.create_server(address[:2], family=family, backlog=MOST_SOCKETS)
     except OSError as error:
         reason = error.strerror if isinstance(error, socket.gaierror) or error.errno is None else os.strerror(error.errno)
-        raise UsageError(f"the view cannot listen on {host}:{port}: {reason}; choose another host or port") from error
+        hint = "choose another host or port (--view-host, --view-port)"
+        raise UsageError(f"the view cannot listen on {host}:{port}: {reason}; {hint}") from error
 
 
 def _connection() -> type["ServerConnection"]:

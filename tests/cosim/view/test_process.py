@@ -101,10 +101,11 @@ def test_what_happens_is_on_the_page_and_what_is_pressed_comes_back(viewer: View
             for message in told(page):
                 if message["type"] == "GuiButtonMessage":
                     buttons[message["props"]["label"]] = message["uuid"]
-            return "STOP ALL" in buttons
+            return "Stop all vehicles" in buttons
 
         assert until(press)
-        page.send(msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": buttons["STOP ALL"], "updates": {"value": True}}))
+        stop = buttons["Stop all vehicles"]
+        page.send(msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": stop, "updates": {"value": True}}))
         orders = until(feed.orders)
         assert orders == [HaltTable(at_s=0.0, halted=True)]
         feed.say("warning", "the bridge is up")
@@ -120,7 +121,7 @@ def test_a_browser_shows_it_and_finds_nothing_that_it_may_not_do(viewer: Viewing
         page.on("pageerror", lambda error: said.append(str(error)))
         page.on("requestfailed", lambda request: said.append(request.url))
         page.goto(viewer.url)
-        page.get_by_role("button", name="STOP ALL").wait_for(timeout=1e3 * PATIENCE_S)
+        page.get_by_role("button", name="Stop all vehicles").wait_for(timeout=1e3 * PATIENCE_S)
         assert "token" not in page.url
         assert said == []
 
