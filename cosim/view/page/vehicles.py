@@ -52,7 +52,7 @@ LEAST_M = 0.03  # radius of the marker of an exact position
 OVER_M = 0.02  # above the floor, for visibility
 FRESH_NS = SECOND_NS  # display time of a frame
 MOST = 200  # arrows; of more, the newest are drawn
-BARB, MOST_BARB_M = 0.1, 1.5  # length of the barbs of an arrow, of its length, and limit
+BARB, MOST_BARB_M = 0.06, 1.0  # length of the barbs of an arrow, of its length, and limit
 FEW = 12  # up to this many vehicles, all links are drawn at first
 WHICH = ALL, OWN, NONE = "all", "of the chosen vehicle", "none"
 
@@ -159,6 +159,8 @@ class Vehicles:
         radius = np.full(len(reach), TINY)
         rows = [known.row[name] for name in known.now.halted if name in known.row]
         radius[rows] = 1.5 * reach[rows]
+        for node in self._stopped.nodes:
+            node.visible = len(rows) > 0  # translucent shapes cost time even where they are tiny
         upright = np.tile(UPRIGHT, (len(reach), 1))
         self._stopped.put(floor, upright, np.column_stack([radius, radius, np.ones(len(reach))]))
 
