@@ -126,6 +126,19 @@ def test_a_browser_shows_it_and_finds_nothing_that_it_may_not_do(viewer: Viewing
         assert said == []
 
 
+def test_when_the_run_has_gone_its_page_says_how_it_ended_and_keeps_the_last_state() -> None:
+    end = "the run is complete; `vcmvsp view runs/a <b>` opens the recording"
+    with view_pages.browser() as browser, Viewing(port=0).open(SCENERY) as viewer:
+        page = browser.new_page()
+        page.goto(viewer.url)
+        page.get_by_role("button", name="Stop all vehicles").wait_for(timeout=1e3 * PATIENCE_S)
+        viewer.feed.close(end)
+        page.locator("#over").get_by_text(end).wait_for(timeout=1e3 * PATIENCE_S)
+        viewer.close()
+        page.locator("#disconnected").get_by_text(end).wait_for(timeout=1e3 * PATIENCE_S)
+        assert page.get_by_role("button", name="Stop all vehicles").is_visible()
+
+
 def test_it_ends_when_it_is_closed() -> None:
     with reserved() as port:
         viewer = Viewing(port=port).open(SCENERY)

@@ -76,7 +76,7 @@ def test_the_run_says_when_and_how_fast_it_is() -> None:
     page = run_page(known_of(scene, shown(scene, 1.5, pace=pace)))
     assert "<b>1.50 s</b> of 60 s" in page
     assert "running at 2x, reaches 1.5x" in page
-    assert "over: Ctrl-C" in run_page(known_of(scene, shown(scene, 1.5, pace=Pace(over="Ctrl-C"))))
+    assert "Run finished: Ctrl-C" in run_page(known_of(scene, shown(scene, 1.5, pace=Pace(over="Ctrl-C"))))
 
 
 # --- curves ---
