@@ -115,7 +115,8 @@ class Charts:
         self._names = [each.name for each in scenery.vehicles]
         self._history = History(scenery)
         self._often = Every(PERIOD_S)
-        self._charts = [Chart(server, title) for title in TITLES]
+        of = f", {CURVES} of {len(self._names)} vehicles" if len(self._names) > CURVES else ""
+        self._charts = [Chart(server, f"{title}{of}") for title in TITLES]
         self._dark, self._new = False, False
         self._rows: list[int] = []
 
