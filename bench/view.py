@@ -32,8 +32,8 @@ import viser
 parts = urllib.parse.urlsplit(sys.argv[1])
 token = urllib.parse.parse_qs(parts.query)["token"][0]
 with connect(
-    f"ws://{parts.netloc}/", origin=f"http://{parts.netloc}", subprotocols=[f"viser-v{viser.__version__}"],
-    additional_headers={"Cookie": f"vcmvsp-view-{parts.port}={token}"}, compression=None, max_size=None,
+    f"ws://{parts.netloc}/", origin=f"http://{parts.netloc}",
+    subprotocols=[f"viser-v{viser.__version__}", f"token.{token}"], compression=None, max_size=None,
 ) as page:
     page.recv()
     print("here", flush=True)

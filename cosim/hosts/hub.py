@@ -266,9 +266,7 @@ class Hub:
             place = f"{UNIX}{_opened(stack, folder)}/hub" if folder else endpoint
             config = {"mode": "router", "listen": {"endpoints": [place]}, **QUEUES}
             config["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
-            self.session = opened(
-                config, secure, f"cannot listen on '{place}' (if another run does, choose another with --listen)"
-            )
+            self.session = opened(config, secure, f"cannot listen on '{place}' (--listen chooses another port)")
             stack.callback(closed, self.session)
             self.files = [_opened(stack, folder / "hub")] if folder else []
             self.endpoint = f"{UNIX}{self.files[0]}" if folder else self._locator()  # endpoint that hosts dial

@@ -207,7 +207,8 @@ class Simulation:
         recorder.log("error" if failure else "info", str(failure or "the run is complete"), kernel.now_ns)
         recorder.close(kernel.now_ns, is_cut=failure is not None)
         if self._live is not None:
-            self._live.close(str(failure or "the run is complete"))
+            kept = "it is not recorded" if self._folder is None else f"`vcmvsp view {self._folder.path}` opens the recording"
+            self._live.close(f"{failure or 'the run is complete'}; {kept}")
         return failure
 
     def _stop(self) -> None:

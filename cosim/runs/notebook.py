@@ -4,22 +4,19 @@ import html
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from typing import Any
 
 EVERY_S = 0.25  # between two updates of a bar
 
 
-class Figures(dict[str, "Figure"]):
-    """Figures by name, which Jupyter shows as drawings."""
+class Figures(dict[str, Any]):
+    """Figures of Matplotlib by name, which Jupyter shows as drawings."""
 
     def _repr_html_(self) -> str:
         return pictures(self)
 
 
-def pictures(figures: "Mapping[str, Figure]") -> str:
+def pictures(figures: Mapping[str, Any]) -> str:
     """HTML of figures, as drawings."""
     from vcmvsp.cosim.plots.style import svg
 

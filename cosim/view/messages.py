@@ -59,11 +59,11 @@ class Obstacle(Value, frozen=True, kw_only=True):
 
 
 class Floor(Value, frozen=True, kw_only=True):
-    """The picture of the floor that cameras see."""
+    """Picture of the floor, as cameras see it."""
 
-    pixels: Array  # (h, w, 3) uint8, row 0 is the north edge
-    centre: tuple[float, float]  # x, y m, world
-    size: tuple[float, float]  # m, east-west and north-south
+    pixels: Array  # (h, w, 3) uint8, RGB; row 0 is the north edge
+    center: tuple[float, float]  # m
+    size: tuple[float, float]  # east-west and north-south, m
 
 
 class Scenery(Value, frozen=True, kw_only=True):
@@ -78,8 +78,8 @@ class Scenery(Value, frozen=True, kw_only=True):
     colors: Array  # (t, 3) uint8
     obstacles: tuple[Obstacle, ...] = ()
     targets: tuple[tuple[str, float, float], ...] = ()  # name, x m, y m, at the start
-    floor: Floor | None = None  # default: one colour
     bounds: tuple[float, float, float, float] | None = None  # west, south, east, north, m
+    floor: Floor | None = None
     live: bool = False  # a current run; else a recording
     may: tuple[str, ...] = ()  # allowed orders: names of the `Order` classes' tags
     keys: Mapping[str, float] = {}  # scenario keys that may change at run time, and their present values

@@ -22,7 +22,7 @@ from vcmvsp.cosim.view.messages import Craft, Floor, Obstacle, Scenery
 
 RECORDED = ("pace", "seek", "sensors")
 """Orders that a recording executes."""
-FINEST_PX = 1024
+WIDEST_PX = 2048  # of the picture on the floor
 DEFAULT_WIDTH_M = 0.5  # of a vehicle not drawn in the recording
 VehicleKinds = dict[str, type[Vehicle]]  # by their names in the scenario
 
@@ -68,24 +68,12 @@ def scenery_of(
         colors=frozen(world.mesh_colors()),
         obstacles=_obstacles(world, "move" in may),
         targets=tuple((each.name, *each.place(0.0)) for each in world.targets),
-        floor=_floor(world),
         bounds=world.bounds,
+        floor=_floor(world),
         live=live,
         may=tuple(may),
         keys=dict(keys or {}),
     )
-
-
-def _floor(world: "worlds.World") -> Floor | None:
-    """The picture of the floor, made coarser where it has more than `FINEST_PX` pixels along an edge."""
-    import cv2
-
-    image = world.ground.image
-    if image is None:
-        return None
-    share = min(1.0, FINEST_PX / max(image.shape[:2]))
-    pixels = cv2.resize(image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA) if share < 1.0 else image
-    return Floor(pixels=frozen(pixels, np.uint8), centre=world.ground.center, size=world.ground.size)
 
 
 def _craft(
@@ -130,6 +118,22 @@ def _agent(vehicle: VehicleTable, scenario: Scenario, info: AgentInfo | None) ->
         return "", None
     kind = vehicle.agent.kind or str(scenario.agents.defaults.get("kind", ""))
     return kind, vehicle.agent.period_s or scenario.agents.period_s
+
+
+def _floor(world: "worlds.World") -> Floor | None:
+    """The picture on the floor of a world, at most `WIDEST_PX` along an edge; None: the floor has one colour."""
+    ground = world.ground
+    if ground.image is None:
+        return None
+    import cv2
+
+    pixels = ground.image
+    height, width = pixels.shape[:2]
+    if max(height, width) > WIDEST_PX:
+        share = WIDEST_PX / max(height, width)
+        less = max(1, round(width * share)), max(1, round(height * share))
+        pixels = cv2.resize(pixels, less, interpolation=cv2.INTER_AREA)
+    return Floor(pixels=frozen(pixels, np.uint8), center=ground.center, size=ground.size)
 
 
 def _obstacles(world: "worlds.World", may_be_moved: bool) -> tuple[Obstacle, ...]:

@@ -11,9 +11,7 @@ that page connects. No cookie is used: browsers send cookies to all ports of a h
 """
 
 import asyncio
-import base64
 import contextlib
-import hashlib
 import hmac
 import http.client
 import ipaddress
@@ -38,9 +36,6 @@ if TYPE_CHECKING:
     from websockets.datastructures import Headers
     from websockets.http11 import Request, Response
 
-STYLE = "#webgl-software-rendering .mantine-Notification-description { display: none }"
-"""Of the page's warning that there is no graphics card, the title is enough."""
-STYLE_HASH = base64.b64encode(hashlib.sha256(STYLE.encode()).digest()).decode()
 ENTRY = (Path(__file__).parent / "entry.html").read_text("utf-8")
 PAGE = "/page"  # path of viser's page
 NO_TOKEN = "Open the printed URL, including its token.\n"  # noqa: S105  a sentence
@@ -172,7 +167,7 @@ class Gate:
         rules = {
             "default-src": "'none'",
             "script-src": f"'nonce-{nonce}' 'unsafe-eval' blob:",  # viser's page unpacks itself, and its workers are blobs
-            "style-src-elem": f"'nonce-{nonce}' 'sha256-{STYLE_HASH}'",
+            "style-src-elem": f"'nonce-{nonce}'",
             "style-src-attr": "'unsafe-inline'",  # words on the page are set with them
             "img-src": "'self' data: blob:",
             "font-src": "'self' data:",
@@ -216,7 +211,6 @@ def open_server(host: str, port: int, token: str) -> "viser.ViserServer":
     from websockets.asyncio import server as served
 
     page = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8")
-    page = page.replace("<head>", f"<head><style>{STYLE}</style>", 1)
     sock = _bound(host, port)
     gate = Gate(host, sock.getsockname()[1], token, f"viser-v{viser.__version__}", page)
     serve = served.serve
@@ -270,9 +264,8 @@ def _bound(host: str, port: int) -> socket.socket:
         return socket.create_server(address[:2], family=family, backlog=MOST_SOCKETS)
     except OSError as error:
         reason = error.strerror if isinstance(error, socket.gaierror) or error.errno is None else os.strerror(error.errno)
-        raise UsageError(
-            f"the view cannot listen on {host}:{port}: {reason}; choose another: --view-port (0: any), --view-host"
-        ) from error
+        hint = "choose another host or port (--view-host, --view-port)"
+        raise UsageError(f"the view cannot listen on {host}:{port}: {reason}; {hint}") from error
 
 
 def _connection() -> type["ServerConnection"]:

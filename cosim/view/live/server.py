@@ -65,7 +65,6 @@ def _serve(pipe: protocol.Pipe) -> None:
     station = Station(server, start.scenery, order)
     order(protocol.Up(port=server.get_port()))
     pump(pipe, station.show)
-    station.end("The page keeps what it shows. If the run was recorded, vcmvsp view FOLDER opens it.")
     time.sleep(LAST_S)
 
 

@@ -22,6 +22,7 @@ from vcmvsp.cosim.view.page.state import Known
 from vcmvsp.cosim.view.page.vehicles import WHICH, Fixes, Ghosts, Links, Trails, Vehicles, legend
 
 LEFT_PX, RIGHT_PX = 300.0, 360.0
+LEGEND_PX = 230.0
 WORDS_S = 0.2  # between two updates of texts
 TABLE_S = 1.0  # between two updates of the table of all vehicles
 IDLE_S = 0.1  # redraw interval without updates
@@ -49,7 +50,7 @@ class Station:
             self._trails, self._links = Trails(server, scenery), Links(server, scenery)
             self._ghosts, self._fixes = Ghosts(server, scenery), Fixes(server, scenery)
             self._scans, self._ground = Scans(server, scenery), Ground(server)
-            self._follower = Follower(server)
+            self._follower, self._team = Follower(server), Follower(server, math.inf)
             self._build(server, scenery)
         threading.Thread(target=self._keep, name="station", daemon=True).start()
 
@@ -73,7 +74,7 @@ class Station:
         with self._drawing:
             self._go_along()
         with self._drawing, self._server.atomic():
-            self._scene.draw(known)
+            self._scene.draw(known, now_s)
             self._vehicles.draw(known, choice.row, now_s)
             self._ghosts.draw(known)
             self._fixes.draw(known, now_s)
@@ -86,24 +87,21 @@ class Station:
             if self._words.due(now_s):
                 self._write()
 
-    def _aim(self) -> None:
-        with self._drawing:
-            self._scene.aim(self._known, near=True)
-            self._follower.release()
-
-    def end(self, words: str) -> None:
-        """Say on open pages that no more updates will come; they keep what they show."""
-        for client in self._server.get_clients().values():
-            client.add_notification("The run is over", words, color="blue")
-
     def _go_along(self) -> None:
-        seen = self._known.position[np.isfinite(self._known.position).all(axis=1)]
         if self._choice.follows:
             self._follower.draw(self._known.position[self._choice.row], self._clock())
-        elif self._team.value and len(seen):
-            self._follower.draw(0.5 * (seen.min(axis=0) + seen.max(axis=0)), self._clock(), math.inf)
         else:
             self._follower.release()
+        seen = self._known.position[np.isfinite(self._known.position).all(axis=1)]
+        if self._with_team.value and not self._choice.follows and len(seen):
+            self._team.draw(seen.mean(axis=0), self._clock())
+        else:
+            self._team.release()
+
+    def _fit(self) -> None:
+        with self._drawing:
+            self._team.release()
+            self._scene.fit(self._known)
 
     def _keep(self) -> None:
         """Redraw without updates, too, for new choices and newly opened pages."""
@@ -142,9 +140,8 @@ class Station:
         gui.main_panel.set_width(LEFT_PX)
         self._run = gui.add_html(run_page(self._known))
         self._controls = controls(server, scenery, self._give, self._clock)
-        gui.add_button("Show all vehicles", icon=viser.Icon.FOCUS_CENTERED).on_click(lambda _: self._aim())
-        self._team = gui.add_checkbox("Camera follows the team", initial_value=False)
-        gui.add_html(legend())
+        gui.add_button("Fit all", icon=viser.Icon.MAXIMIZE).on_click(lambda _: self._fit())
+        self._with_team = gui.add_checkbox("Follow team", initial_value=False)
         with gui.add_folder("View", expand_by_default=False):
             self._build_view(gui)
         with gui.add_folder("Log"):
@@ -159,17 +156,21 @@ class Station:
             self._all = gui.add_html(team_page(self._known, SORTED[0]))
         with panel.add_tab("Charts"):
             self._charts = Charts(server, scenery)
+        key = gui.add_panel()
+        with key.add_tab("Links"):
+            gui.add_html(legend())
+        key.float(x=12.0, y=-12.0, width=LEGEND_PX)
         panel.dock_right()
         panel.set_width(RIGHT_PX)
         self._look(dark=False)
 
     def _build_view(self, gui: viser.GuiApi) -> None:
         shown: dict[str, Sequence[viser.SceneNodeHandle]] = {
-            "Names": self._vehicles.labels,
             "Trails": self._trails.nodes,
-            "Places": self._ghosts.nodes,
+            "Formation": self._ghosts.nodes,
             "Fixes": self._fixes.nodes,
         }
+        _tick(gui, "Names", self._vehicles.labels, at_first=self._vehicles.names_at_first)
         for label, nodes in shown.items():
             _tick(gui, label, nodes)
         links = gui.add_dropdown("Links", WHICH, initial_value=self._links.which)
@@ -185,10 +186,10 @@ class Station:
         self._charts.darken(dark)
 
 
-def _tick(gui: viser.GuiApi, label: str, nodes: Sequence[viser.SceneNodeHandle]) -> None:
+def _tick(gui: viser.GuiApi, label: str, nodes: Sequence[viser.SceneNodeHandle], *, at_first: bool = True) -> None:
 
     def show(event: viser.GuiEvent[viser.GuiCheckboxHandle]) -> None:
         for node in nodes:
             node.visible = event.target.value
 
-    gui.add_checkbox(label, initial_value=True).on_update(show)
+    gui.add_checkbox(label, initial_value=at_first).on_update(show)

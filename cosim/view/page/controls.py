@@ -82,7 +82,7 @@ def _until_over(*buttons: viser.GuiButtonHandle) -> Draw:
 def _stops(gui: viser.GuiApi, give: Give) -> Draw:
     """Button that stops all vehicles, or releases them if any is stopped."""
     stop = gui.add_button("Stop all vehicles", color="red", icon=viser.Icon.HAND_STOP)
-    go = gui.add_button("Release all", color="gray")
+    go = gui.add_button("Release all vehicles", color="gray")
     stop.on_click(lambda _: give(HaltTable(at_s=0.0, halted=True)))
     go.on_click(lambda _: give(HaltTable(at_s=0.0, halted=False)))
 
@@ -141,18 +141,17 @@ def _ends(gui: viser.GuiApi, give: Give) -> Draw:
 
 
 class Pacing:
-    """Pause, continue, single step, and speed."""
+    """Pause and resume (one button, which names what a click does), single step, and speed."""
 
     def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Give) -> None:
         self._give, self._live = give, scenery.live
         self._told: Pace | None = None
-        self._go = gui.add_button("Resume" if self._live else "Play", icon=viser.Icon.PLAYER_PLAY)
-        self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+        self._resume = "Resume" if self._live else "Play"
+        self._toggle = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         self._step = gui.add_button("Step 0.1 s", icon=viser.Icon.PLAYER_TRACK_NEXT) if self._live else None
         speeds = [*map(_word, SPEEDS), *([FASTEST] if self._live else [])]
         self._speed = gui.add_dropdown("Speed", speeds, initial_value=FASTEST if self._live else _word(1.0))
-        self._go.on_click(lambda _: self._order(paused=False))
-        self._pause.on_click(lambda _: self._order(paused=True))
+        self._toggle.on_click(lambda _: self._order(paused=self._toggle.label == "Pause"))
         self._speed.on_update(self._chosen)
         if self._step is not None:
             self._step.on_click(lambda _: self._order(paused=True, step_ns=STEP_NS))
@@ -161,8 +160,10 @@ class Pacing:
         """Update the enabled controls, and the target speed if it has changed."""
         pace = known.now.pace
         over = bool(pace.over) and self._live
-        self._go.visible, self._pause.visible = pace.paused, not pace.paused
-        self._go.disabled = self._pause.disabled = over
+        self._toggle.disabled = over
+        if self._told is None or self._told.paused != pace.paused:
+            self._toggle.label = self._resume if pace.paused else "Pause"
+            self._toggle.icon = viser.Icon.PLAYER_PLAY if pace.paused else viser.Icon.PLAYER_PAUSE
         if self._step is not None:
             self._step.disabled = over
         self._speed.disabled = over
@@ -280,9 +281,8 @@ class Choice:
         self._asked: tuple[str, ...] = ()
         self._which = gui.add_dropdown("Vehicle", list(self._row) or ["none"])
         self._follows = gui.add_checkbox("Camera follows", initial_value=False)
-        self._stops = (
-            [gui.add_button("Stop this vehicle"), gui.add_button("Release this vehicle")] if "halt" in may and self._row else []
-        )
+        labels = ("Stop this vehicle", "Release this vehicle") if "halt" in may and self._row else ()
+        self._stops = [gui.add_button(label) for label in labels]
         self._sensors = gui.add_folder("Show its readings", visible=False)
         self._which.on_update(lambda _: self._changed())
         for button, halted in zip(self._stops, (True, False), strict=False):

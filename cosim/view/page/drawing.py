@@ -20,6 +20,7 @@ WEAKEST_DBM, STRONGEST_DBM = -95.0, -40.0
 """Range of the colours of links."""
 LIGHTEST = 200  # of the 255 steps of viridis: the yellow beyond is invisible on a light floor
 WHITE = (255, 255, 255)
+SKY = (205, 224, 242)  # paler than that of the cameras, for curves and names before it
 FLOOR, FLOOR_DARK, SKY_DARK = (236, 238, 240), (150, 154, 160), (84, 88, 94)
 TARGET_RGB, EDGE_RGB, LOST_RGB, STOPPED_RGB = (240, 228, 66), (38, 38, 38), (220, 30, 30), (220, 30, 30)
 CHOSEN_RGB = (255, 140, 0)
@@ -97,16 +98,22 @@ def prism(outline: Array, bottom: float, top: float) -> Mesh:
 
 
 def robot() -> Mesh:
-    """A robot with two driven wheels, of unit size: a body between them."""
-    wheel, faces = prism(0.42 * _circle(20) + np.array([0.0, -0.08]), -0.09, 0.09)
-    upright = wheel[:, [0, 2, 1]], faces[:, ::-1]  # its axis is y
-    wheels = [(upright[0] + np.array([0.0, side, 0.0], np.float32), upright[1]) for side in (-0.41, 0.41)]
-    return joined([box((-0.5, -0.3, -0.3), (0.5, 0.3, 0.5)), *wheels])
+    """The body of a differential-drive robot of unit size: a hull between the wheels, narrower ahead, with a deck on it."""
+    hull = np.array([(0.5, -0.16), (0.5, 0.16), (0.34, 0.36), (-0.42, 0.36), (-0.5, 0.26), (-0.5, -0.26), (-0.42, -0.36)])
+    hull = np.concatenate([hull, [(0.34, -0.36)]])
+    return joined([prism(hull, -0.34, 0.3), prism(0.84 * hull, 0.3, 0.5)])
+
+
+def wheel() -> Mesh:
+    """A wheel of diameter 1 and width 1 that rolls ahead."""
+    vertices, faces = prism(0.5 * _circle(20), -0.5, 0.5)
+    x, y, z = vertices.T
+    return np.column_stack([x, -z, y]), faces
 
 
 def nose() -> Mesh:
     """An arrowhead on top of a body of unit size, pointing ahead."""
-    return prism(np.array([(0.46, 0.0), (-0.12, 0.36), (-0.12, -0.36)]), 0.5, 0.58)
+    return prism(np.array([(0.42, 0.0), (0.05, 0.24), (0.05, -0.24)]), 0.5, 0.56)
 
 
 def disc(corners: int = 32, thickness: float = 0.02) -> Mesh:
@@ -158,6 +165,17 @@ def _viridis() -> Array:
 
     levels = np.arange(256, dtype=np.uint8).reshape(-1, 1)
     return np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1])
+
+
+def pixel_m(server: viser.ViserServer, places: Array) -> Array:
+    """Height of a pixel at these places, (n, 3) m, on the page where it is largest, (n,) m; 0: no page is open."""
+    largest = np.zeros(len(places))
+    for client in server.get_clients().values():
+        camera = client.camera
+        if camera.update_timestamp and camera.image_height:
+            slope = 2.0 * math.tan(0.5 * camera.fov) / camera.image_height
+            largest = np.maximum(largest, slope * np.linalg.norm(places - camera.position, axis=1))
+    return largest
 
 
 class Batch:

@@ -75,7 +75,7 @@ def run_page(known: Known) -> str:
     scenery, pace = known.scenery, known.now.pace
     now, end = known.now.time_ns / SECOND_NS, scenery.duration_ns / SECOND_NS
     if pace.over:
-        state = f"over: {_text(pace.over)}"
+        state = f'<span id="over">Run finished: {escape(plain(pace.over))}</span>'
     elif pace.paused:
         state = "paused"
     else:

@@ -1,5 +1,6 @@
 """The surroundings of the vehicles in the browser, and the camera."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,18 +9,22 @@ import viser
 
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Array
-from vcmvsp.cosim.view.messages import Obstacle, Scenery
-from vcmvsp.cosim.view.page.drawing import EDGE_RGB, FLOOR, FLOOR_DARK, SKY_DARK, TARGET_RGB, WHITE, Every, disc
+from vcmvsp.cosim.view.messages import Floor, Obstacle, Scenery
+from vcmvsp.cosim.view.page.drawing import EDGE_RGB, FLOOR, FLOOR_DARK, SKY, SKY_DARK, TARGET_RGB, Every, disc
 from vcmvsp.cosim.view.page.state import Known
 
 MOST_COLORS = 48  # of the solids; with more, similar colours are merged
 MARGIN_M, WIDE_M = 5.0, 40.0
+VEIL, VEIL_S = 0.22, 0.3  # opacity of solids before vehicles, and period of looking for them
+MOST_VEILED, MOST_RAYS = 20_000, 24  # triangles of a world in which solids are looked for, and vehicles looked at
+AXES_RGB = ((200, 40, 40), (30, 140, 50), (40, 70, 200))
+APART = 0.002  # distance between floor and picture, of the size of the floor: a browser's depths are coarse
 FLOOR_Z_M = -0.01  # of the drawn floor, so that objects on it are visible
 SUN = (0.4, -0.7, 1.0)
-FACING_UP = (0.0, 1.0, 0.0, 0.0)  # a picture is visible from -z of its node, with rows along -y: half a turn about x
-ASLANT, FROM_ABOVE = np.array([-0.25, -0.6, 0.6]), np.array([-0.12, -0.38, 0.8])  # directions to the initial camera
 TARGET_M = 0.4  # radius of a target's marker
-VIEW, NEAREST_M = 0.8, 7.0  # initial camera distance: share of the visible diagonal, and minimum
+START = np.array([-0.25, -0.6, 0.6]) / math.sqrt(0.25**2 + 2 * 0.6**2)  # direction of the initial camera, from what it shows
+FAR = 4.0  # largest distance drawn, at least, of that of the camera
+FILL, NEAREST_M = 0.75, 4.0  # share of the picture that all vehicles take, and smallest distance of the camera
 
 
 class Scene:
@@ -35,6 +40,7 @@ class Scene:
         west, south, east, north = self._extent = extent_of(scenery)
         size = max(east - west, north - south)
         server.initial_camera.far = max(1000.0, 10.0 * size)
+        self._z = FLOOR_Z_M if scenery.floor is None else min(FLOOR_Z_M, -2.0 * APART * size)
         cell = 1.0 if size <= WIDE_M else 10.0
         self.floor = server.scene.add_grid(
             "/floor",
@@ -49,31 +55,21 @@ class Scene:
             shadow_opacity=0.0,
             plane_color=FLOOR,
             plane_opacity=1.0,
-            position=(0.5 * (west + east), 0.5 * (south + north), FLOOR_Z_M),
+            position=(0.5 * (west + east), 0.5 * (south + north), self._z),
         )
+        _add_axes(server, west, south, axis_m(size))
+        self._solids = Solids(server, scenery)
         if scenery.floor is not None:
-            (x, y), (width, height) = scenery.floor.centre, scenery.floor.size
-            server.scene.add_image(
-                "/painted",
-                scenery.floor.pixels,
-                width,
-                height,
-                format="jpeg",
-                position=(x, y, 0.5 * FLOOR_Z_M),
-                wxyz=FACING_UP,
-                cast_shadow=False,
-                receive_shadow=False,
-            )
-        server.scene.add_frame("/axes", axes_length=1.0, axes_radius=0.02, origin_radius=0.03)  # x east, y north: 1 m each
-        _add_solids(server, scenery)
+            _add_floor(server, scenery.floor, 0.5 * self._z)
         self._obstacles = {each.name: _add_obstacle(server, each) for each in scenery.obstacles}
         self._targets = {name: _add_target(server, name, x, y) for name, x, y in scenery.targets}
 
-    def draw(self, known: Known) -> None:
-        """Update obstacles and targets, and extend the floor under all vehicles."""
+    def draw(self, known: Known, now_s: float) -> None:
+        """Update obstacles, targets and veils, and extend the floor under all vehicles."""
         seen = known.position[np.isfinite(known.position).all(axis=1), :2]
         if len(seen):
             self._widen(*seen.min(axis=0).tolist(), *seen.max(axis=0).tolist())
+        self._solids.draw(known.position, now_s)
         for name, (x, y, z, yaw) in known.now.obstacles.items():
             if handle := self._obstacles.get(name):
                 handle.position, handle.wxyz = (x, y, z), quaternion_from_yaw(yaw)
@@ -91,37 +87,71 @@ class Scene:
         east, north = max(high[0], east + more), max(high[1], north + more)
         self._extent = west, south, east, north
         self.floor.width, self.floor.height = east - west, north - south
-        self.floor.position = (0.5 * (west + east), 0.5 * (south + north), FLOOR_Z_M)
+        self.floor.position = (0.5 * (west + east), 0.5 * (south + north), self._z)
 
     def darken(self, dark: bool) -> None:
         """Set floor and sky for a light or a dark page: never so dark that a black vehicle is invisible."""
-        floor, sky = (FLOOR_DARK, SKY_DARK) if dark else (FLOOR, WHITE)
+        floor, sky = (FLOOR_DARK, SKY_DARK) if dark else (FLOOR, SKY)
         self.floor.plane_color = floor
         self._server.scene.set_background_image(np.full((1, 1, 3), sky, np.uint8), format="png")
 
-    def aim(self, known: Known, *, near: bool = False) -> bool:
-        """Set the initial camera to show all vehicles and their surroundings, also on open pages.
-
-        Args:
-            near: show the vehicles alone, as large as possible.
+    def aim(self, known: Known) -> bool:
+        """Set the initial camera to show all vehicles, also on open pages.
 
         Returns:
             Whether the positions of the vehicles are known yet.
         """
+        found = self.fit(known)
+        initial = self._server.initial_camera
+        middle, distance = fitted(self._places(known), START, initial.fov, 1.0)
+        initial.far = max(initial.far, FAR * distance)
+        initial.position = middle + distance * START
+        initial.look_at = middle
+        return found or not known.names
+
+    def fit(self, known: Known) -> bool:
+        """Show all vehicles on the open pages, from the direction of the initial camera.
+
+        Returns:
+            Whether the position of any vehicle is known.
+        """
+        for client in self._server.get_clients().values():
+            camera = client.camera
+            known_size = camera.update_timestamp and camera.image_height
+            fov, aspect = (camera.fov, camera.aspect) if known_size else (self._server.initial_camera.fov, 1.0)
+            middle, distance = fitted(self._places(known), START, fov, aspect)
+            with client.atomic():
+                camera.far = max(camera.far, self._server.initial_camera.far, FAR * distance)
+                camera.position = middle + distance * START
+                camera.look_at = middle  # after the position, which moves it
+        return bool(np.isfinite(known.position).all(axis=1).any())
+
+    def _places(self, known: Known) -> Array:
         seen = known.position[np.isfinite(known.position).all(axis=1)]
-        found = len(seen) > 0 or not known.names
         west, south, east, north = self._extent
-        if (len(known.scenery.vertices) and not near) or not len(seen):
-            seen = np.concatenate([seen, [(west, south, 0.0), (east, north, 0.0)]])
-        low, high = seen.min(axis=0), seen.max(axis=0)
-        distance = max(VIEW * float(np.linalg.norm(high - low)), NEAREST_M)
-        middle = 0.5 * (low + high)
-        toward = FROM_ABOVE if len(known.scenery.vertices) else ASLANT  # over walls between camera and vehicles
-        cameras: list[Any] = [self._server.initial_camera, *(each.camera for each in self._server.get_clients().values())]
-        for camera in cameras:
-            camera.position = middle + distance * toward
-            camera.look_at = middle  # after the position, which moves it
-        return found
+        return seen if len(seen) else np.array([(west, south, 0.0), (east, north, 0.0)])
+
+
+def fitted(places: Array, back: Array, fov: float, aspect: float) -> tuple[Array, float]:
+    """Point to look at, (3,) m, and distance, m, of a camera that has these places, (n, 3) m, in its picture.
+
+    Args:
+        back: unit vector from the point to the camera.
+        fov: vertical field of view, rad.
+        aspect: width of the picture by its height.
+    """
+    right = np.cross((0.0, 0.0, 1.0), back)
+    right /= np.linalg.norm(right)
+    axes = np.column_stack([right, np.cross(back, right), back])
+    slopes = FILL * math.tan(0.5 * fov) * np.array([aspect, 1.0])
+    middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
+    for _ in range(4):  # from a distance that shows all of them, then centred on their projection
+        seen = (places - middle) @ axes
+        distance = max(float((np.abs(seen[:, :2]) / slopes + seen[:, 2:]).max()), NEAREST_M)
+        ahead = seen[:, :2] / (distance - seen[:, 2:])
+        middle = middle + distance * axes[:, :2] @ (0.5 * (ahead.min(axis=0) + ahead.max(axis=0)))
+    seen = (places - middle) @ axes
+    return middle, max(float((np.abs(seen[:, :2]) / slopes + seen[:, 2:]).max()), NEAREST_M)
 
 
 def extent_of(scenery: Scenery) -> tuple[float, float, float, float]:
@@ -150,22 +180,114 @@ def by_color(colors: Array) -> tuple[Array, Array]:
         step *= 2
 
 
-def _add_solids(server: viser.ViserServer, scenery: Scenery) -> None:
-    """Add the static solids: one mesh per colour, because a browser mesh has a single colour."""
-    if not len(scenery.triangles):
-        return
-    kinds, which = by_color(np.asarray(scenery.colors))
-    for index, color in enumerate(kinds):
-        red, green, blue = color.tolist()
-        used, faces = np.unique(scenery.triangles[which == index], return_inverse=True)
-        server.scene.add_mesh_simple(
-            f"/world/{index}",
-            vertices=np.asarray(scenery.vertices)[used],
-            faces=faces.reshape(-1, 3),
-            color=(red, green, blue),
-            flat_shading=True,
-            side="double",
-        )
+class Solids:
+    """The static solids: those between a camera and a vehicle become translucent.
+
+    Two meshes per colour, because a browser mesh has a single colour and opacity.
+    """
+
+    def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
+        self._server, self._often = server, Every(VEIL_S)
+        self._vertices, self._faces = np.asarray(scenery.vertices), np.asarray(scenery.triangles).astype(np.int64)
+        kinds, self._color = by_color(np.asarray(scenery.colors))
+        self._solid = solids_of(self._faces, len(self._vertices))
+        self._veiled = np.zeros(len(self._faces), bool)
+        self._nodes = [self._pair(index, *color.tolist()) for index, color in enumerate(kinds) if len(self._faces)]
+
+    def draw(self, places: Array, now_s: float) -> None:
+        """Make the solids before these places, (n, 3) m, translucent."""
+        if not 0 < len(self._faces) <= MOST_VEILED or not self._often.due(now_s):
+            return
+        places = places[np.isfinite(places).all(axis=1)]
+        corners = self._vertices[self._faces].astype(float)
+        hit, above = np.zeros(len(self._faces), bool), np.array((0.0, 0.0, 0.1))  # the floor is none of them
+        for client in self._server.get_clients().values():
+            if client.camera.update_timestamp:
+                for place in places[:: max(1, math.ceil(len(places) / MOST_RAYS))]:
+                    hit |= crossed(corners, np.asarray(client.camera.position, float), place + above)
+        veiled = np.isin(self._solid, self._solid[hit])
+        changed = np.unique(self._color[veiled != self._veiled])
+        self._veiled = veiled
+        for index in changed.tolist():
+            for node, mine in zip(self._nodes[index], (~veiled, veiled), strict=True):
+                faces = self._faces[mine & (self._color == index)]
+                node.visible = len(faces) > 0
+                if len(faces):
+                    used, numbers = np.unique(faces, return_inverse=True)
+                    node.vertices = self._vertices[used]
+                    node.faces = numbers.reshape(-1, 3).astype(np.uint32)
+
+    def _pair(self, index: int, red: int, green: int, blue: int) -> tuple[viser.MeshHandle, viser.MeshHandle]:
+        used, numbers = np.unique(self._faces[self._color == index], return_inverse=True)
+        look: dict[str, Any] = {"color": (red, green, blue), "flat_shading": True, "side": "double"}
+        content = self._vertices[used], numbers.reshape(-1, 3)
+        opaque = self._server.scene.add_mesh_simple(f"/world/{index}", *content, **look)
+        veil = self._server.scene.add_mesh_simple(f"/veils/{index}", *content, opacity=VEIL, visible=False, **look)
+        return opaque, veil
+
+
+def solids_of(faces: Array, vertices: int) -> Array:
+    """Number of the connected solid of each triangle, (t,)."""
+    number = np.arange(vertices)
+    while True:
+        least = number[faces].min(axis=1)
+        new = number.copy()
+        for column in faces.T:
+            np.minimum.at(new, column, least)
+        if np.array_equal(new, number):
+            return np.asarray(number[faces[:, 0]])
+        number = new
+
+
+def crossed(corners: Array, here: Array, there: Array) -> Array:
+    """Which triangles, (t, 3, 3) m, a straight line between two places crosses, (t,) bool (Moeller and Trumbore, 1997)."""
+    along = there - here
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(along, second)
+    size = np.einsum("ij,ij->i", first, normal)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        start = here - corners[:, 0]
+        u = np.einsum("ij,ij->i", start, normal) / size
+        side = np.cross(start, first)
+        v = side @ along / size
+        share = np.einsum("ij,ij->i", second, side) / size
+        return np.asarray((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (share > 0.0) & (share < 1.0))
+
+
+def axis_m(size_m: float) -> float:
+    """A round length, m, near a fifth of the size of the floor: the largest of ..., 1, 2, 5, 10, ... not above it."""
+    wished = 0.2 * size_m * (1.0 + 1e-9)
+    power = 10.0 ** math.floor(math.log10(wished))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= wished)
+
+
+def _add_axes(server: viser.ViserServer, west: float, south: float, length: float) -> None:
+    """Axes of the world in the south-west corner of the floor, of a length that serves as scale."""
+    ends = length * np.eye(3)
+    points = np.stack([np.zeros((3, 3)), ends], axis=1)
+    colors = np.repeat(np.array(AXES_RGB, np.uint8)[:, None], 2, axis=1)
+    where = (west, south, 0.02)
+    server.scene.add_line_segments("/axes", points, colors, thickness=3.0, thickness_units="screen", position=where)
+    for end, name in zip(ends, ("east", "north", "up"), strict=True):
+        text = f"{name}, {length:g} m"
+        server.scene.add_label(f"/axes/{name}", text, position=end, font_screen_scale=0.7, anchor="bottom-center")
+
+
+def _add_floor(server: viser.ViserServer, floor: Floor, z: float) -> None:
+    """Add the floor as cameras see it."""
+    (x, y), (length, width) = floor.center, floor.size
+    server.scene.add_image(
+        "/floor-picture",
+        np.asarray(floor.pixels),
+        length,
+        width,
+        format="jpeg",
+        jpeg_quality=85,
+        position=(x, y, z),
+        wxyz=(0.0, 1.0, 0.0, 0.0),  # as maps: see `sensors.Ground`
+        cast_shadow=False,
+        receive_shadow=False,
+    )
 
 
 def _add_obstacle(server: viser.ViserServer, obstacle: Obstacle) -> viser.SceneNodeHandle:
@@ -195,7 +317,7 @@ def _add_target(server: viser.ViserServer, name: str, x: float, y: float) -> vis
 
 
 PERIOD_S = 0.06
-NEAR_M, FAR_M = 2.0, 12.0  # limits of the initial camera distance
+NEAR_M, FAR_M = 2.0, 12.0  # limits of the initial distance from a vehicle
 HAND_S = 0.4  # time after the user's last camera input before following resumes
 SETTLES_S = 0.5  # time until a page reports its camera
 TURNED = 0.02  # of the distance: a larger change is user input
@@ -212,15 +334,15 @@ class _Page:
 
 
 class Follower:
-    """Keeps each page's camera at a constant position relative to the vehicle, unless the user turns it."""
+    """Keeps each page's camera at a constant position relative to what it follows, unless the user turns it."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
+    def __init__(self, server: viser.ViserServer, farthest_m: float = FAR_M) -> None:
+        self._server, self._farthest_m = server, farthest_m
         self._pages: dict[int, _Page] = {}
         self._often = Every(PERIOD_S)
 
-    def draw(self, place: Array, now_s: float, furthest_m: float = FAR_M) -> None:
-        """Move the cameras with a vehicle, or a team, at this position, m, at first from so far at most."""
+    def draw(self, place: Array, now_s: float) -> None:
+        """Move the cameras with what is at this position, m."""
         if not np.isfinite(place).all() or not self._often.due(now_s):
             return
         clients = self._server.get_clients()
@@ -230,7 +352,7 @@ class Follower:
             page = self._pages.get(number)
             if page is None:
                 distance = max(float(np.linalg.norm(offset)), LEAST_M)
-                offset = offset * (min(max(distance, NEAR_M), furthest_m) / distance)
+                offset = offset * (min(max(distance, NEAR_M), self._farthest_m) / distance)
                 page = self._pages[number] = _Page(offset, looked_at_s=now_s + SETTLES_S, moved_s=now_s)
             elif now_s >= page.looked_at_s and np.linalg.norm(offset - page.offset) > TURNED * np.linalg.norm(page.offset):
                 page.offset, page.moved_s = offset, now_s + HAND_S

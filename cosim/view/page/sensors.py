@@ -1,9 +1,8 @@
-"""Sensor data and maps in the browser: scans as points, pictures, and maps and mosaics on the floor."""
+"""Sensor data and maps in the browser: scans as fans, pictures, and maps and mosaics on the floor."""
 
 import math
 from collections.abc import Mapping
 
-import msgspec
 import numpy as np
 import viser
 
@@ -17,47 +16,50 @@ from vcmvsp.cosim.view.page.state import Known
 
 GROUNDS = MAP, MOSAIC, NOTHING = "map of targets", "mosaic", "nothing"
 OVER_FLOOR_M = 0.01
-FAN = 0.12  # opacity of the free space of a scan
 WIDEST_PX = 512  # of a picture in the panel
-MAP_ALPHA = 200  # of 255
+FAN_OPACITY, WIDEST_RAD = 0.2, 0.26  # of the free space of a scan; largest drawn width of a beam, rad
+MAP_ALPHA = 110  # of 255
 
 
 class Scans:
-    """The newest scan of each scanner at the pose of its measurement: points where it hit, over the free space before them."""
+    """The newest scan of each scanner, at the pose of its measurement: returns as points, free space as a translucent fan."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         self._server = server
         self._colors = colors_of(len(scenery.vehicles))
-        self._nodes: dict[str, tuple[viser.PointCloudHandle, viser.MeshHandle]] = {}
+        self._nodes: dict[str, viser.PointCloudHandle] = {}
+        self._fans: dict[str, viser.MeshHandle] = {}
         self._drawn: dict[str, Scan] = {}
 
     def draw(self, known: Known, wanted: tuple[str, ...]) -> None:
         """Draw new scans of the wanted sensors (vehicle/sensor) and hide the others."""
-        for key, nodes in self._nodes.items():
-            for node in nodes:
-                node.visible = key in wanted and key in known.now.scans
+        for key, node in self._nodes.items():
+            node.visible = self._fans[key].visible = key in wanted and key in known.now.scans
         for key in wanted:
             scan, row = known.now.scans.get(key), known.row.get(key.partition("/")[0])
             if scan is None or row is None or self._drawn.get(key) is scan:
                 continue
             self._drawn[key] = scan
             points = points_of(scan, known.position[row], known.attitude[row])
-            fan = fan_of(scan, known.position[row], known.attitude[row])
+            vertices, faces = fan_of(scan, known.position[row], known.attitude[row])
             if key in self._nodes:
-                hits, free = self._nodes[key]
-                hits.points, free.vertices = points, fan
-                continue
-            red, green, blue = self._colors[row].tolist()
-            scene, numbers = self._server.scene, np.arange(len(fan) - 2, dtype=np.uint32)
-            faces = np.column_stack([np.zeros_like(numbers), numbers + 1, numbers + 2])
-            self._nodes[key] = (
-                scene.add_point_cloud(
+                self._nodes[key].points = points
+                self._fans[key].vertices, self._fans[key].faces = vertices, faces
+            else:
+                red, green, blue = self._colors[row].tolist()
+                self._nodes[key] = self._server.scene.add_point_cloud(
                     f"/scans/{key}", points, (red, green, blue), point_size=0.06, point_shape="circle", precision="float32"
-                ),
-                scene.add_mesh_simple(
-                    f"/scans/{key}/free", fan, faces, color=(red, green, blue), opacity=FAN, side="double", cast_shadow=False
-                ),
-            )
+                )
+                self._fans[key] = self._server.scene.add_mesh_simple(
+                    f"/fans/{key}",
+                    vertices,
+                    faces,
+                    color=(red, green, blue),
+                    opacity=FAN_OPACITY,
+                    side="double",
+                    cast_shadow=False,
+                    receive_shadow=False,
+                )
 
 
 class Pictures:
@@ -137,19 +139,29 @@ class Ground:
         )
 
 
-def fan_of(scan: Scan, position: Array, attitude: Array) -> Array:
-    """The scanner and the ends of all its beams, (beams + 1, 3) m, world; without a return they end at the greatest range."""
-    ranges = np.where(np.isposinf(scan.ranges), scan.range_max, np.nan_to_num(scan.ranges, neginf=0.0))
-    filled = msgspec.structs.replace(scan, ranges=ranges)
-    return np.concatenate([np.asarray(position, np.float32)[None], points_of(filled, position, attitude)])
-
-
 def points_of(scan: Scan, position: Array, attitude: Array) -> Array:
     """End points of the beams with a return, (k, 3) m, world, for a scanner at this pose."""
     (beams,) = np.nonzero(np.isfinite(scan.ranges))
     ranges, angles = np.asarray(scan.ranges, float)[beams], scan.angle_min + scan.angle_step * beams
     ends = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(beams))])
     return np.asarray(position + rotated(np.broadcast_to(attitude, (len(ends), 4)), ends), np.float32)
+
+
+def fan_of(scan: Scan, position: Array, attitude: Array) -> tuple[Array, Array]:
+    """Free space seen by a scan at this pose: vertices (2 n + 1, 3) m, world, and triangles (n, 3), one wedge per beam.
+
+    A wedge ends at the return or, without one, at the maximum range; below the minimum range it is empty.
+    """
+    count = len(scan.ranges)
+    ranges = np.clip(np.nan_to_num(np.asarray(scan.ranges, float), posinf=scan.range_max, neginf=0.0), 0.0, scan.range_max)
+    half = 0.5 * min(abs(scan.angle_step), WIDEST_RAD)
+    angles = (scan.angle_min + scan.angle_step * np.arange(count))[:, None] + (-half, half)
+    ends = ranges[:, None, None] * np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=2)
+    local = np.concatenate([np.zeros((1, 3)), ends.reshape(-1, 3)])
+    vertices = position + rotated(np.broadcast_to(attitude, (len(local), 4)), local)
+    first = 1 + 2 * np.arange(count)
+    faces = np.column_stack([np.zeros(count, int), first, first + 1])
+    return np.asarray(vertices, np.float32), np.asarray(faces, np.uint32)
 
 
 def painted(ground: ProbabilityMap | Mosaic) -> Array:

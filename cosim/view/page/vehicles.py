@@ -11,6 +11,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Scenery
 from vcmvsp.cosim.view.page.drawing import (
     CHOSEN_RGB,
+    EDGE_RGB,
     LOST_RGB,
     STOPPED_RGB,
     STRONGEST_DBM,
@@ -20,35 +21,38 @@ from vcmvsp.cosim.view.page.drawing import (
     Batch,
     Every,
     Segments,
-    box,
     colors_of,
     disc,
     nose,
+    pixel_m,
     quadrotor,
     ring,
     robot,
     rotated,
     rssi_colors,
     turned,
+    wheel,
 )
 from vcmvsp.cosim.view.page.state import Known
 
-LEADER_GREY = 110
 LABELS = 200  # vehicles with a name beside them
+NAMED = 24  # up to this many vehicles, names are shown at first
 LABELS_AT_ONCE = 16  # labels moved per update: each costs a message
 ABOVE_M = 0.12  # height of a name over its body
-DOT_PX = 13.0  # least size of a vehicle on the screen
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
-SEGMENTS, LONGEST, SHORTEST = 4000, 150, 20
+SLOT = 0.55  # radius of the mark of a slot, of the diagonal of the body
+LEADER_RGB = (120, 126, 134)  # of lines from followers to their leaders
+DOT_PX = 13.0  # across, of the dot in the middle of each vehicle: hides in the body where that appears larger
+DOT_M = 0.005  # half the length of the segment that it is drawn as
+WHEEL = 0.42  # largest diameter of a wheel, of the length of the body
+SEGMENTS, LONGEST, SHORTEST = 1200, 150, 12
 """Limit for all trails together, and for each."""
 TRAIL_NS = 30 * SECOND_NS  # length of a trail; longer in very fast runs
 LEAST_M = 0.03  # radius of the marker of an exact position
 OVER_M = 0.02  # above the floor, for visibility
 FRESH_NS = SECOND_NS  # display time of a frame
-MOST = 600  # links; of more, the newest are drawn
-ASIDE, TIP, HEAD = 0.02, 0.7, 0.06  # of an arrow's length: distance from the middle line, place and size of its head
-ASIDE_M, HEAD_M = 0.15, 1.0  # and their greatest values
-LOST = np.array(LOST_RGB, np.uint8)
+MOST = 200  # arrows; of more, the newest are drawn
+BARB, MOST_BARB_M = 0.06, 1.0  # length of the barbs of an arrow, of its length, and limit
 FEW = 12  # up to this many vehicles, all links are drawn at first
 WHICH = ALL, OWN, NONE = "all", "of the chosen vehicle", "none"
 
@@ -57,6 +61,7 @@ class Places(NamedTuple):
     """Places of the k followers in their formations, at one instant."""
 
     row: Array  # (k,) index of each follower
+    leader: Array  # (k,) index of its leader
     place: Array  # (k, 3) m, world: slot for its present heading, at its own height
     yaw: Array  # (k,) rad, its own heading
     error_m: Array  # (k,), the formation error: see `cosim.types.Follows`
@@ -80,7 +85,7 @@ def places_of(known: Known) -> Places:
     off = here[:, :2] + handle[:, None] * own_ahead - (centre + handle[:, None] * ahead)
     known_both = np.isfinite(off).all(axis=1)
     place = np.column_stack([here[:, :2] - off, here[:, 2]])  # on a curve the handles coincide
-    return Places(*(part[known_both] for part in (row, place, own, np.hypot(off[:, 0], off[:, 1]))))
+    return Places(*(part[known_both] for part in (row, leader, place, own, np.hypot(off[:, 0], off[:, 1]))))
 
 
 def _unit(yaw: Array) -> Array:
@@ -103,6 +108,7 @@ class Vehicles:
             Batch(server, f"/vehicles/{name}", mesh, colors[rows], clicked=_clicked(rows, choose))
             for (name, mesh), rows in zip(shapes, self._rows, strict=True)
         ]
+        self._wheels = Wheels(server, self._size[self._rows[0]], self._offset[self._rows[0]])
         self._dots = Segments(server, "/vehicles/dots", np.repeat(colors[:, None], 2, axis=1), DOT_PX)
         self._noses = Batch(server, "/vehicles/noses", nose(), np.tile(np.array(WHITE, np.uint8), (count, 1)))
         self._stopped = Batch(server, "/stopped", disc(), np.tile(np.array(STOPPED_RGB, np.uint8), (count, 1)), opacity=0.45)
@@ -116,7 +122,11 @@ class Vehicles:
             server.scene.add_label(f"/names/{each.name}", each.name, font_screen_scale=0.8, anchor="bottom-center")
             for each in crafts[:LABELS]
         ]
-        self._label = 0
+        self.names_at_first = count <= NAMED
+        if not self.names_at_first:
+            for label in self.labels:
+                label.visible = False
+        self._server, self._label = server, 0
         self._slow = Every(0.1)
 
     def draw(self, known: Known, chosen: int, now_s: float) -> None:
@@ -129,8 +139,12 @@ class Vehicles:
         for rows, bodies in zip(self._rows, self._bodies, strict=True):
             bodies.put(centre[rows], known.attitude[rows], scale[rows])
         self._noses.put(centre, known.attitude, scale)
-        dots = np.where(seen[:, None], centre, 0.0)
-        self._dots.put(np.stack([dots, dots + np.where(seen[:, None], (0.0, 0.0, LEAST_M), 0.0)], axis=1))
+        ground = self._rows[0]
+        self._wheels.put(known.position[ground], known.attitude[ground], seen[ground])
+        reach = np.where(seen[:, None], DOT_M, 0.0)
+        lift = np.maximum(0.5 * DOT_PX * pixel_m(self._server, centre) - 0.5 * self._size[:, 2], 0.0)  # out of the floor
+        dots = centre + np.column_stack([np.zeros((len(lift), 2)), lift])
+        self._dots.put(np.stack([dots - reach, dots + reach], axis=1))
         top = centre[self._rows[1]]
         self._drops.put(np.stack([top, top * (1.0, 1.0, 0.0)], axis=1))
         floor = centre - np.column_stack([np.zeros_like(scale[:, :2]), 0.5 * self._size[:, 2]])
@@ -145,14 +159,41 @@ class Vehicles:
         radius = np.full(len(reach), TINY)
         rows = [known.row[name] for name in known.now.halted if name in known.row]
         radius[rows] = 1.5 * reach[rows]
+        for node in self._stopped.nodes:
+            node.visible = len(rows) > 0  # translucent shapes cost time even where they are tiny
         upright = np.tile(UPRIGHT, (len(reach), 1))
         self._stopped.put(floor, upright, np.column_stack([radius, radius, np.ones(len(reach))]))
 
     def _draw_labels(self, centre: Array) -> None:
         """Move labels; of many vehicles some at a time, in turn."""
-        for _ in range(min(LABELS_AT_ONCE, len(self.labels))):
-            row = self._label = (self._label + 1) % len(self.labels)
-            self.labels[row].position = centre[row] + (0.0, 0.0, 0.5 * float(self._size[row, 2]) + ABOVE_M)
+        count = len(self.labels)
+        rows = (self._label + 1 + np.arange(min(LABELS_AT_ONCE, count))) % max(count, 1)
+        up = np.maximum(0.5 * self._size[rows, 2] + ABOVE_M, DOT_PX * pixel_m(self._server, centre[rows]))
+        for row, height in zip(rows.tolist(), up.tolist(), strict=True):
+            self._label = row
+            self.labels[row].position = centre[row] + (0.0, 0.0, height)
+
+
+class Wheels:
+    """Two wheels of each differential-drive robot, round whatever the size of its body."""
+
+    def __init__(self, server: viser.ViserServer, size: Array, offset: Array) -> None:
+        length, width, height = size.T
+        across = np.minimum(WHEEL * length, height)
+        thickness = 0.13 * width
+        aside = 0.5 * (width - thickness)
+        self._scale = np.repeat(np.column_stack([across, thickness, across]), 2, axis=0)
+        self._place = np.repeat(offset, 2, axis=0)
+        self._place[:, 2] += np.repeat(0.5 * (across - height), 2)  # on the floor
+        self._place[::2, 1] += aside
+        self._place[1::2, 1] -= aside
+        self._wheels = Batch(server, "/vehicles/wheels", wheel(), np.tile(np.array(EDGE_RGB, np.uint8), (2 * len(size), 1)))
+
+    def put(self, position: Array, attitude: Array, seen: Array) -> None:
+        """Set the wheels of robots with these poses, (k, 3) m and (k, 4); those not seen have none."""
+        turn, shown = np.repeat(attitude, 2, axis=0), np.repeat(seen, 2)[:, None]
+        place = np.where(shown, np.repeat(position, 2, axis=0), 0.0) + rotated(turn, self._place)
+        self._wheels.put(place, turn, np.where(shown, self._scale, TINY))
 
 
 def _clicked(rows: Array, choose: Callable[[int], None]) -> Callable[[int], None]:
@@ -199,32 +240,32 @@ class Trails:
 
 
 class Ghosts:
-    """The formation that ought to be: transparent bodies in the slots of followers, lines to them, and lines to leaders."""
+    """The formation: an open mark at the slot of each follower, a line to it, and a line from the follower to its leader."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
-        self._size = np.array([each.size for each in scenery.vehicles], float).reshape(-1, 3)
-        colors = colors_of(len(self._size))
-        self._bodies = Batch(server, "/places/bodies", box(), colors, opacity=0.3)
+        size = np.array([each.size for each in scenery.vehicles], float).reshape(-1, 3)
+        offset = np.array([each.offset for each in scenery.vehicles], float).reshape(-1, 3)
+        self._down, self._reach = 0.5 * size[:, 2] - offset[:, 2], SLOT * np.hypot(size[:, 0], size[:, 1])
+        colors = colors_of(len(size))
+        self._marks = Batch(server, "/places/marks", ring(width=0.3), colors)
         self._lines = Segments(server, "/places/lines", np.repeat(colors[:, None], 2, axis=1), 1.5)
-        self._leaders = Segments(server, "/places/leaders", np.full((len(colors), 2, 3), LEADER_GREY, np.uint8), 1.5)
-        self.nodes = [*self._bodies.nodes, *self._lines.nodes, *self._leaders.nodes]
+        grey = np.tile(np.array(LEADER_RGB, np.uint8), (len(size), 2, 1))
+        self._leaders = Segments(server, "/places/leaders", grey, 2.0)
+        self.nodes = [*self._marks.nodes, *self._lines.nodes, *self._leaders.nodes]
 
     def draw(self, known: Known) -> None:
-        """Update the slots and the lines from followers to leaders."""
-        places = places_of(known)
-        ends = np.zeros((len(self._size), 2, 3))
-        for row in places.row.tolist():
-            leader = known.now.places[known.names[row]].leader
-            ends[row] = known.position[row], known.position[known.row[str(leader)]]
-        self._leaders.put(ends)
-        position, yaw = np.zeros_like(self._size), np.zeros(len(self._size))
-        scale = np.full_like(self._size, TINY)
-        points = np.zeros((len(self._size), 2, 3))
-        position[places.row], yaw[places.row] = places.place, places.yaw
-        scale[places.row] = self._size[places.row]
-        points[places.row] = np.stack([known.position[places.row], places.place], axis=1)
-        self._bodies.put(position, turned(yaw), scale)
-        self._lines.put(points)
+        """Update the slots."""
+        places, count = places_of(known), len(self._reach)
+        position, scale = np.zeros((count, 3)), np.full((count, 3), TINY)
+        lines, leaders = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
+        here = known.position[places.row]
+        position[places.row] = places.place - np.column_stack([np.zeros((len(here), 2)), self._down[places.row]])
+        scale[places.row] = self._reach[places.row, None] * (1.0, 1.0, 0.0) + (0.0, 0.0, 1.0)
+        lines[places.row] = np.stack([here, places.place], axis=1)
+        leaders[places.row] = np.stack([here, known.position[places.leader]], axis=1)
+        self._marks.put(position, turned(np.zeros(count)), scale)
+        self._lines.put(lines)
+        self._leaders.put(leaders)
 
 
 class Fixes:
@@ -259,13 +300,12 @@ def _pairs(points: Array) -> Array:
 
 
 class Links:
-    """Links with a frame in the last second: arrows to the receiver, coloured by received power, red where it was lost."""
+    """Links with a frame in the last second: arrows from sender to receiver, coloured by power, or red where lost."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         count = len(scenery.vehicles)
         self._room = min(count * (count - 1), MOST)
-        none = np.zeros((3 * self._room, 2, 3), np.uint8)
-        self._received, self._lost = Segments(server, "/links", none, 2.5), Segments(server, "/links/lost", none + LOST, 1.0)
+        self._lines = Segments(server, "/links", np.zeros((3 * self._room, 2, 3), np.uint8), 2.5 if count <= FEW else 1.5)
         self._up = np.array([(0.0, 0.0, each.offset[2] + 0.5 * each.size[2]) for each in scenery.vehicles]).reshape(-1, 3)
         self.which = ALL if count <= FEW else OWN
 
@@ -276,33 +316,29 @@ class Links:
         of = {ALL: None, OWN: chosen, NONE: -1}[self.which]
         sender, receiver = fresh_links(known, self._room, of)
         tops = known.position + self._up  # avoids lines through the bodies
-        drawn = arrows(tops[sender], tops[receiver])
-        got = known.link_received[sender, receiver]
-        colors = np.zeros((self._room, 3, 2, 3), np.uint8)
-        colors[: int(got.sum())] = rssi_colors(known.link_rssi_dbm[sender, receiver][got])[:, None, None]
-        self._received.put(self._padded(drawn[got]), colors.reshape(-1, 2, 3))
-        self._lost.put(self._padded(drawn[~got]))
-
-    def _padded(self, drawn: Array) -> Array:
         points = np.zeros((self._room, 3, 2, 3))
-        points[: len(drawn)] = drawn
-        return points.reshape(-1, 2, 3)
+        colors = np.zeros((self._room, 3, 2, 3), np.uint8)
+        got = known.link_received[sender, receiver]
+        shade = np.where(got[:, None], rssi_colors(known.link_rssi_dbm[sender, receiver]), np.array(LOST_RGB, np.uint8))
+        points[: len(sender)] = arrows(tops[sender], tops[receiver])
+        colors[: len(sender)] = shade[:, None, None]
+        self._lines.put(points.reshape(-1, 2, 3), colors.reshape(-1, 2, 3))
 
 
 def arrows(here: Array, there: Array) -> Array:
-    """Arrows between points (n, 3): shaft and two strokes of a head, (n, 3, 2, 3), to the right of the line between the points.
+    """Shaft and two barbs of arrows between places, (k, 3) m: (k, 3, 2, 3) m.
 
-    So the arrows of both directions lie side by side.
+    An arrow lies to the right of the straight line, so that the two of a pair do not cover each other.
     """
     along = there - here
-    length = np.linalg.norm(along, axis=1, keepdims=True)
-    right = np.cross(along, (0.0, 0.0, 1.0)) / np.maximum(length, TINY)
-    aside = np.minimum(ASIDE * length, ASIDE_M) * right
-    begin, end = here + aside, there + aside
-    tip, back = begin + TIP * along, np.minimum(HEAD, HEAD_M / np.maximum(length, TINY)) * along
-    width = 0.5 * np.linalg.norm(back, axis=1, keepdims=True) * right
-    strokes = tip - back - width, tip - back + width
-    return np.stack([np.stack(pair, axis=1) for pair in ((begin, end), (strokes[0], tip), (strokes[1], tip))], axis=1)
+    length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), TINY)
+    ahead = along / length
+    right = np.column_stack([ahead[:, 1], -ahead[:, 0], np.zeros(len(along))])
+    barb = np.minimum(BARB * length, MOST_BARB_M)
+    aside = 0.25 * barb * right
+    first, last = here + 0.06 * along + aside, there - 0.06 * along + aside
+    ends = [last - barb * ahead + side * 0.5 * barb * right for side in (-1.0, 1.0)]
+    return np.stack([np.stack([start, last], axis=1) for start in (first, *ends)], axis=1)
 
 
 def fresh_links(known: Known, most: int, of: int | None = None) -> tuple[Array, Array]:
@@ -321,12 +357,13 @@ def fresh_links(known: Known, most: int, of: int | None = None) -> tuple[Array, 
 
 
 def legend() -> str:
-    """Legend of the colours, as HTML."""
+    """Legend of the links, as HTML."""
     stops = ", ".join(f"rgb({r}, {g}, {b})" for r, g, b in rssi_colors(np.linspace(WEAKEST_DBM, STRONGEST_DBM, 6)).tolist())
     red = "rgb({}, {}, {})".format(*LOST_RGB)
-    bar = f"height: 0.6em; margin: 0.2em 0; background: linear-gradient(90deg, {stops})"
+    bar = f"height: 0.5em; margin: 0.2em 0; background: linear-gradient(90deg, {stops})"
     return (
-        f'<div style="padding: 0 0.75em 0.5em; font-size: 0.8em">Frames, by received power<div style="{bar}"></div>'
+        f'<div style="padding: 0.3em 0.75em; font-size: 0.8em">Frames, sender &rarr; receiver: '
+        f'<b style="color: {red}">&rarr; lost</b>, or received at<div style="{bar}"></div>'
         f'<div style="display: flex; justify-content: space-between"><span>{WEAKEST_DBM:.0f} dBm</span>'
-        f'<span style="color: {red}">red: lost</span><span>{STRONGEST_DBM:.0f} dBm</span></div></div>'
+        f"<span>{STRONGEST_DBM:.0f} dBm</span></div></div>"
     )

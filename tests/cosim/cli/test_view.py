@@ -68,6 +68,14 @@ def test_a_port_that_is_taken_is_said_in_one_line(run_dir: Path) -> None:
     assert port in err
 
 
+def test_the_options_of_run_choose_the_page_too(run_dir: Path) -> None:
+    with viewing(run_dir) as (_, url):
+        port = url.partition("?")[0].rstrip("/").rpartition(":")[2]
+        code, _, err = vcmvsp_command("view", str(run_dir), "--view-host", "127.0.0.1", "--view-port", port)
+    assert code == 2
+    assert "--view-port" in err
+
+
 @pytest.mark.parametrize("place", ["vcmvsp.cosim.view.player.recording.Recording", "vcmvsp.cosim.view.web_server.open_server"])
 def test_what_ends_it_before_there_is_a_page_is_no_success(place: str, run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So that whoever waits for the page learns that there is none."""
@@ -121,7 +129,7 @@ def test_a_browser_shows_the_vehicles_where_they_were(run_dir: Path) -> None:
         problems: list[str] = []
         page.on("pageerror", lambda problem: problems.append(str(problem)))
         page.goto(url)
-        page.get_by_text("over: the run is complete").wait_for(timeout=1e3 * PATIENCE_S)
+        page.get_by_text("Run finished: the run is complete").wait_for(timeout=1e3 * PATIENCE_S)
         page.wait_for_function(f"window.__viserSceneTree?.getState()['{ROBOTS}'] !== undefined", timeout=1e3 * PATIENCE_S)
         end_s = time.monotonic() + PATIENCE_S
         while not np.allclose(shown := positions(page, ROBOTS)[:, :2], truth[:, :2], atol=0.06):  # of middles of bodies

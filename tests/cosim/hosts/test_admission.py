@@ -153,4 +153,5 @@ def test_endpoints_that_cannot_be_used_are_bad_input(stage: ByHand) -> None:
         code, _, said = vcmvsp_command("run", str(stage.scenario()), "--out", str(stage.out), "--listen", endpoint)
         assert code == 2
         assert "cannot listen on 'tcp/127.0.0.1:" in said
+        assert "--listen" in said
     assert vcmvsp_command("agent", "--vehicle", "car2", "--connect", "nonsense").code == 2

@@ -104,11 +104,8 @@ def test_what_happens_is_on_the_page_and_what_is_pressed_comes_back(viewer: View
             return "Stop all vehicles" in buttons
 
         assert until(press)
-        page.send(
-            msgspec.msgpack.encode(
-                {"type": "GuiUpdateMessage", "uuid": buttons["Stop all vehicles"], "updates": {"value": True}}
-            )
-        )
+        stop = buttons["Stop all vehicles"]
+        page.send(msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": stop, "updates": {"value": True}}))
         orders = until(feed.orders)
         assert orders == [HaltTable(at_s=0.0, halted=True)]
         feed.say("warning", "the bridge is up")
@@ -127,6 +124,19 @@ def test_a_browser_shows_it_and_finds_nothing_that_it_may_not_do(viewer: Viewing
         page.get_by_role("button", name="Stop all vehicles").wait_for(timeout=1e3 * PATIENCE_S)
         assert "token" not in page.url
         assert said == []
+
+
+def test_when_the_run_has_gone_its_page_says_how_it_ended_and_keeps_the_last_state() -> None:
+    end = "the run is complete; `vcmvsp view runs/a <b>` opens the recording"
+    with view_pages.browser() as browser, Viewing(port=0).open(SCENERY) as viewer:
+        page = browser.new_page()
+        page.goto(viewer.url)
+        page.get_by_role("button", name="Stop all vehicles").wait_for(timeout=1e3 * PATIENCE_S)
+        viewer.feed.close(end)
+        page.locator("#over").get_by_text(end).wait_for(timeout=1e3 * PATIENCE_S)
+        viewer.close()
+        page.locator("#disconnected").get_by_text(end).wait_for(timeout=1e3 * PATIENCE_S)
+        assert page.get_by_role("button", name="Stop all vehicles").is_visible()
 
 
 def test_it_ends_when_it_is_closed() -> None:

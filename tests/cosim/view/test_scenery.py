@@ -99,3 +99,16 @@ def test_what_agents_said_counts_more_than_what_the_scenario_says() -> None:
         told = scenery_of(parsed, source, world=assembled.world, infos=assembled.agents)
     assert scenery_of(parsed, source).vehicles[0].period_s is None
     assert told.vehicles[0].period_s == 0.1
+
+
+def test_the_floor_is_the_picture_that_cameras_see() -> None:
+    green, grey = (10, 200, 10), (90, 90, 90)
+    marks = [{"outline": [[0, 0], [10, 0], [10, 5], [0, 5]], "color": list(green)}]
+    ground = {"center": [0.0, 0.0], "size": [20.0, 10.0], "color": list(grey), "marks": marks}
+    floor = small({"kind": "boxes", "boxes": [], "ground": ground}).floor
+    assert floor is not None
+    height, width = floor.pixels.shape[:2]
+    north_east, south_west = floor.pixels[height // 4, 3 * width // 4], floor.pixels[3 * height // 4, width // 4]
+    assert (north_east.tolist(), south_west.tolist()) == (list(green), list(grey))
+    assert (floor.center, floor.size) == ((0.0, 0.0), (20.0, 10.0))
+    assert small().floor is None

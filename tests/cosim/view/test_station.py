@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import viser
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.cosim import view_pages
@@ -15,9 +15,9 @@ from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Mosaic, ProbabilityMap
 from vcmvsp.cosim.view.messages import Craft, PageUpdate, Sensors
 from vcmvsp.cosim.view.page.drawing import LOST_RGB, TINY, linear, rotated, rssi_colors
-from vcmvsp.cosim.view.page.scene import MOST_COLORS, by_color
+from vcmvsp.cosim.view.page.scene import MOST_COLORS, START, axis_m, by_color, crossed, fitted, solids_of
 from vcmvsp.cosim.view.page.sensors import fan_of, painted, points_of
-from vcmvsp.cosim.view.page.vehicles import arrows, fresh_links
+from vcmvsp.cosim.view.page.vehicles import fresh_links
 
 pytestmark = pytest.mark.sockets
 
@@ -124,6 +124,11 @@ def test_obstacles_and_targets_go_where_they_are_said_to_be(live: Looking) -> No
     assert live.node("/targets/red").position == pytest.approx((5.0, 6.0, 0.0))
 
 
+@pytest.mark.parametrize(("size_m", "step_m"), [(3.0, 0.5), (40.0, 5.0), (220.0, 20.0), (1000.0, 200.0)])
+def test_the_axes_have_a_round_length_that_is_a_share_of_the_floor(size_m: float, step_m: float) -> None:
+    assert axis_m(size_m) == pytest.approx(step_m)
+
+
 def test_there_is_floor_under_every_vehicle_wherever_it_goes() -> None:
     with looking(scenery(1)) as looked:
         for x, y in ((0.0, 0.0), (500.0, -20.0), (-3.0, 900.0), (510.0, 0.0)):
@@ -160,32 +165,38 @@ def test_trails_are_bounded_and_begin_anew_where_time_goes_back() -> None:
 # --- the radio ---
 
 
-def test_links_of_the_last_second_are_arrows_in_the_colour_of_their_power_and_lost_frames_are_red() -> None:
+def test_a_link_is_an_arrow_from_the_sender_to_the_receiver_in_the_colour_of_its_outcome() -> None:
     with looking(scenery(2)) as looked:
         looked.show(3.0)
-        received, lost = looked.node("/links"), looked.node("/links/lost")
-        tops = [(0.0, 0.0, each.offset[2] + 0.5 * each.size[2]) for each in looked.scene.vehicles]
-        here, there = shown(looked.scene, 3.0).states.position + np.array(tops)  # type: ignore[union-attr]
-        assert received.points[:3] == pytest.approx(arrows(here[None], there[None])[0], abs=1e-5)
-        assert received.colors[0, 0].tolist() == linear(rssi_colors(np.array([-90.0])))[0].tolist()
-        assert lost.colors[0, 0].tolist() == linear(np.array(LOST_RGB, np.uint8)).tolist()
-        for number in range(4):  # a loss is to be seen at any moment
-            looked.now_s = 10.0 + 0.1 * number
-            looked.station.draw()
-            assert np.ptp(lost.points[0], axis=0).max() > 0.0
+        points, colors = looked.node("/links").points, looked.node("/links").colors
+        here, there = shown(looked.scene, 3.0).states.position  # type: ignore[union-attr]
+        start, tip = points[0]
+        along = (there - here) / np.linalg.norm(there - here)
+        assert (start - here) @ along < 0.1 * np.linalg.norm(there - here)
+        assert (there - tip) @ along < 0.1 * np.linalg.norm(there - here)
+        assert points[1:3, 1] == pytest.approx(np.stack([tip, tip]))
+        assert ((tip - points[1:3, 0]) @ along > 0.0).all()  # both barbs point ahead
+        assert colors[0, 0].tolist() == linear(rssi_colors(np.array([-90.0])))[0].tolist()
+        assert colors[3, 0].tolist() == linear(np.array(LOST_RGB, np.uint8)).tolist()
         looked.show(4.5, links=())
-        assert max(np.ptp(each.points, axis=1).max() for each in (received, lost)) == 0.0
+        assert np.ptp(looked.node("/links").points, axis=1).max() == 0.0
 
 
-@given(x=METRES, y=METRES, z=METRES)
-def test_an_arrow_lies_to_the_right_of_its_line_and_its_head_is_near_the_receiver(x: float, y: float, z: float) -> None:
-    there = np.array([[x, y, z]])
-    assume(np.hypot(x, y) > 0.1)
-    ((begin, end), (_, tip), (_, same)) = arrows(np.zeros((1, 3)), there)[0]
-    assert np.allclose(tip, same)
-    assert np.allclose(end - begin, there[0])
-    assert x * begin[1] - y * begin[0] < 0.0  # to the right
-    assert np.linalg.norm(tip - end) < np.linalg.norm(tip - begin)
+def test_a_lost_frame_is_shown_with_the_first_update_that_tells_of_it_and_remains_for_a_second() -> None:
+    with looking(scenery(2)) as looked:
+        looked.show(3.0)
+        assert np.ptp(looked.node("/links").points[3], axis=0).max() > 0.0
+        looked.show(3.9, links=())
+        assert np.ptp(looked.node("/links").points[3], axis=0).max() > 0.0
+
+
+def test_the_slot_of_a_follower_is_marked_and_a_line_goes_to_its_leader() -> None:
+    with looking(scenery(3)) as looked:
+        places = [(0.0, 0.0, 0.0), (-3.0, 2.0, 0.0), (-9.0, 0.0, 0.0)]
+        looked.show(1.0, states=states(places, [math.pi / 2] * 3, ("v1", "v2", "v3")))
+        assert looked.node("/places/marks").batched_positions[1, :2] == pytest.approx((-1.0, -1.5), abs=1e-5)  # slot (-1.5, 1)
+        assert looked.node("/places/leaders").points[1] == pytest.approx(np.array([places[1], places[0]]), abs=1e-5)
+        assert np.ptp(looked.node("/places/leaders").points[0]) == 0.0  # it follows nobody
 
 
 def test_of_too_many_links_the_newest_are_drawn() -> None:
@@ -207,18 +218,21 @@ def test_colours_of_links_end_where_the_legend_says() -> None:
 # --- readings ---
 
 
-def test_the_free_space_of_a_scan_reaches_from_the_scanner_to_the_hits_or_as_far_as_it_sees() -> None:
-    fan = fan_of(view_pages.scan(2.0), np.array([1.0, 1.0, 0.5]), np.array([1.0, 0.0, 0.0, 0.0]))
-    assert fan[0].tolist() == [1.0, 1.0, 0.5]
-    assert np.linalg.norm(fan[1:] - fan[0], axis=1) == pytest.approx([2.0, 2.0, 8.0, 2.0], rel=1e-6)
-
-
 @given(yaw=ANGLES, x=METRES, y=METRES, range_m=st.floats(0.1, 8.0))
 def test_beams_end_where_they_hit(yaw: float, x: float, y: float, range_m: float) -> None:
     points = points_of(view_pages.scan(range_m), np.array([x, y, 0.2]), np.array(quaternion_from_yaw(yaw)))
     assert len(points) == 3  # one sees nothing
     assert points[0] == pytest.approx((x + range_m * math.cos(yaw), y + range_m * math.sin(yaw), 0.2), abs=1e-4)
     assert np.hypot(*(points[:, :2] - (x, y)).T) == pytest.approx([range_m] * 3, abs=1e-3)
+
+
+def test_the_free_space_of_a_scan_ends_at_the_return_or_at_the_maximum_range() -> None:
+    vertices, faces = fan_of(view_pages.scan(2.0), np.array([5.0, 6.0, 0.2]), np.array(quaternion_from_yaw(0.7)))
+    assert vertices[0] == pytest.approx((5.0, 6.0, 0.2))
+    reach = np.linalg.norm(vertices[faces[:, 1:]] - vertices[0], axis=2)
+    assert reach == pytest.approx(np.array([[2.0, 2.0], [2.0, 2.0], [8.0, 8.0], [2.0, 2.0]]), abs=1e-4)
+    middle = vertices[faces[0, 1:]].mean(axis=0) - vertices[0]
+    assert math.atan2(middle[1], middle[0]) == pytest.approx(0.7, abs=1e-4)
 
 
 def test_readings_are_ordered_of_the_chosen_vehicle_alone_and_only_while_somebody_looks(
@@ -249,6 +263,7 @@ def test_scans_and_pictures_are_shown_while_they_are_wanted() -> None:
         looked.use("down (nadir_camera)")
         looked.show(1.0)
         assert looked.node("/scans/v1/ring").visible
+        assert looked.node("/fans/v1/ring").visible
         (image,) = looked.parts(viser.GuiImageHandle)
         assert image.visible
         first = image.image
@@ -257,6 +272,7 @@ def test_scans_and_pictures_are_shown_while_they_are_wanted() -> None:
         looked.use("Vehicle", "v2")
         looked.show(3.0)
         assert not looked.node("/scans/v1/ring").visible
+        assert not looked.node("/fans/v1/ring").visible
         assert not image.visible
 
 
@@ -273,6 +289,31 @@ def test_what_was_never_seen_of_a_mosaic_is_left_out() -> None:
 
 
 # --- geometry ---
+
+
+@given(st.lists(st.tuples(METRES, METRES, st.floats(0.0, 20.0)), min_size=1), st.floats(0.4, 1.4), st.floats(0.4, 3.0))
+def test_a_camera_that_is_fitted_has_every_vehicle_in_its_picture(
+    places: list[tuple[float, float, float]], fov: float, aspect: float
+) -> None:
+    middle, distance = fitted(np.array(places), START, fov, aspect)
+    offset = np.array(places) - (middle + distance * START)
+    depth = -offset @ START
+    right = np.cross((0.0, 0.0, 1.0), START)
+    right /= np.linalg.norm(right)
+    slope = math.tan(0.5 * fov)
+    assert (depth > 0.0).all()
+    assert (np.abs(offset @ right) <= aspect * slope * depth).all()
+    assert (np.abs(offset @ np.cross(START, right)) <= slope * depth).all()
+
+
+def test_a_line_crosses_the_wall_that_it_goes_through_and_no_other() -> None:
+    scene = scenery(1)
+    corners = np.asarray(scene.vertices, float)[np.asarray(scene.triangles)]
+    through = crossed(corners, np.array((0.0, 9.0, 0.5)), np.array((0.0, 3.0, 0.5)))
+    assert through.any()
+    assert not crossed(corners, np.array((0.0, 9.0, 1.5)), np.array((0.0, 3.0, 1.5))).any()  # over it
+    assert not crossed(corners, np.array((0.0, 9.0, 0.5)), np.array((0.0, 7.0, 0.5))).any()  # ends before it
+    assert len(np.unique(solids_of(np.asarray(scene.triangles), len(corners) * 3))) == 1
 
 
 @given(yaw=ANGLES, x=METRES, y=METRES)

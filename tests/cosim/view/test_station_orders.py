@@ -47,11 +47,10 @@ def test_only_what_is_obeyed_can_be_ordered(may: tuple[str, ...]) -> None:
     ("acts", "order"),
     [
         ([("Stop all vehicles", True)], HaltTable(at_s=0.0, halted=True)),
-        ([("Release all", True)], HaltTable(at_s=0.0, halted=False)),
+        ([("Release all vehicles", True)], HaltTable(at_s=0.0, halted=False)),
         ([("Vehicle", "v2"), ("Stop this vehicle", True)], HaltTable(at_s=0.0, vehicles=("v2",), halted=True)),
         ([("Release this vehicle", True)], HaltTable(at_s=0.0, vehicles=("v1",), halted=False)),
         ([("Pause", True)], Go(paused=True, speed=1.0)),
-        ([("Resume", True)], Go(paused=False, speed=1.0)),
         ([("Step 0.1 s", True)], Go(paused=True, speed=1.0, step_ns=100_000_000)),
         ([("Speed", "0.2x")], Go(paused=False, speed=0.2)),
         ([("Speed", "as fast as it can")], Go(paused=False, speed=None)),
@@ -140,6 +139,18 @@ def test_a_recording_is_sought_by_hand_and_plays_by_itself() -> None:
         assert not looked.has("Step 0.1 s")
 
 
+@pytest.mark.parametrize(("may", "resume"), [(LIVE, "Resume"), (RECORDED, "Play")])
+def test_one_button_pauses_and_resumes_and_names_what_it_does(may: tuple[str, ...], resume: str) -> None:
+    with looking(scenery(1, may=may)) as looked:
+        looked.show(1.0, pace=Pace(speed=1.0))
+        assert not looked.has(resume)
+        looked.use("Pause")
+        looked.show(1.0, pace=Pace(speed=1.0, paused=True))
+        assert not looked.has("Pause")
+        looked.use(resume)
+        assert looked.orders == [Go(paused=True, speed=1.0), Go(paused=False, speed=1.0)]
+
+
 def test_a_speed_that_is_not_offered_is_shown_and_kept() -> None:
     with looking(scenery(1)) as looked:
         looked.show(1.0, pace=Pace(speed=3.3))
@@ -153,24 +164,23 @@ def test_when_a_run_is_over_nothing_can_be_ordered_any_more() -> None:
         looked.show(1.0, pace=Pace(over="done"), halted=("v1",))
         labels = [
             "Stop all vehicles",
-            "Release all",
+            "Release all vehicles",
             "Pause",
-            "Resume",
             "Step 0.1 s",
             "Inject outage",
             "Move obstacle",
             "Set",
             "End the run",
+            "Stop this vehicle",
+            "Release this vehicle",
         ]
-        assert [
-            label for label in [*labels, "Stop this vehicle", "Release this vehicle"] if not looked.part(label).disabled
-        ] == []
+        assert [label for label in labels if not looked.part(label).disabled] == []
 
 
 def test_what_is_stopped_is_marked() -> None:
     with looking(scenery(3)) as looked:
         looked.show(1.0, halted=("v2",))
         assert (looked.node("/stopped").batched_scales[:, 0] > 0.1).tolist() == [False, True, False]
-        assert looked.part("Release all").disabled is False
+        assert looked.part("Release all vehicles").disabled is False
         looked.show(2.0)
         assert looked.node("/stopped").batched_scales[:, 0].max() < 0.1

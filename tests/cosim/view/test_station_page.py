@@ -5,13 +5,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import cv2
-import msgspec
 import numpy as np
 import pytest
 
-from tests.support.cosim.view_pages import TOKEN, Looking, browser, looking, positions, scenery, shown
+from tests.support.cosim.view_pages import TOKEN, Looking, browser, looking, positions, scenery, shown, states
 from vcmvsp.cosim.types import Array, Mosaic
-from vcmvsp.cosim.view.page.drawing import colors_of
+from vcmvsp.cosim.view.messages import Floor
+from vcmvsp.cosim.view.page.drawing import colors_of, rotated
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.browser]
 
@@ -170,38 +170,90 @@ def test_the_camera_goes_along(page: Page) -> None:
     page.looked.use("Camera follows", False)
 
 
-def widest(page: Page, row: int) -> int:
-    """The longest run of pixels in a line of the screen that have the colour of a vehicle."""
-    taken = cv2.imdecode(np.frombuffer(page.page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-    assert taken is not None
-    near = np.abs(taken[..., ::-1].astype(int) - colors_of(row + 1)[row].astype(int)).max(axis=2) < 60
-    edges = np.diff(np.pad(near, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    begins, ends = np.nonzero(edges == 1), np.nonzero(edges == -1)
-    return int((ends[1] - begins[1]).max(initial=0))
-
-
-def test_a_vehicle_covers_twelve_pixels_however_far_the_camera_is(page: Page) -> None:
-    page.page.get_by_role("button", name="Show all vehicles").click()
-    for height in (10.0, 200.0):
-        look_down(page, 0.0, 0.0, height)
-        page.show(14.0, links=(), places={})
-        page.until(lambda: widest(page, 3) >= 12)
-
-
-def test_show_all_vehicles_and_follow_the_team(page: Page) -> None:
+def test_fit_all_has_all_vehicles_in_the_picture_and_each_can_be_seen_however_far_they_are(page: Page) -> None:
+    names = tuple(each.name for each in page.looked.scene.vehicles)
+    far = states([(400.0 * (index + 1), 250.0 * (index % 2), 0.0) for index in range(5)], [0.0] * 5, names)
+    page.looked.use("Names", False)
+    page.looked.use("Links", "none")
+    page.show(20.0, states=far, places={}, links=())
+    page.looked.use("Fit all")
     (client,) = page.looked.server.get_clients().values()
-    look_down(page, 500.0, 500.0, 5.0)
-    page.show(15.0)
-    states = shown(page.looked.scene, 15.0).states
-    assert states is not None
-    middle = 0.5 * (states.position.min(axis=0) + states.position.max(axis=0))
-    page.page.get_by_role("button", name="Show all vehicles").click()
-    page.until(lambda: np.allclose(client.camera.look_at, middle, atol=0.05))
-    page.looked.use("Camera follows the team")
-    by = np.array([30.0, 0.0, 0.0])
-    page.show(16.0, states=msgspec.structs.replace(states, position=states.position + by))
-    page.until(lambda: np.allclose(client.camera.look_at, middle + by, atol=0.05))
-    page.looked.use("Camera follows the team", False)
+    page.until(lambda: bool(np.linalg.norm(client.camera.position - client.camera.look_at) > 500.0))
+    box = page.page.locator("canvas").first.bounding_box()
+    page.show(20.0, states=far, places={}, links=())
+    page.page.wait_for_timeout(1000)
+    taken = cv2.imdecode(np.frombuffer(page.page.screenshot(clip=box), np.uint8), cv2.IMREAD_COLOR)
+    assert taken is not None
+    camera = client.camera
+    for place, color in zip(far.position, colors_of(5), strict=True):
+        column, row = pixel_of(place, camera, taken.shape)
+        near = taken[row - 16 : row + 16, column - 16 : column + 16, ::-1].astype(int)
+        same = np.abs(near - color.astype(int)).max(axis=2) < 40
+        assert same.any(axis=0).sum() >= 12
+        assert same.any(axis=1).sum() >= 12
+    page.looked.use("Names", True)
+    page.looked.use("Links", "all")
+
+
+def pixel_of(place: Array, camera: Any, shape: tuple[int, ...]) -> tuple[int, int]:
+    """Column and row of a place in a picture of a camera, whose x is to the right, y down and z ahead."""
+    w, *axis = camera.wxyz
+    x, y, z = rotated(np.array([[w, *(-np.array(axis))]]), (place - camera.position)[None])[0]
+    focal = 0.5 * shape[0] / np.tan(0.5 * camera.fov)
+    return round(0.5 * shape[1] + focal * x / z), round(0.5 * shape[0] + focal * y / z)
+
+
+def test_a_wall_before_a_vehicle_is_translucent(page: Page) -> None:
+    names = tuple(each.name for each in page.looked.scene.vehicles)
+    behind = states([(0.3 * index, 4.0, 0.0) for index in range(5)], [0.0] * 5, names)
+    (client,) = page.looked.server.get_clients().values()
+    with client.atomic():
+        client.camera.position = (0.0, 9.0, 0.6)
+        client.camera.look_at = (0.0, 4.0, 0.1)
+    page.until(lambda: np.allclose(client.camera.position, (0.0, 9.0, 0.6), atol=0.01))
+
+    def visible(node: str) -> bool:
+        page.show(21.0, states=behind, places={})
+        return bool(page.looked.node(node).visible)
+
+    page.until(lambda: visible("/veils/0") and not visible("/world/0"))
+    client.camera.position = (0.0, -9.0, 3.0)
+    page.until(lambda: visible("/world/0") and not visible("/veils/0"))
+
+
+def test_the_team_stays_in_the_picture(page: Page) -> None:
+    page.looked.use("Follow team")
+    (client,) = page.looked.server.get_clients().values()
+    names = tuple(each.name for each in page.looked.scene.vehicles)
+
+    def centred(east: float) -> bool:
+        page.show(22.0, states=states([(east + index, 1.0, 0.0) for index in range(5)], [0.0] * 5, names), places={})
+        return bool(np.allclose(client.camera.look_at, (east + 2.0, 1.0, 0.0), atol=0.1))
+
+    for east in (10.0, 30.0):
+        page.until(lambda east=east: centred(east))  # type: ignore[misc]
+    page.looked.use("Follow team", False)
+
+
+def test_the_picture_of_the_floor_has_north_above_and_hides_the_plain_floor(chromium: Any) -> None:
+    pixels = np.full((20, 20, 3), (200, 40, 40), np.uint8)
+    pixels[:10, 10:] = (40, 40, 200)  # in the north-east
+    floor = Floor(pixels=pixels, center=(30.0, 30.0), size=(40.0, 40.0))
+    with looking(scenery(1, floor=floor)) as looked:
+        looked.show(0.0)
+        page = Page(looked, chromium.new_page(viewport={"width": 1000, "height": 700}))
+        look_down(page, 30.0, 30.0, 60.0)
+        box = page.page.locator("canvas").first.bounding_box()
+
+        def bluer(right: float, up: float) -> int:
+            across = (box["x"] + (0.5 + right) * box["width"]) / 1000
+            red, _, blue = page.pixel(across, (box["y"] + (0.5 - up) * box["height"]) / 700)
+            return blue - red
+
+        quarters = (0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1), (0.1, -0.1)
+        page.until(lambda: bluer(*quarters[0]) > 50)
+        page.until(lambda: all(bluer(*each) < -50 for each in quarters[1:]))
+        page.page.close()
 
 
 def test_the_token_stays_in_its_tab_and_with_its_port(page: Page, chromium: Any) -> None:

@@ -79,7 +79,7 @@ def test_the_run_says_when_and_how_fast_it_is() -> None:
     page = run_page(known_of(scene, shown(scene, 1.5, pace=pace)))
     assert "<b>1.50 s</b> of 60 s" in page
     assert "running at 2x, reaches 1.5x" in page
-    assert "over: Ctrl-C" in run_page(known_of(scene, shown(scene, 1.5, pace=Pace(over="Ctrl-C"))))
+    assert "Run finished: Ctrl-C" in run_page(known_of(scene, shown(scene, 1.5, pace=Pace(over="Ctrl-C"))))
 
 
 # --- curves ---
@@ -116,7 +116,7 @@ def test_charts_show_the_first_vehicles_and_the_chosen_one_and_none_of_what_nobo
         for second in range(3):
             looked.show(float(second), places={}, sent=None, heard_ns={})
         (speed,) = looked.parts(viser.GuiUplotHandle)
-        assert speed.title == "Speed [m/s]"
+        assert speed.title == "Speed [m/s], 7 of 9 vehicles"
         assert [each["label"] for each in speed.series[1:]] == [f"v{index}" for index in range(1, 8)]
         assert speed.data[0].tolist() == [0.0, 1.0, 2.0]
         assert speed.data[1] == pytest.approx([0.3 * 2.25] * 3)
@@ -124,7 +124,7 @@ def test_charts_show_the_first_vehicles_and_the_chosen_one_and_none_of_what_nobo
         looked.show(3.0, sent=None, heard_ns={})
         speed, error = looked.parts(viser.GuiUplotHandle)
         assert [each["label"] for each in speed.series[1:]][-1] == "v9"
-        assert error.title == "Formation error [m]"
+        assert error.title == "Formation error [m], 7 of 9 vehicles"
 
 
 def test_a_chosen_note_has_a_chart_and_decades_show_small_numbers() -> None:
@@ -170,3 +170,12 @@ def test_axes_end_little_above_what_they_show(number: float) -> None:
     top = round_above(number)
     assert number * (1.0 - 1e-6) <= top <= 2.5 * number * (1.0 + 1e-6)
     assert round_above(top) == top
+
+
+@pytest.mark.parametrize(("count", "said"), [(7, ""), (8, ", 7 of 8 vehicles"), (100, ", 7 of 100 vehicles")])
+def test_a_chart_that_leaves_out_vehicles_says_so(count: int, said: str) -> None:
+    with looking(scenery(count)) as looked:
+        looked.show(1.0)
+        looked.show(2.0)
+        titles = [chart.title for chart in looked.parts(viser.GuiUplotHandle)]
+        assert f"Speed [m/s]{said}" in titles
