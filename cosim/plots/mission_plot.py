@@ -210,11 +210,8 @@ def instants_of(log: MissionLog, targets: Sequence[Target]) -> list[tuple[int, s
     for time_ns, what in events:
         if len(chosen) < INSTANTS and all(abs(time_ns - other) > APART * log.end_ns for other in chosen):
             chosen[time_ns] = what
-    while len(chosen) < INSTANTS:
-        gaps = list(pairwise(sorted({0, *chosen})))
-        begin, end = max(gaps, key=lambda gap: gap[1] - gap[0])
-        if end - begin < 2:
-            break
+    while len(chosen) < min(INSTANTS, log.end_ns):
+        begin, end = max(pairwise(sorted({0, *chosen})), key=lambda gap: gap[1] - gap[0])
         chosen[(begin + end) // 2] = ""
     return sorted(chosen.items())
 

@@ -29,6 +29,7 @@ NAMES = {
     "run.mcap",
     "radio.parquet",
     "states.parquet",
+    "errors.parquet",
     "metrics.json",
     "trajectory.png",
     "formation_error.png",

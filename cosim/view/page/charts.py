@@ -148,8 +148,8 @@ class Charts:
         self._note = server.gui.add_dropdown("Note", [NOTHING], initial_value=NOTHING)
         self._note.on_update(lambda _: self._choose())
         self._log.on_update(lambda _: self._redraw())
-        self._left_out = server.gui.add_markdown("")
-        self._charts = [Chart(server, title) for title in TITLES]
+        self._of = f", {CURVES} of {len(self._names)} vehicles" if len(self._names) > CURVES else ""
+        self._charts = [Chart(server, title + self._of) for title in TITLES]
         self._dark, self._new = False, False
         self._rows: list[int] = []
 
@@ -164,8 +164,6 @@ class Charts:
         options = (NOTHING, *sorted(self._history.known_notes))
         if options != tuple(self._note.options):
             self._note.options = options
-        if len(rows) < len(self._names) and not self._left_out.content:
-            self._left_out.content = f"{len(rows)} of {len(self._names)} vehicles: the first ones and the chosen one"
         if not (self._new or (self._history.time_s and rows != self._rows)):
             return
         self._rows, self._new = rows, False
@@ -177,7 +175,7 @@ class Charts:
     def _choose(self) -> None:
         name = self._note.value
         self._history.choose(name)
-        self._charts[-1].title = f"Note: {name}"
+        self._charts[-1].title = f"Note: {name}{self._of}"
         self._redraw()
 
     def _redraw(self) -> None:

@@ -405,8 +405,13 @@ def test_the_figure_of_a_mission_shows_who_commanded_the_maps_and_the_targets(ru
     figure = mission_plot.mission(log, moved, TARGETS, OUTLINES)
     labels = {label.get_text(): label.get_color() for label in figure.axes[0].get_yticklabels()}
     assert labels == {name: color_of(index) for index, name in enumerate(NAMES)}  # as the tracks below
-    assert [axes.get_title() for axes in figure.axes if axes.get_title()] == ["5 s", "10 s", "15 s", "20 s"]
-    last = next(axes for axes in figure.axes if axes.get_title() == "20 s")
+    assert [axes.get_title() for axes in figure.axes if axes.get_title()] == [
+        "5 s: alpha found",
+        "6 s: alpha given up",
+        "12 s: bravo found",
+        "20 s: the end",
+    ]
+    last = next(axes for axes in figure.axes if axes.get_title() == "20 s: the end")
     np.testing.assert_allclose(np.asarray(last.images[0].get_array()) * 255.0, surest_map(log, END_NS)[1])
     stars = [tuple(np.asarray(line.get_xydata()).ravel()) for line in last.lines if str(line.get_marker()) == "*"]
     assert stars == [target.place(20.0) for target in TARGETS]

@@ -95,6 +95,7 @@ def test_files_hold_what_is_drawn_and_what_was_compared(tmp_path: Path) -> None:
         "made-up.json",
         "made-up.png",
         "made-up.svg",
+        "made-up.pdf",
     }
     with written[0].open() as file:
         points = list(csv.DictReader(file))

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.processes
 SAME = ("metrics.json", "states.parquet", "radio.parquet", "scenario.toml")
 SETTINGS: dict[str, Any] = {
     "duration_s": 3.0,
+    "metrics.from_s": 1.0,
     "seed": 5,
     "physics.kind": "kinematic",
     "radio": {"preset": "wifi-b-1", "loss": {"kind": "bernoulli", "probability": 0.3}},

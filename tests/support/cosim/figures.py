@@ -12,6 +12,8 @@ from vcmvsp.cosim.reproduction.figures.drawing import write
 from vcmvsp.cosim.reproduction.figures.figure import Figure
 from vcmvsp.cosim.reproduction.runner import Runner
 
+ENDS = ".csv", "-expected.csv", ".json", ".png", ".svg", ".pdf"
+
 
 def drawn(name: str, folder: Path, panels: int, **settings: Any) -> Figure:
     figure = figures.find(name)(Runner(1), **settings)
@@ -60,7 +62,7 @@ def made(name: str, folder: Path, panels: int, words: Sequence[str], **settings:
     assert len(set(titles)) == len(titles) == panels
     assert all(panel.heat is not None or panel.curves for panel in figure.panels)
     written = write(name, figure, folder)
-    assert [path.name for path in written] == [f"{name}{end}" for end in (".csv", "-expected.csv", ".json", ".png", ".svg")]
+    assert [path.name for path in written] == [f"{name}{end}" for end in ENDS]
     assert all(path.stat().st_size > 100 for path in written)
     with written[0].open() as file:
         assert {point["panel"] for point in csv.DictReader(file)} == {*titles}
