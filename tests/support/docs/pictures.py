@@ -22,8 +22,8 @@ CHANGED = {"relay-chain-none": ("relay-chain", ["--set", "routing.kind=none"])}
 """Scenario and options of runs that have another name."""
 STATIONS = {"recon-urban": 75.0, "recon-team": 60.0, "lab-patrol": 20.0, "pillar-triangle": 12.0}
 """Time of the recording that is shown, s."""
-READY_MS, DRAWN_MS = 60_000, 8_000
-COLORS = 96  # of a picture: a third of its bytes
+READY_MS, DRAWN_MS, SETTLED_MS = 60_000, 8_000, 2_000
+COLORS = 192  # of a picture: half of its bytes
 
 
 def main(names: Sequence[str]) -> None:
@@ -65,12 +65,19 @@ def station(run: Path, time_s: float, path: Path) -> None:
     with browser() as started:
         page = started.new_page(viewport={"width": 1150, "height": 640})
         page.goto(process.stdout.readline().strip())
-        page.get_by_role("button", name="Pause").wait_for(timeout=READY_MS)
+        page.get_by_role("button", name="Pause").click(timeout=READY_MS)
+        page.get_by_role("button", name="Play").wait_for()
         page.get_by_role("textbox").first.fill(f"{time_s:g}")
         page.keyboard.press("Enter")
+        page.wait_for_timeout(SETTLED_MS)
+        page.get_by_role("button", name="Play").click()
         page.wait_for_timeout(DRAWN_MS)
+        for scan in page.get_by_role("checkbox", name="scan").all():
+            scan.check()
+        page.get_by_role("button", name="Fit all").click()
+        page.wait_for_timeout(SETTLED_MS)
         page.locator("#webgl-software-rendering button").click()
-        page.wait_for_timeout(1_000)
+        page.wait_for_timeout(SETTLED_MS)
         page.screenshot(path=path)
     process.kill()
     process.wait()
