@@ -49,7 +49,7 @@ _QUEUE = {
 }
 QUEUES: dict[str, Any] = {"transport": {"link": {"tx": {"queue": _QUEUE}}}}
 """Transmit queues of the hub: an observer that stops reading pictures delays the run by 5 ms, not 50."""
-_DOOR = 64  # join requests that may wait
+_DOOR = 64  # join requests that may wait beside those of the expected hosts
 BEGUN = "it has started, and no host is missing"
 
 
@@ -251,6 +251,7 @@ class Hub:
         secret: str | None = None,  # shared secret, where there are no certificates; None: none is required
         patience_s: float = 2.0,  # reconnect timeout of hosts, wall-clock seconds
         cut_deadline_s: float = math.inf,  # wall-clock seconds after which an unreachable host is lost
+        hosts: int = 0,  # largest number of expected hosts: all may ask to join at the same time
     ) -> None:
         if keys is not None:
             zenoh.init_log_from_env_or(access_control.LOG)
@@ -272,6 +273,7 @@ class Hub:
             self.endpoint = f"{UNIX}{self.files[0]}" if folder else self._locator()  # endpoint that hosts dial
             self._stack = stack.pop_all()
         self._keys, self._patience_s, self._cut_deadline_s = keys, patience_s, cut_deadline_s
+        self._room = _DOOR + hosts
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
         self._missing = True  # an agent has no host yet, or has lost it
         self.gone: dict[Machine, float] = {}  # time at which the token of a host disappeared
@@ -361,7 +363,7 @@ class Hub:
     def _on_join(self, query: zenoh.Query) -> None:
         if not self._is_open():
             self._reply(query, BEGUN)
-        elif self._joins.qsize() < _DOOR:
+        elif self._joins.qsize() < self._room:
             self._joins.put(query)
         else:
             self._reply(query, "too many join requests at once; try again")

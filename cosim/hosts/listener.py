@@ -115,7 +115,7 @@ class Entrance:
         with contextlib.ExitStack() as stack:
             secret = None if self._certified or insecure else endpoints.made()
             wait_s, cut_s = patience_s(agents, specs), cut_deadline_s(agents)
-            self.hub = Hub(listen, self._certified, secret=secret, patience_s=wait_s, cut_deadline_s=cut_s)
+            self.hub = Hub(listen, self._certified, secret=secret, patience_s=wait_s, cut_deadline_s=cut_s, hosts=len(specs))
             stack.callback(self.hub.close)
             if secret:
                 stack.enter_context(endpoints.published(self.hub.endpoint, secret))

@@ -135,7 +135,7 @@ class Hosts:
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
         patient_s, cut_s = patience_s(self._agents, specs), cut_deadline_s(self._agents)
         # No port: no other user of this machine can delay the hub, question the children or answer for them.
-        hub = Hub(None, patience_s=patient_s, cut_deadline_s=cut_s)
+        hub = Hub(None, patience_s=patient_s, cut_deadline_s=cut_s, hosts=count)
         self._stack.callback(hub.close)
         children: dict[str, ChildProcess] = {}
         for token, group in groups.items():

@@ -35,6 +35,7 @@ class Waits(Trajectory):
         return super().act(obs, radio)
 """
 CONNECTIONS = 300
+BESIDE = 64  # join requests that may wait beside those of the expected hosts
 
 
 def garbage(draw: random.Random, number: int, endpoint: tuple[str, int]) -> socket.socket:
@@ -89,6 +90,26 @@ def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_
         assert [ended(host)[0] for host in hosts] == [0, 0]
         digest = json.loads((stage.out / "metrics.json").read_text())["digest"]
     assert digest == vcmvsp.run(tmp_path / "garbage.toml", agents="inprocess", mcap=False).metrics["digest"]
+
+
+def test_all_expected_hosts_may_ask_at_once_and_a_flood_of_others_is_refused() -> None:
+    expected = 100
+    hub = Hub(hosts=expected)
+    asked = expected + 2 * BESIDE
+    try:
+        client = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [hub.endpoint]}}
+        with opened(client, {}, "cannot connect") as session:
+            hellos = [wire.encode(wire.Hello(f"{number:032x}", wire.PROTOCOL, (f"car{number}",))) for number in range(asked)]
+            key = key_names.join_key("anyone")
+            replies = [session.get(key, payload=hello, timeout=10.0) for hello in hellos]
+            for late in replies[expected + BESIDE :]:
+                reply = late.recv().ok
+                assert reply is not None
+                assert wire.welcomes.decode(reply.payload.to_bytes()).refused == "too many join requests at once; try again"
+            knocks = [hub.next_hello(10.0) for _ in range(expected + BESIDE)]
+            assert [knock and knock.hello.vehicles for knock in knocks] == [(f"car{n}",) for n in range(expected + BESIDE)]
+    finally:
+        hub.close()
 
 
 def test_nonsense_for_a_greeting_is_answered_and_the_next_host_is_heard() -> None:
