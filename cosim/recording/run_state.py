@@ -4,7 +4,7 @@ Memory does not grow with the length of a run: frames are counted, everything el
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,8 @@ from vcmvsp.cosim.recording import event_text
 
 MOST_LINES = 200  # log lines kept
 COMMANDERS = ("commander", "mode")  # names under which agents note their commander
+LOGGED_NOTES = "found", "lost", "task", "target", "commander", "mode", "shape", "status"
+"""Names of the notes whose changes are log lines: what a vehicle does or has found."""
 BY_VEHICLE: Mapping[type, str] = {
     types.Follows: "places",
     types.Fix: "fixes",
@@ -36,6 +38,14 @@ class LogLine(types.Value, frozen=True, kw_only=True):
     text: str
 
 
+def changes(vehicle: str, time_ns: int, before: Mapping[str, Any], noted: Mapping[str, Any]) -> Iterator[LogLine]:
+    """A log line for each of `LOGGED_NOTES` that differs from the vehicle's earlier notes."""
+    for name in LOGGED_NOTES:
+        value = noted.get(name)
+        if value and not isinstance(value, float) and value != before.get(name):
+            yield LogLine(time_ns=time_ns, level="info", text=f"{vehicle}: {name} {value}")
+
+
 class RunState:
     """The newest values of a run.
 
@@ -46,7 +56,7 @@ class RunState:
         tallies: by sender and receivers: frames, and frames received by each receiver, (1 + receivers,) int64.
         commanders: commander of each vehicle, as its agent notes it.
         halted: vehicles stopped by the operator.
-        lines: log lines of incidents and operator actions.
+        lines: log lines of incidents, operator actions and `LOGGED_NOTES`.
     """
 
     def __init__(self) -> None:
@@ -100,7 +110,9 @@ class RunState:
             self.keep("heard_ns", batch.names[row], int(newest_ns[row]))
 
     def _on_note(self, vehicle: str, time_ns: int, note: types.Note) -> None:
-        self.keep("notes", vehicle, {**self.newest["notes"].get(vehicle, {}), **note.values})
+        before = self.newest["notes"].get(vehicle, {})
+        self.lines.extend(changes(vehicle, time_ns, before, note.values))
+        self.keep("notes", vehicle, {**before, **note.values})
         for name in COMMANDERS:
             if name in note.values:
                 self.commanders[vehicle] = str(note.values[name])

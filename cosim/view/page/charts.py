@@ -1,4 +1,4 @@
-"""Charts of the last minutes: speeds, formation errors, and delivery ratio at each vehicle."""
+"""Charts of the last minutes: speeds, formation errors, deliveries, ages and a note of each vehicle."""
 
 import math
 from collections import deque
@@ -12,7 +12,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Scenery
 from vcmvsp.cosim.view.page.drawing import Every, css_of
 from vcmvsp.cosim.view.page.state import Known
-from vcmvsp.cosim.view.page.vehicles import places_of
+from vcmvsp.cosim.view.page.vehicles import errors_of
 
 POINTS = 300  # of each curve
 PERIOD_S = 0.5
@@ -20,7 +20,7 @@ CURVES = 7  # limited by the number of colours; of more vehicles, the first ones
 WINDOW_NS = 5 * SECOND_NS  # of the delivery ratio
 TITLES = "Speed [m/s]", "Formation error [m]", "Received of the last 5 s [%]", "Time since the last message [s]", "Note"
 NOTHING = "none"
-MOST_DECADES = 1e4  # of an axis, as the ratio of its ends
+LARGEST_RATIO = 1e4  # of the ends of an axis with decades
 HEIGHT_PX = 190
 
 
@@ -47,11 +47,7 @@ class History:
         if self.time_s and known.now.time_ns / SECOND_NS <= self.time_s[-1]:
             return False
         self.time_s.append(known.now.time_ns / SECOND_NS)
-        places = places_of(known)
-        error = np.full(self._count, np.nan)
-        error[places.row] = places.error_m
-        speed = np.where(np.isfinite(known.position[:, 0]), np.linalg.norm(known.velocity, axis=1), np.nan)
-        quantities = (speed, error, self._delivery(known), _age_s(known), self._noted(known))
+        quantities = (known.speed, errors_of(known), self._delivery(known), known.age_s, self._noted(known))
         for numbers, each in zip(self.numbers, quantities, strict=True):
             numbers.append(each)
         return True
@@ -102,8 +98,8 @@ class Chart:
         if log:
             curves = np.where(curves > 0.0, curves, np.nan)
         seen = curves[np.isfinite(curves)]
-        ends = (*limits_of(seen, log=log), log) if len(seen) else None
-        frame = self.title, ends, tuple(names), tuple(strokes)
+        ends = limits_of(seen, log=log) if len(seen) else None
+        frame = self.title, ends, log, tuple(names), tuple(strokes)
         data = (time_s, *np.ascontiguousarray(curves.T))
         if frame == self._frame and self._node is not None:
             self._node.data = data
@@ -112,14 +108,13 @@ class Chart:
             self._node.remove()
             self._node = None
         self._frame = frame
-        if len(seen):
+        if ends is not None:
+            # The value axis has explicit limits: the page cannot find the limits of curves that begin with a gap.
+            scale: uplot.Scale = {"range": ends, "distr": 3 if log else 1}
             with self._place:
-                self._node = self._made(data, ends, names, strokes)
+                self._node = self._made(data, scale, names, strokes)
 
-    def _made(
-        self, data: tuple[Array, ...], ends: "tuple[float, float, bool] | None", names: list[str], strokes: list[str]
-    ) -> viser.GuiUplotHandle:
-        low, high, log = ends or (0.0, 1.0, False)
+    def _made(self, data: tuple[Array, ...], scale: uplot.Scale, names: list[str], strokes: list[str]) -> viser.GuiUplotHandle:
         curves = (
             uplot.Series(label=name, stroke=stroke, width=1.5, points={"show": False})
             for name, stroke in zip(names, strokes, strict=True)
@@ -128,8 +123,7 @@ class Chart:
             data=data,
             series=(uplot.Series(label="time [s]"), *curves),
             title=self.title,
-            # The value axis has explicit limits: the page cannot find the limits of curves that begin with a gap.
-            scales={"x": {"time": False}, "y": {"range": (low, high), "distr": 3 if log else 1}},
+            scales={"x": {"time": False}, "y": scale},
             axes=({"label": "time [s]", "labelSize": 18, "size": 32}, {"size": 44}),
             legend={"show": len(names) > 1},
             height=HEIGHT_PX,
@@ -191,20 +185,11 @@ class Charts:
         return [*range(CURVES)] if chosen < CURVES else [*range(CURVES - 1), chosen]
 
 
-def _age_s(known: Known) -> Array:
-    """Time since each vehicle's last reception, s; NaN before it."""
-    age_s = np.full(len(known.names), np.nan)
-    for vehicle, heard_ns in known.now.heard_ns.items():
-        if vehicle in known.row:
-            age_s[known.row[vehicle]] = max(0, known.now.time_ns - heard_ns) / SECOND_NS
-    return age_s
-
-
 def limits_of(values: Array, *, log: bool) -> tuple[float, float]:
     """Limits of an axis for these values: whole decades, or 0, or what is below it, and a round number; they seldom change."""
     low, high = float(values.min()), float(values.max())
     if log:
-        low = max(low, high / MOST_DECADES)
+        low = max(low, high / LARGEST_RATIO)
         return 10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high) + 1e-9)
     return -round_above(-low) if low < 0.0 else 0.0, round_above(high)
 

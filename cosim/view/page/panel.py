@@ -12,7 +12,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.view.page.drawing import css_of
 from vcmvsp.cosim.view.page.state import Known
-from vcmvsp.cosim.view.page.vehicles import places_of
+from vcmvsp.cosim.view.page.vehicles import errors_of
 
 LINKS, LINES, NOTES = 12, 60, 12  # rows shown; of more, the count is shown
 STATUS = "status", "mode", "task"  # names of the notes that say what a vehicle does
@@ -44,30 +44,28 @@ SORTED = "name", "error", "speed", "age", "status"
 
 def team_page(known: Known, by: str) -> str:
     """A table of all vehicles, sorted by a column."""
-    error_m = {known.names[row]: error for row, error in zip(*_errors(known), strict=True)}
-    rows = []
-    for row, name in enumerate(known.names):
-        note, heard_ns = known.now.notes.get(name, {}), known.now.heard_ns.get(name)
-        status = "stopped" if name in known.now.halted else ", ".join(str(note[key]) for key in STATUS if note.get(key))
-        age_s = None if heard_ns is None else max(0, known.now.time_ns - heard_ns) / SECOND_NS
-        speed = float(np.linalg.norm(known.velocity[row])) if np.isfinite(known.position[row, 0]) else None
-        rows.append({"name": name, "error": error_m.get(name), "speed": speed, "age": age_s, "status": status})
-    if by in ("error", "speed", "age"):
-        rows.sort(key=lambda each: -math.inf if each[by] is None else each[by], reverse=True)  # type: ignore[arg-type,return-value]
+    numbers = {"error": errors_of(known), "speed": known.speed, "age": known.age_s}
+    statuses = [_status(known, name) for name in known.names]
+    rows = list(range(len(known.names)))
+    if by in numbers:
+        rows = np.argsort(-np.nan_to_num(numbers[by], nan=-np.inf), kind="stable").tolist()
     elif by == "status":
-        rows.sort(key=lambda each: str(each[by]))
+        rows.sort(key=statuses.__getitem__)
     head = "".join(f"<th style='text-align: left; padding-right: 0.6em'>{name}</th>" for name in HEADINGS)
-    body = "".join(f"<tr>{''.join(f'<td>{_cell(value)}</td>' for value in each.values())}</tr>" for each in rows)
-    return _boxed(f"<table><tr>{head}</tr>{body}</table>")
+    body = []
+    for row in rows:
+        cells = _text(known.names[row]), *(_number(each[row]) for each in numbers.values()), _text(statuses[row])
+        body.append(f"<tr><td>{'</td><td>'.join(cells)}</td></tr>")
+    return _boxed(f"<table><tr>{head}</tr>{''.join(body)}</table>")
 
 
-def _errors(known: Known) -> tuple[list[int], list[float]]:
-    places = places_of(known)
-    return places.row.tolist(), places.error_m.tolist()
+def _status(known: Known, name: str) -> str:
+    note = known.now.notes.get(name, {})
+    return "stopped" if name in known.now.halted else ", ".join(str(note[key]) for key in STATUS if note.get(key))
 
 
-def _cell(value: object) -> str:
-    return "" if value is None else f"{value:.3g}" if isinstance(value, float) else _text(value)
+def _number(value: float) -> str:
+    return f"{value:.3g}" if math.isfinite(value) else ""
 
 
 def run_page(known: Known) -> str:
@@ -138,17 +136,16 @@ def _motion(known: Known, row: int) -> Rows:
 
 
 def _health(known: Known, row: int) -> Rows:
-    name, now = known.names[row], known.now.time_ns
-    rows = []
+    name, rows = known.names[row], []
     if name in known.now.halted:
         rows.append(("stopped", '<b style="color: #c92a2a">by the operator</b>'))
     presence = known.now.presence.get(name)
     if presence is not None:
         why = f": {_text(presence.why)}" if presence.why else ""
         rows.append(("presence", f"{presence.state} since {presence.since_ns / SECOND_NS:.2f} s{why}"))
-    heard = known.now.heard_ns.get(name)
-    if heard is not None:
-        rows.append(("last message", f"{max(now - heard, 0) / SECOND_NS:.2f} s ago"))
+    age_s = known.age_s[row]
+    if math.isfinite(age_s):
+        rows.append(("last message", f"{age_s:.2f} s ago"))
     status = known.now.real.get(name)
     if status is not None:
         if status.battery_v is not None:

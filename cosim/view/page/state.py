@@ -7,13 +7,12 @@ from typing import Any, get_origin
 import msgspec
 import numpy as np
 
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import PageUpdate, Scenery
 
 NEVER_NS = -(2**62)
-TELLING = "found", "lost", "task", "target", "commander", "mode", "shape", "status"
-"""Notes whose changes are lines of the log."""
 LINES = 200  # log lines kept
 MAPPINGS = tuple(each.name for each in msgspec.structs.fields(PageUpdate) if get_origin(each.type) is Mapping)
 """Fields of `PageUpdate` that keep the newest value of each key."""
@@ -58,7 +57,6 @@ class Known:
             if line not in self.lines:  # a recording may repeat lines that are still listed
                 self.lines.append(line)
                 self.told += 1
-        self._tell_changes(update)
         merged: dict[str, Any] = {name: {**getattr(self.now, name), **getattr(update, name)} for name in MAPPINGS}
         if update.sent is None or update.received is None:
             merged |= {"sent": self.now.sent, "received": self.now.received}
@@ -66,21 +64,25 @@ class Known:
         self._take_states(update)
         self._take_links(update)
 
-    def _tell_changes(self, update: PageUpdate) -> None:
-        """Add a line for each note that tells what a vehicle does or has found, when it changes."""
-        for vehicle, notes in update.notes.items():
-            before = self.now.notes.get(vehicle, {})
-            for name in TELLING:
-                value = notes.get(name)
-                if value and value != before.get(name):
-                    self.lines.append(LogLine(time_ns=update.time_ns, level="info", text=f"{vehicle}: {name} {value}"))
-                    self.told += 1
-
     @property
     def yaw(self) -> Array:
         """Heading of each vehicle, rad, counter-clockwise from east: (n,)."""
         w, x, y, z = self.attitude.T
         return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+
+    @property
+    def speed(self) -> Array:
+        """Speed of each vehicle, (n,) m/s; NaN: it was never shown."""
+        return np.where(np.isfinite(self.position[:, 0]), np.linalg.norm(self.velocity, axis=1), np.nan)
+
+    @property
+    def age_s(self) -> Array:
+        """Time since each vehicle's last reception, (n,) s; NaN before the first."""
+        age_s = np.full(len(self.names), np.nan)
+        for vehicle, heard_ns in self.now.heard_ns.items():
+            if vehicle in self.row:
+                age_s[self.row[vehicle]] = max(0, self.now.time_ns - heard_ns) / SECOND_NS
+        return age_s
 
     def _forget(self, time_ns: int) -> None:
         self.now = PageUpdate(time_ns=time_ns)

@@ -88,6 +88,14 @@ def places_of(known: Known) -> Places:
     return Places(*(part[known_both] for part in (row, leader, place, own, np.hypot(off[:, 0], off[:, 1]))))
 
 
+def errors_of(known: Known) -> Array:
+    """Formation error of each vehicle, (n,) m; NaN: it follows no other, or a position is unknown."""
+    places = places_of(known)
+    error_m = np.full(len(known.names), np.nan)
+    error_m[places.row] = places.error_m
+    return error_m
+
+
 def _unit(yaw: Array) -> Array:
     return np.column_stack([np.cos(yaw), np.sin(yaw)])
 

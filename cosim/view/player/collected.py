@@ -2,14 +2,15 @@
 
 from array import array
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from vcmvsp.cosim.recording.foxglove import LEVELS, Log
-from vcmvsp.cosim.recording.run_state import LogLine
+from vcmvsp.cosim.recording.run_state import LogLine, changes
 from vcmvsp.cosim.types import Array, Halted
 from vcmvsp.cosim.util.documents import json_reader
 from vcmvsp.cosim.view.player.mcap_index import Taker
@@ -38,21 +39,34 @@ _read_note = json_reader(_Names)
 
 
 class Collected:
-    """Collects such values while a file is indexed."""
+    """Collects such values while a file is indexed.
+
+    Attributes:
+        lines: log lines and changes of notes; in order of time after `close`.
+        ending: the last log line; empty without one.
+    """
 
     def __init__(self, vehicles: tuple[str, ...]) -> None:
         self.vehicles = vehicles
         self.counts = Counts(self.vehicles)
         self.lines: list[LogLine] = []
+        self.ending = ""
         self.notes: dict[str, Notes] = {}  # by topic
+        self._noted: dict[str, dict[str, Any]] = {}  # newest notes by vehicle
         self._halted: list[tuple[int, tuple[str, ...]]] = []
 
     def taker(self, topic: str) -> Taker | None:
         """Function that receives all messages of a topic; None if they are not needed."""
-        if topic.partition("/")[2] == NOTE:
-            self.notes[topic] = Notes()
-            return self.notes[topic].take
+        vehicle, _, kind = topic.partition("/")
+        if kind == NOTE:
+            self.notes[topic], self._noted[vehicle] = Notes(), {}
+            return partial(self._take_note, vehicle, self.notes[topic])
         return {FRAMES: self.counts.take, LOG: self._take_line, HALTED: self._take_halted}.get(topic)
+
+    def close(self) -> None:
+        """Finish collecting."""
+        self.lines.sort(key=_time_ns)
+        self.counts.close()
 
     def halted(self, time_ns: int) -> tuple[str, ...]:
         """Vehicles stopped by the operator at a time."""
@@ -60,18 +74,30 @@ class Collected:
 
     def said(self, time_ns: int, since_ns: int | None) -> tuple[LogLine, ...]:
         """The newest log lines; with ``since_ns``, the later ones only."""
-        from_ns = -1 if since_ns is None else since_ns
-        return tuple(line for line in self.lines if from_ns < line.time_ns <= time_ns)[-LINES:]
+        first = 0 if since_ns is None else bisect_right(self.lines, since_ns, key=_time_ns)
+        last = bisect_right(self.lines, time_ns, key=_time_ns)
+        return tuple(self.lines[max(first, last - LINES) : last])
 
     def _take_line(self, time_ns: int, data: bytes) -> None:
         said = _read_log(data)
         self.lines.append(LogLine(time_ns=time_ns, level=_LEVEL[said.level], text=said.message))
+        self.ending = said.message
+
+    def _take_note(self, vehicle: str, notes: "Notes", time_ns: int, data: bytes) -> None:
+        values, newest = _read_note(data).values, self._noted[vehicle]
+        notes.take(values)
+        self.lines.extend(changes(vehicle, time_ns, newest, values))
+        newest.update(values)
 
     def _take_halted(self, time_ns: int, data: bytes) -> None:
         said = _read_halted(data)
         before = self._halted[-1][1] if self._halted else ()
         stand = {*before, *said.vehicles} if said.halted else {*before} - {*said.vehicles}
         self._halted.append((time_ns, tuple(name for name in self.vehicles if name in stand)))
+
+
+def _time_ns(line: LogLine) -> int:
+    return line.time_ns
 
 
 class Notes:
@@ -81,9 +107,9 @@ class Notes:
         self._sorts: dict[tuple[str, ...], array[int]] = {}  # names -> numbers of the notes with these names
         self._count = 0
 
-    def take(self, _: int, data: bytes) -> None:
-        """Add the next note."""
-        self._sorts.setdefault(tuple(_read_note(data).values), array("q")).append(self._count)
+    def take(self, names: Iterable[str]) -> None:
+        """Add the next note, which has these names."""
+        self._sorts.setdefault(tuple(names), array("q")).append(self._count)
         self._count += 1
 
     def at(self, number: int, get: Callable[[int], Mapping[str, Any]]) -> dict[str, Any]:

@@ -71,9 +71,9 @@ class Recording:
         self.vehicles, self.end_ns = collected.vehicles, file.end_ns
         if not self.vehicles or not file.topics:
             raise UsageError(f"{self._folder / FILE}: cannot be read: {damage or 'it contains no run'}")
-        collected.counts.close()
+        collected.close()
         self.troubles = [f"{FILE} can be read up to {self.end_ns / SECOND_NS:.3f} s: {damage}"] if damage else []
-        self.ending = damage or (collected.lines[-1].text if collected.lines else "the recording ends here")
+        self.ending = damage or collected.ending or "the recording ends here"
         known = self._staged()
         collected.lines[:0] = [LogLine(time_ns=0, level="warning", text=text) for text in self.troubles]
         crafts = [msgspec.structs.replace(each, sensors=self._sensors(each.name, each.sensors)) for each in known.vehicles]

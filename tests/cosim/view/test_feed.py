@@ -357,6 +357,23 @@ def test_what_befalls_is_told_in_words(reader: Reader) -> None:
     ]
 
 
+def test_changes_of_what_a_vehicle_does_or_has_found_are_lines_of_the_log_and_other_notes_are_not(reader: Reader) -> None:
+    def note(second: int, **values: float | str) -> None:
+        reader.on(second * SECOND_NS, "v1/note", Note(values=dict(values)))
+
+    note(1, task="search", z=0.1)
+    note(2, task="search", z=0.2)
+    note(3, found="red")
+    note(4, task="track")
+    reader.wait()
+    lines = reader.known().lines
+    assert [(line.time_ns // SECOND_NS, line.text) for line in lines] == [
+        (1, "v1: task search"),
+        (3, "v1: found red"),
+        (4, "v1: task track"),
+    ]
+
+
 def test_what_cannot_be_told_is_said_and_the_run_goes_on(reader: Reader) -> None:
     reader.on(0, "a/note", Note(values={"odd": object()}))  # type: ignore[dict-item]  # of somebody's own federate
     reader.wait()

@@ -1,7 +1,7 @@
 """A recorded run in the control station shows what one who looked on had seen, at any time, at the pace that is ordered."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from typing import Any
 
@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from tests.support.cosim.feeds import merged
 from tests.support.cosim.recorded_run import END_NS, SENSORS, Run, all_of, assert_same, looked_on, seen, told
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.scenario.schema import SetTable
+from vcmvsp.cosim.types import Note
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.view.messages import Go, PageUpdate, Seek, Sensors
 from vcmvsp.cosim.view.player.recording import FASTEST, Player, Recording
@@ -236,10 +238,39 @@ def test_seeking_back_and_forth_ends_where_going_straight_does(recording: Record
     assert_same(all_of(known), all_of(recording.at(known.time_ns, sensors=SENSORS)))
 
 
-def test_lines_are_told_once(player: Player, wall: Wall) -> None:
+def noted(events: Sequence[Event]) -> list[LogLine]:
+    """The lines of changed notes that name what a vehicle does or has found."""
+    newest: dict[tuple[str, str], object] = {}
+    lines = []
+    for event in events:
+        if isinstance(event.value, Note):
+            vehicle = event.key.partition("/")[0]
+            for name in ("found", "lost", "task", "target", "commander", "mode", "shape", "status"):
+                value = event.value.values.get(name)
+                if value and newest.get((vehicle, name)) != value:
+                    newest[vehicle, name] = value
+                    lines.append(LogLine(time_ns=event.time_ns, level="info", text=f"{vehicle}: {name} {value}"))
+    return lines
+
+
+@given(TIMES)
+def test_at_any_time_changes_of_notes_are_lines_with_the_times_of_their_events(
+    run: Run, recording: Recording, time_ns: int
+) -> None:
+    """Also after a seek, when the time of the page is a later one."""
+    every = noted(run.events)
+    assert len(every) >= 4
+    assert [line for line in recording.at(time_ns).lines if line in every] == [
+        line for line in every if line.time_ns <= time_ns
+    ]
+
+
+def test_lines_are_told_once(run: Run, player: Player, wall: Wall) -> None:
     player.order(Go(speed=1.0))
     lines: list[LogLine] = []
     for _ in range(50):
         lines += player.show().lines
         wall.now_s += 0.1
-    assert len(lines) == len(set(lines)) == 6
+    notes = set(noted(run.events))
+    assert len(lines) == len(set(lines)) == 6 + len(notes)
+    assert notes < set(lines)

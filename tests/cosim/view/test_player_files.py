@@ -102,9 +102,10 @@ def test_a_file_shows_more_with_each_chunk_and_says_where_it_was_cut(mission: Ru
         with reading(scratch, data[:end]) as recording:
             assert recording is not None
             goes_to_ns.append(recording.end_ns)
-            first, second = (line.text for line in recording.at(0).lines)
+            first, second, *notes = (line.text for line in recording.at(0).lines)
             assert first == f"run.mcap can be read up to {recording.end_ns / SECOND_NS:.3f} s: {recording.ending}"
             assert "scenario.toml is missing" in second
+            assert all(text.startswith(tuple(f"{name}: " for name in NAMES)) for text in notes)
     assert goes_to_ns == sorted(goes_to_ns)
     assert goes_to_ns[-1] == 5 * SECOND_NS
     assert len(set(goes_to_ns)) > 5

@@ -36,19 +36,6 @@ def test_of_each_key_the_newest_counts() -> None:
     assert known.now.notes == {"v1": {"mode": "old"}, "v2": {"mode": "new"}}
 
 
-def test_changes_of_what_a_vehicle_does_or_has_found_are_lines_of_the_log_and_other_notes_are_not() -> None:
-    def noted(second: int, **notes: float | str) -> PageUpdate:
-        return PageUpdate(time_ns=second * SECOND_NS, notes={"v1": dict(notes)})
-
-    seen = (noted(1, task="search", z=0.1), noted(2, task="search", z=0.2), noted(3, found="red"), noted(4, task="track"))
-    lines = known_of(scenery(2), *seen).lines
-    assert [(line.time_ns // SECOND_NS, line.text) for line in lines] == [
-        (1, "v1: task search"),
-        (3, "v1: found red"),
-        (4, "v1: task track"),
-    ]
-
-
 def test_where_time_goes_back_only_what_is_shown_then_counts() -> None:
     scene = scenery(3)
     lines = tuple(LogLine(time_ns=second * SECOND_NS, level="info", text=f"line {second}") for second in range(5))
