@@ -255,7 +255,7 @@ def misfit_squared(places: Array, slots: Array) -> Array:
     p, d = places - places.mean(axis=1, keepdims=True), slots - slots.mean()
     turn = p @ np.conj(d)
     size = np.abs(turn)
-    turn = np.divide(turn, size, out=np.ones_like(turn), where=size > 0)
+    turn = np.divide(turn, size, out=np.ones_like(turn), where=size > np.finfo(float).tiny)  # a division by less overflows
     apart = p - turn[:, np.newaxis] * d
     return np.asarray((apart.real**2 + apart.imag**2).sum(axis=1))
 

@@ -122,6 +122,12 @@ def test_misfit_equals_kabsch_by_singular_values(places: list[complex], slots: l
     assert misfit_squared(np.array([places]), np.array(slots))[0] == pytest.approx(expected, rel=1e-9, abs=1e-10)
 
 
+def test_vehicles_in_the_same_place_miss_their_slots_by_the_size_of_the_formation() -> None:
+    """Also at a distance below the smallest normal number, by which a division overflows."""
+    for apart in (0.0, 2.0**-1040, 1e-300):
+        assert misfit_squared(np.array([[0j, apart * 1j]]), np.array([0j, -1.0 + 0.5j]))[0] == pytest.approx(0.5 * 1.25)
+
+
 # --- responses ------------------------------------------------------------------------------------------------------------
 
 
