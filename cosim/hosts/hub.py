@@ -49,7 +49,7 @@ _QUEUE = {
 }
 QUEUES: dict[str, Any] = {"transport": {"link": {"tx": {"queue": _QUEUE}}}}
 """Transmit queues of the hub: an observer that stops reading pictures delays the run by 5 ms, not 50."""
-_DOOR = 64  # join requests that may wait beside those of the expected hosts
+_SPARE_JOINS = 64  # join requests that may wait, in addition to one for each expected host
 BEGUN = "it has started, and no host is missing"
 
 
@@ -273,7 +273,7 @@ class Hub:
             self.endpoint = f"{UNIX}{self.files[0]}" if folder else self._locator()  # endpoint that hosts dial
             self._stack = stack.pop_all()
         self._keys, self._patience_s, self._cut_deadline_s = keys, patience_s, cut_deadline_s
-        self._room = _DOOR + hosts
+        self._room = _SPARE_JOINS + hosts
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
         self._missing = True  # an agent has no host yet, or has lost it
         self.gone: dict[Machine, float] = {}  # time at which the token of a host disappeared

@@ -230,7 +230,7 @@ def _maps(figure: FigureBase, log: MissionLog, moved: Motion, targets: Sequence[
             _track(axes, moved, name, index, now)
         _true_places(axes, targets, now, named=number == 1)
         _square(axes)
-        axes.set_title(f"{now / SECOND_NS:g} s{what and f': {what}'}")
+        axes.set_title(": ".join(filter(None, (f"{now / SECOND_NS:g} s", what))))
         axes.label_outer()
     if image is not None:
         figure.colorbar(image, ax=shown, shrink=0.7, pad=0.01, label="P(target) [1]")

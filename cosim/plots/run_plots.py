@@ -19,7 +19,7 @@ from vcmvsp.cosim.tables.schema import NOT_LOST, Placement, Table, selected
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.palette import color_of
 
-COMPARED_S = 15.0
+COMPARED_S = 15.0  # end of the tracks that a comparison shows
 SNAPSHOTS = 5  # instants at which the formation is drawn, including start and end
 _OF_LOSSES = ("sender", "receiver", "outcome", "sent_ns", "received_ns", *COLUMNS)
 LISTED = 15  # vehicles in a legend
@@ -123,11 +123,12 @@ def comparison(runs: Mapping[str, tuple[Table, Sequence[Placement]]]) -> Figure:
         moved = motion(states)
         time_s = moved.time_ns / SECOND_NS
         last = slice(int(np.searchsorted(time_s, time_s[-1] - COMPARED_S)), None)
-        leaders = [name for name in moved.names if name not in followers(moved.names, follows)]
+        following = followers(moved.names, follows)
         for i, name in enumerate(moved.names):
             x, y, _ = moved.position[:, last, i]
-            axes.plot(x, y, color=GREY if name in leaders else color_of(number), linewidth=0.9, zorder=3)
-            draw_vehicle(axes, (x[-1], y[-1], moved.yaw[-1, i]), GREY if name in leaders else color_of(number), 9.0)
+            color = color_of(number) if name in following else GREY
+            axes.plot(x, y, color=color, linewidth=0.9, zorder=3)
+            draw_vehicle(axes, (x[-1], y[-1], moved.yaw[-1, i]), color, 9.0)
         _draw_formation(axes, moved, follows, len(moved.time_ns) - 1)
         axes.set_title(title)
         axes.set_aspect("equal", adjustable="datalim")

@@ -35,7 +35,7 @@ class Waits(Trajectory):
         return super().act(obs, radio)
 """
 CONNECTIONS = 300
-BESIDE = 64  # join requests that may wait beside those of the expected hosts
+SPARE_JOINS = 64  # join requests that may wait, in addition to one for each expected host
 
 
 def garbage(draw: random.Random, number: int, endpoint: tuple[str, int]) -> socket.socket:
@@ -95,19 +95,19 @@ def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_
 def test_all_expected_hosts_may_ask_at_once_and_a_flood_of_others_is_refused() -> None:
     expected = 100
     hub = Hub(hosts=expected)
-    asked = expected + 2 * BESIDE
+    asked = expected + 2 * SPARE_JOINS
     try:
         client = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [hub.endpoint]}}
         with opened(client, {}, "cannot connect") as session:
             hellos = [wire.encode(wire.Hello(f"{number:032x}", wire.PROTOCOL, (f"car{number}",))) for number in range(asked)]
             key = key_names.join_key("anyone")
             replies = [session.get(key, payload=hello, timeout=10.0) for hello in hellos]
-            for late in replies[expected + BESIDE :]:
+            for late in replies[expected + SPARE_JOINS :]:
                 reply = late.recv().ok
                 assert reply is not None
                 assert wire.welcomes.decode(reply.payload.to_bytes()).refused == "too many join requests at once; try again"
-            knocks = [hub.next_hello(10.0) for _ in range(expected + BESIDE)]
-            assert [knock and knock.hello.vehicles for knock in knocks] == [(f"car{n}",) for n in range(expected + BESIDE)]
+            knocks = [hub.next_hello(10.0) for _ in range(expected + SPARE_JOINS)]
+            assert [knock and knock.hello.vehicles for knock in knocks] == [(f"car{n}",) for n in range(expected + SPARE_JOINS)]
     finally:
         hub.close()
 

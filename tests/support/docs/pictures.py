@@ -1,6 +1,6 @@
 """Makes the pictures of the documents anew: ``python -m tests.support.docs.pictures [NAME...]``, or ``make pictures``.
 
-Figures are those that the run of a scenario leaves. Pictures of the control station need a browser (Chromium).
+Figures come from runs of the scenarios; pictures of the control station need a browser (Chromium).
 """
 
 import shutil
