@@ -26,7 +26,7 @@ def plot_command(
     run_dirs: Annotated[list[Path], typer.Argument(metavar="RUN_DIR...", help="Folder of a run; several are compared.")],
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the figures [the first RUN_DIR].")] = None,
     svg: Annotated[bool, typer.Option("--svg", help="Write SVG instead of PNG.")] = False,
-    pdf: Annotated[bool, typer.Option("--pdf", help="Write PDF instead of PNG.")] = False,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write PDF instead of PNG, with --svg both.")] = False,
     trust: Trust = False,
 ) -> None:
     """Draw the figures of a run again, or several runs side by side; also of a killed run, up to the end of its recording.
@@ -35,8 +35,8 @@ def plot_command(
     """
     from vcmvsp.cosim.runs import api
 
-    kind = "pdf" if pdf else "png"
-    for path in api.plot(run_dirs, out or run_dirs[0], kind="svg" if svg else kind, tell=say, trust=trust):
+    kinds = [kind for kind, wanted in (("svg", svg), ("pdf", pdf)) if wanted] or ["png"]
+    for path in api.plot(run_dirs, out or run_dirs[0], kinds=kinds, tell=say, trust=trust):
         sys.stdout.write(f"{path}\n")
 
 

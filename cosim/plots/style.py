@@ -5,7 +5,7 @@ Series differ in colour and in line style or marker, so that they can be told ap
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from io import StringIO
@@ -140,11 +140,11 @@ def svg(figure: Figure) -> str:
     return _PATH.sub(_shorter, stream.getvalue())
 
 
-def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write ``stem``.png, ``stem``.svg and ``stem``.pdf."""
-    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in SAVE]
-    for path, write in zip(paths, SAVE.values(), strict=True):
-        write(figure, path)
+def save(figure: Figure, stem: Path, kinds: Sequence[str] = tuple(SAVE)) -> list[Path]:
+    """Write a figure as ``stem``.png, ``stem``.svg and ``stem``.pdf, or as some of these kinds; returns the files."""
+    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in kinds]
+    for kind, path in zip(kinds, paths, strict=True):
+        SAVE[kind](figure, path)
     return paths
 
 

@@ -476,12 +476,12 @@ def check(
 
 
 def plot(
-    run_dirs: Sequence[Path], out: Path, *, kind: str = "png", tell: Tell = lambda _: None, trust: bool = False
+    run_dirs: Sequence[Path], out: Path, *, kinds: Sequence[str] = ("png",), tell: Tell = lambda _: None, trust: bool = False
 ) -> list[Path]:
     """Draw the figures of a saved or interrupted run into the folder ``out``, or one that compares several; returns the files.
 
     Args:
-        kind: of the files: png, svg or pdf.
+        kinds: of the files: png, svg, pdf.
         trust: import the class of a run's world even if it is not built in.
     """
     from vcmvsp.cosim.plots import style
@@ -489,6 +489,4 @@ def plot(
     figures = figures_again(run_dirs[0], tell, trust=trust) if len(run_dirs) == 1 else {"comparison": compared(run_dirs, tell)}
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-        for name, figure in figures.items():
-            style.SAVE[kind](figure, out / f"{name}.{kind}")
-    return [out / f"{name}.{kind}" for name in figures]
+        return [path for name, figure in figures.items() for path in style.save(figure, out / name, kinds)]

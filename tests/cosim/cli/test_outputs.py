@@ -58,6 +58,8 @@ def test_plot_draws_the_figures_of_the_run_again(folder: Path) -> None:
         assert vcmvsp_command("plot", "out", "--out", name, "--pdf").code == 0
     assert contents(folder / "one") == contents(folder / "two")
     assert all(data.startswith(b"%PDF") for data in contents(folder / "one").values())
+    assert vcmvsp_command("plot", "out", "--out", "both", "--svg", "--pdf").code == 0
+    assert contents(folder / "both") == contents(folder / "drawn") | contents(folder / "one")
 
 
 def test_several_runs_are_drawn_side_by_side(folder: Path) -> None:
