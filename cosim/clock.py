@@ -59,7 +59,7 @@ class Ticks(msgspec.Struct, frozen=True, order=True):
 
     def after(self, now_ns: int) -> int:
         """The first tick later than ``now_ns``; ticks start at 0, so any negative time gives 0."""
-        return self.at(max(0, -(-(now_ns + 1) * self.per // self.ns)))
+        return 0 if now_ns < 0 else -(-(now_ns + 1) * self.per // self.ns) * self.ns // self.per
 
     def between(self, from_ns: int, to_ns: int) -> range:
         """The k of the ticks with ``from <= t < to``."""
@@ -68,7 +68,7 @@ class Ticks(msgspec.Struct, frozen=True, order=True):
 
     def hits(self, now_ns: int) -> bool:
         """Whether ``now_ns`` is the time of a tick."""
-        return self.after(now_ns - 1) == now_ns
+        return -(-now_ns * self.per // self.ns) * self.ns // self.per == now_ns >= 0
 
     def is_multiple_of(self, finer: "Ticks") -> bool:
         """Whether every tick of this train is also a tick of ``finer``."""

@@ -92,11 +92,13 @@ class RadioFederate:
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Report frames that are decided by now, then send new messages."""
-        reports = self._apply_orders(inbox)
-        reports += self._channel.advance(now_ns)  # events of the medium precede messages of the same instant
+        reports: list[FrameReport] = []
         for event in inbox:
             if isinstance(event.value, States):
                 self._states = event.value
+            elif isinstance(event.value, _ORDERS):
+                reports += self._apply(event.value, event.time_ns)
+        reports += self._channel.advance(now_ns)  # events of the medium precede messages of the same instant
         if self._network is not None:
             return self._step_routed(self._network, now_ns, inbox, reports)
         posts = list(self._posts(inbox, now_ns))
@@ -173,17 +175,13 @@ class RadioFederate:
         """
         self._channel.operated.check(key, value, earlier)
 
-    def _apply_orders(self, inbox: Sequence[Event]) -> list[FrameReport]:
-        """Apply the operator's orders at their times; returns the reports of frames that were decided before."""
-        reports: list[FrameReport] = []
-        for event in inbox:
-            value = event.value
-            if isinstance(value, _ORDERS):
-                reports += self._channel.advance(event.time_ns - 1)
-            if isinstance(value, Outage):
-                self._channel.cut_off(value.vehicles, event.time_ns, value.until_ns)
-            elif isinstance(value, Changed):
-                self._channel.change(value.key, value.value)
+    def _apply(self, order: Outage | Changed, at_ns: int) -> list[FrameReport]:
+        """Apply an operator's order at its time; returns the reports of frames that were decided before."""
+        reports = self._channel.advance(at_ns - 1)
+        if isinstance(order, Outage):
+            self._channel.cut_off(order.vehicles, at_ns, order.until_ns)
+        else:
+            self._channel.change(order.key, order.value)
         return reports
 
     def _posts(self, inbox: Sequence[Event], now_ns: int) -> Iterator[Post]:

@@ -38,7 +38,7 @@ class Way(NamedTuple):
 
     take: Take | None  # for tables and metrics
     is_packed: bool  # for the digest
-    write: Take  # into ``run.mcap``
+    write: Take | None  # into ``run.mcap``
 
 
 class Recorder(Accumulators):
@@ -79,15 +79,15 @@ class Recorder(Accumulators):
         self._next_tick_ns = 0  # of any agent, if messages are recorded
         self._latest: tuple[int, States] | None = None
         self._viewer = None if mcap is None else Viewer(mcap, run, radius_m, world)
-        self._write: Take = _nowhere if self._viewer is None else self._viewer.write
+        self._write: Take | None = None if self._viewer is None else self._viewer.write
         self._pack = msgspec.msgpack.Encoder(enc_hook=to_json).encode_into
         self._as_it_is = Way(None, False, self._write)
         takers = self._takers | {States: self._take_states}
-        writers: dict[type, Take] = {
+        writers: dict[type, Take | None] = {
             **({} if self._viewer is None else self._viewer.putters),
-            States: _nowhere,
-            Receptions: self._put_receptions if self._writes_heard else _nowhere,
-            Reception: _nowhere,
+            States: None,
+            Receptions: self._put_receptions if self._writes_heard else None,
+            Reception: None,
             Later: self._write_later,
             **dict.fromkeys(event_text.TOLD, self._write_told),
         }
@@ -105,7 +105,8 @@ class Recorder(Accumulators):
             take(key, time_ns, value)
         if is_packed:
             self._pack(event, self._packed, -1)
-        write(key, time_ns, value)
+        if write is not None:
+            write(key, time_ns, value)
 
     def log(self, level: str, text: str, time_ns: int) -> None:
         """Write a log line: ``debug``, ``info``, ``warning``, ``error`` or ``fatal``, e.g. why the run ended."""
@@ -145,7 +146,8 @@ class Recorder(Accumulators):
 
     def _write_told(self, key: str, time_ns: int, event: event_text.Told) -> None:
         """Write an event to the log and, except contacts, which may be frequent, to the terminal."""
-        self._write(key, time_ns, event)
+        if self._write is not None:
+            self._write(key, time_ns, event)
         level, text = event_text.of_event(vehicle_of(key), event, time_ns)
         self.log(level, text, time_ns)
         if not isinstance(event, Contact):
@@ -156,7 +158,7 @@ class Recorder(Accumulators):
 
     def _write_heard(self, before_ns: int) -> None:
         """Write the messages that agents got at their ticks before a time."""
-        while self._writes_heard and self._next_tick_ns < before_ns:
+        while self._write is not None and self._writes_heard and self._next_tick_ns < before_ns:
             now_ns, ticks = self._next_tick_ns, self._ticks
             due = [vehicle for vehicle, train in ticks.items() if train.hits(now_ns)]
             for vehicle, received in sorted(self._mail.open(now_ns, due).items()):
@@ -169,7 +171,3 @@ class Recorder(Accumulators):
             self._viewer.end_instant(self._now, self._latest, is_cut=is_cut and time_ns == self._now)
         self._hash_much()
         self._now = time_ns
-
-
-def _nowhere(*_: object) -> None:
-    """Writer of events without an MCAP file: does nothing."""

@@ -138,9 +138,9 @@ class RxPower:
 
 def decode(frames: Sequence[SentFrame], signal: ReceivedSignal) -> Codes:
     """Fate of k frames without interference, (k, n); ``signal``: (k, n)."""
-    rows, places = signal.doubtful
-    if not rows.size or signal.hazard is None:
+    if signal.hazard is None or not (doubtful := signal.doubtful)[0].size:
         return signal.fate
+    rows, places = doubtful
     keys = np.stack([sent.sender.links.keys for sent in frames])[rows, places]
     numbers = np.array([sent.number for sent in frames], np.uint64)[rows]
     patience = -np.log1p(-link_uniform(keys, numbers, ERROR_SLOT)[:, 0])

@@ -28,7 +28,7 @@ from vcmvsp.netsim.interfaces.layers import (
     distances,
     sealed,
 )
-from vcmvsp.netsim.interfaces.medium import Codes, Fate
+from vcmvsp.netsim.interfaces.medium import Codes
 from vcmvsp.netsim.phy.constant_rate import ThermalNoise
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.propagation.walls import Bodies, through
@@ -37,7 +37,6 @@ BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
 """What made a signal too weak: distance alone, or that and what else was needed."""
 
 AT_ONCE = 1 << 16  # links in a batch: NumPy's overhead for each call is negligible for more
-_RECEIVED, _UNDETECTED = np.uint8(Fate.RECEIVED), np.uint8(Fate.UNDETECTED)
 _SURE = 2.0**-54  # hazard that every frame survives: no draw is less, except 0
 
 
@@ -51,14 +50,13 @@ class ReceivedSignal(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def fate(self) -> Codes:
         """Fate before packet errors."""
-        return sealed(np.where(self.detected, _RECEIVED, _UNDETECTED))
+        return sealed((~self.detected).view(np.uint8))  # `Fate.RECEIVED` is 0, `Fate.UNDETECTED` 1
 
     @cached_property
     def doubtful(self) -> tuple[NDArray[np.intp], ...]:
         """Frames and receivers, (m,) each, where a frame is detected and may yet be lost."""
-        if self.hazard is None:
-            return (np.zeros(0, np.intp),) * 2
-        return (self.detected & (self.hazard > _SURE)).nonzero()
+        risky = False if self.hazard is None else self.hazard > _SURE
+        return (self.detected & risky).nonzero()
 
     def rows(self, which: Sequence[int]) -> "ReceivedSignal":
         """The signals of some frames."""
@@ -77,6 +75,13 @@ class ReportColumns(msgspec.Struct, frozen=True):
     materials: tuple[str, ...] | None
     wall_loss_db: Floats | None
     shadowing_db: Floats | None
+
+    def at(self, to: slice) -> "ReportColumns":
+        """The columns at some of these receivers."""
+        parts: dict[str, Any] = {
+            name: None if value is None else value[to] for name, value in msgspec.structs.asdict(self).items()
+        }
+        return ReportColumns(**parts)
 
 
 class LinkBudget(msgspec.Struct, dict=True):
@@ -130,18 +135,17 @@ class MeanBudget:
         columns = self._columns.get(to.start)
         if columns is None:
             every, place = self.every, self.place
-            rows = (every.walls, every.wall_loss_db, every.shadowing_db)
-            walls, wall_loss_db, shadowing_db = (None if each is None else each[place][to] for each in rows)
-            columns = self._columns[to.start] = ReportColumns(
-                every.senders[place].receivers[to],
-                self.paths.distance_m[to],
-                self.level_dbm[to],
-                every.path_loss_db[place][to],
-                walls,
-                None if every.materials is None else every.materials[to],
-                wall_loss_db,
-                shadowing_db,
+            columns = ReportColumns(
+                every.senders[place].receivers,
+                self.paths.distance_m,
+                self.level_dbm,
+                every.path_loss_db[place],
+                None if every.walls is None else every.walls[place],
+                every.materials,
+                None if every.wall_loss_db is None else every.wall_loss_db[place],
+                None if every.shadowing_db is None else every.shadowing_db[place],
             )
+            columns = self._columns[to.start] = columns if to.start is None else columns.at(to)
         return columns
 
 
@@ -358,7 +362,8 @@ class ReceiverModel:
         every, size, varied = means[0].every, sizes[0], levels_dbm[0] is not means[0].level_dbm
         if len(means) == 1 and not varied:
             if size not in means[0].signals:
-                means[0].signals[size] = self._signals_of(every, size).rows([means[0].place])
+                signals = self._signals_of(every, size)
+                means[0].signals[size] = signals if len(every.rows) == 1 else signals.rows([means[0].place])
             return means[0].signals[size]
         if len(means) == 1:
             return self.signal(levels_dbm[0][None], every.sensitivity_dbm[means[0].place][None], size)

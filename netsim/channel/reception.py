@@ -105,7 +105,7 @@ class Outcomes:
             layer_frames = [sent.frame_at(start_ns, end_ns, sent.level_dbm) for sent, start_ns, end_ns in times]
         code, sinr_db = self._jam(batch, self._name_weak_signals(batch))
         code = self._lose(batch, layer_frames, code)
-        arrival_ns = sealed(np.where(code == 0, self._arrival_ns(batch, layer_frames), -1))
+        arrival_ns = sealed(np.where(code, -1, self._arrival_ns(batch, layer_frames)))  # code 0: received
         rows = zip(code, arrival_ns, sealed(batch.snr_db), sealed(sinr_db), strict=True)
         return [self._report(batch, k, *row) for k, row in enumerate(rows)]
 
@@ -157,15 +157,15 @@ class Outcomes:
             if traced is not None and slot == LOSS_SLOT:
                 lost = lost & ~traced
             if np.count_nonzero(lost):
-                code = np.where((code == 0) & lost, np.uint8(_JAMMED + 1 + index), code)
+                code = np.where(code, code, lost * np.uint8(_JAMMED + 1 + index))
         return code
 
-    def _arrival_ns(self, batch: FrameBatch, layer_frames: Sequence[Frame]) -> Ints:
-        """Time of arrival if a frame is not lost, (k, n) or (k, 1) ns."""
-        end_ns: Ints = np.array(batch.end_ns)[:, None]
+    def _arrival_ns(self, batch: FrameBatch, layer_frames: Sequence[Frame]) -> Ints | int:
+        """Time of arrival if a frame is not lost, ns: (k, n), (k, 1), or of a single frame without delays its end."""
+        end_ns = _rows(batch.end_ns)
         if self._delay is None and self._trace is None and self._script is None:
             return end_ns
-        sent_ns: Ints = np.array([sent.sent_ns for sent in batch.frames])[:, None]
+        sent_ns = _rows([sent.sent_ns for sent in batch.frames])
         delay_ns: Ints | int = 0
         if self._delay is not None:
             delay_ns = _answers(batch, layer_frames, self._delay.delay_ns, self._delay_ns_by, DELAY_SLOT)
@@ -237,6 +237,11 @@ def _answers(
     else:
         rows = [verb(frame, sent.draw(slot)) for frame, sent in zip(layer_frames, batch.frames, strict=True)]
     return rows[0][None] if len(rows) == 1 else np.stack(rows)
+
+
+def _rows(times_ns: Sequence[int]) -> Ints | int:
+    """Times of k frames as (k, 1), or the only one."""
+    return times_ns[0] if len(times_ns) == 1 else np.array(times_ns)[:, None]
 
 
 def _by_draws(layer: object, verb: str) -> Make | None:
