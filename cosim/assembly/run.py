@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, BinaryIO, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Self
 
 import msgspec
 
@@ -128,6 +128,16 @@ class AssembledRun:
         self.resolution.keep(path)
 
 
+class Parts(NamedTuple):
+    """Parts of a run whose agents have not joined, for its control station."""
+
+    scenario: Scenario
+    source: Source
+    world: "World"
+    radio: "RadioFederate"
+    has_outside: bool  # robots or programs in wall time take part
+
+
 def assemble(
     scenario: Scenario,
     source: Source,
@@ -145,6 +155,7 @@ def assemble(
     tell: Tell = lambda _: None,
     watch: Callable[[], str | None] | None = None,
     meanwhile: Callable[[], None] = lambda: None,
+    built: Callable[["Parts"], None] = lambda _: None,
 ) -> AssembledRun:
     """Build the federates of a scenario, and wait until all agent hosts have joined.
 
@@ -159,6 +170,7 @@ def assemble(
         recorded_radio: frame table of an earlier run, whose outcomes are repeated.
         watch: called while waiting for hosts; returns a reason to give up, or None.
         meanwhile: called once while child processes for agents start.
+        built: called once with the parts of the run, before it waits for its agents.
 
     Raises:
         ScenarioError: the scenario cannot be run as it is.
@@ -194,6 +206,7 @@ def assemble(
     physics = _physics(scenario, resolution, tell, world=world, vehicles=fleet.specs(), outside=outside)
     operator = _operator(scenario, source, physics, air)
     metrics = _own_metrics(scenario, source, resolution)
+    built(Parts(scenario, source, world, air, has_outside=robots is not None or programs.bridge is not None))
     about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s, "vehicles": [*radius_m]}
     hosts = Hosts(
         scenario.agents,

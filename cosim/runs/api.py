@@ -437,6 +437,7 @@ def run(
             tell=tell,
             watch=watch,
             meanwhile=load_figures if folder else lambda: None,
+            built=(lambda _: None) if view is None else view.prepare,
         ) as assembled:
             if playback is not None:
                 assembled.keep(Path(playback) / external_inputs.FILE)  # so that a replay can be replayed

@@ -114,6 +114,7 @@ class Pace(Value, frozen=True, kw_only=True):
     paused: bool = False
     speed: float | None = None  # target, simulated seconds per second; None: as fast as possible
     achieved: float | None = None  # over the last second
+    waiting: str = ""  # what a run that has not begun waits for
     over: str = ""  # why the run has ended; empty: it continues
 
 
@@ -143,6 +144,7 @@ class PageUpdate(Value, frozen=True, kw_only=True):
     real: Mapping[str, RealStatus] = {}
     halted: tuple[str, ...] = ()  # vehicles stopped by the operator
     lines: tuple[LogLine, ...] = ()  # since the last update
+    crafts: tuple[Craft, ...] = ()  # all vehicles again, once their agents are known; empty: as before
     pace: Pace = Pace()
 
 

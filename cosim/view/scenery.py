@@ -32,7 +32,6 @@ def scenery_of(
     source: Source,
     *,
     world: "worlds.World | None" = None,
-    infos: Sequence[AgentInfo] = (),
     live: bool = False,
     may: Sequence[str] = (),
     keys: Mapping[str, float] | None = None,
@@ -44,7 +43,6 @@ def scenery_of(
         scenario: scenario of the run or of the recording.
         source: origin of the scenario.
         world: the world of the run, if it has been built already.
-        infos: properties that agents reported; default: those in the scenario.
         live: whether the run is current.
         may: tags of the allowed orders.
         keys: scenario keys that may change at run time, and their values.
@@ -56,13 +54,11 @@ def scenery_of(
     if world is None:
         world, _ = worlds.build(scenario.world, source, seed=scenario.seed)
     vertices, triangles = world.mesh()
-    agents = {info.vehicle: info for info in infos}
-    kinds: VehicleKinds = {}  # cached: a user's file is executed once, not once per vehicle
     return Scenery(
         scenario=scenario.name,
         seed=scenario.seed,
         duration_ns=seconds_to_ns(scenario.duration_s),
-        vehicles=tuple(_craft(each, scenario, source, agents.get(each.name), kinds, drawn or {}) for each in scenario.vehicle),
+        vehicles=crafts_of(scenario, source, drawn=drawn),
         vertices=frozen(vertices, np.float32),
         triangles=frozen(triangles, np.uint32),
         colors=frozen(world.mesh_colors()),
@@ -74,6 +70,23 @@ def scenery_of(
         may=tuple(may),
         keys=dict(keys or {}),
     )
+
+
+def crafts_of(
+    scenario: Scenario, source: Source, *, infos: Sequence[AgentInfo] = (), drawn: Mapping[str, Craft] | None = None
+) -> tuple[Craft, ...]:
+    """The vehicles of a scenario.
+
+    Args:
+        infos: properties that agents reported; default: those in the scenario.
+        scenario, source, drawn: as of `scenery_of`.
+
+    Raises:
+        ScenarioError: a kind of vehicle cannot be built.
+    """
+    agents = {info.vehicle: info for info in infos}
+    kinds: VehicleKinds = {}  # cached: a user's file is executed once, not once per vehicle
+    return tuple(_craft(each, scenario, source, agents.get(each.name), kinds, drawn or {}) for each in scenario.vehicle)
 
 
 def _craft(

@@ -17,7 +17,7 @@ from vcmvsp.cosim.recording.run_state import RunState
 from vcmvsp.cosim.types import Image, Later, Scan
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
-from vcmvsp.cosim.view.messages import LinkStatus, Order, Pace, PageUpdate, Pose, Scenery, Sensors
+from vcmvsp.cosim.view.messages import Craft, LinkStatus, Order, Pace, PageUpdate, Pose, Scenery, Sensors
 
 PERIOD_S = 1.0 / 30.0  # wall clock, minimum time between two messages
 AGAIN_S = 0.002  # between two attempts to finish a message
@@ -60,6 +60,7 @@ class Feed:
         self._now_ns, self._fresh = 0, True  # changes have occurred that were not sent
         self._due_s = self._read_s = -1e9
         self._pace, self._paces = Pace(), deque[tuple[float, int]]()  # times of the run within the last second
+        self._crafts: tuple[Craft, ...] = ()  # not sent yet
         self._orders: deque[Order] = deque(maxlen=MOST_ORDERS)
         self.problem = ""  # reason for the end of the viewer process, if it gave one
 
@@ -79,6 +80,10 @@ class Feed:
         self._pace = pace
         self._write_if_due()
 
+    def describe(self, crafts: Sequence[Craft]) -> None:
+        """Show all vehicles as described from now on, with their agents."""
+        self._crafts, self._fresh = tuple(crafts), True
+
     def say(self, level: str, text: str) -> None:
         """Add a line to the displayed log."""
         self._state.say(self._now_ns, level, text)
@@ -95,6 +100,11 @@ class Feed:
     def open(self) -> bool:
         """Whether the viewer process is connected, as far as known."""
         return self._pipe.open
+
+    @property
+    def over(self) -> bool:
+        """Whether the page shows that the run has ended."""
+        return bool(self._pace.over)
 
     def close(self, why: str) -> None:
         """Show how the run ended, if the viewer receives it within a second; the pipe stays open."""
@@ -141,7 +151,7 @@ class Feed:
     def _forget(self) -> None:
         self._state.fresh.clear()
         self._state.lines.clear()
-        self._fresh = False
+        self._crafts, self._fresh = (), False
 
     def _encoded(self, now_s: float) -> bytes:
         pace = msgspec.structs.replace(self._pace, achieved=self._achieved(now_s))
@@ -168,6 +178,7 @@ class Feed:
             links=tuple(map(LinkStatus.of, frames.values())),
             halted=tuple(name for name in self._rows if name in state.halted),
             lines=tuple(state.lines),
+            crafts=self._crafts,
             pace=pace,
             **counts,
             **news,

@@ -20,7 +20,7 @@ from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.messages import Order
 
 GIVES_WAY = 5  # niceness of the process: the run has priority where cores are few
-LAST_S = 0.2  # time to send the end of the run to pages
+LAST_S = 1.0  # time to send the end of the run to pages
 ORDER_S = 1.0  # time for the run to take an order before it is dropped
 
 
@@ -65,6 +65,7 @@ def _serve(pipe: protocol.Pipe) -> None:
     station = Station(server, start.scenery, order)
     order(protocol.Up(port=server.get_port()))
     pump(pipe, station.show)
+    station.draw(texts=True)
     time.sleep(LAST_S)
 
 

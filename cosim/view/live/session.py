@@ -6,10 +6,11 @@ Orders are executed in the run's own thread, between two instants or during a pa
 import contextlib
 import time
 from collections.abc import Callable
+from types import TracebackType
 from typing import Self
 
 from vcmvsp.cosim.assembly.interventions import Operator
-from vcmvsp.cosim.assembly.run import AssembledRun
+from vcmvsp.cosim.assembly.run import AssembledRun, Parts
 from vcmvsp.cosim.clock import LISTEN_NS, Clock, LiveClock
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.processes.child_process import ChildProcess
@@ -20,7 +21,7 @@ from vcmvsp.cosim.view import HOST
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.feed import Feed, Places, Poses
 from vcmvsp.cosim.view.messages import End, Go, Order, Pace, Scenery
-from vcmvsp.cosim.view.scenery import scenery_of
+from vcmvsp.cosim.view.scenery import crafts_of, scenery_of
 from vcmvsp.cosim.view.web_server import new_token, url_of
 
 START_S = 60.0  # time for the page to start
@@ -29,7 +30,7 @@ MODULE = "vcmvsp.cosim.view.live.server"
 
 
 class Viewing(contextlib.AbstractContextManager["Viewing"]):
-    """The control station of one run, opened by the run once its scenery is known: the process that serves its page.
+    """The control station of one run, opened once the run's parts are built: the process that serves its page.
 
     Leaving the context ends the process.
 
@@ -47,20 +48,27 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
     def __init__(self, host: str = HOST, port: int = 0, opened: Callable[[str], None] = lambda _: None) -> None:
         self._host, self._port, self._opened = host, port, opened
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if error is not None and self._pipe is not None and not self.feed.over:
+            self.feed.close(str(error) or "interrupted")
         self.close()
 
-    def live(self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Tell) -> "Live":
-        """Open the page of a run."""
-        world, keys = run.world, run.radio.adjustable()
+    def prepare(self, parts: Parts) -> None:
+        """Open the page of a run whose agents have not joined."""
+        world, keys = parts.world, parts.radio.adjustable()
         allowed = {"sensors": True, "halt": True, "outage": True, "end": True}
-        allowed |= {"move": bool(world.movables), "set": bool(keys), "pace": not run.has_outside}
+        allowed |= {"move": bool(world.movables), "set": bool(keys), "pace": not parts.has_outside}
         may = tuple(order for order, is_obeyed in allowed.items() if is_obeyed)
         self.open(
-            scenery_of(run.scenario, run.source, world=world, infos=run.agents, live=True, may=may, keys=keys),
+            scenery_of(parts.scenario, parts.source, world=world, live=True, may=may, keys=keys),
             moving={each.name: each.pose for each in world.moving},
             targets={each.name: each.place for each in world.targets},
         )
+        self.feed.pace(Pace(waiting="its agents"))
+
+    def live(self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Tell) -> "Live":
+        """Show a run whose agents have joined, on the page that `prepare` has opened."""
+        self.feed.describe(crafts_of(run.scenario, run.source, infos=run.agents))
 
         def clock(listen: Callable[[], None]) -> Clock:
             return run.clock if run.has_outside else LiveClock(speed, listen)
@@ -99,6 +107,7 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
         if self._pipe is not None:
             self._pipe.close()
             self._process.close(LEAVE_S)
+            self._pipe = None
 
 
 class Live:

@@ -67,8 +67,8 @@ class Station:
             if self._server.get_clients():
                 self.draw()
 
-    def draw(self) -> None:
-        """Send changes to the pages."""
+    def draw(self, *, texts: bool = False) -> None:
+        """Send changes to the pages; ``texts``: all texts, even if some were sent a moment ago."""
         self._drawn.set()
         known, choice, now_s = self._known, self._choice, self._clock()
         with self._drawing:
@@ -84,7 +84,7 @@ class Station:
             self._ground.draw(known, choice.name, now_s)
             self._pictures.draw(known, choice.name, choice.readings, now_s)
             self._charts.draw(choice.row)
-            if self._words.due(now_s):
+            if self._words.due(now_s) or texts:
                 self._write()
 
     def _go_along(self) -> None:

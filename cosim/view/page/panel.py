@@ -74,6 +74,8 @@ def run_page(known: Known) -> str:
     now, end = known.now.time_ns / SECOND_NS, scenery.duration_ns / SECOND_NS
     if pace.over:
         state = f'<span id="over">Run finished: {escape(plain(pace.over))}</span>'
+    elif pace.waiting:
+        state = f"waiting for {_text(pace.waiting)}"
     elif pace.paused:
         state = "paused"
     else:

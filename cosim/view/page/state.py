@@ -60,6 +60,8 @@ class Known:
         merged: dict[str, Any] = {name: {**getattr(self.now, name), **getattr(update, name)} for name in MAPPINGS}
         if update.sent is None or update.received is None:
             merged |= {"sent": self.now.sent, "received": self.now.received}
+        if update.crafts:
+            self.scenery = msgspec.structs.replace(self.scenery, vehicles=update.crafts)
         self.now = msgspec.structs.replace(update, **merged)
         self._take_states(update)
         self._take_links(update)

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 import vcmvsp
-from vcmvsp.cosim.assembly.run import AssembledRun
+from vcmvsp.cosim.assembly.run import AssembledRun, Parts
 from vcmvsp.cosim.clock import SECOND_NS, LiveClock, seconds_to_ns
 from vcmvsp.cosim.errors import Interrupted
 from vcmvsp.cosim.scenario.schema import HaltTable, MoveTable, OutageTable, SetTable
@@ -56,6 +56,9 @@ class Desk:
     def __exit__(self, *_: object) -> None:
         self._pipe.close()
         self._theirs.close()
+
+    def prepare(self, parts: Parts) -> None:
+        """A page that opens before the agents have joined."""
 
     def live(self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Callable[[str], None]) -> Live:
         scenery = scenery_of(run.scenario, run.source, world=run.world, live=True)

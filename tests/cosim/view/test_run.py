@@ -105,6 +105,24 @@ def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repea
     assert _lost(again.radio) == [each for each in _lost(load(out).radio) if each["sent_ns"] <= end_ns]
 
 
+def test_the_page_is_there_before_the_agents_are_and_says_why_the_run_did_not_begin(tmp_path: Path) -> None:
+    (tmp_path / "looked-at.toml").write_text(SCENARIO)
+    hosts = ["--agents", "zenoh", "--listen", "tcp/127.0.0.1:0", "--set", "agents.join_timeout_s=8"]
+    page_and_files = ["--view", "--view-port", "0", "--out", str(tmp_path / "out")]
+    command = [sys.executable, *UNDRAWN, "run", str(tmp_path / "looked-at.toml"), *hosts, *page_and_files]
+    with browser() as chromium, subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        try:
+            line = next(line for line in process.stderr if line.startswith("control station: "))
+            page = chromium.new_page()
+            page.goto(line.split()[-1])
+            page.get_by_text("waiting for its agents").wait_for(timeout=WAIT_MS)
+            page.get_by_text("Run finished: ").wait_for(timeout=WAIT_MS)
+            assert "car1" in page.inner_text("#over")  # which agents did not join
+        finally:
+            process.kill()
+
+
 def _lost(frames: Any) -> list[Any]:
     """Frames that were lost in an outage."""
     return [each for each in frames.to_pylist() if each["outcome"] == "outage"]

@@ -10,7 +10,7 @@ from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.messages import Scenery
-from vcmvsp.cosim.view.scenery import scenery_of
+from vcmvsp.cosim.view.scenery import crafts_of, scenery_of
 
 SOLIDS: list[dict[str, Any]] = [
     {"kind": "box", "center": [0.0, 0.0, 0.5], "size": [1.0, 1.0, 1.0], "color": [1, 0, 0]},
@@ -96,9 +96,9 @@ def test_what_agents_said_counts_more_than_what_the_scenario_says() -> None:
     assert (uav.agent, uav.period_s, uav.flies, uav.sensors) == ("", None, True, {})
     parsed, source = scenarios.load("lab-patrol")  # its agents have periods of their own
     with assemble(parsed, source) as assembled:
-        told = scenery_of(parsed, source, world=assembled.world, infos=assembled.agents)
+        told = crafts_of(parsed, source, infos=assembled.agents)
     assert scenery_of(parsed, source).vehicles[0].period_s is None
-    assert told.vehicles[0].period_s == 0.1
+    assert told[0].period_s == 0.1
 
 
 def test_the_floor_is_the_picture_that_cameras_see() -> None:
