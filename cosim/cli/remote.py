@@ -14,9 +14,11 @@ import msgspec
 import typer
 
 from vcmvsp.cosim.cli.options import AsJson, Changes, DialInsecurely, KeysOfVehicle, SecretOfRun, changes, say
+from vcmvsp.cosim.cli.run import ViewHost, ViewPort, control_station
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.util.text import plain, stdout_to_stderr
+from vcmvsp.cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.hosts.observers import Check, Seen
@@ -82,10 +84,14 @@ def watch_command(
     ] = None,
     json: AsJson = False,
     count: Annotated[int | None, typer.Option(metavar="N", min=1, help="Stop after N lines.")] = None,
+    view: Annotated[bool, typer.Option("--view", help="Show the run on a page of this machine, without controls.")] = False,
+    view_host: ViewHost = HOST,
+    view_port: ViewPort = PORT,
 ) -> None:
     """Watch a run from here, or from another machine, until it ends.
 
-    A terminal shows the newest value of each topic twice per second; files, pipes and --json get all events.
+    A terminal shows the newest value of each topic twice per second; files, pipes and --json get all events. With --view a
+    page on this machine shows the run; it cannot change the run.
 
     Example: vcmvsp watch tls/192.168.1.10:7447 --keys anna.keys --topic 'car2/*'
     """
@@ -93,13 +99,19 @@ def watch_command(
     from vcmvsp.cosim.transport import endpoints
     from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
+    if view and (topic or json or count is not None):
+        raise UsageError("--view shows the whole run on a page: leave out --topic, --json and --count")
+
     bundle = _bundle(keys)
     if bundle is not None and (warning := bundle.check()):
         say(warning)
     endpoint = endpoint_rules(endpoint, bundle, insecure=insecure, side="observer")
+    connection: dict[str, Any] = {"bundle": bundle, "secret": endpoints.given(secret, insecure=insecure), "on_state": say}
+    if view:
+        _watch_page(endpoint, (view_host, view_port), connection)
+        return
     newest_only = not json and sys.stdout.isatty()
-    every_s, password = REFRESH_S if newest_only else 0.0, endpoints.given(secret, insecure=insecure)
-    batches = watch(endpoint, topic or ["**"], bundle=bundle, secret=password, every_s=every_s, on_state=say)
+    batches = watch(endpoint, topic or ["**"], every_s=REFRESH_S if newest_only else 0.0, **connection)
     left = sys.maxsize if count is None else count
     with contextlib.closing(batches):
         for batch in batches:
@@ -109,6 +121,16 @@ def watch_command(
             left -= len(shown)
             if left == 0:
                 break
+
+
+def _watch_page(endpoint: str, page: tuple[str, int], connection: dict[str, Any]) -> None:
+    from vcmvsp.cosim.view.live.broadcast import show
+
+    with control_station(page) as station:
+        show(endpoint, station, **connection)
+        if sys.stderr.isatty():
+            say("The page shows the end of the run until you press Ctrl-C.")
+            station.stay()
 
 
 def line(seen: "Seen") -> str:

@@ -251,7 +251,7 @@ def conduct(
     default = Path("runs") / f"{parsed.name}-{parsed.seed}"
     run = functools.partial(start, scenario, seed=seed, set=settings) if start else functools.partial(api.run, loaded)
     with contextlib.ExitStack() as stack:
-        viewing = None if page is None else stack.enter_context(_viewing(page))
+        viewing = None if page is None else stack.enter_context(control_station(page))
         if viewing is not None:
             options["view"] = viewing
         with stdout_to_stderr(), Progress(quiet=quiet) as progress:
@@ -277,7 +277,7 @@ def conduct(
     return result
 
 
-def _viewing(page: tuple[str, int]) -> "Viewing":
+def control_station(page: tuple[str, int]) -> "Viewing":
     """The page of a live run; its address is printed even with ``--quiet``."""
     from vcmvsp.cosim.view.live.session import Viewing
     from vcmvsp.cosim.view.web_server import caution

@@ -77,7 +77,7 @@ class Topics:
     """
 
     def __init__(self, session: zenoh.Session, about: Mapping[str, Any], keys: "Keys | None" = None) -> None:
-        self._session, self._about, self._keys = session, about, keys
+        self.session, self._about, self._keys = session, about, keys
         self._version = metadata.version("vcmvsp")
         self._now_ns: int | None = None
         self._heard: dict[str, bool] = {}  # whether a key has subscribers
@@ -113,7 +113,7 @@ class Topics:
 
         if set(key).isdisjoint("*$?#"):  # keys of user-defined events may contain reserved characters
             with contextlib.suppress(zenoh.ZError):
-                publisher = self._session.declare_publisher(
+                publisher = self.session.declare_publisher(
                     key_names.TOPIC + key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA_LOW
                 )
                 self._publishers[key] = publisher
@@ -156,7 +156,7 @@ class Topics:
             if speaker is not None:
                 query.reply(query.key_expr, msgspec.json.encode(self._answer(speaker[0])), encoding="application/json;about")
                 if query.payload is not None and query.payload.to_bytes() == ECHO:
-                    self._session.put(
+                    self.session.put(
                         f"{key_names.TOPIC}echo/{speaker[0]}",
                         b'{"type":"echo"}',
                         encoding="application/json;echo",

@@ -3,6 +3,7 @@
 `watch` receives its events; `examine` tests the connection between a machine and a run.
 """
 
+import contextlib
 import hashlib
 import queue
 import ssl
@@ -37,6 +38,60 @@ Check = tuple[str, bool, str]
 """What was tested, whether it works, and details."""
 
 
+class Observed(NamedTuple):
+    """The connection of an observer to a run."""
+
+    session: zenoh.Session
+    endpoint: str
+    about: About
+    presence: "_Presence"
+    on_state: Callable[[str], None]
+
+    def samples(self, keys: Sequence[str], every_s: float = 0.0) -> Generator[list[zenoh.Sample], None, None]:
+        """Samples of these keys, in batches ``every_s`` apart (0: as they come), until the run has ended."""
+        inbox: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
+        lost = 0
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            nonlocal lost
+            if inbox.qsize() < BACKLOG:
+                inbox.put(sample)
+            else:
+                lost += 1
+
+        for key in keys:
+            self.session.declare_subscriber(key, Callback(on_sample, indirect=False))
+        self.on_state(f"watching {self.endpoint}: {which(self.about)}")
+        over = False
+        while not over:
+            over = self.presence.is_over()  # asked first, so that samples received until then are still returned
+            if batch := _batch(inbox, every_s):
+                yield batch
+        dropped = f"; {lost} samples were dropped: too many to take" if lost else ""
+        self.on_state(f"the run has ended, or is unreachable{dropped}")
+
+
+@contextlib.contextmanager
+def observed(
+    endpoint: str,
+    *,
+    bundle: "Bundle | None" = None,  # certificate of this observer; None: plain TCP
+    secret: str | None = None,  # secret of the run, without a certificate, as in `cosim.hosts.host_client.dial`
+    on_state: Callable[[str], None] = lambda _: None,  # called with the state of the connection
+) -> Iterator[Observed]:
+    """Connect to a run, as soon as it listens.
+
+    Raises:
+        UsageError: the run refuses this observer, or the certificate is a host's.
+    """
+    if bundle is not None and bundle.role != "observer":
+        owner = ", ".join(bundle.vehicles)
+        raise UsageError(f"{bundle.path}: is for the host of {owner}; to watch, use a file made by 'vcmvsp keys observer NAME'")
+    with dial(endpoint, bundle, on_state, secret=secret) as session:
+        about = greeted(session, key_names.OPEN if bundle is None else bundle.name)
+        yield Observed(session, endpoint, about, _Presence(session, endpoint, bundle), on_state)
+
+
 class Seen(NamedTuple):
     """An event of the run on arrival."""
 
@@ -58,10 +113,8 @@ def watch(
     endpoint: str,
     topics: Sequence[str] = ("**",),  # key expressions to subscribe to, e.g. ``car2/*``
     *,
-    bundle: "Bundle | None" = None,  # certificate of this observer; None: plain TCP
-    secret: str | None = None,  # secret of the run, without a certificate, as in `cosim.hosts.host_client.dial`
     every_s: float = 0.0,  # batch interval
-    on_state: Callable[[str], None] = lambda _: None,  # called with the state of the connection
+    **connection: Any,  # as of `observed`
 ) -> Generator[list[Seen], None, None]:
     """Events of a run, until it ends; waits for a run that has not begun.
 
@@ -74,32 +127,10 @@ def watch(
         except zenoh.ZError as error:
             problem = "must be a topic such as car2/command, with * for one part and ** for any number"
             raise UsageError(f"--topic {topic}: {problem}") from error
-    if bundle is not None and bundle.role != "observer":
-        owner = ", ".join(bundle.vehicles)
-        raise UsageError(f"{bundle.path}: is for the host of {owner}; to watch, use a file made by 'vcmvsp keys observer NAME'")
-    with dial(endpoint, bundle, on_state, secret=secret) as session:
-        name = key_names.OPEN if bundle is None else bundle.name
-        about = greeted(session, name)
-        inbox: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
-        lost = 0
-
-        def on_sample(sample: zenoh.Sample) -> None:
-            nonlocal lost
-            if inbox.qsize() < BACKLOG:
-                inbox.put(sample)
-            else:
-                lost += 1
-
-        run = _Presence(session, endpoint, bundle)
-        for topic in topics:
-            session.declare_subscriber(key_names.TOPIC + topic, Callback(on_sample, indirect=False))
-        on_state(f"watching {endpoint}: {which(about)}")
-        over = False
-        while not over:
-            over = run.is_over()  # asked first, so that events received until then are still returned
-            if batch := _batch(inbox, every_s):
+    with observed(endpoint, **connection) as run:
+        for samples in run.samples([key_names.TOPIC + topic for topic in topics], every_s):
+            if batch := [seen for sample in samples if (seen := _seen(sample))]:
                 yield batch
-        on_state("the run has ended, or is unreachable" + (f"; {lost} events were dropped: too fast to print" if lost else ""))
 
 
 class _Presence:
@@ -135,17 +166,15 @@ class _Presence:
         self._gone_at = None if sample.kind == zenoh.SampleKind.PUT else time.monotonic()
 
 
-def _batch(inbox: "queue.SimpleQueue[zenoh.Sample]", every_s: float) -> list[Seen]:
-    """Events that arrive within ``every_s``; if that is 0, waits for the first and returns all that are there."""
-    found: list[Seen] = []
+def _batch(inbox: "queue.SimpleQueue[zenoh.Sample]", every_s: float) -> list[zenoh.Sample]:
+    """Samples that arrive within ``every_s``; if that is 0, waits for the first and returns all that are there."""
+    found: list[zenoh.Sample] = []
     last = time.monotonic() + (every_s or POLL_S)
     while (left_s := last - time.monotonic()) > 0.0:
         try:
-            sample = inbox.get(timeout=left_s)
+            found.append(inbox.get(timeout=left_s))
         except queue.Empty:
             break
-        if seen := _seen(sample):
-            found.append(seen)
         if not every_s and inbox.empty():
             break
     return found

@@ -128,7 +128,13 @@ class Simulation:
         self._live = None if view is None else view.live(run, speed or 1.0, stop=self._stop, tell=tell)
         self._clock = run.clock if self._live is None else self._live.clock
         topics, live = run.hosts.topics, self._live
-        onlookers = (topics.on if topics else None, observe, live.on if live else None)
+        self._broadcast = None
+        if topics is not None:
+            from vcmvsp.cosim.view.live.broadcast import Broadcast
+
+            self._broadcast = Broadcast(run, topics)
+        pages = [page.on for page in (live, self._broadcast) if page is not None]
+        onlookers = (topics.on if topics else None, observe, *pages)
         self._observers = [each for each in onlookers if each is not None]
         self._resolved = run.resolved()  # before the run: an error here must not discard a finished run
         info = msgspec.structs.replace(run.info, paced=self._clock.speed is not None)
@@ -206,6 +212,8 @@ class Simulation:
                 recorder.on(Event(f"{vehicle}/host", kernel.now_ns, gone))
         recorder.log("error" if failure else "info", str(failure or "the run is complete"), kernel.now_ns)
         recorder.close(kernel.now_ns, is_cut=failure is not None)
+        if self._broadcast is not None:
+            self._broadcast.close(str(failure or "the run is complete"))
         if self._live is not None:
             kept = "it is not recorded" if self._folder is None else f"`vcmvsp view {self._folder.path}` opens the recording"
             self._live.close(f"{failure or 'the run is complete'}; {kept}")
@@ -219,16 +227,20 @@ class Simulation:
 
     def _on_instant(self) -> Callable[[int], None] | None:
         """Callback before each instant: progress display and live view."""
-        progress, live, end_ns = self._progress, self._live, self._run.info.duration_ns
-        if live is None:
+        progress, live, broadcast = self._progress, self._live, self._broadcast
+        clock, end_ns = self._clock, self._run.info.duration_ns
+        if live is None and broadcast is None:
             return None if progress is None else lambda now: progress(now, end_ns)
 
-        def both(now_ns: int) -> None:
-            live.on_instant(now_ns)
+        def all_of_them(now_ns: int) -> None:
+            if live is not None:
+                live.on_instant(now_ns)
+            if broadcast is not None:
+                broadcast.pace(clock.speed)
             if progress is not None:
                 progress(now_ns, end_ns)
 
-        return both
+        return all_of_them
 
     def _observer(self, recorder: Recorder) -> Observer:
         """Passes each event to the recording, then to the other observers."""

@@ -10,7 +10,18 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import IO, TYPE_CHECKING, Any
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.transport.key_names import ABOUT, HUB_ALIVE, JOIN, OPEN, TOPICS, about_key, greet_key, join_key
+from vcmvsp.cosim.transport.key_names import (
+    ABOUT,
+    HUB_ALIVE,
+    JOIN,
+    OPEN,
+    PAGE_SCENERY,
+    PAGE_UPDATE,
+    TOPICS,
+    about_key,
+    greet_key,
+    join_key,
+)
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle, Keys
@@ -196,6 +207,10 @@ def _access(hosts: Iterable[str], observers: Iterable[str]) -> Config:
         allow = policy(name)
         allow("listens", "ingress", ["declare_subscriber"], TOPICS)
         allow("hears", "egress", ["put"], TOPICS)
+        allow("opens a page", "ingress", ["declare_subscriber"], PAGE_UPDATE)
+        allow("sees it", "egress", ["put"], PAGE_UPDATE)
+        allow("asks for scenery", "ingress", ["query"], PAGE_SCENERY)
+        allow("gets it", "egress", ["reply"], PAGE_SCENERY)
     return rules.config()
 
 

@@ -9,6 +9,8 @@ With a machine's name NAME from its certificate and ZID, the id of its Zenoh ses
     vcmvsp/host/NAME/ZID/alive   liveliness token of a host
     vcmvsp/hub/alive             liveliness token of the hub
     vcmvsp/topic/...             events of the run for observers
+    vcmvsp/page/update           updates of the run's page for observers
+    vcmvsp/page/scenery          queryable of the hub: constant content of that page, for observers
 
 Between a driver of the run and the program on the robot of its vehicle (`hardware.remote_robot`)::
 
@@ -29,6 +31,7 @@ OPEN = "anyone"
 
 JOIN, ABOUT, HUB_ALIVE = "vcmvsp/join/*", "vcmvsp/about/*", "vcmvsp/hub/alive"
 TOPIC, TOPICS = "vcmvsp/topic/", "vcmvsp/topic/**"
+PAGE_UPDATE, PAGE_SCENERY = "vcmvsp/page/update", "vcmvsp/page/scenery"
 GREET = "vcmvsp/robot/*/greet"
 ALIVE = "vcmvsp/host/*/*/alive"
 

@@ -6,14 +6,15 @@ Nothing here waits for the viewer, grows while it does not read, or changes the 
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
 
+from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.recording.run_state import RunState
+from vcmvsp.cosim.recording.run_state import LogLine, RunState
 from vcmvsp.cosim.types import Image, Later, Scan
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
@@ -24,10 +25,43 @@ AGAIN_S = 0.002  # between two attempts to finish a message
 READING_S = 0.2  # between two readings computed for display only
 FAREWELL_S = 1.0  # time for the viewer to receive the last message
 MOST_ORDERS = 200  # pending orders; older ones are dropped
+MOST_LINES = 200  # log lines of a whole update
 READINGS: Mapping[type, str] = {Scan: "scans", Image: "images"}
+
+
+def motions_of(world: "worlds.World") -> dict[str, Any]:
+    """Arguments of `Feed` for obstacles and targets that move by themselves."""
+    return {
+        "moving": {each.name: each.pose for each in world.moving},
+        "targets": {each.name: each.place for each in world.targets},
+    }
+
 
 Poses = Mapping[str, Callable[[float], Pose]]
 Places = Mapping[str, Callable[[float], tuple[float, float]]]
+
+
+class Channel(Protocol):
+    """Connection to a viewer process, as of `protocol.Pipe`, or to observers of the run."""
+
+    @property
+    def open(self) -> bool:
+        """Whether the other end is there, as far as known."""
+
+    def push(self) -> bool:
+        """Whether a message can begin."""
+
+    def offer(self, payload: bytes) -> bool:
+        """Begin a message if it can; returns whether it has begun."""
+
+    def offer_within(self, payload: bytes, wait_s: float) -> bool:
+        """Send a message; returns whether that succeeded in time."""
+
+    def take(self) -> list[bytes]:
+        """The received messages."""
+
+    def close(self) -> None:
+        """Close this end."""
 
 
 class Feed:
@@ -38,16 +72,18 @@ class Feed:
         scenery: scenery that the viewer process has received.
         moving: function of time, s: poses of obstacles with a time-table, x, y, z m and yaw rad, by name.
         targets: function of time, s: positions of targets, x, y m.
+        whole_s: time between two updates that leave nothing out, for readers that join late or lose updates; None: none.
         clock: the wall clock, s.
     """
 
     def __init__(
         self,
-        pipe: protocol.Pipe,
+        pipe: Channel,
         scenery: Scenery,
         *,
         moving: Poses | None = None,
         targets: Places | None = None,
+        whole_s: float | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pipe, self._clock = pipe, clock
@@ -61,6 +97,8 @@ class Feed:
         self._due_s = self._read_s = -1e9
         self._pace, self._paces = Pace(), deque[tuple[float, int]]()  # times of the run within the last second
         self._crafts: tuple[Craft, ...] = ()  # not sent yet
+        self._whole_s, self._whole_due_s = whole_s, -1e9
+        self._sent_lines, self._all_crafts = deque[LogLine](maxlen=MOST_LINES), scenery.vehicles
         self._orders: deque[Order] = deque(maxlen=MOST_ORDERS)
         self.problem = ""  # reason for the end of the viewer process, if it gave one
 
@@ -83,6 +121,7 @@ class Feed:
     def describe(self, crafts: Sequence[Craft]) -> None:
         """Show all vehicles as described from now on, with their agents."""
         self._crafts, self._fresh = tuple(crafts), True
+        self._all_crafts = self._crafts
 
     def say(self, level: str, text: str) -> None:
         """Add a line to the displayed log."""
@@ -109,6 +148,8 @@ class Feed:
     def close(self, why: str) -> None:
         """Show how the run ended, if the viewer receives it within a second; the pipe stays open."""
         self._pace = msgspec.structs.replace(self._pace, over=why)
+        if self._whole_s is not None:
+            self._leave_nothing_out()
         self._pipe.offer_within(self._encoded(self._clock()), FAREWELL_S)
         self._forget()
 
@@ -145,11 +186,25 @@ class Feed:
             self._read_s, self._fresh = now_s, True
         if not self._pipe.push():
             self._due_s = now_s + AGAIN_S
-        elif self._fresh and self._pipe.offer(self._encoded(now_s)):
+            return
+        if self._whole_s is not None and now_s >= self._whole_due_s:
+            self._whole_due_s = now_s + self._whole_s
+            self._leave_nothing_out()
+        if self._fresh and self._pipe.offer(self._encoded(now_s)):
             self._forget()
+
+    def _leave_nothing_out(self) -> None:
+        """Make the next update hold everything but readings of sensors."""
+        state = self._state
+        known = {name: values for name, values in state.newest.items() if name not in READINGS.values()}
+        state.fresh = {(name, key): None for name, values in known.items() for key in values}
+        state.lines.extendleft(reversed(self._sent_lines))
+        self._sent_lines.clear()
+        self._crafts, self._fresh = self._all_crafts, True
 
     def _forget(self) -> None:
         self._state.fresh.clear()
+        self._sent_lines.extend(self._state.lines)
         self._state.lines.clear()
         self._crafts, self._fresh = (), False
 

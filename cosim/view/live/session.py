@@ -19,12 +19,13 @@ from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.util.text import Tell
 from vcmvsp.cosim.view import HOST
 from vcmvsp.cosim.view.live import protocol
-from vcmvsp.cosim.view.live.feed import Feed, Places, Poses
+from vcmvsp.cosim.view.live.feed import Feed, Places, Poses, motions_of
 from vcmvsp.cosim.view.messages import End, Go, Order, Pace, Scenery
 from vcmvsp.cosim.view.scenery import crafts_of, scenery_of
 from vcmvsp.cosim.view.web_server import new_token, url_of
 
 START_S = 60.0  # time for the page to start
+RELAY_S = 10.0  # time for the page to take an update
 LEAVE_S = 3.0  # time for the process to exit by itself
 MODULE = "vcmvsp.cosim.view.live.server"
 
@@ -59,11 +60,8 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
         allowed = {"sensors": True, "halt": True, "outage": True, "end": True}
         allowed |= {"move": bool(world.movables), "set": bool(keys), "pace": not parts.has_outside}
         may = tuple(order for order, is_obeyed in allowed.items() if is_obeyed)
-        self.open(
-            scenery_of(parts.scenario, parts.source, world=world, live=True, may=may, keys=keys),
-            moving={each.name: each.pose for each in world.moving},
-            targets={each.name: each.place for each in world.targets},
-        )
+        scenery = scenery_of(parts.scenario, parts.source, world=world, live=True, may=may, keys=keys)
+        self.open(scenery, **motions_of(world))
         self.feed.pace(Pace(waiting="its agents"))
 
     def live(self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Tell) -> "Live":
@@ -95,6 +93,12 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
         self.url, self.feed = url_of(self._host, port, token), Feed(pipe, scenery, moving=moving, targets=targets)
         self._opened(self.url)
         return self
+
+    def relay(self, update: bytes) -> None:
+        """Show an encoded update of another run's page (`cosim.view.live.broadcast`)."""
+        if self._pipe is None or not self._pipe.offer_within(update, RELAY_S):
+            raise UsageError("the control station disconnected")
+        self._pipe.take()  # choices of sensors have no effect there
 
     def stay(self) -> None:
         """Wait until the process ends or Ctrl-C is pressed: the page stays usable after the run."""

@@ -24,6 +24,7 @@ from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.event_publisher import ECHO, Topics, stamp
 from vcmvsp.cosim.hosts.hub import QUEUES, Hub
+from vcmvsp.cosim.hosts.page_publisher import PagePublisher
 from vcmvsp.cosim.received import receptions_at
 from vcmvsp.cosim.recording import foxglove as messages
 from vcmvsp.cosim.security import authority, certificates
@@ -334,6 +335,32 @@ def test_observers_hear_and_nobody_else_does(keys: Keys, stack: contextlib.ExitS
     assert ask(sessions["ben"], key_names.about_key("ben"))[0]["scenario"] == "here"
     assert {key for key, *_ in ears["ben"].heard} == {"car2/note"}
     assert ears["laptop"].heard == ears["gone"].heard == []
+
+
+def test_observers_see_the_page_and_nobody_else_does(keys: Keys, stack: contextlib.ExitStack) -> None:
+    """Its scenery tells where targets are, which no agent may know."""
+    hub = Hub("tls/127.0.0.1:0", keys)
+    stack.callback(hub.close)
+    page = PagePublisher(hub.session, b"the scenery")
+    stack.callback(page.close)
+    assert not page.push()  # nobody looks
+    seen: dict[str, list[zenoh.Sample]] = {name: [] for name in ("laptop", "anna", "ben")}
+    sessions = {}
+    for name, updates in seen.items():
+        security = access_control.machine_security(certificates.load_bundle(keys.folder / f"{name}.keys"))
+        sessions[name] = stack.enter_context(client(hub.endpoint, security))
+        sessions[name].declare_subscriber(key_names.PAGE_UPDATE, Callback(updates.append, indirect=False))
+    until(page.push)
+    until(lambda: page.offer(b"an update") and seen["anna"] and seen["ben"])
+    scenery = {
+        name: [each.ok.payload.to_bytes() for each in session.get(key_names.PAGE_SCENERY, timeout=2.0) if each.ok]
+        for name, session in sessions.items()
+    }
+    assert scenery == {"anna": [b"the scenery"], "ben": [b"the scenery"], "laptop": []}
+    sessions["anna"].put(key_names.PAGE_UPDATE, b"evil")
+    settle()
+    assert {each.payload.to_bytes() for each in seen["ben"]} == {b"an update"}
+    assert seen["laptop"] == []
 
 
 # --- a slow observer ---

@@ -18,6 +18,7 @@ import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import VCMVSP, Stage, ended, ended_with, said_by, wait_for
 from tests.support.cosim.teams import FOLLOWER, LEADER, team
+from tests.support.cosim.view_pages import browser
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import remote
 from vcmvsp.cosim.hosts.observers import Seen
@@ -184,6 +185,32 @@ def test_with_certificates_only_observers_watch(theatre: Theatre) -> None:
     assert "add --keys FILE (made on the run's machine with: vcmvsp keys observer NAME" in said
     assert [ended(each)[0] for each in (run, theatre.host("--keys", "keys/laptop.keys"), anna)] == [0, 0, 0]
     assert theatre.seen("anna")[-1]["time_ns"] == 2_000_000_000
+
+
+def test_a_page_elsewhere_shows_the_run_without_controls_and_changes_no_bit(theatre: Theatre) -> None:
+    authority.init(theatre.folder / "keys")
+    authority.issue(theatre.folder / "keys", "anna")
+    authority.issue(theatre.folder / "keys", "laptop", ("car1", "car2"))
+    theatre.endpoint = f"tls/127.0.0.1:{theatre.port}"
+    with browser() as chromium:
+        run = theatre.waiting("--keys", "keys", "--set", "duration_s=10")
+        observer = theatre.watch("page", "--keys", "keys/anna.keys", "--view", "--view-port", "0")
+        host = theatre.host("--keys", "keys/laptop.keys")
+        url = said_by(observer, "control station: ").split()[-1]
+        page = chromium.new_page()
+        page.goto(url)
+        page.get_by_text("Run finished: the run is complete").wait_for(timeout=60_000)
+        assert "car1, kinematic" in page.inner_text("body")
+        for control in ("Stop all vehicles", "End the run", "Pause", "Inject outage"):
+            assert page.get_by_text(control).count() == 0
+        assert [ended(each)[0] for each in (run, host, observer)] == [0, 0, 0]
+    alone = vcmvsp.run(theatre.folder / "shown.toml", set={"duration_s": 10.0}, mcap=False)
+    assert theatre.digest() == alone.metrics["digest"]
+
+
+def test_a_page_leaves_no_lines_to_choose() -> None:
+    code, _, said = vcmvsp_command("watch", "tcp/127.0.0.1:1", "--view", "--json")
+    assert (code, said) == (2, "vcmvsp: --view shows the whole run on a page: leave out --topic, --json and --count\n")
 
 
 @pytest.mark.parametrize("topic", ["", "/", "car1/", "a//b", "car1/#", "a*"])

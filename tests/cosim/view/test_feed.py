@@ -5,13 +5,14 @@ import tracemalloc
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import vcmvsp
-from tests.support.cosim.feeds import NAMES, Counted, Reader, at, frame_of, receptions
+from tests.support.cosim.feeds import NAMES, SCENERY, Counted, Reader, at, frame_of, receptions
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import quaternion_from_yaw
@@ -341,6 +342,25 @@ def test_obstacles_and_targets_are_where_they_are() -> None:
         shown = reader.read_all()
     assert shown.obstacles == {"door": (1.0, 0.0, 1.0, 0.5), "crate": (7.0, 8.0, 0.5, pytest.approx(0.25))}
     assert shown.targets == {"alpha": (0.0, 2.0)}
+
+
+def test_a_reader_that_joins_late_is_shown_everything() -> None:
+    with Reader(whole_s=1.0) as early, Reader() as reader:
+        for each in (early, reader):
+            each.on(0, "world/states", at(1.0))
+            each.on(0, "a/follows", Follows(leader="b", slot=(1.0, 0.0)))
+            each.on(0, "a/note", Note(values={"mode": "search"}))
+            each.on(0, "radio/frame", frame_of(0, "a", {"b": 5, "c": None}))
+            each.wait()
+        known = msgspec.structs.replace(reader.known(), crafts=SCENERY.vehicles)
+        assert codec.encode(known) == codec.encode(early.known())
+        assert known.lines
+        for _ in range(3):
+            for each in (early, reader):
+                each.wait(1.1)
+            assert reader.read() == []  # each value once
+            (whole,) = early.read()
+            assert codec.encode(msgspec.structs.replace(whole, pace=known.pace)) == codec.encode(known)
 
 
 def test_what_befalls_is_told_in_words(reader: Reader) -> None:

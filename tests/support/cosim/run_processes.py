@@ -76,10 +76,12 @@ def ended_with(code: int, process: subprocess.Popen[str]) -> str:
     return said
 
 
-def said_by(process: subprocess.Popen[str], what: str) -> None:
-    """Read what it says until this."""
+def said_by(process: subprocess.Popen[str], what: str) -> str:
+    """Read what it says until this; the line that has it."""
     assert process.stderr is not None
-    assert any(what in line for line in process.stderr), what
+    found = next((line for line in process.stderr if what in line), None)
+    assert found is not None, what
+    return found
 
 
 def wait_for(path: Path) -> None:
