@@ -63,7 +63,7 @@ def test_a_run_its_host_and_its_observer_each_with_a_certificate(machines: Machi
     machines.do("vcmvsp keys vehicle car2")
     machines.do("vcmvsp keys observer anna")
     run = machines.start(*machines.words("vcmvsp run gap.toml --set vehicle.car2"), *shlex.split(BRIEF))
-    observer = machines.start(*machines.words("vcmvsp watch tls/"))
+    observer = machines.start(*machines.words("vcmvsp watch tls/192.168.1.10:7447 --keys anna.keys --topic"))
     assert observer.stderr is not None
     assert any("watching" in line for line in observer.stderr)
     machines.do("vcmvsp doctor --connect")

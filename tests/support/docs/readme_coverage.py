@@ -28,6 +28,7 @@ OWN_DOOR = "tests/netsim/bridge/test_readme.py::test_the_custom_gateway_of_the_p
 DIALOGUE = "tests/docs/test_doors.py::test_programs_at_the_doors"
 TURNS = "tests/netsim/sockets/test_readme.py::test_the_worked_example"
 OBSERVER = "tests/cosim/hosts/test_watch.py::test_the_readme_watches_a_run"
+OBSERVED_PAGE = "tests/cosim/hosts/test_watch.py::test_a_page_elsewhere_shows_the_run_without_controls_and_changes_no_bit"
 
 
 def _in_the_gallery() -> dict[str, str]:
@@ -69,6 +70,7 @@ ELSEWHERE = _in_the_gallery() | {
     "vcmvsp run gap.toml --set vehicle.car2.agent.runs=zenoh --listen tls/0.0.0.0:7447 --keys keys": MACHINES,
     "vcmvsp agent keep_gap.py:KeepGap --vehicle car2 --connect tls/192.168.1.10:7447 --keys car2.keys": MACHINES,
     "vcmvsp watch tls/192.168.1.10:7447 --keys anna.keys --topic 'car2/*'": MACHINES,
+    "vcmvsp watch tls/192.168.1.10:7447 --keys anna.keys --view": OBSERVED_PAGE,
     "vcmvsp doctor --connect tls/192.168.1.10:7447 --keys anna.keys": MACHINES,
     "vcmvsp run formation-circle --realtime --listen tls/0.0.0.0:7447 --keys keys": WATCHED,
     "vcmvsp run formation-circle --set bridge.udp.first_port=18000": (
