@@ -83,6 +83,7 @@ class Scenery(Value, frozen=True, kw_only=True):
     live: bool = False  # a current run; else a recording
     may: tuple[str, ...] = ()  # allowed orders: names of the `Order` classes' tags
     keys: Mapping[str, float] = {}  # scenario keys that may change at run time, and their present values
+    events_ns: tuple[int, ...] = ()  # of a recording: times of the lines of its log
 
 
 class LinkStatus(Value, frozen=True, kw_only=True):

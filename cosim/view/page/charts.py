@@ -1,7 +1,8 @@
-"""Charts of the last minutes: speeds, formation errors, deliveries, ages and a note of each vehicle."""
+"""Charts of the last minutes: any quantities of the vehicles and any numbers that agents note, one curve per vehicle."""
 
 import math
 from collections import deque
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import viser
@@ -10,6 +11,7 @@ from viser import uplot
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Scenery
+from vcmvsp.cosim.view.page.controls import picked
 from vcmvsp.cosim.view.page.drawing import Every, css_of
 from vcmvsp.cosim.view.page.state import Known
 from vcmvsp.cosim.view.page.vehicles import errors_of
@@ -18,22 +20,39 @@ POINTS = 300  # of each curve
 PERIOD_S = 0.5
 CURVES = 7  # limited by the number of colours; of more vehicles, the first ones and the chosen one
 WINDOW_NS = 5 * SECOND_NS  # of the delivery ratio
-TITLES = "Speed [m/s]", "Formation error [m]", "Received of the last 5 s [%]", "Time since the last message [s]", "Note"
-NOTHING = "none"
-LARGEST_RATIO = 1e4  # of the ends of an axis with decades
+MOST_NOTES = 40  # names of notes that are collected
+NOTHING, ALL, CHOSEN = "none", "all vehicles", "the chosen vehicle"
+LARGEST_RATIO = 1e4  # of the ends of a logarithmic axis
 HEIGHT_PX = 190
+
+DELIVERY = "Received of the last 5 s [%]"
+QUANTITIES: Mapping[str, Callable[[Known], Array]] = {
+    "Speed [m/s]": lambda known: known.speed,
+    "Formation error [m]": errors_of,
+    "Time since the last message [s]": lambda known: known.age_s,
+    "Level of the last message [dBm]": lambda known: known.level_dbm,
+    "East [m]": lambda known: known.position[:, 0],
+    "North [m]": lambda known: known.position[:, 1],
+    "Height [m]": lambda known: known.position[:, 2],
+    "Heading [rad]": lambda known: known.yaw,
+}
+"""Quantities of each vehicle, (n,), by their titles; NaN: unknown."""
+AT_FIRST = "Speed [m/s]", "Formation error [m]", DELIVERY, "Time since the last message [s]"
 
 
 class History:
-    """Data of the charts: one row per vehicle and quantity, the newest `POINTS` instants."""
+    """The newest `POINTS` instants of all quantities, one value per vehicle.
+
+    Attributes:
+        time_s: the instants, s.
+        numbers: values at these instants, (n,) each, by title; notes have the title ``note NAME``.
+    """
 
     def __init__(self, scenery: Scenery) -> None:
         self._count = len(scenery.vehicles)
         self._times_back = 0
-        self.note = NOTHING  # name of the notes in the last row of `numbers`
-        self.known_notes: set[str] = set()
         self.time_s: deque[float] = deque(maxlen=POINTS)
-        self.numbers: list[deque[Array]] = [deque(maxlen=POINTS) for _ in TITLES]
+        self.numbers: dict[str, deque[Array]] = {title: deque(maxlen=POINTS) for title in (*QUANTITIES, DELIVERY)}
         self._counts: deque[tuple[int, Array, Array]] = deque(maxlen=POINTS)
 
     def sample(self, known: Known) -> bool:
@@ -42,29 +61,29 @@ class History:
             self._times_back = known.times_back
             self.time_s.clear()
             self._counts.clear()
-            for numbers in self.numbers:
+            for numbers in self.numbers.values():
                 numbers.clear()
         if self.time_s and known.now.time_ns / SECOND_NS <= self.time_s[-1]:
             return False
+        now = {title: quantity(known).copy() for title, quantity in QUANTITIES.items()}
+        now |= {DELIVERY: self._delivery(known), **self._noted(known)}
+        unknown = np.full(self._count, np.nan)
+        for title in now.keys() - self.numbers.keys():  # a new note
+            self.numbers[title] = deque([unknown] * len(self.time_s), maxlen=POINTS)
         self.time_s.append(known.now.time_ns / SECOND_NS)
-        quantities = (known.speed, errors_of(known), self._delivery(known), known.age_s, self._noted(known))
-        for numbers, each in zip(self.numbers, quantities, strict=True):
-            numbers.append(each)
+        for title, numbers in self.numbers.items():
+            numbers.append(now.get(title, unknown))
         return True
 
-    def choose(self, note: str) -> None:
-        """Collect another note from now on."""
-        self.note = note
-        self.numbers[-1] = deque([np.full(self._count, np.nan)] * len(self.time_s), maxlen=POINTS)
-
-    def _noted(self, known: Known) -> Array:
-        """The newest number that each vehicle has noted under the chosen name; NaN without one."""
-        found = np.full(self._count, np.nan)
+    def _noted(self, known: Known) -> dict[str, Array]:
+        """The newest number that each vehicle has noted under each name; NaN without one."""
+        found: dict[str, Array] = {}
         for vehicle, notes in known.now.notes.items():
-            self.known_notes.update(name for name, value in notes.items() if isinstance(value, float))
-            value = notes.get(self.note)
-            if isinstance(value, float) and vehicle in known.row:
-                found[known.row[vehicle]] = value
+            for name, value in notes.items():
+                title = f"note {name}"
+                full = title not in self.numbers and len(self.numbers) >= len(QUANTITIES) + 1 + MOST_NOTES
+                if isinstance(value, float) and vehicle in known.row and not full:
+                    found.setdefault(title, np.full(self._count, np.nan))[known.row[vehicle]] = value
         return found
 
     def _delivery(self, known: Known) -> Array:
@@ -83,23 +102,23 @@ class History:
 class Chart:
     """One chart. A new frame needs a new chart, because a page would keep the old axes."""
 
-    def __init__(self, server: viser.ViserServer, title: str) -> None:
-        self._gui, self.title = server.gui, title
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._gui = server.gui
         self._place = server.gui.add_folder(None)
         self._node: viser.GuiUplotHandle | None = None
         self._frame: tuple[object, ...] = ()
 
-    def draw(self, time_s: Array, curves: Array, names: list[str], strokes: list[str], *, log: bool) -> None:
+    def draw(self, title: str, time_s: Array, curves: Array, names: list[str], strokes: list[str], *, log: bool) -> None:
         """Draw curves, (k, n), with these names and colours over times, (k,) s; NaN values are omitted.
 
         Args:
-            log: with decades of the values, of which those above 0 are drawn.
+            log: with a logarithmic axis of the values, of which those above 0 are drawn.
         """
         if log:
             curves = np.where(curves > 0.0, curves, np.nan)
         seen = curves[np.isfinite(curves)]
         ends = limits_of(seen, log=log) if len(seen) else None
-        frame = self.title, ends, log, tuple(names), tuple(strokes)
+        frame = title, ends, log, tuple(names), tuple(strokes)
         data = (time_s, *np.ascontiguousarray(curves.T))
         if frame == self._frame and self._node is not None:
             self._node.data = data
@@ -112,9 +131,11 @@ class Chart:
             # The value axis has explicit limits: the page cannot find the limits of curves that begin with a gap.
             scale: uplot.Scale = {"range": ends, "distr": 3 if log else 1}
             with self._place:
-                self._node = self._made(data, scale, names, strokes)
+                self._node = self._made(title, data, scale, names, strokes)
 
-    def _made(self, data: tuple[Array, ...], scale: uplot.Scale, names: list[str], strokes: list[str]) -> viser.GuiUplotHandle:
+    def _made(
+        self, title: str, data: tuple[Array, ...], scale: uplot.Scale, names: list[str], strokes: list[str]
+    ) -> viser.GuiUplotHandle:
         curves = (
             uplot.Series(label=name, stroke=stroke, width=1.5, points={"show": False})
             for name, stroke in zip(names, strokes, strict=True)
@@ -122,7 +143,7 @@ class Chart:
         return self._gui.add_uplot(
             data=data,
             series=(uplot.Series(label="time [s]"), *curves),
-            title=self.title,
+            title=title,
             scales={"x": {"time": False}, "y": scale},
             axes=({"label": "time [s]", "labelSize": 18, "size": 32}, {"size": 44}),
             legend={"show": len(names) > 1},
@@ -132,20 +153,28 @@ class Chart:
 
 
 class Charts:
-    """Charts of all quantities, updated at most twice a second. Create them in the context of their container."""
+    """Charts of chosen quantities, updated at most twice a second. Create them in the context of their container."""
 
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
+        gui = server.gui
         self._names = [each.name for each in scenery.vehicles]
         self._history = History(scenery)
         self._often = Every(PERIOD_S)
-        self._log = server.gui.add_checkbox("Decades", initial_value=False)
-        self._note = server.gui.add_dropdown("Note", [NOTHING], initial_value=NOTHING)
-        self._note.on_update(lambda _: self._choose())
+        self._log = gui.add_checkbox("Log scale", initial_value=False)
         self._log.on_update(lambda _: self._redraw())
-        self._of = f", {CURVES} of {len(self._names)} vehicles" if len(self._names) > CURVES else ""
-        self._charts = [Chart(server, title + self._of) for title in TITLES]
+        self._of = gui.add_dropdown("Curves of", (ALL, CHOSEN))
+        self._of.on_update(lambda _: self._redraw())
+        self._places: list[tuple[viser.GuiDropdownHandle[str], Chart]] = []
+        for number, title in enumerate(AT_FIRST, 1):
+            choice = gui.add_dropdown(f"Chart {number}", self._options, initial_value=title)
+            choice.on_update(lambda _: self._redraw())
+            self._places.append((choice, Chart(server)))
         self._dark, self._new = False, False
         self._rows: list[int] = []
+
+    @property
+    def _options(self) -> tuple[str, ...]:
+        return NOTHING, *self._history.numbers
 
     def sample(self, known: Known, now_s: float) -> None:
         """Add the present values, twice a second."""
@@ -154,44 +183,48 @@ class Charts:
 
     def draw(self, chosen: int) -> None:
         """Draw charts with new data."""
-        rows = self._shown_rows(chosen)
-        options = (NOTHING, *sorted(self._history.known_notes))
-        if options != tuple(self._note.options):
-            self._note.options = options
-        if not (self._new or (self._history.time_s and rows != self._rows)):
+        rows, history = self._shown_rows(chosen), self._history
+        if not (self._new or (history.time_s and rows != self._rows)):
             return
         self._rows, self._new = rows, False
-        time_s = np.array(self._history.time_s)
+        time_s, options = np.array(history.time_s), self._options
         names, strokes = [self._names[row] for row in rows], [css_of(row, dark=self._dark) for row in rows]
-        for chart, numbers in zip(self._charts, self._history.numbers, strict=True):
-            chart.draw(time_s, np.array(numbers)[:, rows], names, strokes, log=self._log.value)
-
-    def _choose(self) -> None:
-        name = self._note.value
-        self._history.choose(name)
-        self._charts[-1].title = f"Note: {name}{self._of}"
-        self._redraw()
+        left_out = f", {len(rows)} of {len(self._names)} vehicles" if len(rows) < len(self._names) else ""
+        nothing = np.full((len(time_s), len(self._names)), np.nan)
+        for choice, chart in self._places:
+            if options != tuple(choice.options):
+                choice.options = options
+            title = picked(choice)
+            numbers = np.array(history.numbers[title]) if title in history.numbers else nothing
+            chart.draw(f"{title}{left_out}", time_s, numbers[:, rows], names, strokes, log=self._log.value)
 
     def _redraw(self) -> None:
         self._new = bool(self._history.time_s)
 
     def darken(self, dark: bool) -> None:
         """Set the colours for a light or a dark page."""
-        self._dark, self._new = dark, bool(self._history.time_s)
+        self._dark = dark
+        self._redraw()
 
     def _shown_rows(self, chosen: int) -> list[int]:
+        if picked(self._of) == CHOSEN:
+            return [chosen][: len(self._names)]
         if len(self._names) <= CURVES:
             return list(range(len(self._names)))
         return [*range(CURVES)] if chosen < CURVES else [*range(CURVES - 1), chosen]
 
 
 def limits_of(values: Array, *, log: bool) -> tuple[float, float]:
-    """Limits of an axis for these values: whole decades, or 0, or what is below it, and a round number; they seldom change."""
+    """Limits of an axis for these values, which seldom change: round numbers, and 0 unless all values are far from it."""
     low, high = float(values.min()), float(values.max())
     if log:
         low = max(low, high / LARGEST_RATIO)
         return 10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high) + 1e-9)
-    return -round_above(-low) if low < 0.0 else 0.0, round_above(high)
+    nearest, furthest = sorted((abs(low), abs(high)))
+    if low * high > 0.0 and nearest > 0.5 * furthest and high - low > 0.01 * furthest:
+        step = round_above(high - low)
+        return math.floor(low / step) * step, math.ceil(high / step) * step
+    return -round_above(-low) if low < 0.0 else 0.0, round_above(high) if high > 0.0 or low == 0.0 else 0.0
 
 
 def round_above(number: float) -> float:

@@ -4,7 +4,8 @@ A control sends an order and does not change by itself: the next update of the r
 """
 
 import math
-from collections.abc import Callable
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -26,6 +27,8 @@ ALL = "all vehicles"
 STEP_NS = SECOND_NS // 10
 SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 FASTEST = "as fast as it can"
+MARKS = 40  # largest number of marks on the time slider
+EVENTS = "previous", "next"
 HAND_S = 0.7  # delay after the user's last slider input before the player moves it again
 
 
@@ -187,22 +190,42 @@ def _word(speed: float | None) -> str:
     return FASTEST if speed is None else f"{speed:g}x"
 
 
+def apart(times_s: Sequence[float], least_s: float) -> tuple[float, ...]:
+    """The increasing times without those that follow the last one kept by less than ``least_s``."""
+    kept: list[float] = []
+    for time_s in times_s:
+        if not kept or time_s - kept[-1] >= least_s:
+            kept.append(time_s)
+    return tuple(kept)
+
+
 class Timeline:
-    """Time slider of a recording."""
+    """Time slider of a recording, with marks where its log has lines, and buttons to the next and the previous line."""
 
     def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Give, clock: Callable[[], float]) -> None:
         self._give, self._clock = give, clock
         self._end_s = max(scenery.duration_ns / SECOND_NS, 0.01)
-        self._hand_s = -HAND_S
+        self._hand_s, self._now_ns = -HAND_S, 0
         self._often = Every(0.2)
-        self._slider = gui.add_slider("Time [s]", 0.0, self._end_s, step=0.01, initial_value=0.0)
+        self._events_ns = sorted(scenery.events_ns)
+        marks = apart([time_ns / SECOND_NS for time_ns in self._events_ns], self._end_s / MARKS)
+        self._slider = gui.add_slider("Time [s]", 0.0, self._end_s, step=0.01, initial_value=0.0, marks=marks or None)
         self._slider.on_update(self._moved)
+        if self._events_ns:
+            events = gui.add_button_group("Event", EVENTS)
+            events.on_click(lambda _: self._go_to_event(later=events.value == EVENTS[1]))
 
     def draw(self, known: Known) -> None:
         """Move the slider with the recording, unless the user drags it."""
+        self._now_ns = known.now.time_ns
         now_s = self._clock()
         if now_s - self._hand_s > HAND_S and self._often.due(now_s):
             write(self._slider, min(round(known.now.time_ns / SECOND_NS, 2), self._end_s))
+
+    def _go_to_event(self, *, later: bool) -> None:
+        place = bisect_right(self._events_ns, self._now_ns) if later else bisect_left(self._events_ns, self._now_ns) - 1
+        if 0 <= place < len(self._events_ns):
+            self._give(Seek(time_ns=self._events_ns[place]))
 
     def _moved(self, event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
         if event.client_id is not None:  # else `draw` has set it

@@ -86,6 +86,15 @@ class Known:
                 age_s[self.row[vehicle]] = max(0, self.now.time_ns - heard_ns) / SECOND_NS
         return age_s
 
+    @property
+    def level_dbm(self) -> Array:
+        """Level of the newest frame that each vehicle has received, (n,) dBm; NaN before the first."""
+        sent_ns = np.where(self.link_received, self.link_sent_ns, NEVER_NS)
+        if not len(sent_ns):
+            return np.zeros(0)
+        sender, column = sent_ns.argmax(axis=0), np.arange(len(sent_ns))
+        return np.where(sent_ns[sender, column] > NEVER_NS, self.link_rssi_dbm[sender, column], np.nan)
+
     def _forget(self, time_ns: int) -> None:
         self.now = PageUpdate(time_ns=time_ns)
         self.lines: deque[LogLine] = deque(maxlen=LINES)

@@ -77,7 +77,8 @@ class Recording:
         known = self._staged()
         collected.lines[:0] = [LogLine(time_ns=0, level="warning", text=text) for text in self.troubles]
         crafts = [msgspec.structs.replace(each, sensors=self._sensors(each.name, each.sensors)) for each in known.vehicles]
-        self.scenery = msgspec.structs.replace(known, vehicles=tuple(crafts), duration_ns=self.end_ns)
+        events_ns = tuple(dict.fromkeys(line.time_ns for line in collected.lines))
+        self.scenery = msgspec.structs.replace(known, vehicles=tuple(crafts), duration_ns=self.end_ns, events_ns=events_ns)
 
     def close(self) -> None:
         """Close the file."""

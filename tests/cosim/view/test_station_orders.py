@@ -139,6 +139,26 @@ def test_a_recording_is_sought_by_hand_and_plays_by_itself() -> None:
         assert not looked.has("Step 0.1 s")
 
 
+def test_a_recording_goes_from_event_to_event_and_marks_them_on_its_slider() -> None:
+    events_ns = (4 * SECOND_NS, 12 * SECOND_NS, 40 * SECOND_NS, 12_100_000_000)
+    with looking(scenery(may=RECORDED, events_ns=events_ns)) as looked:
+        assert [mark.value for mark in looked.part("Time [s]")._marks] == [4.0, 12.0, 40.0]  # further apart than a pixel or two
+        wanted = [
+            (0.0, "previous", None),
+            (0.0, "next", 4.0),
+            (12.0, "next", 12.1),
+            (12.0, "previous", 4.0),
+            (40.0, "next", None),
+        ]
+        for time_s, which, there_s in wanted:
+            looked.show(time_s)
+            looked.orders.clear()
+            looked.use("Event", which)
+            assert looked.orders == ([] if there_s is None else [Seek(time_ns=round(there_s * SECOND_NS))])
+    with looking(scenery(may=RECORDED)) as looked:
+        assert not looked.has("Event")  # there is none
+
+
 @pytest.mark.parametrize(("may", "resume"), [(LIVE, "Resume"), (RECORDED, "Play")])
 def test_one_button_pauses_and_resumes_and_names_what_it_does(may: tuple[str, ...], resume: str) -> None:
     with looking(scenery(1, may=may)) as looked:

@@ -1,5 +1,6 @@
 """What the panel of the control station says in words and draws as curves: without a browser."""
 
+import math
 import re
 
 import numpy as np
@@ -13,7 +14,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Presence, RealStatus
 from vcmvsp.cosim.view.messages import Craft, Pace, PageUpdate
-from vcmvsp.cosim.view.page.charts import POINTS, History, round_above
+from vcmvsp.cosim.view.page.charts import DELIVERY, POINTS, History, limits_of, round_above
 from vcmvsp.cosim.view.page.panel import log_page, run_page, team_page, vehicle_page
 from vcmvsp.cosim.view.page.state import Known
 from vcmvsp.cosim.view.page.vehicles import places_of
@@ -93,7 +94,7 @@ def test_delivery_is_that_of_the_last_five_seconds() -> None:
         sent, received = np.full((2, 2), 10 * second), np.full((2, 2), 10 * min(second, 10))
         known.take(PageUpdate(time_ns=second * SECOND_NS, sent=sent, received=received))
         history.sample(known)
-    delivery = np.array(history.numbers[2])[:, 0]
+    delivery = np.array(history.numbers[DELIVERY])[:, 0]
     assert delivery[[5, 10]].tolist() == [100.0, 100.0]
     assert delivery[[12, 20]].tolist() == [60.0, 0.0]
 
@@ -104,7 +105,7 @@ def test_curves_are_bounded_and_begin_anew_where_time_goes_back() -> None:
     for second in range(2 * POINTS):
         known.take(shown(scene, float(second)))
         assert history.sample(known)
-    assert len(history.time_s) == len(history.numbers[0]) == POINTS
+    assert len(history.time_s) == len(history.numbers[DELIVERY]) == POINTS
     assert not history.sample(known)  # nothing new
     known.take(shown(scene, 3.0))
     assert history.sample(known)
@@ -127,25 +128,65 @@ def test_charts_show_the_first_vehicles_and_the_chosen_one_and_none_of_what_nobo
         assert error.title == "Formation error [m], 7 of 9 vehicles"
 
 
-def test_a_chosen_note_has_a_chart_and_decades_show_small_numbers() -> None:
+def test_any_note_and_quantity_has_a_chart_and_a_logarithmic_one_shows_small_numbers() -> None:
     with looking(scenery(3)) as looked:
-        looked.show(0.0, notes={"v1": {"gap_m": 0.001}})
-        looked.use("Note", "gap_m")
+        looked.show(0.0)
         for second, gap_m in enumerate((0.002, 0.05), 1):
             looked.show(float(second), notes={"v1": {"gap_m": gap_m}, "v2": {"gap_m": -1.0, "status": "waiting"}})
-        *_, note = looked.parts(viser.GuiUplotHandle)
-        assert note.title == "Note: gap_m"
-        assert np.isnan(note.data[1][0])  # collected since it was chosen
-        assert note.data[1][1:] == pytest.approx([0.002, 0.05])
-        assert note.data[2][1:] == pytest.approx([-1.0, -1.0])
+        looked.use("Chart 4", "note gap_m")
+        looked.use("Chart 1", "East [m]")
+        looked.show(3.0, notes={})
+        east, *_, note = looked.parts(viser.GuiUplotHandle)
+        assert (east.title, note.title) == ("East [m]", "note gap_m")
+        assert east.data[1] == pytest.approx([2.0 * math.cos(0.3 * second) for second in range(4)])
+        assert np.isnan(note.data[1][0])  # nobody had noted it
+        assert note.data[1][1:] == pytest.approx([0.002, 0.05, 0.05])
+        assert note.data[2][1:] == pytest.approx([-1.0, -1.0, -1.0])
         assert note.scales is not None
         assert note.scales["y"]["range"] == (-1.0, pytest.approx(0.05))
-        looked.use("Decades")
-        looked.show(3.0, notes={})
+        looked.use("Log scale")
+        looked.show(4.0, notes={})
         *_, note = looked.parts(viser.GuiUplotHandle)
         assert note.scales is not None
         assert note.scales["y"] == {"range": (pytest.approx(1e-3), pytest.approx(0.1)), "distr": 3}
         assert np.isnan(note.data[2]).all()
+        looked.use("Chart 1", "none")
+        looked.show(5.0, notes={})
+        assert "East [m]" not in [chart.title for chart in looked.parts(viser.GuiUplotHandle)]
+
+
+def test_charts_of_the_chosen_vehicle_alone() -> None:
+    with looking(scenery(3)) as looked:
+        looked.use("Curves of", "the chosen vehicle")
+        looked.use("Vehicle", "v2")
+        looked.show(1.0)
+        looked.show(2.0)
+        speed, *_ = looked.parts(viser.GuiUplotHandle)
+        assert [each["label"] for each in speed.series[1:]] == ["v2"]
+        assert speed.title == "Speed [m/s], 1 of 3 vehicles"
+
+
+def test_the_level_is_that_of_the_newest_frame_that_was_received() -> None:
+    scene = scenery(3)
+    known = known_of(scene, shown(scene, 1.0))  # the last vehicle's frames are lost, and come last
+    assert known.level_dbm.tolist() == [-90.0, -90.0, -45.0]
+    assert np.isnan(known_of(scene).level_dbm).all()
+
+
+@pytest.mark.parametrize(
+    ("values", "ends"),
+    [
+        ([0.1, 0.7], (0.0, 1.0)),
+        ([0.3, 0.3], (0.0, 0.5)),
+        ([0.0, 0.0], (0.0, 0.01)),
+        ([-3.0, 4.0], (-5.0, 5.0)),
+        ([-90.0, -20.0], (-100.0, 0.0)),
+        ([120.0, 133.0], (120.0, 140.0)),
+        ([-80.0, -71.0], (-80.0, -70.0)),
+    ],
+)
+def test_axes_begin_at_zero_unless_all_values_are_far_from_it(values: list[float], ends: tuple[float, float]) -> None:
+    assert limits_of(np.array(values), log=False) == pytest.approx(ends)
 
 
 def test_the_table_of_all_vehicles_sorts_by_what_is_largest() -> None:
