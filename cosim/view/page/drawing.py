@@ -20,6 +20,7 @@ WEAKEST_DBM, STRONGEST_DBM = -95.0, -40.0
 """Range of the colours of links."""
 LIGHTEST = 200  # of the 255 steps of viridis: the yellow beyond is invisible on a light floor
 WHITE = (255, 255, 255)
+SUN = (0.4, -0.7, 1.0)  # direction of the light's source
 SKY = (205, 224, 242)  # paler than that of the cameras, for curves and names before it
 FLOOR, FLOOR_DARK, SKY_DARK = (236, 238, 240), (150, 154, 160), (84, 88, 94)
 TARGET_RGB, EDGE_RGB, LOST_RGB, STOPPED_RGB = (240, 228, 66), (38, 38, 38), (220, 30, 30), (220, 30, 30)

@@ -9,18 +9,15 @@ import viser
 
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Array
-from vcmvsp.cosim.view.messages import Floor, Obstacle, Scenery
-from vcmvsp.cosim.view.page.drawing import EDGE_RGB, FLOOR, FLOOR_DARK, SKY, SKY_DARK, TARGET_RGB, Every, disc
+from vcmvsp.cosim.view.messages import Obstacle, Scenery
+from vcmvsp.cosim.view.page.drawing import EDGE_RGB, SKY, SKY_DARK, SUN, TARGET_RGB, Every, disc
+from vcmvsp.cosim.view.page.floor import DrawnFloor
 from vcmvsp.cosim.view.page.state import Known
 
 MOST_COLORS = 48  # of the solids; with more, similar colours are merged
-MARGIN_M, WIDE_M = 5.0, 40.0
 VEIL, VEIL_S = 0.22, 0.3  # opacity of solids before vehicles, and period of looking for them
 MOST_VEILED, MOST_RAYS = 20_000, 24  # triangles of a world in which solids are looked for, and vehicles looked at
 AXES_RGB = ((200, 40, 40), (30, 140, 50), (40, 70, 200))
-APART = 0.002  # distance between floor and picture, of the size of the floor: a browser's depths are coarse
-FLOOR_Z_M = -0.01  # of the drawn floor, so that objects on it are visible
-SUN = (0.4, -0.7, 1.0)
 TARGET_M = 0.4  # radius of a target's marker
 START = np.array([-0.25, -0.6, 0.6]) / math.sqrt(0.25**2 + 2 * 0.6**2)  # direction of the initial camera, from what it shows
 FAR = 4.0  # largest distance drawn, at least, of that of the camera
@@ -37,30 +34,12 @@ class Scene:
         server.scene.configure_default_lights(enabled=False)
         server.scene.add_light_ambient("/light/sky", intensity=1.6)
         server.scene.add_light_directional("/light/sun", intensity=2.2, position=SUN, cast_shadow=False)
-        west, south, east, north = self._extent = extent_of(scenery)
+        self.floor = DrawnFloor(server, scenery)
+        west, south, east, north = self.floor.extent
         size = max(east - west, north - south)
         server.initial_camera.far = max(1000.0, 10.0 * size)
-        self._z = FLOOR_Z_M if scenery.floor is None else min(FLOOR_Z_M, -2.0 * APART * size)
-        cell = 1.0 if size <= WIDE_M else 10.0
-        self.floor = server.scene.add_grid(
-            "/floor",
-            width=east - west,
-            height=north - south,
-            cell_size=cell,
-            section_size=5.0 * cell,
-            cell_color=(205, 208, 212),
-            section_color=(165, 170, 176),
-            fade_distance=1e5,
-            fade_from="origin",
-            shadow_opacity=0.0,
-            plane_color=FLOOR,
-            plane_opacity=1.0,
-            position=(0.5 * (west + east), 0.5 * (south + north), self._z),
-        )
         _add_axes(server, west, south, axis_m(size))
         self._solids = Solids(server, scenery)
-        if scenery.floor is not None:
-            _add_floor(server, scenery.floor, 0.5 * self._z)
         self._obstacles = {each.name: _add_obstacle(server, each) for each in scenery.obstacles}
         self._targets = {name: _add_target(server, name, x, y) for name, x, y in scenery.targets}
 
@@ -68,7 +47,7 @@ class Scene:
         """Update obstacles, targets and veils, and extend the floor under all vehicles."""
         seen = known.position[np.isfinite(known.position).all(axis=1), :2]
         if len(seen):
-            self._widen(*seen.min(axis=0).tolist(), *seen.max(axis=0).tolist())
+            self.floor.widen(*seen.min(axis=0).tolist(), *seen.max(axis=0).tolist())
         self._solids.draw(known.position, now_s)
         for name, (x, y, z, yaw) in known.now.obstacles.items():
             if handle := self._obstacles.get(name):
@@ -77,22 +56,10 @@ class Scene:
             if handle := self._targets.get(name):
                 handle.position = (x, y, 0.0)
 
-    def _widen(self, west: float, south: float, east: float, north: float) -> None:
-        """Extend the floor to these limits, with a margin so that it need not grow again soon."""
-        low, high = self._extent[:2], self._extent[2:]
-        if low[0] <= west and low[1] <= south and east <= high[0] and north <= high[1]:
-            return
-        more = MARGIN_M + 0.25 * max(high[0] - low[0], high[1] - low[1])
-        west, south = min(low[0], west - more), min(low[1], south - more)
-        east, north = max(high[0], east + more), max(high[1], north + more)
-        self._extent = west, south, east, north
-        self.floor.width, self.floor.height = east - west, north - south
-        self.floor.position = (0.5 * (west + east), 0.5 * (south + north), self._z)
-
     def darken(self, dark: bool) -> None:
         """Set floor and sky for a light or a dark page: never so dark that a black vehicle is invisible."""
-        floor, sky = (FLOOR_DARK, SKY_DARK) if dark else (FLOOR, SKY)
-        self.floor.plane_color = floor
+        self.floor.darken(dark)
+        sky = SKY_DARK if dark else SKY
         self._server.scene.set_background_image(np.full((1, 1, 3), sky, np.uint8), format="png")
 
     def aim(self, known: Known) -> bool:
@@ -128,7 +95,7 @@ class Scene:
 
     def _places(self, known: Known) -> Array:
         seen = known.position[np.isfinite(known.position).all(axis=1)]
-        west, south, east, north = self._extent
+        west, south, east, north = self.floor.extent
         return seen if len(seen) else np.array([(west, south, 0.0), (east, north, 0.0)])
 
 
@@ -152,21 +119,6 @@ def fitted(places: Array, back: Array, fov: float, aspect: float) -> tuple[Array
         middle = middle + distance * axes[:, :2] @ (0.5 * (ahead.min(axis=0) + ahead.max(axis=0)))
     seen = (places - middle) @ axes
     return middle, max(float((np.abs(seen[:, :2]) / slopes + seen[:, 2:]).max()), NEAREST_M)
-
-
-def extent_of(scenery: Scenery) -> tuple[float, float, float, float]:
-    """West, south, east and north edge of the drawn floor, m."""
-    places = [np.asarray(scenery.vertices)[:, :2]] if len(scenery.vertices) else []
-    places += [np.array([each.pose[:2]]) for each in scenery.obstacles]
-    places += [np.array([(x, y)]) for _, x, y in scenery.targets]
-    if scenery.bounds is not None:
-        west, south, east, north = scenery.bounds
-        places.append(np.array([(west, south), (east, north)]))
-    if not places:
-        return -20.0, -20.0, 20.0, 20.0
-    every = np.concatenate(places)
-    (west, south), (east, north) = every.min(axis=0) - MARGIN_M, every.max(axis=0) + MARGIN_M
-    return float(west), float(south), float(east), float(north)
 
 
 def by_color(colors: Array) -> tuple[Array, Array]:
@@ -271,23 +223,6 @@ def _add_axes(server: viser.ViserServer, west: float, south: float, length: floa
     for end, name in zip(ends, ("east", "north", "up"), strict=True):
         text = f"{name}, {length:g} m"
         server.scene.add_label(f"/axes/{name}", text, position=end, font_screen_scale=0.7, anchor="bottom-center")
-
-
-def _add_floor(server: viser.ViserServer, floor: Floor, z: float) -> None:
-    """Add the floor as cameras see it."""
-    (x, y), (length, width) = floor.center, floor.size
-    server.scene.add_image(
-        "/floor-picture",
-        np.asarray(floor.pixels),
-        length,
-        width,
-        format="jpeg",
-        jpeg_quality=85,
-        position=(x, y, z),
-        wxyz=(0.0, 1.0, 0.0, 0.0),  # as maps: see `sensors.Ground`
-        cast_shadow=False,
-        receive_shadow=False,
-    )
 
 
 def _add_obstacle(server: viser.ViserServer, obstacle: Obstacle) -> viser.SceneNodeHandle:

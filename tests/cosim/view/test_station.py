@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 
+import msgspec
 import numpy as np
 import pytest
 import viser
@@ -13,8 +14,9 @@ from tests.support.cosim import view_pages
 from tests.support.cosim.view_pages import RECORDED, Looking, known_of, looking, scenery, shown, states
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Mosaic, ProbabilityMap
-from vcmvsp.cosim.view.messages import Craft, PageUpdate, Sensors
-from vcmvsp.cosim.view.page.drawing import LOST_RGB, TINY, linear, rotated, rssi_colors
+from vcmvsp.cosim.view.messages import Craft, Floor, PageUpdate, Sensors
+from vcmvsp.cosim.view.page.drawing import FLOOR, FLOOR_DARK, LOST_RGB, TINY, linear, rotated, rssi_colors
+from vcmvsp.cosim.view.page.floor import DARKNESS, shaded, squared, tall_of
 from vcmvsp.cosim.view.page.scene import MOST_COLORS, START, axis_m, by_color, crossed, fitted, solids_of
 from vcmvsp.cosim.view.page.sensors import fan_of, painted, points_of
 from vcmvsp.cosim.view.page.vehicles import fresh_links
@@ -127,6 +129,37 @@ def test_obstacles_and_targets_go_where_they_are_said_to_be(live: Looking) -> No
 @pytest.mark.parametrize(("size_m", "step_m"), [(3.0, 0.5), (40.0, 5.0), (220.0, 20.0), (1000.0, 200.0)])
 def test_the_axes_have_a_round_length_that_is_a_share_of_the_floor(size_m: float, step_m: float) -> None:
     assert axis_m(size_m) == pytest.approx(step_m)
+
+
+def test_a_shadow_lies_away_from_the_sun_and_has_a_soft_edge() -> None:
+    """Of a wall 2 m high along the y axis, the top's shadow is 0.8 m to the west, where the sun is in the south-east."""
+    corners = np.array([(0.0, y, z) for z in (0.0, 2.0) for y in (-3.0, 3.0)])
+    wall = np.array([(0, 1, 3), (0, 3, 2)])
+    floor = Floor(pixels=np.full((1000, 1000, 3), 200, np.uint8), center=(1.0, 0.0), size=(10.0, 10.0))
+    picture = shaded(floor, corners, tall_of(corners, wall))
+
+    def light(x: float, y: float) -> float:
+        return float(picture[int((5.0 - y) * 100.0), int((x + 4.0) * 100.0), 0]) / 200.0
+
+    assert light(-0.4, 0.7) == pytest.approx(1.0 - DARKNESS, abs=0.05)
+    assert 1.0 - DARKNESS < light(-0.8, 0.0) < 1.0  # its edge
+    assert light(-2.0, 0.0) == light(1.0, 0.0) == light(-0.4, -4.0) == 1.0
+    assert not len(tall_of(0.001 * corners, wall))  # markings on the floor cast none
+
+
+def test_the_floor_of_a_world_with_solids_is_a_picture_with_the_lines_of_the_grid() -> None:
+    with looking(scenery(1)) as looked:
+        assert looked.node("/floor-picture").position[2] > looked.node("/floor").position[2]
+        looked.use("Dark")
+        assert looked.node("/floor").plane_color == FLOOR_DARK
+    floor = squared((-2.0, -1.0, 2.0, 1.0), FLOOR, 1.0)
+    pixels = np.asarray(floor.pixels)
+    columns, rows = ((pixels != FLOOR).any(axis=2).all(axis=axis).sum() for axis in (0, 1))
+    assert floor.size == pytest.approx((4.0, 2.0))
+    assert (columns, rows) == (4, 2)  # at -2, -1, 0, 1 and -1, 0 m: the last would lie at the edge
+    empty = scenery(1, vertices=np.zeros((0, 3), np.float32), triangles=np.zeros((0, 3), np.uint32))
+    with looking(msgspec.structs.replace(empty, colors=np.zeros((0, 3), np.uint8))) as looked:
+        assert looked.server.scene.get_handle_by_name("/floor-picture") is None
 
 
 def test_there_is_floor_under_every_vehicle_wherever_it_goes() -> None:
