@@ -33,6 +33,17 @@ Pose = tuple[float, float, float, float]
 """x, y, z m and yaw rad, world."""
 
 
+class Lens(Value, frozen=True, kw_only=True):
+    """Where a camera looks."""
+
+    mount: Vec3  # of its pinhole, m, in the vehicle's frame
+    body_from_camera: tuple[
+        Vec3, Vec3, Vec3
+    ]  # rows of the rotation; the camera's z axis is the optical axis, its y axis points down in the picture
+    field_of_view: float  # vertical, rad
+    aspect: float  # width by height
+
+
 class Craft(Value, frozen=True, kw_only=True):
     """A vehicle as the page shows it."""
 
@@ -45,6 +56,7 @@ class Craft(Value, frozen=True, kw_only=True):
     agent: str = ""  # kind of its agent; empty: no agent
     period_s: float | None = None  # between its agent's ticks
     sensors: Mapping[str, str] = {}  # name -> kind; can be requested with a `Sensors` order
+    cameras: Mapping[str, Lens] = {}  # by the names of these sensors
 
 
 class Obstacle(Value, frozen=True, kw_only=True):

@@ -1,5 +1,6 @@
 """Constant data for the control station, for a run or a recording: vehicles and their surroundings."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 from vcmvsp.cosim.types import frozen
 from vcmvsp.cosim.util.documents import read_json
-from vcmvsp.cosim.view.messages import Craft, Floor, Obstacle, Scenery
+from vcmvsp.cosim.view.messages import Craft, Floor, Lens, Obstacle, Scenery
 
 RECORDED = ("pace", "seek", "sensors")
 """Orders that a recording executes."""
@@ -110,7 +111,28 @@ def _craft(
         agent=agent,
         period_s=period_s,
         sensors={name: str(content.get("kind", "")) for name, content in vehicle.sensors.items()},
+        cameras=_lenses(vehicle, source),
     )
+
+
+def _lenses(vehicle: VehicleTable, source: Source) -> dict[str, Lens]:
+    """The views of a vehicle's cameras, as far as their classes may be imported."""
+    lenses = {}
+    for name, content in vehicle.sensors.items():
+        kind, key = content.get("kind"), f"vehicle.{vehicle.name}.sensors.{name}"
+        if not isinstance(kind, str) or not registry.may_import("sensor", kind):
+            continue
+        maker = registry.find("sensor", kind, folder=source.folder, key=f"{key}.kind", origin=source)
+        if hasattr(maker, "body_from_camera"):
+            camera, _ = registry.build("sensor", content, key=key, source=source)
+            first, second, third = ((x, y, z) for x, y, z in camera.body_from_camera.tolist())
+            lenses[name] = Lens(
+                mount=camera.mount,
+                body_from_camera=(first, second, third),
+                field_of_view=2.0 * math.atan(0.5 * camera.height / camera.focal_px),
+                aspect=camera.width / camera.height,
+            )
+    return lenses
 
 
 def _model(vehicle: VehicleTable, source: Source, kinds: VehicleKinds) -> Vehicle:

@@ -150,7 +150,7 @@ class Station:
         with panel.add_tab("Vehicle"):
             self._choice = Choice(server, scenery, self._give)
             self._vehicle = gui.add_html(vehicle_page(self._known, 0))
-            self._pictures = Pictures(server)
+            self._pictures = Pictures(server, scenery)
         with panel.add_tab("All vehicles"):
             self._sorted = gui.add_dropdown("Sort by", SORTED)
             self._all = gui.add_html(team_page(self._known, SORTED[0]))

@@ -1,10 +1,11 @@
 """Sensor data and maps in the browser: scans as fans, pictures, and maps and mosaics on the floor."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 import viser
+from viser.transforms import SO3
 
 from vcmvsp.cosim.recording.foxglove import corners_of
 from vcmvsp.cosim.types import Array, Image, Mosaic, ProbabilityMap, Scan, Sightings
@@ -17,6 +18,8 @@ from vcmvsp.cosim.view.page.state import Known
 GROUNDS = MAP, MOSAIC, NOTHING = "map of targets", "mosaic", "nothing"
 OVER_FLOOR_M = 0.01
 WIDEST_PX = 512  # of a picture in the panel
+EXAMINED = ", examined"  # behind the name of a camera whose picture was searched for targets
+FRUSTUM = 3.0  # size of a camera's pyramid, of the diagonal of its vehicle
 FAN_OPACITY, WIDEST_RAD = 0.2, 0.26  # of the free space of a scan; largest drawn width of a beam, rad
 MAP_ALPHA = 110  # of 255
 
@@ -63,13 +66,13 @@ class Scans:
 
 
 class Pictures:
-    """The newest pictures of the wanted cameras, and the newest picture searched for targets, in the panel.
+    """The newest pictures of the wanted cameras, and the newest picture searched for targets: in the panel and in the scene.
 
     Create it in the context of its container.
     """
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
+    def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
+        self._server, self._frusta = server, Frusta(server, scenery)
         self._folder = server.gui.add_folder(None)
         self._nodes: dict[str, viser.GuiImageHandle] = {}
         self._drawn: dict[str, Image | Sightings] = {}
@@ -77,25 +80,77 @@ class Pictures:
 
     def draw(self, known: Known, chosen: str, wanted: tuple[str, ...], now_s: float) -> None:
         """Show new pictures of the chosen vehicle."""
-        if not self._often.due(now_s):
-            return
+        if self._often.due(now_s):
+            self._renew(known, chosen, wanted)
+        self._frusta.draw(known)
+
+    def _renew(self, known: Known, chosen: str, wanted: tuple[str, ...]) -> None:
         pictures: dict[str, Image | Sightings] = {key: known.now.images[key] for key in wanted if key in known.now.images}
         seen = known.now.sightings.get(chosen)
         if seen is not None and seen.jpeg:
-            pictures[f"{chosen}/{seen.sensor}, examined"] = seen
+            pictures[f"{chosen}/{seen.sensor}{EXAMINED}"] = seen
         for key, node in self._nodes.items():
             node.visible = key in pictures
+        self._frusta.show({key.partition(EXAMINED)[0] for key in pictures})
         for key, picture in pictures.items():
             if self._drawn.get(key) is not picture and (pixels := _pixels(picture)) is not None:
                 self._drawn[key] = picture
                 self._put(key, pixels)
 
     def _put(self, key: str, pixels: Array) -> None:
+        self._frusta.put(key.partition(EXAMINED)[0], pixels)
         if key in self._nodes:
             self._nodes[key].image = pixels
         else:
             with self._folder:
                 self._nodes[key] = self._server.gui.add_image(pixels, label=key, format="jpeg", jpeg_quality=80)
+
+
+class Frusta:
+    """The pyramids that cameras see, at their present poses, with their newest pictures."""
+
+    def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
+        self._server, self._colors = server, colors_of(len(scenery.vehicles))
+        crafts = list(enumerate(scenery.vehicles))
+        self._lenses = {f"{each.name}/{name}": (row, lens) for row, each in crafts for name, lens in each.cameras.items()}
+        self._size_m = [FRUSTUM * math.hypot(*each.size) for each in scenery.vehicles]
+        self._nodes: dict[str, viser.CameraFrustumHandle] = {}
+
+    def put(self, key: str, pixels: Array) -> None:
+        """Show a new picture of a camera (vehicle/sensor)."""
+        if key in self._nodes:
+            self._nodes[key].image = pixels
+        elif key in self._lenses:
+            row, lens = self._lenses[key]
+            red, green, blue = self._colors[row].tolist()
+            self._nodes[key] = self._server.scene.add_camera_frustum(
+                f"/cameras/{key}",
+                lens.field_of_view,
+                lens.aspect,
+                scale=self._size_m[row],
+                thickness=2.0,
+                thickness_units="screen",
+                color=(red, green, blue),
+                image=pixels,
+                format="jpeg",
+                jpeg_quality=80,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+
+    def show(self, keys: Collection[str]) -> None:
+        """Show the pyramids of these cameras and hide the others."""
+        for key, node in self._nodes.items():
+            node.visible = key in keys
+
+    def draw(self, known: Known) -> None:
+        """Move the visible pyramids with their vehicles."""
+        for key, node in self._nodes.items():
+            row, lens = self._lenses[key]
+            if node.visible and np.isfinite(known.position[row]).all():
+                turn = SO3(known.attitude[row])
+                node.position = known.position[row] + turn.apply(np.array(lens.mount))
+                node.wxyz = (turn @ SO3.from_matrix(np.array(lens.body_from_camera))).wxyz
 
 
 class Ground:

@@ -1,5 +1,6 @@
 """What the control station is told once: the vehicles of a scenario, and what stands around them."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -99,6 +100,19 @@ def test_what_agents_said_counts_more_than_what_the_scenario_says() -> None:
         told = crafts_of(parsed, source, infos=assembled.agents)
     assert scenery_of(parsed, source).vehicles[0].period_s is None
     assert told[0].period_s == 0.1
+
+
+def test_where_cameras_look_is_that_of_their_sensors() -> None:
+    camera = {"kind": "nadir_camera", "width": 200, "height": 100, "field_of_view": 1.0, "mount": [0.1, 0.2, 0.3]}
+    flying = {"name": "uav", "kind": "quadrotor", "position": [0, -9, 2], "sensors": {"eye": camera, "scan": {"kind": "ring"}}}
+    (uav,) = scenery_of(*scenarios.load({**CONTENT, "vehicle": [flying]})).vehicles
+    assert [*uav.cameras] == ["eye"]
+    eye = uav.cameras["eye"]
+    assert (eye.mount, eye.aspect) == ((0.1, 0.2, 0.3), 2.0)
+    assert math.tan(0.5 * eye.field_of_view) == pytest.approx(0.5 * math.tan(0.5))  # half as high as wide
+    right, down, axis = np.asarray(eye.body_from_camera).T
+    assert axis == pytest.approx((0.0, 0.0, -1.0), abs=1e-12)
+    assert (*right, *down) == pytest.approx((0.0, -1.0, 0.0, -1.0, 0.0, 0.0), abs=1e-12)
 
 
 def test_the_floor_is_the_picture_that_cameras_see() -> None:

@@ -302,11 +302,31 @@ def test_scans_and_pictures_are_shown_while_they_are_wanted() -> None:
         first = image.image
         looked.show(2.0, images={"v1/down": view_pages.picture((0, 200, 0))})
         assert not np.array_equal(first, image.image)
+        pyramid = looked.node("/cameras/v1/down")
+        assert pyramid.visible
+        assert np.array_equal(pyramid.image, image.image)
         looked.use("Vehicle", "v2")
         looked.show(3.0)
         assert not looked.node("/scans/v1/ring").visible
         assert not looked.node("/fans/v1/ring").visible
         assert not image.visible
+        assert not pyramid.visible
+
+
+@given(ANGLES, METRES)
+def test_the_pyramid_of_a_camera_is_where_its_vehicle_carries_it(live: Looking, yaw: float, x: float) -> None:
+    """The camera of the scenery is 0.1 m ahead and looks down; the picture's upper edge is ahead."""
+    live.use("Vehicle", "v1")
+    live.part("down (nadir_camera)").value = True
+    where = [(x, 2.0, 0.5), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]
+    moved = states(where, [yaw, 0.0, 0.0], ("v1", "v2", "v3"))
+    live.show(1.0, states=moved, images={"v1/down": view_pages.picture((200, 0, 0))})
+    pyramid = live.node("/cameras/v1/down")
+    ahead = np.array((math.cos(yaw), math.sin(yaw), 0.0))
+    assert pyramid.position == pytest.approx(np.array(where[0]) + 0.1 * ahead, abs=1e-6)
+    (axis, up) = (rotated(np.array([pyramid.wxyz]), np.array([each]))[0] for each in ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)))
+    assert axis == pytest.approx((0.0, 0.0, -1.0), abs=1e-6)
+    assert up == pytest.approx(ahead, abs=1e-6)
 
 
 def test_an_empty_map_is_white_and_a_sure_target_dark() -> None:

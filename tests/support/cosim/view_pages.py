@@ -14,7 +14,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Array, Follows, Image, Scan, States
-from vcmvsp.cosim.view.messages import Craft, LinkStatus, Obstacle, Order, Pace, PageUpdate, Scenery
+from vcmvsp.cosim.view.messages import Craft, Lens, LinkStatus, Obstacle, Order, Pace, PageUpdate, Scenery
 from vcmvsp.cosim.view.page.control_station import Station
 from vcmvsp.cosim.view.page.state import Known
 from vcmvsp.cosim.view.web_server import close_server, open_server
@@ -36,6 +36,15 @@ LIVE = ("sensors", "pace", "halt", "outage", "move", "set", "end")
 RECORDED = ("sensors", "pace", "seek")
 
 
+DOWN = Lens(
+    mount=(0.1, 0.0, 0.0),
+    body_from_camera=((0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, -1.0)),
+    field_of_view=0.8,
+    aspect=4 / 3,
+)
+"""A camera that looks down, with the upper edge of its picture ahead."""
+
+
 def scenery(count: int = 3, flying: int = 0, may: tuple[str, ...] = LIVE, **more: Any) -> Scenery:
     """``count`` vehicles, of which the last ``flying`` fly, before a wall, with a crate that may be moved."""
     crafts = [
@@ -47,6 +56,7 @@ def scenery(count: int = 3, flying: int = 0, may: tuple[str, ...] = LIVE, **more
             agent="circle" if index == 0 else "follow",
             period_s=0.1,
             sensors={"ring": "ring", "down": "nadir_camera"},
+            cameras={"down": DOWN},
         )
         for index in range(count)
     ]
