@@ -57,6 +57,7 @@ class Craft(Value, frozen=True, kw_only=True):
     period_s: float | None = None  # between its agent's ticks
     sensors: Mapping[str, str] = {}  # name -> kind; can be requested with a `Sensors` order
     cameras: Mapping[str, Lens] = {}  # by the names of these sensors
+    shape: str = ""  # name of its shape in `Scenery.shapes`; empty: that of its kind
 
 
 class Obstacle(Value, frozen=True, kw_only=True):
@@ -78,6 +79,13 @@ class Floor(Value, frozen=True, kw_only=True):
     size: tuple[float, float]  # east-west and north-south, m
 
 
+class ShapePart(Value, frozen=True, kw_only=True):
+    """Triangles of one colour, in the vehicle's frame."""
+
+    triangles: Array  # (t, 3, 3) float32 m, counter-clockwise seen from outside
+    color: tuple[int, int, int]
+
+
 class Scenery(Value, frozen=True, kw_only=True):
     """Constant data of a run."""
 
@@ -90,6 +98,7 @@ class Scenery(Value, frozen=True, kw_only=True):
     colors: Array  # (t, 3) uint8
     obstacles: tuple[Obstacle, ...] = ()
     targets: tuple[tuple[str, float, float], ...] = ()  # name, x m, y m, at the start
+    shapes: Mapping[str, tuple[ShapePart, ...]] = {}  # of vehicles with shapes of their own, by name
     bounds: tuple[float, float, float, float] | None = None  # west, south, east, north, m
     floor: Floor | None = None
     live: bool = False  # a current run; else a recording

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -19,13 +20,14 @@ from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 from vcmvsp.cosim.types import frozen
 from vcmvsp.cosim.util.documents import read_json
-from vcmvsp.cosim.view.messages import Craft, Floor, Lens, Obstacle, Scenery
+from vcmvsp.cosim.view.messages import Craft, Floor, Lens, Obstacle, Scenery, ShapePart
 
 RECORDED = ("pace", "seek", "sensors")
 """Orders that a recording executes."""
 WIDEST_PX = 2048  # of the picture on the floor
 DEFAULT_WIDTH_M = 0.5  # of a vehicle not drawn in the recording
 VehicleKinds = dict[str, type[Vehicle]]  # by their names in the scenario
+Shapes = dict[str, tuple[ShapePart, ...]]  # by file
 
 
 def scenery_of(
@@ -55,11 +57,14 @@ def scenery_of(
     if world is None:
         world, _ = worlds.build(scenario.world, source, seed=scenario.seed)
     vertices, triangles = world.mesh()
+    shapes: Shapes = {}
+    vehicles = crafts_of(scenario, source, drawn=drawn, shapes=shapes)
     return Scenery(
         scenario=scenario.name,
         seed=scenario.seed,
         duration_ns=seconds_to_ns(scenario.duration_s),
-        vehicles=crafts_of(scenario, source, drawn=drawn),
+        vehicles=vehicles,
+        shapes=shapes,
         vertices=frozen(vertices, np.float32),
         triangles=frozen(triangles, np.uint32),
         colors=frozen(world.mesh_colors()),
@@ -74,20 +79,27 @@ def scenery_of(
 
 
 def crafts_of(
-    scenario: Scenario, source: Source, *, infos: Sequence[AgentInfo] = (), drawn: Mapping[str, Craft] | None = None
+    scenario: Scenario,
+    source: Source,
+    *,
+    infos: Sequence[AgentInfo] = (),
+    drawn: Mapping[str, Craft] | None = None,
+    shapes: Shapes | None = None,
 ) -> tuple[Craft, ...]:
     """The vehicles of a scenario.
 
     Args:
         infos: properties that agents reported; default: those in the scenario.
         scenario, source, drawn: as of `scenery_of`.
+        shapes: receives the shapes of vehicles that have their own.
 
     Raises:
         ScenarioError: a kind of vehicle cannot be built.
     """
     agents = {info.vehicle: info for info in infos}
     kinds: VehicleKinds = {}  # cached: a user's file is executed once, not once per vehicle
-    return tuple(_craft(each, scenario, source, agents.get(each.name), kinds, drawn or {}) for each in scenario.vehicle)
+    found: Shapes = {} if shapes is None else shapes
+    return tuple(_craft(each, scenario, source, agents.get(each.name), kinds, drawn or {}, found) for each in scenario.vehicle)
 
 
 def _craft(
@@ -97,6 +109,7 @@ def _craft(
     info: AgentInfo | None,
     kinds: VehicleKinds,
     drawn: Mapping[str, Craft],
+    shapes: Shapes,
 ) -> Craft:
     agent, period_s = _agent(vehicle, scenario, info)
     if vehicle.name in drawn and not registry.may_import("vehicle", vehicle.kind):
@@ -104,6 +117,7 @@ def _craft(
     else:
         model = _model(vehicle, source, kinds)
         body = Craft(name=vehicle.name, kind="", size=model.hull.size, offset=model.hull.offset, flies=flies(model))
+        body = msgspec.structs.replace(body, shape=_shape(model, shapes))
     return msgspec.structs.replace(
         body,
         kind=vehicle.kind,
@@ -113,6 +127,16 @@ def _craft(
         sensors={name: str(content.get("kind", "")) for name, content in vehicle.sensors.items()},
         cameras=_lenses(vehicle, source),
     )
+
+
+def _shape(model: Any, shapes: Shapes) -> str:
+    """Name of a model's own shape, which is added to ``shapes``; empty: it has none."""
+    if not getattr(model, "drawn", ()):
+        return ""
+    if model.file not in shapes:
+        parts = [ShapePart(triangles=frozen(each.triangles, np.float32), color=each.color) for each in model.drawn]
+        shapes[model.file] = tuple(parts)
+    return str(model.file)
 
 
 def _lenses(vehicle: VehicleTable, source: Source) -> dict[str, Lens]:

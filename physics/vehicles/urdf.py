@@ -20,6 +20,7 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array, FileName, NonNegative, Positive, Vec3
 from vcmvsp.cosim.util import limits
 from vcmvsp.physics.vehicles.models import GroundVehicle, Quadrotor
+from vcmvsp.physics.vehicles.urdf_shapes import DrawnPart, drawn_parts
 
 _TURNS = ("continuous", "revolute")
 _OFF_DIAGONAL = ("ixy", "ixz", "iyz")
@@ -75,6 +76,11 @@ class UrdfDrive(GroundVehicle):
         x, y, z = (0.5 * (left.place + right.place)).tolist()
         return _Plan(tree.path, (x, y, z - left.radius_m), (left.sign, right.sign), left.radius_m, track)
 
+    @cached_property
+    def drawn(self) -> tuple[DrawnPart, ...]:
+        """Shapes of the file in the vehicle's frame, with all joints at zero."""
+        return _Tree(self.file).drawn(np.array(self.plan.axle))
+
     @property
     def wheel_radius_m(self) -> float:
         """Radius of both wheels, m."""
@@ -100,6 +106,12 @@ class UrdfQuadrotor(Quadrotor):
             object.__setattr__(self, key, value)
         super().__post_init__()
 
+    @cached_property
+    def drawn(self) -> tuple[DrawnPart, ...]:
+        """Shapes of the file in the vehicle's frame, whose origin is the centre of mass."""
+        tree = _Tree(self.file)
+        return tree.drawn(tree.centre())
+
 
 class _Wheel(NamedTuple):
     place: Array  # (3,) m, of its middle, root frame
@@ -116,6 +128,7 @@ class _Tree:
         except (OSError, ValueError, ET.ParseError) as error:
             problem = "is not XML" if isinstance(error, ET.ParseError) else "cannot be read"
             raise ScenarioError(f"{self.path} {problem}: {error}", key="file") from error
+        self._root = root
         self._links = {link.get("name", ""): link for link in root.iterfind("link")}
         self._joints = {joint.get("name", ""): joint for joint in root.iterfind("joint")}
         if root.tag != "robot" or not self._links:
@@ -221,15 +234,32 @@ class _Tree:
             raise ScenarioError(f"{what} of {self.path.name} needs a positive radius, not {text!r}", key=key)
         return radius_m
 
-    def whole(self) -> tuple[float, tuple[float, float, float]]:
-        """Mass, kg, and inertia about x, y, z through the common centre of mass, kg m2, as one rigid body."""
+    def drawn(self, reference: Array) -> tuple[DrawnPart, ...]:
+        """Shapes in the frame at a reference point, (3,) m, root frame."""
+        to_reference = np.eye(4)
+        to_reference[:3, 3] = -reference
+        own = self._root.iterfind("material")
+        return drawn_parts(self._links, own, self.path.parent, lambda name: to_reference @ self.frame(name), _origin)
+
+    def _bodies(self) -> list[tuple[float, Array, Array]]:
+        """Mass, kg, centre of mass, (3,) m, and inertia, (3, 3) kg m2, of each link, root frame."""
         parts = []
         for name, link in self._links.items():
             mass, inertia = self._mass(link)
             frame = self.frame(name) @ _origin(link.find("inertial"))
             parts.append((mass, frame[:3, 3], frame[:3, :3] @ inertia @ frame[:3, :3].T))
+        return parts
+
+    def centre(self) -> Array:
+        """The common centre of mass, (3,) m, root frame."""
+        parts = self._bodies()
         total = math.fsum(mass for mass, _, _ in parts)
-        centre = sum((mass * place for mass, place, _ in parts), np.zeros(3)) / total
+        return sum((mass * place for mass, place, _ in parts), np.zeros(3)) / total
+
+    def whole(self) -> tuple[float, tuple[float, float, float]]:
+        """Mass, kg, and inertia about x, y, z through the common centre of mass, kg m2, as one rigid body."""
+        parts, centre = self._bodies(), self.centre()
+        total = math.fsum(mass for mass, _, _ in parts)
         whole = np.zeros((3, 3))
         for mass, place, inertia in parts:  # parallel axes (Steiner)
             r = place - centre

@@ -110,18 +110,20 @@ class Vehicles:
         self._offset = np.array([each.offset for each in crafts], float).reshape(-1, 3)
         flies = np.array([each.flies for each in crafts], bool)
         colors = colors_of(count)
-        self._rows = np.flatnonzero(~flies), np.flatnonzero(flies)
+        own = np.array([each.shape in scenery.shapes for each in crafts], bool)
+        self._rows = np.flatnonzero(~flies & ~own), np.flatnonzero(flies & ~own)
+        self._air = np.flatnonzero(flies)
         shapes = ("ground", robot()), ("air", quadrotor())
         self._bodies = [
             Batch(server, f"/vehicles/{name}", mesh, colors[rows], clicked=_clicked(rows, choose))
             for (name, mesh), rows in zip(shapes, self._rows, strict=True)
         ]
+        self._own = [OwnShape(server, scenery, name, choose) for name in scenery.shapes]
         self._wheels = Wheels(server, self._size[self._rows[0]], self._offset[self._rows[0]])
         self._dots = Segments(server, "/vehicles/dots", np.repeat(colors[:, None], 2, axis=1), DOT_PX)
         self._noses = Batch(server, "/vehicles/noses", nose(), np.tile(np.array(WHITE, np.uint8), (count, 1)))
         self._stopped = Batch(server, "/stopped", disc(), np.tile(np.array(STOPPED_RGB, np.uint8), (count, 1)), opacity=0.45)
-        air = self._rows[1]
-        self._drops = Segments(server, "/heights", np.repeat(colors[air, None], 2, axis=1), 1.0)
+        self._drops = Segments(server, "/heights", np.repeat(colors[self._air, None], 2, axis=1), 1.0)
         vertices, faces = ring()
         self._chosen = server.scene.add_mesh_simple(
             "/chosen", vertices, faces, color=CHOSEN_RGB, side="double", visible=False, cast_shadow=False
@@ -146,6 +148,8 @@ class Vehicles:
         scale = np.where(seen[:, None], self._size, TINY)
         for rows, bodies in zip(self._rows, self._bodies, strict=True):
             bodies.put(centre[rows], known.attitude[rows], scale[rows])
+        for shape in self._own:
+            shape.put(known.position, known.attitude, seen)
         self._noses.put(centre, known.attitude, scale)
         ground = self._rows[0]
         self._wheels.put(known.position[ground], known.attitude[ground], seen[ground])
@@ -153,7 +157,7 @@ class Vehicles:
         lift = np.maximum(0.5 * DOT_PX * pixel_m(self._server, centre) - 0.5 * self._size[:, 2], 0.0)  # out of the floor
         dots = centre + np.column_stack([np.zeros((len(lift), 2)), lift])
         self._dots.put(np.stack([dots - reach, dots + reach], axis=1))
-        top = centre[self._rows[1]]
+        top = centre[self._air]
         self._drops.put(np.stack([top, top * (1.0, 1.0, 0.0)], axis=1))
         floor = centre - np.column_stack([np.zeros_like(scale[:, :2]), 0.5 * self._size[:, 2]])
         reach = 0.5 * np.hypot(self._size[:, 0], self._size[:, 1])
@@ -180,6 +184,31 @@ class Vehicles:
         for row, height in zip(rows.tolist(), up.tolist(), strict=True):
             self._label = row
             self.labels[row].position = centre[row] + (0.0, 0.0, height)
+
+
+class OwnShape:
+    """Vehicles with a shape of their own, in its colours."""
+
+    def __init__(self, server: viser.ViserServer, scenery: Scenery, name: str, choose: Callable[[int], None]) -> None:
+        self._rows = np.array([row for row, each in enumerate(scenery.vehicles) if each.shape == name], int)
+        number = list(scenery.shapes).index(name)
+        self._parts = [
+            Batch(
+                server,
+                f"/vehicles/own{number}/{place}",
+                (part.triangles.reshape(-1, 3), np.arange(3 * len(part.triangles), dtype=np.uint32).reshape(-1, 3)),
+                np.tile(np.array(part.color, np.uint8), (len(self._rows), 1)),
+                clicked=_clicked(self._rows, choose),
+            )
+            for place, part in enumerate(scenery.shapes[name])
+        ]
+
+    def put(self, position: Array, attitude: Array, seen: Array) -> None:
+        """Set the poses of all vehicles, (n, 3) m and (n, 4); those not seen are not drawn."""
+        shown = seen[self._rows, None]
+        place, scale = np.where(shown, position[self._rows], 0.0), np.repeat(np.where(shown, 1.0, TINY), 3, axis=1)
+        for part in self._parts:
+            part.put(place, attitude[self._rows], scale)
 
 
 class Wheels:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.paths import ROOT
 from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.util import codec
@@ -113,6 +114,15 @@ def test_where_cameras_look_is_that_of_their_sensors() -> None:
     right, down, axis = np.asarray(eye.body_from_camera).T
     assert axis == pytest.approx((0.0, 0.0, -1.0), abs=1e-12)
     assert (*right, *down) == pytest.approx((0.0, -1.0, 0.0, -1.0, 0.0, 0.0), abs=1e-12)
+
+
+def test_vehicles_of_one_urdf_file_share_its_shape() -> None:
+    keys = {"file": str(ROOT / "examples" / "cart.urdf"), "left_wheel": "left_wheel", "right_wheel": "right_wheel"}
+    carts = [{"name": f"cart{k}", "kind": "urdf", "pose": [0, k, 0], **keys} for k in range(2)]
+    scenery = scenery_of(*scenarios.load({**CONTENT, "vehicle": [*carts, CONTENT["vehicle"][0]]}))
+    assert [craft.shape for craft in scenery.vehicles] == [keys["file"], keys["file"], ""]
+    ((part,),) = scenery.shapes.values()
+    assert len(part.triangles) > 100
 
 
 def test_the_floor_is_the_picture_that_cameras_see() -> None:

@@ -17,6 +17,7 @@ from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.vehicles.urdf import UrdfDrive, UrdfQuadrotor
+from vcmvsp.physics.vehicles.urdf_shapes import GREY
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 
@@ -214,3 +215,54 @@ def test_contacts_of_any_of_its_links_but_wheels_with_the_floor_are_named(cart: 
     assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, None)}
     assert moved.read().position[0, 0] - 0.05 - 0.05 + 0.2 == pytest.approx(0.9, abs=0.02)  # the box of the base at the wall
     moved.close()
+
+
+# --- shapes for pictures ---
+
+PAINTED = ROBOT.replace(
+    "</inertial>\n    <collision>",
+    '</inertial>\n    <visual><origin xyz="0 0 0.5"/><geometry><cylinder radius="0.1" length="0.4"/></geometry>'
+    '<material name="blue"/></visual>\n    <visual><geometry><mesh filename="tip.obj" scale="2 2 2"/></geometry></visual>\n'
+    "    <collision>",
+    1,
+).replace('<robot name="cart">', '<robot name="cart"><material name="blue"><color rgba="0 0 1 1"/></material>')
+
+
+def test_the_collision_shapes_are_drawn_where_a_file_has_no_others(tmp_path: Path) -> None:
+    (tmp_path / "cart.urdf").write_text(ROBOT)
+    model = UrdfDrive(file=str(tmp_path / "cart.urdf"), left_wheel="left_wheel", right_wheel="right_wheel")
+    (part,) = model.drawn
+    low, high = part.triangles.min(axis=(0, 1)), part.triangles.max(axis=(0, 1))
+    # The frame's origin is below the axle, 0.05 m ahead of the root; wheels of 0.1 m stand 0.2 m aside.
+    assert low == pytest.approx((-0.05 - 0.2 - 0.05, -0.3, 0.0), abs=2e-3)
+    assert high == pytest.approx((0.1, 0.3, 0.23), abs=2e-3)
+
+
+def test_visual_shapes_have_their_colours_and_meshes_their_scale(tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    (tmp_path / "cart.urdf").write_text(PAINTED)
+    (tmp_path / "tip.obj").write_text("v 0 0 1\nv 1 0 1\nv 0 1 1\nf 1 2 3\n")
+    model = UrdfDrive(file=str(tmp_path / "cart.urdf"), left_wheel="left_wheel", right_wheel="right_wheel")
+    parts = {part.color: part.triangles for part in model.drawn}
+    assert parts.keys() == {(0, 0, 255), GREY}
+    assert parts[0, 0, 255][..., 2].min() == pytest.approx(0.3)
+    assert parts[0, 0, 255][..., 2].max() == pytest.approx(0.7)
+    assert parts[GREY].tolist() == pytest.approx(np.array([[(-0.05, 0, 2), (1.95, 0, 2), (-0.05, 2, 2)]]))
+
+
+def test_a_quadrotor_is_drawn_about_its_centre_of_mass(tmp_path: Path) -> None:
+    box = '<visual><geometry><box size="0.2 0.2 0.2"/></geometry></visual></link>'
+    heavy_ahead = FRAME.replace('xyz="0.2 0 0"', 'xyz="0.6 0 0"')  # 0.4, 0.2 and 0.2 kg at x = 0, 0.6 and -0.2 m
+    (tmp_path / "frame.urdf").write_text(heavy_ahead.replace("</inertial></link>", f"</inertial>{box}", 1))
+    (part,) = UrdfQuadrotor(file=str(tmp_path / "frame.urdf")).drawn
+    middle = 0.5 * (part.triangles.min(axis=(0, 1)) + part.triangles.max(axis=(0, 1)))
+    assert middle == pytest.approx((-0.1, 0.0, 0.0), abs=1e-9)
+
+
+def test_what_cannot_be_drawn_is_left_out(tmp_path: Path) -> None:
+    places = {"0 0 0": '<box size="a b c"/>', "1 0 0": "<capsule/>", "two": '<sphere radius="1"/>'}
+    shapes = [f'<visual><origin xyz="{xyz}"/><geometry>{kind}</geometry></visual>' for xyz, kind in places.items()]
+    bad = "".join(shapes) + "</link>"
+    (tmp_path / "cart.urdf").write_text(ROBOT.replace("</collision></link>", f"</collision>{bad}"))
+    model = UrdfDrive(file=str(tmp_path / "cart.urdf"), left_wheel="left_wheel", right_wheel="right_wheel")
+    assert model.drawn == ()
