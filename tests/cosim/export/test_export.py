@@ -11,6 +11,7 @@ import cv2
 import msgspec
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import vcmvsp
@@ -130,7 +131,9 @@ def test_a_frame_that_is_under_way_at_the_end_is_not_shown_as_lost(tmp_path: Pat
     vcmvsp.run(two(duration_s=0.1005, radio={"preset": "wifi-b-1"}), out=folder)
     radio = load(folder).radio
     assert set(radio["outcome"].to_pylist()) == {"received", "under way"}
-    assert video._Film(recorded_run.Source(folder, lambda _: None))._lost == []
+    film = video._Film(recorded_run.Source(folder, lambda _: None))
+    assert film._lost == []
+    assert len(film._received) == radio["outcome"].to_pylist().count("received")
     assert run_plots._lost_s(radio, "car2", "car1").size == 0
 
 
@@ -138,6 +141,39 @@ def test_a_sensor_that_is_called_like_a_table_does_not_write_into_it() -> None:
     assert csv_files._place("car1/state") == ("car1", "states")
     assert csv_files._place("car1/states") == ("car1", "states_sensor")
     assert csv_files._place("car1/radio") == ("car1", "radio_sensor")
+
+
+def film_of(folder: Path, **more: Any) -> video._Film:
+    """The film of a team that drives ahead, 14 m unless told otherwise."""
+    vcmvsp.run(two(**{"duration_s": 80.0, "radio": {"loss": {"probability": 0.5}}, **more}), out=folder)
+    return video._Film(recorded_run.Source(folder, lambda _: None))
+
+
+def test_the_film_goes_along_with_a_team_that_is_small_in_its_world(tmp_path: Path) -> None:
+    film = film_of(tmp_path / "far")
+    assert len(film._middles) == film.count
+    for number in range(0, film.count, 40):
+        picture = film._at(number * film.step_ns)
+        for name in ("car1", "car2"):
+            x, y = film._point(film._place(name, number * film.step_ns))
+            assert 0 <= x < picture.shape[1]
+            assert 0 <= y < video.FOLLOWING_PX + video.CAPTION_PX
+    still = film_of(tmp_path / "near", duration_s=2.0)
+    assert len(still._middles) == 1
+
+
+def test_below_the_film_is_the_formation_error_so_far(tmp_path: Path) -> None:
+    film = film_of(tmp_path / "run", duration_s=4.0)
+    ((name, (time_ns, error_m)),) = film._errors.items()
+    assert name == "car2"
+    table = pq.read_table(tmp_path / "run" / "errors.parquet")
+    assert error_m.tolist() == pytest.approx(table["error_m"].to_pylist(), rel=1e-6, abs=1e-9)
+    assert time_ns[-1] == 4 * SECOND_NS
+    curve = film._at(2 * SECOND_NS)[-video.CURVE_PX :].astype(int)
+    blue = (curve[..., 0] - curve[..., 2] > 60).any(axis=0).nonzero()[0]  # the colour of the second vehicle
+    middle = 0.5 * (video.AXIS_PX + film._width - video.MARGIN_PX // 2)
+    assert blue.min() <= video.AXIS_PX + 3
+    assert middle - 8 <= blue.max() <= middle + 3
 
 
 def test_the_film_shows_walls_vehicles_and_lost_frames(tmp_path: Path) -> None:

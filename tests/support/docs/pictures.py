@@ -10,10 +10,12 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import cv2
 from PIL import Image
 
 from tests.support.cosim.view_pages import browser
 from tests.support.paths import ROOT
+from vcmvsp.cosim.export.video import FPS
 
 FOLDER = ROOT / "scenarios" / "pictures"
 VCMVSP = str(Path(sys.executable).with_name("vcmvsp"))
@@ -22,6 +24,7 @@ CHANGED = {"relay-chain-none": ("relay-chain", ["--set", "routing.kind=none"])}
 """Scenario and options of runs that have another name."""
 STATIONS = {"recon-urban": 75.0, "recon-team": 60.0, "lab-patrol": 20.0, "pillar-triangle": 12.0}
 """Time of the recording that is shown, s."""
+FILM_S = 35.0  # time of the film that is shown
 READY_MS, DRAWN_MS, SETTLED_MS = 60_000, 8_000, 2_000
 COLORS = 192  # of a picture: half of its bytes
 
@@ -37,6 +40,10 @@ def main(names: Sequence[str]) -> None:
             if path.stem == "demo":
                 command(folder, "demo", "--out", "demo")
                 shutil.copy(Path(folder, "demo", "comparison.png"), path)
+            elif path.stem == "demo-film":
+                command(folder, "demo", "--out", "demo")
+                command(folder, "export", "demo/hold", "--mp4")
+                film_still(Path(folder, "demo", "hold", "run.mp4"), path)
             elif what in FIGURES or what == "station":
                 if scenario not in made:
                     name, options = CHANGED.get(scenario, (scenario, []))
@@ -55,7 +62,18 @@ def main(names: Sequence[str]) -> None:
 
 def command(folder: str, *words: str) -> None:
     """Run a command of vcmvsp in a folder."""
-    subprocess.run([VCMVSP, *words, "-q"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    quiet = [] if words[0] == "export" else ["-q"]
+    subprocess.run([VCMVSP, *words, *quiet], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+
+
+def film_still(film: Path, path: Path) -> None:
+    """The picture of a film at `FILM_S`."""
+    reader = cv2.VideoCapture(str(film))
+    for _ in range(round(FILM_S * FPS)):
+        reader.grab()
+    _, picture = reader.retrieve()
+    reader.release()
+    cv2.imwrite(str(path), picture)
 
 
 def station(run: Path, time_s: float, path: Path) -> None:
