@@ -117,8 +117,8 @@ def heat_map(summary: pa.Table, keys: Sequence[str], metric: str, title: str = "
         bar = figure.colorbar(image, ax=panels, label=label_of(metric), pad=0.02)
         if isinstance(norm, LogNorm):
             _name_decades(bar.ax.yaxis, *image.get_clim())
-        figure.supxlabel(label_of(x_key), fontsize=9)
-        figure.supylabel(label_of(y_key), fontsize=9)
+        figure.supxlabel(_axis_label(x_key), fontsize=9)
+        figure.supylabel(_axis_label(y_key), fontsize=9)
         if title:
             figure.suptitle(title)
         return figure
@@ -162,7 +162,7 @@ def _axis(panels: Iterable[Axes], shown: int, table: Table, key: str) -> None:
     for index, axes in enumerate(panels):
         axes.set_visible(index < shown)
         if index + columns >= shown:
-            axes.set_xlabel(label_of(key) if key else "")
+            axes.set_xlabel(_axis_label(key) if key else "")
             axes.tick_params(labelbottom=True)
         if not table.numeric:
             names = _labels(_distinct(table.columns[key])) if key else ["all runs"]
@@ -278,6 +278,11 @@ def _short(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:g}" if isinstance(value, int | float) else str(value)
+
+
+def _axis_label(key: str) -> str:
+    """`label_of`, with what a reader would otherwise take for a part of the value."""
+    return "delay before the wait for the next tick [s]" if key == "radio.delay.seconds" else label_of(key)
 
 
 def label_of(key: str) -> str:

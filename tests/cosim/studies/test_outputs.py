@@ -75,7 +75,7 @@ def test_lines_go_through_the_means_and_bands_through_their_ends() -> None:
 
 def test_the_first_key_with_numbers_is_the_axis_and_a_key_with_one_value_is_none() -> None:
     (axes,) = figure_of({WHO: ["hold", "dr"], "seed_of_world": [3], DELAY: [0.0, 1.0], LOSS: [0.1, 0.5]}).axes
-    assert axes.get_xlabel() == "delay [s]"
+    assert axes.get_xlabel() == "delay before the wait for the next tick [s]"
     assert [line.get_label() for line in axes.lines] == ["hold, 0.1", "hold, 0.5", "dr, 0.1", "dr, 0.5"]
 
 

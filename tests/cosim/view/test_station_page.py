@@ -8,9 +8,22 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support.cosim.view_pages import TOKEN, Looking, browser, looking, positions, scenery, shown, states
+from tests.support.cosim.view_pages import (
+    RECORDED,
+    TOKEN,
+    Looking,
+    browser,
+    looking,
+    picture,
+    positions,
+    scan,
+    scenery,
+    shown,
+    states,
+)
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array, Mosaic
-from vcmvsp.cosim.view.messages import Floor
+from vcmvsp.cosim.view.messages import Floor, Seek
 from vcmvsp.cosim.view.page.drawing import colors_of, rotated
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.browser]
@@ -253,6 +266,51 @@ def test_the_picture_of_the_floor_has_north_above_and_hides_the_plain_floor(chro
         quarters = (0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1), (0.1, -0.1)
         page.until(lambda: bluer(*quarters[0]) > 50)
         page.until(lambda: all(bluer(*each) < -50 for each in quarters[1:]))
+        page.page.close()
+
+
+def test_a_shadow_is_darker_than_the_floor_on_the_sunny_side_of_its_wall(chromium: Any) -> None:
+    with looking(scenery(1)) as looked:  # a wall 1 m high at y = 6 m; the sun is in the south-east
+        looked.show(0.0)
+        page = Page(looked, chromium.new_page(viewport={"width": 1000, "height": 700}))
+        (client,) = looked.server.get_clients().values()
+        look_down(page, 0.3, 6.1, 4.0)
+
+        def light(y: float) -> int:
+            right, down = pixel_of(np.array((0.3, y, 0.0)), client.camera, (700, 1000))
+            return sum(page.pixel(right / 1000, down / 700))
+
+        page.until(lambda: light(6.55) < 0.8 * light(5.3))
+        page.page.close()
+
+
+def test_the_page_has_all_objects_of_the_scene_and_events_and_charts(page: Page) -> None:
+    for box in ("ring (ring)", "down (nadir_camera)"):
+        page.looked.use(box)
+    for time_s in (30.0, 31.0):
+        page.show(time_s, scans={"v1/ring": scan()}, images={"v1/down": picture((200, 0, 0))})
+    nodes = {"/floor-picture", "/axes/east", "/axes/north", "/axes/up", "/links", "/trails", "/places/marks", "/places/leaders"}
+    nodes |= {"/scans/v1/ring", "/fans/v1/ring", "/cameras/v1/down", "/obstacles/crate", "/targets/red"}
+
+    def missing() -> set[str]:
+        return {name for name in nodes if not page.page.evaluate(f"'{name}' in window.__viserSceneTree.getState()")}
+
+    page.until(lambda: not missing())
+    page.page.get_by_text("Frames, sender").wait_for()  # the legend of the links
+    page.page.get_by_role("tab", name="Charts").click()
+    page.page.get_by_text("Formation error [m]").first.wait_for(timeout=PATIENCE_S * 1e3)
+    page.page.get_by_role("tab", name="All vehicles").click()
+    page.page.get_by_text("message [s ago]").wait_for(timeout=PATIENCE_S * 1e3)
+    page.page.get_by_role("tab", name="Vehicle", exact=True).click()
+
+
+def test_the_slider_of_a_recording_has_marks_and_goes_to_the_next_event(chromium: Any) -> None:
+    with looking(scenery(1, may=RECORDED, events_ns=(4 * SECOND_NS, 40 * SECOND_NS))) as looked:
+        looked.show(0.0)
+        page = Page(looked, chromium.new_page(viewport={"width": 1000, "height": 700}))
+        page.until(lambda: page.page.locator(".mantine-Slider-mark").count() == 2)
+        page.page.get_by_role("button", name="next").click()
+        page.until(lambda: Seek(time_ns=4 * SECOND_NS) in looked.orders)
         page.page.close()
 
 

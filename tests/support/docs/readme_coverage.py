@@ -48,7 +48,9 @@ ELSEWHERE = _in_the_gallery() | {
     ".venv/bin/python examples/loss_and_delay.py": EXAMPLES,
     ".venv/bin/python examples/own_agent.py pictures": EXAMPLES,
     "make demo": "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
-    "vcmvsp export runs/demo/hold --mp4": "tests/cosim/export/test_export.py::test_below_the_film_is_the_formation_error_so_far",
+    "vcmvsp export runs/demo/hold --mp4": (
+        "tests/cosim/export/test_export.py::test_below_the_film_is_the_formation_error_so_far"
+    ),
     "vcmvsp view runs/demo/hold": (
         "tests/cosim/cli/test_view.py::test_it_prints_a_url_serves_the_page_to_who_has_it_and_ends_quietly"
     ),
