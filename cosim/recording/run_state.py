@@ -15,9 +15,11 @@ from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.recording import event_text
 
 MOST_LINES = 200  # log lines kept
+MOST_BATCHES = 256  # of receptions that wait
 COMMANDERS = ("commander", "mode")  # names under which agents note their commander
 LOGGED_NOTES = "found", "lost", "task", "target", "commander", "mode", "shape", "status"
 """Names of the notes whose changes are log lines: what a vehicle does or has found."""
+LOGGED_NOTES_SET = frozenset(LOGGED_NOTES)
 BY_VEHICLE: Mapping[type, str] = {
     types.Follows: "places",
     types.Fix: "fixes",
@@ -56,6 +58,7 @@ class RunState:
         tallies: by sender and receivers: frames, and frames received by each receiver, (1 + receivers,) int64.
         commanders: commander of each vehicle, as its agent notes it.
         halted: vehicles stopped by the operator.
+        handlers: by the types of values that count here.
         lines: log lines of incidents, operator actions and `LOGGED_NOTES`.
     """
 
@@ -67,7 +70,8 @@ class RunState:
         self.commanders: dict[str, str] = {}
         self.halted: set[str] = set()
         self.lines: deque[LogLine] = deque(maxlen=MOST_LINES)
-        self._handlers: dict[type, Callable[[str, int, Any], None]] = {
+        self._receptions: list[types.Receptions] = []  # not in ``heard_ns`` yet
+        self.handlers: dict[type, Callable[[str, int, Any], None]] = {
             types.States: lambda _, __, states: self.keep("states", "", states),
             types.FrameReport: self._on_frame,
             types.Receptions: self._on_receptions,
@@ -81,7 +85,7 @@ class RunState:
 
     def on(self, event: Event) -> None:
         """Update from an event; times never decrease."""
-        handler = self._handlers.get(type(event.value))
+        handler = self.handlers.get(type(event.value))
         if handler is not None:
             handler(event.key.partition("/")[0], event.time_ns, event.value)
 
@@ -103,19 +107,31 @@ class RunState:
         tally[1:] += report.received_ns >= 0
         self.keep("frames", report.sender, report)
 
+    def settle(self) -> None:
+        """Bring ``heard_ns`` up to date: call it before reading, since each reception costs too much by itself."""
+        batches, self._receptions = self._receptions, []
+        if batches:
+            newest_ns = np.full(len(batches[0].names), -1)
+            receiver, arrival_ns = (
+                np.concatenate(part) for part in zip(*((b.receiver, b.arrival_ns) for b in batches), strict=True)
+            )
+            np.maximum.at(newest_ns, receiver, arrival_ns)
+            for row in np.flatnonzero(newest_ns >= 0).tolist():
+                self.keep("heard_ns", batches[0].names[row], int(newest_ns[row]))
+
     def _on_receptions(self, _: str, time_ns: int, batch: types.Receptions) -> None:
-        newest_ns = np.full(len(batch.names), -1)
-        np.maximum.at(newest_ns, batch.receiver, batch.arrival_ns)
-        for row in np.flatnonzero(newest_ns >= 0).tolist():
-            self.keep("heard_ns", batch.names[row], int(newest_ns[row]))
+        self._receptions.append(batch)
+        if len(self._receptions) > MOST_BATCHES:
+            self.settle()
 
     def _on_note(self, vehicle: str, time_ns: int, note: types.Note) -> None:
         before = self.newest["notes"].get(vehicle, {})
-        self.lines.extend(changes(vehicle, time_ns, before, note.values))
-        self.keep("notes", vehicle, {**before, **note.values})
-        for name in COMMANDERS:
-            if name in note.values:
-                self.commanders[vehicle] = str(note.values[name])
+        if not LOGGED_NOTES_SET.isdisjoint(note.values):
+            self.lines.extend(changes(vehicle, time_ns, before, note.values))
+            for name in COMMANDERS:
+                if name in note.values:
+                    self.commanders[vehicle] = str(note.values[name])
+        self.keep("notes", vehicle, before | note.values)
 
     def _on_newest(self, vehicle: str, time_ns: int, value: object) -> None:
         self.keep(BY_VEHICLE[type(value)], vehicle, value)

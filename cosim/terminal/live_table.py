@@ -93,6 +93,7 @@ class LiveTable:
             received.update(dict(zip(receivers, arrived, strict=True)))
         states: States | None = run.newest["states"].get("")
         motion = {} if states is None else self._motion(states)
+        run.settle()
         presence, heard_ns = run.newest["presence"], run.newest["heard_ns"]
         names = dict.fromkeys([*motion, *run.commanders, *presence, *sorted(run.halted), *heard_ns, *sent])
         return {

@@ -90,6 +90,10 @@ class Feed:
         self._moving, self._targets = moving or {}, targets or {}
         self._rows = {craft.name: row for row, craft in enumerate(scenery.vehicles)}
         self._state = RunState()
+        self._takers: dict[type, Callable[[Event], None]] = {
+            **dict.fromkeys(self._state.handlers, self._state.on),
+            **dict.fromkeys((Later, Scan, Image), self._on_reading),
+        }
         self._state.newest |= {name: {} for name in READINGS.values()}  # requested sensors: vehicle/sensor
         self._asked: frozenset[str] = frozenset()
         self._later: dict[str, Later] = {}
@@ -107,10 +111,9 @@ class Feed:
         if event.time_ns != self._now_ns:
             self._write_if_due()  # the finished instant, complete
             self._now_ns, self._fresh = event.time_ns, True
-        if not isinstance(event.value, Later | Scan | Image):
-            self._state.on(event)
-        elif event.key in self._asked:
-            self._take_reading(event.key, event.value)
+        take = self._takers.get(type(event.value))
+        if take is not None:  # most events are of other types
+            take(event)
 
     def pace(self, pace: Pace) -> None:
         """Set the pace of the run; ``achieved`` is measured here. Also call it during a pause: it reads orders."""
@@ -152,6 +155,10 @@ class Feed:
             self._leave_nothing_out()
         self._pipe.offer_within(self._encoded(self._clock()), FAREWELL_S)
         self._forget()
+
+    def _on_reading(self, event: Event) -> None:
+        if event.key in self._asked:
+            self._take_reading(event.key, event.value)
 
     def _take_reading(self, key: str, reading: Any) -> None:
         if isinstance(reading, Later):
@@ -196,6 +203,7 @@ class Feed:
     def _leave_nothing_out(self) -> None:
         """Make the next update hold everything but readings of sensors."""
         state = self._state
+        state.settle()
         known = {name: values for name, values in state.newest.items() if name not in READINGS.values()}
         state.fresh = {(name, key): None for name, values in known.items() for key in values}
         state.lines.extendleft(reversed(self._sent_lines))
@@ -219,6 +227,7 @@ class Feed:
 
     def _update(self, pace: Pace) -> PageUpdate:
         state, time_s = self._state, self._now_ns / SECOND_NS
+        state.settle()
         news: dict[str, Any] = {}
         for collection, key in state.fresh:
             news.setdefault(collection, {})[key] = state.newest[collection][key]

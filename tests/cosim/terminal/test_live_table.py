@@ -17,10 +17,13 @@ from vcmvsp.cosim.types import RECEPTIONS, Halted, Message, Presence, Reception,
 WIDE = 200
 
 
+NAMES = ("car1", "car2", *(f"uav{i}" for i in range(100)))
+
+
 def heard(vehicle: str, time_ns: int) -> Event:
     message = Message(sender="x", body={}, size_bytes=1)
     reception = Reception(message=message, rssi_dbm=-50.0, sent_ns=time_ns, received_ns=time_ns)
-    return Event(RECEPTIONS, time_ns, receptions_at(vehicle, [reception], (vehicle,)))
+    return Event(RECEPTIONS, time_ns, receptions_at(vehicle, [reception], NAMES))
 
 
 def table_of(*events: Event, **agents: str) -> LiveTable:
