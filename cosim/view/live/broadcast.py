@@ -1,7 +1,7 @@
 """A run's page on other machines: observers can look, but give no orders and request no readings of sensors."""
 
 import time
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -15,9 +15,10 @@ from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.feed import Feed, motions_of
 from vcmvsp.cosim.view.live.session import Viewing
-from vcmvsp.cosim.view.messages import Pace, Scenery
+from vcmvsp.cosim.view.messages import Pace, PageUpdate, Scenery
 from vcmvsp.cosim.view.scenery import crafts_of, scenery_of
 
+T = TypeVar("T")
 WHOLE_S = 1.0  # between two updates that leave nothing out
 ASK_S = 0.5  # between two requests for the scenery of a run that has not begun
 
@@ -52,18 +53,26 @@ def show(endpoint: str, viewing: Viewing, **connection: Any) -> None:
         connection: as of `cosim.hosts.observers.observed`.
 
     Raises:
-        UsageError: the run refuses this observer, has no page, or the page cannot be served here.
+        UsageError: the run refuses this observer, has no page or an invalid one, or the page cannot be served here.
     """
     with observed(endpoint, **connection) as run:
         viewing.open(_scenery_of(run))
-        last = b""
+        update: PageUpdate | None = None
         for samples in run.samples([PAGE_UPDATE]):
             for sample in samples:
-                last = sample.payload.to_bytes()
-                viewing.relay(last)
-    if last and not (update := protocol.shows.decode(last)).pace.over:
+                payload = sample.payload.to_bytes()
+                update = _decoded(protocol.shows, payload, run.endpoint)
+                viewing.relay(payload)
+    if update is not None and not update.pace.over:
         over = msgspec.structs.replace(update, pace=Pace(over="it is unreachable, or was killed"))
         viewing.relay(codec.encode(over))
+
+
+def _decoded(decoder: codec.Decoder[T], payload: bytes, endpoint: str) -> T:
+    try:
+        return decoder.decode(payload)
+    except ValueError as error:
+        raise UsageError(f"the run at {endpoint} sent an invalid page, or one of another version: {error}") from error
 
 
 def _scenery_of(run: Observed) -> Scenery:
@@ -71,6 +80,6 @@ def _scenery_of(run: Observed) -> Scenery:
     while not run.presence.is_over():
         for reply in run.session.get(PAGE_SCENERY):
             if reply.ok is not None:
-                return _sceneries.decode(reply.ok.payload.to_bytes())
+                return _decoded(_sceneries, reply.ok.payload.to_bytes(), run.endpoint)
         time.sleep(ASK_S)
     raise UsageError(f"the run at {run.endpoint} ended before it showed a page")

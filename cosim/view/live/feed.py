@@ -41,7 +41,7 @@ Poses = Mapping[str, Callable[[float], Pose]]
 Places = Mapping[str, Callable[[float], tuple[float, float]]]
 
 
-class Channel(Protocol):
+class PagePipe(Protocol):
     """Connection to a viewer process, as of `protocol.Pipe`, or to observers of the run."""
 
     @property
@@ -78,7 +78,7 @@ class Feed:
 
     def __init__(
         self,
-        pipe: Channel,
+        pipe: PagePipe,
         scenery: Scenery,
         *,
         moving: Poses | None = None,
