@@ -15,7 +15,6 @@ from typing import Any, ParamSpec
 import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.collections import Collection, QuadMesh
 from matplotlib.figure import Figure
@@ -115,6 +114,8 @@ def save_svg(figure: Figure, path: str | Path) -> None:
 
 def save_pdf(figure: Figure, path: str | Path) -> None:
     """Write a figure as PDF, with its texts as text: the same bytes for the same figure."""
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf  # loads fontTools, a third of a second
+
     with style({**SVG, "pdf.fonttype": 42}):
         _laid_out(figure)
         _make_light(figure)
