@@ -14,6 +14,7 @@ from tests.support.cosim.secure_hub import (
     TOPIC,
     Hub,
     answering,
+    asked,
     bundle,
     dial,
     direct,
@@ -30,7 +31,7 @@ from vcmvsp.cosim.transport import access_control, key_names
 
 pytestmark = pytest.mark.sockets
 
-ALL = frozenset({"greeted", "answered", "alive", "hub seen", "told", "topics", "anna told", "anna sees hub"})
+ALL = frozenset({"greeted", "answered", "alive", "hub seen", "told", "topics", "page", "scenery", "anna told", "anna sees hub"})
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +61,8 @@ class Stage:
         look = direct(lambda sample: self.seen.update([f"anna sees hub {sample.kind}"]))
         self.anna.liveliness().declare_subscriber(key_names.HUB_ALIVE, look, history=True)
         hear = direct(lambda sample: self.seen.update([f"anna hears {sample.payload.to_string()}"]))
-        self.anna.declare_subscriber(key_names.TOPICS, hear)
+        for key in (key_names.TOPICS, key_names.PAGE_UPDATE):
+            self.anna.declare_subscriber(key, hear)
 
     def _asked(self, question: bytes) -> bytes:
         self.seen.update([f"car2 asked {question.decode()}"])
@@ -74,7 +76,9 @@ class Stage:
             "alive": lambda: self.hub.seen[f"token {self.keys[1]}"],
             "hub seen": lambda: self.seen[f"car2 sees hub {zenoh.SampleKind.PUT}"],
             "told": lambda: inquire(self.host, "car2") == [b"welcome"],
-            "topics": self._heard,
+            "topics": lambda: self._heard(TOPIC, "truth"),
+            "page": lambda: self._heard(key_names.PAGE_UPDATE, "update"),
+            "scenery": lambda: asked(self.anna, key_names.PAGE_SCENERY, b"scene") == [b"welcome"],
             "anna told": lambda: inquire(self.anna, "anna") == [b"welcome"],
             "anna sees hub": lambda: self.seen[f"anna sees hub {zenoh.SampleKind.PUT}"],
         }
@@ -83,9 +87,9 @@ class Stage:
         settle()
         return {name for name, check in checks.items() if name in expected or check()}
 
-    def _heard(self) -> int:
-        self.hub.session.put(TOPIC, b"truth")
-        return self.seen["anna hears truth"]
+    def _heard(self, key: str, what: str) -> int:
+        self.hub.session.put(key, what.encode())
+        return self.seen[f"anna hears {what}"]
 
 
 def _grants() -> list[tuple[str, str]]:
@@ -114,6 +118,10 @@ def test_no_rule_allows_more_than_a_run_needs(keys: Keys, stack: contextlib.Exit
         "car2/is told": "told",
         "anna/listens": "topics",
         "anna/hears": "topics",
+        "anna/opens a page": "page",
+        "anna/sees it": "page",
+        "anna/asks for scenery": "scenery",
+        "anna/gets it": "scenery",
         "anna/inquires": "anna told",
         "anna/is told": "anna told",
         "anna/watches": "anna sees hub",
@@ -137,6 +145,7 @@ def attack(stage: Stage, session: zenoh.Session, name: str) -> Counter[str]:
         "vcmvsp/about/car2",
         key_names.ABOUT,
         "**",
+        *(() if name == "anna" else (key_names.PAGE_SCENERY,)),
         stage.keys[0],
         "vcmvsp/host/*/*/ask",
         "vcmvsp/hub/*",
@@ -157,10 +166,11 @@ def attack(stage: Stage, session: zenoh.Session, name: str) -> Counter[str]:
         session.declare_subscriber(key, direct(lambda sample: got.update([f"hears {sample.payload.to_string()}"])))
     settle()
     mine = f"vcmvsp/host/{name}/{zid}/ask", key_names.join_key(name)
-    for key in (TOPIC, key_names.TOPICS, "vcmvsp/**", "**", *mine, *secrets, "vcmvsp/host/*/*/answer"):
+    for key in (TOPIC, key_names.TOPICS, key_names.PAGE_UPDATE, "vcmvsp/**", "**", *mine, *secrets, "vcmvsp/host/*/*/answer"):
         session.put(key, b"evil")
     stage.hub.ask("car2", stage.host)
     stage.hub.session.put(TOPIC, b"truth")
+    stage.hub.session.put(key_names.PAGE_UPDATE, b"update")
     settle()
     for token in declared:
         token.undeclare()  # type: ignore[no-untyped-call]
@@ -181,9 +191,10 @@ def test_nobody_hears_others_speaks_for_them_or_poses_as_the_run(
     assert stage.everything() == ALL
     assert got == {}
     sees = {f"{who} sees hub {zenoh.SampleKind.PUT}" for who in ("car2", "anna")}
-    assert set(stage.seen) == {"car2 asked question", *sees, "anna hears truth"}
+    assert set(stage.seen) == {"car2 asked question", *sees, "anna hears truth", "anna hears update"}
     greetings = {f"greeting {key}" for key in ("vcmvsp/join/car2 hello", "vcmvsp/about/car2 about", "vcmvsp/about/anna about")}
-    assert set(stage.hub.seen) == {*greetings, f"token {stage.keys[1]}", "sample truth"}
+    greetings |= {f"greeting {key_names.PAGE_SCENERY} scene"}
+    assert set(stage.hub.seen) == {*greetings, f"token {stage.keys[1]}", "sample truth", "sample update"}
 
 
 def test_without_the_rules_all_that_would_get_through(keys: Keys, stack: contextlib.ExitStack) -> None:

@@ -83,7 +83,7 @@ class Hub:
         self.endpoint = self.endpoints[0]
         self._links: list[zenoh.LinkEvent] = []
         self.session.info.declare_link_events_listener(direct(self._links.append))
-        for key in (key_names.JOIN, key_names.ABOUT):
+        for key in (key_names.JOIN, key_names.ABOUT, key_names.PAGE_SCENERY):
             self.session.declare_queryable(key, direct(self._greeted))
         self._token = self.session.liveliness().declare_token(key_names.HUB_ALIVE)
         watch = direct(lambda sample: self.seen.update([f"token {sample.key_expr}"]))
@@ -150,14 +150,17 @@ def dial(endpoint: str, machine: Bundle | None, mode: str = "client") -> zenoh.S
     return start(merge(QUIET, own, access_control.machine_security(machine) if machine else {}))
 
 
+def asked(session: zenoh.Session, key: str, payload: bytes) -> list[bytes]:
+    """The replies to a query."""
+    return [each.ok.payload.to_bytes() for each in session.get(key, payload=payload, timeout=PATIENCE_S) if each.ok]
+
+
 def greet(session: zenoh.Session, name: str, payload: bytes = b"hello") -> list[bytes]:
-    replies = session.get(key_names.join_key(name), payload=payload, timeout=PATIENCE_S)
-    return [each.ok.payload.to_bytes() for each in replies if each.ok]
+    return asked(session, key_names.join_key(name), payload)
 
 
 def inquire(session: zenoh.Session, name: str, payload: bytes = b"about") -> list[bytes]:
-    replies = session.get(key_names.about_key(name), payload=payload, timeout=PATIENCE_S)
-    return [each.ok.payload.to_bytes() for each in replies if each.ok]
+    return asked(session, key_names.about_key(name), payload)
 
 
 def settle() -> None:
