@@ -172,6 +172,8 @@ class _Film:
             low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
         middle = 0.5 * (low + high)
         known = np.isfinite(middle).all(axis=1)
+        if not known.any():  # no frame shows a vehicle
+            return middle, np.full(2, np.inf)
         frames = np.arange(self.count)
         middle = np.column_stack([np.interp(frames, frames[known], middle[known, axis]) for axis in (0, 1)])
         wide = max(1, round(SMOOTH_S * SECOND_NS / self.step_ns))

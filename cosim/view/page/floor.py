@@ -20,6 +20,7 @@ GRID_RGB, SECTION_RGB = (205, 208, 212), (165, 170, 176)
 SECTION = 5  # cells
 DARKNESS, SOFT_M = 0.35, 0.25  # share of the light that a shadow takes, and standard deviation of the blur of its edge
 WIDEST_PX, FINEST_M = 2048, 0.02  # of the picture, and of its pixels
+CLOSEST_PX = 3  # distance of two lines of the grid
 FLAT_M = 0.02  # triangles below this height cast no shadow
 MOST_TRIANGLES = 200_000  # of worlds with shadows
 
@@ -129,7 +130,9 @@ def squared(extent: tuple[float, float, float, float], color: tuple[int, int, in
 
 
 def _lines(count: int, step: float) -> Array:
-    """Rows or columns of the lines: as in the browser's grid, one goes through the middle."""
+    """Rows or columns of the lines: as in the browser's grid, one goes through the middle. None if they were too close."""
+    if step < CLOSEST_PX:
+        return np.zeros(0, int)
     each_side = math.floor(0.5 * count / step)
     places = np.floor(0.5 * count + step * np.arange(-each_side, each_side + 1)).astype(int)
     return places[(places >= 0) & (places < count)]

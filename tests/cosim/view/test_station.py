@@ -174,6 +174,8 @@ def test_the_floor_of_a_world_with_solids_is_a_picture_with_the_lines_of_the_gri
     columns, rows = ((pixels != FLOOR).any(axis=2).all(axis=axis).sum() for axis in (0, 1))
     assert floor.size == pytest.approx((4.0, 2.0))
     assert (columns, rows) == (4, 2)  # at -2, -1, 0, 1 and -1, 0 m: the last would lie at the edge
+    vast = np.asarray(squared((-1e9, -1e9, 1e9, 1e9), FLOOR, 10.0).pixels)
+    assert (vast == FLOOR).all()  # lines would cover it
     empty = scenery(1, vertices=np.zeros((0, 3), np.float32), triangles=np.zeros((0, 3), np.uint32))
     with looking(msgspec.structs.replace(empty, colors=np.zeros((0, 3), np.uint8))) as looked:
         assert looked.server.scene.get_handle_by_name("/floor-picture") is None
