@@ -72,7 +72,7 @@ class AgentRunner:
 
     def start(self, run: RunInfo) -> None:
         """Start the agent with the data of its vehicle and of the run."""
-        self._radio, self._started = Radio(self.vehicle, run.vehicles), True
+        self.radio, self._started = Radio(self.vehicle, run.vehicles), True
         self._vehicles = run.vehicles
         about = VehicleInfo(
             name=self.vehicle,
@@ -112,7 +112,7 @@ class AgentRunner:
         """Append the events of a tick, in effect from now + latency on."""
         self.next_ns = after_ns
         if now_ns >= self.fails_ns:
-            self._die(now_ns, events)
+            self.die(now_ns, events)
         elif self._absence is not None:
             events.extend(self._absence.go_on(now_ns + self.info.latency_ns))
         else:
@@ -130,32 +130,40 @@ class AgentRunner:
         self._absence = Absence(self.spec, now_ns, when, error.cause, follows=follows)
         events.extend(self._absence.news)
 
-    def _act(self, now_ns: int, when: int, received: ReceivedMessages, events: list[Event]) -> None:
+    def observe(self, now_ns: int, received: ReceivedMessages) -> Observation:
+        """What the agent observes now."""
         if self._state is None:
             raise AgentError(
                 (self.vehicle,), self.spec.kind, "has no state to act on: no estimate of its vehicle was published"
             )
-        agent, radio = self.agent, self._radio
-        observation = Observation(
+        return Observation(
             vehicle=self.vehicle,
             time_ns=now_ns,
             state=self._state,
             readings=Readings(self._readings),
             heard=received,
         )
+
+    def _act(self, now_ns: int, when: int, received: ReceivedMessages, events: list[Event]) -> None:
+        observation = self.observe(now_ns, received)
         try:
-            command = agent.act(observation, radio)
+            command = self.agent.act(observation, self.radio)
         except KeyboardInterrupt as error:
             about = f" in agent {self.spec.kind} of vehicle {self.vehicle}{place_of(error)}"
             raise KeyboardInterrupt(about) from error
         except BaseException as error:  # as in `guarded`, a call less
             raise self._failure(error) from error
+        self.conclude(command, when, events)
+
+    def conclude(self, command: Velocity | Waypoint | None, when: int, events: list[Event]) -> None:
+        """Append the events of a tick whose agent has given its command, in effect from ``when`` on."""
+        agent = self.agent
         if command is not None:
-            events.append(Event(self._command_key, when, self._checked(command)))
+            events.append(Event(self._command_key, when, self.checked(command)))
         if agent.follows is not self._follows and agent.follows != self._follows:
             self._follows = agent.follows
             events.append(Event(f"{self.vehicle}/follows", when, self._place(self._follows)))
-        if agent._notes or agent._shown or radio._outbox:  # noqa: SLF001  checked here: runs at every tick of every agent
+        if agent._notes or agent._shown or self.radio._outbox:  # noqa: SLF001  checked here: runs at every tick of every agent
             self._tell(when, events)
 
     def _tell(self, when: int, events: list[Event]) -> None:
@@ -163,10 +171,10 @@ class AgentRunner:
             events.append(Event(self._note_key, when, Note(values=notes)))
         if self.agent._shown:  # noqa: SLF001  as in `_act`
             events += [Event(f"{self.vehicle}/{what}", when, value) for what, value in self.agent.drain_shown().items()]
-        if self._radio._outbox:  # noqa: SLF001  as in `_act`
-            events += [Event(f"{self.vehicle}/send", when, message) for message in self._radio.drain()]
+        if self.radio._outbox:  # noqa: SLF001  as in `_act`
+            events += [Event(f"{self.vehicle}/send", when, message) for message in self.radio.drain()]
 
-    def _die(self, now_ns: int, events: list[Event]) -> None:
+    def die(self, now_ns: int, events: list[Event]) -> None:
         """Stop the vehicle and end all messages, at the failure time of the scenario."""
         if not self._dead:
             self._dead, when = True, now_ns + self.info.latency_ns
@@ -175,7 +183,8 @@ class AgentRunner:
             if self._follows is not None:
                 events.append(Event(f"{self.vehicle}/follows", when, self._place(None)))
 
-    def _checked(self, command: Any) -> Velocity | Waypoint:
+    def checked(self, command: Any) -> Velocity | Waypoint:
+        """The command with plain numbers; an `AgentError` if it is none."""
         if not isinstance(command, COMMANDS):
             raise self._error(f"returned {binding.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
         try:
@@ -263,9 +272,7 @@ class AgentHost:
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Distribute the inbox and run every agent that has a tick now."""
-        takes = self._takes
-        for event in inbox:
-            takes[event.key](event.value)
+        self._read(inbox)
         events: list[Event] = []
         after = [ticks.after(now_ns) for ticks in self._trains]
         due = [seat.is_due(now_ns) for seat in self._seats]
@@ -278,6 +285,11 @@ class AgentHost:
                 seat.tick(now_ns, after[train], received.get(seat.vehicle, nothing), events)
             next_ns = seat.next_ns if seat.next_ns < next_ns else next_ns  # noqa: FURB136  a call less than min()
         return Step(events, next_ns)
+
+    def _read(self, inbox: Sequence[Event]) -> None:
+        takes = self._takes
+        for event in inbox:
+            takes[event.key](event.value)
 
     def close(self) -> None:
         """Close every started agent, even after a failure; the first failure is raised at the end."""

@@ -236,6 +236,16 @@ class Agent:
         return notes or {}
 
 
+class DrivenVehicle(Agent):
+    """A vehicle that the caller of `vcmvsp.start` drives: it has no algorithm, and a radio for messages between two steps."""
+
+    radio: Radio
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint | None:
+        """Refuse: only a run that its caller steps has such a vehicle."""
+        raise TypeError("a DrivenVehicle has no algorithm: vcmvsp.start() runs it")
+
+
 def _copied(value: Shown) -> Shown:
     """A copy with plain numbers and its own arrays, as received from a host."""
     if isinstance(value, Sightings):

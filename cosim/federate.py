@@ -166,6 +166,16 @@ class RemoteFederate(Federate, Releasable, Protocol):
         """Wait for the answer to the oldest open question."""
 
 
+@runtime_checkable
+class Driven(RemoteFederate, Protocol):
+    """A federate whose answers the caller of the kernel gives: the kernel returns between question and answer."""
+
+    driven: bool
+
+    def finish(self, now_ns: int, inbox: Sequence[Event]) -> None:
+        """Take the last events, at the end of the run."""
+
+
 class ExternalMotion(Protocol):
     """Motion of vehicles that physics does not move: real robots, or a recording of them.
 

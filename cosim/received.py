@@ -221,20 +221,24 @@ class Mailboxes:
 
     def open(self, now_ns: int, vehicles: Collection[str] | None = None) -> dict[str, ReceivedMessages]:
         """What `take` takes, by vehicle."""
-        batch = self.take(now_ns, vehicles)
-        if batch is None:
-            return {}
-        sorted_batch, names, found, begin = _SortedBatch(batch), batch.names, dict[str, ReceivedMessages](), 0
-        for row, count in enumerate(np.bincount(batch.receiver).tolist()):
-            if count:
-                found[names[row]] = ReceivedMessages(sorted_batch, begin, begin + count, now_ns)
-                begin += count
-        return found
+        return by_receiver(self.take(now_ns, vehicles), now_ns)
 
     def _mask(self, vehicles: Collection[str]) -> Array:
         mask = np.zeros(len(self._row), np.bool_)
         mask[[self._row[name] for name in vehicles]] = True
         return mask
+
+
+def by_receiver(batch: Receptions | None, now_ns: int) -> dict[str, ReceivedMessages]:
+    """The messages of a batch in order of receivers (`Mailboxes.take`), by vehicle; None: nothing."""
+    if batch is None:
+        return {}
+    sorted_batch, names, found, begin = _SortedBatch(batch), batch.names, dict[str, ReceivedMessages](), 0
+    for row, count in enumerate(np.bincount(batch.receiver).tolist()):
+        if count:
+            found[names[row]] = ReceivedMessages(sorted_batch, begin, begin + count, now_ns)
+            begin += count
+    return found
 
 
 def _rows_of(batch: Receptions, rows: Array) -> Receptions:

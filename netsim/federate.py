@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.clock import Ticks, seconds_to_ns
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Seconds, States, Traffic
@@ -46,7 +46,8 @@ class RadioFederate:
 
     With routing a message may need several frames, sent by the vehicles on its route (`netsim.routing`).
 
-    The federate is stepped with the senders, and when a frame ends on a contended medium or is forwarded; it never polls.
+    The federate is stepped with the senders, and when a frame ends on a contended medium or is forwarded; it never polls. With
+    ``report_at`` it is stepped at these instants instead of at the ends of frames: reports come later, with the same contents.
     """
 
     name = "radio"
@@ -68,6 +69,7 @@ class RadioFederate:
         self._channel, self._routing, self._programs, self._woken = channel, router, programs, frozenset(woken)
         self._least_dbm = reported_from_dbm
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
+        self.report_at: Ticks | None = None
 
     def start(self, run: RunInfo) -> int | None:
         """Start with an idle channel."""
@@ -111,6 +113,8 @@ class RadioFederate:
         if posts or now_ns == self._end_ns:
             reports += self._decided(now_ns)
         due = self._channel.next_ns()
+        if due is not None and self.report_at is not None:
+            due = self.report_at.after(due - 1)
         events = self._reported(self._events(reports, now_ns))
         return Step(events, None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
 

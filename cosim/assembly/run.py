@@ -176,6 +176,7 @@ def assemble(
         ScenarioError: the scenario cannot be run as it is.
         FederateError: a host or an agent failed.
     """
+    from vcmvsp.agents.driven_host import DrivenHost
     from vcmvsp.agents.federate import AgentHost
 
     resolution, inputs = Resolution(scenario, source), InputLog()
@@ -210,7 +211,7 @@ def assemble(
     about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s, "vehicles": [*radius_m]}
     hosts = Hosts(
         scenario.agents,
-        AgentHost,
+        {"inprocess": AgentHost, "driven": DrivenHost},
         kinds=placement.kinds,
         listen=listen,
         keys=keys,

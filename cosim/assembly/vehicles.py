@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from vcmvsp.cosim.agent import SHOWN, Agent, AgentInfo, AgentSpec
+from vcmvsp.cosim.agent import SHOWN, Agent, AgentInfo, AgentSpec, DrivenVehicle
 from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
@@ -146,7 +146,7 @@ class Placement:
             the scenario.
 
     Attributes:
-        specs: agent specifications for the hosts, by place: ``inprocess``, ``process`` or ``zenoh``.
+        specs: agent specifications for the hosts, by place: ``inprocess``, ``driven``, ``process`` or ``zenoh``.
         where: place by vehicle.
         kinds: classes of the given objects, which replace the scenario's, by vehicle.
 
@@ -191,7 +191,7 @@ class Placement:
     def _place(self, vehicle: VehicleTable, runs: str | None) -> str | None:
         """Where a vehicle's agent runs; None: it has no agent, or with ``here`` no known class."""
         if vehicle.name in self.objects:
-            return "inprocess"
+            return "driven" if isinstance(self.objects[vehicle.name], DrivenVehicle) else "inprocess"
         if vehicle.agent is None:
             return None
         where = vehicle.agent.runs or self._scenario.agents.runs
@@ -225,7 +225,7 @@ class Placement:
             defaults |= {name: value for name, value in own.params.items() if name not in params}
         given = ((f"agents.{n}", n) for n in defaults), ((f"vehicle.{vehicle.name}.agent.{n}", n) for n in params)
         replaced = {n: names for each in given for key, n in each if (names := self._source.replaced(key)) is not None}
-        latency = own.latency_s if own and own.latency_s is not None else agents.latency_s
+        latency = agents.latency_s if fate.latency_s is None else fate.latency_s
         sensors = self._fleet.sensors[vehicle.name]
         return AgentSpec(
             vehicle=vehicle.name,
@@ -234,7 +234,7 @@ class Placement:
             params=params,
             defaults=defaults,
             replaced=replaced,
-            period_s=(own and own.period_s) or agents.period_s,
+            period_s=fate.period_s or agents.period_s,
             latency_s=latency,
             source=self._source.name,
             sensors=tuple(sensors),

@@ -42,7 +42,7 @@ class Hosts:
     def __init__(
         self,
         agents: AgentsTable,
-        builder: "BuildsHost",  # makes the federate of the agents in this process
+        builders: "Mapping[str, BuildsHost]",  # make the federates of agents in this process, by placement
         *,
         tell: Tell,
         kinds: Mapping[str, str] | None = None,
@@ -55,7 +55,7 @@ class Hosts:
     ) -> None:
         self._about = {**(about or {}), "missing": self._absent}
         self._agents = agents if listen is None else msgspec.structs.replace(agents, listen=listen)
-        self._builder, self._observed, self._meanwhile = builder, listen is not None, meanwhile
+        self._builders, self._observed, self._meanwhile = builders, listen is not None, meanwhile
         self._tell, self._keys, self._insecure, self._watch = tell, keys, insecure, watch
         self._stack = contextlib.ExitStack()
         self.entrance: Entrance | None = None  # listener for remote hosts and observers
@@ -100,11 +100,12 @@ class Hosts:
         """Start the hosts of all agents, or wait for them.
 
         Args:
-            specs: the agents by placement: ``inprocess``, ``process`` or ``zenoh``.
+            specs: the agents by placement: ``inprocess``, ``driven``, ``process`` or ``zenoh``.
             objects: agents that exist already, by vehicle.
         """
         start: dict[str, Callable[[Sequence[AgentSpec]], None]] = {
-            "inprocess": lambda group: self._add(self._builder("agents", group, objects)),
+            "inprocess": lambda group: self._add(self._builders["inprocess"]("agents", group, objects)),
+            "driven": lambda group: self._add(self._builders["driven"]("caller", group, objects)),
             "process": self.run_in_processes,
             "zenoh": self.await_by_hand,
         }

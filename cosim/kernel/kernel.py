@@ -22,11 +22,11 @@ from operator import attrgetter
 from typing import TypeVar
 
 import simpy
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, WallClock
 from vcmvsp.cosim.errors import FederateError, VcmvspError, words_of
-from vcmvsp.cosim.federate import Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot, Waiting, matches
+from vcmvsp.cosim.federate import Driven, Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot, Waiting, matches
 from vcmvsp.cosim.util.polling import readable
 
 Observer = Callable[[Event], None]
@@ -187,6 +187,9 @@ class Kernel:
         self._federates = sorted(federates, key=lambda each: each.name)
         self._blames = [_blame(each) for each in self._federates]
         self._remote = {i: each for i, each in enumerate(self._federates) if isinstance(each, RemoteFederate)}
+        self._driven = {i: each for i, each in enumerate(self._federates) if isinstance(each, Driven)}
+        self._half: tuple[int, Slot, list[tuple[int, Sequence[Event]]]] | None = None  # a slot that waits for the caller
+        self._last_ns = -1  # the last instant
         self._waiting = frozenset(i for i, each in enumerate(self._federates) if isinstance(each, Waiting) and each.waits)
         self._polled: list[tuple[int, Polled]] = [
             (i, each) for i, each in enumerate(self._federates) if isinstance(each, Polled)
@@ -213,17 +216,30 @@ class Kernel:
         Args:
             observe: called with every event, in the order of publication (the recording).
         """
-        self._events.observe = observe
-        with threadpool_limits(1), _seldom_collected():  # linear algebra on one core: sums do not depend on the number of cores
-            self._run(on_instant)
+        self.begin(observe)
+        while self.advance(on_instant):
+            pass
 
-    def _run(self, on_instant: Callable[[int], None] | None) -> None:
+    def begin(self, observe: Observer) -> None:
+        """Prepare for `advance`; arguments as of `run`."""
+        self._events.observe = observe
+        self._libraries = ThreadpoolController()  # of linear algebra
         self._clock.start()
         self._listen()
-        last, end_ns = -1, self.run_info.duration_ns
+
+    def advance(self, on_instant: Callable[[int], None] | None = None) -> bool:
+        """Step the federates until one of them waits for the caller (`Driven`): True; or until the end: False."""
+        with self._libraries.limit(limits=1), _seldom_collected():  # sums do not depend on the number of cores
+            return self._advance(on_instant)
+
+    def _advance(self, on_instant: Callable[[int], None] | None) -> bool:
+        if self._half is not None:
+            half, self._half = self._half, None
+            self._end_slot(*half)
+        last, end_ns = self._last_ns, self.run_info.duration_ns
         while (now := self._env.peek()) <= end_ns:
             if now != last:
-                last = self._wait_until(last, int(now))
+                last = self._last_ns = self._wait_until(last, int(now))
                 if on_instant:
                     on_instant(last)
                 for index, federate in self._polled:
@@ -235,8 +251,14 @@ class Kernel:
                 raise KeyboardInterrupt
             if self._env.peek() <= last:  # else the federate that woke the clock needs no step
                 self._env.step()
+                if self._half is not None:
+                    return True
         self.now_ns = end_ns
         self._events.publish(end_ns, Slot.RADIO)
+        for index in sorted(self._driven):
+            with self._blames[index]:
+                self._driven[index].finish(end_ns, self._events.inbox(index))
+        return False
 
     def _listen(self) -> None:
         doors = [each.fileno() for _, each in self._polled if isinstance(each, Prompted)]
@@ -335,6 +357,12 @@ class Kernel:
             if index in self._remote:
                 self._ask(index, now)
         given = [(index, self._step(index, now)) for index in due if index not in self._remote]
+        if not self._driven or self._driven.keys().isdisjoint(due):
+            self._end_slot(now, slot, given)
+        else:
+            self._half = now, slot, given
+
+    def _end_slot(self, now: int, slot: Slot, given: Sequence[tuple[int, Sequence[Event]]]) -> None:
         self._collect(now, slot)  # before local events: a federate may be remote in one run and local in another
         for index, events in given:
             self._events.give(index, events, now, slot)

@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
@@ -145,11 +145,24 @@ class Simulation:
 
     def run(self) -> VcmvspError | None:
         """Run to the end; returns an error after the start, so that the recording can be kept."""
+        steps = self.steps()
+        try:
+            while True:
+                next(steps)
+        except StopIteration as end:
+            failure: VcmvspError | None = end.value
+            return failure
+
+    def steps(self) -> Generator[None, bool | None, VcmvspError | None]:
+        """Run to the end, with a stop wherever a driven vehicle waits for its command; returns what `run` returns.
+
+        True sent at a stop ends the run there.
+        """
         kernel = self._kernel
         self._run.start(kernel)
         try:
             with self._recording() as recorder:
-                failure = self._go(recorder)
+                failure = yield from self._go(recorder)
         except BaseException:
             with contextlib.suppress(VcmvspError):
                 kernel.close()
@@ -193,13 +206,15 @@ class Simulation:
         """What remains of a run whose files are not all written, in words."""
         return "nothing is kept" if self._folder is None else f"run.mcap in {self._folder.path} is whole"
 
-    def _go(self, recorder: Recorder) -> VcmvspError | None:
+    def _go(self, recorder: Recorder) -> Generator[None, bool | None, VcmvspError | None]:
         kernel = self._kernel
         failure: VcmvspError | None = None
-        begin = time.monotonic()
+        begin, on_instant, is_cut = time.monotonic(), self._on_instant(), False
         try:
             with SlowAgents(lambda: kernel.now_ns, self._run.scenario.agents.deadline_s, self._tell):
-                kernel.run(self._observer(recorder), on_instant=self._on_instant())
+                kernel.begin(self._observer(recorder))
+                while not is_cut and kernel.advance(on_instant):
+                    is_cut = bool((yield))
         except KeyboardInterrupt as error:
             failure = Interrupted(f"interrupted at {kernel.now_ns / 1e9:.3f} s{error}")
         except VcmvspError as error:
@@ -210,13 +225,14 @@ class Simulation:
             gone = Presence(state="lost", since_ns=kernel.now_ns, why=plain(failure.cause))
             for vehicle in failure.vehicles:
                 recorder.on(Event(f"{vehicle}/host", kernel.now_ns, gone))
-        recorder.log("error" if failure else "info", str(failure or "the run is complete"), kernel.now_ns)
-        recorder.close(kernel.now_ns, is_cut=failure is not None)
+        last = str(failure or (f"ended by its caller at {kernel.now_ns / SECOND_NS:.3f} s" if is_cut else "the run is complete"))
+        recorder.log("error" if failure else "info", last, kernel.now_ns)
+        recorder.close(kernel.now_ns, is_cut=is_cut or failure is not None)
         if self._broadcast is not None:
-            self._broadcast.close(str(failure or "the run is complete"))
+            self._broadcast.close(last)
         if self._live is not None:
             kept = "it is not recorded" if self._folder is None else f"`vcmvsp view {self._folder.path}` opens the recording"
-            self._live.close(f"{failure or 'the run is complete'}; {kept}")
+            self._live.close(f"{last}; {kept}")
         return failure
 
     def _stop(self) -> None:

@@ -178,6 +178,16 @@ class Channel:
         """Whether radios contend for the medium, so that outcomes are known only when frames end."""
         return not isinstance(self.mac, Ideal)
 
+    @property
+    def alone(self) -> str:
+        """What prevents this channel from being computed for many worlds at once, in words; empty: nothing."""
+        if self.contends:
+            return f"mac.kind: radios contend ({type(self.mac).__name__})"
+        if not self.budgets.by_distance:
+            return "path_loss, walls, shadowing: the level depends on more than the distance"
+        layers = {"script": self._script, "trace": self._trace, "jammer": self._jammer, "delivery": self._delivery}
+        return next((name for name, layer in layers.items() if unless_nothing(layer) is not None), "")
+
     def expect(self, frames: int) -> None:
         """Hint of the number of frames; decides now whether to compile. Changes no result."""
         self._expected = frames

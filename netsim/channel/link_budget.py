@@ -228,7 +228,7 @@ class Budgets:
         before = self._means if same else {}
         if not same:
             self._groups.clear()
-            self._raised = np.array([(0.0, 0.0, self._of(name).antenna_height_m) for name in names])
+            self._raised = self.antennas_above(names)
             self._row = {name: row for row, name in enumerate(names)}
             self._gain_dbi, self._least_dbm = self.gain_dbi(names), self.sensitivity_dbm(names)
             self._power_dbm = self.tx_power_dbm(names) + self._gain_dbi
@@ -317,6 +317,10 @@ class Budgets:
     def sensitivity_dbm(self, names: tuple[str, ...]) -> Floats:
         """Sensitivity of the radios of these vehicles, (n,)."""
         return self._own(names, "sensitivity_dbm", self.least_dbm)
+
+    def antennas_above(self, names: tuple[str, ...]) -> Floats:
+        """Places of antennas relative to their vehicles, (n, 3) m."""
+        return np.array([(0.0, 0.0, self._of(name).antenna_height_m) for name in names])
 
     def gain_dbi(self, names: tuple[str, ...]) -> Floats:
         """Gain of the antennas of these vehicles, (n,)."""

@@ -67,6 +67,12 @@ class GroundEngine(Engine):
         self._command_v[row] = v if -max_v < v < max_v else max(-max_v, min(v, max_v))
         self._command_w[row] = yaw_rate if -max_w < yaw_rate < max_w else max(-max_w, min(yaw_rate, max_w))
 
+    def command_all(self, linear: Floats, yaw_rate: Floats) -> None:
+        """`command` for all vehicles: speeds (n, 3) m/s and yaw rates (n,) rad/s."""
+        most_v, most_w = np.array(self._greatest).T
+        np.clip(linear[:, 0], -most_v, most_v, out=self._command_v)
+        np.clip(yaw_rate, -most_w, most_w, out=self._command_w)
+
     def advance(self, to_ns: int) -> None:
         """Advance to ``to_ns``."""
         span_ns = to_ns - self._now_ns
@@ -187,6 +193,16 @@ class AerialEngine(Engine):
         share = min(1.0, most / level) if (level := float(np.hypot(x, y))) > 0.0 else 1.0
         self._rate[:, row] = x * share, y * share, max(-climb, min(z, climb)), max(-turn, min(yaw_rate, turn))
         self._left_s[:, row] = inf
+
+    def command_all(self, linear: Floats, yaw_rate: Floats) -> None:
+        """`command` for all vehicles: velocities (n, 3) m/s, world, and yaw rates (n,) rad/s."""
+        most, climb, turn = np.array(self._most).T
+        level = np.hypot(linear[:, 0], linear[:, 1])
+        share = np.minimum(1.0, most / np.where(level > 0.0, level, most))
+        self._rate[:2] = linear[:, :2].T * share
+        self._rate[2] = np.clip(linear[:, 2], -climb, climb)
+        self._rate[_YAW] = np.clip(yaw_rate, -turn, turn)
+        self._left_s[:] = inf
 
     def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
         """Fly straight to a position, m, turn to ``yaw``, rad, the shorter way, and stay there."""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.frames import arc, quaternion_from_yaw, rotate2, wrap, yaw_of
     from vcmvsp.cosim.received import ReceivedMessages
     from vcmvsp.cosim.runs.api import Result, run
+    from vcmvsp.cosim.runs.stepping import SteppedRun, start
     from vcmvsp.cosim.studies.engine import study
     from vcmvsp.cosim.types import (
         Fix,
@@ -38,6 +39,7 @@ _HOMES = {
     "vcmvsp.cosim.agent": ("Agent", "Observation", "Radio", "VehicleInfo"),
     "vcmvsp.cosim.received": ("ReceivedMessages",),
     "vcmvsp.cosim.runs.api": ("Result", "run"),
+    "vcmvsp.cosim.runs.stepping": ("SteppedRun", "start"),
     "vcmvsp.cosim.errors": ("AgentError", "FederateError", "Interrupted", "ScenarioError", "UsageError", "VcmvspError"),
     "vcmvsp.cosim.frames": ("arc", "quaternion_from_yaw", "rotate2", "wrap", "yaw_of"),
     "vcmvsp.cosim.studies.engine": ("study",),
@@ -64,6 +66,8 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [  # noqa: RUF022  by topic
     "run",
     "Result",
+    "start",
+    "SteppedRun",
     "study",
     "Agent",
     "Observation",

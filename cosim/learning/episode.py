@@ -1,0 +1,254 @@
+"""One episode of a task in a run that is stepped (`cosim.runs.stepping`): from actions to `Worlds`, with w = 1."""
+
+import functools
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vcmvsp.cosim.agent import Observation
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.learning.task import AGE_BOUND_S, LEAST_DBM, Floats, Task, Worlds, yaw_of_attitude
+from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.runs.stepping import SteppedRun, start
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.types import FrameReport, Message, States, Velocity
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.view.live.session import Viewing
+
+PERIOD_S = 0.1  # of tasks whose scenario has no ``agents.period_s``
+RECEIVED = "received"
+
+
+class TaskScenario:
+    """The scenario of a task, with its changes: what is the same in all episodes.
+
+    Args:
+        settings: key path -> value, as ``set`` of `vcmvsp.run`.
+
+    Attributes:
+        names: of all vehicles.
+        poses_are_true: whether all vehicles observe their true poses.
+        seed: of the scenario.
+        period_s, period_ns: time between two ticks.
+        steps: ticks of an episode.
+    """
+
+    def __init__(self, task: Task, settings: Mapping[str, Any] | None, max_cycles: int | None = None) -> None:
+        self.task, self._settings = task, dict(settings or {})
+        self._content = task.scenario()
+        parsed = scenarios.load(self._content, settings=self._settings).scenario
+        self.names = tuple(each.name for each in parsed.vehicle)
+        self._is_posed = [each.pose is not None for each in parsed.vehicle]
+        self._poses = np.array([[*position, heading] for position, heading in (each.start for each in parsed.vehicle)])
+        self.poses_are_true = all(each.pose_source == "truth" for each in parsed.vehicle)
+        self.seed, self.period_s = parsed.seed, parsed.agents.period_s or PERIOD_S
+        duration_s = parsed.duration_s if max_cycles is None else max_cycles * self.period_s
+        self._settings |= {"duration_s": duration_s, "agents.period_s": self.period_s}
+        self.period_ns = seconds_to_ns(self.period_s)
+        self.steps = -(-seconds_to_ns(duration_s) // self.period_ns)
+
+    def begin(self, seed: int) -> tuple[Floats, dict[str, Any]]:
+        """Start poses (n, 4), x, y, z m and heading rad, and the task's memory of the world of a seed."""
+        rng = stream(seed, f"task/{self.task.name}")
+        starts = self.task.starts(rng)
+        if starts is None:
+            starts = self._poses
+        return starts, self.task.begin(rng, starts)
+
+    def load(self, seed: int) -> tuple[scenarios.Loaded, dict[str, Any]]:
+        """The scenario and the task's memory of the world of a seed."""
+        (starts, memory), settings = self.begin(seed), dict(self._settings)
+        if starts is not self._poses:
+            for name, is_posed, (x, y, z, heading) in zip(self.names, self._is_posed, starts.tolist(), strict=True):
+                if is_posed:
+                    settings[f"vehicle.{name}.pose"] = [x, y, heading]
+                else:
+                    settings |= {f"vehicle.{name}.position": [x, y, z], f"vehicle.{name}.heading": heading}
+        return scenarios.load(self._content, settings=settings, seed=seed), memory
+
+
+class Mail:
+    """The newest message that each of n vehicles has from each other one, in w worlds.
+
+    Attributes:
+        message: (w, n, n - 1, m), in the order of vehicles.
+        sent_ns: (w, n, n - 1); -1: none yet.
+        rssi_dbm: (w, n, n - 1).
+    """
+
+    def __init__(self, worlds: int, vehicles: int, floats: int) -> None:
+        shape = worlds, vehicles, vehicles - 1
+        self.message = np.zeros((*shape, floats))
+        self.sent_ns = np.full(shape, -1, np.int64)
+        self.rssi_dbm = np.full(shape, LEAST_DBM)
+
+    def take(
+        self, now_ns: int, sent_ns: int, message: Floats, arrival_ns: NDArray[np.int64], rssi_dbm: Floats
+    ) -> None:
+        """Take what arrives by now of the messages (w, n, m) that all vehicles sent at one time, unless a newer one is known.
+
+        Args:
+            arrival_ns, rssi_dbm: (w, n, n - 1) by sender and receiver; -1: lost.
+        """
+        sender, place, receiver, there = _transposed(arrival_ns.shape[1])
+        arrived = (arrival_ns >= 0) & (arrival_ns <= now_ns)
+        newer = arrived[:, sender, place] & (self.sent_ns[:, receiver, there] <= sent_ns)
+        world, pair = np.nonzero(newer)
+        at = world, receiver[pair], there[pair]
+        self.message[at] = message[world, sender[pair]]
+        self.sent_ns[at] = sent_ns
+        self.rssi_dbm[at] = rssi_dbm[world, sender[pair], place[pair]]
+
+    def ages(self, now_ns: int) -> dict[str, NDArray[Any]]:
+        """Fields of `Worlds` at a time."""
+        heard = self.sent_ns >= 0
+        age_s = np.where(heard, (now_ns - self.sent_ns) / 1e9, AGE_BOUND_S)
+        return {"message": self.message, "rssi_dbm": self.rssi_dbm, "age_s": age_s, "heard": heard}
+
+
+@functools.lru_cache
+def _transposed(vehicles: int) -> tuple[NDArray[np.intp], ...]:
+    """All pairs: row of the sender, the receiver's place among its others, row of the receiver, the sender's place there."""
+    sender, receiver = np.nonzero(~np.eye(vehicles, dtype=bool))
+    return sender, receiver - (receiver > sender), receiver, sender - (sender > receiver)
+
+
+class Episode:
+    """A run of one world of a task: the caller gives actions and gets `Worlds` of w = 1.
+
+    Attributes:
+        run: the run.
+        memory: of the task, arrays (1, ...).
+        reports: of the frames that were decided within the last tick.
+        frames: their counts, by sender.
+        true, observed: state of the vehicles, and as they observe it themselves.
+    """
+
+    def __init__(self, scenario: TaskScenario, seed: int, *, record: bool = False, view: "Viewing | None" = None) -> None:
+        self._scenario, self._task, self.names = scenario, scenario.task, scenario.names
+        loaded, memory = scenario.load(seed)
+        self.memory = {name: np.asarray(value)[None] for name, value in memory.items()}
+        self._row = {name: row for row, name in enumerate(self.names)}
+        self._mail = Mail(1, len(self.names), self._task.message_floats)
+        self._states: States | None = None
+        self.reports: list[FrameReport] = []
+        self.frames: list[FrameCount] = []
+        self.run: SteppedRun = start(loaded, record=record, mcap=False, observe=self._observe, view=view)
+        self._next()
+
+    def step(self, commands: Floats, sends: NDArray[np.bool_], messages: NDArray[np.float32]) -> bool:
+        """Give commands (n, 4), see `Task.motion`, and messages (n, m) of the vehicles that send, (n,); whether the run goes on."""
+        flies, given = self._task.flies, {}
+        for name, (x, y, z, turn) in zip(self.names, commands.tolist(), strict=True):
+            given[name] = Velocity(linear=(x, y, z) if flies else (x, 0.0, 0.0), yaw_rate=turn)
+        self.run.act(given)
+        for row in np.flatnonzero(sends).tolist():
+            self.run.vehicles[self.names[row]].radio.send(messages[row].astype("<f4").tobytes())
+        return self._next()
+
+    def readings(self) -> Mapping[str, Observation]:
+        """The observations of all vehicles."""
+        return self.run.observations or self.run.last
+
+    def _next(self) -> bool:
+        self.reports.clear()
+        goes_on = bool(self.run.step())
+        observations = self.readings()
+        if len(observations) < len(self.names):
+            missing = next(name for name in self.names if name not in observations)
+            raise UsageError(f"{missing} has no tick with the others: all vehicles of a task need one period, and none may fail")
+        states = self._states
+        assert states is not None  # noqa: S101  published before any tick
+        now_ns = next(iter(observations.values())).time_ns
+        self._take_messages()
+        self.frames = counted(self.reports, self._row)
+        rest = {**self._mail.ages(now_ns), "time_s": np.array([now_ns / 1e9]), "memory": self.memory}
+        self.true = Worlds(
+            position=states.position[None],
+            velocity=states.velocity[None],
+            yaw=yaw_of_attitude(states.attitude)[None],
+            yaw_rate=states.angular_velocity[None, :, 2],
+            **rest,
+        )
+        self.observed = self.true
+        if not self._scenario.poses_are_true:
+            own = [observations[name].state for name in self.names]
+            self.observed = Worlds(
+                position=np.array([[each.position for each in own]]),
+                velocity=np.array([[each.velocity for each in own]]),
+                yaw=yaw_of_attitude(np.array([[each.attitude for each in own]])),
+                yaw_rate=np.array([[each.angular_velocity[2] for each in own]]),
+                **rest,
+            )
+        return goes_on
+
+    def _observe(self, event: Event) -> None:
+        if event.key == "world/states":
+            self._states = event.value  # type: ignore[assignment]  # the value of this key
+        elif event.key == "radio/frame":
+            self.reports.append(event.value)  # type: ignore[arg-type]  # the value of this key
+
+    def _take_messages(self) -> None:
+        """Keep what was sent last of what has arrived; of equal times, the later arrival."""
+        batch = self.run.received
+        if batch is None:
+            return
+        senders = np.array([self._row[message.sender] for message in batch.messages])[batch.message]
+        sent_ns, receivers = batch.sent_ns[batch.message], batch.receiver
+        place = senders - (senders > receivers)
+        order = np.argsort(sent_ns, kind="stable")  # rows are in order of arrival: the last one of a pair counts
+        order = order[sent_ns[order] >= self._mail.sent_ns[0, receivers[order], place[order]]]
+        at = 0, receivers[order], place[order]
+        vectors = vectors_of(batch.messages, self._task.message_floats)
+        self._mail.message[at] = vectors[batch.message[order]]
+        self._mail.sent_ns[at] = sent_ns[order]
+        self._mail.rssi_dbm[at] = batch.rssi_dbm[order]
+
+
+def vectors_of(messages: Sequence[Message], floats: int) -> Floats:
+    """The numbers of messages in [-1, 1], (k, floats): of bytes as float32, of a mapping in the order of keys; the rest is 0."""
+    bodies = [message.body if isinstance(message.body, bytes) else _packed(message.body) for message in messages]
+    size = 4 * floats
+    whole = np.frombuffer(b"".join([body[:size].ljust(size, b"\0") for body in bodies]), "<f4").reshape(-1, floats)
+    return np.clip(np.nan_to_num(whole), -1.0, 1.0).astype(float)
+
+
+def _packed(body: Mapping[str, Any]) -> bytes:
+    numbers = [body[key] for key in sorted(body) if isinstance(body[key], int | float)]
+    return np.array(numbers, "<f4").tobytes()
+
+
+class FrameCount:
+    """Frames of one vehicle that were decided within a tick.
+
+    Attributes:
+        sent: frames.
+        received: receptions of them, at all receivers.
+        lost: receivers that did not get them, by cause.
+    """
+
+    def __init__(self) -> None:
+        self.sent, self.received, self.lost = 0, 0, Counter[str]()
+
+    def info(self) -> dict[str, Any]:
+        """As plain values."""
+        return {"frames_sent": self.sent, "received": self.received, "lost": dict(self.lost)}
+
+
+def counted(reports: list[FrameReport], row: Mapping[str, int]) -> list[FrameCount]:
+    """Counts by sender, in the order of vehicles."""
+    counts = [FrameCount() for _ in row]
+    for report in reports:
+        count = counts[row[report.sender]]
+        count.sent += 1
+        received = report.outcome.count(RECEIVED)
+        count.received += received
+        if received < len(report.outcome):
+            count.lost.update(outcome for outcome in report.outcome if outcome != RECEIVED)
+    return counts
