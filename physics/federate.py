@@ -34,7 +34,9 @@ from vcmvsp.cosim.federate import Event, ExternalMotion, Instants, Needed, RunIn
 from vcmvsp.cosim.types import Array, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
 from vcmvsp.physics import placement_checks as checks
 from vcmvsp.physics.dynamics.engine import BodyMotion, Commands, Contacts, Engine, Mover, gathered
+from vcmvsp.physics.dynamics.free_flight import FreeFlightEngine
 from vcmvsp.physics.dynamics.kinematic import AerialEngine, ExternalEngine, GroundEngine
+from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.pose_sources import PoseSources
 from vcmvsp.physics.scene_builder import SceneBuilder
 from vcmvsp.physics.sensor_scheduler import SensorScheduler
@@ -251,6 +253,31 @@ class KinematicPhysics(Physics):
         """One engine on the ground, one in the air, one for external vehicles."""
         simulated = self._bodiless(self._simulated)
         return [*simulated, (self._external_engine, self._external)] if self._external_engine else simulated
+
+
+class FlightPhysics(Physics):
+    """Quadrotors fly by their rotors and autopilots as in Bullet, but nothing has a body; other vehicles as in ``kinematic``."""
+
+    def engines(self) -> list[tuple[Engine, list[int]]]:
+        """The engine of quadrotors, and the engines of vehicles without bodies."""
+        checks.check_instants(self._run, self.rate_hz, self._sources.instants)
+        self._sensors.check(Ticks.rate(self.rate_hz))
+        specs = {n: self.vehicles[n] for n in self._simulated}
+        flyers = {n: each for n, each in specs.items() if isinstance(each.model, Quadrotor)}
+        checks.check_lift([*flyers.values()], self.gravity)
+        engines = self._bodiless([n for n in self._simulated if n not in flyers])
+        if flyers:
+            models: list[Any] = [each.model for each in flyers.values()]
+            engine = FreeFlightEngine(
+                models,
+                [each.start for each in flyers.values()],
+                [each.heading for each in flyers.values()],
+                wind=Gusts(self.world.wind, [each.name for each in flyers.values()], self._run.seed).advance,
+                rate_hz=self.rate_hz,
+                gravity=self.gravity,
+            )
+            engines.append((engine, [*flyers]))
+        return [*engines, (self._external_engine, self._external)] if self._external_engine else engines
 
 
 class RigidBodyPhysics(Physics):

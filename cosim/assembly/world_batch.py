@@ -2,10 +2,11 @@
 
 Each world gives what a run of the same scenario with its seed gives alone, to the last bit: the engines and layers are those of
 a run, with more rows. So only what does not couple rows across worlds can be computed this way: vehicles without bodies
-(``physics.kind = "kinematic"``) and radios without contention.
+(``physics.kind`` is ``kinematic`` or ``flight``), wind without gusts, and radios without contention.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,9 +23,13 @@ from vcmvsp.cosim.scenario.schema import Scenario
 if TYPE_CHECKING:
     from vcmvsp.netsim.channel.side_by_side import Broadcasts
     from vcmvsp.physics.dynamics.engine import BodyMotion
+    from vcmvsp.physics.dynamics.free_flight import FreeFlightEngine
     from vcmvsp.physics.dynamics.kinematic import AerialEngine, GroundEngine
 
+    RowsEngine = AerialEngine | FreeFlightEngine | GroundEngine
+
 Floats = NDArray[np.float64]
+CALM = np.zeros(3)  # m/s
 
 
 class WorldBatch:
@@ -46,6 +51,7 @@ class WorldBatch:
         self.names = tuple(each.name for each in scenario.vehicle)
         fleet = Fleet(scenario, source, self._resolution)
         self._models = [fleet.models[name] for name in self.names]
+        self._physics = scenario.physics
         for key, problem in _alone(scenario, fleet):
             raise source.error(f"{problem}: only one world at a time can have it (vcmvsp.env.parallel_env)", key)
         self._channel, _, _ = radio.channel_of(scenario, source, solids=())
@@ -61,20 +67,34 @@ class WorldBatch:
     def start(self, seeds: Sequence[int], poses: Floats) -> None:
         """Start worlds with these seeds, at poses (w, n, 4): x, y, z m and heading rad."""
         from vcmvsp.netsim.channel.side_by_side import SideBySide
-        from vcmvsp.physics.dynamics.kinematic import AerialEngine, GroundEngine
-        from vcmvsp.physics.vehicles.specification import flies
 
         self._needed, self.now_ns = Needed(self._info), 0
         self._shape = poses.shape[:2]
         self._radio = SideBySide(self._channel, self.names, seeds)
-        self._engines: list[tuple[GroundEngine | AerialEngine, NDArray[np.intp]]] = []
+        self._engines: list[tuple[RowsEngine, NDArray[np.intp]]] = []
+        for make, rows in self._kinds():
+            models = [self._models[row] for row in rows] * len(poses)
+            flat = poses[:, rows].reshape(-1, 4)
+            engine = make(models, flat[:, :3].tolist(), flat[:, 3].tolist())
+            engine.expect(self._info.duration_ns, now=False)
+            self._engines.append((engine, rows))
+
+    def _kinds(self) -> "list[tuple[Callable[..., RowsEngine], NDArray[np.intp]]]":
+        """Makers of the engines from models, positions and headings, each with the rows of its vehicles."""
+        from vcmvsp.physics.dynamics.free_flight import FreeFlightEngine
+        from vcmvsp.physics.dynamics.kinematic import AerialEngine, GroundEngine
+        from vcmvsp.physics.vehicles.models import Quadrotor
+        from vcmvsp.physics.vehicles.specification import flies
+
         in_air = np.array([flies(model) for model in self._models])
-        for kind, rows in ((GroundEngine, np.flatnonzero(~in_air)), (AerialEngine, np.flatnonzero(in_air))):
-            if rows.size:
-                models: list[Any] = [self._models[row] for row in rows] * len(poses)
-                flat = poses[:, rows].reshape(-1, 4)
-                more = {"sensed": False} if kind is GroundEngine else {}
-                self._engines.append((kind(models, flat[:, :3].tolist(), flat[:, 3].tolist(), **more), rows))
+        has_rotors = np.array([isinstance(model, Quadrotor) for model in self._models]) & (self._physics["kind"] == "flight")
+        rates = {"rate_hz": self._physics.get("rate_hz", 120.0), "gravity": self._physics.get("gravity", 9.81)}
+        made: list[tuple[Any, NDArray[np.intp]]] = [
+            (partial(GroundEngine, sensed=False), np.flatnonzero(~in_air)),
+            (AerialEngine, np.flatnonzero(in_air & ~has_rotors)),
+            (partial(FreeFlightEngine, wind=lambda _: CALM, **rates), np.flatnonzero(has_rotors)),
+        ]
+        return [(make, rows) for make, rows in made if rows.size]
 
     def send(self, sends: NDArray[np.bool_], size_bytes: int) -> "Broadcasts":
         """Broadcast a message of each of these vehicles, (w, n), now."""
@@ -110,10 +130,10 @@ def _alone(scenario: Scenario, fleet: Fleet) -> "list[tuple[str, str]]":
     from vcmvsp.physics.vehicles.models import GroundVehicle, Point, Quadrotor
 
     found = []
-    if scenario.physics.get("kind") != "kinematic":
-        found.append(("physics.kind", 'vehicles have bodies unless physics.kind = "kinematic"'))
-    if scenario.world.get("kind", "empty") != "empty":
-        found.append(("world.kind", "this world has obstacles"))
+    if scenario.physics.get("kind") not in ("kinematic", "flight"):
+        found.append(("physics.kind", 'vehicles have bodies unless physics.kind is "kinematic" or "flight"'))
+    if scenario.world.get("kind", "empty") != "empty" or "wind" in scenario.world:
+        found.append(("world", "a world with obstacles or wind"))
     if scenario.routing or scenario.intervention or scenario.bridge.doors or scenario.sockets.vehicles:
         found.append(("routing", "routing, interventions and external programs"))
     if scenario.agents.latency_s:
@@ -126,7 +146,7 @@ def _alone(scenario: Scenario, fleet: Fleet) -> "list[tuple[str, str]]":
             found.append((f"{key}.sensors", "sensors and real vehicles"))
         if each.agent is not None:
             found.append((f"{key}.agent", "an agent of the scenario"))
-        if not isinstance(fleet.models[each.name], GroundVehicle | Point | Quadrotor):
+        if not isinstance(fleet.models[each.name], GroundVehicle | Point | Quadrotor) or getattr(fleet.models[each.name], "downwash", False):
             found.append((f"{key}.kind", "a vehicle of this kind"))
     return found
 

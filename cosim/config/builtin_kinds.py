@@ -41,6 +41,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "bullet": "vcmvsp.physics.federate:BulletPhysics",
         "kinematic": "vcmvsp.physics.federate:KinematicPhysics",
         "mujoco": "vcmvsp.physics.federate:MujocoPhysics",
+        "flight": "vcmvsp.physics.federate:FlightPhysics",
     },
     "world": {
         "empty": "vcmvsp.physics.worlds.surroundings:Empty",

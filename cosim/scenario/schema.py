@@ -198,7 +198,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     name: Name
     duration_s: Duration
     seed: Seed = 0
-    physics: Mapping[str, Any] = {}  # kind = "bullet" | "kinematic"
+    physics: Mapping[str, Any] = {}  # kind = "bullet" | "kinematic" | "mujoco" | "flight"
     world: Mapping[str, Any] = {}  # kind = "empty" | "boxes"
     radio: Mapping[str, Any] = {}  # preset = "ideal" | "wss" | "wifi-b-1" | "zigbee", and its layers
     routing: Mapping[str, Any] = {}  # kind = "none" | "flooding" | "static" | "distance_vector"
